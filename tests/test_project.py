@@ -1,0 +1,174 @@
+"""What holds for the project as a whole: packaging, versions, links, imports."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.util import resolve_name
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "ves_gym"
+LINKS = ("envs", "planners", "baselines")
+
+# Imports point to a lower level. `report` stands beside the planners it draws.
+LEVEL = {
+    "core": 0,
+    "effects": 1,
+    "discrepancy": 2,
+    "envs": 2,
+    "planners": 2,
+    "report": 2,
+    "baselines": 3,
+    "leaderboard": 4,
+    "cli": 5,
+}
+SIDEWAYS = {("report", "planners")}
+
+# Loaded on first use. `import mujoco` brings its renderer and the window library along.
+HEAVY = {
+    "casadi",
+    "distributed",
+    "glfw",
+    "imageio",
+    "matplotlib",
+    "mujoco",
+    "numba",
+    "OpenGL",
+    "ompl",
+    "optuna",
+    "pandas",
+    "PIL",
+    "pinocchio",
+    "pyarrow",
+    "stable_baselines3",
+    "submitit",
+    "torch",
+}
+
+
+# ------------------------------------------------------------------ packaging
+
+
+def test_extras_are_declared():
+    with open(ROOT / "pyproject.toml", "rb") as file:
+        extras = tomllib.load(file)["project"]["optional-dependencies"]
+    assert {"rl", "report", "scale", "dev", "all"} <= extras.keys()
+
+
+def test_known_good_versions_carry_hashes_and_no_address():
+    text = (ROOT / "constraints.txt").read_text()
+    assert not re.search(r"https?:|file:|://|^-", text, re.MULTILINE)
+    assert not re.search(r"^(torch|stable-baselines3)\b", text, re.MULTILINE)
+
+    requirements = text.replace("\\\n", " ").splitlines()
+    assert len(requirements) > 20
+    for requirement in requirements:
+        assert re.match(r"[\w.-]+==[\w.+!-]+[ ;]", requirement), requirement[:80]
+        assert re.search(r"--hash=sha256:[0-9a-f]{64}\b", requirement), requirement[:80]
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_top_level_link_points_to_the_subpackage(name):
+    link = ROOT / name
+    assert link.is_symlink(), f"{name} must be a link to ves_gym/{name}"
+    assert link.readlink() == Path("ves_gym") / name
+    assert link.is_dir(), f"{name} points to nothing"
+
+
+# -------------------------------------------------------------------- imports
+
+
+def test_import_stays_light():
+    code = "import sys, ves_gym; print(*{name.partition('.')[0] for name in sys.modules})"
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    loaded = result.stdout.split()
+    assert "ves_gym" in loaded
+    assert not HEAVY & set(loaded)
+
+
+def imported(tree: ast.AST, package: str):
+    """(line, absolute dotted name) of every import, those inside functions included."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            relative = "." * node.level + (node.module or "")
+            base = resolve_name(relative, package)
+            if base == "ves_gym":  # `from ves_gym import envs`
+                yield from ((node.lineno, f"{base}.{alias.name}") for alias in node.names)
+            else:
+                yield node.lineno, base
+
+
+def violations(source: str, path: str) -> list[str]:
+    """Imports in one file, `path` from the root, that the import picture forbids."""
+    place = path.split("/")[1]
+    if place in ("__init__.py", "__main__.py"):
+        return []  # the front door may name anything; test_import_stays_light watches it
+    if place not in LEVEL:
+        return [f"{path}: {place} has no place in the import picture; add it to LEVEL"]
+
+    found = []
+    package = path.rpartition("/")[0].replace("/", ".")
+    for line, name in imported(ast.parse(source, path), package):
+        top, _, rest = name.partition(".")
+        target = rest.partition(".")[0]
+        if top in LINKS:
+            found.append(f"{path}:{line}: imports a second copy: say ves_gym.{name}")
+        elif top != "ves_gym" or target in ("", "__version__", place):
+            continue
+        elif target not in LEVEL:
+            found.append(f"{path}:{line}: imports {name}; name the subpackage it is in")
+        elif LEVEL[target] >= LEVEL[place] and (place, target) not in SIDEWAYS:
+            found.append(f"{path}:{line}: {place} imports {target}, which is not below it")
+    return found
+
+
+FILES = sorted(path.relative_to(ROOT).as_posix() for path in PACKAGE.rglob("*.py"))
+
+
+def test_imports_point_down():
+    assert FILES
+    found = [v for file in FILES for v in violations((ROOT / file).read_text("utf-8"), file)]
+    assert not found, "\n" + "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("file", "source"),
+    [
+        ("core/arm.py", "import ves_gym.effects"),
+        ("core/arm.py", "from ves_gym import effects"),
+        ("core/arm.py", "from .. import effects"),
+        ("core/arm.py", "from ..effects.stribeck import Stribeck"),
+        ("core/arm.py", "def late():\n    from ves_gym.envs import tasks"),
+        ("core/backends/mujoco.py", "from ...envs import tasks"),
+        ("core/arm.py", "from ves_gym import Simulator"),
+        ("planners/direct.py", "from ves_gym.report import figures"),
+        ("envs/tasks.py", "from ves_gym.planners import coupling"),
+        ("leaderboard/run.py", "import ves_gym.cli.main"),
+        ("cli/list.py", "from envs import tasks"),
+        ("misplaced/thing.py", ""),
+    ],
+)
+def test_a_forbidden_import_is_found(file, source):
+    assert len(violations(source, f"ves_gym/{file}")) == 1
+
+
+@pytest.mark.parametrize(
+    ("file", "source"),
+    [
+        ("core/arm.py", "import numpy as np\nfrom ves_gym import __version__"),
+        ("core/__init__.py", "from .arm import Arm\nfrom . import spatial"),
+        ("core/backends/mujoco.py", "from ..arm import Arm\nfrom ves_gym.core import spatial"),
+        ("report/figures.py", "from ves_gym.planners import coupling"),
+        ("cli/main.py", "from ..leaderboard import run\nfrom ves_gym import core, envs"),
+    ],
+)
+def test_an_allowed_import_is_left_alone(file, source):
+    assert violations(source, f"ves_gym/{file}") == []

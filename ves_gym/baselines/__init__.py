@@ -1,0 +1,1 @@
+"""Baseline policies and training. None is shipped yet; see CHANGELOG.md."""

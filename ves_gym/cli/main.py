@@ -1,0 +1,89 @@
+"""`ves-gym COMMAND`: parse, run, and turn bad input into one line and exit status 2."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from ves_gym import __version__
+
+COMMANDS = {  # name -> what it does; the module of the same name is loaded when asked for
+    "benchmark": "planners x queries x durations: table, figures, HTML report",
+    "simulate": "play one motion on one system and record a run log",
+    "plan": "find one path with one planner",
+    "map": "coupling-map pictures and arrays",
+    "list": "what exists: vehicles, planners, suites",
+    "doctor": "what is broken on this machine",
+    "view": "watch a run log: window, GIF or MP4",
+}
+DONE, NEGATIVE, BAD_INPUT = 0, 1, 2
+
+
+class UsageError(ValueError):
+    """A command line that cannot be carried out."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message} (see {self.prog} --help)")
+
+
+def build_parser(command: str | None) -> argparse.ArgumentParser:
+    """The parser; only the asked command's module is imported for its arguments."""
+    parser = _Parser(
+        prog="ves-gym",
+        description="A PUMA 560 on a long flexible beam in micro-gravity, judged by the"
+        " energy transferred to the base.",
+        epilog="exit status: 0 done, 1 negative verdict, 2 bad input",
+    )
+    parser.add_argument("--version", action="version", version=f"ves-gym {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, text in COMMANDS.items():
+        sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        if name == command:
+            module = importlib.import_module(f"ves_gym.cli.{name}")
+            module.add_arguments(sub)
+            sub.set_defaults(run=module.run)
+            sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
+            sub.add_argument("--out", metavar="DIR", help="folder for files this command makes")
+            sub.add_argument("--seed", type=_seed, default=0, metavar="N", help="default 0")
+    return parser
+
+
+def _seed(text: str) -> int:
+    try:
+        seed = int(text)
+    except ValueError:
+        seed = -1
+    if seed < 0:
+        raise argparse.ArgumentTypeError(f"expected a whole number >= 0, got {text!r}")
+    return seed
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; the exit status."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    command = next((w for w in words if w in COMMANDS), None)
+    try:
+        args = build_parser(command).parse_args(words)
+        status: int = args.run(args)
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:  # the reader went away (`| head`): nothing left to say
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except KeyboardInterrupt:
+        print("ves-gym: interrupted", file=sys.stderr)
+        return 130
+    except (ValueError, OSError) as error:
+        # parameters, limits, logs and files: all say what was received and expected
+        print(f"ves-gym: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return BAD_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Physics: parameters, arm, vehicles, system, simulator, motion, energy, run log."""

@@ -1,0 +1,116 @@
+"""The reference engine: MuJoCo's native batch of simulations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from ves_gym.core.model import TO_Y, build_spec
+from ves_gym.core.params import Array, Index, Mask
+from ves_gym.core.system import System
+
+PRESCRIBED_INERTIA = 1e8  # kg m^2 added to a joint that must follow its command
+_BAD = [
+    int(w)
+    for w in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+        mujoco.mjtWarning.mjWARN_BADCTRL,
+    )
+]
+
+
+def compile_model(system: System) -> mujoco.MjModel:
+    """The MuJoCo model of a system, as the backend runs it."""
+    gravity = (0.0, 0.0, 0.0)
+    spec = build_spec(
+        system.arm,
+        system.base,
+        gravity=gravity,
+        integrator=system.integrator,
+        physics_dt=system.physics_dt,
+    )
+    if system.drive == "prescribed":
+        for i in range(system.arm.n):
+            spec.joint(f"q_{i + 1}").armature += PRESCRIBED_INERTIA
+            drive = spec.actuator(f"drive_{i + 1}")
+            drive.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+            drive.gainprm[0] = PRESCRIBED_INERTIA  # the command is an acceleration
+    return spec.compile()
+
+
+class MujocoBackend:
+    """`Backend` on `mujoco.batch.Batch`; see `Backend` for what each method does."""
+
+    def __init__(self, system: System, n: int, threads: int) -> None:
+        self.n = n
+        self.joints = system.arm.n
+        self.prescribed = system.drive == "prescribed"
+        self.model = compile_model(system)
+        self.batch = Batch(self.model, n, threads)
+        self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        self._time = self.batch.bind("time")
+        self._command, self._slope = self.batch.bind("act"), self.batch.bind("ctrl")
+        self._applied = self.batch.bind("qfrc_applied")
+        self._force, self._qacc = self.batch.bind("actuator_force"), self.batch.bind("qacc")
+        self._order = np.r_[TO_Y, 6 + np.arange(self.joints)]
+        self._bias: Array | None = None
+
+    def read(self) -> tuple[Array, Array, Array]:
+        return self._time.copy(), self._qpos[:, self._order], self._qvel[:, self._order]
+
+    def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
+        # clears warm starts, history and whatever else the state row holds
+        self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self.batch.warning[ids] = 0
+        self._time[ids] = time
+        self._qpos[np.ix_(ids, self._order)] = z
+        self._qvel[np.ix_(ids, self._order)] = zd
+
+    def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
+        if self._bias is None:
+            self._bias = self.batch.expand("actuator_biasprm")
+        self._bias[ids, :, 1] = -kp
+        self._bias[ids, :, 2] = -kd
+
+    def step(
+        self, command: Array, wrench: Array | None, substeps: int, ids: Index | None
+    ) -> None:
+        self._command[:], self._slope[:] = command, 0.0
+        if wrench is not None:
+            self._applied[:, TO_Y] = wrench
+        self.batch.step(ids, nstep=substeps)
+
+    def play(self, commands: Array) -> None:
+        slopes = np.diff(commands, axis=1) / self.model.opt.timestep
+        self._command[:] = commands[:, 0]
+        self.batch.rollout(slopes.shape[1], slopes, record=())
+
+    def evaluate(self, command: Array) -> tuple[Array, Array]:
+        self._command[:] = command
+        self.batch.forward()
+        acceleration = self._qacc[:, self._order]
+        torque = self._force.copy()
+        if self.prescribed:
+            torque -= PRESCRIBED_INERTIA * acceleration[:, 6:]
+        return torque, acceleration
+
+    def faults(self) -> Mask:
+        finite = np.isfinite(self._qpos).all(1) & np.isfinite(self._qvel).all(1)
+        bad: Mask = ~finite | (self.batch.warning[:, _BAD, 1] > 0).any(1)
+        return bad
+
+    def get_state(self) -> Any:
+        bias = None if self._bias is None else self._bias.copy()
+        return self.batch.state.copy(), self.batch.warning.copy(), bias
+
+    def set_state(self, state: Any) -> None:
+        rows, warnings, bias = state
+        self.batch.state[:] = rows
+        self.batch.warning[:] = warnings
+        if bias is not None:
+            self.set_gains(np.arange(self.n), -bias[:, :, 1], -bias[:, :, 2])

@@ -1,0 +1,276 @@
+"""Frozen parameter sets: units on the fields, strict reading, exact round trips.
+
+Every parameter set of `ves_gym` is a frozen dataclass whose array-like values are
+nested tuples of float, so that it can be compared, hashed and written to TOML or
+JSON without loss. Reading rejects unknown and missing keys by name.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import os
+import tempfile
+import tomllib
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+Vector = tuple[float, ...]
+Matrix = tuple[tuple[float, ...], ...]
+T = TypeVar("T")
+
+
+class ParameterError(ValueError):
+    """A parameter is missing, unknown, of the wrong kind or out of range."""
+
+
+def unit(symbol: str, **options: Any) -> Any:
+    """Dataclass field that carries its unit, e.g. `mass: float = unit("kg")`.
+
+    `default=` gives the default value; every other option is kept as metadata.
+    """
+    default = options.pop("default", dataclasses.MISSING)
+    return dataclasses.field(default=default, metadata={"unit": symbol, **options})
+
+
+def units(cls: type) -> dict[str, str]:
+    """Unit of each field of a parameter set that has one."""
+    return {f.name: f.metadata["unit"] for f in dataclasses.fields(cls) if "unit" in f.metadata}
+
+
+def finite(value: object, shape: tuple[int, ...], name: str) -> Array:
+    """`value` as a float64 array of exactly `shape`, or a ParameterError that says why not."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ParameterError(
+            f"{name} must be numbers of shape {shape}, got {value!r}"
+        ) from None
+    if array.shape != shape:
+        raise ParameterError(
+            f"{name} must have shape {shape}, got shape {array.shape}: {value!r}"
+        )
+    if not np.isfinite(array).all():
+        raise ParameterError(f"{name} must be finite, got {value!r}")
+    return array
+
+
+def require_positive(params: object, *names: str, zero: bool = False) -> None:
+    """Raise ParameterError unless each named field is a finite number > 0 (or >= 0)."""
+    for name in names:
+        value = getattr(params, name)
+        good = isinstance(value, (int, float)) and math.isfinite(value)
+        if not good or value < 0 or (value == 0 and not zero):
+            symbol = units(type(params)).get(name, "")
+            raise ParameterError(
+                f"{type(params).__name__}.{name} must be {'>=' if zero else '>'} 0"
+                f" {symbol}, got {value!r}"
+            )
+
+
+def require_choice(params: object, name: str, choices: tuple[str, ...]) -> None:
+    """Raise ParameterError unless the named field is one of `choices`."""
+    value = getattr(params, name)
+    if value not in choices:
+        raise ParameterError(
+            f"{type(params).__name__}.{name} must be one of {', '.join(choices)}, got {value!r}"
+        )
+
+
+def symmetric(value: object, name: str, *, semidefinite: bool = True) -> Array:
+    """A 6x6 symmetric positive (semi)definite matrix, or the offending eigenvalue.
+
+    Symmetry is tested to 1e-9 of the largest entry (rounding of a printed or inverted
+    matrix); an eigenvalue may be negative by 1e-12 of the largest.
+    """
+    matrix = finite(value, (6, 6), name)
+    size = max(float(np.abs(matrix).max()), np.finfo(float).tiny)
+    gap = np.abs(matrix - matrix.T)
+    if gap.max() > 1e-9 * size:
+        i, j = (int(k) for k in np.unravel_index(int(gap.argmax()), gap.shape))
+        raise ParameterError(
+            f"{name} must be symmetric, got [{i + 1},{j + 1}] = {matrix[i, j]:.6g}"
+            f" and [{j + 1},{i + 1}] = {matrix[j, i]:.6g}"
+        )
+    lowest = float(np.linalg.eigvalsh(matrix)[0])
+    if lowest < -1e-12 * size or (not semidefinite and lowest <= 0):
+        kind = "positive semidefinite" if semidefinite else "positive definite"
+        raise ParameterError(f"{name} must be {kind}, got an eigenvalue {lowest:.6g}")
+    return (matrix + matrix.T) / 2
+
+
+# ------------------------------------------------------------------ plain data and back
+
+
+def to_plain(value: Any) -> Any:
+    """Parameter set -> dicts, lists, strings and numbers (what TOML and JSON hold)."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        plain = {}
+        if "kind" in type(value).__dict__:
+            plain["kind"] = type(value).__dict__["kind"]
+        for field in dataclasses.fields(value):
+            item = getattr(value, field.name)
+            if item is not None:
+                plain[field.name] = to_plain(item)
+        return plain
+    if isinstance(value, (tuple, list)):
+        return [to_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    return value
+
+
+def from_plain(cls: Any, plain: Any, where: str = "") -> Any:
+    """Rebuild a parameter set of type `cls`; unknown or missing keys are an error.
+
+    A field annotated with a union of parameter sets is resolved by the entry `kind`.
+    """
+    where = where or getattr(cls, "__name__", "value")
+    origin = typing.get_origin(cls)
+    if origin in (typing.Union, types.UnionType):
+        return _from_union(typing.get_args(cls), plain, where)
+    if isinstance(cls, type) and dataclasses.is_dataclass(cls):
+        return _from_mapping(cls, plain, where)
+    if origin is tuple:
+        if not isinstance(plain, (list, tuple)):
+            raise ParameterError(f"{where} must be a list, got {plain!r}")
+        inner = typing.get_args(cls)
+        if len(inner) == 2 and inner[1] is Ellipsis:
+            inner = (inner[0],) * len(plain)
+        if len(inner) != len(plain):
+            raise ParameterError(f"{where} must have {len(inner)} entries, got {len(plain)}")
+        return tuple(
+            from_plain(k, item, f"{where}[{i}]")
+            for i, (k, item) in enumerate(zip(inner, plain, strict=True))
+        )
+    if cls is float and isinstance(plain, (int, float)) and not isinstance(plain, bool):
+        return float(plain)
+    if cls is Any or (isinstance(plain, cls) and isinstance(plain, bool) == (cls is bool)):
+        return plain
+    raise ParameterError(f"{where} must be {cls.__name__}, got {plain!r}")
+
+
+def _from_union(options: tuple[Any, ...], plain: Any, where: str) -> Any:
+    if plain is None and type(None) in options:
+        return None
+    options = tuple(k for k in options if k is not type(None))
+    if len(options) == 1:
+        return from_plain(options[0], plain, where)
+    kinds = {k.kind: k for k in options}
+    kind = plain.get("kind") if isinstance(plain, Mapping) else None
+    if kind not in kinds:
+        raise ParameterError(f"{where}.kind must be one of {', '.join(kinds)}, got {kind!r}")
+    return from_plain(kinds[kind], plain, where)
+
+
+def _from_mapping(cls: type[T], plain: Any, where: str) -> T:
+    if not isinstance(plain, Mapping):
+        raise ParameterError(
+            f"{where} must be a table of {cls.__name__} entries, got {plain!r}"
+        )
+    fields = {f.name: f for f in dataclasses.fields(cls) if f.init}  # type: ignore[arg-type]
+    given = {key: value for key, value in plain.items() if key != "kind" or "kind" in fields}
+    unknown = [key for key in given if key not in fields]
+    if unknown:
+        raise ParameterError(f"{where}: unknown key {unknown[0]!r}; known: {', '.join(fields)}")
+    hints = typing.get_type_hints(cls)
+    values = {key: from_plain(hints[key], v, f"{where}.{key}") for key, v in given.items()}
+    missing = [
+        name
+        for name, f in fields.items()
+        if name not in values
+        and f.default is dataclasses.MISSING
+        and f.default_factory is dataclasses.MISSING
+    ]
+    if missing:
+        raise ParameterError(f"{where}: missing key {missing[0]!r}")
+    return cls(**values)
+
+
+# --------------------------------------------------------------------------- files
+
+
+def canonical_json(value: Any) -> str:
+    """One text per value: sorted keys, shortest exact floats, no NaN."""
+    return json.dumps(to_plain(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def content_hash(value: Any) -> str:
+    """SHA-256 of the canonical JSON, 64 hexadecimal digits."""
+    return hashlib.sha256(canonical_json(value).encode()).hexdigest()
+
+
+def read_table(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read a TOML or JSON file (by suffix) into plain data."""
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParameterError(f"{path}: cannot be read: {error}") from None
+    try:
+        if path.suffix == ".toml":
+            table = tomllib.loads(text)
+        elif path.suffix == ".json":
+            table = json.loads(text)
+        else:
+            raise ParameterError(f"{path}: expected a .toml or .json file, got {path.suffix!r}")
+    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
+        raise ParameterError(f"{path}: not valid {path.suffix[1:].upper()}: {error}") from None
+    if not isinstance(table, dict):
+        raise ParameterError(f"{path}: expected a table at the top, got {type(table).__name__}")
+    return table
+
+
+def write_table(path: str | os.PathLike[str], value: Any) -> None:
+    """Write a parameter set as TOML or JSON (by suffix), atomically."""
+    import tomli_w
+
+    path = Path(path)
+    plain = to_plain(value)
+    if path.suffix == ".toml":
+        write_text(path, tomli_w.dumps(plain))
+    elif path.suffix == ".json":
+        write_text(path, json.dumps(plain, indent=1, allow_nan=False) + "\n")
+    else:
+        raise ParameterError(f"{path}: expected a .toml or .json name, got {path.suffix!r}")
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a file completely or not at all: temporary name, fsync, rename."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write a file completely or not at all: temporary name, fsync, rename."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,318 @@
+"""`Simulator`: n copies of one System in lockstep. A single simulation is a batch of one."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from ves_gym.core.backends import make_backend
+from ves_gym.core.dynamics import inertia
+from ves_gym.core.params import Array, Index, Mask, ParameterError
+from ves_gym.core.servo import FREE, HIGH_GAINS, JointServo
+from ves_gym.core.spatial import SINGULAR, matvec, rate_matrix
+from ves_gym.core.system import System
+
+# Largest omega * dt of an oscillator that stays bounded (docs/physics.md).
+_STABLE = {"rk4": 2.8, "euler": 2.0, "implicitfast": 2.0}
+
+
+class Divergence(RuntimeError):
+    """A simulation left the meaningful range; `ids` lists all of them."""
+
+    def __init__(self, message: str, ids: Index) -> None:
+        super().__init__(message)
+        self.ids = ids
+
+
+class State(NamedTuple):
+    """Where every simulation is. Leading axis = simulation."""
+
+    time: Array  # (n,) s
+    y: Array  # (n, 6) base pose [m, rad]
+    yd: Array  # (n, 6) its rate
+    q: Array  # (n, joints) rad
+    v: Array  # (n, joints) rad/s
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Everything needed to continue exactly from here (`Simulator.snapshot`)."""
+
+    system_hash: str
+    backend: object
+    generators: tuple[Any, ...]
+    diverged: Mask
+
+
+class Simulator:
+    """n simulations of one system.
+
+    Args:
+        system: what to simulate.
+        n: number of simulations, >= 1.
+        servo: joint servo, or None for bare torque input; ignored by a prescribed drive.
+        backend: engine, "mujoco".
+        threads: threads of the engine, 0 = one per processor.
+        seed: root of the per-simulation random generators; simulation i draws the same
+            numbers whatever n is.
+        on_divergence: "raise" a `Divergence` that names simulation, time and joint, or
+            "mark" it in `diverged` and leave that simulation where it is.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        n: int = 1,
+        *,
+        servo: JointServo | None = HIGH_GAINS,
+        backend: str = "mujoco",
+        threads: int = 0,
+        seed: int = 0,
+        on_divergence: str = "raise",
+    ) -> None:
+        if not isinstance(n, int) or n < 1:
+            raise ParameterError(f"n must be a whole number >= 1, got {n!r}")
+        if on_divergence not in ("raise", "mark"):
+            raise ParameterError(f"on_divergence must be raise or mark, got {on_divergence!r}")
+        _require_stable_step(system)
+        self.system, self.n = system, n
+        self.joints = system.arm.n
+        self.backend = make_backend(backend, system, n, threads)
+        self.on_divergence = on_divergence
+        self.servo = servo if servo is not None else FREE
+        self._kp = np.zeros((n, self.joints))
+        self._kd = np.zeros((n, self.joints))
+        if system.drive == "motor" and servo is not None:
+            self.set_gains(servo.kp, servo.kd)
+        self.seed(seed)
+        self.diverged = np.zeros(n, bool)
+        self.reset()
+
+    # ------------------------------------------------------------------ state
+
+    @property
+    def state(self) -> State:
+        """A copy of the present state."""
+        time, z, zd = self.backend.read()
+        return State(time, z[:, :6], zd[:, :6], z[:, 6:], zd[:, 6:])
+
+    def seed(self, seed: int) -> None:
+        """Restart the random generators."""
+        if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool) or seed < 0:
+            raise ParameterError(f"seed must be a whole number >= 0, got {seed!r}")
+        self.generators = [
+            np.random.Generator(np.random.PCG64(np.random.SeedSequence((int(seed), i))))
+            for i in range(self.n)
+        ]
+
+    def reset(
+        self,
+        *,
+        q: npt.ArrayLike = 0.0,
+        v: npt.ArrayLike = 0.0,
+        y: npt.ArrayLike = 0.0,
+        yd: npt.ArrayLike = 0.0,
+        spread: Mapping[str, npt.ArrayLike] | None = None,
+        ids: npt.ArrayLike | None = None,
+    ) -> State:
+        """Put all or some simulations at time 0 in the given state.
+
+        Args:
+            q, v: joint angles and rates, broadcast to (k, joints).
+            y, yd: base pose and its rate, broadcast to (k, 6).
+            spread: standard deviation of a normal draw added to any of q, v, y, yd.
+            ids: which simulations (k of them), or None for all.
+        """
+        index = self._ids(ids)
+        values = {"q": q, "v": v, "y": y, "yd": yd}
+        unknown = [key for key in spread or {} if key not in values]
+        if unknown:
+            raise ParameterError(f"spread: unknown key {unknown[0]!r}; known: q, v, y, yd")
+        full = {}
+        for name, value in values.items():
+            width = self.joints if name in "qv" else 6
+            full[name] = self._broadcast(value, name, (len(index), width)).copy()
+            if spread and name in spread:
+                scale = self._broadcast(spread[name], f"spread[{name!r}]", (len(index), width))
+                for row, i in enumerate(index):
+                    full[name][row] += scale[row] * self.generators[i].standard_normal(width)
+        self.backend.write(
+            index,
+            np.zeros(len(index)),
+            np.hstack([full["y"], full["q"]]),
+            np.hstack([full["yd"], full["v"]]),
+        )
+        self.diverged[index] = False
+        return self.state
+
+    def snapshot(self) -> Snapshot:
+        """The complete state, random generators included; picklable."""
+        return Snapshot(
+            self.system.hash,
+            self.backend.get_state(),
+            tuple(copy.deepcopy(g.bit_generator.state) for g in self.generators),
+            self.diverged.copy(),
+        )
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Return to a snapshot of the same system and the same n."""
+        if snapshot.system_hash != self.system.hash or len(snapshot.diverged) != self.n:
+            raise ParameterError(
+                f"snapshot is of system {snapshot.system_hash[:12]} with n ="
+                f" {len(snapshot.diverged)}, this is {self.system.hash[:12]} with n = {self.n}"
+            )
+        self.backend.set_state(snapshot.backend)
+        for generator, state in zip(self.generators, snapshot.generators, strict=True):
+            generator.bit_generator.state = copy.deepcopy(state)
+        self.diverged = snapshot.diverged.copy()
+
+    def set_gains(
+        self, kp: npt.ArrayLike, kd: npt.ArrayLike, ids: npt.ArrayLike | None = None
+    ) -> None:
+        """Servo gains [N m/rad, N m s/rad], broadcast to (k, joints)."""
+        if self.system.drive != "motor":
+            raise ParameterError("a prescribed drive has no servo gains to set")
+        index = self._ids(ids)
+        shape = (len(index), self.joints)
+        self._kp[index] = self._broadcast(kp, "kp", shape)
+        self._kd[index] = self._broadcast(kd, "kd", shape)
+        self.backend.set_gains(index, self._kp[index], self._kd[index])
+
+    # ---------------------------------------------------------------- stepping
+
+    def step(
+        self,
+        command: npt.ArrayLike = 0.0,
+        *,
+        base_wrench: npt.ArrayLike | None = None,
+    ) -> State:
+        """Advance one control period with the command held.
+
+        Args:
+            command: (n, joints), broadcast. Motor drive: torque [N m] on top of what the
+                servo gains give around zero position and rate (see `servo_command`).
+                Prescribed drive: joint acceleration [rad/s^2].
+            base_wrench: (n, 6) jets' wrench in the platform frame [N, N m]; only a
+                vehicle with thrusters accepts it.
+        """
+        torque = self._broadcast(command, "command", (self.n, self.joints))
+        self.backend.step(
+            torque, self._base_force(base_wrench), self.system.substeps, self._running()
+        )
+        self._watch()
+        return self.state
+
+    def servo_command(self, q: Array, v: Array, tau: Array | float = 0.0) -> Array:
+        """Command that makes the servo track q, v (n, ..., joints) with feed-forward tau."""
+        middle = (slice(None), *(None,) * (np.ndim(q) - 2))
+        command: Array = self._kp[middle] * q + self._kd[middle] * v + tau
+        return command
+
+    def play(self, commands: Array) -> None:
+        """Advance k physics steps, the commands (n, k + 1, joints) linear over each step."""
+        shape = (self.n, np.shape(commands)[1], self.joints)
+        self.backend.play(self._broadcast(commands, "commands", shape))
+        self._watch()
+
+    def evaluate(self, command: npt.ArrayLike) -> tuple[Array, Array]:
+        """Drive torque (n, joints) [N m] and base acceleration Y'' (n, 6) at this state."""
+        torque, acceleration = self.backend.evaluate(
+            self._broadcast(command, "command", (self.n, self.joints))
+        )
+        return torque, acceleration[:, :6]
+
+    # ----------------------------------------------------------------- helpers
+
+    def _running(self) -> Index | None:
+        return np.flatnonzero(~self.diverged) if self.diverged.any() else None
+
+    def _watch(self) -> None:
+        new = (self.backend.faults() | self._tumbled()) & ~self.diverged
+        if not new.any():
+            return
+        self.diverged |= new
+        if self.on_divergence == "raise":
+            raise Divergence(
+                self.describe_divergence(int(np.flatnonzero(new)[0])), np.flatnonzero(new)
+            )
+
+    def _tumbled(self) -> Mask:
+        """Satellites whose attitude reached the end of the Z-Y-X angles (phi_y = 90 deg)."""
+        if self.system.base.body is None:
+            return np.zeros(self.n, bool)
+        tilt: Mask = np.abs(np.cos(self.state.y[:, 4])) < SINGULAR
+        return tilt
+
+    def describe_divergence(self, i: int) -> str:
+        """One line naming simulation, time and coordinate."""
+        time, z, zd = self.backend.read()
+        size = np.where(np.isfinite(z[i] + zd[i]), np.abs(zd[i]), np.inf)
+        names = [
+            *"xyz",
+            "phi_x",
+            "phi_y",
+            "phi_z",
+            *(f"joint {k + 1}" for k in range(self.joints)),
+        ]
+        worst = int(size.argmax())
+        return (
+            f"simulation {i} of {self.n} diverged at t = {time[i]:.4f} s: {names[worst]} ="
+            f" {z[i, worst]:.3g} moving at {zd[i, worst]:.3g}"
+        )
+
+    def _base_force(self, wrench: npt.ArrayLike | None) -> Array | None:
+        if wrench is None:
+            return None
+        if not getattr(self.system.vehicle, "thrusters", False):
+            raise ParameterError(
+                "base_wrench needs a vehicle with thrusters (free-flying), got"
+                f" {type(self.system.vehicle).__name__}"
+            )
+        jets = self._broadcast(wrench, "base_wrench", (self.n, 6))
+        return matvec(np.swapaxes(rate_matrix(self.state.y), -1, -2), jets)
+
+    def _ids(self, ids: npt.ArrayLike | None) -> Index:
+        if ids is None:
+            return np.arange(self.n)
+        index = np.asarray(ids)
+        if index.dtype == bool and index.shape == (self.n,):
+            return np.flatnonzero(index)
+        whole = index.ndim == 1 and np.issubdtype(index.dtype, np.integer)
+        if not whole or (index < 0).any() or (index >= self.n).any():
+            raise ParameterError(f"ids must be whole numbers in [0, {self.n}), got {ids!r}")
+        return np.unique(index)
+
+    @staticmethod
+    def _broadcast(value: npt.ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
+        try:
+            array = np.asarray(value, dtype=np.float64)
+            array = np.broadcast_to(array, shape)
+        except (TypeError, ValueError):
+            raise ParameterError(
+                f"{name} must be numbers of shape {shape}, got"
+                f" {np.shape(value) if not isinstance(value, str) else value!r}"
+            ) from None
+        if not np.isfinite(array).all():
+            where = np.argwhere(~np.isfinite(array))[0].tolist()
+            raise ParameterError(f"{name} must be finite, got {array[tuple(where)]} at {where}")
+        return array
+
+
+def _require_stable_step(system: System) -> None:
+    """Refuse a physics step the integrator cannot take, judged at q = 0."""
+    base = system.base
+    Mt = base.mass_matrix + inertia(system.arm, np.zeros(system.arm.n))[:6, :6]
+    squares = scipy.linalg.eigh(base.K, Mt, eigvals_only=True)
+    fastest = float(np.sqrt(max(squares[-1], 0.0)))
+    limit = _STABLE[system.integrator]
+    if fastest * system.physics_dt > limit:
+        raise ParameterError(
+            f"physics_dt must be <= {limit / fastest:.3g} s for the vehicle's fastest mode of"
+            f" {fastest / 2 / np.pi:.3g} Hz, got {system.physics_dt:g} s"
+        )

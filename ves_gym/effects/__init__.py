@@ -1,0 +1,1 @@
+"""Effects: named physical deviations from the nominal system, one per file."""

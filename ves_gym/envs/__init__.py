@@ -1,0 +1,1 @@
+"""Gymnasium environments. None is registered yet; see CHANGELOG.md."""

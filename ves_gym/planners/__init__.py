@@ -1,0 +1,1 @@
+"""Planners: paths between two arm configurations that disturb the base least."""

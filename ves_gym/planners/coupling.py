@@ -1,0 +1,262 @@
+"""Coupling between joint motion and the base: the matrix Q(q), its spectral form, maps.
+
+Q is reconstructed (the thesis and its sources print no formula; docs/physics.md): the
+strain energy that an instantaneous joint displacement leaves in the base. It holds for
+motions faster than the base's stiffest mode; `band_limited` is its form for a motion of
+a given duration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import spherical_jn
+
+from ves_gym.core.dynamics import inertia
+from ves_gym.core.params import Array, ParameterError
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import BaseModel
+
+
+class Blocks(NamedTuple):
+    """Inertia blocks at Y = 0, over leading axes."""
+
+    Mt: Array  # (..., 6, 6) base mass with the joints locked, M + H_b
+    Hbm: Array  # (..., 6, n) base momentum per unit joint rate
+    Hm: Array  # (..., n, n) joint inertia
+
+
+def blocks(system: System, q: npt.ArrayLike, base: BaseModel | None = None) -> Blocks:
+    """Inertia blocks of arm and vehicle at configurations q (..., n)."""
+    H = inertia(system.arm, q)
+    mass = (base or system.base).mass_matrix
+    return Blocks(H[..., :6, :6] + mass, H[..., :6, 6:], H[..., 6:, 6:])
+
+
+class Modes(NamedTuple):
+    """Modes of the base with the joints locked, slowest first."""
+
+    omega: Array  # (..., 6) rad/s
+    shapes: Array  # (..., 6, 6) columns, normalised so that shapes^T M_t shapes = 1
+
+
+def modes(system: System, q: npt.ArrayLike) -> Modes:
+    """Natural modes of (K, M + H_b(q)), undamped."""
+    base = system.base
+    return _modes(base.K, blocks(system, q, base).Mt)
+
+
+def _modes(K: Array, Mt: Array) -> Modes:
+    root = np.linalg.cholesky(Mt)
+    half = np.linalg.solve(root, np.broadcast_to(K, Mt.shape))
+    reduced = np.linalg.solve(root, np.swapaxes(half, -1, -2))
+    squares, vectors = np.linalg.eigh((reduced + np.swapaxes(reduced, -1, -2)) / 2)
+    shapes = np.linalg.solve(np.swapaxes(root, -1, -2), vectors)
+    return Modes(np.sqrt(np.maximum(squares, 0.0)), shapes)
+
+
+def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
+    """Q(q) = A^T K A with A = M_t^-1 H_bm: (..., n) -> (..., n, n) [J/rad^2].
+
+    An instantaneous joint step dq leaves the strain energy 1/2 dq^T Q dq in the base.
+    """
+    base = system.base
+    b = blocks(system, q, base)
+    A = np.linalg.solve(b.Mt, b.Hbm)
+    return np.swapaxes(A, -1, -2) @ (base.K @ A)
+
+
+def quintic_spectrum(x: npt.ArrayLike) -> Array:
+    """|int_0^1 e^(-j x u) s'(u) du| of the rest-to-rest quintic s, x = omega T.
+
+    Closed form 15 j_2(x/2) / (x/2)^2 with the spherical Bessel function j_2, by
+    Poisson's integral (derived in docs/physics.md).
+    """
+    half = np.asarray(x, float) / 2
+    small = np.abs(half) < 1e-2  # 1 - h^2/14 beyond double precision of the quotient
+    safe = np.where(small, 1.0, half)
+    out: Array = np.where(small, 1 - half**2 / 14, np.abs(15 * spherical_jn(2, safe) / safe**2))
+    return out
+
+
+def band_limited(system: System, q: npt.ArrayLike, duration: float) -> Array:
+    """Q_T(q): Q with each base mode weighted by what a quintic of this duration excites.
+
+    (..., n) -> (..., n, n) [J/rad^2]; tends to Q as the duration tends to zero.
+    """
+    if not duration > 0:
+        raise ParameterError(f"duration must be > 0 s, got {duration!r}")
+    base = system.base
+    b = blocks(system, q, base)
+    m = _modes(base.K, b.Mt)
+    weight = m.omega * quintic_spectrum(m.omega * duration)
+    rows = weight[..., :, None] * (np.swapaxes(m.shapes, -1, -2) @ b.Hbm)
+    return np.swapaxes(rows, -1, -2) @ rows
+
+
+def metric(system: System, q: npt.ArrayLike, duration: float | None) -> Array:
+    """Q_T for a duration, raw Q for None."""
+    if duration is None:
+        return coupling_matrix(system, q)
+    return band_limited(system, q, duration)
+
+
+class Directions(NamedTuple):
+    """Joint directions of least to most coupling, independent of joint scaling."""
+
+    values: Array  # (..., n) J per kg m^2 rad^2: coupling per joint inertia, ascending
+    vectors: Array  # (..., n, n) columns, normalised in the effective joint inertia
+
+
+def invariant_directions(
+    system: System, q: npt.ArrayLike, duration: float | None = None
+) -> Directions:
+    """Solutions of Q v = lambda (H_m - H_bm^T M_t^-1 H_bm) v."""
+    b = blocks(system, q)
+    effective = b.Hm - np.swapaxes(b.Hbm, -1, -2) @ np.linalg.solve(b.Mt, b.Hbm)
+    found = _modes_of(metric(system, q, duration), effective)
+    return Directions(*found)
+
+
+def _modes_of(K: Array, M: Array) -> tuple[Array, Array]:
+    found = _modes(K, M)
+    return found.omega**2, found.shapes
+
+
+def coupling_length(
+    system: System, path: npt.ArrayLike, duration: float | None = None
+) -> float:
+    """L_c = integral of sqrt(dq^T Q dq) along a polyline (N, n) [J^(1/2)].
+
+    E <= L_c^2 / 2 bounds the energy of an instantaneous motion along it (raw Q).
+    """
+    points = np.asarray(path, float)
+    step = np.diff(points, axis=0)
+    Q = metric(system, (points[1:] + points[:-1]) / 2, duration)
+    squares = np.einsum("ki,kij,kj->k", step, Q, step)
+    return float(np.sqrt(np.maximum(squares, 0)).sum())
+
+
+# ------------------------------------------------------------------------------- maps
+
+
+@dataclass(frozen=True)
+class CouplingMap:
+    """A cross-section of the coupling matrix: two joints swept, the others fixed."""
+
+    joints: tuple[int, int]  # which joints, from 0
+    axes: tuple[Array, Array]  # grid of each [rad]
+    fixed: Array  # (n,) configuration of the others [rad]
+    duration: float | None  # of Q_T [s]; None is raw Q
+    least: Array  # (ni, nj) smaller eigenvalue of the 2x2 block [J/rad^2]
+    most: Array  # (ni, nj) larger eigenvalue
+    direction: Array  # (ni, nj, 2) unit joint direction of least coupling
+
+    def lines(self, spacing: float = 0.05, step: float = 0.2) -> list[Array]:
+        """Minimum-energy lines: curves along the least-coupling direction.
+
+        Args:
+            spacing: least distance between lines, as a fraction of the map's width.
+            step: integration step in grid cells.
+
+        Returns:
+            Polylines (k, 2) in joint angles [rad].
+        """
+        return _trace_lines(self.axes, self.direction, spacing, step)
+
+
+def coupling_map(
+    system: System,
+    joints: tuple[int, int],
+    fixed: npt.ArrayLike,
+    *,
+    duration: float | None = None,
+    points: int = 61,
+    limits: tuple[tuple[float, float], tuple[float, float]] | None = None,
+) -> CouplingMap:
+    """Sweep two joints over their range (or `limits`, rad) with the others fixed."""
+    n = system.arm.n
+    i, j = joints
+    if not (0 <= i < n and 0 <= j < n and i != j):
+        raise ParameterError(f"joints must be two different numbers in [0, {n}), got {joints}")
+    if points < 4:
+        raise ParameterError(f"points must be >= 4, got {points}")
+    at = system.arm.require_within_limits(fixed, "fixed")
+    ranges = limits or tuple(
+        (system.arm.links[k].q_min, system.arm.links[k].q_max) for k in joints
+    )
+    axes = tuple(np.linspace(*r, points) for r in ranges)
+    q = np.broadcast_to(at, (points, points, n)).copy()
+    q[..., i], q[..., j] = np.meshgrid(*axes, indexing="ij")
+    block = metric(system, q, duration)[..., [i, j], :][..., :, [i, j]]
+    values, vectors = np.linalg.eigh(block)
+    return CouplingMap(
+        (i, j),
+        (axes[0], axes[1]),
+        at,
+        duration,
+        values[..., 0],
+        values[..., 1],
+        vectors[..., :, 0],
+    )
+
+
+def _trace_lines(
+    axes: tuple[Array, Array], field: Array, spacing: float, step: float
+) -> list[Array]:
+    """Evenly spaced curves of a line field (sign-free directions) on a grid."""
+    size = np.array(field.shape[:2]) - 1
+    origin = np.array([axes[0][0], axes[1][0]])
+    cell = np.array([axes[0][1] - axes[0][0], axes[1][1] - axes[1][0]])
+    bins = max(2, round(1 / spacing))
+    taken = np.zeros((bins, bins), bool)
+
+    def bin_of(p: Array) -> tuple[int, int]:
+        k = np.minimum((p / size * bins).astype(int), bins - 1)
+        return int(k[0]), int(k[1])
+
+    def towards(p: Array, heading: Array) -> Array:
+        k = np.minimum(p.astype(int), size - 1)
+        f = p - k
+        total = np.zeros(2)
+        for dx, dy in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            d = field[k[0] + dx, k[1] + dy] / cell
+            weight = (f[0] if dx else 1 - f[0]) * (f[1] if dy else 1 - f[1])
+            total += weight * (d if d @ heading >= 0 else -d)
+        length = np.linalg.norm(total)
+        return total / length if length > 0 else heading
+
+    def march(start: Array, heading: Array, own: set[tuple[int, int]]) -> list[Array]:
+        line, p = [], start
+        for _ in range(int(8 * size.max() / step)):
+            heading = towards(p, heading)
+            heading = towards(np.clip(p + heading * step / 2, 0, size), heading)
+            p = p + heading * step
+            if (p < 0).any() or (p > size).any():
+                break
+            here = bin_of(p)
+            if taken[here] and here not in own:
+                break
+            own.add(here)
+            line.append(p)
+        return line
+
+    lines = []
+    for k in range(bins * bins):
+        seed = (np.array(divmod(k * 7919 % (bins * bins), bins)) + 0.5) / bins * size
+        if taken[bin_of(seed)]:
+            continue
+        own = {bin_of(seed)}
+        node = np.minimum(seed.round().astype(int), size)
+        heading = field[node[0], node[1]] / cell
+        heading = heading / np.linalg.norm(heading)
+        back, ahead = march(seed, -heading, own), march(seed, heading, own)
+        line = np.array([*back[::-1], seed, *ahead])
+        for here in own:
+            taken[here] = True
+        if len(line) * step > 1.5 / spacing / bins:
+            lines.append(origin + line * cell)
+    return lines

@@ -1,0 +1,241 @@
+"""The hot-spot method (thesis 4.2) as an algorithm: follow least coupling, avoid hot spots.
+
+The coupling matrix is a metric on joint space: a path's length in it is small when it
+runs along minimum-energy lines and keeps out of hot spots. The planner finds a short
+path on a lattice, relaxes it into a smooth geodesic, and times it with a quintic.
+"""
+
+from __future__ import annotations
+
+import itertools
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import scipy.optimize
+import scipy.sparse
+from scipy.sparse.csgraph import dijkstra
+
+from ves_gym.core.arm import Arm
+from ves_gym.core.motion import Motion
+from ves_gym.core.params import Array, ParameterError
+from ves_gym.core.system import System
+from ves_gym.planners.coupling import coupling_length, metric
+from ves_gym.planners.query import Query, is_feasible
+
+_PITCH = np.deg2rad(15.0)  # lattice spacing
+_LEAST = 1e-2  # of the mean coupling: keeps null directions from being free
+_LARGEST = 200_000  # lattice edges; beyond that a lattice is the wrong tool
+_POINTS = 16  # segments of the relaxed path
+_DIFFERENCE = 1e-5  # rad
+
+
+class HotSpot:
+    """Geodesic of the coupling metric: raw Q (the historic method) or Q_T."""
+
+    def __init__(self, *, band_limited: bool) -> None:
+        self.band_limited = band_limited
+        self.name = "hotspot-qt" if band_limited else "hotspot-q"
+        matrix = "Q_T, band-limited to the duration" if band_limited else "raw Q (thesis 4.2)"
+        self.summary = f"hot-spot method on {matrix}"
+
+    def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
+        """Deterministic: the seed is not used."""
+        duration = query.duration if self.band_limited else None
+        start, goal = query.ends
+        line = np.linspace(start, goal, _POINTS + 1)
+        lattice = _lattice(query.system, duration)
+        routes = [line, _resample(lattice.route(start, goal), _POINTS + 1)]
+        relaxed = [_relax(query.system, route, duration) for route in routes]
+        lengths = [coupling_length(query.system, path, duration) for path in relaxed]
+        best = int(np.argmin(lengths))
+        motion, share = _feasible_part(query, relaxed[best])
+        info = {
+            "coupling_length": lengths[best],
+            "straight_coupling_length": coupling_length(query.system, line, duration),
+            "from": ("straight", "lattice")[best],
+            "share": share,  # of the way from the straight line that the limits allow
+        }
+        return motion, info
+
+
+class BadPath:
+    """What the coupling map warns of: the monotone joint-by-joint path of most coupling."""
+
+    name = "bad-path"
+    summary = "joint-by-joint path of greatest coupling length (the map's warning)"
+
+    def __init__(self, steps: int = 6) -> None:
+        self.steps = steps
+
+    def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
+        """Dynamic programming over the box of lattice points between start and goal."""
+        start, goal = query.ends
+        n, k = len(start), self.steps
+        shape = (k + 1,) * n
+        nodes = start + np.moveaxis(np.indices(shape), 0, -1) / k * (goal - start)
+        cost, came = np.zeros(shape), np.zeros(shape, int)
+        step = (goal - start) / k
+        weights = []
+        for j in range(n):
+            Q = metric(query.system, nodes + np.eye(n)[j] * step / 2, None)
+            weights.append(np.sqrt(np.maximum(Q[..., j, j], 0)) * abs(step[j]))
+        for node in itertools.product(range(k + 1), repeat=n):
+            for j in range(n):
+                if node[j] == 0:
+                    continue
+                before = (*node[:j], node[j] - 1, *node[j + 1 :])
+                reached = cost[before] + weights[j][before]
+                if reached >= cost[node]:
+                    cost[node], came[node] = reached, j
+        node, path = (k,) * n, []
+        while any(node):
+            path.append(nodes[node])
+            j = int(came[node])
+            node = (*node[:j], node[j] - 1, *node[j + 1 :])
+        route = np.array([start, *path[::-1]])
+        return Motion.through(route, query.duration), {"coupling_length": float(cost[(k,) * n])}
+
+
+# ------------------------------------------------------------------------- lattice
+
+
+class Lattice:
+    """Joint space on a regular lattice with coupling lengths on its edges."""
+
+    def __init__(self, system: System, duration: float | None) -> None:
+        arm: Arm = system.arm
+        low, high = arm.column("q_min"), arm.column("q_max")
+        self.axes = [
+            np.arange(np.ceil(a / _PITCH), np.floor(b / _PITCH) + 1) * _PITCH
+            for a, b in zip(low, high, strict=True)
+        ]
+        self.shape = tuple(len(axis) for axis in self.axes)
+        self.points = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1)
+        moves = [m for m in itertools.product((-1, 0, 1), repeat=arm.n) if m > (0,) * arm.n]
+        if len(moves) * int(np.prod(self.shape)) > _LARGEST:
+            raise ParameterError(
+                f"the hot-spot lattice reaches {_LARGEST} edges at most; {arm.name} with"
+                f" {arm.n} joints needs {len(moves) * int(np.prod(self.shape))}"
+            )
+        self.system, self.duration = system, duration
+        self.graph, self.least = self._edges(moves)
+
+    def _edges(self, moves: list[tuple[int, ...]]) -> tuple[scipy.sparse.csr_array, float]:
+        index = np.arange(int(np.prod(self.shape))).reshape(self.shape)
+        heads, tails = [], []
+        for move in moves:
+            here = tuple(
+                slice(max(0, -m), s - max(0, m)) for m, s in zip(move, self.shape, strict=True)
+            )
+            there = tuple(
+                slice(max(0, m), s - max(0, -m)) for m, s in zip(move, self.shape, strict=True)
+            )
+            heads.append(index[here].ravel())
+            tails.append(index[there].ravel())
+        a, b = np.concatenate(heads), np.concatenate(tails)
+        flat = self.points.reshape(-1, len(self.shape))
+        lengths, least = self._lengths(flat[a], flat[b])
+        return scipy.sparse.csr_array((lengths, (a, b)), shape=(len(flat), len(flat))), least
+
+    def _lengths(self, a: Array, b: Array, least: float | None = None) -> tuple[Array, float]:
+        step = b - a
+        Q = metric(self.system, (a + b) / 2, self.duration)
+        if least is None:
+            least = float(_LEAST * np.mean(np.trace(Q, axis1=-2, axis2=-1)) / step.shape[-1])
+        squares = np.einsum("ki,kij,kj->k", step, Q, step) + least * np.sum(step**2, axis=-1)
+        return np.sqrt(np.maximum(squares, 0)), least
+
+    def route(self, start: Array, goal: Array) -> Array:
+        """Shortest path (k, n) from start to goal through the lattice."""
+        flat = self.points.reshape(-1, len(self.shape))
+        size = len(flat)
+        rows, columns, values = [], [], []
+        for end, q in ((size, start), (size + 1, goal)):
+            near = np.flatnonzero((np.abs(flat - q) <= 1.5 * _PITCH).all(axis=1))
+            lengths, _ = self._lengths(
+                np.broadcast_to(q, flat[near].shape), flat[near], self.least
+            )
+            rows.append(np.full(len(near), end))
+            columns.append(near)
+            values.append(lengths)
+        old = self.graph.tocoo()
+        a = np.concatenate([old.row, *rows])
+        b = np.concatenate([old.col, *columns])
+        graph = scipy.sparse.csr_array(
+            (np.concatenate([old.data, *values]), (a, b)), shape=(size + 2, size + 2)
+        )
+        _, before = dijkstra(graph, directed=False, indices=size, return_predecessors=True)
+        path, node = [goal], int(before[size + 1])
+        while node != size:
+            path.append(flat[node])
+            node = int(before[node])
+        return np.array([start, *path[::-1]])
+
+
+@lru_cache(maxsize=16)
+def _lattice(system: System, duration: float | None) -> Lattice:
+    return Lattice(system, duration)
+
+
+# ---------------------------------------------------------------------- relaxation
+
+
+def _resample(path: Array, points: int) -> Array:
+    """Points evenly spaced in joint-space length along a polyline."""
+    length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
+    at = np.linspace(0, length[-1], points)
+    return np.stack([np.interp(at, length, path[:, j]) for j in range(path.shape[1])], axis=1)
+
+
+def _relax(system: System, path: Array, duration: float | None) -> Array:
+    """Minimise the path energy sum dq^T (Q + least) dq over the inner points."""
+    n, k = path.shape[1], len(path) - 1
+    middle = metric(system, path, duration)
+    least = _LEAST * float(np.mean(np.trace(middle, axis1=-2, axis2=-1))) / n
+
+    def value(x: Array) -> tuple[float, Array]:
+        points = np.vstack([path[0], x.reshape(-1, n), path[-1]])
+        step, at = np.diff(points, axis=0), (points[1:] + points[:-1]) / 2
+        shifts = np.concatenate(
+            [np.zeros((1, n)), _DIFFERENCE * np.eye(n), -_DIFFERENCE * np.eye(n)]
+        )
+        Q = metric(system, at + shifts[:, None, :], duration)
+        squares = np.einsum("ki,skij,kj->sk", step, Q, step)
+        by_point = (squares[1 : n + 1] - squares[n + 1 :]).T / (2 * _DIFFERENCE)
+        by_step = 2 * (np.einsum("kij,kj->ki", Q[0], step) + least * step)
+        gradient = np.zeros_like(points)
+        gradient[1:] += by_step + by_point / 2
+        gradient[:-1] += -by_step + by_point / 2
+        return k * float(squares[0].sum() + least * np.sum(step**2)), k * gradient[1:-1].ravel()
+
+    arm = system.arm
+    bounds = scipy.optimize.Bounds(
+        np.tile(arm.column("q_min"), k - 1), np.tile(arm.column("q_max"), k - 1)
+    )
+    scale = max(value(path[1:-1].ravel())[0], 1e-12)
+    found = scipy.optimize.minimize(
+        lambda x: tuple(part / scale for part in value(x)),
+        path[1:-1].ravel(),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": 200},
+    )
+    return np.vstack([path[0], found.x.reshape(-1, n), path[-1]])
+
+
+def _feasible_part(query: Query, path: Array) -> tuple[Motion, float]:
+    """The timed path, drawn towards the straight line until it keeps the limits."""
+    line = np.linspace(path[0], path[-1], len(path))
+
+    def timed(share: float) -> Motion:
+        return Motion.through(line + share * (path - line), query.duration)
+
+    if is_feasible(query, timed(1.0)) or not is_feasible(query, timed(0.0)):
+        return timed(1.0), 1.0
+    low, high = 0.0, 1.0
+    for _ in range(8):
+        middle = (low + high) / 2
+        low, high = (middle, high) if is_feasible(query, timed(middle)) else (low, middle)
+    return timed(low), low

@@ -1,0 +1,134 @@
+"""What a page shows of simulated paths: energy traces, coupling maps, the moving structure."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ves_gym.core.dynamics import joint_positions
+from ves_gym.core.energy import base_energy
+from ves_gym.core.params import Array
+from ves_gym.core.spatial import rotation
+from ves_gym.core.vehicle import Beam
+from ves_gym.planners.coupling import CouplingMap, coupling_map
+from ves_gym.planners.query import Plan
+
+if TYPE_CHECKING:
+    from ves_gym.planners.benchmark import Shown
+
+_FRAME = 0.05  # s between frames of an animation
+_AFTER = 4.0  # s of an animation after the motion
+_POINTS = 49  # per axis of a map
+
+
+def trace(vehicle: str, runs: list[Shown]) -> dict[str, Any]:
+    """Base energy against time of every planner's answer to one query."""
+    query = runs[0][0].query
+    series = []
+    for plan, run, k in runs:
+        E = base_energy(run.system, run.q[k], run.y[k], run.yd[k]).total
+        stride = max(1, len(run.t) // 400)
+        series.append(
+            {
+                "planner": plan.planner,
+                "t": _round(run.t[::stride], 4),
+                "E": [float(f"{e:.5g}") for e in E[::stride]],
+            }
+        )
+    return {
+        "vehicle": vehicle,
+        "duration": query.duration,
+        "query": query.name,
+        "series": series,
+    }
+
+
+def coupling_maps(vehicle: str, plans: list[Plan]) -> list[dict[str, Any]]:
+    """Three cross-sections through the start of a query, with every path drawn on them."""
+    query = plans[0].query
+    out = []
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        section = coupling_map(query.system, (i, j), query.start, points=_POINTS)
+        out.append(map_data(vehicle, section, plans))
+    return out
+
+
+def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str, Any]:
+    """A coupling map as plain data, in degrees."""
+    i, j = section.joints
+    others = ", ".join(
+        f"q{k + 1} = {np.rad2deg(value):.0f} deg"
+        for k, value in enumerate(section.fixed)
+        if k not in section.joints
+    )
+    what = "Q" if section.duration is None else f"Q_T, T = {section.duration:g} s"
+    data: dict[str, Any] = {
+        "vehicle": vehicle,
+        "title": f"{what}: joints {i + 1} and {j + 1} ({others})",
+        "joints": [i + 1, j + 1],
+        "x": _degrees(section.axes[0]),
+        "y": _degrees(section.axes[1]),
+        "most": [[float(f"{v:.4g}") for v in row] for row in section.most],
+        "lines": [[_degrees(p) for p in line[::3]] for line in section.lines()],
+        "paths": [],
+    }
+    for plan in plans:
+        path = plan.motion.at(np.linspace(0, plan.query.duration, 41)).q[:, [i, j]]
+        data["paths"].append({"planner": plan.planner, "points": [_degrees(p) for p in path]})
+    if plans:
+        start, goal = plans[0].query.ends
+        data["start"], data["goal"] = _degrees(start[[i, j]]), _degrees(goal[[i, j]])
+    return data
+
+
+def scene(vehicle: str, runs: list[Shown]) -> dict[str, Any]:
+    """The arm on the swaying base, frame by frame, for every planner's answer."""
+    query = runs[0][0].query
+    rest = beam_line(query.system.vehicle, np.zeros((1, 6)))
+    data: dict[str, Any] = {
+        "vehicle": vehicle,
+        "duration": query.duration,
+        "query": query.name,
+        "rest_beam": None if rest is None else _round(rest[0], 3),
+        "runs": [],
+    }
+    for plan, run, k in runs:
+        at = np.arange(0, query.duration + _AFTER, _FRAME)
+        index = np.clip(np.searchsorted(run.t, at - 1e-9), 0, len(run.t) - 1)
+        y, yd, q = run.y[k, index], run.yd[k, index], run.q[k, index]
+        arm = joint_positions(run.system.arm, q) @ np.swapaxes(rotation(y), -1, -2)
+        beam = beam_line(run.system.vehicle, y)
+        data["runs"].append(
+            {
+                "planner": plan.planner,
+                "dt": _FRAME,
+                "arm": _round(arm + y[:, None, :3], 4),
+                "base": _round(y, 5),
+                "beam": None if beam is None else _round(beam, 4),
+                "E": [float(f"{e:.4g}") for e in base_energy(run.system, q, y, yd).total],
+            }
+        )
+    return data
+
+
+def beam_line(vehicle: object, y: Array, points: int = 7) -> Array | None:
+    """Bent centreline of a beam under base poses y (N, 6): (N, k, 3) [m]; None without one."""
+    if not isinstance(vehicle, Beam):
+        return None
+    nodes, K = vehicle.nodes, vehicle.stiffness()
+    line = [np.broadcast_to(nodes[0], (len(y), 3))]
+    for s, segment in enumerate(vehicle.segments):
+        length = float(np.linalg.norm(segment))
+        for x in np.linspace(0, length, points)[1:]:
+            shape = (vehicle.flexibility(s, float(x)) @ K)[:3]
+            line.append(nodes[s] + x / length * np.array(segment) + y @ shape.T)
+    return np.stack(line, axis=1)
+
+
+def _degrees(values: Array) -> list[float]:
+    return _round(np.rad2deg(values), 2)
+
+
+def _round(values: Array, digits: int) -> Any:
+    return np.round(values, digits).tolist()

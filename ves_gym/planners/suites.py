@@ -1,0 +1,126 @@
+"""The benchmark's questions: fixed sets of (vehicle, start, goal, duration)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ves_gym.core.motion import QUINTIC_PEAK_SPEED
+from ves_gym.core.params import ParameterError, Vector
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import get_vehicle
+from ves_gym.planners.query import Query
+
+# A rule of the benchmark, not a claim about the machine (DESIGN): joint speeds [rad/s].
+SPEED_LIMITS: Vector = tuple(np.deg2rad([82.0, 54.0, 122.0]).tolist())
+REACH_RANGE = np.deg2rad([120.0, 60.0, 120.0])  # +- of each joint
+REACH_DURATIONS = (0.5, 1.0, 2.0, 4.0)  # s
+REACH_SEED = 560  # the published question set
+SUITES = ("reach100", "thesis")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """Queries by vehicle name, and the planners that answer them unless others are asked."""
+
+    name: str
+    queries: tuple[tuple[str, Query], ...]
+    planners: tuple[str, ...]
+
+
+def get_suite(
+    name: str, *, system: System, vehicle: str | None = None, quick: bool = False
+) -> Suite:
+    """A suite by name.
+
+    Args:
+        system: everything but the vehicle (mode, drive, steps).
+        vehicle: name or file; default the suite's own.
+        quick: ten queries per duration instead of a hundred (reach100).
+    """
+    if name == "reach100":
+        return reach100(system, vehicle or "bent", 10 if quick else 100)
+    if name == "thesis":
+        return thesis(system, vehicle)
+    raise ParameterError(f"suite must be one of {', '.join(SUITES)}, got {name!r}")
+
+
+def reach100(system: System, vehicle: str, count: int) -> Suite:
+    """`count` seeded start and goal pairs per duration, uniform in the joint box.
+
+    Kept when the straight quintic respects the speed limits. The first k of a larger
+    count are those of a smaller one.
+    """
+    ridden = system.replace(vehicle=get_vehicle(vehicle))
+    if ridden.arm.n != len(REACH_RANGE):
+        raise ParameterError(
+            f"reach100 asks a {len(REACH_RANGE)}-joint arm, got {ridden.arm.n} joints"
+        )
+    queries = []
+    for duration in REACH_DURATIONS:
+        rng = np.random.default_rng((REACH_SEED, round(1000 * duration)))
+        found = 0
+        while found < count:
+            start, goal = rng.uniform(-1, 1, (2, len(REACH_RANGE))) * REACH_RANGE
+            if (np.abs(goal - start) * QUINTIC_PEAK_SPEED / duration > SPEED_LIMITS).any():
+                continue
+            queries.append(
+                (
+                    vehicle,
+                    Query(
+                        system=ridden,
+                        start=tuple(start.tolist()),
+                        goal=tuple(goal.tolist()),
+                        duration=duration,
+                        v_max=SPEED_LIMITS,
+                        name=f"reach-{duration:g}s-{found:03d}",
+                    ),
+                )
+            )
+            found += 1
+    return Suite(
+        name="reach100",
+        queries=tuple(queries),
+        planners=("straight", "hotspot-q", "hotspot-qt", "direct"),
+    )
+
+
+def thesis(system: System, vehicle: str | None) -> Suite:
+    """The thesis's motions: the 180 degree shoulder turn, and a good and a bad path.
+
+    Shoulder: App. A.3, joint 1 through 180 deg in 2 s, joints 2 and 3 at 0, on the
+    horizontal straight beam and the bent beam. Good and bad: two paths between the same
+    ends on the bent beam (4.2; the thesis prints no joint angles, these are ours).
+    """
+    shoulder = (np.deg2rad([-90.0, 0, 0]), np.deg2rad([90.0, 0, 0]), 2.0, "shoulder-180")
+    ends = np.deg2rad([0.0, -45, 90]), np.deg2rad([90.0, 45, -45])
+    questions = [
+        ("straight-horizontal", *shoulder),
+        ("bent", *shoulder),
+        ("bent", *ends, 3.0, "good-and-bad"),
+    ]
+    queries = []
+    for beam, start, goal, duration, label in questions:
+        if vehicle is not None and beam != vehicle:
+            continue
+        queries.append(
+            (
+                beam,
+                Query(
+                    system=system.replace(vehicle=get_vehicle(beam)),
+                    start=tuple(start.tolist()),
+                    goal=tuple(goal.tolist()),
+                    duration=duration,
+                    name=label,
+                ),
+            )
+        )
+    if not queries:
+        beams = sorted({q[0] for q in questions})
+        raise ParameterError(f"suite thesis runs on {', '.join(beams)}, got {vehicle!r}")
+    return Suite(
+        name="thesis",
+        queries=tuple(queries),
+        planners=("straight", "bad-path", "hotspot-q", "hotspot-qt", "direct"),
+    )
