@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
             progress=tell,
         )
     result["quick"] = bool(args.quick)
-    _print_table(result)
+    _print_tables(result)
     folder = out_dir(args, f"out/{suite.name}")
     write_json(str(folder / "benchmark.json"), _compact(result))
     write_json(args.json, _compact(result))
@@ -75,36 +75,41 @@ def _pictures(result: dict[str, Any], folder: Path) -> list[Path]:
     return [page, *write_figures(result, folder)]
 
 
-def _print_table(result: dict[str, Any]) -> None:
+def _print_tables(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(
-        title=f"Energy transferred to the base, suite {result['suite']}: medians over queries",
-        caption="ratio: E_mean over the straight line's on the same query, 95 % interval",
+    console = Console(width=None if sys.stdout.isatty() else 100)
+    for vehicle in result["systems"]:
+        table = Table(title=f"Energy transferred to the base: suite {result['suite']}, {vehicle}")
+        for name in ("T [s]", "planner"):
+            table.add_column(name, no_wrap=True)
+        for name in ("E_mean [J]", "E_mean ratio", "E_res", "E_peak", "off", "success", "plan [s]"):
+            table.add_column(name, justify="right", no_wrap=True)
+        previous = None
+        for row in (r for r in result["summary"] if r["vehicle"] == vehicle):
+            if previous not in (None, row["duration"]):
+                table.add_section()
+            previous = row["duration"]
+            table.add_row(
+                f"{row['duration']:g}",
+                row["planner"],
+                f"{row['E_mean_median']:.4g}",
+                f"{_number(row['ratio_median'], '.3f')}"
+                f" ({_number(row['ratio_low'], '.2f')}-{_number(row['ratio_high'], '.2f')})",
+                _number(row["E_res_ratio_median"], ".3f"),
+                _number(row["E_peak_ratio_median"], ".3f"),
+                _number(row["prediction_error_median"], ".2%"),
+                f"{100 * row['success_rate']:.0f} %",
+                f"{row['plan_seconds_median']:.2f}",
+            )
+        console.print(table)
+    console.print(
+        "Medians over queries; ratios are to the straight line on the same query, with the 95 %\n"
+        "interval of the median; 'off': predicted E_mean against the simulated one.",
+        style="dim",
     )
-    for name in ("vehicle", "T [s]", "planner", "E_mean [J]", "ratio", "interval"):
-        table.add_column(name, justify="left" if name in ("vehicle", "planner") else "right")
-    for name in ("E_res ratio", "E_peak ratio", "predicted", "success", "plan [s]"):
-        table.add_column(name, justify="right")
-    previous = None
-    for row in result["summary"]:
-        group = row["vehicle"], row["duration"]
-        if previous not in (None, group):
-            table.add_section()
-        previous = group
-        error = row["prediction_error_median"]
-        table.add_row(
-            row["vehicle"],
-            f"{row['duration']:g}",
-            row["planner"],
-            f"{row['E_mean_median']:.4g}",
-            f"{row['ratio_median']:.3f}",
-            f"{row['ratio_low']:.3f}-{row['ratio_high']:.3f}",
-            f"{row['E_res_ratio_median']:.3f}",
-            f"{row['E_peak_ratio_median']:.3f}",
-            "-" if error is None else f"{100 * error:.2f} %",
-            f"{100 * row['success_rate']:.0f} %",
-            f"{row['plan_seconds_median']:.2f}",
-        )
-    Console(width=None if sys.stdout.isatty() else 120).print(table)
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

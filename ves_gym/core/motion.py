@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -59,13 +59,7 @@ class Motion:
 
     def __post_init__(self) -> None:
         require_positive(self, "duration")
-        points = np.asarray(self.control, float)
-        if points.ndim != 2 or len(points) < DEGREE + 1:
-            raise ParameterError(
-                f"Motion.control must have shape (m >= {DEGREE + 1}, n), got {points.shape}"
-            )
-        if not np.isfinite(points).all():
-            raise ParameterError("Motion.control must be finite")
+        points = _points(self.control, "Motion.control", least=DEGREE + 1)
         ends = (points[:_HELD], points[-_HELD:])
         if any(not np.array_equal(end, np.broadcast_to(end[0], end.shape)) for end in ends):
             raise ParameterError(
@@ -75,7 +69,7 @@ class Motion:
     @staticmethod
     def straight(start: npt.ArrayLike, goal: npt.ArrayLike, duration: float) -> Motion:
         """The quintic rest-to-rest motion along a straight line in joint space."""
-        a, b = np.asarray(start, float), np.asarray(goal, float)
+        a, b = _points([start, goal], "start and goal", least=2)
         return Motion(duration=duration, control=matrix(np.array([a] * _HELD + [b] * _HELD)))
 
     @staticmethod
@@ -83,15 +77,15 @@ class Motion:
         """A smooth motion along way-points (k >= 2, n), quintic in path length.
 
         The path through the way-points is a spline in joint-space length; the motion is
-        its least-squares B-spline, which passes the inner points to about 1e-3 rad.
+        its least-squares B-spline. It passes the inner points to about 1e-3 rad where the
+        path is smooth or has few of them; sharp corners are rounded (0.02 rad on a
+        staircase of 18 steps of 0.2 rad) unless `controls` grows with their number.
         """
-        way = np.asarray(points, float)
-        if way.ndim != 2 or len(way) < 2 or not np.isfinite(way).all():
-            raise ParameterError(f"way-points must be finite, (k >= 2, n), got {way.shape}")
+        way = _points(points, "way-points", least=2)
         steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
         way = way[np.r_[True, steps > 1e-12]]
         if len(way) < 3:
-            return Motion.straight(points[0], points[-1], duration)  # type: ignore[index]
+            return Motion.straight(way[0], way[-1], duration)
         length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))]
         path = make_interp_spline(length / length[-1], way, k=min(3, len(way) - 1))
         u = np.linspace(0, 1, 20 * controls + 1)
@@ -103,7 +97,9 @@ class Motion:
 
         The ends are kept exactly, with zero velocity and acceleration.
         """
-        q = np.asarray(samples, float)
+        q = _points(samples, "samples", least=2)
+        if controls < DEGREE + 1:
+            raise ParameterError(f"controls must be >= {DEGREE + 1}, got {controls}")
         u = np.linspace(0, 1, len(q))
         design = basis(controls, u)
         ends = (
@@ -148,6 +144,23 @@ class Motion:
     def retimed(self, duration: float) -> Motion:
         """The same path at another duration."""
         return Motion(duration=duration, control=self.control)
+
+
+def _points(value: Any, name: str, least: int) -> Array:
+    """(k >= least, n >= 1) finite numbers."""
+    try:
+        given = np.asarray(value)
+    except ValueError:  # ragged
+        given = np.empty(0, object)
+    if given.dtype.kind not in "fiu":
+        raise ParameterError(f"{name} must be rows of n numbers, got {value!r}")
+    points: Array = given.astype(np.float64)
+    if points.ndim != 2 or len(points) < least or points.shape[1] < 1:
+        raise ParameterError(f"{name} must have shape (>= {least}, n), got {points.shape}")
+    if not np.isfinite(points).all():
+        where = np.argwhere(~np.isfinite(points))[0].tolist()
+        raise ParameterError(f"{name} must be finite, got {points[tuple(where)]} at {where}")
+    return points
 
 
 def knots(m: int) -> Array:
@@ -210,6 +223,9 @@ def require_limits(
     The PUMA's own speed limits are a rule of the benchmark (DESIGN), so velocity is
     only checked when asked for.
     """
+    unknown = [name for name in names if name not in _SHOWN]
+    if unknown:
+        raise ParameterError(f"limits are {', '.join(_SHOWN)}, got {unknown[0]!r}")
     s = motion.at(np.linspace(0, motion.duration, samples))
     tau = inverse_dynamics(arm, s.q, s.v, s.a)[0]
     for name, (x, limit) in _limits(arm, s, tau).items():

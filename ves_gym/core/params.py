@@ -52,11 +52,12 @@ def units(cls: type) -> dict[str, str]:
 def finite(value: object, shape: tuple[int, ...], name: str) -> Array:
     """`value` as a float64 array of exactly `shape`, or a ParameterError that says why not."""
     try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ParameterError(
-            f"{name} must be numbers of shape {shape}, got {value!r}"
-        ) from None
+        given = np.asarray(value)
+    except ValueError:  # ragged
+        given = np.empty(0, object)
+    if given.dtype.kind not in "fiu":  # text, truth values and None are no numbers
+        raise ParameterError(f"{name} must be numbers of shape {shape}, got {value!r}")
+    array = np.array(given, dtype=np.float64)
     if array.shape != shape:
         raise ParameterError(
             f"{name} must have shape {shape}, got shape {array.shape}: {value!r}"
@@ -70,7 +71,8 @@ def require_positive(params: object, *names: str, zero: bool = False) -> None:
     """Raise ParameterError unless each named field is a finite number > 0 (or >= 0)."""
     for name in names:
         value = getattr(params, name)
-        good = isinstance(value, (int, float)) and math.isfinite(value)
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        good = number and math.isfinite(value)
         if not good or value < 0 or (value == 0 and not zero):
             symbol = units(type(params)).get(name, "")
             raise ParameterError(
@@ -121,8 +123,13 @@ def to_plain(value: Any) -> Any:
             plain["kind"] = type(value).__dict__["kind"]
         for field in dataclasses.fields(value):
             item = getattr(value, field.name)
-            if item is not None:
-                plain[field.name] = to_plain(item)
+            if item is None:
+                continue
+            # 12, 12.0 and NumPy's 12 are one value, and so are 0.0 and -0.0: one text, one hash
+            real = "unit" in field.metadata
+            plain[field.name] = (
+                (np.asarray(item, float) + 0.0).tolist() if real else to_plain(item)
+            )
         return plain
     if isinstance(value, (tuple, list)):
         return [to_plain(item) for item in value]
@@ -157,7 +164,12 @@ def from_plain(cls: Any, plain: Any, where: str = "") -> Any:
             for i, (k, item) in enumerate(zip(inner, plain, strict=True))
         )
     if cls is float and isinstance(plain, (int, float)) and not isinstance(plain, bool):
-        return float(plain)
+        try:
+            return float(plain)
+        except OverflowError:
+            raise ParameterError(
+                f"{where} must be float, got an integer beyond its range"
+            ) from None
     if cls is Any or (isinstance(plain, cls) and isinstance(plain, bool) == (cls is bool)):
         return plain
     raise ParameterError(f"{where} must be {cls.__name__}, got {plain!r}")
@@ -171,7 +183,7 @@ def _from_union(options: tuple[Any, ...], plain: Any, where: str) -> Any:
         return from_plain(options[0], plain, where)
     kinds = {k.kind: k for k in options}
     kind = plain.get("kind") if isinstance(plain, Mapping) else None
-    if kind not in kinds:
+    if not isinstance(kind, str) or kind not in kinds:
         raise ParameterError(f"{where}.kind must be one of {', '.join(kinds)}, got {kind!r}")
     return from_plain(kinds[kind], plain, where)
 
@@ -182,7 +194,10 @@ def _from_mapping(cls: type[T], plain: Any, where: str) -> T:
             f"{where} must be a table of {cls.__name__} entries, got {plain!r}"
         )
     fields = {f.name: f for f in dataclasses.fields(cls) if f.init}  # type: ignore[arg-type]
-    given = {key: value for key, value in plain.items() if key != "kind" or "kind" in fields}
+    given = dict(plain)
+    kind = cls.__dict__.get("kind")
+    if kind is not None and "kind" not in fields and given.pop("kind", kind) != kind:
+        raise ParameterError(f"{where}.kind must be {kind}, got {plain['kind']!r}")
     unknown = [key for key in given if key not in fields]
     if unknown:
         raise ParameterError(f"{where}: unknown key {unknown[0]!r}; known: {', '.join(fields)}")
@@ -220,17 +235,27 @@ def read_table(path: str | os.PathLike[str]) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ParameterError(f"{path}: cannot be read: {error}") from None
+    if path.suffix not in (".toml", ".json"):
+        raise ParameterError(f"{path}: expected a .toml or .json file, got {path.suffix!r}")
     try:
         if path.suffix == ".toml":
             table = tomllib.loads(text)
-        elif path.suffix == ".json":
-            table = json.loads(text)
         else:
-            raise ParameterError(f"{path}: expected a .toml or .json file, got {path.suffix!r}")
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
+            table = json.loads(text, object_pairs_hook=_once)
+    except (ValueError, RecursionError) as error:
         raise ParameterError(f"{path}: not valid {path.suffix[1:].upper()}: {error}") from None
     if not isinstance(table, dict):
         raise ParameterError(f"{path}: expected a table at the top, got {type(table).__name__}")
+    return table
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object; a key given twice is an error, as it is in TOML."""
+    table: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in table:
+            raise ValueError(f"key {key!r} is given more than once")
+        table[key] = value
     return table
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -90,8 +91,10 @@ def play_motions(
         Divergence: a simulation left the meaningful range.
     """
     n, duration = _common(system, motions)
+    if not (settle >= 0 and math.isfinite(settle)):
+        raise ParameterError(f"settle must be >= 0 s, got {settle!r}")
     dt = system.physics_dt
-    stride = _whole(record_dt or system.control_dt, dt, "record_dt")
+    stride = _whole(system.control_dt if record_dt is None else record_dt, dt, "record_dt")
     records = int(np.ceil((duration + settle) / (stride * dt) - 1e-9)) + 1
     sim = Simulator(system, n, servo=servo)
     sim.reset(q=np.stack([m.start for m in motions]), y=y, yd=yd)
@@ -138,7 +141,7 @@ def _common(system: System, motions: Sequence[Motion]) -> tuple[int, float]:
 
 def _whole(period: float, dt: float, name: str) -> int:
     ratio = period / dt
-    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+    if not math.isfinite(ratio) or round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
         raise ParameterError(
             f"{name} must be a whole number of physics steps of {dt:g} s, got {period:g} s"
         )

@@ -47,6 +47,7 @@ class Snapshot:
     system_hash: str
     backend: object
     generators: tuple[Any, ...]
+    gains: tuple[Array, Array]  # kp, kd
     diverged: Mask
 
 
@@ -76,14 +77,14 @@ class Simulator:
         seed: int = 0,
         on_divergence: str = "raise",
     ) -> None:
-        if not isinstance(n, int) or n < 1:
+        if not isinstance(n, (int, np.integer)) or isinstance(n, bool) or n < 1:
             raise ParameterError(f"n must be a whole number >= 1, got {n!r}")
         if on_divergence not in ("raise", "mark"):
             raise ParameterError(f"on_divergence must be raise or mark, got {on_divergence!r}")
         _require_stable_step(system)
-        self.system, self.n = system, n
+        self.system, self.n = system, int(n)
         self.joints = system.arm.n
-        self.backend = make_backend(backend, system, n, threads)
+        self.backend = make_backend(backend, system, self.n, threads)
         self.on_divergence = on_divergence
         self.servo = servo if servo is not None else FREE
         self._kp = np.zeros((n, self.joints))
@@ -149,7 +150,8 @@ class Simulator:
             np.hstack([full["yd"], full["v"]]),
         )
         self.diverged[index] = False
-        return self.state
+        self._seen = self.state
+        return self._seen
 
     def snapshot(self) -> Snapshot:
         """The complete state, random generators included; picklable."""
@@ -157,6 +159,7 @@ class Simulator:
             self.system.hash,
             self.backend.get_state(),
             tuple(copy.deepcopy(g.bit_generator.state) for g in self.generators),
+            (self._kp.copy(), self._kd.copy()),
             self.diverged.copy(),
         )
 
@@ -168,9 +171,12 @@ class Simulator:
                 f" {len(snapshot.diverged)}, this is {self.system.hash[:12]} with n = {self.n}"
             )
         self.backend.set_state(snapshot.backend)
+        if self.system.drive == "motor":
+            self.set_gains(*snapshot.gains)
         for generator, state in zip(self.generators, snapshot.generators, strict=True):
             generator.bit_generator.state = copy.deepcopy(state)
         self.diverged = snapshot.diverged.copy()
+        self._seen = self.state
 
     def set_gains(
         self, kp: npt.ArrayLike, kd: npt.ArrayLike, ids: npt.ArrayLike | None = None
@@ -206,7 +212,8 @@ class Simulator:
             torque, self._base_force(base_wrench), self.system.substeps, self._running()
         )
         self._watch()
-        return self.state
+        self._seen = self.state
+        return self._seen
 
     def servo_command(self, q: Array, v: Array, tau: Array | float = 0.0) -> Array:
         """Command that makes the servo track q, v (n, ..., joints) with feed-forward tau."""
@@ -216,8 +223,15 @@ class Simulator:
 
     def play(self, commands: Array) -> None:
         """Advance k physics steps, the commands (n, k + 1, joints) linear over each step."""
-        shape = (self.n, np.shape(commands)[1], self.joints)
-        self.backend.play(self._broadcast(commands, "commands", shape))
+        given = np.shape(commands)
+        if len(given) != 3 or given[1] < 2:
+            raise ParameterError(
+                f"commands must have shape ({self.n}, k + 1, {self.joints}) with k >= 1 steps,"
+                f" got {given}"
+            )
+        nodes = self._broadcast(commands, "commands", (self.n, given[1], self.joints))
+        self._seen = self.state
+        self.backend.play(nodes, self._running())
         self._watch()
 
     def evaluate(self, command: npt.ArrayLike) -> tuple[Array, Array]:
@@ -246,13 +260,19 @@ class Simulator:
         """Satellites whose attitude reached the end of the Z-Y-X angles (phi_y = 90 deg)."""
         if self.system.base.body is None:
             return np.zeros(self.n, bool)
-        tilt: Mask = np.abs(np.cos(self.state.y[:, 4])) < SINGULAR
+        tilt: Mask = np.cos(self.state.y[:, 4]) < SINGULAR  # or beyond: a step may jump over it
         return tilt
 
     def describe_divergence(self, i: int) -> str:
-        """One line naming simulation, time and coordinate."""
-        time, z, zd = self.backend.read()
-        size = np.where(np.isfinite(z[i] + zd[i]), np.abs(zd[i]), np.inf)
+        """One line naming simulation, time and the worst coordinate while it was finite."""
+        time, z, zd = (part[i] for part in self.backend.read())
+        which = f"simulation {i} of {self.n} diverged at t = {time:.4f} s: "
+        if self._tumbled()[i]:
+            return which + f"phi_y = {np.rad2deg(z[4]):.1f} deg, Z-Y-X angles end at 90 deg"
+        if not np.isfinite(np.concatenate([z, zd])).all():  # then everything is nan
+            seen = self._seen
+            z, zd = np.r_[seen.y[i], seen.q[i]], np.r_[seen.yd[i], seen.v[i]]
+        size = np.maximum(np.abs(z), np.abs(zd))
         names = [
             *"xyz",
             "phi_x",
@@ -261,10 +281,7 @@ class Simulator:
             *(f"joint {k + 1}" for k in range(self.joints)),
         ]
         worst = int(size.argmax())
-        return (
-            f"simulation {i} of {self.n} diverged at t = {time[i]:.4f} s: {names[worst]} ="
-            f" {z[i, worst]:.3g} moving at {zd[i, worst]:.3g}"
-        )
+        return which + f"{names[worst]} = {z[worst]:.3g} moving at {zd[worst]:.3g}"
 
     def _base_force(self, wrench: npt.ArrayLike | None) -> Array | None:
         if wrench is None:
@@ -283,17 +300,21 @@ class Simulator:
         index = np.asarray(ids)
         if index.dtype == bool and index.shape == (self.n,):
             return np.flatnonzero(index)
-        whole = index.ndim == 1 and np.issubdtype(index.dtype, np.integer)
+        whole = index.ndim == 1 and (np.issubdtype(index.dtype, np.integer) or not index.size)
         if not whole or (index < 0).any() or (index >= self.n).any():
             raise ParameterError(f"ids must be whole numbers in [0, {self.n}), got {ids!r}")
-        return np.unique(index)
+        if len(np.unique(index)) < len(index):
+            raise ParameterError(f"ids must name each simulation once, got {ids!r}")
+        return index.astype(np.intp)
 
     @staticmethod
     def _broadcast(value: npt.ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
         try:
-            array = np.asarray(value, dtype=np.float64)
-            array = np.broadcast_to(array, shape)
-        except (TypeError, ValueError):
+            given = np.asarray(value)
+            if given.dtype.kind not in "fiu":  # text, truth values and None are no numbers
+                raise ValueError
+            array = np.broadcast_to(given.astype(np.float64), shape)
+        except ValueError:
             raise ParameterError(
                 f"{name} must be numbers of shape {shape}, got"
                 f" {np.shape(value) if not isinstance(value, str) else value!r}"

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from ves_gym.core.arm import Arm
@@ -65,12 +66,15 @@ class System:
         """Physics steps per control period."""
         return round(self.control_dt / self.physics_dt)
 
-    @property
+    @cached_property
     def base(self) -> BaseModel:
-        """M, D, K (and satellite body) of the vehicle."""
-        return self.vehicle.base_model()
+        """M, D, K (and satellite body) of the vehicle; arrays read-only."""
+        model = self.vehicle.base_model()
+        for array in (model.M, model.D, model.K):
+            array.flags.writeable = False
+        return model
 
-    @property
+    @cached_property
     def hash(self) -> str:
         """SHA-256 of the canonical description, 64 hexadecimal digits."""
         return content_hash(self)

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym import __version__
 from ves_gym.core.energy import TAIL, energies
-from ves_gym.core.params import Array
 from ves_gym.core.playback import Recording, play_motions
 from ves_gym.core.system import System
 from ves_gym.planners.query import Plan, Query, solve
@@ -32,6 +32,7 @@ SCHEMA = "ves-benchmark/1"
 BASELINE = "straight"
 _RECORD = 12.5e-3  # s between records
 _BATCH = 250  # motions played at once: bounds the memory of their records
+_NOTHING = 1e-4  # of the run's own peak energy: below it there is no ratio to speak of
 _RESAMPLES = 2000  # of the bootstrap
 
 Progress = Callable[[str, float], None]
@@ -214,12 +215,9 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         groups[row["vehicle"], row["duration"], row["planner"]].append(row)
     out = []
     for (vehicle, duration, planner), members in groups.items():
-
-        def ratio(key: str, members: list[dict[str, Any]] = members) -> Array:
-            return np.array([r[key] / baseline[r["vehicle"], r["query"]][key] for r in members])
-
-        low, high = _interval(ratio("E_mean"))
-        error = [
+        ratios = {key: _ratios(members, baseline, key) for key in ("E_mean", "E_res", "E_peak")}
+        low, high = _interval(ratios["E_mean"])
+        errors = [
             abs(r["prediction_error"]) for r in members if r["prediction_error"] is not None
         ]
         out.append(
@@ -229,29 +227,50 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "planner": planner,
                 "n": len(members),
                 "success_rate": float(np.mean([r["success"] for r in members])),
-                "E_mean_median": float(np.median([r["E_mean"] for r in members])),
-                "ratio_median": float(np.median(ratio("E_mean"))),
+                "E_mean_median": _median([r["E_mean"] for r in members]),
+                "ratio_median": _median(ratios["E_mean"]),
                 "ratio_low": low,
                 "ratio_high": high,
-                "E_res_ratio_median": float(np.median(ratio("E_res"))),
-                "E_peak_ratio_median": float(np.median(ratio("E_peak"))),
-                "prediction_error_median": float(np.median(error)) if error else None,
-                "plan_seconds_median": float(np.median([r["plan_seconds"] for r in members])),
+                "E_res_ratio_median": _median(ratios["E_res"]),
+                "E_peak_ratio_median": _median(ratios["E_peak"]),
+                "prediction_error_median": _median(errors),
+                "plan_seconds_median": _median([r["plan_seconds"] for r in members]),
             }
         )
     return out
 
 
-def _interval(values: Array) -> tuple[float, float]:
+def _ratios(
+    rows: Sequence[dict[str, Any]], baseline: dict[tuple[str, str], dict[str, Any]], key: str
+) -> list[float]:
+    """Energy over the straight line's, where that is not nothing.
+
+    A free base is at rest after any motion: its E_res has no ratio.
+    """
+    out = []
+    for row in rows:
+        reference = baseline[row["vehicle"], row["query"]]
+        if reference[key] > _NOTHING * reference["E_peak"]:
+            out.append(row[key] / reference[key])
+    return out
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if len(values) else None
+
+
+def _interval(values: Sequence[float]) -> tuple[float | None, float | None]:
     """95 % percentile bootstrap interval of the median; the same draws every time."""
+    if not values:
+        return None, None
     draws = np.random.default_rng(0).integers(len(values), size=(_RESAMPLES, len(values)))
-    low, high = np.percentile(np.median(values[draws], axis=1), [2.5, 97.5])
+    low, high = np.percentile(np.median(np.array(values)[draws], axis=1), [2.5, 97.5])
     return float(low), float(high)
 
 
 def _versions() -> dict[str, str]:
-    names = ("ves-gym", "mujoco", "numpy", "scipy")
-    return {"python": platform.python_version(), **{name: version(name) for name in names}}
+    engines = {name: version(name) for name in ("mujoco", "numpy", "scipy")}
+    return {"ves_gym": __version__, "python": platform.python_version(), **engines}
 
 
 def _systems(suite: Suite) -> dict[str, dict[str, str]]:

@@ -60,41 +60,28 @@ class HotSpot:
 
 
 class BadPath:
-    """What the coupling map warns of: the monotone joint-by-joint path of most coupling."""
+    """What the coupling map warns of: one joint after the other, in the worst order.
+
+    A smooth path past the corners of the box between start and goal; of all orders of
+    the joints, the one of greatest coupling length on raw Q.
+    """
 
     name = "bad-path"
-    summary = "joint-by-joint path of greatest coupling length (the map's warning)"
-
-    def __init__(self, steps: int = 6) -> None:
-        self.steps = steps
+    summary = "one joint after the other, in the order of greatest coupling length"
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Dynamic programming over the box of lattice points between start and goal."""
+        """Deterministic: the seed is not used."""
         start, goal = query.ends
-        n, k = len(start), self.steps
-        shape = (k + 1,) * n
-        nodes = start + np.moveaxis(np.indices(shape), 0, -1) / k * (goal - start)
-        cost, came = np.zeros(shape), np.zeros(shape, int)
-        step = (goal - start) / k
-        weights = []
-        for j in range(n):
-            Q = metric(query.system, nodes + np.eye(n)[j] * step / 2, None)
-            weights.append(np.sqrt(np.maximum(Q[..., j, j], 0)) * abs(step[j]))
-        for node in itertools.product(range(k + 1), repeat=n):
-            for j in range(n):
-                if node[j] == 0:
-                    continue
-                before = (*node[:j], node[j] - 1, *node[j + 1 :])
-                reached = cost[before] + weights[j][before]
-                if reached >= cost[node]:
-                    cost[node], came[node] = reached, j
-        node, path = (k,) * n, []
-        while any(node):
-            path.append(nodes[node])
-            j = int(came[node])
-            node = (*node[:j], node[j] - 1, *node[j + 1 :])
-        route = np.array([start, *path[::-1]])
-        return Motion.through(route, query.duration), {"coupling_length": float(cost[(k,) * n])}
+        best, route = -1.0, np.array([start, goal])
+        for order in itertools.permutations(range(len(start))):
+            corners = [start]
+            for joint in order:
+                corners.append(np.where(np.arange(len(start)) == joint, goal, corners[-1]))
+            box = np.vstack([np.linspace(a, b, 9) for a, b in itertools.pairwise(corners)])
+            length = coupling_length(query.system, box, None)
+            if length > best:
+                best, route = length, np.array(corners)
+        return Motion.through(route, query.duration), {"coupling_length": best}
 
 
 # ------------------------------------------------------------------------- lattice
@@ -111,13 +98,13 @@ class Lattice:
             for a, b in zip(low, high, strict=True)
         ]
         self.shape = tuple(len(axis) for axis in self.axes)
-        self.points = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1)
         moves = [m for m in itertools.product((-1, 0, 1), repeat=arm.n) if m > (0,) * arm.n]
         if len(moves) * int(np.prod(self.shape)) > _LARGEST:
             raise ParameterError(
                 f"the hot-spot lattice reaches {_LARGEST} edges at most; {arm.name} with"
                 f" {arm.n} joints needs {len(moves) * int(np.prod(self.shape))}"
             )
+        self.points = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1)
         self.system, self.duration = system, duration
         self.graph, self.least = self._edges(moves)
 

@@ -36,6 +36,10 @@ class Query:
             arm.require_within_limits(getattr(self, end), end)
         if self.v_max is not None and not (finite(self.v_max, (arm.n,), "v_max") > 0).all():
             raise ParameterError(f"v_max must be > 0 rad/s, got {self.v_max}")
+        if self.system.drive == "motor" and len(self.servo.kp) != arm.n:
+            raise ParameterError(
+                f"servo must have gains for {arm.n} joints, got {len(self.servo.kp)}"
+            )
 
     @property
     def straight(self) -> Motion:

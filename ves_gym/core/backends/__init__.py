@@ -32,7 +32,7 @@ class Backend(Protocol):
     ) -> None:
         """Hold command (n, joints) and generalised base force (n, 6), advance."""
 
-    def play(self, commands: Array) -> None:
+    def play(self, commands: Array, ids: Index | None) -> None:
         """Advance k physics steps, commands (n, k + 1, joints) linear over each step."""
 
     def evaluate(self, command: Array) -> tuple[Array, Array]:

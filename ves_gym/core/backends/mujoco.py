@@ -65,7 +65,7 @@ class MujocoBackend:
 
     def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
         # clears warm starts, history and whatever else the state row holds
-        self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self.batch.reset(np.sort(ids), stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self.batch.warning[ids] = 0
         self._time[ids] = time
         self._qpos[np.ix_(ids, self._order)] = z
@@ -84,11 +84,14 @@ class MujocoBackend:
         if wrench is not None:
             self._applied[:, TO_Y] = wrench
         self.batch.step(ids, nstep=substeps)
+        if wrench is not None:  # it acts in this period only
+            self._applied[:] = 0.0
 
-    def play(self, commands: Array) -> None:
+    def play(self, commands: Array, ids: Index | None) -> None:
         slopes = np.diff(commands, axis=1) / self.model.opt.timestep
         self._command[:] = commands[:, 0]
-        self.batch.rollout(slopes.shape[1], slopes, record=())
+        some = slopes if ids is None else slopes[ids]
+        self.batch.rollout(some.shape[1], some, record=(), ids=ids)
 
     def evaluate(self, command: Array) -> tuple[Array, Array]:
         self._command[:] = command
