@@ -79,12 +79,20 @@ def _print_tables(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(width=None if sys.stdout.isatty() else 100)
+    console = Console(width=None if sys.stdout.isatty() else 100, markup=False)
     for vehicle in result["systems"]:
-        table = Table(title=f"Energy transferred to the base: suite {result['suite']}, {vehicle}")
+        table = Table(title=f"Energy in the base: suite {result['suite']}, {vehicle}")
         for name in ("T [s]", "planner"):
             table.add_column(name, no_wrap=True)
-        for name in ("E_mean [J]", "E_mean ratio", "E_res", "E_peak", "off", "success", "plan [s]"):
+        for name in (
+            "E_mean [J]",
+            "E_mean ratio",
+            "E_res",
+            "E_peak",
+            "off",
+            "success",
+            "plan [s]",
+        ):
             table.add_column(name, justify="right", no_wrap=True)
         previous = None
         for row in (r for r in result["summary"] if r["vehicle"] == vehicle):
@@ -105,8 +113,9 @@ def _print_tables(result: dict[str, Any]) -> None:
             )
         console.print(table)
     console.print(
-        "Medians over queries; ratios are to the straight line on the same query, with the 95 %\n"
-        "interval of the median; 'off': predicted E_mean against the simulated one.",
+        "Medians over queries. ratio: E_mean over the straight line's on the same query, with\n"
+        "the 95 % interval of the median; E_res, E_peak: likewise; off: predicted E_mean\n"
+        "against the simulated one.",
         style="dim",
     )
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import re
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from ves_gym import __version__
 
@@ -28,6 +29,11 @@ class UsageError(ValueError):
 
 
 class _Parser(argparse.ArgumentParser):
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        # `--goal -30,40,0`: a list that begins with a negative number is no option
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message} (see {self.prog} --help)")
 
@@ -79,8 +85,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("ves-gym: interrupted", file=sys.stderr)
         return 130
-    except (ValueError, OSError) as error:
-        # parameters, limits, logs and files: all say what was received and expected
+    except (ValueError, OSError, ArithmeticError) as error:
+        # parameters, limits, logs, files and runs that diverge: all say what is wrong
         print(f"ves-gym: error: {' '.join(str(error).split())}", file=sys.stderr)
         return BAD_INPUT
 

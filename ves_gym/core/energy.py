@@ -229,9 +229,8 @@ def _drive_work(system: System, log: RunLog) -> Array:
     assert log.tau is not None and log.v is not None
     gains = log.meta.get("controller", {})
     step = np.diff(log.t)
-    unsaturated = (np.abs(log.tau) < (1 - 1e-9) * system.arm.column("tau_max")).all()
     at_physics_step = len(step) > 0 and np.allclose(step, system.physics_dt, rtol=1e-6)
-    if system.drive != "motor" or not gains or not unsaturated or not at_physics_step:
+    if system.drive != "motor" or not gains or not at_physics_step:
         power = np.sum(log.tau * log.v, axis=-1)
         return np.asarray(cumulative_simpson(power, x=log.t, initial=0.0), dtype=np.float64)
     kp, kd = (np.asarray(gains[k], float) for k in ("kp", "kd"))
@@ -239,7 +238,11 @@ def _drive_work(system: System, log: RunLog) -> Array:
     command = log.tau + kp * q + kd * v
     # int c v = [c q] - c' int q, with q of both ends and their slopes known
     area = h / 2 * (q[1:] + q[:-1]) - h**2 / 12 * np.diff(v, axis=0)
-    pushed = np.diff(command * q, axis=0) - np.diff(command, axis=0) / h * area
-    damped = cumulative_simpson(np.sum(kd * v**2, axis=-1), x=log.t, initial=0.0)
-    out: Array = np.r_[0.0, np.cumsum(pushed.sum(axis=-1))] - quadratic(np.diag(kp), q) - damped
+    pushed = np.diff(command * q - kp * q**2 / 2, axis=0) - np.diff(command, axis=0) / h * area
+    damped = np.diff(cumulative_simpson(kd * v**2, x=log.t, axis=0, initial=0.0), axis=0)
+    # a saturated motor gives its limit, whatever the command
+    limited = np.abs(log.tau) > (1 - 1e-9) * system.arm.column("tau_max")
+    clipped = (log.tau[1:] + log.tau[:-1]) / 2 * np.diff(q, axis=0)
+    work = np.where(limited[1:] | limited[:-1], clipped, pushed - damped)
+    out: Array = np.r_[0.0, np.cumsum(work.sum(axis=-1))]
     return out

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 
 from ves_gym.core.arm import Arm, Inertial
+from ves_gym.core.engine import mujoco
 from ves_gym.core.params import Array
 from ves_gym.core.vehicle import BaseModel
 

@@ -20,6 +20,7 @@ from ves_gym.core.dynamics import inverse_dynamics
 from ves_gym.core.params import Array, Matrix, ParameterError, require_positive, unit
 
 DEGREE = 5
+_GRADING = 0.6  # of the knots: 1 - this is their relative spacing at the ends
 _HELD = 3  # equal control points at each end: zero velocity and acceleration there
 
 
@@ -51,7 +52,7 @@ class Motion:
     """q(t) on [0, duration]; before and after it the joints are held.
 
     `control` holds the B-spline control points (m, n); the first three are equal and so
-    are the last three. Inner knots are evenly spaced in time.
+    are the last three. Knots: see `knots`.
     """
 
     duration: float = unit("s")
@@ -73,7 +74,7 @@ class Motion:
         return Motion(duration=duration, control=matrix(np.array([a] * _HELD + [b] * _HELD)))
 
     @staticmethod
-    def through(points: npt.ArrayLike, duration: float, *, controls: int = 32) -> Motion:
+    def through(points: npt.ArrayLike, duration: float, *, controls: int = 48) -> Motion:
         """A smooth motion along way-points (k >= 2, n), quintic in path length.
 
         The path through the way-points is a spline in joint-space length; the motion is
@@ -83,13 +84,16 @@ class Motion:
         """
         way = _points(points, "way-points", least=2)
         steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
+        start, goal = way[0], way[-1]
         way = way[np.r_[True, steps > 1e-12]]
         if len(way) < 3:
-            return Motion.straight(way[0], way[-1], duration)
+            return Motion.straight(start, goal, duration)
         length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))]
         path = make_interp_spline(length / length[-1], way, k=min(3, len(way) - 1))
         u = np.linspace(0, 1, 20 * controls + 1)
-        return Motion.fit(path(quintic(u)), duration, controls=controls)
+        q = path(quintic(u))
+        q[0], q[-1] = start, goal  # not to rounding only
+        return Motion.fit(q, duration, controls=controls)
 
     @staticmethod
     def fit(samples: npt.ArrayLike, duration: float, *, controls: int = 32) -> Motion:
@@ -164,9 +168,20 @@ def _points(value: Any, name: str, least: int) -> Array:
 
 
 def knots(m: int) -> Array:
-    """Clamped knot vector on [0, 1] for m control points, inner knots evenly spaced."""
-    inner = np.linspace(0, 1, m - DEGREE + 1)
+    """Clamped knot vector on [0, 1] for m control points.
+
+    Inner knots are closer together near the ends, so that a motion can build up its
+    acceleration quickly from rest.
+    """
+    inner = graded(m - DEGREE + 1)
     out: Array = np.r_[np.zeros(DEGREE), inner, np.ones(DEGREE)]
+    return out
+
+
+def graded(count: int) -> Array:
+    """Points on [0, 1], ends included, spaced like the knots: closer near the ends."""
+    even = np.linspace(0, 1, count)
+    out: Array = even - _GRADING * np.sin(2 * np.pi * even) / (2 * np.pi)
     return out
 
 

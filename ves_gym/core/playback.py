@@ -14,7 +14,7 @@ from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.runlog import RunLog
 from ves_gym.core.servo import HIGH_GAINS, JointServo
 from ves_gym.core.simulator import Simulator, State
-from ves_gym.core.spatial import body_wrench, rate_matrix
+from ves_gym.core.spatial import body_wrench, matvec, rate_matrix
 from ves_gym.core.system import System
 
 
@@ -164,7 +164,8 @@ def _commands(sim: Simulator, s: Samples) -> Array:
 def _wrench(system: System, state: State, ydd: Array) -> Array:
     """Wrench of the arm on the base in platform axes: what the vehicle's motion takes."""
     base, y, yd = system.base, state.y, state.yd
-    force = ydd @ base.M.T + yd @ base.D.T + y @ base.K.T  # conjugate to Y
+    # run by run: one matrix product over the batch would round by its size
+    force = matvec(base.M, ydd) + matvec(base.D, yd) + matvec(base.K, y)  # conjugate to Y
     turn = np.swapaxes(rate_matrix(y), -1, -2)
     wrench = np.linalg.solve(turn, force[..., None])[..., 0]
     if base.body is not None:

@@ -27,10 +27,15 @@ class JointServo:
 
     def __post_init__(self) -> None:
         for name in ("kp", "kd"):
-            gains = np.asarray(getattr(self, name), float)
-            if gains.ndim != 1 or not np.isfinite(gains).all() or (gains < 0).any():
+            gains = getattr(self, name)
+            try:
+                array = np.asarray(gains)
+            except ValueError:  # ragged
+                array = np.empty((0, 0))
+            good = array.ndim == 1 and array.dtype.kind in "fiu" and np.isfinite(array).all()
+            if not good or (array < 0).any():
                 raise ParameterError(
-                    f"JointServo.{name} must be finite and >= 0, one per joint, got {gains}"
+                    f"JointServo.{name} must be finite and >= 0, one per joint, got {gains!r}"
                 )
         if len(self.kp) != len(self.kd):
             raise ParameterError(

@@ -18,11 +18,12 @@ from ves_gym.core.servo import FREE, HIGH_GAINS, JointServo
 from ves_gym.core.spatial import SINGULAR, matvec, rate_matrix
 from ves_gym.core.system import System
 
+_MEANINGLESS = 1e10  # m, rad and their rates; where the engine gives a state up
 # Largest omega * dt of an oscillator that stays bounded (docs/physics.md).
 _STABLE = {"rk4": 2.8, "euler": 2.0, "implicitfast": 2.0}
 
 
-class Divergence(RuntimeError):
+class Divergence(ArithmeticError):
     """A simulation left the meaningful range; `ids` lists all of them."""
 
     def __init__(self, message: str, ids: Index) -> None:
@@ -90,6 +91,10 @@ class Simulator:
         self._kp = np.zeros((n, self.joints))
         self._kd = np.zeros((n, self.joints))
         if system.drive == "motor" and servo is not None:
+            if len(servo.kp) != self.joints:
+                raise ParameterError(
+                    f"servo must have gains for {self.joints} joints, got {len(servo.kp)}"
+                )
             self.set_gains(servo.kp, servo.kd)
         self.seed(seed)
         self.diverged = np.zeros(n, bool)
@@ -223,13 +228,13 @@ class Simulator:
 
     def play(self, commands: Array) -> None:
         """Advance k physics steps, the commands (n, k + 1, joints) linear over each step."""
-        given = np.shape(commands)
-        if len(given) != 3 or given[1] < 2:
-            raise ParameterError(
-                f"commands must have shape ({self.n}, k + 1, {self.joints}) with k >= 1 steps,"
-                f" got {given}"
-            )
-        nodes = self._broadcast(commands, "commands", (self.n, given[1], self.joints))
+        wanted = (
+            f"commands must be numbers of shape ({self.n}, k + 1, {self.joints}), k >= 1, got"
+        )
+        given = _numbers(commands, wanted)
+        if given.ndim != 3 or given.shape[1] < 2:
+            raise ParameterError(f"{wanted} {given.shape}")
+        nodes = self._broadcast(given, "commands", (self.n, given.shape[1], self.joints))
         self._seen = self.state
         self.backend.play(nodes, self._running())
         self._watch()
@@ -269,7 +274,7 @@ class Simulator:
         which = f"simulation {i} of {self.n} diverged at t = {time:.4f} s: "
         if self._tumbled()[i]:
             return which + f"phi_y = {np.rad2deg(z[4]):.1f} deg, Z-Y-X angles end at 90 deg"
-        if not np.isfinite(np.concatenate([z, zd])).all():  # then everything is nan
+        if not (np.abs([z, zd]) < _MEANINGLESS).all():  # soon every coordinate is
             seen = self._seen
             z, zd = np.r_[seen.y[i], seen.q[i]], np.r_[seen.yd[i], seen.v[i]]
         size = np.maximum(np.abs(z), np.abs(zd))
@@ -309,20 +314,27 @@ class Simulator:
 
     @staticmethod
     def _broadcast(value: npt.ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
+        wanted = f"{name} must be numbers of shape {shape}, got"
+        given = _numbers(value, wanted)
         try:
-            given = np.asarray(value)
-            if given.dtype.kind not in "fiu":  # text, truth values and None are no numbers
-                raise ValueError
-            array = np.broadcast_to(given.astype(np.float64), shape)
+            array = np.broadcast_to(given, shape)
         except ValueError:
-            raise ParameterError(
-                f"{name} must be numbers of shape {shape}, got"
-                f" {np.shape(value) if not isinstance(value, str) else value!r}"
-            ) from None
+            raise ParameterError(f"{wanted} {given.shape}") from None
         if not np.isfinite(array).all():
             where = np.argwhere(~np.isfinite(array))[0].tolist()
             raise ParameterError(f"{name} must be finite, got {array[tuple(where)]} at {where}")
         return array
+
+
+def _numbers(value: npt.ArrayLike, wanted: str) -> Array:
+    """`value` as a float64 array; text, truth values, None and ragged rows are errors."""
+    try:
+        given = np.asarray(value)
+    except ValueError:
+        raise ParameterError(f"{wanted} ragged rows") from None
+    if given.dtype.kind not in "fiu":
+        raise ParameterError(f"{wanted} {value!r}")
+    return given.astype(np.float64)
 
 
 def _require_stable_step(system: System) -> None:

@@ -75,8 +75,8 @@ def body_wrench(
     `inertia` (6, 6) and the wrench are at the platform origin, in platform axes.
     """
     v = twist(y, yd)
-    momentum = v @ inertia.T
-    out: Array = twist_rate(y, yd, ydd) @ inertia.T
+    momentum = matvec(inertia, v)
+    out = matvec(inertia, twist_rate(y, yd, ydd))
     out[..., :3] += np.cross(v[..., 3:], momentum[..., :3])
     out[..., 3:] += np.cross(v[..., 3:], momentum[..., 3:])
     out[..., 3:] += np.cross(v[..., :3], momentum[..., :3])

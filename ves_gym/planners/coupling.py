@@ -76,9 +76,10 @@ def quintic_spectrum(x: npt.ArrayLike) -> Array:
     Poisson's integral (derived in docs/physics.md).
     """
     half = np.asarray(x, float) / 2
-    small = np.abs(half) < 1e-2  # 1 - h^2/14 beyond double precision of the quotient
+    small = np.abs(half) < 1e-2  # there the series is exact to rounding
     safe = np.where(small, 1.0, half)
-    out: Array = np.where(small, 1 - half**2 / 14, np.abs(15 * spherical_jn(2, safe) / safe**2))
+    series = 1 - half**2 / 14 + half**4 / 504
+    out: Array = np.where(small, series, np.abs(15 * spherical_jn(2, safe) / safe**2))
     return out
 
 
@@ -165,6 +166,9 @@ class CouplingMap:
         Returns:
             Polylines (k, 2) in joint angles [rad].
         """
+        for name, value in (("spacing", spacing), ("step", step)):
+            if not 0 < value <= 1:
+                raise ParameterError(f"{name} must be > 0 and <= 1, got {value!r}")
         return _trace_lines(self.axes, self.direction, spacing, step)
 
 

@@ -3,7 +3,8 @@
 With the base mass frozen at the middle of the straight line, E_mean = 1/2 u^T W u in
 the samples u of the joint momentum H_bm(q) q' (`MeanEnergy`). The decision is
 the inner control points of a B-spline; position and speed limits are linear in them,
-on the control polygon, so they hold at every instant, not only at samples.
+on the control polygon, so they hold at every instant. Motor torque is kept inside its
+limits at sampled times.
 """
 
 from __future__ import annotations
@@ -14,44 +15,31 @@ import numpy as np
 import scipy.optimize
 
 from ves_gym.core.arm import matrix
-from ves_gym.core.dynamics import inertia
-from ves_gym.core.motion import DEGREE, Motion, basis, knots, limit_ratios
+from ves_gym.core.dynamics import inertia, inverse_dynamics
+from ves_gym.core.motion import DEGREE, Motion, basis, graded, knots
 from ves_gym.core.params import Array
 from ves_gym.core.spatial import matvec
 from ves_gym.planners.prediction import MeanEnergy
 from ves_gym.planners.query import Query
 
 _FIXED = 3  # control points held at each end
-_TIGHTENINGS = 4  # attempts at keeping the torque limits
-_LEAST_SHARE = 0.3  # of the acceleration limits; tighter ones leave no motion
-_DIFFERENCE = 1e-6  # rad, central differences of the momentum: error about 1e-9
+_TORQUE_SAMPLES = 81
+_TORQUE_SHARE = 0.97  # of the limit, at samples: leaves room between them and for the servo
+_DIFFERENCE = 1e-6  # central differences of momentum and torque: error about 1e-9
 
 
 class Direct:
     """Minimise the predicted E_mean over B-spline motions by sequential programming."""
 
     name = "direct"
-    summary = "minimise predicted E_mean over a smooth motion (B-spline, exact limits)"
+    summary = "minimise predicted E_mean over a smooth motion inside all joint limits"
 
-    def __init__(self, free: int = 10, iterations: int = 60) -> None:
+    def __init__(self, free: int = 12, iterations: int = 80) -> None:
         self.free, self.iterations = free, iterations
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Deterministic: the seed is not used; one start, the straight line.
-
-        A motion that asks too much torque is found again under tighter acceleration
-        limits.
-        """
-        share = 1.0
-        for _ in range(_TIGHTENINGS):
-            motion, info = self._minimise(_Problem(query, self.free, share))
-            torque = float(limit_ratios(query.system.arm, motion)["torque"].max())
-            if query.system.drive != "motor" or torque <= 1 or share < _LEAST_SHARE:
-                break
-            share *= 0.95 / torque
-        return motion, {**info, "acceleration_share": share}
-
-    def _minimise(self, problem: _Problem) -> tuple[Motion, dict[str, Any]]:
+        """Deterministic: the seed is not used; one start, the straight line."""
+        problem = _Problem(query, self.free)
         x0 = problem.straight
         scale = max(problem.value(x0)[0], 1e-12)  # SLSQP's tolerance is absolute
         found = scipy.optimize.minimize(
@@ -73,17 +61,20 @@ class Direct:
 class _Problem:
     """E_mean of a query's motions as a function of the free control points."""
 
-    def __init__(self, query: Query, free: int, acceleration_share: float) -> None:
-        self.a_max = acceleration_share * query.system.arm.column("a_max")
+    def __init__(self, query: Query, free: int) -> None:
         self.query, self.arm = query, query.system.arm
         self.start, self.goal = query.ends
-        self._motor = query.system.drive == "motor"
         self.n, self.m = self.arm.n, free + 2 * _FIXED
         middle = (self.start + self.goal) / 2
         self.energy = MeanEnergy(query.system, middle, query.duration, query.servo)
         u = self.energy.t / query.duration
         self.position = basis(self.m, u)  # (N + 1, m)
         self.velocity = basis(self.m, u, 1) / query.duration
+        at = graded(_TORQUE_SAMPLES)
+        self._torque_bases = [
+            basis(self.m, at, order) / query.duration**order for order in range(3)
+        ]
+        self._tau_max = _TORQUE_SHARE * self.arm.column("tau_max")
         # the straight quintic lies in the spline space, so its fit is exact
         self.straight = np.array(
             Motion.fit(
@@ -128,31 +119,58 @@ class _Problem:
 
     @property
     def constraints(self) -> list[dict[str, Any]]:
-        """Speed and acceleration limits on the control polygons of the spline's derivatives.
+        """Inequalities f(x) >= 0: the query's speed limits, and on motors the torque's."""
+        out = []
+        if self.query.v_max is not None:
+            room, jacobian = self._speed_limits(np.array(self.query.v_max))
+            out.append(
+                {
+                    "type": "ineq",
+                    "fun": lambda x: room + jacobian @ x,
+                    "jac": lambda x: jacobian,
+                }
+            )
+        if self.query.system.drive == "motor":
+            out.append({"type": "ineq", "fun": self.torque_room, "jac": self.torque_slope})
+        return out
 
-        The arm's acceleration limits keep the joint torque within reach of its motors.
-        """
+    def _speed_limits(self, v_max: Array) -> tuple[Array, Array]:
+        """room + jacobian @ x >= 0 on the control polygon of the velocity spline."""
         t = knots(self.m) * self.query.duration
-        rows, points = [], np.eye(self.m)
-        limits = [self.query.v_max, self.a_max if self._motor else None]
-        for order, limit in enumerate(limits, start=1):
-            degree = DEGREE - order + 1
-            span = t[DEGREE + 1 : self.m + DEGREE + 1 - order] - t[order : self.m]
-            points = degree * np.diff(points, axis=0) / span[:, None]
-            if limit is not None:
-                rows.append(np.kron(points, np.diag(1 / np.asarray(limit))))
-        if not rows:
-            return []
-        stacked = np.vstack(rows)  # on control.ravel(); each entry within +-1
+        span = t[DEGREE + 1 : self.m + DEGREE] - t[1 : self.m]
+        speed = DEGREE * np.diff(np.eye(self.m), axis=0) / span[:, None]
+        rows = np.kron(speed, np.diag(1 / v_max))  # on control.ravel(); within +-1
         free = slice(_FIXED * self.n, (self.m - _FIXED) * self.n)
-        A, offset = (
-            stacked[:, free],
-            stacked @ self.control(np.zeros(self.straight.size)).ravel(),
-        )
+        A, offset = rows[:, free], rows @ self.control(np.zeros(self.straight.size)).ravel()
         active = np.abs(A).max(axis=1) > 0
         A, offset = A[active], offset[active]
-        jacobian = np.vstack([-A, A])
-        room = np.concatenate([1 - offset, 1 + offset])
-        return [
-            {"type": "ineq", "fun": lambda x: room + jacobian @ x, "jac": lambda x: jacobian}
-        ]
+        return np.concatenate([1 - offset, 1 + offset]), np.vstack([-A, A])
+
+    def torque_room(self, x: Array) -> Array:
+        """How far each joint torque is inside its limit, at sampled times: (2 K n,)."""
+        tau = self._torque(*self._sampled(x))
+        return np.concatenate([1 - tau.ravel(), 1 + tau.ravel()])
+
+    def torque_slope(self, x: Array) -> Array:
+        """Derivative of `torque_room`: (2 K n, free n)."""
+        sampled = self._sampled(x)
+        steps = _DIFFERENCE * np.eye(self.n)[:, None, :]
+        slope = np.zeros((len(self._torque_bases[0]), self.n, self.m, self.n))
+        for k, basis_k in enumerate(self._torque_bases):
+            shifted = [np.broadcast_to(s, (self.n, *s.shape)) for s in sampled]
+            ahead, behind = list(shifted), list(shifted)
+            ahead[k], behind[k] = shifted[k] + steps, shifted[k] - steps
+            change = self._torque(*ahead) - self._torque(*behind)
+            by = change / (2 * _DIFFERENCE)  # (n inputs, K, n torques)
+            slope += np.einsum("iko,km->komi", by, basis_k)
+        flat = slope[:, :, _FIXED : self.m - _FIXED].reshape(-1, x.size)
+        return np.vstack([-flat, flat])
+
+    def _torque(self, q: Array, v: Array, a: Array) -> Array:
+        """Joint torque over its limit, on a base that stands still."""
+        return inverse_dynamics(self.arm, q, v, a)[0] / self._tau_max
+
+    def _sampled(self, x: Array) -> list[Array]:
+        """q, v, a at the times where torque is checked, each (K, n)."""
+        control = self.control(x)
+        return [b @ control for b in self._torque_bases]

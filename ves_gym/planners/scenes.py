@@ -58,11 +58,11 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
     """A coupling map as plain data, in degrees."""
     i, j = section.joints
     others = ", ".join(
-        f"q{k + 1} = {np.rad2deg(value):.0f} deg"
+        f"q{k + 1} = {np.rad2deg(value) + 0.0:.0f}°"
         for k, value in enumerate(section.fixed)
         if k not in section.joints
     )
-    what = "Q" if section.duration is None else f"Q_T, T = {section.duration:g} s"
+    what = "Q" if section.duration is None else f"Q_T for {section.duration:g} s"
     data: dict[str, Any] = {
         "vehicle": vehicle,
         "title": f"{what}: joints {i + 1} and {j + 1} ({others})",

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import mujoco
 import numpy as np
+
+from ves_gym.core.engine import mujoco  # before its submodules
+
+# isort: split
 from mujoco.batch import Batch
 
 from ves_gym.core.model import TO_Y, build_spec

@@ -1,0 +1,159 @@
+"""`view`: pictures where OpenGL works, one clear line where it does not."""
+
+import numpy as np
+import pytest
+
+from ves_gym.core.runlog import RunLog
+from ves_gym.report import render
+from ves_gym.report.render import Probe, RenderError
+
+TINY = ("--size", "128x64", "--fps", "5")
+
+
+@pytest.fixture(scope="session")
+def opengl():
+    """Skip where nothing can draw: the other tests here say what happens then."""
+    try:
+        return render.choose_backend()
+    except RenderError as error:
+        pytest.skip(str(error))
+
+
+def test_gif_shows_a_structure_that_moves(call, run_log, tmp_path, opengl):
+    image = pytest.importorskip("PIL.Image")
+    status, out, _, result = call("view", run_log, *TINY, "--magnify", "20")
+    assert status == 0 and result["schema"] == "ves-view/1" and "written" in out
+    assert result["frames"] == 4 and result["backend"] == opengl
+    assert result["digest"] == RunLog.load(run_log).digest
+    with image.open(tmp_path / "out" / "run.gif") as film:
+        assert film.size == (128, 64) and film.n_frames == 4
+        assert film.info["duration"] == 200  # ms: real time
+        frames = []
+        for k in range(film.n_frames):
+            film.seek(k)
+            frames.append(np.asarray(film.convert("RGB"), int))
+    for half in (frames[0][:, :63], frames[0][:, 65:]):
+        assert len(np.unique(half.reshape(-1, 3), axis=0)) > 10  # not just background
+    assert np.abs(frames[-1] - frames[0]).max() > 50
+
+
+def test_mp4_has_the_asked_frames(call, run_log, tmp_path, opengl):
+    pytest.importorskip("PIL.Image")
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    status, *_ = call("view", run_log, *TINY, "--mp4", "a.mp4", "--speed", "0.5")
+    assert status == 0
+    frames, _ = ffmpeg.count_frames_and_secs(str(tmp_path / "out" / "a.mp4"))
+    assert frames == 7
+
+
+@pytest.mark.parametrize("vehicle", ["free-floating", "decoupled"])
+def test_vehicles_without_a_beam_are_drawn(call, opengl, vehicle, tmp_path):
+    pytest.importorskip("PIL.Image")
+    words = ("--vehicle", vehicle, "--duration", "0.2", "--settle", "0")
+    _, _, _, made = call("simulate", *words, "--record-dt", "0.0125", "--goal", "5,5,5")
+    status, *_ = call("view", made["log"], *TINY)
+    assert status == 0
+
+
+# ------------------------------------------------------------- where it does not work
+
+
+def test_unknown_mujoco_gl_is_one_line(refused, run_log, monkeypatch):
+    pytest.importorskip("PIL.Image")
+    monkeypatch.setenv("MUJOCO_GL", "nonsense")
+    line = refused("view", run_log)
+    assert "MUJOCO_GL" in line and "egl" in line and "'nonsense'" in line
+
+
+def test_missing_libraries_are_named(refused, run_log, monkeypatch):
+    pytest.importorskip("PIL.Image")
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr(render.platform, "system", lambda: "Linux")
+    library = {"egl": "libEGL is missing", "osmesa": "libOSMesa is missing"}
+    monkeypatch.setattr(
+        render, "probe", lambda backend: Probe(backend, False, library[backend])
+    )
+    line = refused("view", run_log)
+    for word in ("MUJOCO_GL is not set", "libEGL", "libOSMesa", "apt-get install libegl1"):
+        assert word in line
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("import os; os.abort()", "crashes (signal 6)"),
+        ("import time; time.sleep(60)", "hangs (gave up after 0.5 s)"),
+        ("raise OSError('no such screen')", "OSError: no such screen"),
+    ],
+)
+def test_broken_opengl_is_survived(monkeypatch, code, reason):
+    monkeypatch.setattr(render, "_TRY", code)
+    timeout = 0.5 if "hangs" in reason else 20.0
+    found = render.probe.__wrapped__("cgl", timeout)
+    assert not found.works and reason in found.reason
+
+
+def test_drawing_that_fails_midway_writes_nothing(refused, run_log, monkeypatch):
+    pytest.importorskip("PIL.Image")
+    monkeypatch.setattr(render, "choose_backend", lambda: "nonsense")
+    assert "drawing with nonsense failed" in refused("view", run_log, *TINY)
+
+
+def test_window_without_a_display_is_one_line(refused, run_log, monkeypatch):
+    monkeypatch.setattr(render.platform, "system", lambda: "Linux")
+    assert "DISPLAY" in refused("view", run_log, "--window")
+
+
+def test_missing_package_names_the_extra(refused, run_log, monkeypatch):
+    monkeypatch.setattr(render.importlib.util, "find_spec", lambda name: None)
+    assert "ves-gym[report]" in refused("view", run_log, "--gif", "a.gif")
+
+
+# ------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--gif", "a.mp4"], ".gif"),
+        (["--gif", "a.gif", "--fps", "30"], "100 / k"),
+        (["--fps", "0"], "View.fps"),
+        (["--speed", "nan"], "View.speed"),
+        (["--magnify", "-1"], "View.magnify"),
+        (["--size", "big"], "WIDTHxHEIGHT"),
+        (["--size", "641x480"], "even"),
+        (["--gif", "a.gif", "--mp4", "a.mp4"], "not allowed with"),
+    ],
+)
+def test_bad_options_are_one_line(words, expected, refused, run_log):
+    pytest.importorskip("PIL.Image")
+    assert expected in refused("view", run_log, *words)
+
+
+@pytest.fixture
+def damaged(run_log, tmp_path):
+    """A copy of the log with its table or metadata changed."""
+
+    def make(table=lambda text: text, meta=lambda text: text):
+        path = tmp_path / "bad.csv"
+        path.write_text(table(run_log.read_text()))
+        path.with_suffix(".json").write_text(meta(run_log.with_suffix(".json").read_text()))
+        return path
+
+    return make
+
+
+def test_truncated_log_names_file_and_row(refused, damaged):
+    path = damaged(table=lambda text: text[: len(text) // 2].rpartition(",")[0])
+    line = refused("view", path)
+    assert "bad.csv" in line and "row" in line
+
+
+def test_log_without_a_system_is_named(refused, damaged):
+    path = damaged(meta=lambda text: '{"format": "ves-run/1"}')
+    assert "system" in refused("view", path)
+
+
+def test_log_whose_metadata_is_cut_is_named(refused, damaged):
+    path = damaged(meta=lambda text: text[:100])
+    assert "JSON" in refused("view", path)

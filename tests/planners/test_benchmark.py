@@ -1,0 +1,287 @@
+"""The benchmark: every answer simulated, the same rows from one process or two."""
+
+import copy
+import dataclasses
+import json
+import os
+
+import numpy as np
+import pytest
+
+from ves_gym.core.energy import energies
+from ves_gym.core.params import ParameterError
+from ves_gym.core.playback import play_motions
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import FREE_FLOATING
+from ves_gym.planners.benchmark import SCHEMA, run_benchmark, summarise
+from ves_gym.planners.query import Query, solve
+from ves_gym.planners.registry import get_planner
+from ves_gym.planners.suites import Suite, get_suite, reach100
+
+DURATIONS = (0.5, 2.0)
+
+
+def small_suite():
+    """Two questions: the first of half a second and the first of two."""
+    reach = reach100(System(), "bent", 1)
+    queries = tuple((v, q) for v, q in reach.queries if q.duration in DURATIONS)
+    return dataclasses.replace(reach, queries=queries)
+
+
+@pytest.fixture(scope="module")
+def told():
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(told):
+    return run_benchmark(
+        small_suite(),
+        planners=["direct"],
+        seed=3,
+        workers=1,
+        command="a test",
+        progress=lambda stage, done: told.append((stage, done)),
+    )
+
+
+# ------------------------------------------------------------------------------ rows
+
+ROW = {"planner", "query", "vehicle", "mode", "duration", "E_mean", "E_res", "E_peak"}
+ROW |= {"E_int", "W_port", "predicted", "plan_seconds", "success"}
+
+
+def test_the_schema(result):
+    assert result["schema"] == SCHEMA == "ves-benchmark/1"
+    keys = {"suite", "mode", "drive", "seed", "command", "created", "versions", "systems"}
+    keys |= {"planners", "rows", "summary", "traces", "maps", "scenes", "seconds"}
+    assert keys <= result.keys()
+    assert (result["suite"], result["mode"], result["drive"]) == ("reach100", "ideal", "motor")
+    assert (result["seed"], result["command"]) == (3, "a test")
+    assert [p["name"] for p in result["planners"]] == ["straight", "direct"]
+    for row in result["rows"]:
+        assert row.keys() >= ROW
+    assert result["systems"]["bent"]["hash"] == System().hash
+    assert {"python", "mujoco", "numpy"} <= result["versions"].keys()
+
+
+def test_it_is_strict_json(result):
+    """No NaN, no infinity, and nothing lost on the way through a file."""
+    text = json.dumps(result, allow_nan=False)
+    assert json.loads(text) == result
+
+
+def test_every_planner_answers_every_query_once(result):
+    rows = [(r["planner"], r["query"]) for r in result["rows"]]
+    assert rows == [
+        (planner, query)
+        for query in ("reach-0.5s-000", "reach-2s-000")
+        for planner in ("straight", "direct")
+    ]
+
+
+def test_a_row_holds_what_its_motion_does(result):
+    """Each row again on its own: planned, played and measured."""
+    for row in result["rows"]:
+        query = next(q for _, q in small_suite().queries if q.name == row["query"])
+        plan = solve(get_planner(row["planner"]), query, 3)
+        run = play_motions(query.system, [plan.motion], record_dt=12.5e-3)
+        one = energies(run.system, run.t, run.q, run.y, run.yd, duration=query.duration)[0]
+        for name, value in one.to_dict().items():
+            same = row[name] == value if value is None else row[name] == pytest.approx(value)
+            assert same, name
+        assert row["predicted"] == plan.predicted.E_mean
+        assert row["prediction_error"] == pytest.approx(row["predicted"] / row["E_mean"] - 1)
+        assert row["success"] is plan.feasible
+        assert row["info"] == plan.info
+        assert row["duration"] == query.duration
+        assert row["plan_seconds"] > 0
+
+
+def test_progress_goes_through_its_stages(result, told):
+    assert [stage for stage, _ in told] == ["planning"] * 4 + ["simulating"] * 2
+    for stage in ("planning", "simulating"):
+        done = [d for s, d in told if s == stage]
+        assert done == sorted(done)
+        assert done[-1] == 1.0
+
+
+def test_pictures_cover_what_was_run(result):
+    assert {t["query"] for t in result["traces"]} == {"reach-0.5s-000", "reach-2s-000"}
+    for trace in result["traces"]:
+        assert [s["planner"] for s in trace["series"]] == ["straight", "direct"]
+        for series in trace["series"]:
+            assert len(series["t"]) == len(series["E"]) > 100
+            assert series["t"][0] == 0
+    assert len(result["scenes"]) == 2
+    for scene in result["scenes"]:
+        assert [r["planner"] for r in scene["runs"]] == ["straight", "direct"]
+        frames = {len(r[k]) for r in scene["runs"] for k in ("arm", "base", "beam", "E")}
+        assert len(frames) == 1
+    assert len(result["maps"]) == 6
+    for section in result["maps"]:
+        assert np.shape(section["most"]) == (len(section["x"]), len(section["y"]))
+        assert [p["planner"] for p in section["paths"]] == ["straight", "direct"]
+
+
+# --------------------------------------------------------------------------- workers
+
+
+def timeless(result):
+    """Without what depends on the clock."""
+    out = copy.deepcopy(result)
+    for key in ("created", "seconds"):
+        del out[key]
+    for row in out["rows"]:
+        del row["plan_seconds"]
+    for row in out["summary"]:
+        del row["plan_seconds_median"]
+    return out
+
+
+def test_two_processes_give_the_same_result(result):
+    before = dict(os.environ)
+    other = run_benchmark(
+        small_suite(), planners=["direct"], seed=3, workers=2, command="a test"
+    )
+    assert timeless(other) == timeless(result)
+    assert dict(os.environ) == before
+
+
+# -------------------------------------------------------------------------- planners
+
+
+def test_the_straight_line_is_always_included_and_nothing_twice():
+    suite = dataclasses.replace(small_suite(), queries=small_suite().queries[:1])
+    found = run_benchmark(suite, planners=["straight", "straight"], workers=1)
+    assert [r["planner"] for r in found["rows"]] == ["straight"]
+    assert found["summary"][0]["ratio_median"] == 1.0
+
+
+def test_an_unknown_planner_is_refused_before_any_work():
+    told = []
+    with pytest.raises(ParameterError, match="planner must be one of"):
+        run_benchmark(
+            small_suite(), planners=["magic"], workers=1, progress=lambda *a: told.append(a)
+        )
+    assert told == []
+
+
+def test_a_free_base_and_a_query_that_goes_nowhere_are_strict_json_too():
+    system = System(vehicle=FREE_FLOATING, drive="prescribed")
+    here = (0.2, 0.1, -0.3)
+    queries = (
+        Query(system=system, start=here, goal=(0.6, 0.3, 0.1), duration=1.0, name="go"),
+        Query(system=system, start=here, goal=here, duration=1.0, name="stay"),
+    )
+    suite = Suite(
+        name="odd", queries=tuple(("free", q) for q in queries), planners=("straight",)
+    )
+    found = run_benchmark(suite, workers=1)
+    json.dumps(found, allow_nan=False)
+    go, stay = found["rows"]
+    assert go["E_peak"] > 0
+    assert stay["E_mean"] == pytest.approx(0.0, abs=1e-20)
+    assert found["summary"][0]["E_res_ratio_median"] is None  # at rest after any motion
+    assert all(scene["rest_beam"] is None for scene in found["scenes"])
+
+
+def test_all_planners_of_the_thesis_suite_run():
+    suite = get_suite("thesis", system=System(), vehicle="straight-horizontal")
+    found = run_benchmark(suite, workers=1)
+    assert [r["planner"] for r in found["rows"]] == list(suite.planners)
+    by_name = {r["planner"]: r["E_mean"] for r in found["rows"]}
+    assert by_name["direct"] < by_name["straight"]
+
+
+# --------------------------------------------------------------------------- summary
+
+
+def row(planner, query, mean, *, res=None, peak=None, success=True, duration=1.0, **extra):
+    return {
+        "planner": planner,
+        "query": query,
+        "vehicle": "bent",
+        "duration": duration,
+        "E_mean": mean,
+        "E_res": mean if res is None else res,
+        "E_peak": 10 * mean if peak is None else peak,
+        "prediction_error": 0.1,
+        "plan_seconds": 1.0,
+        "success": success,
+        **extra,
+    }
+
+
+def test_the_summary_of_hand_made_rows():
+    """Ratios query by query, then the median: 0.5, 0.25, 2 -> 0.5 (not 1/3 of medians)."""
+    rows = [
+        row("straight", "a", 1.0),
+        row("straight", "b", 4.0),
+        row("straight", "c", 10.0),
+        row("direct", "a", 0.5, prediction_error=-0.3, plan_seconds=2.0),
+        row("direct", "b", 1.0, prediction_error=0.2, plan_seconds=4.0, success=False),
+        row("direct", "c", 20.0, prediction_error=None, plan_seconds=9.0),
+    ]
+    straight, direct = summarise(rows)
+    assert (straight["planner"], straight["n"], straight["ratio_median"]) == (
+        "straight",
+        3,
+        1.0,
+    )
+    assert straight["ratio_low"] == straight["ratio_high"] == 1.0
+    assert straight["E_mean_median"] == 4.0
+    assert direct["planner"] == "direct"
+    assert direct["vehicle"] == "bent"
+    assert direct["ratio_median"] == 0.5
+    assert direct["E_mean_median"] == 1.0
+    assert direct["success_rate"] == pytest.approx(2 / 3)
+    assert direct["prediction_error_median"] == pytest.approx(0.25)
+    assert direct["plan_seconds_median"] == 4.0
+    assert direct["E_res_ratio_median"] == direct["E_peak_ratio_median"] == 0.5
+    assert 0.25 <= direct["ratio_low"] <= 0.5 <= direct["ratio_high"] <= 2.0
+
+
+def test_groups_are_vehicle_duration_and_planner():
+    rows = [
+        row("straight", "a", 1.0),
+        row("straight", "b", 1.0, duration=2.0),
+        row("direct", "a", 0.3),
+        row("direct", "b", 0.2, duration=2.0),
+        {**row("straight", "a", 5.0), "vehicle": "other"},
+    ]
+    groups = {
+        (s["vehicle"], s["duration"], s["planner"]): s["ratio_median"] for s in summarise(rows)
+    }
+    assert groups == {
+        ("bent", 1.0, "straight"): 1.0,
+        ("bent", 2.0, "straight"): 1.0,
+        ("bent", 1.0, "direct"): 0.3,
+        ("bent", 2.0, "direct"): 0.2,
+        ("other", 1.0, "straight"): 1.0,
+    }
+
+
+def test_the_interval_is_that_of_the_median_and_repeats():
+    """Of 101 ratios evenly spread over [0.5, 1.5]: median 1, interval +-0.05 to 0.2."""
+    ratios = np.linspace(0.5, 1.5, 101)
+    rows = [row("straight", str(i), 1.0) for i in range(101)]
+    rows += [row("direct", str(i), float(r)) for i, r in enumerate(ratios)]
+    first = summarise(rows)[1]
+    assert first == summarise(rows)[1]
+    assert first["ratio_median"] == pytest.approx(1.0)
+    assert 0.8 < first["ratio_low"] < 0.95
+    assert 1.05 < first["ratio_high"] < 1.2
+
+
+def test_no_ratio_to_nothing():
+    rows = [row("straight", "a", 1.0, res=0.0), row("direct", "a", 0.5, res=0.0)]
+    straight, direct = summarise(rows)
+    assert straight["E_res_ratio_median"] is None
+    assert direct["E_res_ratio_median"] is None
+    assert direct["ratio_median"] == 0.5
+    json.dumps([straight, direct], allow_nan=False)
+    dead = [row("straight", "a", 0.0), row("direct", "a", 0.0)]
+    assert summarise(dead)[1]["ratio_median"] is None
+    assert summarise(dead)[1]["ratio_low"] is None
+    assert summarise([]) == []

@@ -1,0 +1,220 @@
+"""The coupling matrix, its spectral form, and maps of them."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.linalg
+
+from ves_gym.core.dynamics import inertia
+from ves_gym.core.params import ParameterError
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import BENT, FREE_FLOATING, STRAIGHT_HORIZONTAL, STRAIGHT_VERTICAL
+from ves_gym.planners.coupling import (
+    band_limited,
+    blocks,
+    coupling_length,
+    coupling_map,
+    coupling_matrix,
+    invariant_directions,
+    metric,
+    modes,
+    quintic_spectrum,
+)
+
+SYSTEM = System()
+CONFIGURATIONS = np.random.default_rng(2).uniform(-1.5, 1.5, (7, 3))
+BEAMS = [BENT, STRAIGHT_VERTICAL, STRAIGHT_HORIZONTAL]
+
+# -------------------------------------------------------------------------- matrices
+
+
+@pytest.mark.parametrize("vehicle", BEAMS, ids=["bent", "vertical", "horizontal"])
+@pytest.mark.parametrize("duration", [None, 0.1, 2.0])
+def test_q_is_symmetric_semidefinite_and_works_on_stacks(vehicle, duration):
+    system = System(vehicle=vehicle)
+    Q = metric(system, CONFIGURATIONS, duration)
+    assert Q.shape == (7, 3, 3)
+    size = np.abs(Q).max()
+    np.testing.assert_allclose(Q, np.swapaxes(Q, -1, -2), atol=1e-12 * size)
+    assert np.linalg.eigvalsh(Q).min() > -1e-12 * size
+    for q, one in zip(CONFIGURATIONS, Q, strict=True):
+        np.testing.assert_allclose(metric(system, q, duration), one, atol=1e-12 * size)
+
+
+def test_q_is_the_strain_energy_of_a_joint_step():
+    """A step dq at locked-in momentum moves the base by -M_t^-1 H_bm dq."""
+    base = SYSTEM.base
+    for q in CONFIGURATIONS:
+        H = inertia(SYSTEM.arm, q)
+        for dq in np.eye(3):
+            step = -np.linalg.solve(base.M + H[:6, :6], H[:6, 6:] @ dq)
+            strain = step @ base.K @ step
+            assert dq @ coupling_matrix(SYSTEM, q) @ dq == pytest.approx(strain, rel=1e-9)
+
+
+def test_modes_solve_the_eigenproblem():
+    base = SYSTEM.base
+    found = modes(SYSTEM, CONFIGURATIONS)
+    for k, q in enumerate(CONFIGURATIONS):
+        Mt = blocks(SYSTEM, q).Mt
+        squares = scipy.linalg.eigh(base.K, Mt, eigvals_only=True)
+        np.testing.assert_allclose(found.omega[k] ** 2, squares, rtol=1e-8)
+        shapes = found.shapes[k]
+        np.testing.assert_allclose(shapes.T @ Mt @ shapes, np.eye(6), atol=1e-9)
+        assert (np.diff(found.omega[k]) >= 0).all()
+
+
+def test_the_spectrum_of_the_quintic():
+    """Against quadrature, on both sides of where the formula changes."""
+    for x in (0.0, 1e-3, 0.0199, 0.0201, 1.0, 7.3, 40.0):
+        law = lambda u, x=x: np.exp(-1j * x * u) * 30 * u**2 * (1 - u) ** 2  # noqa: E731
+        want = abs(scipy.integrate.quad(law, 0, 1, complex_func=True, limit=200)[0])
+        assert quintic_spectrum(x) == pytest.approx(want, abs=1e-9)
+    assert quintic_spectrum(np.zeros((2, 3))).shape == (2, 3)
+
+
+def test_the_band_limited_form_tends_to_q_and_to_nothing():
+    Q = coupling_matrix(SYSTEM, CONFIGURATIONS)
+    fast = band_limited(SYSTEM, CONFIGURATIONS, 1e-5)
+    np.testing.assert_allclose(fast, Q, atol=1e-5 * np.abs(Q).max())
+    slow = band_limited(SYSTEM, CONFIGURATIONS, 100.0)
+    assert np.abs(slow).max() < 1e-6 * np.abs(Q).max()
+    for duration in (0.0, -1.0, np.nan):
+        with pytest.raises(ParameterError, match="duration must be > 0 s"):
+            band_limited(SYSTEM, CONFIGURATIONS, duration)
+
+
+def test_a_free_base_has_no_strain_and_no_coupling():
+    free = System(vehicle=FREE_FLOATING)
+    assert np.abs(coupling_matrix(free, CONFIGURATIONS)).max() == 0
+    assert np.abs(band_limited(free, CONFIGURATIONS, 1.0)).max() < 1e-9
+
+
+def test_invariant_directions_do_not_depend_on_the_unit_of_a_joint():
+    found = invariant_directions(SYSTEM, CONFIGURATIONS)
+    assert (np.diff(found.values) >= 0).all()
+    b = blocks(SYSTEM, CONFIGURATIONS)
+    effective = b.Hm - np.swapaxes(b.Hbm, -1, -2) @ np.linalg.solve(b.Mt, b.Hbm)
+    unit = np.swapaxes(found.vectors, -1, -2) @ effective @ found.vectors
+    np.testing.assert_allclose(unit, np.broadcast_to(np.eye(3), unit.shape), atol=1e-9)
+    Q = coupling_matrix(SYSTEM, CONFIGURATIONS)
+    residual = Q @ found.vectors - effective @ found.vectors * found.values[:, None, :]
+    assert np.abs(residual).max() < 1e-8 * np.abs(Q).max()
+
+
+def test_q_wants_configurations_of_the_arm():
+    for bad in (0.0, [0.0, 0.0], np.zeros((2, 4))):
+        with pytest.raises(ParameterError, match=r"q must have shape \(..., 3\)"):
+            coupling_matrix(SYSTEM, bad)
+
+
+def test_the_length_of_a_path():
+    path = CONFIGURATIONS[:3]
+    fine = np.vstack([np.linspace(a, b, 201)[:-1] for a, b in pairwise(path)])
+    fine = np.vstack([fine, path[-1]])
+    length = coupling_length(SYSTEM, fine)
+    assert coupling_length(SYSTEM, fine[::-1]) == pytest.approx(length, rel=1e-12)
+    assert coupling_length(SYSTEM, fine[::2]) == pytest.approx(length, rel=1e-3)
+    assert coupling_length(SYSTEM, [path[0], path[0]]) == 0.0
+    dq = 1e-3 * np.array([1.0, -2.0, 0.5])
+    Q = coupling_matrix(SYSTEM, path[0] + dq / 2)
+    assert coupling_length(SYSTEM, [path[0], path[0] + dq]) == pytest.approx(
+        np.sqrt(dq @ Q @ dq)
+    )
+
+
+# ------------------------------------------------------------------------------ maps
+
+
+@pytest.fixture(scope="module", params=[None, 2.0], ids=["Q", "Q_T"])
+def section(request):
+    return coupling_map(SYSTEM, (0, 2), [0.1, 0.4, 0.0], duration=request.param, points=41)
+
+
+def block(section, angles):
+    """The 2x2 block at one point of the map, computed on its own."""
+    q = section.fixed.copy()
+    q[list(section.joints)] = angles
+    Q = metric(SYSTEM, q, section.duration)
+    return Q[np.ix_(section.joints, section.joints)]
+
+
+def test_a_map_holds_the_eigenvalues_of_the_block(section):
+    assert section.least.shape == section.most.shape == (41, 41)
+    assert (section.least <= section.most).all()
+    arm = SYSTEM.arm
+    for k, joint in enumerate(section.joints):
+        ends = arm.links[joint].q_min, arm.links[joint].q_max
+        np.testing.assert_allclose(section.axes[k][[0, -1]], ends)
+    for i, j in ((0, 0), (3, 17), (40, 22)):
+        B = block(section, (section.axes[0][i], section.axes[1][j]))
+        np.testing.assert_allclose(
+            [section.least[i, j], section.most[i, j]],
+            np.linalg.eigvalsh(B),
+            atol=1e-9 * section.most.max(),
+        )
+        d = section.direction[i, j]
+        assert d @ d == pytest.approx(1.0)
+        assert d @ B @ d == pytest.approx(section.least[i, j], abs=1e-9 * section.most.max())
+
+
+def test_lines_stay_on_the_map_and_follow_least_coupling(section):
+    """Angle to the eigenvector computed at each segment; the field is interpolated.
+
+    Tolerance: 2 degrees in the middle of the distribution, 10 for 95 %; lines end where
+    the two eigenvalues meet and no direction is the least.
+    """
+    lines = section.lines()
+    assert len(lines) > 10
+    x, y = section.axes
+    angles = []
+    for line in lines:
+        assert line.ndim == 2
+        assert line.shape[1] == 2
+        assert (line >= [x[0] - 1e-12, y[0] - 1e-12]).all()
+        assert (line <= [x[-1] + 1e-12, y[-1] + 1e-12]).all()
+        steps = np.diff(line, axis=0)
+        for k in range(0, len(steps), 5):
+            _, vectors = np.linalg.eigh(block(section, line[k] + steps[k] / 2))
+            along = steps[k] / np.linalg.norm(steps[k])
+            angles.append(np.rad2deg(np.arccos(min(1.0, abs(along @ vectors[:, 0])))))
+    assert np.median(angles) < 2
+    assert np.percentile(angles, 95) < 10
+
+
+def test_lines_are_as_dense_as_asked(section):
+    counts = [len(section.lines(spacing=s)) for s in (0.2, 0.1, 0.05)]
+    assert counts == sorted(counts)
+    assert counts[-1] > 2 * counts[0]
+    for options in ({"spacing": 0.0}, {"spacing": np.nan}, {"step": 0.0}, {"step": -1.0}):
+        with pytest.raises(ParameterError, match="must be > 0 and <= 1"):
+            section.lines(**options)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"joints": (0, 0)}, r"two different numbers in \[0, 3\), got \(0, 0\)"),
+        ({"joints": (0, 3)}, "two different numbers"),
+        ({"joints": (-1, 0)}, "two different numbers"),
+        ({"points": 3}, "points must be >= 4, got 3"),
+        ({"duration": 0.0}, "duration must be > 0 s"),
+        ({"fixed": [0.0, 0.0]}, r"fixed must have shape \(3,\)"),
+        ({"fixed": [0.0, 0.0, 3.0]}, "fixed: joint 3 must be within"),
+        ({"fixed": [0.0, np.nan, 0.0]}, "fixed must be finite"),
+    ],
+)
+def test_what_is_no_map_is_refused(arguments, message):
+    good = {"joints": (0, 1), "fixed": [0.0, 0.0, 0.0], "points": 5}
+    with pytest.raises(ParameterError, match=message):
+        coupling_map(SYSTEM, **{**good, **arguments})
+
+
+def test_a_map_may_cover_a_part_of_the_range():
+    whole = coupling_map(SYSTEM, (1, 2), [0.0] * 3, points=5)
+    part = coupling_map(SYSTEM, (1, 2), [0.0] * 3, points=5, limits=((-0.5, 0.5), (0.0, 1.0)))
+    assert part.axes[0].tolist() == [-0.5, -0.25, 0.0, 0.25, 0.5]
+    assert part.axes[1][-1] == 1.0
+    assert whole.most[2, 2] == pytest.approx(part.most[2, 0])  # both at (0, 0)

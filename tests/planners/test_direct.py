@@ -1,0 +1,160 @@
+"""`direct`: the gradient is right, the limits hold at every instant, it never loses."""
+
+import numpy as np
+import pytest
+
+from ves_gym.core.motion import limit_ratios
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import BENT, DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
+from ves_gym.planners.direct import Direct, _Problem
+from ves_gym.planners.prediction import predict
+from ves_gym.planners.query import Query, solve
+from ves_gym.planners.registry import get_planner
+from ves_gym.planners.suites import SPEED_LIMITS, reach100
+
+QUERIES = {q.name: q for _, q in reach100(System(), "bent", 2).queries}
+
+
+def problem_of(query, free):
+    """What `direct` minimises."""
+    return _Problem(query, free)
+
+
+@pytest.fixture(scope="module", params=QUERIES)
+def case(request):
+    """One query of the benchmark, and what `direct` answers."""
+    query = QUERIES[request.param]
+    return query, solve(get_planner("direct"), query)
+
+
+def test_it_is_never_worse_than_the_straight_line(case):
+    query, plan = case
+    straight = predict(query.system, query.straight, query.servo)
+    assert plan.predicted.E_mean <= straight.E_mean
+
+
+def test_its_answer_is_feasible(case):
+    plan = case[1]
+    assert plan.feasible
+    assert plan.info["evaluations"] > 1
+
+
+def test_speed_position_and_torque_hold_at_every_instant(case):
+    """Twenty thousand samples; speed and position are linear in the controls, so exact."""
+    query, plan = case
+    s = plan.motion.at(np.linspace(0, query.duration, 20_001))
+    assert (np.abs(s.v).max(axis=0) <= np.array(SPEED_LIMITS) * (1 + 1e-6)).all()
+    arm = query.system.arm
+    assert (s.q >= arm.column("q_min") - 1e-9).all()
+    assert (s.q <= arm.column("q_max") + 1e-9).all()
+    ratios = limit_ratios(arm, plan.motion, samples=5001)
+    assert ratios["torque"].max() <= 1 + 1e-2  # the torque is no polynomial: sampled
+
+
+def test_without_speed_limits_it_finds_less_still():
+    query = QUERIES["reach-2s-000"]
+    free = Query(
+        system=query.system, start=query.start, goal=query.goal, duration=query.duration
+    )
+    a, b = (solve(get_planner("direct"), q).predicted.E_mean for q in (query, free))
+    assert b <= a * 1.01
+
+
+def test_ends_at_the_joint_limits_are_no_obstacle():
+    q_max = System().arm.column("q_max")
+    query = Query(
+        system=System(),
+        start=tuple(q_max.tolist()),
+        goal=tuple((q_max - [1.0, 0.5, 0.5]).tolist()),
+        duration=2.0,
+        v_max=SPEED_LIMITS,
+    )
+    plan = solve(get_planner("direct"), query)
+    assert plan.feasible
+    q = plan.motion.at(np.linspace(0, 2, 2001)).q
+    assert (q <= q_max + 1e-9).all()
+
+
+def test_torque_limits_hold_where_the_straight_line_needs_most_of_them():
+    """A fast motion that needs most of the torque."""
+    query = Query(
+        system=System(), start=(0.0, 0.0, 0.0), goal=(0.47, 0.33, -0.47), duration=0.5
+    )
+    assert limit_ratios(query.system.arm, query.straight)["torque"].max() <= 1
+    plan = solve(get_planner("direct"), query)
+    assert plan.feasible
+    assert limit_ratios(query.system.arm, plan.motion, 5001)["torque"].max() <= 1 + 1e-2
+
+
+@pytest.mark.parametrize("vehicle", [BENT, STRAIGHT_VERTICAL, DECOUPLED, FREE_FLOATING])
+@pytest.mark.parametrize("drive", ["motor", "prescribed"])
+def test_the_gradient_is_that_of_the_objective(vehicle, drive):
+    """Central differences of 1e-5 rad along random directions.
+
+    Tolerance 1e-5 relative: difference error 1e-10, momentum differences 1e-9.
+    """
+    query = Query(
+        system=System(vehicle=vehicle, drive=drive),
+        start=(0.4, -0.6, 0.9),
+        goal=(0.9, 0.4, -0.5),
+        duration=1.3,
+    )
+    problem = problem_of(query, 10)
+    rng = np.random.default_rng(1)
+    for _ in range(4):
+        x = problem.straight + 0.1 * rng.normal(size=problem.straight.size)
+        direction = rng.normal(size=x.size)
+        value, gradient = problem.value(x)
+        h = 1e-5
+        slope = (problem.value(x + h * direction)[0] - problem.value(x - h * direction)[0]) / (
+            2 * h
+        )
+        assert value > 0
+        assert gradient @ direction == pytest.approx(slope, rel=1e-5)
+    assert problem.motion(x).duration == 1.3
+
+
+def test_every_entry_of_the_gradient():
+    query = QUERIES["reach-1s-000"]
+    problem = problem_of(query, 6)
+    x = problem.straight + 0.05 * np.random.default_rng(0).normal(size=problem.straight.size)
+    gradient, h = problem.value(x)[1], 1e-5
+    found = [
+        (problem.value(x + h * e)[0] - problem.value(x - h * e)[0]) / (2 * h)
+        for e in np.eye(x.size)
+    ]
+    np.testing.assert_allclose(gradient, found, atol=1e-5 * np.abs(gradient).max())
+
+
+def test_it_starts_from_the_straight_line():
+    query = QUERIES["reach-2s-000"]
+    problem = problem_of(query, 10)
+    t = np.linspace(0, 2, 101)
+    np.testing.assert_allclose(
+        problem.motion(problem.straight).at(t).q, query.straight.at(t).q, atol=1e-9
+    )
+    # and the straight line is inside its constraints
+    for constraint in problem.constraints:
+        assert constraint["fun"](problem.straight).min() > -1e-9
+
+
+def test_the_slope_of_its_constraints():
+    """Central differences; relative to the largest entry."""
+    problem = problem_of(QUERIES["reach-2s-000"], 8)
+    rng = np.random.default_rng(0)
+    x, d, h = problem.straight, rng.normal(size=problem.straight.size), 1e-5
+    assert problem.constraints
+    for constraint in problem.constraints:
+        change = (constraint["fun"](x + h * d) - constraint["fun"](x - h * d)) / (2 * h)
+        slope = constraint["jac"](x) @ d
+        np.testing.assert_allclose(slope, change, atol=1e-5 * np.abs(change).max())
+    prescribed = Query(
+        system=System(drive="prescribed"), start=(0.0,) * 3, goal=(0.1,) * 3, duration=1.0
+    )
+    assert problem_of(prescribed, 8).constraints == []
+
+
+def test_more_freedom_is_no_worse():
+    query = QUERIES["reach-2s-001"]
+    few, many = (solve(Direct(free=n), query).predicted.E_mean for n in (3, 10))
+    assert many <= few * 1.01

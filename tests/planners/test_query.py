@@ -1,0 +1,181 @@
+"""Queries, the registry, and what every planner promises."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ves_gym.core.energy import energies
+from ves_gym.core.motion import Motion
+from ves_gym.core.params import ParameterError, content_hash
+from ves_gym.core.playback import play_motions
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
+from ves_gym.planners.query import Query, is_feasible, solve
+from ves_gym.planners.registry import PLANNERS, get_planner
+from ves_gym.planners.suites import SPEED_LIMITS
+
+ROOT = Path(__file__).parents[2]
+ENDS = {"start": (0.4, -0.6, 0.9), "goal": (0.9, 0.2, 0.1)}
+
+
+def query(**options):
+    return Query(**{"system": System(), **ENDS, "duration": 2.0, **options})
+
+
+# ------------------------------------------------------------------------- registry
+
+
+def test_planners_by_name():
+    assert {"straight", "bad-path", "hotspot-q", "hotspot-qt", "direct"} <= set(PLANNERS)
+    for name, planner in PLANNERS.items():
+        assert get_planner(name) is planner
+        assert planner.name == name
+        assert planner.summary
+        assert "\n" not in planner.summary
+
+
+@pytest.mark.parametrize("name", ["bent", "", "Straight", None])
+def test_an_unknown_planner_is_an_error_that_lists_the_known(name):
+    with pytest.raises(ParameterError) as caught:
+        get_planner(name)
+    for known in PLANNERS:
+        assert known in str(caught.value)
+    assert repr(name) in str(caught.value)
+
+
+# -------------------------------------------------------------------------- queries
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"duration": 0.0}, "Query.duration must be > 0 s, got 0.0"),
+        ({"duration": np.nan}, "Query.duration must be > 0 s"),
+        ({"duration": "2"}, "Query.duration must be > 0 s"),
+        ({"start": (3.0, 0.0, 0.0)}, "start: joint 1 must be within -160.0 to 160.0 deg"),
+        ({"goal": (0.0, 0.0, -2.4)}, "goal: joint 3 must be within"),
+        ({"goal": (0.0, 0.0)}, r"goal must have shape \(3,\), got shape \(2,\)"),
+        ({"goal": (0.0, 0.0, np.nan)}, "goal must be finite"),
+        ({"start": "abc"}, "start must be numbers"),
+        ({"v_max": (1.0, 1.0)}, r"v_max must have shape \(3,\)"),
+        ({"v_max": (1.0, 0.0, 1.0)}, r"v_max must be > 0 rad/s"),
+        ({"v_max": (1.0, -1.0, 1.0)}, r"v_max must be > 0 rad/s"),
+        ({"v_max": 1.0}, "v_max must have shape"),
+    ],
+)
+def test_a_query_nobody_can_answer_is_refused(options, message):
+    with pytest.raises(ParameterError, match=message):
+        query(**options)
+
+
+def test_the_straight_answer():
+    q = query()
+    assert q.straight == Motion.straight(ENDS["start"], ENDS["goal"], 2.0)
+    assert [end.tolist() for end in q.ends] == [list(ENDS["start"]), list(ENDS["goal"])]
+    plan = solve(get_planner("straight"), q)
+    assert plan.motion == q.straight
+    assert plan.planner == "straight"
+    assert plan.query is q
+    assert plan.feasible
+    assert plan.seconds > 0
+
+
+def test_feasible_means_the_ends_the_time_and_the_limits():
+    q = query(v_max=SPEED_LIMITS)
+    start, goal = q.ends
+    assert is_feasible(q, q.straight)
+    assert not is_feasible(q, q.straight.retimed(2.1))
+    assert not is_feasible(q, Motion.straight(start + 0.01, goal, 2.0))
+    assert not is_feasible(q, Motion.straight(start, goal + 0.01, 2.0))
+    assert not is_feasible(q, Motion.through([start, [0.5, 2.5, 0.5], goal], 2.0))  # position
+    fast = query(duration=0.55, v_max=SPEED_LIMITS)
+    assert not is_feasible(fast, fast.straight)  # speed
+    assert is_feasible(query(duration=0.8), query(duration=0.8).straight)
+    violent = query(duration=0.25)
+    assert not is_feasible(violent, violent.straight)  # torque
+    prescribed = query(duration=0.25, system=System(drive="prescribed"))
+    assert is_feasible(prescribed, prescribed.straight)
+
+
+# ------------------------------------------------------------------ every planner
+
+
+@pytest.fixture(params=sorted(PLANNERS))
+def planner(request):
+    return get_planner(request.param)
+
+
+def test_the_same_question_has_the_same_answer(planner):
+    q = query(v_max=SPEED_LIMITS)
+    first, again = solve(planner, q, seed=3), solve(planner, q, seed=3)
+    assert again.motion == first.motion
+    assert again.predicted == first.predicted
+    assert again.info == first.info
+    assert json.loads(json.dumps(first.info, allow_nan=False)) == first.info
+
+
+def test_the_same_answer_in_another_process():
+    """Bitwise, whatever was planned before."""
+    code = f"""
+from ves_gym.core.params import content_hash
+from ves_gym.core.system import System
+from ves_gym.planners.query import Query, solve
+from ves_gym.planners.registry import PLANNERS
+query = Query(system=System(), start={ENDS["start"]}, goal={ENDS["goal"]}, duration=2.0)
+for planner in reversed(PLANNERS.values()):
+    print(planner.name, content_hash(solve(planner, query, 5).motion))
+"""
+    env = {**os.environ, "PYTHONHASHSEED": "7"}
+    found = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=env,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    here = {name: content_hash(solve(p, query(), 5).motion) for name, p in PLANNERS.items()}
+    assert dict(line.split() for line in found.stdout.splitlines()) == here
+
+
+@pytest.mark.parametrize("vehicle", [DECOUPLED, STRAIGHT_VERTICAL, FREE_FLOATING])
+def test_every_planner_answers_on_every_vehicle(planner, vehicle):
+    q = query(system=System(vehicle=vehicle))
+    plan = solve(planner, q)
+    np.testing.assert_array_equal(plan.motion.start, ENDS["start"])
+    np.testing.assert_array_equal(plan.motion.goal, ENDS["goal"])
+    assert plan.motion.duration == 2.0
+    assert np.isfinite(list(plan.predicted.to_dict().values())).all()
+
+
+def test_staying_where_one_is(planner):
+    plan = solve(planner, query(goal=ENDS["start"]))
+    assert plan.feasible
+    assert plan.predicted.E_mean == pytest.approx(0.0, abs=1e-12)
+    assert np.ptp(plan.motion.at(np.linspace(0, 2, 50)).q, axis=0).max() < 1e-6
+
+
+def test_moving_one_joint_only(planner):
+    start = ENDS["start"]
+    plan = solve(planner, query(goal=(start[0] + 0.5, *start[1:])))
+    assert plan.feasible
+    assert plan.predicted.E_mean > 0
+
+
+def test_the_predicted_winner_wins_in_the_simulation():
+    """Direct before straight before the bad path, predicted and simulated alike."""
+    q = query(duration=3.0)
+    plans = [solve(get_planner(n), q) for n in ("direct", "straight", "bad-path")]
+    run = play_motions(q.system, [p.motion for p in plans])
+    measured = [
+        e.E_mean for e in energies(run.system, run.t, run.q, run.y, run.yd, duration=3.0)
+    ]
+    predicted = [p.predicted.E_mean for p in plans]
+    assert predicted == sorted(predicted)
+    assert measured == sorted(measured)
+    np.testing.assert_allclose(predicted, measured, rtol=0.05)

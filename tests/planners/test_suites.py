@@ -1,0 +1,131 @@
+"""The benchmark's questions are fixed, seeded and inside the limits."""
+
+import numpy as np
+import pytest
+
+from tests.core.arms import planar_arm
+from ves_gym.core.motion import QUINTIC_PEAK_SPEED
+from ves_gym.core.params import ParameterError, content_hash, write_table
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import BENT, DECOUPLED, STRAIGHT_HORIZONTAL
+from ves_gym.planners.query import is_feasible
+from ves_gym.planners.registry import PLANNERS
+from ves_gym.planners.suites import (
+    REACH_DURATIONS,
+    REACH_RANGE,
+    SPEED_LIMITS,
+    SUITES,
+    get_suite,
+    reach100,
+)
+
+
+@pytest.fixture(scope="module")
+def full():
+    return get_suite("reach100", system=System())
+
+
+def ends(suite):
+    return [(q.name, q.start, q.goal) for _, q in suite.queries]
+
+
+def test_reach100_asks_a_hundred_questions_per_duration(full):
+    assert full.name == "reach100"
+    durations = [q.duration for _, q in full.queries]
+    assert {d: durations.count(d) for d in REACH_DURATIONS} == dict.fromkeys(
+        REACH_DURATIONS, 100
+    )
+    assert len({q.name for _, q in full.queries}) == 400
+    assert len({(q.start, q.goal) for _, q in full.queries}) == 400
+    assert set(full.planners) <= set(PLANNERS)
+    assert {v for v, _ in full.queries} == {"bent"}
+
+
+def test_the_questions_never_change(full):
+    """Whoever changes them publishes another suite."""
+    assert ends(full) == ends(get_suite("reach100", system=System()))
+    rounded = [(n, np.round(a, 9).tolist(), np.round(b, 9).tolist()) for n, a, b in ends(full)]
+    assert content_hash(rounded)[:16] == "fe5fba37b63bce24"
+
+
+def test_quick_is_the_beginning_of_each_duration(full):
+    quick = get_suite("reach100", system=System(), quick=True)
+    assert len(quick.queries) == 40
+    for duration in REACH_DURATIONS:
+        some = [q for _, q in quick.queries if q.duration == duration]
+        many = [q for _, q in full.queries if q.duration == duration]
+        assert some == many[:10]
+
+
+def test_every_straight_line_keeps_the_speed_limits(full):
+    arm = System().arm
+    for _, q in full.queries:
+        start, goal = q.ends
+        peak = np.abs(goal - start) * QUINTIC_PEAK_SPEED / q.duration
+        assert (peak <= SPEED_LIMITS).all()
+        assert (np.abs([start, goal]) <= REACH_RANGE).all()
+        arm.require_within_limits(start)
+        arm.require_within_limits(goal)
+        assert q.v_max == SPEED_LIMITS
+    np.testing.assert_allclose(np.rad2deg(SPEED_LIMITS), [82, 54, 122])
+
+
+def test_nearly_every_straight_line_is_feasible(full):
+    """Torque is not part of the draw; few fast ones may ask for more than there is."""
+    for duration in REACH_DURATIONS:
+        queries = [q for _, q in full.queries if q.duration == duration][:30]
+        assert np.mean([is_feasible(q, q.straight) for q in queries]) > 0.8
+
+
+def test_the_questions_do_not_depend_on_the_vehicle_or_drive(full, tmp_path):
+    write_table(tmp_path / "mine.toml", DECOUPLED)
+    for vehicle, drive in (
+        ("free-floating", "motor"),
+        (str(tmp_path / "mine.toml"), "prescribed"),
+    ):
+        other = get_suite("reach100", system=System(drive=drive), vehicle=vehicle, quick=True)
+        assert {v for v, _ in other.queries} == {vehicle}
+        assert ends(other)[:10] == ends(full)[:10]
+        assert {q.system.drive for _, q in other.queries} == {drive}
+    assert other.queries[0][1].system.vehicle == DECOUPLED
+
+
+def test_reach100_is_for_three_joints():
+    with pytest.raises(ParameterError, match="reach100 asks a 3-joint arm, got 2 joints"):
+        reach100(System(arm=planar_arm()), "bent", 1)
+
+
+def test_the_thesis_suite():
+    suite = get_suite("thesis", system=System())
+    assert [(v, q.name, q.duration) for v, q in suite.queries] == [
+        ("straight-horizontal", "shoulder-180", 2.0),
+        ("bent", "shoulder-180", 2.0),
+        ("bent", "good-and-bad", 3.0),
+    ]
+    assert [q.system.vehicle for _, q in suite.queries] == [STRAIGHT_HORIZONTAL, BENT, BENT]
+    shoulder = suite.queries[0][1]
+    np.testing.assert_allclose(
+        np.rad2deg(np.subtract(shoulder.goal, shoulder.start)), [180, 0, 0]
+    )
+    assert "bad-path" in suite.planners
+    assert set(suite.planners) <= set(PLANNERS)
+    assert shoulder.v_max is None
+
+
+def test_the_thesis_suite_on_one_of_its_vehicles():
+    one = get_suite("thesis", system=System(), vehicle="straight-horizontal")
+    assert [v for v, _ in one.queries] == ["straight-horizontal"]
+    with pytest.raises(
+        ParameterError, match="runs on bent, straight-horizontal, got 'decoupled'"
+    ):
+        get_suite("thesis", system=System(), vehicle="decoupled")
+
+
+@pytest.mark.parametrize("name", ["reach", "", None])
+def test_an_unknown_suite_is_an_error_that_lists_the_known(name):
+    with pytest.raises(ParameterError) as caught:
+        get_suite(name, system=System())
+    for known in (*SUITES, repr(name)):
+        assert known in str(caught.value)
+    with pytest.raises(ParameterError, match="vehicle must be one of"):
+        get_suite("reach100", system=System(), vehicle="ship")

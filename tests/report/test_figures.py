@@ -1,0 +1,67 @@
+"""The figures are written for what a result holds, and show something."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from ves_gym.core.params import ParameterError
+from ves_gym.report.figures import write_figures
+
+ALL = ["ratio.png", "energy.png", "coupling.png", "prediction.png"]
+
+
+def written(result, folder):
+    return [path.name for path in write_figures(result, folder)]
+
+
+def test_four_figures_with_something_on_them(tmp_path, make_result):
+    from PIL import Image
+
+    paths = write_figures(make_result(durations=(1.0, 2.0), points=21), tmp_path)
+    assert [path.name for path in paths] == ALL
+    for path in paths:
+        pixels = np.asarray(Image.open(path).convert("RGB"))
+        assert min(pixels.shape[:2]) > 400
+        assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 50  # lines, text, colours
+
+
+def test_figures_are_reproducible(tmp_path, make_result):
+    result = make_result(queries=3, durations=(1.0,), points=9)
+    first = [path.read_bytes() for path in write_figures(result, tmp_path / "a")]
+    again = [path.read_bytes() for path in write_figures(result, tmp_path / "b")]
+    assert first == again
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        ({"maps": []}, ["ratio.png", "energy.png", "prediction.png"]),
+        ({"traces": [], "maps": []}, ["ratio.png", "prediction.png"]),
+        ({"rows": [], "summary": [], "traces": [], "maps": []}, []),
+    ],
+)
+def test_only_what_there_is_data_for(tmp_path, make_result, change, names):
+    result = {**make_result(planners=1, queries=1, durations=(2.0,), points=9), **change}
+    assert written(result, tmp_path) == names
+
+
+def test_a_motion_without_energy_or_prediction_is_left_out(tmp_path, make_result):
+    result = make_result(queries=1, durations=(2.0,), points=9)
+    for row in result["rows"]:
+        row.update(E_mean=0.0, predicted=None, prediction_error=None)
+    assert written(result, tmp_path) == ALL
+
+
+def test_a_map_without_lines_or_ends_is_drawn(tmp_path, make_result):
+    result = make_result(queries=1, durations=(2.0,), points=9)
+    for section in result["maps"]:
+        section.update(lines=[], paths=[])
+        del section["start"], section["goal"]
+    assert "coupling.png" in written(result, tmp_path)
+
+
+def test_without_matplotlib_the_extra_is_named(tmp_path, make_result, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(ParameterError, match=r"ves-gym\[report\]"):
+        write_figures(make_result(queries=1, points=9), tmp_path)

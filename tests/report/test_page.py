@@ -1,0 +1,139 @@
+"""The page: everything in one file, nothing in it that the data could abuse."""
+
+import copy
+import html.parser
+import json
+import re
+
+import pytest
+
+from ves_gym.core.params import ParameterError
+from ves_gym.report.page import write_page
+
+HOSTILE = "</script><script>alert(1)</script><!--<img src=x onerror=alert(2)>{{script}}"
+
+
+class Elements(html.parser.HTMLParser):
+    """Start tags with attributes, and the text of each script element."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.scripts, self.inside = [], [], False
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self.inside = tag == "script"
+        if self.inside:
+            self.scripts.append("")
+
+    def handle_endtag(self, tag):
+        self.inside = False
+
+    def handle_data(self, text):
+        if self.inside:
+            self.scripts[-1] += text
+
+
+@pytest.fixture
+def page(tmp_path):
+    def write(result):
+        path = tmp_path / "report.html"
+        write_page(result, path)
+        return path.read_text(encoding="utf-8")
+
+    return write
+
+
+def embedded(text):
+    return json.loads(Elements(text).scripts[0])
+
+
+def test_the_page_holds_the_data_unchanged(page, make_result):
+    result = make_result()
+    assert embedded(page(result)) == json.loads(json.dumps(result))
+
+
+def test_nothing_is_loaded_from_anywhere(page, make_result):
+    text = page(make_result())
+    assert not re.search(r"https?:|//cdn|@import|url\(", text)
+    elements = Elements(text)
+    loading = [
+        (tag, name)
+        for tag, attributes in elements.tags
+        for name in attributes
+        if name in ("src", "srcset", "data", "action")
+        or (name == "href" and not attributes[name].startswith("#"))
+    ]
+    assert loading == []
+    assert "link" not in {tag for tag, _ in elements.tags}
+    policy = [a for t, a in elements.tags if a.get("http-equiv") == "Content-Security-Policy"]
+    assert "default-src 'none'" in policy[0]["content"]
+
+
+@pytest.mark.parametrize("place", ["suite", "command", "planner", "query", "description"])
+def test_a_hostile_name_stays_data(page, make_result, place):
+    result = make_result(queries=1, durations=(2.0,), points=9)
+    plain = page(result)
+    if place in ("suite", "command"):
+        result[place] = HOSTILE
+    elif place == "planner":
+        result["planners"][1]["name"] = HOSTILE
+    elif place == "query":
+        result["rows"][0]["query"] = HOSTILE
+    else:
+        result["systems"]["bent"]["description"] = HOSTILE
+    text = page(result)
+    tags = [[tag for tag, _ in Elements(t).tags] for t in (plain, text)]
+    assert tags[0] == tags[1]  # not one element more
+    assert embedded(text) == json.loads(json.dumps(result))
+    assert Elements(text).scripts[1] == Elements(plain).scripts[1]
+
+
+def test_the_scripts_set_text_not_markup(page, make_result):
+    script = Elements(page(make_result(queries=1, points=9))).scripts[1]
+    assert not re.search(
+        r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(", script
+    )
+
+
+def test_every_element_the_scripts_look_up_exists(page, make_result):
+    text = page(make_result(queries=1, points=9))
+    elements = Elements(text)
+    known = {a["id"] for _, a in elements.tags if "id" in a} | {"trace-cursor"}
+    asked = set(re.findall(r"\$\(\"([\w-]+)\"\)", elements.scripts[1]))
+    assert asked and asked <= known
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"maps": []},
+        {"traces": []},
+        {"scenes": []},
+        {"maps": [], "traces": [], "scenes": [], "rows": [], "summary": [], "planners": []},
+    ],
+)
+def test_a_result_with_less_in_it_is_written(page, make_result, change):
+    result = {**make_result(planners=1, queries=1, durations=(2.0,)), **change}
+    assert embedded(page(result))["rows"] == json.loads(json.dumps(result["rows"]))
+
+
+def test_a_missing_time_stays_null(page, make_result):
+    rows = embedded(page(make_result()))["rows"]
+    assert None in [row["t_5"] for row in rows]
+
+
+def test_another_schema_is_refused(tmp_path, make_result):
+    result = {**make_result(queries=1), "schema": "ves-benchmark/2"}
+    with pytest.raises(ParameterError, match=r"ves-benchmark/1.*ves-benchmark/2"):
+        write_page(result, tmp_path / "report.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_not_a_number_is_refused(tmp_path, make_result):
+    result = copy.deepcopy(make_result(queries=1))
+    result["rows"][0]["E_mean"] = float("nan")
+    with pytest.raises(ParameterError, match="finite"):
+        write_page(result, tmp_path / "report.html")

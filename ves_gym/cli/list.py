@@ -1,0 +1,123 @@
+"""`ves-gym list`: what exists."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ves_gym.cli.common import write_json
+from ves_gym.core.params import ParameterError
+
+SCHEMA = "ves-list/1"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "what", nargs="?", metavar="WHAT", help=f"{', '.join(KINDS)}; default all of them"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print one table per kind."""
+    if args.what is not None and args.what not in KINDS:
+        raise ParameterError(f"WHAT must be one of {', '.join(KINDS)}, got {args.what!r}")
+    names = list(KINDS) if args.what is None else [args.what]
+    found = {name: KINDS[name]() for name in names}
+    write_json(args.json, {"schema": SCHEMA, **found})
+    for name, rows in found.items():
+        _print_table(name, rows)
+    return 0
+
+
+Rows = list[dict[str, Any]]
+
+
+def _vehicles() -> Rows:
+    from ves_gym.core.system import System
+    from ves_gym.core.vehicle import VEHICLES
+    from ves_gym.planners.coupling import modes
+
+    out = []
+    for name, vehicle in VEHICLES.items():
+        system = System(vehicle=vehicle)
+        rates = modes(system, np.zeros(system.arm.n)).omega / (2 * np.pi)
+        frequencies = [] if not system.base.K.any() else [float(f"{f:.4g}") for f in rates]
+        out.append(
+            {
+                "name": name,
+                "kind": type(vehicle).kind,
+                "frequencies_hz": frequencies,
+                "source": vehicle.source,
+            }
+        )
+    return out
+
+
+def _planners() -> Rows:
+    from ves_gym.planners.registry import PLANNERS
+
+    return [{"name": name, "summary": p.summary} for name, p in PLANNERS.items()]
+
+
+def _suites() -> Rows:
+    from ves_gym.core.system import System
+    from ves_gym.planners.suites import SUITES, get_suite
+
+    out = []
+    for name in SUITES:
+        suite = get_suite(name, system=System())
+        out.append(
+            {
+                "name": name,
+                "queries": len(suite.queries),
+                "durations_s": sorted({q.duration for _, q in suite.queries}),
+                "vehicles": sorted({v for v, _ in suite.queries}),
+                "planners": list(suite.planners),
+            }
+        )
+    return out
+
+
+def _backends() -> Rows:
+    from ves_gym.core.backends import BACKENDS
+
+    return [{"name": name} for name in BACKENDS]
+
+
+def _commands() -> Rows:
+    from ves_gym.cli.main import COMMANDS
+
+    return [{"name": name, "summary": text} for name, text in COMMANDS.items()]
+
+
+KINDS: dict[str, Callable[[], Rows]] = {
+    "vehicles": _vehicles,
+    "planners": _planners,
+    "suites": _suites,
+    "backends": _backends,
+    "commands": _commands,
+}
+
+
+def _print_table(title: str, rows: Rows) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    note = "frequencies: arm at q = 0, joints locked" if title == "vehicles" else None
+    table = Table(title=title, title_justify="left", caption=note, caption_justify="left")
+    for key in rows[0]:
+        table.add_column(key.replace("_hz", " [Hz]").replace("_s", " [s]"))
+    for row in rows:
+        table.add_row(*(_shown(value) for value in row.values()))
+    Console(width=None if sys.stdout.isatty() else 140, markup=False).print(table)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in value) or "-"
+    return str(value)

@@ -1,0 +1,140 @@
+"""`ves-gym map`: coupling-map arrays and the picture of thesis figure 4-1."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import io
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ves_gym.cli.common import (
+    add_system_arguments,
+    out_dir,
+    progress,
+    system_from,
+    write_json,
+)
+from ves_gym.cli.simulate import joint_angles
+from ves_gym.core.params import ParameterError, write_bytes
+from ves_gym.core.system import System
+from ves_gym.planners.coupling import CouplingMap, coupling_map
+from ves_gym.planners.scenes import map_data
+
+SCHEMA = "ves-map/1"
+_MOST = 1001  # points per axis
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "--joints", default="all", metavar="I,J", help="two joints to sweep, or all pairs (all)"
+    )
+    parser.add_argument("--at", metavar="A,B,C", help="the other joints [deg] (default 0,0,0)")
+    parser.add_argument(
+        "--duration",
+        default="raw",
+        metavar="T",
+        help="of the motions meant, for Q_T [s]; raw: Q of the thesis (raw)",
+    )
+    parser.add_argument("--points", type=int, default=61, metavar="N", help="per axis (61)")
+    add_system_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Sweep, write arrays and pictures."""
+    system = system_from(args)
+    pairs = _pairs(args.joints, system.arm.n)
+    at = joint_angles(args.at, system.arm, "--at")
+    duration = _duration(args.duration)
+    if not 4 <= args.points <= _MOST:
+        raise ParameterError(f"--points must be from 4 to {_MOST}, got {args.points}")
+    maps = []
+    with progress() as tell:
+        for pair in pairs:
+            maps.append(coupling_map(system, pair, at, duration=duration, points=args.points))
+            tell("mapping", len(maps) / len(pairs))
+    write_json(args.json, _result(system, maps))
+    written = _write(args, maps, out_dir(args, "out/map"))
+    for section in maps:
+        i, j = section.joints
+        print(
+            f"joints {i + 1} and {j + 1}: coupling {section.most.min():.4g} to"
+            f" {section.most.max():.4g} J/rad^2 along the worst direction,"
+            f" {section.least.min():.4g} to {section.least.max():.4g} along the best"
+        )
+    print("written: " + "  ".join(str(p) for p in written))
+    return 0
+
+
+def _pairs(text: str, n: int) -> list[tuple[int, int]]:
+    if text == "all":
+        return list(itertools.combinations(range(n), 2))
+    try:
+        i, j = (int(part) for part in text.split(","))
+    except ValueError:
+        i = j = 0
+    if not (1 <= i <= n and 1 <= j <= n and i != j):
+        raise ParameterError(
+            f"--joints must be all, or two different numbers from 1 to {n}, got {text!r}"
+        )
+    return [(i - 1, j - 1)]
+
+
+def _duration(text: str) -> float | None:
+    if text == "raw":
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value < np.inf:
+        raise ParameterError(f"--duration must be raw or seconds > 0, got {text!r}")
+    return value
+
+
+def _result(system: System, maps: list[CouplingMap]) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "system": system.hash,
+        "duration": maps[0].duration,
+        "at": maps[0].fixed.tolist(),
+        "maps": [
+            {
+                "joints": [k + 1 for k in section.joints],
+                "q": [axis.tolist() for axis in section.axes],
+                "least": section.least.tolist(),
+                "most": section.most.tolist(),
+                "direction": section.direction.tolist(),
+                "lines": [line.tolist() for line in section.lines()],
+            }
+            for section in maps
+        ],
+    }
+
+
+def _write(args: argparse.Namespace, maps: list[CouplingMap], folder: Path) -> list[Path]:
+    arrays: dict[str, Any] = {"fixed": maps[0].fixed}
+    for section in maps:
+        name = "q{}_q{}".format(*(k + 1 for k in section.joints))
+        arrays[f"{name}_first"], arrays[f"{name}_second"] = section.axes
+        arrays[f"{name}_least"], arrays[f"{name}_most"] = section.least, section.most
+        arrays[f"{name}_direction"] = section.direction
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    written = [folder / "map.npz"]
+    write_bytes(written[0], buffer.getvalue())
+    if importlib.util.find_spec("matplotlib") is None:
+        print("no picture: matplotlib is missing (pip install 'ves-gym[report]')")
+        return written
+    from ves_gym.report.figures import coupling_figure, write_figure
+
+    vehicle = args.vehicle or ("own system" if args.system else "bent")
+    figure = coupling_figure([map_data(vehicle, section, []) for section in maps], [])
+    for suffix in (".png", ".svg"):
+        written.append(folder / f"map{suffix}")
+        write_figure(figure, written[-1])
+    return written

@@ -1,0 +1,23 @@
+"""MuJoCo, loaded so that a broken OpenGL set-up cannot keep the physics from running.
+
+`import mujoco` looks for OpenGL as MUJOCO_GL says and fails when it is not there. Physics
+needs none: it is then loaded with rendering off, and drawing reports what is missing.
+"""
+
+from __future__ import annotations
+
+import os
+
+try:
+    import mujoco
+except (ImportError, RuntimeError, AttributeError):
+    asked = os.environ.get("MUJOCO_GL")
+    if asked is None:
+        raise
+    os.environ["MUJOCO_GL"] = "disable"
+    try:
+        import mujoco
+    finally:
+        os.environ["MUJOCO_GL"] = asked
+
+__all__ = ["mujoco"]

@@ -1,0 +1,265 @@
+"""The benchmark as static pictures: ratios, energy traces, coupling maps, predictions."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ves_gym.core.params import ParameterError, write_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ves_gym.core.params import Array
+
+BASELINE = "straight"
+# The palette of page.css, light scheme; the first is the straight line's.
+_COLOURS = ("#7b828c", "#c8541a", "#8a4fb0", "#0a7bb5", "#1f8a58", "#b3316d", "#8a7312")
+_COLUMNS = 3  # panels side by side
+_DPI = 150
+Result = dict[str, Any]
+
+
+def write_figures(result: Result, directory: str | os.PathLike[str]) -> list[Path]:
+    """Write the figures a result has data for, as PNG.
+
+    Returns:
+        What was written, of ratio.png, energy.png, coupling.png and prediction.png.
+
+    Raises:
+        ParameterError: matplotlib is not installed.
+    """
+    figures = {
+        "ratio": ratio_figure(result) if result.get("rows") else None,
+        "energy": energy_figure(result) if result.get("traces") else None,
+        "coupling": coupling_figure(result["maps"], _planners(result))
+        if result.get("maps")
+        else None,
+        "prediction": prediction_figure(result) if result.get("rows") else None,
+    }
+    written = []
+    for name, figure in figures.items():
+        if figure is None:
+            continue
+        written.append(Path(directory) / f"{name}.png")
+        write_figure(figure, written[-1])
+    return written
+
+
+def write_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as .png or .svg, completely or not at all; same figure, same bytes."""
+    import matplotlib
+
+    buffer = io.BytesIO()
+    metadata = {"Date": None} if path.suffix == ".svg" else None
+    with matplotlib.rc_context({"svg.hashsalt": "ves-gym"}):
+        figure.savefig(buffer, format=path.suffix[1:], dpi=_DPI, metadata=metadata)
+    write_bytes(path, buffer.getvalue())
+
+
+def ratio_figure(result: Result) -> Figure:
+    """E_mean over the straight line's, every query a dot, the median a bar."""
+    rows, names = result["rows"], _planners(result)
+    vehicles = list(dict.fromkeys(r["vehicle"] for r in rows))
+    durations = {
+        v: sorted({r["duration"] for r in rows if r["vehicle"] == v}) for v in vehicles
+    }
+    columns = max(len(d) for d in durations.values())
+    figure, panels = _panels(len(vehicles), 2.4 + 2.1 * columns, 3.8, columns=1)
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    straight = {
+        (r["vehicle"], r["query"]): r["E_mean"] for r in rows if r["planner"] == BASELINE
+    }
+    jitter = np.random.default_rng(0)
+    for axes, vehicle in zip(panels, vehicles, strict=True):
+        axes.axhline(1.0, color=_COLOURS[0], linewidth=1)
+        for place, duration in enumerate(durations[vehicle]):
+            for k, name in enumerate(names):
+                ratios = _ratios(rows, straight, (vehicle, duration, name))
+                if len(ratios):
+                    at = place + 0.8 * ((k + 0.5) / len(names) - 0.5)
+                    _strip(axes, at, ratios, 0.5 / len(names), _colour(names, name), jitter)
+        axes.set(yscale="log", ylabel="E_mean / straight line's", title=vehicle)
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        axes.margins(y=0.12)
+        axes.set_xticks(
+            range(len(durations[vehicle])), [f"T = {d:g} s" for d in durations[vehicle]]
+        )
+        axes.grid(axis="y", alpha=0.3)
+    _legend(figure, names)
+    return figure
+
+
+def energy_figure(result: Result) -> Figure:
+    """Energy in the base against time, a panel per query; shaded while the arm moves."""
+    names = _planners(result)
+    figure, panels = _panels(len(result["traces"]), 4.6, 3.0)
+    for axes, trace in zip(panels, result["traces"], strict=True):
+        axes.axvspan(0, trace["duration"], color="0.93")
+        for series in trace["series"]:
+            colour = _colour(names, series["planner"])
+            axes.plot(series["t"], series["E"], color=colour, linewidth=1.3)
+        axes.set(xlabel="time [s]", ylabel="E [J]")
+        axes.set(xlim=(0, max(series["t"][-1] for series in trace["series"])))
+        axes.set_ylim(bottom=0)
+        axes.set_title(
+            f"{trace['vehicle']}, T = {trace['duration']:g} s, {trace['query']}",
+            fontsize="medium",
+        )
+    _legend(figure, names)
+    return figure
+
+
+def coupling_figure(maps: Sequence[Result], planners: Sequence[str]) -> Figure:
+    """Minimum-energy lines, darker where the base couples more, and the paths across them.
+
+    `maps` as `planners.scenes.map_data` gives them: the picture of thesis figure 4-1.
+    """
+    figure, panels = _panels(len(maps), 4.6, 4.0)
+    for axes, section in zip(panels, maps, strict=True):
+        _draw_map(figure, axes, section, planners)
+    if planners:
+        _legend(figure, planners)
+    return figure
+
+
+def prediction_figure(result: Result) -> Figure:
+    """E_mean as the planners predict it against the simulated one, and the relative error."""
+    names = _planners(result)
+    figure, (level, error) = _panels(2, 5.0, 4.4)
+    rows = [
+        r
+        for r in result["rows"]
+        if r["predicted"] is not None and min(r["E_mean"], r["predicted"]) > 0
+    ]
+    for name in names:
+        x = np.array([r["E_mean"] for r in rows if r["planner"] == name])
+        y = np.array([r["predicted"] for r in rows if r["planner"] == name])
+        if len(x):
+            style: dict[str, Any] = {"color": _colour(names, name), "alpha": 0.6}
+            level.plot(x, y, ".", **style)
+            error.plot(x, 100 * (y / x - 1), ".", **style)
+    if rows:
+        both = [r[key] for r in rows for key in ("E_mean", "predicted")]
+        low, high = min(both) / 1.3, max(both) * 1.3
+        level.plot([low, high], [low, high], color="0.4", linewidth=0.8, zorder=0)
+        level.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high))
+        error.set(xscale="log", xlim=(low, high))
+        middle = float(np.median([abs(r["predicted"] / r["E_mean"] - 1) for r in rows]))
+        error.set_title(f"median {100 * middle:.2g} %", fontsize="medium")
+    level.set(xlabel="simulated E_mean [J]", ylabel="predicted E_mean [J]")
+    error.axhline(0.0, color="0.4", linewidth=0.8, zorder=0)
+    error.set(xlabel="simulated E_mean [J]", ylabel="error of the prediction [%]")
+    _legend(figure, names)
+    return figure
+
+
+# ---------------------------------------------------------------------------- pieces
+
+
+def _ratios(
+    rows: Sequence[Result], straight: dict[tuple[str, str], float], key: tuple[str, float, str]
+) -> Array:
+    """Positive ratios to the straight line of one vehicle, duration and planner."""
+    out = []
+    for r in rows:
+        if (r["vehicle"], r["duration"], r["planner"]) == key:
+            base = straight.get((r["vehicle"], r["query"]), 0.0)
+            if base > 0 and r["E_mean"] > 0:
+                out.append(r["E_mean"] / base)
+    return np.array(out)
+
+
+def _strip(
+    axes: Axes, at: float, values: Array, width: float, colour: str, rng: np.random.Generator
+) -> None:
+    spread = rng.uniform(-0.5, 0.5, len(values)) * width
+    axes.plot(at + spread, values, ".", color=colour, alpha=0.35, markersize=5)
+    median = float(np.median(values))
+    axes.plot([at - width * 0.8, at + width * 0.8], [median] * 2, color=colour, linewidth=2.5)
+    axes.annotate(
+        f"{median:.2g}", (at, median), (0, 4), textcoords="offset points", ha="center",
+        fontsize="x-small", color=colour, fontweight="bold",
+    )  # fmt: skip
+
+
+def _draw_map(figure: Figure, axes: Axes, section: Result, names: Sequence[str]) -> None:
+    from matplotlib.collections import LineCollection
+    from scipy.interpolate import RegularGridInterpolator
+
+    x, y, most = (np.array(section[key]) for key in ("x", "y", "most"))
+    # the pieces of a line are shaded one by one, at their middle
+    pieces = [np.stack([line[:-1], line[1:]], 1) for line in map(np.array, section["lines"])]
+    segments = np.concatenate([p for p in pieces if len(p)] or [np.zeros((0, 2, 2))])
+    value = RegularGridInterpolator((x, y), most, bounds_error=False, fill_value=None)
+    lines = LineCollection(list(segments), cmap="Greys", linewidths=0.9)
+    lines.set_array(value(segments.mean(axis=1)))
+    lines.set_clim(0, most.max())
+    axes.pcolormesh(x, y, most.T, cmap="Greys", alpha=0.2, vmin=0, vmax=most.max())
+    axes.add_collection(lines)
+    for path in section["paths"]:
+        points = np.array(path["points"])
+        axes.plot(*points.T, color="white", linewidth=3.6)
+        axes.plot(*points.T, color=_colour(names, path["planner"]), linewidth=2)
+    for end, marker in (("goal", "s"), ("start", "o")):
+        if section.get(end):
+            axes.plot(
+                *section[end], marker, color="black", markeredgecolor="white", markersize=8
+            )
+    i, j = section["joints"]
+    axes.set(xlabel=f"joint {i} [deg]", ylabel=f"joint {j} [deg]")
+    axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+    axes.set_title(f"{section['vehicle']}, {section['title']}", fontsize="small")
+    figure.colorbar(lines, ax=axes, label="coupling [J/rad²]")
+
+
+def _panels(
+    count: int, width: float, height: float, columns: int = _COLUMNS
+) -> tuple[Figure, list[Axes]]:
+    """A figure of `count` axes of the given size [inch], without touching pyplot's state."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ParameterError(
+            f"figures need matplotlib, which is missing ({error});"
+            " install the extra: pip install 'ves-gym[report]'"
+        ) from None
+    columns = min(columns, count)
+    rows = math.ceil(count / columns)
+    figure = Figure(figsize=(width * columns, height * rows + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
+    for spare in axes[count:]:
+        spare.remove()
+    return figure, axes[:count]
+
+
+def _planners(result: Result) -> list[str]:
+    names = [p["name"] for p in result.get("planners", ())]
+    return names or list(dict.fromkeys(r["planner"] for r in result.get("rows", ())))
+
+
+def _colour(names: Sequence[str], planner: str) -> str:
+    others = [n for n in names if n != BASELINE]
+    if planner == BASELINE or planner not in others:
+        return _COLOURS[0]
+    return _COLOURS[1 + others.index(planner) % (len(_COLOURS) - 1)]
+
+
+def _legend(figure: Figure, names: Sequence[str]) -> None:
+    from matplotlib.lines import Line2D
+
+    lines = [Line2D([], [], color=_colour(names, n), linewidth=3) for n in names]
+    columns = max(1, int(figure.get_figwidth() / 1.6))  # 1.6 inch per name
+    figure.legend(lines, list(names), loc="outside lower center", ncols=columns, frameon=False)

@@ -1,0 +1,221 @@
+// Shared by the scripts that follow in this module: data, elements, numbers, colours.
+
+const data = JSON.parse(document.getElementById("data").textContent);
+const BASELINE = "straight";
+const $ = (id) => document.getElementById(id);
+
+/** An HTML element. Text is only ever set as text: names in the data are not markup. */
+function el(tag, attributes = {}, ...children) {
+  const node = document.createElement(tag);
+  return fill(node, attributes, children);
+}
+
+/** An SVG element; the namespace is taken from one that is on the page. */
+function svg(tag, attributes = {}, ...children) {
+  const node = document.createElementNS($("trace-plot").namespaceURI, tag);
+  return fill(node, attributes, children);
+}
+
+function fill(node, attributes, children) {
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value !== null && value !== undefined) node.setAttribute(name, value);
+  }
+  node.append(...children.filter((child) => child !== null));
+  return node;
+}
+
+// ---------------------------------------------------------------------- numbers
+
+/** Three significant digits, or an en dash where there is no number. */
+function number(value, digits = 3) {
+  if (typeof value !== "number" || !Number.isFinite(value)) return "–";
+  const size = Math.abs(value);
+  if (size === 0) return "0";
+  if (size < 1e-4 || size >= 1e6) return value.toExponential(digits - 1).replace("-", "−");
+  const text = size >= 10 ** digits ? value.toFixed(0) : value.toPrecision(digits);
+  return text.replace("-", "−");
+}
+
+const ratioText = (value) => (value === null ? "–" : `${number(value, 2)} ×`);
+const percent = (value) => (value === null ? "–" : `${number(100 * value, 2)} %`);
+const span = (low, high) => (low === high ? "–" : `${number(low, 2)} – ${number(high, 2)}`);
+
+function listed(items) {
+  if (items.length < 2) return items.join("");
+  return `${items.slice(0, -1).join(", ")} and ${items.at(-1)}`;
+}
+
+/** Round steps between low and high, about `count` of them. */
+function ticks(low, high, count) {
+  const raw = (high - low) / count || 1;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  const step = power * [1, 2, 5, 10].find((k) => k * power >= raw * 0.999);
+  const out = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) {
+    out.push(Number((k * step).toPrecision(12)));
+  }
+  return out;
+}
+
+// ---------------------------------------------------------------------- colours
+
+const names = (data.planners ?? []).map((planner) => planner.name);
+const DASHES = ["", "8 3", "2.5 2.5", "", "10 3 2 3", "5 2", "1.5 3"];
+
+/** Place of a planner in the palette; 0 (grey) is the straight line. */
+function place(planner) {
+  if (planner === BASELINE) return 0;
+  const others = names.filter((name) => name !== BASELINE);
+  return 1 + (Math.max(0, others.indexOf(planner)) % 6);
+}
+
+const colour = (planner) => `var(--s${place(planner)})`;
+const dash = (planner) => DASHES[place(planner)];
+/** A colour of the style sheet, resolved for a canvas. */
+const ink = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+function swatch(planner) {
+  const line = svg("line", {
+    x1: 0, x2: 22, y1: 6, y2: 6, "stroke-width": 3, "stroke-dasharray": dash(planner),
+    style: `stroke:${colour(planner)}`,
+  });
+  return svg("svg", { class: "swatch", viewBox: "0 0 22 12", "aria-hidden": "true" }, line);
+}
+
+const redraws = []; // what to draw again when the colour scheme or the width changes
+function redrawn(draw) {
+  redraws.push(draw);
+  draw();
+}
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => redraws.forEach((d) => d()));
+let width = innerWidth;
+addEventListener("resize", () => {
+  if (innerWidth === width) return;
+  width = innerWidth;
+  requestAnimationFrame(() => redraws.forEach((d) => d()));
+});
+
+/** "E_mean" as E with a subscript; other text as it is. */
+function symbol(text) {
+  const [letter, below] = text.split("_");
+  return below ? el("span", {}, letter, el("sub", {}, below)) : text;
+}
+
+/** A canvas made sharp for this screen: its context in CSS pixels, and its size. */
+function sharp(canvas) {
+  const { clientWidth: w, clientHeight: h } = canvas;
+  const ratio = devicePixelRatio || 1;
+  if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) {
+    canvas.width = Math.round(w * ratio);
+    canvas.height = Math.round(h * ratio);
+  }
+  const ctx = canvas.getContext("2d");
+  ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+  ctx.clearRect(0, 0, w, h);
+  return { ctx, w, h };
+}
+
+/** Fill a selector; false (and the section says so) when there is nothing to select. */
+function choices(section, select, labels, what) {
+  if (labels.length === 0) {
+    const rest = [...$(section).children].slice(1);
+    rest.forEach((node) => node.setAttribute("hidden", "")); // an SVG has no .hidden
+    $(section).append(el("p", { class: "note" }, `This result holds no ${what}.`));
+    return false;
+  }
+  labels.forEach((label, k) => select.append(el("option", { value: k }, label)));
+  select.disabled = labels.length === 1;
+  return true;
+}
+
+const caseLabel = (item) => `${item.vehicle} · T = ${item.duration} s · ${item.query}`;
+
+// ---------------------------------------------------------------------- verdict
+
+/** Summary rows by vehicle and duration, in the order they come. */
+function cases() {
+  const groups = new Map();
+  for (const row of data.summary ?? []) {
+    const key = JSON.stringify([row.vehicle, row.duration]);
+    if (!groups.has(key)) groups.set(key, { vehicle: row.vehicle, duration: row.duration, rows: [] });
+    groups.get(key).rows.push(row);
+  }
+  return [...groups.values()];
+}
+
+const least = (rows) => rows.reduce((best, row) => (row.ratio_median < best.ratio_median ? row : best));
+
+/** The planner whose median ratios have the least geometric mean, over all cases. */
+function winner(groups) {
+  let best = null;
+  for (const name of names.filter((n) => n !== BASELINE)) {
+    const rows = groups.map((group) => group.rows.find((row) => row.planner === name));
+    if (rows.includes(undefined) || rows.length === 0) continue;
+    const level = rows.reduce((sum, row) => sum + Math.log(row.ratio_median), 0) / rows.length;
+    if (best === null || level < best.level) best = { name, rows, level };
+  }
+  return best;
+}
+
+function verdict(groups) {
+  if (groups.length === 0) return "This result holds no runs.";
+  const best = winner(groups);
+  if (best === null) return "Only the straight line was run: there is nothing to compare it with.";
+  const one = new Set(groups.map((group) => group.vehicle)).size === 1;
+  const ratios = best.rows.map((row) => number(row.ratio_median, 2));
+  const where = one
+    ? `${listed(ratios)} × the energy of the straight line at T = `
+      + `${listed(groups.map((group) => String(group.duration)))} s`
+    : `${listed(best.rows.map((row, k) =>
+      `${ratios[k]} × (${row.vehicle}, T = ${row.duration} s)`))} the energy of the straight line`;
+  if (best.level < 0) return `${best.name} transfers ${where}.`;
+  const all = best.rows.every((row) => row.ratio_median >= 1);
+  return `No planner beats the straight line${all ? "" : " throughout"}: ${best.name}, on average the`
+    + ` best, transfers ${where}.`;
+}
+
+function tile(group) {
+  const best = least(group.rows);
+  const failed = best.success_rate < 1 ? ` · ${percent(1 - best.success_rate)} failed` : "";
+  const interval = best.ratio_low === best.ratio_high ? ""
+    : `95 %: ${span(best.ratio_low, best.ratio_high)} · `;
+  const queries = `${best.n} ${best.n === 1 ? "query" : "queries"}`;
+  return el("div", { class: "tile", style: `--colour:${colour(best.planner)}` },
+    el("div", { class: "case" }, `${group.vehicle} · T = ${group.duration} s`),
+    el("div", { class: "big" }, ratioText(best.ratio_median)),
+    el("div", { class: "who" }, best.planner),
+    el("div", { class: "detail" }, `${interval}${queries}${failed}`));
+}
+
+function provenance() {
+  const count = (data.rows ?? []).length;
+  const entries = [
+    ["Command", el("code", {}, data.command || "–")],
+    ["Suite", `${data.suite ?? "–"}${data.quick ? " (quick)" : ""}, ${count} ${count === 1 ? "run" : "runs"}`],
+    ["Mode, drive", `${data.mode ?? "–"}, ${data.drive ?? "–"}`],
+    ["Seed", String(data.seed ?? "–")],
+    ["Created", data.created ?? "–"],
+    ["Took", `${number(data.seconds)} s`],
+    ["Versions", Object.entries(data.versions ?? {}).map((pair) => pair.join(" ")).join(", ")],
+    ["Schema", el("code", {}, data.schema)],
+  ];
+  for (const [name, system] of Object.entries(data.systems ?? {})) {
+    const hash = el("code", {}, system.hash);
+    entries.push([`System ${name}`, el("span", {}, `${system.description} `, hash)]);
+  }
+  for (const [term, text] of entries) $("provenance").append(el("dt", {}, term), el("dd", {}, text));
+}
+
+{
+  const groups = cases();
+  $("eyebrow").textContent = [
+    `Path benchmark, suite ${data.suite ?? "–"}${data.quick ? " (quick)" : ""}`,
+    `${data.mode ?? "–"} mode`, `${data.drive ?? "–"} drive`, (data.created ?? "").slice(0, 10),
+  ].join(" · ");
+  $("verdict").textContent = verdict(groups);
+  $("tiles").append(...groups.map(tile));
+  for (const { name, summary } of data.planners ?? []) {
+    $("planners").append(el("dt", {}, swatch(name), name), el("dd", {}, summary));
+  }
+  provenance();
+}
