@@ -188,7 +188,7 @@ class Ledger(NamedTuple):
     strain: Array  # change
     dissipated: Array  # in the vehicle's damping
     residual: Array  # work - kinetic - strain - dissipated
-    relative: float  # largest |residual| over the work through the base port
+    relative: float  # largest |residual| over the largest work through the base port
 
 
 def ledger(log: RunLog) -> Ledger:
@@ -212,8 +212,9 @@ def ledger(log: RunLog) -> Ledger:
     dissipated = cumulative_simpson(power, x=log.t, initial=0.0)
     work = _drive_work(system, log)
     residual = work - (kinetic - kinetic[0]) - (strain - strain[0]) - dissipated
-    port = abs(stored[-1] - stored[0] + dissipated[-1])
-    relative = float(np.abs(residual).max() / port) if port > 0 else math.inf
+    # the largest, not the last: a free base gives back what it took
+    port = float(np.abs(stored - stored[0] + dissipated).max())
+    relative = float(np.abs(residual).max()) / port if port > 0 else math.inf
     return Ledger(
         work, kinetic - kinetic[0], strain - strain[0], dissipated, residual, relative
     )

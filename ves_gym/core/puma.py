@@ -12,7 +12,8 @@ from ves_gym.core.arm import Arm, Inertial, Link, diagonal
 
 _SOURCE = (
     "thesis Appendix B (Armstrong, Khatib, Burdick 1986); rotor inertias split off I2zz and"
-    " I3zz; joint ranges 320/220/270 deg about the thesis's zero; torque limits AKB 1986;"
+    " I3zz; joint ranges 320/220/270 deg (Corke's Robotics Toolbox model) about the thesis's"
+    " zero; torque limits AKB 1986;"
     " a_max: what tau_max gives the arm stretched out, rounded down (this project)"
 )
 

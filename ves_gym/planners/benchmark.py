@@ -116,20 +116,9 @@ def _mapped(work: list[tuple[str, Query, int]], workers: int | None) -> Iterator
     if workers == 1:
         yield from map(_plan_one, work)
         return
-    # one thread per worker; a spawned child reads these when it loads its libraries
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    before = {k: os.environ.get(k) for k in threads}
-    os.environ.update(threads)
-    try:
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, mp_context=context) as pool:
-            yield from pool.map(_plan_one, work, chunksize=4)
-    finally:
-        for key, value in before.items():
-            if value is None:
-                del os.environ[key]
-            else:
-                os.environ[key] = value
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        yield from pool.map(_plan_one, work, chunksize=4)
 
 
 # ----------------------------------------------------------------------- simulation

@@ -192,6 +192,9 @@ def coupling_map(
     ranges = limits or tuple(
         (system.arm.links[k].q_min, system.arm.links[k].q_max) for k in joints
     )
+    for low, high in ranges:
+        if not (np.isfinite([low, high]).all() and low < high):
+            raise ParameterError(f"limits must be (low, high) in rad, got ({low}, {high})")
     axes = tuple(np.linspace(*r, points) for r in ranges)
     q = np.broadcast_to(at, (points, points, n)).copy()
     q[..., i], q[..., j] = np.meshgrid(*axes, indexing="ij")

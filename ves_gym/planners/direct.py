@@ -34,7 +34,7 @@ class Direct:
     name = "direct"
     summary = "minimise predicted E_mean over a smooth motion inside all joint limits"
 
-    def __init__(self, free: int = 12, iterations: int = 80) -> None:
+    def __init__(self, free: int = 12, iterations: int = 150) -> None:
         self.free, self.iterations = free, iterations
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:

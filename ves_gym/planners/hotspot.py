@@ -17,7 +17,7 @@ import scipy.sparse
 from scipy.sparse.csgraph import dijkstra
 
 from ves_gym.core.arm import Arm
-from ves_gym.core.motion import Motion
+from ves_gym.core.motion import Motion, quintic
 from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.system import System
 from ves_gym.planners.coupling import coupling_length, metric
@@ -26,6 +26,7 @@ from ves_gym.planners.query import Query, is_feasible
 _PITCH = np.deg2rad(15.0)  # lattice spacing
 _LEAST = 1e-2  # of the mean coupling: keeps null directions from being free
 _LARGEST = 200_000  # lattice edges; beyond that a lattice is the wrong tool
+_CONTROLS = 64  # of the joint-by-joint motion: follows it to about 1e-4 rad
 _POINTS = 16  # segments of the relaxed path
 _DIFFERENCE = 1e-5  # rad
 
@@ -62,8 +63,8 @@ class HotSpot:
 class BadPath:
     """What the coupling map warns of: one joint after the other, in the worst order.
 
-    A smooth path past the corners of the box between start and goal; of all orders of
-    the joints, the one of greatest coupling length on raw Q.
+    Of all orders of the joints, the one of greatest coupling length on raw Q; each joint
+    moves from rest to rest in its share of the time.
     """
 
     name = "bad-path"
@@ -72,16 +73,18 @@ class BadPath:
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Deterministic: the seed is not used."""
         start, goal = query.ends
+        n = len(start)
+        u = np.linspace(0, n, 60 * n + 1)[:, None]
         best, route = -1.0, np.array([start, goal])
-        for order in itertools.permutations(range(len(start))):
-            corners = [start]
-            for joint in order:
-                corners.append(np.where(np.arange(len(start)) == joint, goal, corners[-1]))
-            box = np.vstack([np.linspace(a, b, 9) for a, b in itertools.pairwise(corners)])
-            length = coupling_length(query.system, box, None)
+        for order in itertools.permutations(range(n)):
+            turn = np.argsort(order)  # when each joint has its turn
+            path = start + quintic(u - turn) * (goal - start)
+            path[-1] = goal  # not to rounding only
+            length = coupling_length(query.system, path, None)
             if length > best:
-                best, route = length, np.array(corners)
-        return Motion.through(route, query.duration), {"coupling_length": best}
+                best, route = length, path
+        motion = Motion.fit(route, query.duration, controls=_CONTROLS)
+        return motion, {"coupling_length": best}
 
 
 # ------------------------------------------------------------------------- lattice

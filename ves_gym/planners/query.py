@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from ves_gym.core.arm import Arm
 from ves_gym.core.motion import Motion, limit_ratios
@@ -76,14 +78,24 @@ class Planner(Protocol):
 
 
 def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
-    """Run a planner on a query and predict the energy of what it found."""
+    """Run a planner on a query and predict the energy of what it found.
+
+    Linear algebra runs on one thread meanwhile: its matrices are small, and a sum split
+    over threads would make the last bits depend on the machine's load.
+    """
     begin = time.perf_counter()
-    motion, info = planner.find(query, seed)
-    predicted = predict(query.system, motion, query.servo)
+    with _threads().limit(limits=1, user_api="blas"):
+        motion, info = planner.find(query, seed)
+        predicted = predict(query.system, motion, query.servo)
     seconds = time.perf_counter() - begin
     return Plan(
         planner.name, query, motion, predicted, seconds, is_feasible(query, motion), info
     )
+
+
+@cache
+def _threads() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 def is_feasible(query: Query, motion: Motion) -> bool:
