@@ -86,7 +86,7 @@ def _print_tables(result: dict[str, Any]) -> None:
             table.add_column(name, no_wrap=True)
         for name in (
             "E_mean [J]",
-            "E_mean ratio",
+            "ratio",
             "E_res",
             "E_peak",
             "off",
@@ -103,8 +103,7 @@ def _print_tables(result: dict[str, Any]) -> None:
                 f"{row['duration']:g}",
                 row["planner"],
                 f"{row['E_mean_median']:.4g}",
-                f"{_number(row['ratio_median'], '.3f')}"
-                f" ({_number(row['ratio_low'], '.2f')}-{_number(row['ratio_high'], '.2f')})",
+                _number(row["ratio_median"], ".3f") + _interval(row),
                 _number(row["E_res_ratio_median"], ".3f"),
                 _number(row["E_peak_ratio_median"], ".3f"),
                 _number(row["prediction_error_median"], ".2%"),
@@ -118,6 +117,12 @@ def _print_tables(result: dict[str, Any]) -> None:
         "against the simulated one.",
         style="dim",
     )
+
+
+def _interval(row: dict[str, Any]) -> str:
+    if row["n"] == 1 or row["ratio_low"] is None:
+        return ""
+    return f" ({row['ratio_low']:.2f}-{row['ratio_high']:.2f})"
 
 
 def _number(value: float | None, form: str) -> str:

@@ -238,15 +238,18 @@ def _trace_lines(
 
     def march(start: Array, heading: Array, own: set[tuple[int, int]]) -> list[Array]:
         line, p = [], start
-        for _ in range(int(8 * size.max() / step)):
+        seen = {bin_of(start): 0}  # when the line was last in a bin
+        lap = int(3 * size.max() / bins / step)  # longer away than this, it has come round
+        for i in range(1, int(8 * size.max() / step)):
             heading = towards(p, heading)
             heading = towards(np.clip(p + heading * step / 2, 0, size), heading)
             p = p + heading * step
             if (p < 0).any() or (p > size).any():
                 break
             here = bin_of(p)
-            if taken[here] and here not in own:
+            if (taken[here] and here not in own) or i - seen.get(here, i) > lap:
                 break
+            seen[here] = i
             own.add(here)
             line.append(p)
         return line

@@ -23,6 +23,7 @@ from ves_gym.planners.prediction import MeanEnergy
 from ves_gym.planners.query import Query
 
 _FIXED = 3  # control points held at each end
+_SPEED_SHARE = 1 - 1e-4  # of the limit: more than the optimiser's tolerance
 _TORQUE_SAMPLES = 81
 _TORQUE_SHARE = 0.97  # of the limit, at samples: leaves room between them and for the servo
 _DIFFERENCE = 1e-6  # central differences of momentum and torque: error about 1e-9
@@ -122,7 +123,7 @@ class _Problem:
         """Inequalities f(x) >= 0: the query's speed limits, and on motors the torque's."""
         out = []
         if self.query.v_max is not None:
-            room, jacobian = self._speed_limits(np.array(self.query.v_max))
+            room, jacobian = self._speed_limits(_SPEED_SHARE * np.array(self.query.v_max))
             out.append(
                 {
                     "type": "ineq",

@@ -73,11 +73,12 @@ class BadPath:
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Deterministic: the seed is not used."""
         start, goal = query.ends
-        n = len(start)
-        u = np.linspace(0, n, 60 * n + 1)[:, None]
+        moving = np.flatnonzero(start != goal)
+        u = np.linspace(0, max(1, len(moving)), 181)[:, None]
         best, route = -1.0, np.array([start, goal])
-        for order in itertools.permutations(range(n)):
-            turn = np.argsort(order)  # when each joint has its turn
+        for order in itertools.permutations(moving):
+            turn = np.zeros(len(start))  # when each joint moves
+            turn[list(order)] = np.arange(len(order))
             path = start + quintic(u - turn) * (goal - start)
             path[-1] = goal  # not to rounding only
             length = coupling_length(query.system, path, None)
