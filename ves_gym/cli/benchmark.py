@@ -79,7 +79,7 @@ def _print_tables(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(width=None if sys.stdout.isatty() else 100, markup=False)
+    console = Console(width=None if sys.stdout.isatty() else 102, markup=False)
     for vehicle in result["systems"]:
         table = Table(title=f"Energy in the base: suite {result['suite']}, {vehicle}")
         for name in ("T [s]", "planner"):
