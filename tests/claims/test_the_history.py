@@ -15,7 +15,7 @@ import pytest
 import scipy.linalg
 import scipy.signal
 
-from ves_gym.core.arm import Arm, Inertial, ParameterError, diagonal, without_rotors
+from ves_gym.core.arm import Arm, Inertial, ParameterError, diagonal
 from ves_gym.core.dynamics import frames, inertia, inverse_dynamics
 from ves_gym.core.puma import PUMA_560
 from ves_gym.core.system import System
@@ -143,7 +143,8 @@ def printed_inertia(q: np.ndarray) -> np.ndarray:
     The rotors' inertia then also turns with the base, about the axis of joints 2 and 3.
     """
     axis = frames(PUMA_560, list(q))[1].axis
-    H = inertia(without_rotors(PUMA_560), q)
+    H = inertia(PUMA_560, q)
+    H[6:, 6:] -= np.diag(PUMA_560.column("rotor_inertia"))
     for rotor, joints in ((4.710, (0, 1, 0)), (0.835, (0, 1, 1))):
         spin = np.array([0, 0, 0, *axis, *joints], float)
         H = H + rotor * np.outer(spin, spin)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.core.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
-from ves_gym.core.arm import Arm, Inertial, diagonal, matrix, skew, without_rotors
+from ves_gym.core.arm import Arm, Inertial, diagonal, matrix, skew
 from ves_gym.core.backends.mujoco import compile_model
 from ves_gym.core.dynamics import inertia, inverse_dynamics, joint_positions
 from ves_gym.core.energy import energies
@@ -109,16 +109,6 @@ def test_limits_name_the_joint_its_range_and_the_value():
     for bad in ([0, 0], [[0, 0, 0]], [0, 0, np.nan], "000", None, [0, 0, "0"]):
         with pytest.raises(ParameterError, match="q must"):
             arm.require_within_limits(bad)
-
-
-def test_without_rotors_changes_nothing_else():
-    bare = without_rotors(PUMA_560)
-    assert (bare.column("rotor_inertia") == 0).all()
-    q = [0.3, -0.4, 0.5]
-    gap = inertia(PUMA_560, q) - inertia(bare, q)
-    want = np.diag(np.r_[np.zeros(6), PUMA_560.column("rotor_inertia")])
-    np.testing.assert_allclose(gap, want, atol=1e-14)
-    assert bare.mass == PUMA_560.mass == pytest.approx(93.7)
 
 
 # --------------------------------------------- other numbers of joints, the whole chain

@@ -12,7 +12,6 @@ from ves_gym.core.arm import diagonal, matrix
 from ves_gym.core.params import ParameterError, write_table
 from ves_gym.core.vehicle import (
     BENT,
-    DECOUPLED,
     FREE_FLOATING,
     FREE_FLYING,
     STRAIGHT_HORIZONTAL,
@@ -21,7 +20,6 @@ from ves_gym.core.vehicle import (
     Beam,
     Material,
     Matrices,
-    as_user_matrices,
     elementwise_damping,
     get_vehicle,
     modal_damping,
@@ -269,15 +267,6 @@ def test_satellites_float():
         assert base.mass_matrix[0, 0] == 500.0
     assert FREE_FLYING.thrusters
     assert not FREE_FLOATING.thrusters
-
-
-def test_any_base_can_be_frozen_into_matrices():
-    for vehicle in VEHICLES.values():
-        frozen = as_user_matrices(vehicle.base_model(), "frozen")
-        base = vehicle.base_model()
-        np.testing.assert_allclose(frozen.base_model().M, base.mass_matrix, rtol=1e-15)
-        np.testing.assert_allclose(frozen.base_model().K, base.K, rtol=1e-15)
-    assert as_user_matrices(DECOUPLED.base_model(), DECOUPLED.source) == DECOUPLED
 
 
 def test_a_vehicle_from_plain_data_is_named_in_errors():

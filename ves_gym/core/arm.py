@@ -6,7 +6,6 @@ Another arm, or the PUMA with its wrist, is another `Arm` (or a TOML file read b
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import os
 from dataclasses import dataclass
@@ -163,10 +162,3 @@ def matrix(values: Array) -> Matrix:
 def skew(v: Array) -> Array:
     """Cross-product matrix: skew(v) @ w = v x w."""
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-def without_rotors(arm: Arm) -> Arm:
-    """The same arm with rotor inertias set to zero."""
-    return dataclasses.replace(
-        arm, links=tuple(dataclasses.replace(k, rotor_inertia=0.0) for k in arm.links)
-    )

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.linalg
 
-from ves_gym.core.arm import Inertial, diagonal, matrix, skew
+from ves_gym.core.arm import Inertial, diagonal, skew
 from ves_gym.core.params import (
     Array,
     Matrix,
@@ -331,11 +331,4 @@ def get_vehicle(name: str | os.PathLike[str]) -> Vehicle:
         return vehicle_from_plain(read_table(text), text)
     raise ParameterError(
         f"vehicle must be one of {', '.join(VEHICLES)}, or a .toml or .json file, got {text!r}"
-    )
-
-
-def as_user_matrices(model: BaseModel, source: str) -> Matrices:
-    """Freeze a base model into plain M, D, K (a satellite's body taken at Y = 0)."""
-    return Matrices(
-        M=matrix(model.mass_matrix), D=matrix(model.D), K=matrix(model.K), source=source
     )

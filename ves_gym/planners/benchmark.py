@@ -21,11 +21,11 @@ import numpy as np
 
 from ves_gym import __version__
 from ves_gym.core.energy import TAIL, energies
-from ves_gym.core.playback import Recording, play_motions
+from ves_gym.core.playback import play_motions
 from ves_gym.core.system import System
 from ves_gym.planners.query import Plan, Query, solve
 from ves_gym.planners.registry import get_planner
-from ves_gym.planners.scenes import coupling_maps, scene, trace
+from ves_gym.planners.scenes import Shown, coupling_maps, scene, trace
 from ves_gym.planners.suites import Suite
 
 SCHEMA = "ves-benchmark/1"
@@ -123,7 +123,6 @@ def _mapped(work: list[tuple[str, Query, int]], workers: int | None) -> Iterator
 
 # ----------------------------------------------------------------------- simulation
 
-Shown = tuple[Plan, Recording, int]  # a plan and where its run is recorded
 Group = tuple[str, list[Shown]]  # vehicle, the planners' answers to one query
 
 

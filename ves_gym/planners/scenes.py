@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ves_gym.core.dynamics import joint_positions
 from ves_gym.core.energy import base_energy
 from ves_gym.core.params import Array
+from ves_gym.core.playback import Recording
 from ves_gym.core.spatial import rotation
 from ves_gym.core.vehicle import Beam
 from ves_gym.planners.coupling import CouplingMap, coupling_map
 from ves_gym.planners.query import Plan
 
-if TYPE_CHECKING:
-    from ves_gym.planners.benchmark import Shown
+Shown = tuple[Plan, Recording, int]  # a plan, and which run of a recording is its own
 
 _FRAME = 0.05  # s between frames of an animation
 _AFTER = 4.0  # s of an animation after the motion
