@@ -1,4 +1,4 @@
-"""Every example runs as it stands, and so does every Python snippet of the README."""
+"""Every example runs as it stands, and so does every snippet of the README and the docs."""
 
 import os
 import re
@@ -10,7 +10,14 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+PAGES = ["README.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md")))]
+SNIPPETS = [
+    pytest.param(text, id=f"{page}-{i}")
+    for page in PAGES
+    for i, text in enumerate(
+        re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
+    )
+]
 
 
 def run(arguments, folder):
@@ -33,11 +40,11 @@ def test_example_runs(example, tmp_path):
     assert not done.stderr
 
 
-@pytest.mark.parametrize("number", range(len(SNIPPETS)))
-def test_readme_snippet_runs(number, tmp_path):
-    done = run(["-c", SNIPPETS[number]], tmp_path)
+@pytest.mark.parametrize("snippet", SNIPPETS)
+def test_snippet_runs(snippet, tmp_path):
+    done = run(["-c", snippet], tmp_path)
     assert done.returncode == 0, done.stderr
 
 
-def test_readme_has_snippets():
-    assert SNIPPETS
+def test_there_are_snippets():
+    assert len(SNIPPETS) >= 3

@@ -63,7 +63,7 @@ def finite(value: object, shape: tuple[int, ...], name: str) -> Array:
             f"{name} must have shape {shape}, got shape {array.shape}: {value!r}"
         )
     if not np.isfinite(array).all():
-        raise ParameterError(f"{name} must be finite, got {value!r}")
+        raise ParameterError(f"{name} must be finite, got {array.tolist()}")
     return array
 
 
