@@ -127,7 +127,7 @@ class Lattice:
         a, b = np.concatenate(heads), np.concatenate(tails)
         flat = self.points.reshape(-1, len(self.shape))
         lengths, least = self._lengths(flat[a], flat[b])
-        return scipy.sparse.csr_array((lengths, (a, b)), shape=(len(flat), len(flat))), least
+        return _graph(lengths, a, b, len(flat)), least
 
     def _lengths(self, a: Array, b: Array, least: float | None = None) -> tuple[Array, float]:
         step = b - a
@@ -153,15 +153,19 @@ class Lattice:
         old = self.graph.tocoo()
         a = np.concatenate([old.row, *rows])
         b = np.concatenate([old.col, *columns])
-        graph = scipy.sparse.csr_array(
-            (np.concatenate([old.data, *values]), (a, b)), shape=(size + 2, size + 2)
-        )
+        graph = _graph(np.concatenate([old.data, *values]), a, b, size + 2)
         _, before = dijkstra(graph, directed=False, indices=size, return_predecessors=True)
         path, node = [goal], int(before[size + 1])
         while node != size:
             path.append(flat[node])
             node = int(before[node])
         return np.array([start, *path[::-1]])
+
+
+def _graph(lengths: Array, a: Array, b: Array, size: int) -> scipy.sparse.csr_array:
+    # 32-bit indices: what SciPy's graph routines take in every supported release
+    ends = a.astype(np.int32), b.astype(np.int32)
+    return scipy.sparse.csr_array((lengths, ends), shape=(size, size))
 
 
 @lru_cache(maxsize=16)
