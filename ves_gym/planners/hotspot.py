@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy.optimize
 import scipy.sparse
 from scipy.sparse.csgraph import dijkstra
@@ -23,6 +24,7 @@ from ves_gym.core.system import System
 from ves_gym.planners.coupling import coupling_length, metric
 from ves_gym.planners.query import Query, is_feasible
 
+Ints = npt.NDArray[np.signedinteger[Any]]
 _PITCH = np.deg2rad(15.0)  # lattice spacing
 _LEAST = 1e-2  # of the mean coupling: keeps null directions from being free
 _LARGEST = 200_000  # lattice edges; beyond that a lattice is the wrong tool
@@ -162,7 +164,7 @@ class Lattice:
         return np.array([start, *path[::-1]])
 
 
-def _graph(lengths: Array, a: Array, b: Array, size: int) -> scipy.sparse.csr_array:
+def _graph(lengths: Array, a: Ints, b: Ints, size: int) -> scipy.sparse.csr_array:
     # 32-bit indices: what SciPy's graph routines take in every supported release
     ends = a.astype(np.int32), b.astype(np.int32)
     return scipy.sparse.csr_array((lengths, ends), shape=(size, size))
