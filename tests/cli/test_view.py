@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from ves_gym.core.runlog import RunLog
+from ves_gym.report import opengl as gl
 from ves_gym.report import render
-from ves_gym.report.render import Probe, RenderError
+from ves_gym.report.opengl import Probe, RenderError
 
 TINY = ("--size", "128x64", "--fps", "5")
 
@@ -14,7 +15,7 @@ TINY = ("--size", "128x64", "--fps", "5")
 def opengl():
     """Skip where nothing can draw: the other tests here say what happens then."""
     try:
-        return render.choose_backend()
+        return gl.choose_backend()
     except RenderError as error:
         pytest.skip(str(error))
 
@@ -68,11 +69,9 @@ def test_unknown_mujoco_gl_is_one_line(refused, run_log, monkeypatch):
 def test_missing_libraries_are_named(refused, run_log, monkeypatch):
     pytest.importorskip("PIL.Image")
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr(render.platform, "system", lambda: "Linux")
+    monkeypatch.setattr(gl.platform, "system", lambda: "Linux")
     library = {"egl": "libEGL is missing", "osmesa": "libOSMesa is missing"}
-    monkeypatch.setattr(
-        render, "probe", lambda backend: Probe(backend, False, library[backend])
-    )
+    monkeypatch.setattr(gl, "probe", lambda backend: Probe(backend, False, library[backend]))
     line = refused("view", run_log)
     for word in ("MUJOCO_GL is not set", "libEGL", "libOSMesa", "apt-get install libegl1"):
         assert word in line
@@ -87,9 +86,9 @@ def test_missing_libraries_are_named(refused, run_log, monkeypatch):
     ],
 )
 def test_broken_opengl_is_survived(monkeypatch, code, reason):
-    monkeypatch.setattr(render, "_TRY", code)
+    monkeypatch.setattr(gl, "_TRY", code)
     timeout = 0.5 if "hangs" in reason else 20.0
-    found = render.probe.__wrapped__("cgl", timeout)
+    found = gl.probe.__wrapped__("cgl", timeout)
     assert not found.works and reason in found.reason
 
 
@@ -100,7 +99,7 @@ def test_drawing_that_fails_midway_writes_nothing(refused, run_log, monkeypatch)
 
 
 def test_window_without_a_display_is_one_line(refused, run_log, monkeypatch):
-    monkeypatch.setattr(render.platform, "system", lambda: "Linux")
+    monkeypatch.setattr(gl.platform, "system", lambda: "Linux")
     assert "DISPLAY" in refused("view", run_log, "--window")
 
 

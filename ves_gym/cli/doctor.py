@@ -221,7 +221,7 @@ def check_stepping() -> Check:
 
 def check_opengl() -> Check:
     """Which OpenGL backends draw; pictures need one, nothing else does."""
-    from ves_gym.report.render import RenderError, candidates, install_hint, probe
+    from ves_gym.report.opengl import RenderError, candidates, install_hint, probe
 
     try:
         asked = candidates()

@@ -33,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Draw or show the log."""
-    from ves_gym.report.render import View, has_display, render, show
+    from ves_gym.report.opengl import has_display
+    from ves_gym.report.render import View, render, show
 
     width, height = _size(args.size)
     view = View(
