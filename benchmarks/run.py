@@ -9,7 +9,9 @@ import platform
 from dataclasses import asdict
 from pathlib import Path
 
+from benchmarks import kernel
 from benchmarks.coupling import COUNT, coupling_against_loop
+from benchmarks.laboratory import SYSTEMS, emulated_against_ideal
 from benchmarks.simulator import simulator_against_batch, steps_per_second
 
 
@@ -29,6 +31,46 @@ def main() -> None:
             f"Simulator n = {n:<4} {pair.ratio:5.2f} of bare batch physics"
             f" ({pair.low:.2f}-{pair.high:.2f}), {steps_per_second(n, pair):,.0f} steps/s"
         )
+    for n in (1, 256):
+        for name in SYSTEMS:
+            pair = emulated_against_ideal(name, n)
+            results[f"emulated_{name.replace(', ', '_').replace(' ', '_')}_n{n}"] = asdict(pair)
+            print(
+                f"emulated n = {n:<4} {pair.ratio:5.2f} of ideal mode"
+                f" ({pair.low:.2f}-{pair.high:.2f}), {name}"
+            )
+    for n, threads in ((256, 1), (256, 2)):
+        pair = kernel.bare_physics(n, threads)
+        results[f"kernel_n{n}_threads{threads}"] = asdict(pair)
+        print(
+            f"kernel n = {n:<4}   {pair.ratio:5.1f} x bare batch physics of MuJoCo,"
+            f" {threads} thread(s) ({pair.low:.1f}-{pair.high:.1f}),"
+            f" {kernel.steps_per_second(n, pair.ours):,.0f} steps/s"
+        )
+    for n in (1, 256):
+        pair = kernel.simulator(n)
+        results[f"kernel_simulator_n{n}"] = asdict(pair)
+        print(
+            f"kernel n = {n:<4}   {pair.ratio:5.1f} x MuJoCo under Simulator.step"
+            f" ({pair.low:.1f}-{pair.high:.1f}),"
+            f" {kernel.steps_per_second(n, pair.ours):,.0f} steps/s"
+        )
+    pair = kernel.emulated(256)
+    results["kernel_emulated_n256"] = asdict(pair)
+    print(
+        f"kernel n = 256    {pair.ratio:5.1f} x MuJoCo under Simulator.step, emulated"
+        f" ({pair.low:.1f}-{pair.high:.1f})"
+    )
+    first = kernel.first_simulator()
+    results["kernel_first"] = first
+    print(
+        f"kernel, first     {first['cold']:.2f} s compiled,"
+        f" {first['cached']:.3f} s from the cache"
+    )
+    cost = {p: kernel.sensitivities(p) for p in (1, 8)}
+    results["kernel_sensitivities"] = cost
+    words = ", ".join(f"{value:.1f} rollouts for p = {p}" for p, value in cost.items())
+    print(f"kernel, derivatives along p parameters: {words}")
     pair = coupling_against_loop()
     results["coupling"] = asdict(pair)
     print(

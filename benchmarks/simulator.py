@@ -16,7 +16,7 @@ PERIODS = 20
 def simulator_against_batch(n: int) -> Pair:
     """PERIODS control periods of n simulations; ratio >= 1 would be no overhead at all."""
     system = System()
-    sim = Simulator(system, n)
+    sim = Simulator(system, n, backend="mujoco")
     hold = sim.servo_command(sim.state.q, sim.state.v)
     bare = Batch(compile_model(system), n)
 

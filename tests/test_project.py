@@ -34,8 +34,11 @@ HEAVY = {
     "distributed",
     "glfw",
     "imageio",
+    "jax",
+    "llvmlite",
     "matplotlib",
     "mujoco",
+    "mujoco_warp",
     "numba",
     "OpenGL",
     "ompl",
@@ -47,6 +50,7 @@ HEAVY = {
     "stable_baselines3",
     "submitit",
     "torch",
+    "warp",
 }
 
 

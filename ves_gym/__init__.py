@@ -1,3 +1,5 @@
 """A PUMA 560 on a long flexible beam in micro-gravity, judged by the energy in its base."""
 
+from ves_gym import effects as effects  # files every effect under its name
+
 __version__ = "0.1.0"

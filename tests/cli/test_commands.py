@@ -103,6 +103,34 @@ def test_simulate_takes_gains_as_numbers(call):
     assert controller == {"kp": [100.0] * 3, "kd": [10.0] * 3, "feedforward": False}
 
 
+# ------------------------------------------------------------------------- benchmark
+
+BENCHMARK = ("benchmark", "--suite", "thesis", "--vehicle", "straight-horizontal")
+BENCHMARK += ("--planners", "straight", "--workers", "1")
+
+
+def test_benchmark_shows_the_emulation_error_in_mode_emulated_only(call):
+    status, out, _, ideal = call(*BENCHMARK, "--no-figures")
+    assert status == 0 and "emulation" not in out and "machine" not in ideal
+    status, out, _, result = call(*BENCHMARK, "--no-figures", "--mode", "emulated")
+    assert status == 0 and result["schema"] == ideal["schema"] == "ves-benchmark/1"
+    assert "emulation" in out and "operation: microgravity" in out
+    (here,), (space,) = result["rows"], ideal["rows"]
+    assert here["E_mean_ideal"] == pytest.approx(space["E_mean"])
+    assert f"{here['emulation_error']:+.2%}" in out and f"{here['base_error']:.2%}" in out
+
+
+def test_benchmark_names_a_stop_and_draws_it(call, tmp_path):
+    pytest.importorskip("matplotlib")
+    status, out, _, result = call(
+        *BENCHMARK, "--mode", "emulated", "--effect", "gravity/scale:error=0.1"
+    )
+    assert status == 0
+    assert result["rows"][0]["stopped"] in out
+    for name in ("report.html", "base_motion_emulated.png", "strain_energy_emulated.png"):
+        assert (tmp_path / "out" / name).exists()
+
+
 # ------------------------------------------------------------------------------ plan
 
 
@@ -162,7 +190,7 @@ def test_list_names_everything(call):
     assert {"bent", "free-floating"} <= names["vehicles"]
     assert {"straight", "direct"} <= names["planners"]
     assert {"reach100", "thesis"} <= names["suites"]
-    assert names["backends"] == {"mujoco"}
+    assert names["backends"] == {"auto", "kernel", "mujoco", "mjx", "warp"}
     assert names["commands"] == set(COMMANDS)
     assert "[Hz]" in out  # a unit in a heading is not markup
 

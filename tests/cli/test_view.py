@@ -98,6 +98,14 @@ def test_drawing_that_fails_midway_writes_nothing(refused, run_log, monkeypatch)
     assert "drawing with nonsense failed" in refused("view", run_log, *TINY)
 
 
+def test_drawing_that_hangs_is_given_up(refused, run_log, monkeypatch, opengl):
+    pytest.importorskip("PIL.Image")
+    monkeypatch.setattr(render, "_STALL", 0.001)  # s: no process starts as fast
+    assert f"drawing with {opengl} hung: no frame for 0.001 s" in refused(
+        "view", run_log, *TINY
+    )
+
+
 def test_window_without_a_display_is_one_line(refused, run_log, monkeypatch):
     monkeypatch.setattr(gl.platform, "system", lambda: "Linux")
     assert "DISPLAY" in refused("view", run_log, "--window")

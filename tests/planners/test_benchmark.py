@@ -3,20 +3,23 @@
 import copy
 import dataclasses
 import json
-import os
+import re
 
 import numpy as np
 import pytest
 
+from ves_gym.core.emulator import Emulator
 from ves_gym.core.energy import energies
+from ves_gym.core.legs import LEG_SERVOS, leg_clock
 from ves_gym.core.params import ParameterError
 from ves_gym.core.playback import play_motions
 from ves_gym.core.system import System
-from ves_gym.core.vehicle import FREE_FLOATING
+from ves_gym.core.vehicle import FREE_FLOATING, STRAIGHT_HORIZONTAL
+from ves_gym.effects import GravityScale, SensorNoise
 from ves_gym.planners.benchmark import SCHEMA, run_benchmark, summarise
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
-from ves_gym.planners.suites import Suite, get_suite, reach100
+from ves_gym.planners.suites import Suite, get_suite, reach100, uncompensated
 
 DURATIONS = (0.5, 2.0)
 
@@ -283,3 +286,164 @@ def test_no_ratio_to_nothing():
     assert summarise(dead)[1]["ratio_median"] is None
     assert summarise(dead)[1]["ratio_low"] is None
     assert summarise([]) == []
+
+
+# -------------------------------------------------------------------------- emulated
+
+EXTRA = {"compensated", "stopped", "E_mean_ideal", "E_res_ideal", "E_peak_ideal"}
+EXTRA |= {"emulation_error", "base_error"}
+NAMES = ["straight", "bad-path", "bad-path (weight not compensated)"]
+
+
+@pytest.fixture(scope="module")
+def lab():
+    """Two seconds on the straight beam; the bad path also with its weight."""
+    system = System(mode="emulated", vehicle=STRAIGHT_HORIZONTAL)
+    ends = {"start": (0.0, -0.4, 0.8), "goal": (0.5, 0.0, 0.3)}
+    question = Query(system=system, **ends, duration=2.0, name="go")
+    return Suite(
+        name="lab",
+        queries=(("beam", question),),
+        planners=("bad-path",),
+        weighed=(("go", "bad-path"),),
+    )
+
+
+@pytest.fixture(scope="module")
+def emulated(lab):
+    return run_benchmark(lab, workers=1)
+
+
+def with_effects(suite, *effects):
+    """The suite on a machine with these errors."""
+    (vehicle, query), *_ = suite.queries
+    system = query.system.replace(effects=effects)
+    return dataclasses.replace(
+        suite, queries=((vehicle, dataclasses.replace(query, system=system)),)
+    )
+
+
+def test_mode_ideal_has_none_of_the_laboratory_s_keys(result):
+    assert "machine" not in result
+    for row in result["rows"]:
+        assert not row.keys() & EXTRA
+    for row in result["summary"]:
+        assert not row.keys() & {"compensated", "stopped", "emulation_error_median"}
+    for trace in result["traces"]:
+        assert {k for s in trace["series"] for k in s} == {"planner", "t", "E"}
+
+
+def test_an_emulated_row_stands_beside_the_same_motion_in_space(lab, emulated):
+    """Each run again on its own, in the laboratory and in space."""
+    assert emulated["mode"] == "emulated"
+    assert [r["planner"] for r in emulated["rows"]] == NAMES
+    assert [r["compensated"] for r in emulated["rows"]] == [True, True, False]
+    system = lab.queries[0][1].system
+    query = dataclasses.replace(lab.queries[0][1], system=system.ideal())
+    for row, machine in zip(
+        emulated["rows"], [system, system, uncompensated(system)], strict=True
+    ):
+        plan = solve(get_planner(row["planner"].split()[0]), query, 0)
+        here, space = (
+            play_motions(s, [plan.motion], record_dt=12.5e-3) for s in (machine, query.system)
+        )
+        E, E_space = (
+            energies(run.system, run.t, run.q, run.y, run.yd, duration=2.0)[0]
+            for run in (here, space)
+        )
+        assert row["mode"] == "emulated" and row["stopped"] is None and row["success"]
+        assert row["E_mean"] == pytest.approx(E.E_mean)
+        for key in ("E_mean", "E_res", "E_peak"):
+            assert row[f"{key}_ideal"] == pytest.approx(getattr(E_space, key))
+        assert row["emulation_error"] == pytest.approx(E.E_mean / E_space.E_mean - 1)
+        apart, far = (
+            np.linalg.norm(part[0, :, :3], axis=-1).max()
+            for part in (here.y - space.y, space.y)
+        )
+        assert row["base_error"] == pytest.approx(apart / far)
+        assert row["predicted"] == plan.predicted.E_mean
+        # a planner answers for the space system
+        expected = plan.predicted.E_mean / E_space.E_mean - 1
+        assert row["prediction_error"] == pytest.approx(expected)
+
+
+def test_the_weight_of_the_arm_shows_only_where_it_is_not_compensated(emulated):
+    """Thesis Figure 4-3: without compensation the data is of the weight, not of the path."""
+    compensated, weighed = emulated["rows"][1:]
+    assert abs(compensated["emulation_error"]) < 0.1
+    assert weighed["base_error"] > 5 * compensated["base_error"]
+    assert weighed["E_mean_ideal"] == pytest.approx(compensated["E_mean_ideal"])
+
+
+def test_pictures_hold_both_runs_and_say_what_emulated(emulated):
+    json.dumps(emulated, allow_nan=False)
+    assert emulated["machine"]["operation"] == "microgravity"
+    assert emulated["machine"]["platform"] == "pose servo, 8 Hz"
+    assert [p["name"] for p in emulated["planners"]] == NAMES
+    assert [p.get("motion_of") for p in emulated["planners"]] == [None, None, "bad-path"]
+    (trace,) = emulated["traces"]
+    assert [s["planner"] for s in trace["series"]] == NAMES
+    for series in trace["series"]:
+        for curves in (series, series["ideal"]):
+            assert {len(curves[k]) for k in ("t", "E", "strain", "distance")} == {
+                len(curves["t"])
+            }
+    # maps and animation are of the planners' answers
+    assert [r["planner"] for r in emulated["scenes"][0]["runs"]] == NAMES[:2]
+    assert [p["planner"] for p in emulated["maps"][0]["paths"]] == NAMES[:2]
+
+
+def test_leg_servos_bring_their_own_clock(lab):
+    """Records are whole control periods, next to 12.5 ms."""
+    _, query = lab.queries[0]
+    servo = LEG_SERVOS["filtered"]
+    control_dt, physics_dt = leg_clock(servo)
+    system = query.system.replace(
+        emulator=Emulator(platform=servo), control_dt=control_dt, physics_dt=physics_dt
+    )
+    suite = dataclasses.replace(
+        lab, queries=(("beam", dataclasses.replace(query, system=system)),), weighed=()
+    )
+    found = run_benchmark(suite, planners=["straight"], workers=1)
+    assert found["machine"]["platform"] == "six legs, filtered servo"
+    assert abs(found["rows"][0]["emulation_error"]) < 0.2
+
+
+def test_stopped_runs_have_a_reason_and_no_energy(lab):
+    """A tenth of the weight drives the platform to the end of its legs; the run that is
+    not compensated is zeroed at the start, and goes on."""
+    found = run_benchmark(with_effects(lab, GravityScale(error=0.1)), workers=1)
+    json.dumps(found, allow_nan=False)
+    *stopped, weighed = found["rows"]
+    assert weighed["stopped"] is None and weighed["E_mean"] > 0
+    assert "gravity/scale" in found["machine"]["effects"]
+    for row in stopped:
+        assert re.match(r"platform frozen at t = [\d.]+ s: .+", row["stopped"])
+        assert row["success"] is False
+        for key in ("E_mean", "E_res", "t_5", "emulation_error", "base_error"):
+            assert row[key] is None
+        assert row["E_mean_ideal"] > 0
+    for row in found["summary"][:2]:
+        assert row["stopped"] == row["n"] == 1
+        assert row["success_rate"] == 0
+        assert row["E_mean_median"] is row["ratio_median"] is row["ratio_low"] is None
+    cut, whole = (found["traces"][0]["series"][k]["t"][-1] for k in (0, 2))
+    assert cut < 2 and whole == pytest.approx(12.0, abs=0.1)
+
+
+def test_a_benchmark_whose_every_run_is_stopped(lab):
+    suite = with_effects(lab, GravityScale(error=0.1))
+    found = run_benchmark(dataclasses.replace(suite, weighed=()), workers=1)
+    json.dumps(found, allow_nan=False)
+    assert all(row["stopped"] and row["E_mean"] is None for row in found["rows"])
+    for run in found["scenes"][0]["runs"]:
+        assert run["base"][-1] == run["base"][-2]  # stays where it stopped
+
+
+def test_another_seed_is_other_noise(lab):
+    suite = with_effects(lab, SensorNoise(force=(1.0,) * 3))
+    means = [
+        run_benchmark(suite, planners=["straight"], seed=seed, workers=1)["rows"][0]["E_mean"]
+        for seed in (0, 1)
+    ]
+    assert means[0] != means[1]

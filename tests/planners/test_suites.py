@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from tests.core.arms import planar_arm
+from ves_gym.core.emulator import Emulator
 from ves_gym.core.motion import QUINTIC_PEAK_SPEED
 from ves_gym.core.params import ParameterError, content_hash, write_table
+from ves_gym.core.platform import PoseServo
 from ves_gym.core.system import System
 from ves_gym.core.vehicle import BENT, DECOUPLED, STRAIGHT_HORIZONTAL
+from ves_gym.effects import GravityScale, SensorLag
 from ves_gym.planners.query import is_feasible
 from ves_gym.planners.registry import PLANNERS
 from ves_gym.planners.suites import (
@@ -16,7 +19,9 @@ from ves_gym.planners.suites import (
     SPEED_LIMITS,
     SUITES,
     get_suite,
+    is_compensated,
     reach100,
+    uncompensated,
 )
 
 
@@ -110,6 +115,32 @@ def test_the_thesis_suite():
     assert "bad-path" in suite.planners
     assert set(suite.planners) <= set(PLANNERS)
     assert shoulder.v_max is None
+
+
+def test_in_the_laboratory_the_good_path_is_also_played_with_its_weight():
+    """Not in space, and not on a machine that does not subtract the weight anyway."""
+    system = System(mode="emulated")
+    assert get_suite("thesis", system=system).weighed == (("good-and-bad", "hotspot-q"),)
+    assert get_suite("thesis", system=System()).weighed == ()
+    assert get_suite("thesis", system=uncompensated(system)).weighed == ()
+    assert get_suite("reach100", system=system, quick=True).weighed == ()
+
+
+def test_uncompensated_is_the_same_machine_with_the_weight_left_in():
+    """Errors of the estimate go with the estimate; those of the sensor stay."""
+    effects = GravityScale(error=0.01), SensorLag(error=0.1)
+    platform = PoseServo(bandwidth=5.0)
+    system = System(
+        mode="emulated",
+        emulator=Emulator(platform=platform),
+        effects=effects,
+        drive="prescribed",
+    )
+    other = uncompensated(system)
+    lab = Emulator(platform=platform, operation="admittance", zero_at_start=True)
+    assert other == system.replace(emulator=lab, effects=effects[1:])
+    assert is_compensated(system) and not is_compensated(other)
+    assert is_compensated(system.ideal())
 
 
 def test_the_thesis_suite_on_one_of_its_vehicles():

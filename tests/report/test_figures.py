@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ves_gym.core.params import ParameterError
-from ves_gym.report.figures import write_figures
+from ves_gym.report.figures import time_figure, write_figures
 
 ALL = ["ratio.png", "energy.png", "coupling.png", "prediction.png"]
 
@@ -24,6 +24,23 @@ def test_four_figures_with_something_on_them(tmp_path, make_result):
         pixels = np.asarray(Image.open(path).convert("RGB"))
         assert min(pixels.shape[:2]) > 400
         assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 50  # lines, text, colours
+
+
+def test_mode_emulated_adds_base_motion_and_strain_energy(tmp_path, make_emulated):
+    """Also where every straight line was stopped: no ratio, and traces that end early."""
+    names = written(make_emulated(queries=2, durations=(1.0, 2.0), points=9), tmp_path)
+    assert names == [*ALL, "base_motion_emulated.png", "strain_energy_emulated.png"]
+
+
+def test_a_stopped_run_and_the_run_in_space_are_drawn(make_emulated):
+    """Two lines per run, and a cross for the stop."""
+    result = make_emulated(planners=4, queries=1, durations=(2.0,), points=9)
+    lines = time_figure(result, "distance").axes[0].lines
+    assert len(lines) == 5 * 2 + 1
+    (cross,) = [line for line in lines if line.get_marker() == "x"]
+    first = result["traces"][0]["series"][0]
+    assert cross.get_xdata() == [first["t"][-1]]
+    assert cross.get_ydata() == [pytest.approx(1e3 * first["distance"][-1])]  # mm
 
 
 def test_figures_are_reproducible(tmp_path, make_result):

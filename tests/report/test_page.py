@@ -55,6 +55,14 @@ def test_the_page_holds_the_data_unchanged(page, make_result):
     assert embedded(page(result)) == json.loads(json.dumps(result))
 
 
+def test_a_result_of_the_laboratory_is_embedded_with_its_stops(page, make_emulated):
+    result = make_emulated(queries=2, points=9)
+    data = embedded(page(result))
+    assert data["machine"] == result["machine"]
+    assert [r["E_mean"] for r in data["rows"] if r["stopped"]] == [None] * 8
+    assert all("ideal" in s for t in data["traces"] for s in t["series"])
+
+
 def test_nothing_is_loaded_from_anywhere(page, make_result):
     text = page(make_result())
     assert not re.search(r"https?:|//cdn|@import|url\(", text)

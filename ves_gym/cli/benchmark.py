@@ -14,6 +14,8 @@ from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import SUITES, get_suite
 
+_STOPS = 10  # stopped runs named on the terminal
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
@@ -79,7 +81,9 @@ def _print_tables(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(width=None if sys.stdout.isatty() else 102, markup=False)
+    emulated = result["mode"] == "emulated"
+    width = 140 if emulated else 102
+    console = Console(width=None if sys.stdout.isatty() else width, markup=False)
     for vehicle in result["systems"]:
         table = Table(title=f"Energy in the base: suite {result['suite']}, {vehicle}")
         for name in ("T [s]", "planner"):
@@ -89,6 +93,7 @@ def _print_tables(result: dict[str, Any]) -> None:
             "ratio",
             "E_res",
             "E_peak",
+            *(("emulation\nerror", "base\nerror") if emulated else ()),
             "off",
             "success",
             "plan [s]",
@@ -102,10 +107,11 @@ def _print_tables(result: dict[str, Any]) -> None:
             table.add_row(
                 f"{row['duration']:g}",
                 row["planner"],
-                f"{row['E_mean_median']:.4g}",
+                _number(row["E_mean_median"], ".4g"),
                 _number(row["ratio_median"], ".3f") + _interval(row),
                 _number(row["E_res_ratio_median"], ".3f"),
                 _number(row["E_peak_ratio_median"], ".3f"),
+                *_errors(row),
                 _number(row["prediction_error_median"], ".2%"),
                 f"{100 * row['success_rate']:.0f} %",
                 f"{row['plan_seconds_median']:.2f}",
@@ -117,6 +123,39 @@ def _print_tables(result: dict[str, Any]) -> None:
         "against the simulated one.",
         style="dim",
     )
+    if emulated:
+        console.print(
+            "Energies are those of the emulated base. emulation error: its E_mean over that of"
+            " the same motion\nin space, less 1; base error: largest distance between the two"
+            " base positions over the largest\ndisplacement in space; off: against E_mean in"
+            " space.",
+            style="dim",
+        )
+        _print_machine(result, console)
+
+
+def _print_machine(result: dict[str, Any], console: Any) -> None:
+    """What was emulated with, and which runs it had to stop."""
+    machine = "; ".join(f"{k}: {v}" for k, v in result["machine"].items())
+    console.print(f"\n{machine}", soft_wrap=True)
+    stopped = [row for row in result["rows"] if row["stopped"]]
+    for row in stopped[:_STOPS]:
+        console.print(
+            f"stopped: {row['vehicle']}, {row['query']}, {row['planner']}: {row['stopped']}",
+            soft_wrap=True,
+        )
+    if len(stopped) > _STOPS:
+        console.print(f"... and {len(stopped) - _STOPS} more stopped, see benchmark.json")
+
+
+def _errors(row: dict[str, Any]) -> list[str]:
+    """Cells that only a summary of mode emulated has."""
+    if "stopped" not in row:
+        return []
+    error, base = row["emulation_error_median"], row["base_error_median"]
+    if row["stopped"] == row["n"]:
+        return ["stopped", "-"]
+    return [_number(error, "+.2%"), _number(base, ".2%")]
 
 
 def _interval(row: dict[str, Any]) -> str:

@@ -63,7 +63,7 @@ def _checks(out: Path) -> Iterator[tuple[float, Check]]:
         lambda: [check_version(text) for text in core],
         lambda: [check_import("mujoco", "mujoco"), check_import("pin", "pinocchio")],
         lambda: [check_import("ompl", "ompl.geometric")],
-        lambda: [check_stepping()],
+        check_stepping,
         lambda: [check_opengl()],
         lambda: [check_extra(name, texts) for name, texts in extras.items()],
         lambda: [check_folder(out)],
@@ -201,7 +201,7 @@ import time
 import numpy as np
 from ves_gym.core.simulator import Simulator
 from ves_gym.core.system import System
-sim = Simulator(System(), 64)
+sim = Simulator(System(), 64, backend={backend!r})
 sim.reset(v=0.1)
 sim.step()
 begin, steps = time.perf_counter(), 0
@@ -209,14 +209,17 @@ while time.perf_counter() - begin < 0.5:
     state = sim.step()
     steps += 64 * sim.system.substeps
 assert np.isfinite(state.q).all() and np.abs(state.y).max() > 0, "the state is not finite"
-print(f"{(time.perf_counter() - begin) / steps * 1e6:.2f} us per physics step, batch of 64")
+took = (time.perf_counter() - begin) / steps * 1e6
+print(f"{{took:.2f}} us per physics step, batch of 64")
 """
 
 
-def check_stepping() -> Check:
-    """Whether a batch of simulations steps, and how fast."""
-    good, words = _child(_STEP)
-    return Check("batch stepping", OK if good else FAIL, words)
+def check_stepping() -> list[Check]:
+    """Whether a batch of simulations steps, and how fast, on each engine."""
+    good, words = _child(_STEP.format(backend="mujoco"))
+    fast, said = _child(_STEP.format(backend="kernel"))
+    kernel = Check("kernel", OK if fast else NOTE, said if fast else f"MuJoCo runs: {said}")
+    return [Check("batch stepping", OK if good else FAIL, words), kernel]
 
 
 def check_opengl() -> Check:

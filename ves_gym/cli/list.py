@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -83,6 +84,36 @@ def _suites() -> Rows:
     return out
 
 
+def _effects() -> Rows:
+    from ves_gym.effects import EFFECTS
+
+    out = []
+    for kind in sorted(EFFECTS):
+        effect = EFFECTS[kind]
+        fields = dataclasses.fields(effect)  # type: ignore[arg-type]
+        parts = []
+        for f in fields:
+            low, high = f.metadata["bounds"]
+            size = " x ".join("any" if k is None else str(k) for k in f.metadata["shape"])
+            unit = "" if f.metadata["unit"] == "1" else f" {f.metadata['unit']}"
+            parts.append(f"{f.name}{f' ({size})' if size else ''} {low:g} to {high:g}{unit}")
+        summary = (effect.__doc__ or "").split("\n\n")[0]
+        out.append({"name": kind, "parameters": parts, "summary": " ".join(summary.split())})
+    return out
+
+
+def _platforms() -> Rows:
+    from ves_gym.core.legs import LEG_SERVOS, bandwidth, gain_margin, leg_clock
+
+    rows: Rows = [{"name": "a number", "kind": "pose", "source": "second-order pose servo, Hz"}]
+    for name, servo in LEG_SERVOS.items():
+        control_dt, _ = leg_clock(servo)
+        what = f"-3 dB at {bandwidth(servo):.2g} Hz, gain margin {gain_margin(servo):.2g},"
+        what += f" {1 / control_dt:.4g} Hz control rate: {servo.source}"
+        rows.append({"name": name, "kind": "legs", "source": what})
+    return rows
+
+
 def _backends() -> Rows:
     from ves_gym.core.backends import BACKENDS
 
@@ -99,6 +130,8 @@ KINDS: dict[str, Callable[[], Rows]] = {
     "vehicles": _vehicles,
     "planners": _planners,
     "suites": _suites,
+    "effects": _effects,
+    "platforms": _platforms,
     "backends": _backends,
     "commands": _commands,
 }

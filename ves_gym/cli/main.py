@@ -7,6 +7,7 @@ import importlib
 import os
 import re
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -17,7 +18,9 @@ COMMANDS = {  # name -> what it does; the module of the same name is loaded when
     "simulate": "play one motion on one system and record a run log",
     "plan": "find one path with one planner",
     "map": "coupling-map pictures and arrays",
-    "list": "what exists: vehicles, planners, suites",
+    "calibrate": "gravity parameters and sensor matrix from a log of poses",
+    "emulation-check": "is an emulation stable, and how true, before it runs",
+    "list": "what exists: vehicles, planners, suites, effects",
     "doctor": "what is broken on this machine",
     "view": "watch a run log: window, GIF or MP4",
 }
@@ -51,7 +54,7 @@ def build_parser(command: str | None) -> argparse.ArgumentParser:
     for name, text in COMMANDS.items():
         sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         if name == command:
-            module = importlib.import_module(f"ves_gym.cli.{name}")
+            module = importlib.import_module(f"ves_gym.cli.{name.replace('-', '_')}")
             module.add_arguments(sub)
             sub.set_defaults(run=module.run)
             sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
@@ -70,10 +73,17 @@ def _seed(text: str) -> int:
     return seed
 
 
+def _show_warning(message: Warning | str, category: type[Warning], *where: Any) -> None:
+    """A warning of the package as one line; others name their category."""
+    kind = "" if category.__module__.startswith("ves_gym") else f"{category.__name__}: "
+    print(f"ves-gym: warning: {kind}{' '.join(str(message).split())}", file=sys.stderr)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the exit status."""
     words = list(sys.argv[1:] if argv is None else argv)
     command = next((w for w in words if w in COMMANDS), None)
+    warnings.showwarning = _show_warning  # type: ignore[assignment]
     try:
         args = build_parser(command).parse_args(words)
         status: int = args.run(args)

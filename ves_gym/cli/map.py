@@ -18,7 +18,7 @@ from ves_gym.cli.common import (
     system_from,
     write_json,
 )
-from ves_gym.cli.simulate import joint_angles
+from ves_gym.cli.motions import joint_angles
 from ves_gym.core.params import ParameterError, write_bytes
 from ves_gym.core.system import System
 from ves_gym.planners.coupling import CouplingMap, coupling_map

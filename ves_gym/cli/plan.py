@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym.cli.common import add_system_arguments, degrees, out_dir, system_from, write_json
-from ves_gym.cli.simulate import duration_from, joint_angles, motion_table
+from ves_gym.cli.motions import duration_from, joint_angles, motion_table
 from ves_gym.core.energy import TAIL, Energies, energies
 from ves_gym.core.params import write_text
 from ves_gym.planners.query import Plan, Query, solve

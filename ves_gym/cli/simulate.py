@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import math
 import sys
 from pathlib import Path
@@ -12,31 +11,31 @@ from typing import Any
 import numpy as np
 
 from ves_gym.cli.common import (
+    Tell,
     add_system_arguments,
-    degrees,
     out_dir,
     progress,
     system_from,
     write_json,
 )
-from ves_gym.core.arm import Arm
-from ves_gym.core.energy import TAIL, Energies, base_energy, energies, ledger
-from ves_gym.core.motion import LimitError, Motion, require_limits
-from ves_gym.core.params import (
-    Array,
-    ParameterError,
-    from_plain,
-    read_table,
-    to_plain,
-    write_bytes,
+from ves_gym.cli.motions import (
+    GAINS,
+    disturbance,
+    limit_warnings,
+    motion_from,
+    read_motion,
+    servo_from,
 )
+from ves_gym.core.energy import TAIL, Energies, base_energy, energies, ledger
+from ves_gym.core.learning import learn_gravity
+from ves_gym.core.motion import Motion
+from ves_gym.core.params import Array, ParameterError, write_bytes
+from ves_gym.core.playback import Recording, play_motions, weigh_poses
 from ves_gym.core.runlog import RunLog
-from ves_gym.core.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
+from ves_gym.core.servo import JointServo
 from ves_gym.core.system import System
 
 SCHEMA = "ves-simulate/1"
-MOTION_FORMAT = "ves-motion/1"
-GAINS = {"high": HIGH_GAINS, "pped": PPED_GAINS, "free": FREE}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,20 +63,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-feedforward", action="store_true", help="no feed-forward joint torque"
     )
     parser.add_argument(
-        "--record-dt", type=float, metavar="S", help="between records (default physics step)"
+        "--record-dt",
+        type=float,
+        metavar="S",
+        help="between records (default physics step; mode emulated: control period)",
     )
     parser.add_argument(
         "--log", default="run.csv", metavar="NAME", help=".csv or .parquet (run.csv)"
     )
     add_system_arguments(parser)
+    lab = parser.add_argument_group("experiments (mode emulated)")
+    lab.add_argument(
+        "--platform-motion",
+        metavar="FILE",
+        help="what the platform follows under --operation position: a motion of 6 columns",
+    )
+    lab.add_argument(
+        "--learn", type=int, metavar="N", help="learn the weight in N slow repetitions"
+    )
+    lab.add_argument(
+        "--poses", type=int, metavar="N", help="weigh the arm in N poses, for `calibrate`"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Play the motion; write log, system and picture; print the energies."""
-    from ves_gym.core.playback import play_motions
-
     name = _log_name(args)
     system = system_from(args)
+    _check_experiment(args, system)
+    if args.poses is not None:
+        return _weigh(args, system, name)
     motion = motion_from(args, system.arm)
     servo = servo_from(args, system)
     for option, value, least in (
@@ -88,32 +103,18 @@ def run(args: argparse.Namespace) -> int:
             raise ParameterError(
                 f"{option} must be {'>= 0' if least == 0 else '> 0'} s, got {value}"
             )
-    pose = _disturbance(args.disturb)
     warnings = limit_warnings(system.arm, motion)
     with progress() as tell:
-        recording = play_motions(
-            system,
-            [motion],
-            servo=servo,
-            settle=args.settle,
-            record_dt=args.record_dt or system.physics_dt,
-            y=pose,
-            progress=lambda done: tell("simulating", done),
-        )
+        recording = _play(args, system, motion, servo, tell)
+        space = _in_space(system, motion, servo, args, recording)
     log = recording.log(0)
-    # a recording interval that does not divide the run ends it up to one record later
-    tail = min(TAIL, args.settle)
-    measured = energies(
-        system,
-        log.t,
-        recording.q,
-        recording.y,
-        recording.yd,
-        duration=motion.duration,
-        tail=tail,
-    )[0]
-    account = ledger(log)
-    residual = account.relative if math.isfinite(account.relative) else None
+    stop = recording.events[0] if recording.events else None
+    measured = None if stop else _energies(recording, args.settle)
+    ideal = None if space is None else _energies(space, args.settle)
+    residual = None
+    if system.mode == "ideal":
+        account = ledger(log)
+        residual = account.relative if math.isfinite(account.relative) else None
 
     for warning in warnings:
         print(f"ves-gym: warning: {warning}", file=sys.stderr)
@@ -122,25 +123,167 @@ def run(args: argparse.Namespace) -> int:
     log.save(path)
     system.save(folder / "system.toml")
     written = [path, folder / "system.toml"]
-    picture = _picture(log, system, motion.duration, path.with_suffix(".png"))
+    picture = _picture(log, system, motion.duration, path.with_suffix(".png"), space)
     written += [picture] if picture else []
     result = {
         "schema": SCHEMA,
         "log": str(path),
         "digest": log.digest,
         "system": system.hash,
+        "mode": system.mode,
         "duration": motion.duration,
-        "tail": tail,
-        "energies": measured.to_dict(),
+        "tail": min(TAIL, args.settle),
+        "energies": None if measured is None else measured.to_dict(),
         "ledger_residual": residual,
         "warnings": warnings,
         "files": [str(p) for p in written],
     }
+    if system.mode == "emulated":
+        result["energies_in_space"] = None if ideal is None else ideal.to_dict()
+        result["base_error"] = None if space is None else _base_error(recording, space)
+        result["stopped"] = None if stop is None else {"time": stop.time, "reason": stop.reason}
     write_json(args.json, result)
-    _print_table(
-        system, motion, measured, residual, tail, recording_dt=float(log.t[1] - log.t[0])
-    )
+    if measured is not None:
+        _print_table(system, motion, measured, ideal, residual, log)
+    if space is not None:
+        error = _base_error(recording, space)
+        print(f"base position off by {100 * error:.1f} % of its largest displacement in space")
     print("written: " + "  ".join(str(p) for p in written))
+    if stop is not None:
+        print(f"ves-gym: {stop}; the log ends there", file=sys.stderr)
+    return 0 if stop is None else 1
+
+
+def _check_experiment(args: argparse.Namespace, system: System) -> None:
+    for option in ("platform_motion", "learn", "poses"):
+        if getattr(args, option) is not None and system.mode != "emulated":
+            raise ParameterError(f"--{option.replace('_', '-')} needs --mode emulated")
+    for option in ("learn", "poses"):
+        value = getattr(args, option)
+        if value is not None and value < 1:
+            raise ParameterError(f"--{option} must be >= 1, got {value}")
+    if args.learn is not None and args.poses is not None:
+        raise ParameterError("--learn and --poses are two experiments: give one of them")
+    for option in ("disturb", "record_dt"):
+        if args.learn is not None and getattr(args, option) is not None:
+            raise ParameterError(
+                f"--learn starts every repetition at home and records every control period:"
+                f" leave out --{option.replace('_', '-')}"
+            )
+    if args.platform_motion and args.disturb is not None:
+        raise ParameterError(
+            "--platform-motion says where the platform starts: leave out --disturb"
+        )
+    if args.platform_motion and system.laboratory.operation != "position":
+        raise ParameterError(
+            f"--platform-motion needs --operation position, got {system.laboratory.operation}"
+        )
+
+
+def _play(
+    args: argparse.Namespace, system: System, motion: Motion, servo: JointServo, tell: Tell
+) -> Recording:
+    pose = disturbance(args.disturb)
+    if args.learn is not None:
+        learnt = learn_gravity(
+            system,
+            motion,
+            iterations=args.learn,
+            settle=args.settle,
+            servo=servo,
+            seed=args.seed,
+            progress=lambda done: tell("learning", done),
+        )
+        for i, k in enumerate(learnt.iterations):
+            move, turn = 1e3 * k.change[:3].max(), 1e3 * k.change[3:].max()
+            print(f"repetition {i + 1}: base motion changed by {move:.3f} mm, {turn:.3f} mrad")
+        if learnt.recording is None:
+            raise ParameterError(f"the first repetition was aborted: {learnt.aborted}")
+        if learnt.aborted is not None:
+            print(f"ves-gym: aborted: {learnt.aborted}; the last whole run is kept")
+        return learnt.recording
+    default = system.physics_dt if system.mode == "ideal" else system.control_dt
+    options: dict[str, Any] = {}
+    if args.platform_motion:
+        follow = read_motion(args.platform_motion)
+        if follow.n != 6:
+            raise ParameterError(
+                f"{args.platform_motion}: a platform has 6 coordinates, got {follow.n}"
+            )
+
+        def platform(t: Array) -> tuple[Array, Array]:
+            sample = follow.at(t)
+            return sample.q, sample.v
+
+        options["platform"], pose = platform, follow.start
+    return play_motions(
+        system,
+        [motion],
+        servo=servo,
+        settle=args.settle,
+        record_dt=args.record_dt or default,
+        y=pose,
+        seed=args.seed,
+        progress=lambda done: tell("simulating", done),
+        **options,
+    )
+
+
+def _in_space(
+    system: System,
+    motion: Motion,
+    servo: JointServo,
+    args: argparse.Namespace,
+    recording: Recording,
+) -> Recording | None:
+    """The same run in space, beside an emulation of it."""
+    if system.mode == "ideal" or system.laboratory.operation == "position":
+        return None
+    return play_motions(
+        system.ideal(),
+        [motion],
+        servo=servo,
+        settle=args.settle,
+        record_dt=float(recording.t[1] - recording.t[0]),
+        y=recording.y[0, 0],
+    )
+
+
+def _energies(recording: Recording, settle: float) -> Energies:
+    return energies(
+        recording.system,
+        recording.t,
+        recording.q,
+        recording.y,
+        recording.yd,
+        duration=recording.duration,
+        # a recording interval that does not divide the run ends it up to a record later
+        tail=min(TAIL, settle),
+    )[0]
+
+
+def _base_error(recording: Recording, space: Recording) -> float:
+    """Largest distance of the base from where it is in space, over its largest there."""
+    n = recording.records(0)
+    gap = np.linalg.norm((recording.y[0, :n] - space.y[0, :n])[:, :3], axis=1).max()
+    size = np.linalg.norm(space.y[0, :, :3], axis=1).max()
+    return float(gap / size) if size > 0 else 0.0
+
+
+def _weigh(args: argparse.Namespace, system: System, name: str) -> int:
+    """Record static poses for the Model Method."""
+    from ves_gym.core.calibration import calibration_poses
+
+    q, y = calibration_poses(system.arm, args.poses, seed=args.seed)
+    log = weigh_poses(system, q, y, seed=args.seed)
+    path = out_dir(args, "out/simulate") / name
+    log.save(path)
+    write_json(
+        args.json,
+        {"schema": SCHEMA, "log": str(path), "digest": log.digest, "poses": args.poses},
+    )
+    print(f"weighed {args.poses} poses; written: {path}")
+    print(f"next: ves-gym calibrate {path}")
     return 0
 
 
@@ -162,136 +305,6 @@ def _same(a: Path, b: Path) -> bool:
     return a.resolve() == b.resolve()
 
 
-# ---------------------------------------------------------------- motion, servo, limits
-
-
-def motion_from(args: argparse.Namespace, arm: Arm) -> Motion:
-    """The motion the arguments describe, inside the joint limits."""
-    if args.motion is not None:
-        for option in ("start", "goal", "via", "duration"):
-            if getattr(args, option) is not None:
-                raise ParameterError(f"--motion FILE already says it: leave out --{option}")
-        motion = read_motion(args.motion)
-        if motion.n != arm.n:
-            raise ParameterError(
-                f"{args.motion}: {arm.name} has {arm.n} joints, got {motion.n}"
-            )
-    else:
-        motion = _motion_through(args, arm)
-    require_limits(arm, motion, ("position",))
-    return motion
-
-
-def _motion_through(args: argparse.Namespace, arm: Arm) -> Motion:
-    start = joint_angles(args.start, arm, "--start")
-    if args.goal is None and args.via:
-        raise ParameterError("--via needs --goal: way-points lie between start and goal")
-    goal = joint_angles(args.goal, arm, "--goal", default=(60.0, 40.0, -30.0))
-    duration = duration_from(args.duration)
-    vias = [joint_angles(via, arm, "--via") for via in args.via or ()]
-    if not vias:
-        return Motion.straight(start, goal, duration)
-    return Motion.through(np.stack([start, *vias, goal]), duration)
-
-
-def joint_angles(
-    text: str | None, arm: Arm, name: str, default: tuple[float, ...] | None = None
-) -> Array:
-    """Joint angles [rad] from degrees, inside the limits; zeros if neither is given."""
-    if text is None:
-        given = np.deg2rad(default) if default and len(default) == arm.n else np.zeros(arm.n)
-    else:
-        given = np.array(degrees(text, arm.n, name))
-    return arm.require_within_limits(given, name)
-
-
-def duration_from(value: float | None, default: float = 2.0) -> float:
-    """A duration [s] > 0."""
-    if value is not None and not (math.isfinite(value) and value > 0):
-        raise ParameterError(f"--duration must be > 0 s, got {value}")
-    return default if value is None else value
-
-
-def read_motion(path: str) -> Motion:
-    """A motion from JSON or TOML: {"format", "duration" [s], "control" [rad]}."""
-    table = read_table(path)
-    if table.get("format") != MOTION_FORMAT:
-        raise ParameterError(
-            f"{path}: format must be {MOTION_FORMAT!r}, got {table.get('format')!r}"
-        )
-    plain = {k: v for k, v in table.items() if k != "format"}
-    rows = plain.get("control")
-    if isinstance(rows, list):
-        widths = {len(row) if isinstance(row, list) else 0 for row in rows}
-        if len(widths) != 1 or 0 in widths:
-            raise ParameterError(f"{path}: control must be rows of equal length, one per point")
-    try:
-        motion: Motion = from_plain(Motion, plain, "motion")
-    except ParameterError as error:
-        raise ParameterError(f"{path}: {error}") from None
-    return motion
-
-
-def motion_table(motion: Motion) -> dict[str, Any]:
-    """A motion as plain data, as `read_motion` reads it."""
-    return {"format": MOTION_FORMAT, **to_plain(motion)}
-
-
-def servo_from(args: argparse.Namespace, system: System) -> JointServo:
-    """The joint servo the arguments describe."""
-    if system.drive != "motor" and (args.gains is not None or args.no_feedforward):
-        raise ParameterError(
-            "a prescribed drive has no servo: leave out --gains, --no-feedforward"
-        )
-    text = args.gains or "high"
-    servo = GAINS.get(text) or _numbers(text, system.arm.n)
-    if args.no_feedforward:
-        servo = dataclasses.replace(servo, feedforward=False)
-    if system.drive == "motor" and len(servo.kp) != system.arm.n:
-        raise ParameterError(
-            f"gains {text!r} are for {len(servo.kp)} joints,"
-            f" {system.arm.name} has {system.arm.n}"
-        )
-    return servo
-
-
-def _numbers(text: str, n: int) -> JointServo:
-    expected = f"{', '.join(GAINS)}, or kp/kd with 1 or {n} numbers each, like 100/10"
-    try:
-        kp, kd = ([float(k) for k in part.split(",")] for part in text.split("/"))
-    except ValueError:
-        raise ParameterError(f"--gains must be {expected}, got {text!r}") from None
-    if {len(kp), len(kd)} - {1, n}:
-        raise ParameterError(f"--gains must be {expected}, got {text!r}")
-    return JointServo(kp=tuple(kp * (n // len(kp))), kd=tuple(kd * (n // len(kd))))
-
-
-def limit_warnings(arm: Arm, motion: Motion) -> list[str]:
-    """One line per kind of limit, other than position, that a motion breaks."""
-    out = []
-    for kind in ("velocity", "torque"):
-        try:
-            require_limits(arm, motion, (kind,))
-        except LimitError as error:
-            out.append(str(error))
-    return out
-
-
-def _disturbance(text: str | None) -> Array:
-    if text is None:
-        return np.zeros(6)
-    try:
-        values = np.array([float(k) for k in text.split(",")])
-    except ValueError:
-        values = np.full(6, np.nan)
-    if values.shape != (6,) or not np.isfinite(values).all():
-        raise ParameterError(
-            f"--disturb must be six numbers x,y,z [m] and angles [deg], got {text!r}"
-        )
-    values[3:] = np.deg2rad(values[3:])
-    return values
-
-
 # ------------------------------------------------------------------------------ output
 
 _MEANING = {
@@ -309,31 +322,46 @@ def _print_table(
     system: System,
     motion: Motion,
     measured: Energies,
+    ideal: Energies | None,
     residual: float | None,
-    tail: float,
-    recording_dt: float,
+    log: RunLog,
 ) -> None:
     from rich.console import Console
     from rich.table import Table
 
     table = Table(title=f"{system.arm.name} on {system.vehicle.source}, {motion.duration:g} s")
     table.add_column("measure")
-    table.add_column("value", justify="right")
+    table.add_column("value" if ideal is None else "laboratory", justify="right")
+    if ideal is not None:
+        table.add_column("in space", justify="right")
     table.add_column("unit")
     table.add_column("meaning")
+    space = {} if ideal is None else ideal.to_dict()
+    tail = min(TAIL, float(log.t[-1] - log.t[0]) - motion.duration)
     for name, value in measured.to_dict().items():
         symbol = {"E_int": "J s", "t_5": "s"}.get(name, "J")
-        shown = "-" if value is None else f"{value:.5g}"
-        table.add_row(name, shown, symbol, _MEANING[name].format(tail=tail))
-    table.add_section()
-    shown = "-" if residual is None else f"{residual:.1e}"
-    what = f"relative residual of the energy account, records every {1e3 * recording_dt:g} ms"
-    table.add_row("ledger", shown, "1", what)
+        shown = [_shown(value)] + ([_shown(space[name])] if space else [])
+        table.add_row(name, *shown, symbol, _MEANING[name].format(tail=round(tail, 6)))
+    if system.mode == "ideal":
+        table.add_section()
+        shown = ["-" if residual is None else f"{residual:.1e}"]
+        every = 1e3 * float(log.t[1] - log.t[0])
+        what = f"relative residual of the energy account, records every {every:g} ms"
+        table.add_row("ledger", *shown, "1", what)
     Console(width=None if sys.stdout.isatty() else 120, markup=False).print(table)
 
 
-def _picture(log: RunLog, system: System, duration: float, path: Path) -> Path | None:
-    """Base pose, joint tracking and energy against time; None without matplotlib."""
+def _shown(value: float | None) -> str:
+    return "-" if value is None else f"{value:.5g}"
+
+
+def _picture(
+    log: RunLog, system: System, duration: float, path: Path, space: Recording | None
+) -> Path | None:
+    """Base pose, joint tracking and energy against time; None without matplotlib.
+
+    `space`: the same run in space, dashed.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -348,21 +376,29 @@ def _picture(log: RunLog, system: System, duration: float, path: Path) -> Path |
     FigureCanvasAgg(figure)
     place, turn, joint, error, energy = figure.subplots(5, 1, sharex=True)
     for k, name in enumerate("xyz"):
-        place.plot(log.t, 1e3 * log.y[:, k], label=name, lw=1)
+        (line,) = place.plot(log.t, 1e3 * log.y[:, k], label=name, lw=1)
         turn.plot(log.t, np.rad2deg(log.y[:, 3 + k]), label=f"$\\phi_{name}$", lw=1)
+        if space is not None:
+            dashed = {"color": line.get_color(), "lw": 0.8, "ls": "--"}
+            place.plot(space.t, 1e3 * space.y[0, :, k], **dashed)
+            turn.plot(space.t, np.rad2deg(space.y[0, :, 3 + k]), **dashed)
     for k in range(log.n_joints):
         (line,) = joint.plot(log.t, np.rad2deg(log.q[:, k]), label=f"$q_{k + 1}$", lw=1)
         joint.plot(log.t, np.rad2deg(log.q_cmd[:, k]), "--", color=line.get_color(), lw=1)
         error.plot(log.t, np.rad2deg(log.q_cmd - log.q)[:, k], label=f"$q_{k + 1}$", lw=1)
     energy.plot(log.t, E.total, label="total", lw=1.2)
     energy.plot(log.t, E.strain, label="strain", lw=0.8)
+    if space is not None:
+        total = base_energy(space.system, space.q[0], space.y[0], space.yd[0]).total
+        energy.plot(space.t, total, "--", color="0.4", label="total in space", lw=1)
     labels = ("base [mm]", "base [deg]", "joints [deg]", "joint error [deg]", "base energy [J]")
     for axes, label in zip((place, turn, joint, error, energy), labels, strict=True):
         axes.set_ylabel(label)
         axes.legend(loc="upper right", ncols=3, fontsize="small")
         axes.grid(alpha=0.3)
         axes.axvline(duration, color="0.5", lw=0.8, ls=":")
-    energy.set_xlabel("time [s]; dotted: end of the motion, dashed: commanded")
+    meaning = "commanded" if space is None else "commanded, or in space"
+    energy.set_xlabel(f"time [s]; dotted: end of the motion, dashed: {meaning}")
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
     write_bytes(path, buffer.getvalue())

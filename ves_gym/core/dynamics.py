@@ -44,7 +44,9 @@ def _add(a: Scalar, b: Scalar) -> Scalar:
 
 
 def _sub(a: Scalar, b: Scalar) -> Scalar:
-    return a if isinstance(b, float) and b == 0.0 else a - b
+    if isinstance(b, float) and b == 0.0:
+        return a
+    return -b if isinstance(a, float) and a == 0.0 else a - b
 
 
 def add(*vectors: Vec) -> Vec:
@@ -195,6 +197,40 @@ def _base_body(arm: Arm) -> _Composite:
     return _body(arm.base.mass, (x, y, z), IDENTITY, arm.base.inertia)
 
 
+class InertiaEntries(NamedTuple):
+    """The inertia matrix by its parts, as scalars."""
+
+    base: list[list[Scalar]]  # (6, 6) spatial inertia of all bodies at the origin
+    across: list[list[Scalar]]  # (n, 6) momentum of all bodies per unit joint rate
+    joints: list[list[Scalar]]  # (n, n) rotors included
+
+
+def inertia_entries(arm: Arm, q: list[Scalar], xp: Any = np) -> InertiaEntries:
+    """The parts of `inertia` for one configuration of scalars."""
+    n, chain = arm.n, frames(arm, q, xp)
+    composite: _Composite | None = None
+    across: list[list[Scalar]] = [[] for _ in range(n)]
+    joints: list[list[Scalar]] = [[0.0] * n for _ in range(n)]
+    for j in reversed(range(n)):
+        link, frame = arm.links[j], chain[j]
+        x, y, z = link.inertial.com
+        com = add(frame.position, frame.rotation.apply((x, y, z)))
+        body = _body(link.inertial.mass, com, frame.rotation, link.inertial.inertia)
+        composite = body if composite is None else composite.plus(body)
+        # unit rate of joint j: linear and angular momentum (about the origin) of what it moves
+        slide = cross(frame.origin, frame.axis)
+        linear = add(scale(composite.mass, slide), cross(frame.axis, composite.moment))
+        angular = add(cross(composite.moment, slide), composite.turn(frame.axis))
+        across[j] = [*linear, *angular]
+        for i in range(j + 1):
+            axis, origin = chain[i].axis, chain[i].origin
+            value = _add(dot(axis, angular), dot(cross(origin, axis), linear))
+            joints[i][j] = joints[j][i] = value
+        joints[j][j] = _add(joints[j][j], link.rotor_inertia)
+    assert composite is not None  # an Arm has at least one link
+    return InertiaEntries(_spatial(composite.plus(_base_body(arm))), across, joints)
+
+
 def inertia(arm: Arm, q: npt.ArrayLike) -> Array:
     """Inertia matrix of the arm and its base link, base at the origin.
 
@@ -207,43 +243,29 @@ def inertia(arm: Arm, q: npt.ArrayLike) -> Array:
     """
     angles = _columns(arm, q)
     n, shape = arm.n, angles[0].shape
+    parts = inertia_entries(arm, angles)
     out = np.empty((*shape, 6 + n, 6 + n))
-    chain = frames(arm, angles)
-
-    composite: _Composite | None = None
-    momenta: list[tuple[Vec, Vec]] = [(ZERO, ZERO)] * n
-    for j in reversed(range(n)):
-        link, frame = arm.links[j], chain[j]
-        x, y, z = link.inertial.com
-        com = add(frame.position, frame.rotation.apply((x, y, z)))
-        body = _body(link.inertial.mass, com, frame.rotation, link.inertial.inertia)
-        composite = body if composite is None else composite.plus(body)
-        # unit rate of joint j: linear and angular momentum (about the origin) of what it moves
-        slide = cross(frame.origin, frame.axis)
-        linear = add(scale(composite.mass, slide), cross(frame.axis, composite.moment))
-        angular = add(cross(composite.moment, slide), composite.turn(frame.axis))
-        momenta[j] = linear, angular
-        for k in range(3):
-            out[..., k, 6 + j] = out[..., 6 + j, k] = linear[k]
-            out[..., 3 + k, 6 + j] = out[..., 6 + j, 3 + k] = angular[k]
-        for i in range(j + 1):
-            axis, origin = chain[i].axis, chain[i].origin
-            value = _add(dot(axis, angular), dot(cross(origin, axis), linear))
-            out[..., 6 + i, 6 + j] = out[..., 6 + j, 6 + i] = value
-        out[..., 6 + j, 6 + j] += link.rotor_inertia
-    assert composite is not None  # an Arm has at least one link
-    out[..., :6, :6] = _spatial(composite.plus(_base_body(arm)), shape)
+    for i in range(6):
+        for j in range(6):
+            out[..., i, j] = parts.base[i][j]
+    for j in range(n):
+        for k in range(6):
+            out[..., k, 6 + j] = out[..., 6 + j, k] = parts.across[j][k]
+        for i in range(n):
+            out[..., 6 + i, 6 + j] = parts.joints[i][j]
     return out
 
 
-def _spatial(c: _Composite, shape: tuple[int, ...]) -> Array:
-    """(..., 6, 6) spatial inertia of a composite at the origin."""
-    out = np.zeros((*shape, 6, 6))
+def _spatial(c: _Composite) -> list[list[Scalar]]:
+    """(6, 6) spatial inertia of a composite at the origin."""
     x, y, z = c.moment
+    out: list[list[Scalar]] = [[0.0] * 6 for _ in range(6)]
     for i in range(3):
-        out[..., i, i] = c.mass
-    for i, j, value in ((0, 4, z), (0, 5, -y), (1, 3, -z), (1, 5, x), (2, 3, y), (2, 4, -x)):
-        out[..., i, j] = out[..., j, i] = value
+        out[i][i] = c.mass
+    for i, j, value in ((0, 4, z), (1, 5, x), (2, 3, y)):
+        out[i][j] = out[j][i] = value
+    for i, j, value in ((0, 5, y), (1, 3, z), (2, 4, x)):
+        out[i][j] = out[j][i] = _sub(0.0, value)
     for i, j, value in (
         (3, 3, c.xx),
         (4, 4, c.yy),
@@ -252,11 +274,68 @@ def _spatial(c: _Composite, shape: tuple[int, ...]) -> Array:
         (3, 5, c.xz),
         (4, 5, c.yz),
     ):
-        out[..., i, j] = out[..., j, i] = value
+        out[i][j] = out[j][i] = value
     return out
 
 
 # ------------------------------------------------------------------ inverse dynamics
+
+
+def newton_euler(
+    arm: Arm,
+    q: list[Scalar],
+    v: list[Scalar],
+    a: list[Scalar],
+    *,
+    spin: Vec = ZERO,
+    turn: Vec = ZERO,
+    accel: Vec = ZERO,
+    xp: Any = np,
+) -> tuple[list[Scalar], Vec, Vec]:
+    """Torques of a motion, and force and moment that move the whole arm with its base link.
+
+    Args:
+        spin, turn: angular velocity and acceleration of the base, platform axes.
+        accel: acceleration of its origin less that of free fall, platform axes.
+
+    Returns:
+        tau (n) [N m], rotors included; force [N] and moment [N m] on the base link at the
+        platform-top origin, platform axes. What the arm exerts on the base is their negative.
+    """
+    chain = frames(arm, q, xp)
+    forces: list[tuple[Vec, Vec]] = []  # of each body: force, moment about the origin
+
+    def body(inertial: Any, R: Rotation, com: Vec, w: Vec, dw: Vec, at_com: Vec) -> None:
+        force = scale(inertial.mass, at_com)
+        moment = _body(0.0, ZERO, R, inertial.inertia)
+        spun = add(moment.turn(dw), cross(w, moment.turn(w)))
+        forces.append((force, add(spun, cross(com, force))))
+
+    def moved(a0: Vec, w: Vec, dw: Vec, r: Vec) -> Vec:
+        return add(a0, cross(dw, r), cross(w, cross(w, r)))
+
+    x, y, z = arm.base.com
+    body(arm.base, IDENTITY, (x, y, z), spin, turn, moved(accel, spin, turn, (x, y, z)))
+    w, dw, point = spin, turn, ZERO  # motion of the frame reached so far
+    for i, frame in enumerate(chain):
+        rate = scale(v[i], frame.axis)
+        dw = add(dw, scale(a[i], frame.axis), cross(w, rate))
+        w = add(w, rate)
+        x, y, z = arm.links[i].inertial.com
+        com = add(frame.position, frame.rotation.apply((x, y, z)))
+        at_com = moved(accel, w, dw, add(com, scale(-1.0, point)))
+        body(arm.links[i].inertial, frame.rotation, com, w, dw, at_com)
+        accel = moved(accel, w, dw, add(frame.position, scale(-1.0, point)))
+        point = frame.position
+
+    tau: list[Scalar] = [0.0] * arm.n
+    force, moment = ZERO, ZERO  # what the links from i outwards need
+    for i in reversed(range(arm.n)):
+        force, moment = add(force, forces[i + 1][0]), add(moment, forces[i + 1][1])
+        axis, origin = chain[i].axis, chain[i].origin
+        about_axis = _add(dot(axis, moment), dot(cross(origin, axis), force))
+        tau[i] = _add(about_axis, _mul(arm.links[i].rotor_inertia, a[i]))
+    return tau, add(force, forces[0][0]), add(moment, forces[0][1])
 
 
 def inverse_dynamics(
@@ -278,44 +357,14 @@ def inverse_dynamics(
     """
     angles = _columns(arm, q)
     rates, accelerations = _columns(arm, v, "v"), _columns(arm, a, "a")
-    chain = frames(arm, angles)
     lift: Vec = (-gravity[0], -gravity[1], -gravity[2])
-
-    w, dw, point, accel = ZERO, ZERO, ZERO, lift  # motion of the frame reached so far
-    forces: list[tuple[Vec, Vec]] = []  # of each link: force, moment about the origin
-    for i, frame in enumerate(chain):
-        link = arm.links[i]
-        spin = scale(rates[i], frame.axis)
-        dw = add(dw, scale(accelerations[i], frame.axis), cross(w, spin))
-        w = add(w, spin)
-
-        def at(r: Vec, w: Vec = w, dw: Vec = dw, a0: Vec = accel) -> Vec:
-            return add(a0, cross(dw, r), cross(w, cross(w, r)))
-
-        x, y, z = link.inertial.com
-        com = add(frame.position, frame.rotation.apply((x, y, z)))
-        force = scale(link.inertial.mass, at(add(com, scale(-1.0, point))))
-        body = _body(0.0, ZERO, frame.rotation, link.inertial.inertia)
-        turn = add(body.turn(dw), cross(w, body.turn(w)))
-        forces.append((force, add(turn, cross(com, force))))
-        accel = at(add(frame.position, scale(-1.0, point)))
-        point = frame.position
-
-    tau = np.empty((*angles[0].shape, arm.n))
-    force, moment = ZERO, ZERO  # what the links from i outwards need
-    for i in reversed(range(arm.n)):
-        force, moment = add(force, forces[i][0]), add(moment, forces[i][1])
-        axis, origin = chain[i].axis, chain[i].origin
-        about_axis = _add(dot(axis, moment), dot(cross(origin, axis), force))
-        tau[..., i] = about_axis + arm.links[i].rotor_inertia * accelerations[i]
-
-    x, y, z = arm.base.com
-    weight = scale(arm.base.mass, lift)
-    force, moment = add(force, weight), add(moment, cross((x, y, z), weight))
-    wrench = np.empty((*angles[0].shape, 6))
-    for k in range(3):  # reaction
-        wrench[..., k] = -force[k] if not _is_zero(force[k]) else 0.0
-        wrench[..., 3 + k] = -moment[k] if not _is_zero(moment[k]) else 0.0
+    torques, force, moment = newton_euler(arm, angles, rates, accelerations, accel=lift)
+    shape = np.broadcast_shapes(angles[0].shape, rates[0].shape, accelerations[0].shape)
+    tau, wrench = np.empty((*shape, arm.n)), np.empty((*shape, 6))
+    for i, value in enumerate(torques):
+        tau[..., i] = value
+    for k, value in enumerate((*force, *moment)):  # reaction
+        wrench[..., k] = -value if not _is_zero(value) else 0.0
     return tau, wrench
 
 

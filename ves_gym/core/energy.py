@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.integrate import cumulative_simpson, trapezoid
 
 from ves_gym.core.dynamics import inertia
+from ves_gym.core.effect import joint_torque
 from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.runlog import RunLog
 from ves_gym.core.spatial import quadratic, twist
@@ -186,7 +187,7 @@ class Ledger(NamedTuple):
     work: Array  # of the joint drives
     kinetic: Array  # change, whole system
     strain: Array  # change
-    dissipated: Array  # in the vehicle's damping
+    dissipated: Array  # in the vehicle's damping, and by effects at the joints
     residual: Array  # work - kinetic - strain - dissipated
     relative: float  # largest |residual| over the largest work through the base port
 
@@ -210,13 +211,21 @@ def ledger(log: RunLog) -> Ledger:
     strain = quadratic(system.base.K, log.y)
     stored, power = _port_energy(system, log.y, log.yd)
     dissipated = cumulative_simpson(power, x=log.t, initial=0.0)
+    lost = -np.sum(joint_torque(system.effects, log.q, log.v) * log.v, axis=-1)
+    in_joints = cumulative_simpson(lost, x=log.t, initial=0.0)
     work = _drive_work(system, log)
     residual = work - (kinetic - kinetic[0]) - (strain - strain[0]) - dissipated
+    residual = residual - in_joints
     # the largest, not the last: a free base gives back what it took
     port = float(np.abs(stored - stored[0] + dissipated).max())
     relative = float(np.abs(residual).max()) / port if port > 0 else math.inf
     return Ledger(
-        work, kinetic - kinetic[0], strain - strain[0], dissipated, residual, relative
+        work,
+        kinetic - kinetic[0],
+        strain - strain[0],
+        dissipated + in_joints,
+        residual,
+        relative,
     )
 
 

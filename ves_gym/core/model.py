@@ -46,8 +46,62 @@ def build_spec(
     and `ctrl` its slope, so a command can run linearly through a physics step instead of
     jumping between steps.
     """
+    spec, platform = _empty_spec(arm.name, gravity, integrator, physics_dt)
+    _set_inertial(platform, arm.base)
+    if base.body is not None:
+        _set_inertial(platform.add_body(name="satellite"), base.body)
+    for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
+        _add_tendons(spec, what, values)
+    _add_links(spec, platform, arm)
+    return spec
+
+
+PRESCRIBED_INERTIA = 1e8  # kg m^2 added to a joint that must follow its command
+# The platform's: the arm's 1 kN then moves it by 1e-7 m/s^2.
+PLATFORM_INERTIA = 1e10  # kg, kg m^2
+
+
+def build_laboratory_spec(
+    arm: Arm,
+    *,
+    gravity: tuple[float, float, float],
+    balance: bool,
+    integrator: str,
+    physics_dt: float,
+) -> mujoco.MjSpec:
+    """The arm on a platform that moves as commanded, with a wrench sensor under its base.
+
+    Six actuators `platform_x` ... come first; their command is the acceleration of the
+    base coordinate. Sensors `force` and `moment`: what the arm exerts on the platform, at
+    the platform-top origin in platform axes. With `balance` the links' weight is carried
+    outside the motors; the sensors feel it all the same.
+    """
+    spec, platform = _empty_spec(arm.name, gravity, integrator, physics_dt)
+    platform.mass, platform.ipos, platform.inertia = 1.0, [0, 0, 0], [1.0, 1.0, 1.0]
+    platform.explicitinertial = True
+    for name in BASE_JOINTS:
+        spec.joint(name).armature = PLATFORM_INERTIA
+        _add_drive(spec, f"platform_{name}", name, PLATFORM_INERTIA)
+    mount = platform.add_body(name="arm_base")
+    _set_inertial(mount, arm.base)
+    mount.add_site(name="mount")
+    for name, kind in (
+        ("force", mujoco.mjtSensor.mjSENS_FORCE),
+        ("moment", mujoco.mjtSensor.mjSENS_TORQUE),
+    ):
+        spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="mount")
+    _add_links(spec, mount, arm)
+    for i in range(arm.n):
+        spec.body(f"link_{i + 1}").gravcomp = float(balance)
+    return spec
+
+
+def _empty_spec(
+    name: str, gravity: tuple[float, float, float], integrator: str, physics_dt: float
+) -> tuple[mujoco.MjSpec, Any]:
+    """A model with nothing but the platform body on its six joints."""
     spec = mujoco.MjSpec()
-    spec.modelname = arm.name
+    spec.modelname = name
     spec.compiler.degree = False
     spec.compiler.autolimits = True
     option = spec.option
@@ -59,18 +113,17 @@ def build_spec(
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
 
     platform = spec.worldbody.add_body(name="platform")
-    for name in BASE_JOINTS:
-        slide = len(name) == 1
+    for joint in BASE_JOINTS:
+        slide = len(joint) == 1
         kind = mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE
-        axis = [float(k == name[-1]) for k in "xyz"]
-        platform.add_joint(name=name, type=kind, axis=axis)
-    _set_inertial(platform, arm.base)
-    if base.body is not None:
-        _set_inertial(platform.add_body(name="satellite"), base.body)
-    for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
-        _add_tendons(spec, what, values)
+        axis = [float(k == joint[-1]) for k in "xyz"]
+        platform.add_joint(name=joint, type=kind, axis=axis)
+    return spec, platform
 
-    body, position, rotation = platform, np.zeros(3), np.eye(3)
+
+def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
+    """The arm's links, joints and drives on a body at the platform-top frame."""
+    body, position, rotation = root, np.zeros(3), np.eye(3)
     for i, link in enumerate(arm.links, start=1):
         turn = np.array(
             [
@@ -90,19 +143,26 @@ def build_spec(
         )
         _set_inertial(body, link.inertial_at_joint)
         rotation, position = link.far_end
-        spec.add_actuator(
-            name=f"drive_{i}",
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            target=f"q_{i}",
-            dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
-            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-            gainprm=[1.0] + [0.0] * 9,
-            biasprm=[0.0] * 10,
-            forcerange=[-link.tau_max, link.tau_max],
-        )
+        _add_drive(spec, f"drive_{i}", f"q_{i}", 1.0, link.tau_max)
     body.add_site(name="tool", pos=position.tolist(), quat=_quaternion(rotation))
-    return spec
+
+
+def _add_drive(
+    spec: mujoco.MjSpec, name: str, joint: str, gain: float, limit: float | None = None
+) -> None:
+    """An actuator whose command (its activation) runs linearly through a physics step."""
+    drive = spec.add_actuator(
+        name=name,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        target=joint,
+        dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        gainprm=[gain] + [0.0] * 9,
+        biasprm=[0.0] * 10,
+    )
+    if limit is not None:
+        drive.forcerange = [-limit, limit]
 
 
 def _add_tendons(spec: mujoco.MjSpec, what: str, values: Array) -> None:

@@ -149,6 +149,13 @@ def from_plain(cls: Any, plain: Any, where: str = "") -> Any:
     origin = typing.get_origin(cls)
     if origin in (typing.Union, types.UnionType):
         return _from_union(typing.get_args(cls), plain, where)
+    known = getattr(cls, "REGISTRY", None)  # an open family, told apart by the entry `kind`
+    if known is not None and cls not in known.values():
+        kind = plain.get("kind") if isinstance(plain, Mapping) else None
+        if not isinstance(kind, str) or kind not in known:
+            names = ", ".join(sorted(known))
+            raise ParameterError(f"{where}.kind must be one of {names}, got {kind!r}")
+        return from_plain(known[kind], plain, where)
     if isinstance(cls, type) and dataclasses.is_dataclass(cls):
         return _from_mapping(cls, plain, where)
     if origin is tuple:

@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym.core.backends import make_backend
+from ves_gym.core.admittance import Nonlinear
+from ves_gym.core.backends import MEANINGLESS, make_backend
 from ves_gym.core.dynamics import inertia
+from ves_gym.core.laboratory import Event, Laboratory, Readings
 from ves_gym.core.params import Array, Index, Mask, ParameterError
 from ves_gym.core.servo import FREE, HIGH_GAINS, JointServo
-from ves_gym.core.spatial import SINGULAR, matvec, rate_matrix
+from ves_gym.core.spatial import AXES, SINGULAR, matvec, rate_matrix
 from ves_gym.core.system import System
-
-_MEANINGLESS = 1e10  # m, rad and their rates; where the engine gives a state up
 
 
 class Divergence(ArithmeticError):
@@ -43,10 +43,12 @@ class Snapshot:
     """Everything needed to continue exactly from here (`Simulator.snapshot`)."""
 
     system_hash: str
+    backend_name: str
     backend: object
     generators: tuple[Any, ...]
     gains: tuple[Array, Array]  # kp, kd
     diverged: Mask
+    laboratory: Any = None
 
 
 class Simulator:
@@ -56,12 +58,17 @@ class Simulator:
         system: what to simulate.
         n: number of simulations, >= 1.
         servo: joint servo, or None for bare torque input; ignored by a prescribed drive.
-        backend: engine, "mujoco".
+        backend: engine, "auto" (the compiled kernel wherever it can be had), "kernel" or
+            "mujoco"; `backend_name` says which one runs.
         threads: threads of the engine, 0 = one per processor.
         seed: root of the per-simulation random generators; simulation i draws the same
             numbers whatever n is.
         on_divergence: "raise" a `Divergence` that names simulation, time and joint, or
             "mark" it in `diverged` and leave that simulation where it is.
+        admittance: mode emulated: a nonlinear vehicle g(X, W) -> X' that takes the place of
+            the linear one, X (n, 12) = (Y, Y'), W (n, 6) conjugate to Y (thesis eq. 2.2).
+        warn_at: mode emulated: joint angles at which the loop's stability is judged; an
+            unstable one is an `EmulationWarning`. None: not judged.
     """
 
     def __init__(
@@ -70,20 +77,30 @@ class Simulator:
         n: int = 1,
         *,
         servo: JointServo | None = HIGH_GAINS,
-        backend: str = "mujoco",
+        backend: str = "auto",
         threads: int = 0,
         seed: int = 0,
         on_divergence: str = "raise",
+        admittance: Nonlinear | None = None,
+        warn_at: npt.ArrayLike | None = 0.0,
     ) -> None:
         if not isinstance(n, (int, np.integer)) or isinstance(n, bool) or n < 1:
             raise ParameterError(f"n must be a whole number >= 1, got {n!r}")
         if on_divergence not in ("raise", "mark"):
             raise ParameterError(f"on_divergence must be raise or mark, got {on_divergence!r}")
-        _require_stable_step(system)
+        if system.mode == "ideal":
+            _require_stable_step(system)
+            if admittance is not None:
+                raise ParameterError("an admittance needs mode emulated, got mode ideal")
         self.system, self.n = system, int(n)
         self.joints = system.arm.n
         self.backend = make_backend(backend, system, self.n, threads)
         self.on_divergence = on_divergence
+        self.generators: list[np.random.Generator] = []
+        self.seed(seed)
+        self.laboratory: Laboratory | None = None
+        if system.mode == "emulated":
+            self.laboratory = Laboratory(system, self.n, self.generators, admittance)
         self.servo = servo if servo is not None else FREE
         self._kp = np.zeros((n, self.joints))
         self._kd = np.zeros((n, self.joints))
@@ -93,11 +110,19 @@ class Simulator:
                     f"servo must have gains for {self.joints} joints, got {len(servo.kp)}"
                 )
             self.set_gains(servo.kp, servo.kd)
-        self.seed(seed)
+        if self.laboratory is not None and warn_at is not None and admittance is None:
+            from ves_gym.core.stability import warn_if_unstable  # it runs simulators itself
+
+            warn_if_unstable(system, warn_at, servo)
         self.diverged = np.zeros(n, bool)
         self.reset()
 
     # ------------------------------------------------------------------ state
+
+    @property
+    def backend_name(self) -> str:
+        """The engine that runs: kernel or mujoco."""
+        return self.backend.name
 
     @property
     def state(self) -> State:
@@ -109,7 +134,7 @@ class Simulator:
         """Restart the random generators."""
         if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool) or seed < 0:
             raise ParameterError(f"seed must be a whole number >= 0, got {seed!r}")
-        self.generators = [
+        self.generators[:] = [
             np.random.Generator(np.random.PCG64(np.random.SeedSequence((int(seed), i))))
             for i in range(self.n)
         ]
@@ -151,6 +176,8 @@ class Simulator:
             np.hstack([full["y"], full["q"]]),
             np.hstack([full["yd"], full["v"]]),
         )
+        if self.laboratory is not None:
+            self.laboratory.reset(index, full["q"], full["y"], full["yd"])
         self.diverged[index] = False
         self._seen = self.state
         return self._seen
@@ -159,10 +186,12 @@ class Simulator:
         """The complete state, random generators included; picklable."""
         return Snapshot(
             self.system.hash,
+            self.backend.name,
             self.backend.get_state(),
             tuple(copy.deepcopy(g.bit_generator.state) for g in self.generators),
             (self._kp.copy(), self._kd.copy()),
             self.diverged.copy(),
+            None if self.laboratory is None else self.laboratory.get_state(),
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -172,11 +201,17 @@ class Simulator:
                 f"snapshot is of system {snapshot.system_hash[:12]} with n ="
                 f" {len(snapshot.diverged)}, this is {self.system.hash[:12]} with n = {self.n}"
             )
+        if snapshot.backend_name != self.backend.name:
+            raise ParameterError(
+                f"snapshot is of backend {snapshot.backend_name}, this is {self.backend.name}"
+            )
         self.backend.set_state(snapshot.backend)
         if self.system.drive == "motor":
             self.set_gains(*snapshot.gains)
         for generator, state in zip(self.generators, snapshot.generators, strict=True):
             generator.bit_generator.state = copy.deepcopy(state)
+        if self.laboratory is not None:
+            self.laboratory.set_state(snapshot.laboratory)
         self.diverged = snapshot.diverged.copy()
         self._seen = self.state
 
@@ -191,6 +226,8 @@ class Simulator:
         self._kp[index] = self._broadcast(kp, "kp", shape)
         self._kd[index] = self._broadcast(kd, "kd", shape)
         self.backend.set_gains(index, self._kp[index], self._kd[index])
+        if self.laboratory is not None:
+            self.laboratory.kp, self.laboratory.kd = self._kp, self._kd
 
     # ---------------------------------------------------------------- stepping
 
@@ -199,6 +236,7 @@ class Simulator:
         command: npt.ArrayLike = 0.0,
         *,
         base_wrench: npt.ArrayLike | None = None,
+        platform: npt.ArrayLike | None = None,
     ) -> State:
         """Advance one control period with the command held.
 
@@ -208,11 +246,21 @@ class Simulator:
                 Prescribed drive: joint acceleration [rad/s^2].
             base_wrench: (n, 6) jets' wrench in the platform frame [N, N m]; only a
                 vehicle with thrusters accepts it.
+            platform: pose (n, 6), or pose and rate (n, 12), that the platform shall
+                follow; emulators under position control only.
         """
         torque = self._broadcast(command, "command", (self.n, self.joints))
-        self.backend.step(
-            torque, self._base_force(base_wrench), self.system.substeps, self._running()
-        )
+        if self.laboratory is not None:
+            if base_wrench is not None:
+                raise ParameterError("base_wrench needs mode ideal, got mode emulated")
+            held = np.repeat(torque[:, None], self.system.substeps + 1, axis=1)
+            self._ride(held, self._platform(platform, 1))
+        else:
+            if platform is not None:
+                raise ParameterError("platform needs mode emulated, got mode ideal")
+            self.backend.step(
+                torque, self._base_force(base_wrench), self.system.substeps, self._running()
+            )
         self._watch()
         self._seen = self.state
         return self._seen
@@ -223,8 +271,12 @@ class Simulator:
         command: Array = self._kp[middle] * q + self._kd[middle] * v + tau
         return command
 
-    def play(self, commands: Array) -> None:
-        """Advance k physics steps, the commands (n, k + 1, joints) linear over each step."""
+    def play(self, commands: Array, platform: npt.ArrayLike | None = None) -> None:
+        """Advance k physics steps, the commands (n, k + 1, joints) linear over each step.
+
+        In mode emulated k must be whole control periods. Under position control
+        `platform` (n, periods, 12) is the pose and rate to follow from each period's start.
+        """
         wanted = (
             f"commands must be numbers of shape ({self.n}, k + 1, {self.joints}), k >= 1, got"
         )
@@ -233,8 +285,83 @@ class Simulator:
             raise ParameterError(f"{wanted} {given.shape}")
         nodes = self._broadcast(given, "commands", (self.n, given.shape[1], self.joints))
         self._seen = self.state
-        self.backend.play(nodes, self._running())
+        if self.laboratory is not None:
+            periods, rest = divmod(nodes.shape[1] - 1, self.system.substeps)
+            if rest:
+                raise ParameterError(
+                    f"in mode emulated commands must cover whole control periods of"
+                    f" {self.system.substeps} physics steps, got {nodes.shape[1] - 1} steps"
+                )
+            self._ride(nodes, self._platform(platform, periods))
+        else:
+            self.backend.play(nodes, self._running())
         self._watch()
+
+    def _ride(self, nodes: Array, platform: Array | None) -> None:
+        """Control period by control period: laboratory -> engine -> laboratory."""
+        lab, k, h = self.laboratory, self.system.substeps, self.system.physics_dt
+        assert lab is not None
+        ids = self._running()
+        for i in range((nodes.shape[1] - 1) // k):
+            _, z, zd = self.backend.read()
+            given = None if platform is None else (platform[:, i, :6], platform[:, i, 6:])
+            y, yd, ydd = lab.command(z[:, 6:], given)
+            base = ydd + _catch_up(y, yd, ydd, z[:, :6], zd[:, :6], h)
+            wrench = self.backend.ride(nodes[:, i * k : (i + 1) * k + 1], base, ids)
+            _, z, _ = self.backend.read()
+            lab.sense(wrench, z[:, 6:])
+
+    def _platform(self, platform: npt.ArrayLike | None, periods: int) -> Array | None:
+        assert self.laboratory is not None
+        operation = self.laboratory.spec.operation
+        if platform is None:
+            return None
+        if operation != "position":
+            raise ParameterError(
+                f"platform needs an emulator under position control, got {operation}"
+            )
+        given = _numbers(platform, "platform must be numbers of shape (n, 6) or (n, 12), got")
+        if given.ndim < 3:
+            if given.ndim and given.shape[-1] == 6:
+                given = np.concatenate([given, np.zeros_like(given)], axis=-1)
+            wide = self._broadcast(given, "platform", (self.n, 12))
+            return np.repeat(wide[:, None], periods, axis=1)
+        return self._broadcast(given, "platform", (self.n, periods, 12))
+
+    # --------------------------------------------------------------- laboratory
+
+    @property
+    def readings(self) -> Readings:
+        """Mode emulated: what force sensor, gravity estimate and platform report now."""
+        if self.laboratory is None:
+            raise ParameterError("readings need mode emulated, got mode ideal")
+        return self.laboratory.readings
+
+    @property
+    def events(self) -> list[Event]:
+        """Safety stops since the resets: platforms that froze, when and why."""
+        return [] if self.laboratory is None else list(self.laboratory.events)
+
+    def use_gravity(self, table: npt.ArrayLike | None) -> None:
+        """Take the gravity wrench from a table (n, m, 6) instead of the model.
+
+        One row per reading from the next on, the last held (Learning Method, thesis 3.3);
+        None returns to the model.
+        """
+        if self.laboratory is None or self.laboratory.spec.operation != "microgravity":
+            raise ParameterError("use_gravity needs mode emulated, operation microgravity")
+        if table is None:
+            self.laboratory.table = None
+            return
+        rows = max(1, np.shape(table)[1]) if np.ndim(table) == 3 else 1
+        given = self._broadcast(table, "table", (self.n, rows, 6))
+        self.laboratory.table = given.copy()
+
+    def zero_sensor(self, ids: npt.ArrayLike | None = None) -> None:
+        """Set the force sensors' zero from the gravity estimate (thesis App. E, step 9)."""
+        if self.laboratory is None:
+            raise ParameterError("zero_sensor needs mode emulated, got mode ideal")
+        self.laboratory.zero(self._ids(ids))
 
     def evaluate(self, command: npt.ArrayLike) -> tuple[Array, Array]:
         """Drive torque (n, joints) [N m] and base acceleration Y'' (n, 6) at this state."""
@@ -271,17 +398,11 @@ class Simulator:
         which = f"simulation {i} of {self.n} diverged at t = {time:.4f} s: "
         if self._tumbled()[i]:
             return which + f"phi_y = {np.rad2deg(z[4]):.1f} deg, Z-Y-X angles end at 90 deg"
-        if not (np.abs([z, zd]) < _MEANINGLESS).all():  # soon every coordinate is
+        if not (np.abs([z, zd]) < MEANINGLESS).all():  # soon every coordinate is
             seen = self._seen
             z, zd = np.r_[seen.y[i], seen.q[i]], np.r_[seen.yd[i], seen.v[i]]
         size = np.maximum(np.abs(z), np.abs(zd))
-        names = [
-            *"xyz",
-            "phi_x",
-            "phi_y",
-            "phi_z",
-            *(f"joint {k + 1}" for k in range(self.joints)),
-        ]
+        names = [*AXES, *(f"joint {k + 1}" for k in range(self.joints))]
         worst = int(size.argmax())
         return which + f"{names[worst]} = {z[worst]:.3g} moving at {zd[worst]:.3g}"
 
@@ -334,21 +455,49 @@ def _numbers(value: npt.ArrayLike, wanted: str) -> Array:
     return given.astype(np.float64)
 
 
+def _catch_up(y: Array, yd: Array, ydd: Array, now: Array, rate: Array, h: float) -> Array:
+    """(n, k + 1, 6) acceleration that brings the engine's platform onto its path.
+
+    The engine runs the accelerations linearly through each step. What that and its own
+    rounding leave of Y and Y' at the end of the period is taken out by a correction that
+    is linear over the period.
+    """
+    k = y.shape[1] - 1
+    t = k * h
+    # where the engine would be at the end: exact integrals of a piecewise linear Y''
+    once = np.full(k + 1, h)
+    once[[0, -1]] = h / 2
+    twice = h * h * np.arange(k, -1.0, -1.0)
+    twice[0], twice[-1] = h * h * (k / 2 - 1 / 6), h * h / 6
+    miss = y[:, -1] - (now + t * rate + np.matmul(twice, ydd))
+    miss_rate = yd[:, -1] - (rate + np.matmul(once, ydd))
+    slope = (6 * miss_rate * t - 12 * miss) / t**3
+    start = miss_rate / t - slope * t / 2
+    line = np.arange(k + 1)[:, None] * h
+    return np.asarray(start[:, None] + slope[:, None] * line, dtype=np.float64)
+
+
 def _require_stable_step(system: System) -> None:
     """Refuse a physics step the integrator cannot take, judged at q = 0, joints locked."""
     base = system.base
     Mt = base.mass_matrix + inertia(system.arm, np.zeros(system.arm.n))[:6, :6]
     K, D = np.linalg.solve(Mt, base.K), np.linalg.solve(Mt, base.D)
-    if system.integrator != "rk4":  # the engine's other integrators take damping implicitly
-        D = np.zeros((6, 6))
-    poles = np.linalg.eigvals(np.block([[np.zeros((6, 6)), np.eye(6)], [-K, -D]]))
+    eye, none = np.eye(6), np.zeros((6, 6))
+    poles = np.linalg.eigvals(np.block([[none, eye], [-K, -D]]))
 
     def stable(dt: float) -> bool:
-        z = poles * dt
-        if system.integrator != "rk4":
-            return bool(np.abs(z).max() <= 2)  # semi-implicit Euler on an oscillator
-        growth = np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4))))
-        return bool(growth.max() <= 1 + 1e-9)
+        """Whether a step lets no mode grow."""
+        if system.integrator == "rk4":
+            z = poles * dt
+            growth = np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4))))
+        else:  # rates first, coordinates with the new rates
+            implicit = system.integrator == "implicitfast"
+            left = np.linalg.inv(eye + dt * D) if implicit else eye
+            keep = left if implicit else eye - dt * D
+            rates = np.hstack([-dt * left @ K, keep])
+            step = np.vstack([np.hstack([eye, none]) + dt * rates, rates])
+            growth = np.abs(np.linalg.eigvals(step))
+        return bool(growth.max() <= 1 + 1e-7)  # rounding of a double eigenvalue 1
 
     if stable(system.physics_dt):
         return

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from ves_gym.core.params import Array
 
+AXES = ("x", "y", "z", "phi_x", "phi_y", "phi_z")  # of Y
 SINGULAR = 1e-3  # cos(phi_y) below this is reported: Z-Y-X angles end at 90 deg
 
 

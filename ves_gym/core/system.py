@@ -12,6 +12,8 @@ from functools import cached_property
 from typing import Any
 
 from ves_gym.core.arm import Arm
+from ves_gym.core.effect import Effect
+from ves_gym.core.emulator import NOMINAL, Emulator
 from ves_gym.core.params import (
     ParameterError,
     content_hash,
@@ -26,16 +28,19 @@ from ves_gym.core.params import (
 from ves_gym.core.puma import PUMA_560
 from ves_gym.core.vehicle import BENT, BaseModel, Vehicle, get_vehicle
 
-MODES = ("ideal",)
+MODES = ("ideal", "emulated")
 DRIVES = ("motor", "prescribed")
 INTEGRATORS = ("rk4", "euler", "implicitfast")
 
 
 @dataclass(frozen=True, kw_only=True)
 class System:
-    """Arm + vehicle + mode, and how time advances.
+    """Arm + vehicle + mode + effects, and how time advances.
 
     `mode` ideal is the space system itself: zero gravity, arm and vehicle coupled.
+    Emulated is the laboratory: full gravity, and a platform that moves as the vehicle
+    would by what its force sensor feels (`emulator`; the nominal machine by default).
+    `effects` are deviations from what is described here.
     `drive` motor gives the joints torque-limited motors with servo gains; prescribed
     makes them follow their command exactly, whatever the base does (a perfect servo).
     The control period must be a whole number of physics steps.
@@ -44,6 +49,8 @@ class System:
     arm: Arm = PUMA_560
     vehicle: Vehicle = BENT
     mode: str = "ideal"
+    emulator: Emulator | None = None
+    effects: tuple[Effect, ...] = ()
     drive: str = "motor"
     integrator: str = "rk4"
     physics_dt: float = unit("s", default=1.25e-3)
@@ -60,6 +67,22 @@ class System:
                 f"System.control_dt must be a whole number of physics steps of"
                 f" {self.physics_dt:g} s, got {self.control_dt:g} s = {ratio:g} steps"
             )
+        if self.mode == "emulated" and self.emulator is None:
+            object.__setattr__(self, "emulator", NOMINAL)  # the dataclass is frozen
+        if self.mode == "ideal" and self.emulator is not None:
+            raise ParameterError(
+                "System.emulator belongs to mode emulated, got one with mode ideal"
+                " (System.ideal() drops it)"
+            )
+        for effect in self.effects:
+            if not isinstance(effect, Effect):
+                raise ParameterError(f"System.effects must hold effects, got {effect!r}")
+            if self.mode not in effect.modes:
+                raise ParameterError(
+                    f"effect {effect.kind} acts in mode {', '.join(effect.modes)},"
+                    f" got mode {self.mode}"
+                )
+            effect.check(self)
 
     @property
     def substeps(self) -> int:
@@ -82,6 +105,20 @@ class System:
     def replace(self, **changes: Any) -> System:
         """A copy with some fields changed."""
         return dataclasses.replace(self, **changes)
+
+    def ideal(self) -> System:
+        """The space system that this one emulates (itself, if it is ideal)."""
+        if self.mode == "ideal":
+            return self
+        kept = tuple(e for e in self.effects if "ideal" in e.modes)
+        return self.replace(mode="ideal", emulator=None, effects=kept)
+
+    @property
+    def laboratory(self) -> Emulator:
+        """The emulator of an emulated system."""
+        if self.emulator is None:
+            raise ParameterError("mode ideal has no laboratory machine: use mode emulated")
+        return self.emulator
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, as written to TOML and JSON."""

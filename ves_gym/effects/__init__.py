@@ -1,1 +1,49 @@
-"""Effects: named physical deviations from the nominal system, one per file."""
+"""Effects: named physical deviations from the nominal system, one per file.
+
+Importing this package files them all under their names in `EFFECTS`.
+"""
+
+from __future__ import annotations
+
+from ves_gym.core.effect import EFFECTS, Effect
+from ves_gym.effects.budget import LABORATORY_ERRORS
+from ves_gym.effects.gravity_delay import GravityDelay
+from ves_gym.effects.gravity_mass import GravityMass
+from ves_gym.effects.gravity_moment import GravityMoment
+from ves_gym.effects.gravity_scale import GravityScale
+from ves_gym.effects.gravity_tilt import GravityTilt
+from ves_gym.effects.joint_coulomb import JointCoulomb
+from ves_gym.effects.joint_stribeck import JointStribeck
+from ves_gym.effects.joint_viscous import JointViscous
+from ves_gym.effects.payload_inertia import PayloadInertia
+from ves_gym.effects.platform_bandwidth import PlatformBandwidth
+from ves_gym.effects.platform_damping import PlatformDamping
+from ves_gym.effects.sensor_bias import SensorBias
+from ves_gym.effects.sensor_calibration import SensorCalibration
+from ves_gym.effects.sensor_drift import SensorDrift
+from ves_gym.effects.sensor_lag import SensorLag
+from ves_gym.effects.sensor_noise import SensorNoise
+from ves_gym.effects.sensor_rotation import SensorRotation
+
+__all__ = [
+    "EFFECTS",
+    "LABORATORY_ERRORS",
+    "Effect",
+    "GravityDelay",
+    "GravityMass",
+    "GravityMoment",
+    "GravityScale",
+    "GravityTilt",
+    "JointCoulomb",
+    "JointStribeck",
+    "JointViscous",
+    "PayloadInertia",
+    "PlatformBandwidth",
+    "PlatformDamping",
+    "SensorBias",
+    "SensorCalibration",
+    "SensorDrift",
+    "SensorLag",
+    "SensorNoise",
+    "SensorRotation",
+]

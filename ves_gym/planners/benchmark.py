@@ -1,7 +1,9 @@
 """The path benchmark: planners x queries, every answer simulated, one result.
 
 `run_benchmark` plans in worker processes, plays all motions of a duration in one batch
-on the full nonlinear system, and returns plain data (schema `ves-benchmark/1`).
+on the full nonlinear system, and returns plain data (schema `ves-benchmark/1`). Planning
+is for the space system. In mode emulated the laboratory plays the motions, the space
+system plays them again, and the difference is the emulation error.
 """
 
 from __future__ import annotations
@@ -11,8 +13,9 @@ import os
 import platform
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
@@ -20,17 +23,18 @@ from typing import Any
 import numpy as np
 
 from ves_gym import __version__
-from ves_gym.core.energy import TAIL, energies
-from ves_gym.core.playback import play_motions
+from ves_gym.core.energy import TAIL, Energies, energies
+from ves_gym.core.legs import LEG_SERVOS, LegServo
+from ves_gym.core.playback import Recording, play_motions
 from ves_gym.core.system import System
 from ves_gym.planners.query import Plan, Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.scenes import Shown, coupling_maps, scene, trace
-from ves_gym.planners.suites import Suite
+from ves_gym.planners.suites import Suite, is_compensated, uncompensated
 
 SCHEMA = "ves-benchmark/1"
 BASELINE = "straight"
-_RECORD = 12.5e-3  # s between records
+_RECORD = 12.5e-3  # s between records, or near it
 _BATCH = 250  # motions played at once: bounds the memory of their records
 _NOTHING = 1e-4  # of the run's own peak energy: below it there is no ratio to speak of
 _RESAMPLES = 2000  # of the bootstrap
@@ -63,9 +67,22 @@ def run_benchmark(
     for name in names:
         get_planner(name)
     tell = progress or (lambda stage, done: None)
-    plans = _plan_all([(n, v, q) for v, q in suite.queries for n in names], seed, workers, tell)
-    rows, keep = _simulate_all(plans, tell)
+    asked = [(n, v, q) for v, q in suite.queries for n in names]
+    jobs = [(n, v, replace(q, system=q.system.ideal())) for n, v, q in asked]
+    runs = []
+    for (name, _, query), (vehicle, plan) in zip(
+        asked, _plan_all(jobs, seed, workers, tell), strict=True
+    ):
+        runs.append(_Run(name, vehicle, plan, query.system))
+        if (query.name, name) in suite.weighed:
+            runs.append(_Run(name + _WEIGHED, vehicle, plan, uncompensated(query.system)))
+    rows, keep = _simulate_all(runs, seed, tell)
     first = suite.queries[0][1].system
+    listed = [{"name": n, "summary": get_planner(n).summary} for n in names]
+    for label in dict.fromkeys(r.label for r in runs if r.label not in names):
+        name = label.removesuffix(_WEIGHED)
+        what = f"the motion of {name}, the arm's weight zeroed once at the start, then left in"
+        listed.append({"name": label, "summary": what, "motion_of": name})
     return {
         "schema": SCHEMA,
         "suite": suite.name,
@@ -76,14 +93,15 @@ def run_benchmark(
         "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "versions": _versions(),
         "systems": _systems(suite),
-        "planners": [{"name": n, "summary": get_planner(n).summary} for n in names],
+        **({"machine": _machine(first)} if first.mode == "emulated" else {}),
+        "planners": listed,
         "rows": rows,
         "summary": summarise(rows),
         "traces": [trace(*group) for group in keep],
         "maps": [
             m
             for group in _showcase(keep)
-            for m in coupling_maps(group[0], [p for p, _, _ in group[1]])
+            for m in coupling_maps(group[0], [shown.plan for shown in group[1]])
         ],
         "scenes": [scene(*group) for group in _showcase(keep)],
         "seconds": round(time.perf_counter() - begin, 2),
@@ -123,38 +141,82 @@ def _mapped(work: list[tuple[str, Query, int]], workers: int | None) -> Iterator
 
 # ----------------------------------------------------------------------- simulation
 
+_WEIGHED = " (weight not compensated)"
 Group = tuple[str, list[Shown]]  # vehicle, the planners' answers to one query
 
 
+@dataclass(frozen=True)
+class _Run:
+    """A plan and the system its motion is played on."""
+
+    label: str  # the planner's name, or how its motion is played
+    vehicle: str
+    plan: Plan
+    system: System
+
+
 def _simulate_all(
-    plans: list[tuple[str, Plan]], tell: Progress
+    runs: list[_Run], seed: int, tell: Progress
 ) -> tuple[list[dict[str, Any]], list[Group]]:
-    """Rows in the order of the plans, and the runs to show (one query per duration)."""
-    batches: dict[tuple[str, float], list[int]] = defaultdict(list)
-    for i, (vehicle, plan) in enumerate(plans):
-        batches[vehicle, plan.query.duration].append(i)
+    """Rows in the order of the runs, and those to show (one query per duration)."""
+    batches: dict[tuple[str, System, float], list[int]] = defaultdict(list)
+    for i, one in enumerate(runs):
+        batches[one.vehicle, one.system, one.plan.query.duration].append(i)
     rows: dict[int, dict[str, Any]] = {}
-    shown: dict[tuple[str, str], list[Shown]] = defaultdict(list)
-    for (vehicle, duration), members in batches.items():
-        showcase = _shown_queries([plans[i][1].query for i in members])
+    shown: dict[tuple[str, str], list[tuple[int, Shown]]] = defaultdict(list)
+    for (vehicle, system, _), members in batches.items():
+        showcase = _shown_queries([runs[i].plan.query for i in members])
         for part in (members[k : k + _BATCH] for k in range(0, len(members), _BATCH)):
-            some = [plans[i][1] for i in part]
-            system, servo = some[0].query.system, some[0].query.servo
-            run = play_motions(
-                system, [p.motion for p in some], servo=servo, settle=TAIL, record_dt=_RECORD
-            )
-            for k, (i, measured) in enumerate(
-                zip(
-                    part,
-                    energies(system, run.t, run.q, run.y, run.yd, duration=duration),
-                    strict=True,
-                )
-            ):
-                rows[i] = _row(vehicle, some[k], measured.to_dict())
-                if some[k].query.name in showcase:
-                    shown[vehicle, some[k].query.name].append((some[k], run, k))
-            tell("simulating", len(rows) / len(plans))
-    return [rows[i] for i in range(len(plans))], [(v, runs) for (v, _), runs in shown.items()]
+            some = [runs[i] for i in part]
+            plans = [r.plan for r in some]
+            recording = _play(system, plans, _record_dt(system), seed)
+            measured = _measure(recording)
+            ideal, in_space = None, measured
+            if system.mode == "emulated":
+                ideal = _play(system.ideal(), plans, _record_dt(system), seed)
+                in_space = _measure(ideal)
+            for k, (i, one) in enumerate(zip(part, some, strict=True)):
+                rows[i] = _row(one, measured[k], in_space[k])
+                if ideal is not None:
+                    rows[i] |= _emulation(recording, ideal, k, rows[i], in_space[k])
+                name = one.plan.query.name
+                if name in showcase:
+                    picture = Shown(
+                        one.plan, recording, k, one.label, ideal, is_compensated(system)
+                    )
+                    shown[vehicle, name].append((i, picture))
+            tell("simulating", len(rows) / len(runs))
+    return [rows[i] for i in range(len(runs))], [
+        (vehicle, [picture for _, picture in sorted(found, key=lambda pair: pair[0])])
+        for (vehicle, _), found in shown.items()
+    ]
+
+
+def _record_dt(system: System) -> float:
+    """Time between records [s]; the laboratory records whole control periods."""
+    if system.mode == "ideal":
+        return _RECORD
+    return max(1, round(_RECORD / system.control_dt)) * system.control_dt
+
+
+def _play(system: System, plans: Sequence[Plan], record_dt: float, seed: int) -> Recording:
+    motions, servo = [p.motion for p in plans], plans[0].query.servo
+    return play_motions(
+        system, motions, servo=servo, settle=TAIL, record_dt=record_dt, seed=seed
+    )
+
+
+def _measure(run: Recording) -> list[Energies | None]:
+    """Energies of each run, None for one that was stopped."""
+    stopped = {e.simulation for e in run.events}
+    whole = [i for i in range(len(run.q)) if i not in stopped]
+    out: list[Energies | None] = [None] * len(run.q)
+    if whole:
+        parts = (part[whole] for part in (run.q, run.y, run.yd))
+        found = energies(run.system, run.t, *parts, duration=run.duration)
+        for i, measured in zip(whole, found, strict=True):
+            out[i] = measured
+    return out
 
 
 def _shown_queries(queries: list[Query]) -> set[str]:
@@ -164,27 +226,59 @@ def _shown_queries(queries: list[Query]) -> set[str]:
 
 
 def _showcase(groups: list[Group]) -> list[Group]:
-    """Groups whose maps and animation are shown: at most three, the middle durations."""
-    ordered = sorted(groups, key=lambda g: abs(np.log(g[1][0][0].query.duration / 2.0)))
-    return ordered[:3]
+    """Groups whose maps and animation are shown: at most three, the middle durations.
+
+    Planners' answers only: the same motion under another load is for the traces.
+    """
+    ordered = sorted(groups, key=lambda g: abs(np.log(g[1][0].plan.query.duration / 2.0)))
+    return [(v, [s for s in some if s.label == s.plan.planner]) for v, some in ordered[:3]]
 
 
-def _row(vehicle: str, plan: Plan, measured: dict[str, float | None]) -> dict[str, Any]:
-    mean = measured["E_mean"]
-    assert mean is not None  # a simulated energy is finite, or the run has diverged
+def _row(one: _Run, measured: Energies | None, in_space: Energies | None) -> dict[str, Any]:
+    plan = one.plan
+    assert in_space is not None  # nothing stops a run in space
     return {
-        "planner": plan.planner,
+        "planner": one.label,
         "query": plan.query.name,
-        "vehicle": vehicle,
-        "mode": plan.query.system.mode,
+        "vehicle": one.vehicle,
+        "mode": one.system.mode,
         "duration": plan.query.duration,
-        **measured,
+        **(dict.fromkeys(_MEASURES) if measured is None else measured.to_dict()),
         "predicted": plan.predicted.E_mean,
-        "prediction_error": plan.predicted.E_mean / mean - 1 if mean > 0 else None,
+        "prediction_error": _excess(plan.predicted.E_mean, in_space.E_mean),
         "plan_seconds": plan.seconds,
-        "success": plan.feasible,
+        "success": plan.feasible and measured is not None,
         "info": plan.info,
     }
+
+
+_MEASURES = tuple(field.name for field in fields(Energies))
+
+
+def _emulation(
+    run: Recording, ideal: Recording, k: int, row: dict[str, Any], in_space: Energies | None
+) -> dict[str, Any]:
+    """What a row of mode emulated holds besides: the same motion in space, the difference."""
+    assert in_space is not None
+    stop = next((str(e) for e in run.events if e.simulation == k), None)
+    base_error = None
+    if stop is None:
+        place, wanted = run.y[k, :, :3], ideal.y[k, :, :3]
+        largest = float(np.linalg.norm(wanted, axis=-1).max())
+        if largest > 0:
+            base_error = float(np.linalg.norm(place - wanted, axis=-1).max()) / largest
+    return {
+        "compensated": is_compensated(run.system),
+        "stopped": stop,
+        **{f"{key}_ideal": getattr(in_space, key) for key in ("E_mean", "E_res", "E_peak")},
+        "emulation_error": _excess(row["E_mean"], in_space.E_mean),
+        "base_error": base_error,
+    }
+
+
+def _excess(value: float | None, reference: float) -> float | None:
+    """value / reference - 1, where there is such a thing."""
+    return value / reference - 1 if value is not None and reference > 0 else None
 
 
 # -------------------------------------------------------------------------- summary
@@ -195,7 +289,8 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
     A ratio is taken query by query; `ratio_low` and `ratio_high` are the 95 % bootstrap
     interval of its median. A failed plan stays in the medians: the straight line's own
-    energy and its own are both simulated facts; `success_rate` says how many failed.
+    energy and its own are both simulated facts; `success_rate` says how many failed. A
+    stopped run has no energy and is in none.
     """
     baseline = {(r["vehicle"], r["query"]): r for r in rows if r["planner"] == BASELINE}
     groups: dict[tuple[str, float, str], list[dict[str, Any]]] = defaultdict(list)
@@ -205,9 +300,15 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     for (vehicle, duration, planner), members in groups.items():
         ratios = {key: _ratios(members, baseline, key) for key in ("E_mean", "E_res", "E_peak")}
         low, high = _interval(ratios["E_mean"])
-        errors = [
-            abs(r["prediction_error"]) for r in members if r["prediction_error"] is not None
-        ]
+        emulated = {}
+        if "stopped" in members[0]:
+            emulated = {
+                "compensated": members[0]["compensated"],
+                "stopped": sum(r["stopped"] is not None for r in members),
+                "emulation_error_median": _median(_known(members, "emulation_error")),
+                "base_error_median": _median(_known(members, "base_error")),
+            }
+        errors = [abs(e) for e in _known(members, "prediction_error")]
         out.append(
             {
                 "vehicle": vehicle,
@@ -215,7 +316,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "planner": planner,
                 "n": len(members),
                 "success_rate": float(np.mean([r["success"] for r in members])),
-                "E_mean_median": _median([r["E_mean"] for r in members]),
+                "E_mean_median": _median(_known(members, "E_mean")),
                 "ratio_median": _median(ratios["E_mean"]),
                 "ratio_low": low,
                 "ratio_high": high,
@@ -223,6 +324,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "E_peak_ratio_median": _median(ratios["E_peak"]),
                 "prediction_error_median": _median(errors),
                 "plan_seconds_median": _median([r["plan_seconds"] for r in members]),
+                **emulated,
             }
         )
     return out
@@ -238,9 +340,15 @@ def _ratios(
     out = []
     for row in rows:
         reference = baseline[row["vehicle"], row["query"]]
+        if None in (row[key], reference[key]):
+            continue
         if reference[key] > _NOTHING * reference["E_peak"]:
             out.append(row[key] / reference[key])
     return out
+
+
+def _known(rows: Iterable[dict[str, Any]], key: str) -> list[float]:
+    return [row[key] for row in rows if row[key] is not None]
 
 
 def _median(values: Sequence[float]) -> float | None:
@@ -266,4 +374,30 @@ def _systems(suite: Suite) -> dict[str, dict[str, str]]:
     return {
         name: {"hash": s.hash, "description": f"{s.arm.name} on {s.vehicle.source}"}
         for name, s in systems.items()
+    }
+
+
+def _machine(system: System) -> dict[str, str]:
+    """The laboratory in words."""
+    lab = system.laboratory
+    if isinstance(lab.platform, LegServo):
+        platform = next((k for k, v in LEG_SERVOS.items() if v == lab.platform), "own")
+        platform = f"six legs, {platform} servo"
+    else:
+        platform = f"pose servo, {lab.platform.bandwidth:g} Hz"
+    weight = {
+        "microgravity": "calibrated estimate subtracted"
+        if lab.gravity
+        else "exact estimate subtracted",
+        "admittance": "not compensated",
+        "position": "no part in it",
+    }[lab.operation]
+    inertia = "compensated by model" if lab.payload_compensation else "not compensated"
+    return {
+        "operation": lab.operation,
+        "platform": platform,
+        "arm's weight": weight + (", sensor zeroed at the start" if lab.zero_at_start else ""),
+        "arm's inertia": inertia,
+        "sample rate": f"{1 / system.control_dt:g} Hz",
+        "effects": ", ".join(map(str, system.effects)) or "none",
     }

@@ -16,9 +16,13 @@ import numpy.typing as npt
 from scipy.special import spherical_jn
 
 from ves_gym.core.dynamics import inertia
+from ves_gym.core.kernel.maps import coupling_matrices
 from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.system import System
 from ves_gym.core.vehicle import BaseModel
+
+
+_MANY = 3000  # angles from which compiled code pays, its first use included
 
 
 class Blocks(NamedTuple):
@@ -63,6 +67,12 @@ def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
 
     An instantaneous joint step dq leaves the strain energy 1/2 dq^T Q dq in the base.
     """
+    angles = np.asarray(q, float)
+    if angles.ndim and angles.shape[-1] == system.arm.n and angles.size >= _MANY:
+        flat = angles.reshape(-1, system.arm.n)
+        compiled = coupling_matrices(system, flat)
+        if compiled is not None:
+            return compiled.reshape(*angles.shape, system.arm.n)
     base = system.base
     b = blocks(system, q, base)
     A = np.linalg.solve(b.Mt, b.Hbm)

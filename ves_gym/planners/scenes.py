@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,17 @@ from ves_gym.core.vehicle import Beam
 from ves_gym.planners.coupling import CouplingMap, coupling_map
 from ves_gym.planners.query import Plan
 
-Shown = tuple[Plan, Recording, int]  # a plan, and which run of a recording is its own
+
+class Shown(NamedTuple):
+    """A plan, and which run of a recording is its own."""
+
+    plan: Plan
+    run: Recording
+    k: int
+    label: str  # the planner's name, or how its motion was played
+    ideal: Recording | None = None  # mode emulated: the same motions in space
+    compensated: bool = True
+
 
 _FRAME = 0.05  # s between frames of an animation
 _AFTER = 4.0  # s of an animation after the motion
@@ -23,25 +33,39 @@ _POINTS = 49  # per axis of a map
 
 
 def trace(vehicle: str, runs: list[Shown]) -> dict[str, Any]:
-    """Base energy against time of every planner's answer to one query."""
-    query = runs[0][0].query
-    series = []
-    for plan, run, k in runs:
-        E = base_energy(run.system, run.q[k], run.y[k], run.yd[k]).total
-        stride = max(1, len(run.t) // 400)
-        series.append(
-            {
-                "planner": plan.planner,
-                "t": _round(run.t[::stride], 4),
-                "E": [float(f"{e:.5g}") for e in E[::stride]],
-            }
-        )
+    """Base energy against time of every planner's answer to one query.
+
+    Mode emulated: also strain energy and distance of the base from rest, and all of them
+    in space (`ideal`); a stopped run ends with its stop.
+    """
+    query = runs[0].plan.query
+    series: list[dict[str, Any]] = []
+    for shown in runs:
+        data: dict[str, Any] = {
+            "planner": shown.label,
+            **_curves(shown.run, shown.k, shown.ideal is not None),
+        }
+        if shown.ideal is not None:
+            data["compensated"] = shown.compensated
+            data["ideal"] = _curves(shown.ideal, shown.k, True)
+        series.append(data)
     return {
         "vehicle": vehicle,
         "duration": query.duration,
         "query": query.name,
         "series": series,
     }
+
+
+def _curves(run: Recording, k: int, more: bool) -> dict[str, list[float]]:
+    """Time [s] and energy [J] of a run, about 400 points; `more`: strain [J], distance [m]."""
+    part = slice(0, run.records(k), max(1, len(run.t) // 400))
+    energy = base_energy(run.system, run.q[k, part], run.y[k, part], run.yd[k, part])
+    out = {"t": _round(run.t[part], 4), "E": _digits(energy.total)}
+    if more:
+        out["strain"] = _digits(energy.strain)
+        out["distance"] = _digits(np.linalg.norm(run.y[k, part, :3], axis=-1))
+    return out
 
 
 def coupling_maps(vehicle: str, plans: list[Plan]) -> list[dict[str, Any]]:
@@ -84,7 +108,7 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
 
 def scene(vehicle: str, runs: list[Shown]) -> dict[str, Any]:
     """The arm on the swaying base, frame by frame, for every planner's answer."""
-    query = runs[0][0].query
+    query = runs[0].plan.query
     rest = beam_line(query.system.vehicle, np.zeros((1, 6)))
     data: dict[str, Any] = {
         "vehicle": vehicle,
@@ -93,9 +117,10 @@ def scene(vehicle: str, runs: list[Shown]) -> dict[str, Any]:
         "rest_beam": None if rest is None else _round(rest[0], 3),
         "runs": [],
     }
-    for plan, run, k in runs:
+    for plan, run, k, *_ in runs:
         at = np.arange(0, query.duration + _AFTER, _FRAME)
-        index = np.clip(np.searchsorted(run.t, at - 1e-9), 0, len(run.t) - 1)
+        # a stopped run stays where it stopped
+        index = np.clip(np.searchsorted(run.t, at - 1e-9), 0, run.records(k) - 1)
         y, yd, q = run.y[k, index], run.yd[k, index], run.q[k, index]
         arm = joint_positions(run.system.arm, q) @ np.swapaxes(rotation(y), -1, -2)
         beam = beam_line(run.system.vehicle, y)
@@ -106,7 +131,7 @@ def scene(vehicle: str, runs: list[Shown]) -> dict[str, Any]:
                 "arm": _round(arm + y[:, None, :3], 4),
                 "base": _round(y, 5),
                 "beam": None if beam is None else _round(beam, 4),
-                "E": [float(f"{e:.4g}") for e in base_energy(run.system, q, y, yd).total],
+                "E": _digits(base_energy(run.system, q, y, yd).total, 4),
             }
         )
     return data
@@ -128,6 +153,11 @@ def beam_line(vehicle: object, y: Array, points: int = 7) -> Array | None:
 
 def _degrees(values: Array) -> list[float]:
     return _round(np.rad2deg(values), 2)
+
+
+def _digits(values: Array, digits: int = 5) -> list[float]:
+    """Rounded to significant digits."""
+    return [float(f"{value:.{digits}g}") for value in values]
 
 
 def _round(values: Array, digits: int) -> Any:

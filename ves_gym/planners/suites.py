@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,11 +22,15 @@ SUITES = ("reach100", "thesis")
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """Queries by vehicle name, and the planners that answer them unless others are asked."""
+    """Queries by vehicle name, and the planners that answer them unless others are asked.
+
+    A query's system is what the motions are played on; planning is for `System.ideal()`.
+    """
 
     name: str
     queries: tuple[tuple[str, Query], ...]
     planners: tuple[str, ...]
+    weighed: tuple[tuple[str, str], ...] = ()  # (query, planner) also played `uncompensated`
 
 
 def get_suite(
@@ -44,6 +48,21 @@ def get_suite(
     if name == "thesis":
         return thesis(system, vehicle)
     raise ParameterError(f"suite must be one of {', '.join(SUITES)}, got {name!r}")
+
+
+def uncompensated(system: System) -> System:
+    """The same machine with the arm's weight zeroed once at the start, then left in.
+
+    Errors of the gravity estimate act on nothing there, and go.
+    """
+    lab = replace(system.laboratory, operation="admittance", zero_at_start=True)
+    effects = tuple(e for e in system.effects if not e.kind.startswith("gravity/"))
+    return system.replace(emulator=lab, effects=effects)
+
+
+def is_compensated(system: System) -> bool:
+    """Whether the arm does not weigh on the vehicle: in space, or by subtraction (eq. 2.1)."""
+    return system.mode == "ideal" or system.laboratory.operation == "microgravity"
 
 
 def reach100(system: System, vehicle: str, count: int) -> Suite:
@@ -91,7 +110,8 @@ def thesis(system: System, vehicle: str | None) -> Suite:
 
     Shoulder: App. A.3, joint 1 through 180 deg in 2 s, joints 2 and 3 at 0, on the
     horizontal straight beam and the bent beam. Good and bad: two paths between the same
-    ends on the bent beam (4.2; the thesis prints no joint angles, these are ours).
+    ends on the bent beam (4.2; the thesis prints no joint angles, these are ours). In the
+    laboratory the good path is also played without gravity compensation (Figure 4-3).
     """
     shoulder = (np.deg2rad([-90.0, 0, 0]), np.deg2rad([90.0, 0, 0]), 2.0, "shoulder-180")
     ends = np.deg2rad([0.0, -45, 90]), np.deg2rad([90.0, 45, -45])
@@ -123,4 +143,7 @@ def thesis(system: System, vehicle: str | None) -> Suite:
         name="thesis",
         queries=tuple(queries),
         planners=("straight", "bad-path", "hotspot-q", "hotspot-qt", "direct"),
+        weighed=()
+        if system.mode == "ideal" or not is_compensated(system)
+        else (("good-and-bad", "hotspot-q"),),
     )

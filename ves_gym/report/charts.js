@@ -3,20 +3,26 @@
 // -------------------------------------------------------------- energy against time
 
 const traces = data.traces ?? [];
-const plot = { item: null, cursor: null, frame: null };
+const QUANTITIES = {
+  E: { label: "E [J]", unit: "J", of: ({ E }) => E },
+  strain: { label: "strain energy [J]", unit: "J", of: ({ strain }) => strain },
+  distance: { label: "base displacement [mm]", unit: "mm", of: (s) => s.distance.map((d) => 1e3 * d) },
+};
+const plot = { item: null, cursor: null, frame: null, key: "E" };
+const ordinates = (series) => QUANTITIES[plot.key].of(series);
 const EDGE = { left: 62, right: 16, top: 30, bottom: 40 };
 
 /** Axes of the shown trace: times and energies to pixels and back. */
 function traceFrame(trace, w, h) {
-  const energies = trace.series.flatMap((series) => series.E).filter((E) => E > 0);
-  const end = Math.max(...trace.series.map((series) => series.t.at(-1)));
+  const energies = trace.series.flatMap(ordinates).filter((E) => E > 0);
+  const end = Math.max(...trace.series.map((s) => (s.ideal ?? s).t.at(-1)));
   const peak = energies.length ? energies.reduce((a, b) => Math.max(a, b)) : 1;
   const log = $("trace-log").checked;
   let low = 0;
   let high = 1.05 * peak;
   if (log) {
     // four decades at most: at the start of the motion E is 0
-    const late = trace.series.flatMap(({ t, E }) => E.filter((e, k) => e > 0 && t[k] > 0.1 * end));
+    const late = trace.series.flatMap((s) => ordinates(s).filter((e, k) => e > 0 && s.t[k] > 0.1 * end));
     const floor = Math.max(late.reduce((a, b) => Math.min(a, b), peak), peak * 1e-4);
     [low, high] = [Math.floor(Math.log10(floor)), Math.log10(1.2 * peak)];
   }
@@ -51,7 +57,7 @@ function traceGrid(f, duration) {
   }
   group.append(
     svg("text", { x: f.w - EDGE.right, y: f.h - 6, "text-anchor": "end" }, "time [s]"),
-    svg("text", { x: 10, y: 18 }, "E [J]"),
+    svg("text", { x: 10, y: 18 }, QUANTITIES[plot.key].label),
     svg("text", { x: f.x(0) + 6, y: EDGE.top + 14 }, "moving"),
   );
   return group;
@@ -63,13 +69,29 @@ function drawTraces() {
   const f = traceFrame(trace, node.clientWidth, node.clientHeight);
   plot.frame = f;
   node.setAttribute("viewBox", `0 0 ${f.w} ${f.h}`);
-  const curves = trace.series.map(({ planner, t, E }) => svg("path", {
-    class: "curve", style: `stroke:${colour(planner)}`, "stroke-dasharray": dash(planner),
-    d: `M${t.map((s, k) => `${f.x(s).toFixed(1)} ${f.y(E[k]).toFixed(1)}`).join("L")}`,
-  }));
+  const line = (series) => {
+    const values = ordinates(series);
+    return `M${series.t.map((s, k) => `${f.x(s).toFixed(1)} ${f.y(values[k]).toFixed(1)}`).join("L")}`;
+  };
+  const curves = trace.series.flatMap((series) => {
+    const { planner, ideal } = series;
+    const style = `stroke:${colour(planner)}`;
+    if (!ideal) {
+      return svg("path", { class: "curve", style, "stroke-dasharray": dash(planner), d: line(series) });
+    }
+    const both = [
+      svg("path", { class: "curve emulated", style, d: line(series) }),
+      svg("path", { class: "curve ideal", style, d: line(ideal) }),
+    ];
+    if (series.t.at(-1) < ideal.t.at(-1) - 0.1) {
+      const [x, y] = [f.x(series.t.at(-1)), f.y(ordinates(series).at(-1))];
+      both.push(svg("path", { class: "curve", style, d: `M${x - 5} ${y - 5}l10 10m-10 0l10 -10` }));
+    }
+    return both;
+  });
   node.replaceChildren(traceGrid(f, trace.duration), ...curves, svg("g", { id: "trace-cursor" }));
   $("trace-legend").replaceChildren(...trace.series.map(({ planner }) => el("span", {},
-    swatch(planner), planner, el("span", { class: "value" }))), el("span", { class: "at value" }));
+    swatch(planner, EMULATED), planner, el("span", { class: "value" }))), el("span", { class: "at value" }));
   drawCursor();
 }
 
@@ -88,9 +110,11 @@ function drawCursor() {
   const { item, cursor, frame: f } = plot;
   const values = $("trace-legend").querySelectorAll(".value:not(.at)");
   const marks = [];
-  item.series.forEach(({ planner, t, E }, k) => {
+  item.series.forEach((series, k) => {
+    const { planner, t } = series;
     const i = cursor === null ? 0 : sampleAt(t, cursor);
-    values[k].textContent = cursor === null ? "" : `${number(E[i])} J`;
+    const E = ordinates(series);
+    values[k].textContent = cursor === null ? "" : `${number(E[i])} ${QUANTITIES[plot.key].unit}`;
     if (cursor !== null) {
       marks.push(svg("circle", { cx: f.x(t[i]), cy: f.y(E[i]), r: 3.5, style: `fill:${colour(planner)}` }));
     }
@@ -111,9 +135,20 @@ function moveCursor(time) {
 
 if (choices("traces", $("trace-pick"), traces.map(caseLabel), "energy traces")) {
   const first = data.scenes?.[0]; // what the animation shows, or the first
-  const start = Math.max(0, traces.findIndex((trace) => trace.query === first?.query
-    && trace.vehicle === first?.vehicle && trace.duration === first?.duration));
+  const weighed = traces.findIndex((trace) => trace.series.some((s) => replays.has(s.planner)));
+  const start = weighed >= 0 ? weighed : Math.max(0, traces.findIndex((trace) =>
+    trace.query === first?.query && trace.vehicle === first?.vehicle
+    && trace.duration === first?.duration));
   plot.item = traces[start];
+  $("trace-what").hidden = $("trace-note").hidden = !EMULATED;
+  if (EMULATED) {
+    $("h-traces").textContent = "Base and energy against time";
+    plot.key = $("trace-key").value;
+    $("trace-key").addEventListener("change", (event) => {
+      plot.key = event.target.value;
+      drawTraces();
+    });
+  }
   $("trace-pick").value = start;
   redrawn(drawTraces);
   $("trace-pick").addEventListener("change", (event) => {

@@ -1,6 +1,7 @@
 """The picture of a run: arm, beam, base path and wrench as a MuJoCo scene, frame by frame.
 
-Runs in the drawing process only (`movie`): it needs MuJoCo with its OpenGL.
+Runs in the drawing process only (`movie`): it needs MuJoCo with its OpenGL, so MuJoCo is
+imported first and as it is, not by way of `core.engine`, which would do without.
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ import itertools
 import math
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from ves_gym.core.dynamics import joint_positions
+from ves_gym.core.model import TO_Y, build_spec
 from ves_gym.core.params import Array
 from ves_gym.core.spatial import rotation
 from ves_gym.core.system import System
@@ -39,25 +42,23 @@ class Drawing:
     """The structure as MuJoCo geometry, posed frame by frame."""
 
     def __init__(self, system: System, clip: dict[str, Array], view: View) -> None:
-        import mujoco
-
-        self.mj, self.system, self.clip, self.view = mujoco, system, clip, view
-        self.beam = beam_line(system.vehicle, clip["y"])
-        self.rest = beam_line(system.vehicle, np.zeros((1, 6)))
+        self.system, self.clip, self.view = system, clip, view
+        in_space = system.mode == "ideal"  # the laboratory stands on legs instead
+        vehicle = system.vehicle
+        self.beam: Any = beam_line(vehicle, clip["y"]) if in_space else None  # (N, k, 3)
+        self.rest: Any = beam_line(vehicle, np.zeros((1, 6))) if in_space else None
+        self.legs: Any = None if in_space else _legs(system, clip["y"])  # (N, 6, 2, 3)
         turned = joint_positions(system.arm, clip["q"]) @ np.swapaxes(
             rotation(clip["y"]), -1, -2
         )
         self.arm = turned + clip["y"][:, None, :3]  # (N, n + 1, 3)
         self.model = self._model()
         self.data = mujoco.MjData(self.model)
-        self.frame = 1.0 / view.fps
 
     # ------------------------------------------------------------------ model
 
     def _model(self) -> Any:
-        from ves_gym.core.model import build_spec
-
-        mj, system = self.mj, self.system
+        system = self.system
         spec = build_spec(
             system.arm,
             system.base,
@@ -67,8 +68,8 @@ class Drawing:
         )
         spec.add_texture(
             name="sky",
-            type=mj.mjtTexture.mjTEXTURE_SKYBOX,
-            builtin=mj.mjtBuiltin.mjBUILTIN_FLAT,
+            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
             rgb1=_BACKGROUND,
             rgb2=_BACKGROUND,
             width=32,
@@ -83,7 +84,7 @@ class Drawing:
         spec.stat.center, spec.stat.extent = [0.0, 0.0, 0.0], 4.0
         spec.visual.map.znear, spec.visual.map.zfar = 0.02, 100.0
         spec.worldbody.add_light(
-            type=mj.mjtLightType.mjLIGHT_DIRECTIONAL,
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
             pos=[2, -4, 6],
             dir=[-0.35, 0.6, -0.75],
             diffuse=[0.6] * 3,
@@ -96,110 +97,91 @@ class Drawing:
     def _add_base(self, spec: Any) -> None:
         platform, vehicle = spec.body("platform"), self.system.vehicle
         r = self._radius(0)
-        self._cylinder(platform, (0, 0, -0.06), (0, 0, 0), 3.6 * r, _METAL)
+        _rod(platform, "CYLINDER", (0, 0, -0.06), (0, 0, 0), 3.6 * r, _METAL)
         reach = self.system.arm.links[0].d
         if reach > 4 * r:  # the pedestal under the first joint
-            self._cylinder(platform, (0, 0, 0), (0, 0, 0.72 * reach), 1.25 * r, _DARK)
-        self._cylinder(spec.worldbody, (0, 0, -0.06), (0, 0, 0), 3.6 * r, _GHOST)
+            _rod(platform, "CYLINDER", (0, 0, 0), (0, 0, 0.72 * reach), 1.25 * r, _DARK)
+        _rod(spec.worldbody, "CYLINDER", (0, 0, -0.06), (0, 0, 0), 3.6 * r, _GHOST)
         body = self.system.base.body
+        if self.legs is not None:
+            stewart = self.system.laboratory.stewart
+            top, floor = np.array(stewart.top), stewart.home_height + 0.05
+            size = np.linalg.norm(top[:, :2], axis=1).max()
+            _rod(platform, "CYLINDER", (0, 0, top[0, 2] - 0.05), (0, 0, -0.02), size, _METAL)
+            size = 1.25 * np.linalg.norm(np.array(stewart.base)[:, :2], axis=1).max()
+            plate = (0, 0, -floor - 0.06), (0, 0, -floor)
+            _rod(spec.worldbody, "CYLINDER", *plate, size, _DARK)
+            return
         if body is not None:
-            self._box(platform, np.array(body.com), *_equal_box(body), _METAL)
+            _box(platform, np.array(body.com), *_equal_box(body), _METAL)
         if isinstance(vehicle, Beam):
             clamp, along = vehicle.nodes[0], np.array(vehicle.segments[0])
             along = along / np.linalg.norm(along)
             size = max(0.6, 4 * vehicle.outer_diameter)
             wall = np.array([0.12, size, size])
-            self._box(spec.worldbody, clamp - 0.12 * along, wall, _frame_along(along), _DARK)
+            _box(spec.worldbody, clamp - 0.12 * along, wall, _frame_along(along), _DARK)
 
     def _add_arm(self, spec: Any) -> None:
         for i, link in enumerate(self.system.arm.links):
             body, r = spec.body(f"link_{i + 1}"), self._radius(i)
             end, knee = np.array([link.a, 0.0, link.d]), np.array([0.0, 0.0, link.d])
-            self._cylinder(body, (0, 0, -1.15 * r), (0, 0, 1.15 * r), 1.2 * r, JOINT)
+            _rod(body, "CYLINDER", (0, 0, -1.15 * r), (0, 0, 1.15 * r), 1.2 * r, JOINT)
             if abs(link.d) > 1e-6:
-                self._capsule(body, (0, 0, 0), knee, r, _PALE)
+                _rod(body, "CAPSULE", (0, 0, 0), knee, r, _PALE)
             if abs(link.a) > 1e-6:
-                self._capsule(body, knee, end, 0.85 * r, _PALE)
+                _rod(body, "CAPSULE", knee, end, 0.85 * r, _PALE)
         r, last = self._radius(self.system.arm.n), self.system.arm.links[-1]
         along = np.array([1.0, 0, 0]) if abs(last.a) > 1e-6 else np.array([0.0, 0, 1])
         across = np.array([0.0, 1, 0])
-        self._sphere(body, end, 1.1 * r, TOOL)
+        _sphere(body, end, 1.1 * r, TOOL)
         for side in (-1, 1):
             root = end + side * 0.8 * r * across
-            self._capsule(body, root, root + 2.6 * r * along, 0.3 * r, TOOL)
+            _rod(body, "CAPSULE", root, root + 2.6 * r * along, 0.3 * r, TOOL)
 
     def _radius(self, i: int) -> float:
         arm = self.system.arm
         size = float(sum(math.hypot(k.a, k.d) for k in arm.links))
         return 0.045 * size * (1 - 0.45 * i / arm.n)
 
-    def _geom(self, body: Any, kind: str, rgba: Any, **options: Any) -> None:
-        options = {k: np.asarray(v, float).tolist() for k, v in options.items()}
-        kind = getattr(self.mj.mjtGeom, f"mjGEOM_{kind}")
-        body.add_geom(type=kind, rgba=rgba, contype=0, conaffinity=0, mass=0, **options)
-
-    def _capsule(self, body: Any, a: Any, b: Any, radius: float, rgba: Any) -> None:
-        self._geom(body, "CAPSULE", rgba, size=[radius, 0, 0], fromto=[*a, *b])
-
-    def _cylinder(self, body: Any, a: Any, b: Any, radius: float, rgba: Any) -> None:
-        self._geom(body, "CYLINDER", rgba, size=[radius, 0, 0], fromto=[*a, *b])
-
-    def _sphere(self, body: Any, at: Any, radius: float, rgba: Any) -> None:
-        self._geom(body, "SPHERE", rgba, size=[radius, 0, 0], pos=at)
-
-    def _box(self, body: Any, at: Any, half: Array, axes: Array, rgba: Any) -> None:
-        quat = np.zeros(4)
-        self.mj.mju_mat2Quat(quat, np.ascontiguousarray(axes).ravel())
-        self._geom(body, "BOX", rgba, size=half, pos=at, quat=quat)
-
     # ------------------------------------------------------------------ frames
 
     def pose(self, k: int) -> None:
         """Put the structure where frame k has it."""
-        from ves_gym.core.model import TO_Y
-
         self.data.qpos[TO_Y] = self.clip["y"][k]
         self.data.qpos[6:] = self.clip["q"][k]
-        self.mj.mj_kinematics(self.model, self.data)
-        self.mj.mj_comPos(self.model, self.data)
-        self.mj.mj_camlight(self.model, self.data)
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
 
     def decorate(self, scene: Any, k: int, extent: float) -> None:
-        """Add what is not a rigid body: bent beam, the plate's path, force and moment."""
-        if self.beam is not None and self.rest is not None:
-            radius = max(self.system.vehicle.outer_diameter / 2, 0.004 * extent)  # type: ignore[union-attr]
-            for a, b in zip(self.rest[0, :-1], self.rest[0, 1:], strict=True):
-                self._connect(scene, "CAPSULE", a, b, 0.5 * radius, _GHOST)
-            for a, b in zip(self.beam[k, :-1], self.beam[k, 1:], strict=True):
-                self._connect(scene, "CAPSULE", a, b, radius, _BEAM)
-        first = max(0, k - round(_TRAIL / self.frame / self.view.speed))
+        """Add what is not a rigid body: bent beam or legs, the plate's path, the wrench."""
+        vehicle = self.system.vehicle
+        if self.legs is not None:
+            for foot, head in self.legs[k]:
+                middle = foot + 0.55 * (head - foot)
+                _connect(scene, "CAPSULE", foot, middle, 0.05, _DARK)
+                _connect(scene, "CAPSULE", middle, head, 0.028, _METAL)
+        elif isinstance(vehicle, Beam):
+            radius = max(vehicle.outer_diameter / 2, 0.004 * extent)
+            for a, b in itertools.pairwise(self.rest[0]):
+                _connect(scene, "CAPSULE", a, b, 0.5 * radius, _GHOST)
+            for a, b in itertools.pairwise(self.beam[k]):
+                _connect(scene, "CAPSULE", a, b, radius, _BEAM)
+        first = max(0, k - round(_TRAIL * self.view.fps / self.view.speed))
         stride = max(1, (k - first) // 60)
         past = self.clip["y"][first : k + 1][::-stride][::-1]  # ends at this very frame
         rim = 4.0 * self._radius(0) * np.array([0.64, -0.77, 0.0])  # where cameras see it
         trail = past[:, :3] + rotation(past) @ rim
         for i, (a, b) in enumerate(itertools.pairwise(trail)):
             fade = (*PATH[:3], 0.15 + 0.85 * (i + 1) / len(trail))
-            self._connect(scene, "CAPSULE", a, b, 0.005 * extent, fade)
+            _connect(scene, "CAPSULE", a, b, 0.005 * extent, fade)
         if "w" in self.clip:
             turn, origin = rotation(self.clip["y"][k]), self.clip["y"][k, :3]
             for part, rgba in ((slice(0, 3), FORCE), (slice(3, 6), MOMENT)):
                 most = np.linalg.norm(self.clip["w"][:, part], axis=1).max()
                 arrow = _ARROW * (turn @ self.clip["w"][k, part]) / max(most, 1e-12)
                 if np.linalg.norm(arrow) > 0.02:
-                    self._connect(scene, "ARROW", origin, origin + arrow, 0.025, rgba)
-
-    def _connect(
-        self, scene: Any, kind: str, a: Array, b: Array, radius: float, rgba: Any
-    ) -> None:
-        if scene.ngeom >= scene.maxgeom or np.linalg.norm(b - a) < 1e-9:
-            return
-        geom, shape = scene.geoms[scene.ngeom], getattr(self.mj.mjtGeom, f"mjGEOM_{kind}")
-        zero = np.zeros(3)
-        self.mj.mjv_initGeom(
-            geom, shape, zero, zero, np.eye(3).ravel(), np.array(rgba, np.float32)
-        )
-        self.mj.mjv_connector(geom, shape, radius, np.asarray(a), np.asarray(b))
-        scene.ngeom += 1
+                    _connect(scene, "ARROW", origin, origin + arrow, 0.025, rgba)
 
     def camera(
         self, points: Array, margin: float, azimuth: float, elevation: float, aspect: float
@@ -216,8 +198,8 @@ class Drawing:
         tangent = math.tan(math.radians(self.model.vis.global_.fovy) / 2)
         offset = points - at
         need = (np.abs(offset @ axes.T) + margin) / (tangent * np.array([aspect, 1.0]))
-        camera = self.mj.MjvCamera()
-        camera.type = self.mj.mjtCamera.mjCAMERA_FREE
+        camera = mujoco.MjvCamera()
+        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         camera.lookat[:] = at
         camera.distance = float((need.max(axis=1) - offset @ ahead).max())
         camera.azimuth, camera.elevation = azimuth, elevation
@@ -229,8 +211,10 @@ class Drawing:
         whole = arm
         if self.beam is not None:
             whole = np.vstack([arm, self.beam.reshape(-1, 3)])
+        if self.legs is not None:
+            whole = np.vstack([arm, self.legs.reshape(-1, 3)])
         body, margin = self.system.base.body, 0.6
-        if body is not None:
+        if body is not None and self.legs is None:
             margin += float(_equal_box(body)[0].max())
             whole = np.vstack([arm, self.clip["y"][:, :3] + np.array(body.com)])
         out = []
@@ -241,6 +225,46 @@ class Drawing:
             camera = self.camera(points, room, azimuth, elevation, aspect)
             out.append((camera, float(np.ptp(points, axis=0).max())))
         return out
+
+
+def _legs(system: System, y: Array) -> Array:
+    """(N, 6, 2, 3) foot and head of every leg [m]; the origin is the platform top at home."""
+    stewart = system.laboratory.stewart
+    foot = np.array(stewart.base) - [0.0, 0.0, stewart.home_height]
+    head = np.array(stewart.top) @ np.swapaxes(rotation(y), -1, -2) + y[:, None, :3]
+    return np.stack([np.broadcast_to(foot, head.shape), head], axis=2)
+
+
+def _add(body: Any, kind: str, rgba: Any, **options: Any) -> None:
+    """A shape that is only seen: no mass, no contact."""
+    shape = getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
+    options = {k: np.asarray(v, float).tolist() for k, v in options.items()}
+    body.add_geom(type=shape, rgba=rgba, contype=0, conaffinity=0, mass=0, **options)
+
+
+def _rod(body: Any, kind: str, a: Any, b: Any, radius: float, rgba: Any) -> None:
+    _add(body, kind, rgba, size=[radius, 0, 0], fromto=[*a, *b])
+
+
+def _sphere(body: Any, at: Any, radius: float, rgba: Any) -> None:
+    _add(body, "SPHERE", rgba, size=[radius, 0, 0], pos=at)
+
+
+def _box(body: Any, at: Any, half: Array, axes: Array, rgba: Any) -> None:
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, axes.flatten())
+    _add(body, "BOX", rgba, size=half, pos=at, quat=quat)
+
+
+def _connect(scene: Any, kind: str, a: Array, b: Array, radius: float, rgba: Any) -> None:
+    """Add a shape from a to b to this frame of the scene; none where they coincide."""
+    if np.linalg.norm(b - a) < 1e-9:
+        return
+    geom, shape = scene.geoms[scene.ngeom], getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
+    zero, colour = np.zeros(3), np.array(rgba, np.float32)
+    mujoco.mjv_initGeom(geom, shape, zero, zero, np.eye(3).ravel(), colour)
+    mujoco.mjv_connector(geom, shape, radius, a, b)
+    scene.ngeom += 1
 
 
 def _frame_along(x: Array) -> Array:

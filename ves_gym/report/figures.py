@@ -24,6 +24,7 @@ BASELINE = "straight"
 _COLOURS = ("#7b828c", "#c8541a", "#8a4fb0", "#0a7bb5", "#1f8a58", "#b3316d", "#8a7312")
 _COLUMNS = 3  # panels side by side
 _DPI = 150
+_IN_SPACE: dict[str, Any] = {"linewidth": 0.8, "dashes": (6, 4)}
 Result = dict[str, Any]
 
 
@@ -31,19 +32,23 @@ def write_figures(result: Result, directory: str | os.PathLike[str]) -> list[Pat
     """Write the figures a result has data for, as PNG.
 
     Returns:
-        What was written, of ratio.png, energy.png, coupling.png and prediction.png.
+        What was written, of ratio.png, energy.png, coupling.png and prediction.png; in mode
+        emulated also base_motion_emulated.png and strain_energy_emulated.png.
 
     Raises:
         ParameterError: matplotlib is not installed.
     """
     figures = {
         "ratio": ratio_figure(result) if result.get("rows") else None,
-        "energy": energy_figure(result) if result.get("traces") else None,
+        "energy": time_figure(result, "E") if result.get("traces") else None,
         "coupling": coupling_figure(result["maps"], _planners(result))
         if result.get("maps")
         else None,
         "prediction": prediction_figure(result) if result.get("rows") else None,
     }
+    if result.get("traces") and result.get("mode") == "emulated":
+        figures["base_motion_emulated"] = time_figure(result, "distance")
+        figures["strain_energy_emulated"] = time_figure(result, "strain")
     written = []
     for name, figure in figures.items():
         if figure is None:
@@ -76,7 +81,7 @@ def ratio_figure(result: Result) -> Figure:
     from matplotlib.ticker import LogLocator, NullFormatter
 
     straight = {
-        (r["vehicle"], r["query"]): r["E_mean"] for r in rows if r["planner"] == BASELINE
+        (r["vehicle"], r["query"]): r["E_mean"] or 0.0 for r in rows if r["planner"] == BASELINE
     }
     jitter = np.random.default_rng(0)
     for axes, vehicle in zip(panels, vehicles, strict=True):
@@ -100,23 +105,43 @@ def ratio_figure(result: Result) -> Figure:
     return figure
 
 
-def energy_figure(result: Result) -> Figure:
-    """Energy in the base against time, a panel per query; shaded while the arm moves."""
-    names = _planners(result)
-    figure, panels = _panels(len(result["traces"]), 4.6, 3.0)
+CURVES = {  # key of a series -> axis label, factor from SI
+    "E": ("E [J]", 1.0),
+    "strain": ("strain energy [J]", 1.0),
+    "distance": ("base displacement [mm]", 1e3),
+}
+
+
+def time_figure(result: Result, key: str) -> Figure:
+    """A quantity of `CURVES` against time, a panel per query; shaded while the arm moves.
+
+    Mode emulated: dashed and darker the same motion in space, a cross where a run stopped.
+    """
+    names, (label, factor) = _planners(result), CURVES[key]
+    emulated = result.get("mode") == "emulated"
+    size = (9.0, 3.2, 1) if emulated else (4.6, 3.0, _COLUMNS)
+    figure, panels = _panels(len(result["traces"]), *size)
     for axes, trace in zip(panels, result["traces"], strict=True):
         axes.axvspan(0, trace["duration"], color="0.93")
+        end = max(s["t"][-1] for one in trace["series"] for s in (one, one.get("ideal", one)))
         for series in trace["series"]:
-            colour = _colour(names, series["planner"])
-            axes.plot(series["t"], series["E"], color=colour, linewidth=1.3)
-        axes.set(xlabel="time [s]", ylabel="E [J]")
-        axes.set(xlim=(0, max(series["t"][-1] for series in trace["series"])))
+            colour, values = _colour(names, series["planner"]), factor * np.array(series[key])
+            axes.plot(series["t"], values, color=colour, linewidth=2.2 if emulated else 1.3)
+            if "ideal" not in series:
+                continue
+            if series["t"][-1] < end - 0.1:
+                axes.plot(series["t"][-1], values[-1], "x", color=colour, markersize=7)
+            space = series["ideal"]
+            values = factor * np.array(space[key])
+            axes.plot(space["t"], values, color=_darker(colour), **_IN_SPACE)
+        axes.set(xlabel="time [s]", ylabel=label)
+        axes.set(xlim=(0, end))
         axes.set_ylim(bottom=0)
         axes.set_title(
             f"{trace['vehicle']}, T = {trace['duration']:g} s, {trace['query']}",
             fontsize="medium",
         )
-    _legend(figure, names)
+    _legend(figure, names, emulated)
     return figure
 
 
@@ -134,13 +159,15 @@ def coupling_figure(maps: Sequence[Result], planners: Sequence[str]) -> Figure:
 
 
 def prediction_figure(result: Result) -> Figure:
-    """E_mean as the planners predict it against the simulated one, and the relative error."""
+    """E_mean as the planners predict it against the simulated one, and the relative error.
+
+    Both of the space system, in mode emulated too: that is what planners predict.
+    """
     names = _planners(result)
     figure, (level, error) = _panels(2, 5.0, 4.4)
+    rows = [{**r, "E_mean": r.get("E_mean_ideal", r["E_mean"])} for r in result["rows"]]
     rows = [
-        r
-        for r in result["rows"]
-        if r["predicted"] is not None and min(r["E_mean"], r["predicted"]) > 0
+        r for r in rows if r["predicted"] is not None and min(r["E_mean"], r["predicted"]) > 0
     ]
     for name in names:
         x = np.array([r["E_mean"] for r in rows if r["planner"] == name])
@@ -175,7 +202,7 @@ def _ratios(
     for r in rows:
         if (r["vehicle"], r["duration"], r["planner"]) == key:
             base = straight.get((r["vehicle"], r["query"]), 0.0)
-            if base > 0 and r["E_mean"] > 0:
+            if base > 0 and r["E_mean"] is not None and r["E_mean"] > 0:
                 out.append(r["E_mean"] / base)
     return np.array(out)
 
@@ -257,9 +284,18 @@ def _colour(names: Sequence[str], planner: str) -> str:
     return _COLOURS[1 + others.index(planner) % (len(_COLOURS) - 1)]
 
 
-def _legend(figure: Figure, names: Sequence[str]) -> None:
+def _darker(colour: str) -> str:
+    channels = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
+    return "#" + "".join(f"{int(0.45 * c):02x}" for c in channels)
+
+
+def _legend(figure: Figure, names: Sequence[str], emulated: bool = False) -> None:
     from matplotlib.lines import Line2D
 
     lines = [Line2D([], [], color=_colour(names, n), linewidth=3) for n in names]
-    columns = max(1, int(figure.get_figwidth() / 1.6))  # 1.6 inch per name
+    if emulated:
+        lines.append(Line2D([], [], color="black", **_IN_SPACE))
+        names = [*names, "the same in space"]
+    wide = max(1.6, 0.09 * max(map(len, names)))  # inch per name
+    columns = max(1, int(figure.get_figwidth() / wide))
     figure.legend(lines, list(names), loc="outside lower center", ncols=columns, frameon=False)

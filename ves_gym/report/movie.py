@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import mujoco
 import numpy as np
 
 from ves_gym.core.params import Array
@@ -23,7 +24,6 @@ _GAP = 2  # pixels between the two pictures
 
 def _frames(drawing: Drawing) -> Iterator[Array]:
     """Finished pictures (height, width, 3) uint8, reported on stdout one by one."""
-    import mujoco
     from PIL import Image, ImageDraw, ImageFont
 
     view, clip = drawing.view, drawing.clip
@@ -95,9 +95,9 @@ def _write_mp4(path: Path, frames: Iterator[Array], view: View) -> None:
 
 
 def _window(drawing: Drawing) -> None:
-    import mujoco.viewer
+    from mujoco.viewer import launch_passive
 
-    with mujoco.viewer.launch_passive(
+    with launch_passive(
         drawing.model, drawing.data, show_left_ui=False, show_right_ui=False
     ) as viewer:
         camera, extent = drawing.cameras(4 / 3)[0]
@@ -111,7 +111,7 @@ def _window(drawing: Drawing) -> None:
                 drawing.decorate(viewer.user_scn, k, extent)
             viewer.sync()
             k = (k + 1) % len(drawing.clip["t"])
-            due = max(due + drawing.frame, time.monotonic() - 1.0)
+            due = max(due + 1 / drawing.view.fps, time.monotonic() - 1.0)
             time.sleep(max(0.0, due - time.monotonic()))
 
 

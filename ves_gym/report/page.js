@@ -2,6 +2,7 @@
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const BASELINE = "straight";
+const EMULATED = data.mode === "emulated";
 const $ = (id) => document.getElementById(id);
 
 /** An HTML element. Text is only ever set as text: names in the data are not markup. */
@@ -38,6 +39,7 @@ function number(value, digits = 3) {
 
 const ratioText = (value) => (value === null ? "–" : `${number(value, 2)} ×`);
 const percent = (value) => (value === null ? "–" : `${number(100 * value, 2)} %`);
+const signed = (value) => (value > 0 ? `+${percent(value)}` : percent(value));
 const span = (low, high) => (low === high ? "–" : `${number(low, 2)} – ${number(high, 2)}`);
 
 function listed(items) {
@@ -60,6 +62,8 @@ function ticks(low, high, count) {
 // ---------------------------------------------------------------------- colours
 
 const names = (data.planners ?? []).map((planner) => planner.name);
+/** Labels of motions that a planner found and another machine played. */
+const replays = new Set((data.planners ?? []).filter((p) => p.motion_of).map((p) => p.name));
 const DASHES = ["", "8 3", "2.5 2.5", "", "10 3 2 3", "5 2", "1.5 3"];
 
 /** Place of a planner in the palette; 0 (grey) is the straight line. */
@@ -74,9 +78,9 @@ const dash = (planner) => DASHES[place(planner)];
 /** A colour of the style sheet, resolved for a canvas. */
 const ink = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-function swatch(planner) {
+function swatch(planner, plain = false) {
   const line = svg("line", {
-    x1: 0, x2: 22, y1: 6, y2: 6, "stroke-width": 3, "stroke-dasharray": dash(planner),
+    x1: 0, x2: 22, y1: 6, y2: 6, "stroke-width": 3, "stroke-dasharray": plain ? "" : dash(planner),
     style: `stroke:${colour(planner)}`,
   });
   return svg("svg", { class: "swatch", viewBox: "0 0 22 12", "aria-hidden": "true" }, line);
@@ -143,14 +147,21 @@ function cases() {
   return [...groups.values()];
 }
 
-const least = (rows) => rows.reduce((best, row) => (row.ratio_median < best.ratio_median ? row : best));
+/** Whether a summary row has a ratio and stands for a planner, not for another load. */
+const rated = (row) => row?.ratio_median > 0 && !replays.has(row.planner);
+
+/** The row of least ratio among those that have one, or null. */
+function least(rows) {
+  const some = rows.filter(rated);
+  return some.length ? some.reduce((a, b) => (b.ratio_median < a.ratio_median ? b : a)) : null;
+}
 
 /** The planner whose median ratios have the least geometric mean, over all cases. */
 function winner(groups) {
   let best = null;
   for (const name of names.filter((n) => n !== BASELINE)) {
     const rows = groups.map((group) => group.rows.find((row) => row.planner === name));
-    if (rows.includes(undefined) || rows.length === 0) continue;
+    if (!rows.every(rated) || rows.length === 0) continue;
     const level = rows.reduce((sum, row) => sum + Math.log(row.ratio_median), 0) / rows.length;
     if (best === null || level < best.level) best = { name, rows, level };
   }
@@ -160,6 +171,9 @@ function winner(groups) {
 function verdict(groups) {
   if (groups.length === 0) return "This result holds no runs.";
   const best = winner(groups);
+  if (best === null && data.rows.some((row) => row.stopped)) {
+    return "No planner finished every case: the platform stopped.";
+  }
   if (best === null) return "Only the straight line was run: there is nothing to compare it with.";
   const one = new Set(groups.map((group) => group.vehicle)).size === 1;
   const ratios = best.rows.map((row) => number(row.ratio_median, 2));
@@ -176,6 +190,11 @@ function verdict(groups) {
 
 function tile(group) {
   const best = least(group.rows);
+  if (best === null) {
+    return el("div", { class: "tile", style: "--colour:var(--soft)" },
+      el("div", { class: "case" }, `${group.vehicle} · T = ${group.duration} s`),
+      el("div", { class: "big" }, "–"), el("div", { class: "detail" }, "nothing to compare"));
+  }
   const failed = best.success_rate < 1 ? ` · ${percent(1 - best.success_rate)} failed` : "";
   const interval = best.ratio_low === best.ratio_high ? ""
     : `95 %: ${span(best.ratio_low, best.ratio_high)} · `;
@@ -217,5 +236,12 @@ function provenance() {
   for (const { name, summary } of data.planners ?? []) {
     $("planners").append(el("dt", {}, swatch(name), name), el("dd", {}, summary));
   }
+  for (const [term, text] of Object.entries(data.machine ?? {})) {
+    $("machine").append(el("dt", {}, term), el("dd", {}, text));
+  }
+  for (const run of (data.rows ?? []).filter((row) => row.stopped)) {
+    $("stops").append(el("li", {}, `${run.vehicle}, ${run.query}, ${run.planner}: ${run.stopped}`));
+  }
+  $("laboratory").hidden = !EMULATED;
   provenance();
 }

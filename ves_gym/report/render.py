@@ -10,15 +10,15 @@ import dataclasses
 import importlib.util
 import json
 import os
+import queue
 import subprocess
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -37,7 +37,11 @@ from ves_gym.report.opengl import (
 
 _STALL = 180.0  # s without a finished frame after which drawing has hung
 
-FORMATS = {".gif": ("PIL", "pillow"), ".mp4": ("imageio_ffmpeg", "imageio-ffmpeg")}
+_PILLOW = ("PIL", "pillow")  # draws the labels
+FORMATS = {  # suffix -> (module, package) of what writes it
+    ".gif": [_PILLOW],
+    ".mp4": [_PILLOW, ("imageio_ffmpeg", "imageio-ffmpeg")],
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,8 +110,7 @@ def show(log: RunLog, view: View | None = None) -> None:
 def _require_format(path: Path, view: View) -> None:
     if path.suffix not in FORMATS:
         raise ParameterError(f"{path}: expected a {' or '.join(FORMATS)} name")
-    for suffix in (".gif", path.suffix):  # labels are drawn with Pillow in either format
-        module, package = FORMATS[suffix]
+    for module, package in FORMATS[path.suffix]:
         if importlib.util.find_spec(module) is None:
             raise RenderError(
                 f"{path.suffix} files need {package}, which is not installed:"
@@ -143,8 +146,9 @@ def _clip(log: RunLog, view: View) -> dict[str, Any]:
         "y": view.magnify * at(log.y),
         "E": np.interp(t, log.t, E),
     }
-    if log.w is not None:
-        clip["w"] = at(log.w)
+    felt = log.w if log.wg is None else log.wg  # less the weight, where there is any
+    if felt is not None:
+        clip["w"] = at(felt)
     return {"system": system, **clip}
 
 
@@ -159,6 +163,7 @@ def _run_child(
     plain = json.dumps({"system": clip["system"].to_dict(), "view": dataclasses.asdict(view)})
     arrays = {k: v for k, v in clip.items() if k != "system"}
     np.savez(job, job=np.array(plain), **arrays)
+    patience = _STALL if target.suffix else None  # a window stays as long as it likes
     with open(target.with_name("stderr.txt"), "w+", encoding="utf-8") as errors:
         child = subprocess.Popen(
             [sys.executable, "-m", "ves_gym.report.movie", str(job), str(target)],
@@ -167,49 +172,31 @@ def _run_child(
             stderr=errors,
             text=True,
         )
-        watch = None if target.suffix == "" else _Watch(child)
-        assert child.stdout is not None
+        lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        reader = threading.Thread(target=_pass_on, args=(child.stdout, lines), daemon=True)
+        reader.start()
         try:
-            for line in child.stdout:  # one per frame: the fraction done
-                if watch is not None:
-                    watch.seen()
+            while (line := lines.get(timeout=patience)) is not None:
                 if progress is not None:
-                    progress(float(line))
+                    progress(float(line))  # one per frame: the fraction done
             status = child.wait()
+        except queue.Empty:
+            raise RenderError(
+                f"drawing with {backend} hung: no frame for {_STALL:g} s"
+            ) from None
         finally:
-            if watch is not None:
-                watch.stop()
-            if child.poll() is None:
-                child.kill()
-                child.wait()
-            child.stdout.close()
-        if watch is not None and watch.fired:
-            raise RenderError(f"drawing with {backend} hung: no frame for {_STALL:g} s")
+            child.kill()  # does nothing to one that has ended
+            child.wait()
+            reader.join()
         if status != 0:
             errors.seek(0)
             words = last_words(status, errors.read())
             raise RenderError(f"drawing with {backend} failed: {words}")
 
 
-class _Watch:
-    """Kills a process that has not been seen working for `_STALL` seconds."""
-
-    def __init__(self, child: subprocess.Popen[str]) -> None:
-        self.child, self.last, self.fired = child, time.monotonic(), False
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def seen(self) -> None:
-        self.last = time.monotonic()
-
-    def stop(self) -> None:
-        self._end.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        while not self._end.wait(0.5):
-            if time.monotonic() - self.last > _STALL:
-                self.fired = True
-                self.child.kill()
-                return
+def _pass_on(pipe: IO[str], lines: queue.SimpleQueue[str | None]) -> None:
+    """Queue a process's lines, and None when it has ended."""
+    with pipe:
+        for line in pipe:
+            lines.put(line)
+    lines.put(None)

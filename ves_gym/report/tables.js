@@ -7,7 +7,7 @@ for (const row of data.rows ?? []) {
 
 function ratioOf(row) {
   const base = straight.get(JSON.stringify([row.vehicle, row.query]));
-  return base > 0 ? row.E_mean / base : null;
+  return base > 0 && row.E_mean !== null ? row.E_mean / base : null;
 }
 
 // ---------------------------------------------------------------------- summary
@@ -53,7 +53,8 @@ function summaryTable(groups) {
   const head = [
     ["case", ""], ["planner", ""], ["ratio to straight", `0 to ${number(top, 2)}`],
     ["E_mean", "ratio"], ["95 %", "interval"], ["E_mean", "J"], ["E_res", "ratio"],
-    ["E_peak", "ratio"], ["predicted", "error"], ["planning", "s"], ["success", ""],
+    ["E_peak", "ratio"],
+    ...(EMULATED ? [["emulation", "error"], ["base", "error"]] : []), ["predicted", "error"], ["planning", "s"], ["success", ""],
     ["queries", ""],
   ];
   const header = el("tr", {}, ...head.map(([name, unit], k) => el("th",
@@ -73,13 +74,17 @@ function summaryGroup(group, top) {
         group.vehicle, el("br"), `T = ${group.duration} s`));
     }
     line.append(
-      el("th", { scope: "row" }, swatch(row.planner), row.planner),
+      el("th", { scope: "row", class: "planner" }, swatch(row.planner), row.planner),
       el("td", {}, ratioBar(row, top)),
       cell(number(row.ratio_median)),
       cell(span(row.ratio_low, row.ratio_high), "soft"),
       cell(number(row.E_mean_median)),
       cell(number(row.E_res_ratio_median)),
       cell(number(row.E_peak_ratio_median)),
+      ...(EMULATED ? [
+        row.stopped === row.n ? cell("stopped", "bad") : cell(signed(row.emulation_error_median)),
+        cell(percent(row.base_error_median)),
+      ] : []),
       cell(percent(row.prediction_error_median), "soft"),
       cell(number(row.plan_seconds_median, 2), "soft"),
       cell(percent(row.success_rate), row.success_rate < 1 ? "bad" : "soft"),
@@ -102,9 +107,14 @@ const COLUMNS = [
   ["E_res", "E_res", "J", number], ["E_peak", "E_peak", "J", number],
   ["E_strain_peak", "E_strain peak", "J", number], ["E_int", "E_int", "J s", number],
   ["W_port", "W_port", "J", number], ["t_5", "t_5 %", "s", number],
+  ...(EMULATED ? [
+    ["E_mean_ideal", "E_mean", "J in space", number],
+    ["emulation_error", "emulation", "error", signed], ["base_error", "base", "error", percent],
+  ] : []),
   ["predicted", "predicted", "J", number], ["prediction_error", "error", "", percent],
   ["plan_seconds", "planning", "s", (value) => number(value, 2)],
   ["success", "success", "", (value) => (value ? "yes" : "failed")],
+  ...(EMULATED ? [["stopped", "stopped", ""]] : []),
 ];
 const FIRST = 200; // rows shown until all are asked for
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+import warnings
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from ves_gym.core.params import Array, Index, Mask, ParameterError
 
@@ -16,6 +17,7 @@ class Backend(Protocol):
     Arrays handed out are copies or read-only views; `z` stacks (Y, q), `zd` its rate.
     """
 
+    name: str  # as in BACKENDS
     n: int
 
     def read(self) -> tuple[Array, Array, Array]:
@@ -35,6 +37,19 @@ class Backend(Protocol):
     def play(self, commands: Array, ids: Index | None) -> None:
         """Advance k physics steps, commands (n, k + 1, joints) linear over each step."""
 
+    def ride(self, commands: Array, base: Array, ids: Index | None) -> Array:
+        """Advance k physics steps on a platform that moves as told (mode emulated).
+
+        Args:
+            commands: (n, k + 1, joints), base: (n, k + 1, 6) acceleration Y'', both linear
+                over each step.
+
+        Returns:
+            (n, k + 1, 6) wrench of the arm on the platform at the steps' ends, in platform
+            axes at its origin [N, N m]; the first under the new, the last under the old
+            commands.
+        """
+
     def evaluate(self, command: Array) -> tuple[Array, Array]:
         """Drive torque (n, joints) and acceleration zdd (n, 6 + joints) at this state."""
 
@@ -48,13 +63,74 @@ class Backend(Protocol):
         """Return to a state handed out by `get_state`."""
 
 
-BACKENDS = ("mujoco",)
+BACKENDS = ("auto", "kernel", "mujoco", "mjx", "warp")
+
+
+MEANINGLESS = 1e10  # m, rad and their rates; where MuJoCo, too, gives a state up
+
+
+class Remembering:
+    """State kept in the arrays that `state_names` names, faults in `_fault`."""
+
+    state_names: ClassVar[tuple[str, ...]]
+    _fault: Mask
+
+    def faults(self) -> Mask:
+        """See `Backend`."""
+        return self._fault.copy()
+
+    def get_state(self) -> object:
+        """See `Backend`."""
+        return tuple(getattr(self, name).copy() for name in self.state_names)
+
+    def set_state(self, state: Any) -> None:
+        """See `Backend`."""
+        for name, part in zip(self.state_names, state, strict=True):
+            getattr(self, name)[:] = part
+
+
+class BackendWarning(UserWarning):
+    """Another engine runs than the fastest one would be."""
 
 
 def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
-    """Build a backend by name; unknown names are an error that lists the known ones."""
+    """Build a backend by name; unknown names are an error that lists the known ones.
+
+    `auto` is the compiled kernel, and MuJoCo with a `BackendWarning` where a kernel cannot
+    be compiled on this machine.
+
+    Raises:
+        ParameterError: unknown name, or `kernel` where it cannot be compiled.
+    """
     if name not in BACKENDS:
         raise ParameterError(f"backend must be one of {', '.join(BACKENDS)}, got {name!r}")
+    if name in ("mjx", "warp"):
+        return _on_a_device(name, system, n, threads)
+    if name != "mujoco":
+        try:
+            from ves_gym.core.backends.kernel import KernelBackend
+
+            return KernelBackend(system, n, threads)
+        except (ImportError, RuntimeError, OSError) as error:
+            reason = f"the kernel cannot be compiled here ({type(error).__name__}: {error})"
+            if name == "kernel":
+                raise ParameterError(f"backend kernel: {reason}") from error
+            warnings.warn(f"{reason}; MuJoCo runs instead", BackendWarning, stacklevel=3)
     from ves_gym.core.backends.mujoco import MujocoBackend
 
     return MujocoBackend(system, n, threads)
+
+
+def _on_a_device(name: str, system: System, n: int, threads: int) -> Backend:
+    try:
+        if name == "mjx":
+            from ves_gym.core.backends.mjx import MjxBackend
+
+            return MjxBackend(system, n, threads)
+        from ves_gym.core.backends.warp import WarpBackend
+
+        return WarpBackend(system, n, threads)
+    except ImportError as error:
+        raise ParameterError(
+            f"backend {name} is not installed ({error}): pip install 'ves-gym[gpu]'"
+        ) from None

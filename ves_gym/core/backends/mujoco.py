@@ -11,11 +11,12 @@ from ves_gym.core.engine import mujoco  # before its submodules
 # isort: split
 from mujoco.batch import Batch
 
-from ves_gym.core.model import TO_Y, build_spec
+from ves_gym.core.effect import joint_torque
+from ves_gym.core.gravity import GRAVITY
+from ves_gym.core.model import PRESCRIBED_INERTIA, TO_Y, build_laboratory_spec, build_spec
 from ves_gym.core.params import Array, Index, Mask
 from ves_gym.core.system import System
 
-PRESCRIBED_INERTIA = 1e8  # kg m^2 added to a joint that must follow its command
 _BAD = [
     int(w)
     for w in (
@@ -29,14 +30,22 @@ _BAD = [
 
 def compile_model(system: System) -> mujoco.MjModel:
     """The MuJoCo model of a system, as the backend runs it."""
-    gravity = (0.0, 0.0, 0.0)
-    spec = build_spec(
-        system.arm,
-        system.base,
-        gravity=gravity,
-        integrator=system.integrator,
-        physics_dt=system.physics_dt,
-    )
+    if system.mode == "emulated":
+        spec = build_laboratory_spec(
+            system.arm,
+            gravity=(0.0, 0.0, -GRAVITY),
+            balance=system.laboratory.joint_balance,
+            integrator=system.integrator,
+            physics_dt=system.physics_dt,
+        )
+    else:
+        spec = build_spec(
+            system.arm,
+            system.base,
+            gravity=(0.0, 0.0, 0.0),
+            integrator=system.integrator,
+            physics_dt=system.physics_dt,
+        )
     if system.drive == "prescribed":
         for i in range(system.arm.n):
             spec.joint(f"q_{i + 1}").armature += PRESCRIBED_INERTIA
@@ -48,6 +57,8 @@ def compile_model(system: System) -> mujoco.MjModel:
 
 class MujocoBackend:
     """`Backend` on `mujoco.batch.Batch`; see `Backend` for what each method does."""
+
+    name = "mujoco"
 
     def __init__(self, system: System, n: int, threads: int) -> None:
         self.n = n
@@ -61,7 +72,10 @@ class MujocoBackend:
         self._applied = self.batch.bind("qfrc_applied")
         self._force, self._qacc = self.batch.bind("actuator_force"), self.batch.bind("qacc")
         self._order = np.r_[TO_Y, 6 + np.arange(self.joints)]
+        self._drives = slice(self.model.nu - self.joints, None)  # after the platform's
         self._bias: Array | None = None
+        self._laws = [effect for effect in system.effects if effect.has_law]
+        self._felt = self.batch.bind("sensordata") if system.mode == "emulated" else None
 
     def read(self) -> tuple[Array, Array, Array]:
         return self._time.copy(), self._qpos[:, self._order], self._qvel[:, self._order]
@@ -77,8 +91,8 @@ class MujocoBackend:
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
         if self._bias is None:
             self._bias = self.batch.expand("actuator_biasprm")
-        self._bias[ids, :, 1] = -kp
-        self._bias[ids, :, 2] = -kd
+        self._bias[ids, self._drives, 1] = -kp
+        self._bias[ids, self._drives, 2] = -kd
 
     def step(
         self, command: Array, wrench: Array | None, substeps: int, ids: Index | None
@@ -86,21 +100,51 @@ class MujocoBackend:
         self._command[:], self._slope[:] = command, 0.0
         if wrench is not None:
             self._applied[:, TO_Y] = wrench
-        self.batch.step(ids, nstep=substeps)
+        for _ in range(substeps if self._laws else 1):
+            self._push()
+            self.batch.step(ids, nstep=1 if self._laws else substeps)
         if wrench is not None:  # it acts in this period only
-            self._applied[:] = 0.0
+            self._applied[:, TO_Y] = 0.0
+
+    def _push(self) -> None:
+        """Set the torque of the effects' laws, held until the next physics step."""
+        if self._laws:
+            q, v = self._qpos[:, 6:], self._qvel[:, 6:]
+            self._applied[:, 6:] = joint_torque(self._laws, q, v)
 
     def play(self, commands: Array, ids: Index | None) -> None:
         slopes = np.diff(commands, axis=1) / self.model.opt.timestep
         self._command[:] = commands[:, 0]
         some = slopes if ids is None else slopes[ids]
-        self.batch.rollout(some.shape[1], some, record=(), ids=ids)
+        for part in np.split(some, some.shape[1], axis=1) if self._laws else [some]:
+            self._push()
+            self.batch.rollout(part.shape[1], part, record=(), ids=ids)
+
+    def ride(self, commands: Array, base: Array, ids: Index | None) -> Array:
+        assert self._felt is not None
+        rows = slice(None) if ids is None else ids
+        nodes = np.concatenate([base[..., TO_Y], commands], axis=-1)
+        self._command[:] = nodes[:, 0]
+        slopes = np.diff(nodes, axis=1) / self.model.opt.timestep
+        out = np.zeros((self.n, nodes.shape[1], 6))
+        at, given = 0, slopes[rows]
+        for part in np.split(given, given.shape[1], axis=1) if self._laws else [given]:
+            self._push()
+            felt = self.batch.rollout(part.shape[1], part, record=("sensordata",), ids=ids)
+            # the engine reports what the platform exerts on the arm
+            out[rows, at : at + part.shape[1]] = -felt["sensordata"]
+            at += part.shape[1]
+        self._push()
+        self.batch.forward(ids)
+        out[:, -1] = -self._felt
+        return out
 
     def evaluate(self, command: Array) -> tuple[Array, Array]:
-        self._command[:] = command
+        self._command[:, self._drives] = command
+        self._push()
         self.batch.forward()
         acceleration = self._qacc[:, self._order]
-        torque = self._force.copy()
+        torque = self._force[:, self._drives].copy()
         if self.prescribed:
             torque -= PRESCRIBED_INERTIA * acceleration[:, 6:]
         return torque, acceleration
@@ -119,4 +163,5 @@ class MujocoBackend:
         self.batch.state[:] = rows
         self.batch.warning[:] = warnings
         if bias is not None:
-            self.set_gains(np.arange(self.n), -bias[:, :, 1], -bias[:, :, 2])
+            kp, kd = -bias[:, self._drives, 1], -bias[:, self._drives, 2]
+            self.set_gains(np.arange(self.n), kp, kd)

@@ -1,0 +1,38 @@
+"""Emulated mode against ideal mode, both on MuJoCo: physics steps per second."""
+
+from __future__ import annotations
+
+from benchmarks.timing import Pair, side_by_side
+from ves_gym.core.emulator import Emulator
+from ves_gym.core.legs import FILTERED, leg_clock
+from ves_gym.core.simulator import Simulator
+from ves_gym.core.system import System
+
+PERIODS = 20
+CONTROL_DT, PHYSICS_DT = leg_clock(FILTERED)
+SYSTEMS = {
+    "pose servo": System(mode="emulated"),
+    "pose servo, plain loop": System(
+        mode="emulated", emulator=Emulator(payload_compensation=False)
+    ),
+    "leg servos": System(
+        mode="emulated",
+        emulator=Emulator(platform=FILTERED),
+        control_dt=CONTROL_DT,
+        physics_dt=PHYSICS_DT,
+    ),
+}
+
+
+def emulated_against_ideal(name: str, n: int) -> Pair:
+    """PERIODS control periods of n simulations; ratio 1 would be as fast as ideal mode."""
+    system = SYSTEMS[name]
+    ours = Simulator(system, n, backend="mujoco", warn_at=None)
+    ideal = Simulator(system.ideal(), n, backend="mujoco")
+
+    def run(sim: Simulator) -> None:
+        hold = sim.servo_command(sim.state.q * 0, sim.state.v * 0)
+        for _ in range(PERIODS):
+            sim.step(hold)
+
+    return side_by_side(lambda: run(ours), lambda: run(ideal))

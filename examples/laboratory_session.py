@@ -1,0 +1,59 @@
+"""A session at the laboratory machine, as the thesis's handbook has it (Appendix E).
+
+calibrate -> zero the sensor -> compare measured and estimated wrench -> run a motion ->
+record -> reset.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ves_gym.core.calibration import calibration_poses, fit
+from ves_gym.core.energy import log_energies
+from ves_gym.core.motion import Motion
+from ves_gym.core.playback import play_motions, weigh_poses
+from ves_gym.core.simulator import Simulator
+from ves_gym.core.stability import check_emulation
+from ves_gym.core.system import System
+from ves_gym.effects import LABORATORY_ERRORS, SensorBias, SensorCalibration
+
+# The machine as it is: noise, drift, a zero nobody set, and 1 % of cross-talk.
+cross_talk = np.random.default_rng(0).normal(0, 0.01, (6, 6)).tolist()
+machine = System(
+    mode="emulated",
+    effects=(
+        *LABORATORY_ERRORS,
+        SensorBias(force=(4.0, -2.0, 7.0), moment=(1.0, 0.5, -0.5)),
+        SensorCalibration(error=tuple(map(tuple, cross_talk))),
+    ),
+)
+check = check_emulation(machine, search=False)
+print(f"stable: {check.stable}; slowest mode {check.modes[0].emulated_frequency:.3f} Hz")
+
+# Calibrate: 47 poses, gravity model and sensor matrix.
+q, y = calibration_poses(machine.arm, 47)
+poses = weigh_poses(machine, q, y)
+found = fit(machine.arm, poses.q, poses.y, poses.w)
+lab = machine.laboratory
+calibrated = machine.replace(
+    emulator=replace(
+        lab,
+        gravity=found.model,
+        sensor=lab.sensor.calibrated(found.C, found.offset),
+        zero_at_start=True,
+    )
+)
+print(f"weight {found.model.mass * 9.81:.1f} N, residual {max(found.rms[:3]):.2f} N rms")
+
+# Zero the sensor and look at measured against estimated wrench.
+sim = Simulator(calibrated)
+sim.reset(q=[0.0, 0.4, -0.8])
+now = sim.readings
+print("measured ", now.wrench[0].round(2))
+print("estimated", now.gravity[0].round(2))
+
+# Run a spline motion, record, reset (every run starts at home, with the sensor zeroed).
+motion = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 2.0)
+for name, system in (("laboratory", calibrated), ("in space", machine.ideal())):
+    log = play_motions(system, [motion]).log(0)
+    print(f"{name:10s} E_mean {log_energies(log).E_mean:.4f} J, {len(log)} records")

@@ -1,0 +1,83 @@
+"""Effects that are torques at the joints: one text for NumPy, MuJoCo and the kernel."""
+
+import numpy as np
+import pytest
+
+from ves_gym.core.effect import Effect, joint_torque, register
+from ves_gym.core.energy import ledger
+from ves_gym.core.kernel.trace import structure
+from ves_gym.core.motion import Motion
+from ves_gym.core.params import ParameterError
+from ves_gym.core.playback import play_motions
+from ves_gym.core.system import System
+from ves_gym.effects import JointCoulomb, JointStribeck, JointViscous, joint_coulomb
+
+FRICTION = (
+    JointStribeck(coulomb=(3.0, 4.0, 2.0), stiction=(6.0, 8.0, 4.0), fade_speed=0.3),
+    JointViscous(damping=(2.0, 2.0, 1.0)),
+    JointCoulomb(torque=(1.0, 0.0, 0.5)),
+)
+MOTION = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
+
+
+def gap(mode, physics_dt):
+    """Largest difference of joint angles between the engines [rad]."""
+    system = System(effects=FRICTION, mode=mode, physics_dt=physics_dt)
+    runs = [play_motions(system, [MOTION], settle=0.5, backend=k) for k in ("kernel", "mujoco")]
+    return np.abs(runs[0].q - runs[1].q).max()
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_engines_agree_as_the_step_shrinks(mode):
+    """MuJoCo holds the torque over each step: first order, so a quarter at a quarter step."""
+    coarse, fine = gap(mode, 1.25e-3), gap(mode, 1.25e-3 / 4)
+    assert coarse < 2e-5
+    assert fine == pytest.approx(coarse / 4, rel=0.1)
+
+
+def test_friction_is_in_the_energy_account():
+    system = System(effects=FRICTION)
+    log = play_motions(system, [MOTION], settle=0.5, record_dt=system.physics_dt).log(0)
+    account = ledger(log)
+    assert account.relative < 1e-5
+    free = play_motions(System(), [MOTION], settle=0.5, record_dt=system.physics_dt).log(0)
+    assert account.dissipated[-1] > ledger(free).dissipated[-1] + 1.0  # J, in the joints
+
+
+def test_torques_are_those_of_the_formulas():
+    q, v = np.zeros((4, 3)), np.array([[0.0] * 3, [5.0] * 3, [-5.0] * 3, [0.1, -0.1, 0.1]])
+    torque = joint_torque(FRICTION, q, v)
+    np.testing.assert_array_equal(torque[0], 0)
+    np.testing.assert_allclose(torque[1], [-3 - 10 - 1, -4 - 10, -2 - 5 - 0.5], rtol=1e-12)
+    np.testing.assert_allclose(torque[2], -torque[1])
+    fade = np.exp(-((0.1 / 0.3) ** 2))
+    assert torque[3, 0] == pytest.approx(-(3 + 3 * fade) - 0.2 - 1, rel=1e-6)
+
+
+def test_null_laws_leave_the_run_as_it_is():
+    null = (JointViscous(damping=(0.0,) * 3), JointCoulomb(torque=(0.0,) * 3))
+    runs = [play_motions(System(effects=k), [MOTION], settle=0.2).q for k in ((), null)]
+    np.testing.assert_array_equal(*runs)
+
+
+def test_a_changed_constant_of_a_law_is_another_kernel(monkeypatch):
+    """The text of the class alone would not show it, and the cache would serve the old code."""
+    system = System(effects=(JointCoulomb(torque=(1.0,) * 3),))
+    before = structure(system)
+    assert structure(system) == before
+    assert structure(System(effects=(JointCoulomb(torque=(2.0,) * 3),))) == before
+    monkeypatch.setattr(joint_coulomb, "CREEP", 0.02)
+    assert structure(system) != before
+
+
+def test_one_number_per_joint():
+    with pytest.raises(ParameterError, match="must be 3 numbers, one per joint, got 2"):
+        System(effects=(JointViscous(damping=(1.0, 1.0)),))
+
+
+def test_an_effect_must_do_something():
+    with pytest.raises(ParameterError, match="must have `edit` or `law`"):
+
+        @register("test/nothing")
+        class Nothing(Effect):
+            pass

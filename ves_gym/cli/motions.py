@@ -1,0 +1,147 @@
+"""Motions, servos and poses on the command line: what `simulate`, `plan` and others share."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from ves_gym.cli.common import degrees
+from ves_gym.core.arm import Arm
+from ves_gym.core.motion import LimitError, Motion, require_limits
+from ves_gym.core.params import Array, ParameterError, from_plain, read_table, to_plain
+from ves_gym.core.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
+from ves_gym.core.system import System
+
+MOTION_FORMAT = "ves-motion/1"
+GAINS = {"high": HIGH_GAINS, "pped": PPED_GAINS, "free": FREE}
+
+
+def motion_from(args: argparse.Namespace, arm: Arm) -> Motion:
+    """The motion the arguments describe, inside the joint limits."""
+    if args.motion is not None:
+        for option in ("start", "goal", "via", "duration"):
+            if getattr(args, option) is not None:
+                raise ParameterError(f"--motion FILE already says it: leave out --{option}")
+        motion = read_motion(args.motion)
+        if motion.n != arm.n:
+            raise ParameterError(
+                f"{args.motion}: {arm.name} has {arm.n} joints, got {motion.n}"
+            )
+    else:
+        motion = _motion_through(args, arm)
+    require_limits(arm, motion, ("position",))
+    return motion
+
+
+def _motion_through(args: argparse.Namespace, arm: Arm) -> Motion:
+    start = joint_angles(args.start, arm, "--start")
+    if args.goal is None and args.via:
+        raise ParameterError("--via needs --goal: way-points lie between start and goal")
+    goal = joint_angles(args.goal, arm, "--goal", default=(60.0, 40.0, -30.0))
+    duration = duration_from(args.duration)
+    vias = [joint_angles(via, arm, "--via") for via in args.via or ()]
+    if not vias:
+        return Motion.straight(start, goal, duration)
+    return Motion.through(np.stack([start, *vias, goal]), duration)
+
+
+def joint_angles(
+    text: str | None, arm: Arm, name: str, default: tuple[float, ...] | None = None
+) -> Array:
+    """Joint angles [rad] from degrees, inside the limits; zeros if neither is given."""
+    if text is None:
+        given = np.deg2rad(default) if default and len(default) == arm.n else np.zeros(arm.n)
+    else:
+        given = np.array(degrees(text, arm.n, name))
+    return arm.require_within_limits(given, name)
+
+
+def duration_from(value: float | None, default: float = 2.0) -> float:
+    """A duration [s] > 0."""
+    if value is not None and not (math.isfinite(value) and value > 0):
+        raise ParameterError(f"--duration must be > 0 s, got {value}")
+    return default if value is None else value
+
+
+def read_motion(path: str) -> Motion:
+    """A motion from JSON or TOML: {"format", "duration" [s], "control" [rad]}."""
+    table = read_table(path)
+    if table.get("format") != MOTION_FORMAT:
+        raise ParameterError(
+            f"{path}: format must be {MOTION_FORMAT!r}, got {table.get('format')!r}"
+        )
+    plain = {k: v for k, v in table.items() if k != "format"}
+    rows = plain.get("control")
+    if isinstance(rows, list):
+        widths = {len(row) if isinstance(row, list) else 0 for row in rows}
+        if len(widths) != 1 or 0 in widths:
+            raise ParameterError(f"{path}: control must be rows of equal length, one per point")
+    try:
+        motion: Motion = from_plain(Motion, plain, "motion")
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {error}") from None
+    return motion
+
+
+def motion_table(motion: Motion) -> dict[str, Any]:
+    """A motion as plain data, as `read_motion` reads it."""
+    return {"format": MOTION_FORMAT, **to_plain(motion)}
+
+
+def servo_from(args: argparse.Namespace, system: System) -> JointServo:
+    """The joint servo the arguments describe."""
+    if system.drive != "motor" and (args.gains is not None or args.no_feedforward):
+        raise ParameterError(
+            "a prescribed drive has no servo: leave out --gains, --no-feedforward"
+        )
+    text = args.gains or "high"
+    servo = GAINS.get(text) or _numbers(text, system.arm.n)
+    if args.no_feedforward:
+        servo = dataclasses.replace(servo, feedforward=False)
+    if system.drive == "motor" and len(servo.kp) != system.arm.n:
+        raise ParameterError(
+            f"gains {text!r} are for {len(servo.kp)} joints,"
+            f" {system.arm.name} has {system.arm.n}"
+        )
+    return servo
+
+
+def _numbers(text: str, n: int) -> JointServo:
+    expected = f"{', '.join(GAINS)}, or kp/kd with 1 or {n} numbers each, like 100/10"
+    try:
+        kp, kd = ([float(k) for k in part.split(",")] for part in text.split("/"))
+    except ValueError:
+        raise ParameterError(f"--gains must be {expected}, got {text!r}") from None
+    if {len(kp), len(kd)} - {1, n}:
+        raise ParameterError(f"--gains must be {expected}, got {text!r}")
+    return JointServo(kp=tuple(kp * (n // len(kp))), kd=tuple(kd * (n // len(kd))))
+
+
+def limit_warnings(arm: Arm, motion: Motion) -> list[str]:
+    """One line per kind of limit, other than position, that a motion breaks."""
+    out = []
+    for kind in ("velocity", "torque"):
+        try:
+            require_limits(arm, motion, (kind,))
+        except LimitError as error:
+            out.append(str(error))
+    return out
+
+
+def disturbance(text: str | None) -> Array:
+    if text is None:
+        return np.zeros(6)
+    try:
+        values = np.array([float(k) for k in text.split(",")])
+    except ValueError:
+        values = np.full(6, np.nan)
+    if values.shape != (6,) or not np.isfinite(values).all():
+        raise ParameterError(
+            f"--disturb must be six numbers x,y,z [m] and angles [deg], got {text!r}"
+        )
+    values[3:] = np.deg2rad(values[3:])
+    return values

@@ -1,0 +1,153 @@
+"""`Effect`: a named physical deviation from the nominal system.
+
+One concept for error models, randomisation and diagnosis. The parameters of an effect
+have a unit, bounds and a null value at which the system is exactly the nominal one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+import numpy as np
+
+from ves_gym.core.params import Array, ParameterError, to_plain, unit
+
+if TYPE_CHECKING:
+    from ves_gym.core.laboratory import Parameters
+    from ves_gym.core.system import System
+
+EFFECTS: dict[str, type[Effect]] = {}
+
+
+class Effect:
+    """Base of all effects; see `register` and `parameter`.
+
+    An effect acts in one of two ways. `edit` changes the parameters of the laboratory: it
+    adds to them, so that several effects combine and none undoes another. `law` is a torque
+    at the joints, in space as in the laboratory: a pure function of arrays written against a
+    small namespace `xp` (tanh, exp, fabs, ...), so that one text runs in NumPy and is
+    compiled into the kernel and its derivatives.
+    """
+
+    REGISTRY: ClassVar[dict[str, type[Effect]]] = EFFECTS
+    kind: ClassVar[str]  # "place/name"; set by `register`
+    modes: ClassVar[tuple[str, ...]] = ("emulated",)
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            low, high = field.metadata["bounds"]
+            value = getattr(self, field.name)
+            try:
+                array = np.asarray(value)
+            except ValueError:
+                array = np.empty(0, object)
+            shape = field.metadata["shape"]
+            fits = array.dtype.kind in "fiu" and len(array.shape) == len(shape)
+            fits = fits and all(w in (None, g) for w, g in zip(shape, array.shape, strict=True))
+            inside = fits and bool(np.isfinite(array).all())
+            if not inside or (array < low).any() or (array > high).any():
+                symbol = "" if field.metadata["unit"] == "1" else f" {field.metadata['unit']}"
+                size = " x ".join("any" if k is None else str(k) for k in shape) or "one"
+                raise ParameterError(
+                    f"{self.kind}.{field.name} must be {size} number{'s' * bool(shape)} in"
+                    f" [{low:g}, {high:g}]{symbol}, got {value!r}"
+                )
+            # lists and arrays become what can be compared and hashed
+            object.__setattr__(self, field.name, _nested(array.astype(float).tolist()))
+
+    def check(self, system: System) -> None:
+        """Raise ParameterError if the effect would do nothing in this system, or not fit it."""
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+
+    def law(self, xp: Any, q: Any, v: Any) -> Any:
+        """Torque at the joints, outside the motors [N m]: q, v (..., n) -> (..., n).
+
+        Parameters of the effect are arrays (or symbols) here, whatever they were given as.
+        """
+        raise NotImplementedError
+
+    @property
+    def has_law(self) -> bool:
+        """Whether this effect is a torque at the joints."""
+        return type(self).law is not Effect.law
+
+    def bound(self, values: dict[str, Any]) -> Any:
+        """The same effect with arrays or symbols for parameters, as `law` takes them."""
+        out = object.__new__(type(self))
+        for name, value in values.items():
+            object.__setattr__(out, name, value)
+        return out
+
+    def _require(self, fits: bool, what: str) -> None:
+        if not fits:
+            raise ParameterError(f"effect {self.kind} would do nothing: it needs {what}")
+
+    @property
+    def is_null(self) -> bool:
+        """Whether every parameter is at the value that leaves the system nominal."""
+        return all(
+            np.all(np.asarray(getattr(self, f.name)) == f.metadata["null"])
+            for f in dataclasses.fields(self)  # type: ignore[arg-type]
+            if f.metadata["null"] is not None
+        )
+
+    def __str__(self) -> str:
+        values = {k: v for k, v in to_plain(self).items() if k != "kind"}
+        return f"{self.kind}({', '.join(f'{k}={v}' for k, v in values.items())})"
+
+
+def parameter(
+    symbol: str,
+    *,
+    bounds: tuple[float, float],
+    null: float | None = 0.0,
+    shape: tuple[int | None, ...] = (),
+    default: Any = dataclasses.MISSING,
+) -> Any:
+    """A field of an effect: unit, bounds, null value (None: has none of its own), shape.
+
+    The default is the null value, filled into the shape.
+    """
+    if default is dataclasses.MISSING and null is not None and None not in shape:
+        filled = np.full(tuple(k for k in shape if k is not None), null)
+        default = _nested(filled.tolist())
+    return unit(symbol, default=default, bounds=bounds, null=null, shape=shape)
+
+
+def _nested(value: Any) -> Any:
+    return tuple(_nested(v) for v in value) if isinstance(value, list) else value
+
+
+E = TypeVar("E", bound=type[Effect])
+
+
+def register(kind: str) -> Callable[[E], E]:
+    """Class decorator: file an effect under "place/name"; a name already taken is an error."""
+
+    def decorate(cls: E) -> E:
+        if cls.edit is Effect.edit and cls.law is Effect.law:
+            raise ParameterError(f"effect {kind!r} must have `edit` or `law`, got neither")
+        if kind in EFFECTS:
+            raise ParameterError(
+                f"effect {kind!r} is already registered by {EFFECTS[kind].__name__}"
+            )
+        cls.kind = kind
+        EFFECTS[kind] = cls
+        return cls
+
+    return decorate
+
+
+def joint_torque(effects: Iterable[Effect], q: Array, v: Array) -> Array:
+    """(..., n) torque of all laws among the effects [N m], at angles and rates (..., n)."""
+    out = np.zeros(q.shape)
+    for effect in effects:
+        if effect.has_law:
+            fields = dataclasses.fields(effect)  # type: ignore[arg-type]
+            values = {f.name: np.asarray(getattr(effect, f.name), float) for f in fields}
+            out = out + effect.bound(values).law(np, q, v)
+    return out

@@ -1,0 +1,450 @@
+"""The laboratory at work: reading -> admittance -> platform, n times, once per period.
+
+`Laboratory` is the tick loop of thesis 2.4.2 (Figure 2-8), vectorised over simulations.
+It never touches the engine: `Simulator` carries its commands there and the wrench back.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ves_gym.core.admittance import (
+    Nonlinear,
+    admittance_matrices,
+    implicit_step,
+    integrate,
+    rigid_body,
+)
+from ves_gym.core.arm import Arm
+from ves_gym.core.emulator import Emulator
+from ves_gym.core.force_sensor import LowPass, Sensor, SensorErrors
+from ves_gym.core.gravity import GravityModel, gravity_vector, gravity_wrench
+from ves_gym.core.kernel.maps import InertiaMap
+from ves_gym.core.legs import Legs, LegServo
+from ves_gym.core.params import Array, Index, Mask, ParameterError
+from ves_gym.core.platform import Follower, PoseFollower
+from ves_gym.core.spatial import matvec, rate_matrix
+from ves_gym.core.system import System
+
+_STEP = 1e-6  # of the differences that linearise a vehicle [m, rad] and their rates
+
+
+@dataclass
+class Parameters:
+    """What effects may change, per simulation (leading axis n)."""
+
+    arm: Arm
+    gravity_mass: Array  # (n,) of the gravity estimate [kg]
+    gravity_P: Array  # (n, p) of the gravity estimate [kg m]
+    gravity_tilt: Array  # (n, 3) error of the platform angles it is given [rad]
+    gravity_delay: Array  # (n,) age of the estimate [s]
+    sensor: SensorErrors
+    bandwidth: Array  # (n,) relative change of the platform's bandwidth
+    damping: Array  # (n,) relative change of its damping ratio
+    payload_scale: Array  # (n,) relative error of the compensated arm inertia
+
+    @staticmethod
+    def nominal(arm: Arm, emulator: Emulator, n: int) -> Parameters:
+        """The machine as described."""
+        model = emulator.gravity or GravityModel.of(arm)
+        return Parameters(
+            arm=arm,
+            gravity_mass=np.full(n, model.mass),
+            gravity_P=np.tile(np.asarray(model.P, float), (n, 1)),
+            gravity_tilt=np.zeros((n, 3)),
+            gravity_delay=np.zeros(n),
+            sensor=SensorErrors.none(emulator.sensor, n),
+            bandwidth=np.zeros(n),
+            damping=np.zeros(n),
+            payload_scale=np.zeros(n),
+        )
+
+
+class Event(NamedTuple):
+    """A safety check that froze the platform (thesis 2.4.2)."""
+
+    simulation: int
+    time: float  # s
+    reason: str
+
+    def __str__(self) -> str:
+        return f"platform frozen at t = {self.time:.4f} s: {self.reason}"
+
+
+class Readings(NamedTuple):
+    """What the controller knows at this instant. Leading axis n."""
+
+    wrench: Array  # (n, 6) sensor reading, platform frame [N, N m]
+    gravity: Array  # (n, 6) estimate of its static part
+    y: Array  # (n, 6) measured pose
+    y_cmd: Array  # (n, 6) commanded pose
+
+
+@dataclass
+class _State:
+    """Memory of the tick loop; every array has the leading axis n."""
+
+    X: Array  # (n, 12) admittance: Y, Y' (thesis eq. 2.4)
+    sent: Array  # (n, 12) command the platform follows
+    queue: Array  # (n, delay, 12) commands on their way
+    reading: Array  # (n, 6)
+    estimate: Array  # (n, 6) gravity wrench in use
+    past: Array  # (n, m, 6) earlier estimates, newest first
+    sway: Array  # (n, 2 joints) the joints' answer to the base's motion, in the admittance
+    felt: Array  # (n, 2 joints) the same by the model of the platform
+    payload: Array  # (n, 6, 2) predicted inertia wrench of the arm, as the sensor shows it
+    frozen: Mask  # (n,)
+    time: Array  # (n,) s since the reset
+
+
+class Laboratory:
+    """n emulators at work on one system."""
+
+    def __init__(
+        self,
+        system: System,
+        n: int,
+        generators: list[np.random.Generator],
+        admittance: Nonlinear | None = None,
+    ) -> None:
+        emulator, arm = system.laboratory, system.arm
+        self.system, self.n, self.spec = system, n, emulator
+        self.generators = generators
+        self.parameters = p = Parameters.nominal(arm, emulator, n)
+        for effect in system.effects:
+            effect.edit(p)
+        for name in ("bandwidth", "damping", "payload_scale"):
+            least = float(getattr(p, name).min())
+            if least <= -1:
+                raise ParameterError(
+                    f"the effects together change {name} by {least:.3g}, must be > -1"
+                )
+        self.dt, self.nodes = (
+            system.control_dt,
+            np.arange(system.substeps + 1) * np.float64(system.physics_dt),
+        )
+        self.sensor = Sensor(emulator.sensor, p.sensor, self.nodes)
+        self.follower = self._follower(p)
+        self.custom = admittance
+        self._nonlinear = admittance
+        base = system.base
+        if base.body is not None and admittance is None:
+            self._nonlinear = rigid_body(base.body, base)
+        self.compensating = emulator.payload_compensation and emulator.operation != "position"
+        self._linear = None
+        if self._nonlinear is None:
+            self._linear = admittance_matrices(base, self.dt, emulator.admittance_form)
+        # a machine as stated is its own model: one of them does for both
+        as_stated = not (p.bandwidth.any() or p.damping.any())
+        nominal = Parameters.nominal(arm, emulator, n)
+        self.model = self.follower if as_stated else self._follower(nominal)
+        self._model_filter = LowPass(np.full(n, emulator.sensor.cutoff), self.nodes)
+        self._weight = (1 + p.payload_scale)[:, None, None]
+        self._lag = emulator.lag(self.dt)
+        self._inertia = InertiaMap(system, n) if self.compensating else None
+        self._moving = arm.n if system.drive == "motor" else 0  # joints that give way
+        self._ages = int(np.ceil(p.gravity_delay.max() / self.dt - 1e-9)) + 1
+        self.kp, self.kd = np.zeros((2, n, arm.n))  # of the joint servo, for the compensation
+        self.table: Array | None = None  # (n, m, 6): replaces the estimate, row by row
+        self.events: list[Event] = []
+        zero = np.zeros
+        self.state = _State(
+            X=zero((n, 12)),
+            sent=zero((n, 12)),
+            queue=zero((n, emulator.delay, 12)),
+            reading=zero((n, 6)),
+            estimate=zero((n, 6)),
+            past=zero((n, self._ages + 1, 6)),
+            sway=zero((n, 2 * self._moving)),
+            felt=zero((n, 2 * self._moving)),
+            payload=zero((n, 6, 2)),
+            frozen=zero(n, bool),
+            time=zero(n),
+        )
+
+    def _follower(self, p: Parameters) -> Follower:
+        servo, system = self.spec.platform, self.system
+        if isinstance(servo, LegServo):
+            return Legs(servo, self.spec.stewart, self.n, system.control_dt, system.physics_dt)
+        return PoseFollower(
+            servo,
+            self.n,
+            self.nodes,
+            bandwidth=servo.bandwidth * (1 + p.bandwidth),
+            damping_ratio=servo.damping_ratio * (1 + p.damping),
+        )
+
+    # ------------------------------------------------------------------ state
+
+    def reset(self, ids: Index, q: Array, y: Array, yd: Array) -> None:
+        """Platforms at pose y moving at yd, sensors at rest under the arm's weight."""
+        s = self.state
+        X = np.concatenate([y, yd], axis=-1)
+        s.X[ids], s.sent[ids], s.queue[ids] = X, X, X[:, None]
+        s.sway[ids], s.felt[ids], s.payload[ids] = 0.0, 0.0, 0.0
+        s.frozen[ids], s.time[ids] = False, 0.0
+        self.events = [e for e in self.events if e.simulation not in set(ids.tolist())]
+        self.follower.reset(ids, y, yd)
+        if self.model is not self.follower:
+            self.model.reset(ids, y, yd)
+        self.sensor.reset(ids, self._weight_of(q, y), self.generators)
+        estimate = self._estimate(q, self.follower.measured()[ids], ids)
+        s.past[ids] = estimate[:, None]
+        s.estimate[ids] = estimate
+        if self.compensating:  # the state runs behind by what the platform is told ahead
+            H = self._arm_inertia(q, ids)
+            free = np.zeros((len(ids), 6))
+            M, D, K, whole, W = self._together(H, X, s.sway[ids], free, ids)
+            s.X[ids], s.sway[ids] = self._apart(implicit_step(M, D, K, whole, W, -self._lag))
+        if self.spec.zero_at_start:
+            self.zero(ids)
+        s.reading[ids] = self.sensor.reading()[ids]
+
+    def get_state(self) -> Any:
+        """Everything needed to continue exactly from here; picklable."""
+        kept = self.state, self.sensor.state, self.events, self.table
+        return copy.deepcopy(kept), self.follower.get_state(), self.model.get_state()
+
+    def set_state(self, state: Any) -> None:
+        """Return to a state handed out by `get_state`."""
+        kept, follower, model = state
+        self.state, self.sensor.state, self.events, self.table = copy.deepcopy(kept)
+        self.follower.set_state(follower)
+        self.model.set_state(model)
+
+    # ------------------------------------------------------------------- tick
+
+    def command(
+        self, q: Array, platform: tuple[Array, Array] | None = None
+    ) -> tuple[Array, Array, Array]:
+        """From the present readings to the platform's next period: Y, Y', Y'' at its nodes.
+
+        Args:
+            q: (n, joints) measured joint angles [rad].
+            platform: pose and rate (n, 6) to follow, under position control only.
+        """
+        s = self.state
+        H = self._arm_inertia(q) if self.compensating else np.empty(0)
+        if self.spec.operation != "position":
+            fresh = self._admit(H)
+        elif platform is not None:
+            fresh = np.concatenate(platform, axis=-1)
+        else:  # nowhere else to go
+            fresh = np.concatenate([s.sent[:, :6], np.zeros((self.n, 6))], axis=-1)
+        s.queue = np.concatenate([s.queue, fresh[:, None]], axis=1)
+        wanted = s.queue[:, 0]
+        s.queue = s.queue[:, 1:]
+        self._check(wanted)
+        held = np.concatenate([s.sent[:, :6], np.zeros_like(s.sent[:, 6:])], axis=-1)
+        s.sent = np.where(s.frozen[:, None], held, wanted)
+        s.X = np.where(s.frozen[:, None], held, s.X)
+        path = self.follower.advance(s.sent[:, :6], s.sent[:, 6:])
+        if self.compensating:
+            same = self.model is self.follower
+            self._predict(H, path if same else self.model.advance(s.sent[:, :6], s.sent[:, 6:]))
+        return path
+
+    def sense(self, wrench: Array, q: Array) -> None:
+        """Take in one period's true wrench (n, k + 1, 6) at its nodes; read the sensors."""
+        s = self.state
+        s.time = s.time + self.dt
+        self.sensor.advance(wrench, self.generators)
+        s.reading = self.sensor.reading()
+        everyone = np.arange(self.n)
+        fresh = self._estimate(q, self.follower.measured(), everyone)
+        if self.table is not None and self.table.shape[1] > 1:
+            self.table = self.table[:, 1:]
+        s.past = np.concatenate([fresh[:, None], s.past[:, :-1]], axis=1)
+        if self._ages > 1:
+            age = self.parameters.gravity_delay / self.dt
+            low = np.floor(age).astype(int)
+            part = (age - low)[:, None]
+            s.estimate = (1 - part) * s.past[everyone, low] + part * s.past[everyone, low + 1]
+        else:
+            s.estimate = fresh
+
+    @property
+    def readings(self) -> Readings:
+        """What the controller knows now."""
+        s = self.state
+        y = self.follower.measured()
+        return Readings(s.reading.copy(), s.estimate.copy(), y.copy(), s.sent[:, :6].copy())
+
+    def zero(self, ids: Index) -> None:
+        """Set the sensors' zero from the gravity estimate (App. E step 9)."""
+        wrench = self.state.estimate[ids]
+        if self.spec.operation != "microgravity":
+            wrench = np.zeros_like(wrench)
+        self.sensor.zero_to(ids, wrench)
+        self.state.reading = self.sensor.reading()
+
+    # ---------------------------------------------------------------- helpers
+
+    def _arm_inertia(self, q: Array, ids: Index | None = None) -> Array:
+        """(n, 6 + m, 6 + m) of the compensation: with the joints, if a servo holds them."""
+        size = 6 + self._moving
+        assert self._inertia is not None  # only the compensation asks
+        H = self._inertia(q)[:, :size, :size]
+        weight = self._weight if ids is None else self._weight[ids]
+        return np.multiply(weight, H, dtype=np.float64)
+
+    def _weight_of(self, q: Array, y: Array) -> Array:
+        """True static wrench (m, 6) of the arm on the platform."""
+        return GravityModel.of(self.system.arm).wrench(self.system.arm, q, y)
+
+    def _estimate(self, q: Array, y: Array, ids: Index) -> Array:
+        """Gravity estimate (m, 6) from measured joints and pose (thesis eq. 3.5, 3.9)."""
+        if self.spec.operation != "microgravity":
+            return np.zeros((len(ids), 6))
+        if self.table is not None:
+            row: Array = self.table[ids, 0]
+            return row
+        p = self.parameters
+        pose = y.copy()
+        pose[:, 3:] += p.gravity_tilt[ids]
+        return gravity_wrench(
+            self.system.arm, q, gravity_vector(pose), p.gravity_mass[ids], p.gravity_P[ids]
+        )
+
+    def _admit(self, H: Array) -> Array:
+        """Move the vehicle's state one period on, under the wrench read now.
+
+        Returns:
+            (n, 12) what the platform is told: that state, or with compensation where the
+            vehicle will be once the platform is there.
+        """
+        s = self.state
+        T = rate_matrix(s.X[:, :6])
+        turned = np.swapaxes(T, -1, -2)
+        if self.compensating:
+            force = matvec(turned, s.reading - s.estimate + s.payload[..., 0])
+            return self._admit_together(H, force)
+        elif self._linear is not None:
+            phi, gamma = self._linear
+            force = matvec(turned, s.reading - s.estimate)
+            # row by row: one matrix product over the batch would round by its size
+            s.X = matvec(phi, s.X) + matvec(gamma, force)
+        else:
+            assert self._nonlinear is not None
+            force = matvec(turned, s.reading - s.estimate)
+            s.X = integrate(self._nonlinear, s.X, force, self.dt)
+        return s.X
+
+    def _admit_together(self, H: Array, force: Array) -> Array:
+        """One period of vehicle and arm together (docs/physics.md, payload compensation)."""
+        s = self.state
+        M, D, K, X, W = self._together(H, s.X, s.sway, force, np.arange(self.n))
+        X = implicit_step(M, D, K, X, W, self.dt)
+        s.X, s.sway = self._apart(X)
+        # sensor, computer and platform delay motion by a known time: send it ahead by that
+        return self._apart(implicit_step(M, D, K, X, W, self._lag))[0]
+
+    def _together(
+        self, H: Array, X: Array, sway: Array, force: Array, ids: Index
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Matrices, state and force of vehicle and servo-held joints as one linear system."""
+        base, m = self.system.base, self._moving
+        M, D, K = np.zeros((3, len(ids), 6 + m, 6 + m))
+        turn = np.broadcast_to(np.eye(6 + m), M.shape).copy()
+        turn[:, :6, :6] = rate_matrix(X[:, :6])
+        M[:] = np.swapaxes(turn, -1, -2) @ H @ turn
+        if self._nonlinear is None:
+            M[:, :6, :6] += base.M
+            D[:, :6, :6], K[:, :6, :6] = base.D, base.K
+        else:  # linearised about this instant; a force held would feed energy into a spring
+            mobility, rest, by_y, by_yd = _linearised(
+                self._nonlinear, X, stacked=self.custom is None
+            )
+            body = np.linalg.inv(mobility).astype(np.float64)
+            M[:, :6, :6] += body
+            K[:, :6, :6], D[:, :6, :6] = -body @ by_y, -body @ by_yd
+            rest = rest - matvec(by_y, X[:, :6]) - matvec(by_yd, X[:, 6:])
+            force = np.add(force, matvec(body, rest))
+        joints = np.arange(6, 6 + m)
+        D[:, joints, joints], K[:, joints, joints] = self.kd[ids, :m], self.kp[ids, :m]
+        whole = np.concatenate([X[:, :6], sway[:, :m], X[:, 6:], sway[:, m:]], axis=-1)
+        return M, D, K, whole, np.concatenate([force, np.zeros((len(ids), m))], axis=-1)
+
+    def _apart(self, X: Array) -> tuple[Array, Array]:
+        """State of the vehicle (n, 12) and of the joints (n, 2m) from that of both."""
+        m = self._moving
+        base = np.concatenate([X[:, :6], X[:, 6 + m : 12 + m]], axis=-1)
+        return base, np.concatenate([X[:, 6 : 6 + m], X[:, 12 + m :]], axis=-1)
+
+    def _predict(self, H: Array, path: tuple[Array, Array, Array]) -> None:
+        """What the arm's inertia does to the reading, by the models of platform and sensor.
+
+        The inertia holds over the period, so it may act after the sensor's filter.
+        """
+        s, m = self.state, self._moving
+        y, yd, ydd = path
+        T = rate_matrix(y[:, 0])
+        steady = np.zeros((self.n, 6))
+        if m:
+            mean = matvec(T, (yd[:, -1] - yd[:, 0]) / self.dt)
+            across, gains = H[:, :6, 6:], np.zeros((2, self.n, m, m))
+            gains[0, :, range(m), range(m)], gains[1, :, range(m), range(m)] = (
+                self.kd.T,
+                self.kp.T,
+            )
+            push = -matvec(np.swapaxes(across, -1, -2), mean)
+            felt = implicit_step(H[:, 6:, 6:], gains[0], gains[1], s.felt, push, self.dt)
+            steady = matvec(across, (felt[:, m:] - s.felt[:, m:]) / self.dt)
+            s.felt = felt
+        s.payload = self._model_filter.carry(s.payload, ydd, H[:, :6, :6] @ T, steady)
+
+    def _check(self, wanted: Array) -> None:
+        """Freeze platforms that may not go on, and say why (thesis 2.4.2)."""
+        s, spec, stewart = self.state, self.spec, self.spec.stewart
+        poses = np.stack([s.sent[:, :6], wanted[:, :6]])
+        before, after = stewart.leg_lengths(poses)
+        outside, far, length = stewart.beyond(after)
+        hasty, fast, speed = stewart.too_fast(before, after, self.dt)
+        force = np.linalg.norm(s.reading[:, :3], axis=1)
+        moment = np.linalg.norm(s.reading[:, 3:], axis=1)
+        # asked this way round, what is not a number counts as unsafe
+        safe = ~(outside | hasty) & (force <= spec.force_max) & (moment <= spec.moment_max)
+        for i in np.flatnonzero(~safe & ~s.frozen).tolist():
+            if outside[i]:
+                reason = (
+                    f"leg {far[i] + 1} would be {length[i]:.3f} m long, its range is"
+                    f" {stewart.length_min:.3f} to {stewart.length_max:.3f} m (outside the"
+                    " workspace)"
+                )
+            elif not force[i] <= spec.force_max:
+                reason = f"force {force[i]:.0f} N is above the limit of {spec.force_max:g} N"
+            elif not moment[i] <= spec.moment_max:
+                limit = f"{spec.moment_max:g} N m"
+                reason = f"moment {moment[i]:.0f} N m is above the limit of {limit}"
+            else:
+                reason = (
+                    f"leg {fast[i] + 1} would move at {speed[i]:.2f} m/s, its limit is"
+                    f" {stewart.speed_max:g} m/s"
+                )
+            s.frozen[i] = True
+            self.events.append(Event(i, float(s.time[i]), reason))
+
+
+def _linearised(g: Nonlinear, X: Array, stacked: bool) -> tuple[Array, Array, Array, Array]:
+    """Y'' = mobility W + rest of X' = g(X, W) at W = 0, and the rest's slopes along Y and Y'.
+
+    `stacked`: g takes further leading axes, so that one call answers all.
+
+    Returns:
+        (n, 6, 6), (n, 6), (n, 6, 6), (n, 6, 6).
+    """
+    zero = np.zeros((len(X), 6))
+    tries = [(X, zero), *((X, zero + push) for push in np.eye(6))]
+    tries += [(X + _STEP * way, zero) for way in np.eye(12)]
+    if stacked:
+        out = g(*(np.stack(part) for part in zip(*tries, strict=True)))[..., 6:]
+    else:
+        out = np.stack([g(*one) for one in tries])[..., 6:]
+    rest = out[0]
+    change = np.moveaxis(out[1:] - rest, 0, -1)
+    slope = change[..., 6:] / _STEP
+    return change[..., :6], rest, slope[..., :6], slope[..., 6:]

@@ -1,0 +1,26 @@
+"""Gravity estimate: late (thesis 2.4.1: it comes from another computer)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.laboratory import Parameters
+from ves_gym.core.system import System
+
+
+@register("gravity/delay")
+@dataclass(frozen=True, kw_only=True)
+class GravityDelay(Effect):
+    """The gravity estimate is of joints and pose `delay` ago."""
+
+    delay: float = parameter("s", bounds=(0.0, 0.5))
+
+    def check(self, system: System) -> None:
+        """Only micro-gravity emulation subtracts an estimate."""
+        operation = system.laboratory.operation
+        self._require(operation == "microgravity", f"operation microgravity, got {operation}")
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+        p.gravity_delay = p.gravity_delay + self.delay

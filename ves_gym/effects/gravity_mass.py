@@ -1,0 +1,26 @@
+"""Gravity estimate: wrong total mass (thesis eq. 3.5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.laboratory import Parameters
+from ves_gym.core.system import System
+
+
+@register("gravity/mass")
+@dataclass(frozen=True, kw_only=True)
+class GravityMass(Effect):
+    """The gravity estimate takes the arm for heavier by `error`; its moments are right."""
+
+    error: float = parameter("kg", bounds=(-20.0, 20.0))
+
+    def check(self, system: System) -> None:
+        """Only micro-gravity emulation subtracts an estimate."""
+        operation = system.laboratory.operation
+        self._require(operation == "microgravity", f"operation microgravity, got {operation}")
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+        p.gravity_mass = p.gravity_mass + self.error

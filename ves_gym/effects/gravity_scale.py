@@ -1,0 +1,27 @@
+"""Gravity estimate: too large as a whole (thesis 3.2.1, 3.2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.laboratory import Parameters
+from ves_gym.core.system import System
+
+
+@register("gravity/scale")
+@dataclass(frozen=True, kw_only=True)
+class GravityScale(Effect):
+    """The gravity estimate is too large by the fraction `error`, force and moment alike."""
+
+    error: float = parameter("1", bounds=(-0.2, 0.2))
+
+    def check(self, system: System) -> None:
+        """Only micro-gravity emulation subtracts an estimate."""
+        operation = system.laboratory.operation
+        self._require(operation == "microgravity", f"operation microgravity, got {operation}")
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+        p.gravity_mass = p.gravity_mass * (1 + self.error)
+        p.gravity_P = p.gravity_P * (1 + self.error)

@@ -1,0 +1,29 @@
+"""Gravity estimate: wrong orientation of the platform (thesis 3.2.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.laboratory import Parameters
+from ves_gym.core.params import Vector
+from ves_gym.core.system import System
+
+
+@register("gravity/tilt")
+@dataclass(frozen=True, kw_only=True)
+class GravityTilt(Effect):
+    """The pose given to the gravity estimate is turned by `angles` about x, y and z."""
+
+    angles: Vector = parameter("rad", bounds=(-0.1, 0.1), shape=(3,))
+
+    def check(self, system: System) -> None:
+        """Only micro-gravity emulation subtracts an estimate."""
+        operation = system.laboratory.operation
+        self._require(operation == "microgravity", f"operation microgravity, got {operation}")
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+        p.gravity_tilt = p.gravity_tilt + np.array(self.angles)

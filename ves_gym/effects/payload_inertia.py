@@ -1,0 +1,25 @@
+"""Payload compensation: wrong inertia of the arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.laboratory import Parameters
+from ves_gym.core.system import System
+
+
+@register("payload/inertia")
+@dataclass(frozen=True, kw_only=True)
+class PayloadInertia(Effect):
+    """The compensation takes the arm's inertia for larger by the fraction `error`."""
+
+    error: float = parameter("1", bounds=(-0.9, 2.0))
+
+    def check(self, system: System) -> None:
+        """Only a compensated loop has a model of the arm's inertia."""
+        self._require(system.laboratory.payload_compensation, "payload_compensation")
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+        p.payload_scale = p.payload_scale + self.error

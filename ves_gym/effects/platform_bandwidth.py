@@ -1,0 +1,27 @@
+"""Platform: slower or faster than stated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.laboratory import Parameters
+from ves_gym.core.platform import PoseServo
+from ves_gym.core.system import System
+
+
+@register("platform/bandwidth")
+@dataclass(frozen=True, kw_only=True)
+class PlatformBandwidth(Effect):
+    """The platform's bandwidth differs from the stated one by the fraction `error`."""
+
+    error: float = parameter("1", bounds=(-0.9, 10.0))
+
+    def check(self, system: System) -> None:
+        """Legs have gains of their own instead."""
+        servo = system.laboratory.platform
+        self._require(isinstance(servo, PoseServo), f"a pose servo, got {servo.kind}")
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+        p.bandwidth = p.bandwidth + self.error

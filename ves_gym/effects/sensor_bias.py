@@ -1,0 +1,24 @@
+"""Force sensor: constant offset of its signals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.laboratory import Parameters
+from ves_gym.core.params import Vector
+
+
+@register("sensor/bias")
+@dataclass(frozen=True, kw_only=True)
+class SensorBias(Effect):
+    """Offset of the signals in the sensor frame. Zeroing the sensor takes it out."""
+
+    force: Vector = parameter("N", bounds=(-100.0, 100.0), shape=(3,))
+    moment: Vector = parameter("N m", bounds=(-50.0, 50.0), shape=(3,))
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+        p.sensor.bias = p.sensor.bias + np.array([*self.force, *self.moment])

@@ -1,0 +1,25 @@
+"""Force sensor: gain errors and cross-talk (thesis 3.2.4, 3.4.5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.laboratory import Parameters
+from ves_gym.core.params import Matrix
+
+
+@register("sensor/calibration")
+@dataclass(frozen=True, kw_only=True)
+class SensorCalibration(Effect):
+    """Signals are (1 + `error`) times the wrench in the sensor frame: gains on the diagonal,
+    cross-talk beside it. Between forces and moments the unit is 1/m or m.
+    """
+
+    error: Matrix = parameter("1", bounds=(-0.5, 0.5), shape=(6, 6))
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+        p.sensor.matrix = p.sensor.matrix + np.array(self.error)

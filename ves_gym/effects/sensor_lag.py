@@ -1,0 +1,20 @@
+"""Force sensor: filter slower or faster than stated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.laboratory import Parameters
+
+
+@register("sensor/lag")
+@dataclass(frozen=True, kw_only=True)
+class SensorLag(Effect):
+    """The sensor filter's cut-off differs from the stated one by the fraction `error`."""
+
+    error: float = parameter("1", bounds=(-0.9, 10.0))
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+        p.sensor.cutoff = p.sensor.cutoff * (1 + self.error)

@@ -1,0 +1,25 @@
+"""Force sensor: high-frequency electronic noise (thesis 3.2.4, App. F)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.laboratory import Parameters
+from ves_gym.core.params import Vector
+
+
+@register("sensor/noise")
+@dataclass(frozen=True, kw_only=True)
+class SensorNoise(Effect):
+    """Standard deviation of the signals' noise, as it is left after the sensor's filter."""
+
+    force: Vector = parameter("N", bounds=(0.0, 20.0), shape=(3,))
+    moment: Vector = parameter("N m", bounds=(0.0, 10.0), shape=(3,))
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+        more = np.array([*self.force, *self.moment])
+        p.sensor.noise = np.sqrt(p.sensor.noise**2 + more**2)
