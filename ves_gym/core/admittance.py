@@ -98,15 +98,19 @@ def admittance_matrices(
 
 def rigid_body(body: Inertial, base: BaseModel) -> Nonlinear:
     """g(X, W) of a satellite: Newton-Euler, plus the constant M, D, K of its base."""
-    inertia = body.spatial()
+    return rigid_bodies(body.spatial(), base.M, base.D, base.K)
+
+
+def rigid_bodies(inertia: Array, M: Array, D: Array, K: Array) -> Nonlinear:
+    """The same from the body's spatial inertia, each (6, 6) or (n, 6, 6)."""
 
     def g(X: Array, W: Array) -> Array:
         y, yd = X[..., :6], X[..., 6:]
         T = rate_matrix(y)
         turned = np.swapaxes(T, -1, -2)
         bias = matvec(turned, body_wrench(inertia, y, yd, np.zeros_like(y)))
-        bias += matvec(base.D, yd) + matvec(base.K, y)
-        ydd = np.linalg.solve(turned @ inertia @ T + base.M, (W - bias)[..., None])[..., 0]
+        bias += matvec(D, yd) + matvec(K, y)
+        ydd = np.linalg.solve(turned @ inertia @ T + M, (W - bias)[..., None])[..., 0]
         return np.concatenate([yd, ydd], axis=-1)
 
     return g

@@ -66,7 +66,9 @@ class Effect:
     def law(self, xp: Any, q: Any, v: Any) -> Any:
         """Torque at the joints, outside the motors [N m]: q, v (..., n) -> (..., n).
 
-        Parameters of the effect are arrays (or symbols) here, whatever they were given as.
+        Parameters of the effect are arrays (or symbols) here, whatever they were given as:
+        () or (n,), and (simulations, 1) or (simulations, n) where simulations have values of
+        their own (`Simulator.assign`) and the law is seen to broadcast.
         """
         raise NotImplementedError
 

@@ -65,6 +65,9 @@ def base_energy(
 ) -> BaseEnergy:
     """Strain and kinetic energy of the base.
 
+    M_t = M + H_b(q) is that of the one system given, its arm as described. Runs of systems
+    of their own (`Simulator.assign`) need a call each, with `Simulator.systems[i]`.
+
     Args:
         q: (..., n) joint angles. y, yd: (..., 6) base pose and its rate.
     """
@@ -103,7 +106,7 @@ def energies(
     duration: float,
     tail: float = TAIL,
 ) -> list[Energies]:
-    """Energy measures of a stack of runs on one clock.
+    """Energy measures of a stack of runs of one system on one clock.
 
     Args:
         t: (N,) s from the start of the motion; must reach duration + tail.

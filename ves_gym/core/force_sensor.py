@@ -6,7 +6,7 @@ drift, bias -> quantisation -> zero -> calibration matrix -> platform frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from ves_gym.core.arm import matrix, skew
 from ves_gym.core.params import (
     Array,
     Index,
+    Mask,
     Matrix,
     ParameterError,
     Vector,
@@ -93,6 +94,14 @@ class SensorErrors:
     drift_time: Array  # (n,) its correlation time [s]
     cutoff: Array  # (n,) of the filter [Hz]
 
+    def random(self) -> Mask:
+        """(n,) whether there is noise or drift."""
+        return np.asarray(((self.noise > 0) | (self.drift > 0)).any(axis=-1), bool)
+
+    def parts(self) -> list[Array]:
+        """All arrays, in the order of the fields."""
+        return [getattr(self, field.name) for field in fields(self)]
+
     @staticmethod
     def none(sensor: ForceSensor, n: int) -> SensorErrors:
         """A sensor as described."""
@@ -114,12 +123,23 @@ class LowPass:
 
     def __init__(self, cutoff: Array, nodes: Array) -> None:
         """`cutoff` (n,) [Hz]; `nodes` (k + 1,) equally spaced instants from 0 [s]."""
+        self._cutoff, self._nodes = cutoff.copy(), nodes
         kinds, which = np.unique(cutoff, return_inverse=True)
         parts = [_butterworth(float(f), nodes) for f in kinds]
         one = len(kinds) == 1  # all alike: one matrix serves the batch
         pick = np.zeros(1, np.intp) if one else which
         self._hold = np.stack([p[0] for p in parts])[pick]  # (1 or n, 2, 2)
         self._input = np.stack([p[1] for p in parts])[pick]  # (1 or n, 2, k + 1)
+
+    def put(self, ids: Index, cutoff: Array) -> None:
+        """Give some filters (m,) another cutoff [Hz]."""
+        changed = cutoff != self._cutoff[ids]
+        if changed.any() and len(self._hold) == 1:
+            n = len(self._cutoff)
+            self._hold, self._input = (np.repeat(k, n, 0) for k in (self._hold, self._input))
+        for i, f in zip(ids[changed].tolist(), cutoff[changed].tolist(), strict=True):
+            self._hold[i], self._input[i] = _butterworth(f, self._nodes)
+            self._cutoff[i] = f
 
     def advance(self, state: Array, nodes: Array) -> Array:
         """State after one period with inputs (n, k + 1, channels) at its nodes."""
@@ -174,23 +194,39 @@ class Sensor:
         self._to_signal = (np.eye(6) + errors.matrix) @ sensor.frame
         self._to_wrench = np.linalg.solve(sensor.frame, np.array(sensor.calibration))
         self._step = np.array([sensor.force_resolution] * 3 + [sensor.moment_resolution] * 3)
-        self._noisy = bool((errors.noise > 0).any() or (errors.drift > 0).any())
-        self._noise_step = _noise_steps(errors.cutoff, float(nodes[-1]))
+        self._noisy = errors.random()
+        self._period = float(nodes[-1])
+        self._noise_step = _noise_steps(errors.cutoff, self._period)
         self._drift_hold = np.exp(-nodes[-1] / errors.drift_time)[:, None]
         self.state = SensorState(*(np.zeros((n, 6, 2)) for _ in range(2)), *np.zeros((2, n, 6)))
 
     def silence(self) -> None:
         """No more noise and drift, for good."""
-        self.errors.noise[:], self.errors.drift[:], self._noisy = 0.0, 0.0, False
+        self.errors.noise[:], self.errors.drift[:], self._noisy[:] = 0.0, 0.0, False
+
+    def put(self, ids: Index, errors: SensorErrors) -> None:
+        """Give some sensors (m,) other departures; their memory stays as it is."""
+        e = self.errors
+        again = ids[errors.cutoff != e.cutoff[ids]]
+        for mine, given in zip(e.parts(), errors.parts(), strict=True):
+            mine[ids] = given
+        self._low_pass.put(ids, errors.cutoff)
+        self._to_signal[ids] = (np.eye(6) + errors.matrix) @ self.spec.frame
+        self._noisy[ids] = errors.random()
+        if len(again):
+            (hold, kick), start = _noise_steps(e.cutoff[again], self._period)
+            (holds, kicks), starts = self._noise_step
+            holds[again], kicks[again], starts[again] = hold, kick, start
+        self._drift_hold[ids] = np.exp(-self._period / errors.drift_time)[:, None]
 
     def reset(self, ids: Index, wrench: Array, generators: list[np.random.Generator]) -> None:
         """At rest under a constant wrench (m, 6); drift starts from zero."""
         s = self.state
         s.filter[ids] = np.stack([wrench, np.zeros_like(wrench)], axis=-1)
         s.drift[ids], s.noise[ids], s.zero[ids] = 0.0, 0.0, self.spec.zero
-        if self._noisy:  # start as noisy as it goes on
-            _, start = self._noise_step
-            for i in ids:
+        _, start = self._noise_step
+        for i in ids:
+            if self._noisy[i]:  # start as noisy as it goes on
                 draw = generators[i].standard_normal((6, 2))
                 s.noise[i] = draw @ start[i].T
 
@@ -203,13 +239,14 @@ class Sensor:
         """One control period under the true wrench (n, k + 1, 6) at its nodes."""
         s = self.state
         s.filter = self._low_pass.advance(s.filter, nodes)
-        if self._noisy:
-            draws = np.stack([g.standard_normal(18) for g in generators])
-            (hold, kick), _ = self._noise_step
-            fresh = draws[:, :12].reshape(-1, 6, 2)
-            s.noise = s.noise @ np.swapaxes(hold, -1, -2) + fresh @ np.swapaxes(kick, -1, -2)
-            a = self._drift_hold
-            s.drift = a * s.drift + np.sqrt(1 - a**2) * draws[:, 12:]
+        noisy = np.flatnonzero(self._noisy)
+        if len(noisy):  # the others draw no numbers
+            draws = np.stack([generators[i].standard_normal(18) for i in noisy])
+            some = noisy if len(noisy) < len(s.noise) else slice(None)
+            hold, kick = (np.swapaxes(part[some], -1, -2) for part in self._noise_step[0])
+            s.noise[some] = s.noise[some] @ hold + draws[:, :12].reshape(-1, 6, 2) @ kick
+            a = self._drift_hold[some]
+            s.drift[some] = a * s.drift[some] + np.sqrt(1 - a**2) * draws[:, 12:]
 
     def signal(self) -> Array:
         """(n, 6) strain signals in the sensor frame, as converted, before the zero."""

@@ -7,7 +7,8 @@ It never touches the engine: `Simulator` carries its commands there and the wren
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,16 +18,18 @@ from ves_gym.core.admittance import (
     admittance_matrices,
     implicit_step,
     integrate,
+    rigid_bodies,
     rigid_body,
 )
 from ves_gym.core.arm import Arm
+from ves_gym.core.assignment import Bodies, Inertias, ParameterRows, bodies_of
 from ves_gym.core.emulator import Emulator
 from ves_gym.core.force_sensor import LowPass, Sensor, SensorErrors
 from ves_gym.core.gravity import GravityModel, gravity_vector, gravity_wrench
 from ves_gym.core.kernel.maps import InertiaMap
 from ves_gym.core.legs import Legs, LegServo
 from ves_gym.core.params import Array, Index, Mask, ParameterError
-from ves_gym.core.platform import Follower, PoseFollower
+from ves_gym.core.platform import Follower, PoseFollower, PoseServo
 from ves_gym.core.spatial import matvec, rate_matrix
 from ves_gym.core.system import System
 
@@ -62,6 +65,41 @@ class Parameters:
             damping=np.zeros(n),
             payload_scale=np.zeros(n),
         )
+
+    def edited(self, system: System) -> Parameters:
+        """The same, with the effects of a system added.
+
+        Raises:
+            ParameterError: relative changes that add up to -1 or less.
+        """
+        for effect in system.effects:
+            effect.edit(self)
+        for name in ("bandwidth", "damping", "payload_scale"):
+            least = float(getattr(self, name).min())
+            if least <= -1:
+                raise ParameterError(
+                    f"the effects together change {name} by {least:.3g}, must be > -1"
+                )
+        return self
+
+    def copy(self) -> Parameters:
+        """Arrays of its own."""
+        sensor = SensorErrors(*(part.copy() for part in self.sensor.parts()))
+        return replace(self, sensor=sensor, **{k: getattr(self, k).copy() for k in _ARRAYS})
+
+    @staticmethod
+    def stacked(rows: Sequence[Parameters]) -> Parameters:
+        """Parameters of several simulations, one after the other."""
+        sensors = zip(*(row.sensor.parts() for row in rows), strict=True)
+        return Parameters(
+            arm=rows[0].arm,
+            sensor=SensorErrors(*(np.concatenate(parts) for parts in sensors)),
+            **{k: np.concatenate([getattr(row, k) for row in rows]) for k in _ARRAYS},
+        )
+
+
+# fields of Parameters that are an array each
+_ARRAYS = [k.name for k in fields(Parameters) if k.name not in ("arm", "sensor")]
 
 
 class Event(NamedTuple):
@@ -114,15 +152,7 @@ class Laboratory:
         emulator, arm = system.laboratory, system.arm
         self.system, self.n, self.spec = system, n, emulator
         self.generators = generators
-        self.parameters = p = Parameters.nominal(arm, emulator, n)
-        for effect in system.effects:
-            effect.edit(p)
-        for name in ("bandwidth", "damping", "payload_scale"):
-            least = float(getattr(p, name).min())
-            if least <= -1:
-                raise ParameterError(
-                    f"the effects together change {name} by {least:.3g}, must be > -1"
-                )
+        self.parameters = p = Parameters.nominal(arm, emulator, n).edited(system)
         self.dt, self.nodes = (
             system.control_dt,
             np.arange(system.substeps + 1) * np.float64(system.physics_dt),
@@ -147,7 +177,11 @@ class Laboratory:
         self._lag = emulator.lag(self.dt)
         self._inertia = InertiaMap(system, n) if self.compensating else None
         self._moving = arm.n if system.drive == "motor" else 0  # joints that give way
-        self._ages = int(np.ceil(p.gravity_delay.max() / self.dt - 1e-9)) + 1
+        self._ages = self._oldest()
+        self._systems = [system] * n
+        self._bodies: Bodies | None = None  # where arms or vehicles differ
+        self._inertias: Inertias | None = None
+        self._start: Parameters | None = None  # one row before effects, of the last arm asked
         self.kp, self.kd = np.zeros((2, n, arm.n))  # of the joint servo, for the compensation
         self.table: Array | None = None  # (n, m, 6): replaces the estimate, row by row
         self.events: list[Event] = []
@@ -178,6 +212,86 @@ class Laboratory:
             damping_ratio=servo.damping_ratio * (1 + p.damping),
         )
 
+    def _oldest(self) -> int:
+        """Number of estimates to look back over, in control periods."""
+        return int(np.ceil(self.parameters.gravity_delay.max() / self.dt - 1e-9)) + 1
+
+    # ------------------------------------------------------------- assignment
+
+    def prepare(self, ids: Index, systems: Sequence[System]) -> Callable[[], None]:
+        """Check systems of their own for some simulations; what is returned installs them.
+
+        Memory stays: until the next reset it is that of the machine before.
+        """
+        pairs = list(zip(ids.tolist(), systems, strict=True))
+        p = Parameters.stacked([self._parameters_of(system) for system in systems])
+        others = [(i, k) for i, k in pairs if bodies_of(k) != bodies_of(self._systems[i])]
+        if self.custom is not None and any(
+            k.vehicle is not self.system.vehicle for _, k in pairs
+        ):
+            raise ParameterError(
+                "an `admittance` takes the place of every simulation's vehicle: assign systems"
+                " with the vehicle of the simulator's own"
+            )
+        bodies, inertias = self._bodies, self._inertias
+        known: dict[tuple[int, int], Bodies] = {}  # a row of each arm and vehicle seen
+        if others:
+            names = ParameterRows(self.system) if self.compensating else None
+
+            def row(system: System, which: str) -> Bodies:
+                nothing = np.empty(0)
+                numbers = nothing if names is None else names.of(system, which, laws=False)
+                return Bodies.of(system, self._linear is not None, numbers)
+
+            for i, k in others:
+                if bodies_of(k) not in known:
+                    known[bodies_of(k)] = row(k, f"system of simulation {i}")
+            if bodies is None:
+                bodies = row(self.system, "own system").repeated(self.n)
+                inertias = Inertias(self.system, self.n) if self.compensating else None
+
+        def install() -> None:
+            self._bodies, self._inertias = bodies, inertias
+            for i, system in others:
+                assert bodies is not None
+                bodies.put(i, known[bodies_of(system)])
+                if inertias is not None:
+                    inertias.arms[i] = system.arm
+            for i, system in pairs:
+                self._systems[i] = system
+            self._install(ids, p)
+
+        return install
+
+    def _parameters_of(self, system: System) -> Parameters:
+        """One row."""
+        if self._start is None or self._start.arm is not system.arm:
+            self._start = Parameters.nominal(system.arm, self.spec, 1)
+        return self._start.copy().edited(system)
+
+    def _install(self, ids: Index, p: Parameters) -> None:
+        """Put parameters (m, ...) in place, with all that follows from them."""
+        for name in _ARRAYS:
+            getattr(self.parameters, name)[ids] = getattr(p, name)
+        self.sensor.put(ids, p.sensor)
+        self._weight[ids] = (1 + p.payload_scale)[:, None, None]
+        servo = self.spec.platform
+        if isinstance(self.follower, PoseFollower) and isinstance(servo, PoseServo):
+            as_stated = not (p.bandwidth.any() or p.damping.any())
+            if self.model is self.follower and not as_stated:  # the model stays as stated
+                nominal = Parameters.nominal(self.system.arm, self.spec, self.n)
+                self.model = self._follower(nominal)
+                self.model.set_state(self.follower.get_state())
+            if self.model is not self.follower:
+                w = servo.bandwidth * (1 + p.bandwidth)
+                self.follower.put(ids, w, servo.damping_ratio * (1 + p.damping))
+        self._ages = self._oldest()
+        past = self.state.past
+        missing = self._ages + 1 - past.shape[1]
+        if missing > 0:
+            older = np.repeat(past[:, -1:], missing, axis=1)  # the oldest that is known
+            self.state.past = np.concatenate([past, older], axis=1)
+
     # ------------------------------------------------------------------ state
 
     def reset(self, ids: Index, q: Array, y: Array, yd: Array) -> None:
@@ -191,7 +305,7 @@ class Laboratory:
         self.follower.reset(ids, y, yd)
         if self.model is not self.follower:
             self.model.reset(ids, y, yd)
-        self.sensor.reset(ids, self._weight_of(q, y), self.generators)
+        self.sensor.reset(ids, self._weight_of(q, y, ids), self.generators)
         estimate = self._estimate(q, self.follower.measured()[ids], ids)
         s.past[ids] = estimate[:, None]
         s.estimate[ids] = estimate
@@ -213,8 +327,8 @@ class Laboratory:
         """Return to a state handed out by `get_state`."""
         kept, follower, model = state
         self.state, self.sensor.state, self.events, self.table = copy.deepcopy(kept)
-        self.follower.set_state(follower)
         self.model.set_state(model)
+        self.follower.set_state(follower)  # last: the two may be one
 
     # ------------------------------------------------------------------- tick
 
@@ -263,7 +377,8 @@ class Laboratory:
             age = self.parameters.gravity_delay / self.dt
             low = np.floor(age).astype(int)
             part = (age - low)[:, None]
-            s.estimate = (1 - part) * s.past[everyone, low] + part * s.past[everyone, low + 1]
+            late = (1 - part) * s.past[everyone, low] + part * s.past[everyone, low + 1]
+            s.estimate = np.where(age[:, None] > 0, late, fresh)
         else:
             s.estimate = fresh
 
@@ -288,13 +403,28 @@ class Laboratory:
         """(n, 6 + m, 6 + m) of the compensation: with the joints, if a servo holds them."""
         size = 6 + self._moving
         assert self._inertia is not None  # only the compensation asks
-        H = self._inertia(q)[:, :size, :size]
+        if self._inertias is None or self._bodies is None:
+            H = self._inertia(q)[:, :size, :size]
+        else:
+            some = np.arange(self.n) if ids is None else ids
+            H = self._inertias(q, some, self._bodies.numbers[some])[:, :size, :size]
         weight = self._weight if ids is None else self._weight[ids]
         return np.multiply(weight, H, dtype=np.float64)
 
-    def _weight_of(self, q: Array, y: Array) -> Array:
+    def _weight_of(self, q: Array, y: Array, ids: Index) -> Array:
         """True static wrench (m, 6) of the arm on the platform."""
-        return GravityModel.of(self.system.arm).wrench(self.system.arm, q, y)
+        arm, own = self.system.arm, self._bodies
+        if own is None:
+            return GravityModel.of(arm).wrench(arm, q, y)
+        return gravity_wrench(arm, q, gravity_vector(y), own.mass[ids], own.P[ids])
+
+    def _vehicle(self, ids: Index) -> Nonlinear:
+        """g(X, W) of nonlinear vehicles `ids` (m,)."""
+        assert self._nonlinear is not None
+        own = self._bodies
+        if own is None or self.custom is not None:
+            return self._nonlinear
+        return rigid_bodies(own.body[ids], own.M[ids], own.D[ids], own.K[ids])
 
     def _estimate(self, q: Array, y: Array, ids: Index) -> Array:
         """Gravity estimate (m, 6) from measured joints and pose (thesis eq. 3.5, 3.9)."""
@@ -324,14 +454,14 @@ class Laboratory:
             force = matvec(turned, s.reading - s.estimate + s.payload[..., 0])
             return self._admit_together(H, force)
         elif self._linear is not None:
-            phi, gamma = self._linear
+            own = self._bodies
+            phi, gamma = self._linear if own is None else (own.phi, own.gamma)
             force = matvec(turned, s.reading - s.estimate)
             # row by row: one matrix product over the batch would round by its size
             s.X = matvec(phi, s.X) + matvec(gamma, force)
         else:
-            assert self._nonlinear is not None
             force = matvec(turned, s.reading - s.estimate)
-            s.X = integrate(self._nonlinear, s.X, force, self.dt)
+            s.X = integrate(self._vehicle(np.arange(self.n)), s.X, force, self.dt)
         return s.X
 
     def _admit_together(self, H: Array, force: Array) -> Array:
@@ -347,17 +477,20 @@ class Laboratory:
         self, H: Array, X: Array, sway: Array, force: Array, ids: Index
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Matrices, state and force of vehicle and servo-held joints as one linear system."""
-        base, m = self.system.base, self._moving
+        base, own, m = self.system.base, self._bodies, self._moving
         M, D, K = np.zeros((3, len(ids), 6 + m, 6 + m))
         turn = np.broadcast_to(np.eye(6 + m), M.shape).copy()
         turn[:, :6, :6] = rate_matrix(X[:, :6])
         M[:] = np.swapaxes(turn, -1, -2) @ H @ turn
         if self._nonlinear is None:
-            M[:, :6, :6] += base.M
-            D[:, :6, :6], K[:, :6, :6] = base.D, base.K
+            parts = (base.M, base.D, base.K)
+            if own is not None:
+                parts = (own.M[ids], own.D[ids], own.K[ids])
+            M[:, :6, :6] += parts[0]
+            D[:, :6, :6], K[:, :6, :6] = parts[1:]
         else:  # linearised about this instant; a force held would feed energy into a spring
             mobility, rest, by_y, by_yd = _linearised(
-                self._nonlinear, X, stacked=self.custom is None
+                self._vehicle(ids), X, stacked=self.custom is None
             )
             body = np.linalg.inv(mobility).astype(np.float64)
             M[:, :6, :6] += body

@@ -84,6 +84,10 @@ class PoseFollower:
         self._answer = _second_order(w, zeta, nodes)  # (n, k + 1, 3, 2): e, e', e'' from e, e'
         self.y, self.yd = np.zeros((n, 6)), np.zeros((n, 6))
 
+    def put(self, ids: Index, bandwidth: Array, damping_ratio: Array) -> None:
+        """Give some platforms (m,) another bandwidth [Hz] and damping ratio."""
+        self._answer[ids] = _second_order(2 * np.pi * bandwidth, damping_ratio, self.nodes)
+
     def reset(self, ids: Index, y: Array, yd: Array) -> None:
         self.y[ids], self.yd[ids] = y, yd
 

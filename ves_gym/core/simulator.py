@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ves_gym.core.admittance import Nonlinear
+from ves_gym.core.assignment import bodies_of, require_alike, share_base
 from ves_gym.core.backends import MEANINGLESS, make_backend
 from ves_gym.core.dynamics import inertia
 from ves_gym.core.laboratory import Event, Laboratory, Readings
@@ -49,10 +50,11 @@ class Snapshot:
     gains: tuple[Array, Array]  # kp, kd
     diverged: Mask
     laboratory: Any = None
+    assigned: Mapping[int, System] = field(default_factory=dict)
 
 
 class Simulator:
-    """n simulations of one system.
+    """n simulations of one system, or of systems that differ in numbers (`assign`).
 
     Args:
         system: what to simulate.
@@ -95,6 +97,7 @@ class Simulator:
         self.system, self.n = system, int(n)
         self.joints = system.arm.n
         self.backend = make_backend(backend, system, self.n, threads)
+        self._assigned: dict[int, System] = {}  # simulations with a system of their own
         self.on_divergence = on_divergence
         self.generators: list[np.random.Generator] = []
         self.seed(seed)
@@ -192,10 +195,11 @@ class Simulator:
             (self._kp.copy(), self._kd.copy()),
             self.diverged.copy(),
             None if self.laboratory is None else self.laboratory.get_state(),
+            dict(self._assigned),
         )
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Return to a snapshot of the same system and the same n."""
+        """Return to a snapshot of the same system and the same n, and to what it assigned."""
         if snapshot.system_hash != self.system.hash or len(snapshot.diverged) != self.n:
             raise ParameterError(
                 f"snapshot is of system {snapshot.system_hash[:12]} with n ="
@@ -205,6 +209,10 @@ class Simulator:
             raise ParameterError(
                 f"snapshot is of backend {snapshot.backend_name}, this is {self.backend.name}"
             )
+        then, now = snapshot.assigned, self._assigned
+        ids = [i for i in sorted(then.keys() | now.keys()) if then.get(i) is not now.get(i)]
+        if ids:
+            self.assign([then.get(i, self.system) for i in ids], ids)
         self.backend.set_state(snapshot.backend)
         if self.system.drive == "motor":
             self.set_gains(*snapshot.gains)
@@ -214,6 +222,61 @@ class Simulator:
             self.laboratory.set_state(snapshot.laboratory)
         self.diverged = snapshot.diverged.copy()
         self._seen = self.state
+
+    @property
+    def systems(self) -> tuple[System, ...]:
+        """The n systems in force: the simulator's own, or what `assign` has put there."""
+        return tuple(self._assigned.get(i, self.system) for i in range(self.n))
+
+    def assign(self, systems: Sequence[System], ids: npt.ArrayLike | None = None) -> None:
+        """Give simulations systems of their own, which differ from the simulator's in numbers.
+
+        Simulation i then runs as in a simulator of that system alone; its neighbours run on
+        untouched, and nothing is compiled anew. What may differ: masses, centres of mass,
+        inertias, rotors and torque limits of the arm, the vehicle's M, D, K (or a satellite's
+        body) and the values of the effects, which are the same kinds in the same order.
+
+        Takes effect at once and leaves the state, servo gains included, where it is. Call
+        `reset` after it, as an environment does: the memory of sensors and platforms is that
+        of the machine before. Stability of an emulation (`warn_at`) is not judged again.
+
+        The kernel leaves out of its code what is zero in the simulator's own system. So its
+        own system is a template: a number (of the arm, of M, D, K in mode ideal, of a torque
+        law; not of an effect on the laboratory) that is zero there is zero in all of them.
+
+        Args:
+            systems: one for each of ids. Fastest where arm and vehicle are the very objects
+                that the simulation had, as `system.replace(effects=...)` leaves them.
+            ids: which simulations, or None for all.
+
+        Raises:
+            ParameterError: a system differs in more than numbers, or in a structural zero;
+                nothing has been assigned then.
+        """
+        index = self._ids(ids)
+        if isinstance(systems, System) or len(systems) != len(index):
+            got = "one System" if isinstance(systems, System) else f"{len(systems)}"
+            raise ParameterError(f"systems must be a sequence of {len(index)}, got {got}")
+        stable = {bodies_of(self.system)}
+        for i, system in zip(index.tolist(), systems, strict=True):
+            if not isinstance(system, System):
+                raise ParameterError(f"systems must hold Systems, got {system!r}")
+            share_base(self.system, system)
+            require_alike(self.system, system, f"system of simulation {i}")
+            if system.mode == "ideal" and bodies_of(system) not in stable:
+                _require_stable_step(system)
+                stable.add(bodies_of(system))
+        if not len(index):
+            return
+        lab = self.laboratory
+        install = None if lab is None else lab.prepare(index, systems)
+        self.backend.assign(index, systems)
+        if install is not None:
+            install()
+        for i, system in zip(index.tolist(), systems, strict=True):
+            self._assigned[i] = system
+            if system is self.system:
+                del self._assigned[i]
 
     def set_gains(
         self, kp: npt.ArrayLike, kd: npt.ArrayLike, ids: npt.ArrayLike | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from ves_gym.core.params import Array, Index, Mask, ParameterError
@@ -28,6 +29,12 @@ class Backend(Protocol):
 
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
         """Servo gains (k, joints) of some simulations, active at every physics step."""
+
+    def assign(self, ids: Index, systems: Sequence[System]) -> None:
+        """Give simulations systems of their own (`Simulator.assign`); all or none of them.
+
+        State and servo gains stay. The systems are alike in structure (`require_alike`).
+        """
 
     def step(
         self, command: Array, wrench: Array | None, substeps: int, ids: Index | None

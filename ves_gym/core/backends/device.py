@@ -5,6 +5,8 @@ Single precision, and not bit-for-bit repeatable: never chosen by `auto`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ves_gym.core.backends import MEANINGLESS, Remembering
@@ -66,6 +68,11 @@ class DeviceBackend(Remembering):
 
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
         self._bias[ids, self._drives :, 1], self._bias[ids, self._drives :, 2] = -kp, -kd
+
+    def assign(self, ids: Index, systems: Sequence[System]) -> None:
+        raise ParameterError(
+            f"backend {self.name} has one system for all simulations: use kernel or mujoco"
+        )
 
     def step(
         self, command: Array, wrench: Array | None, substeps: int, ids: Index | None

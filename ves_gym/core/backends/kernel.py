@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import itertools
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
+from ves_gym.core.assignment import ParameterRows, bodies_of
 from ves_gym.core.backends import MEANINGLESS, Remembering
 from ves_gym.core.kernel.blocks import aligned, fill, lanes, unlane
 from ves_gym.core.kernel.build import Library, cached
 from ves_gym.core.kernel.emit import LANES, emit_module
-from ves_gym.core.kernel.trace import equations, parameters, structure
+from ves_gym.core.kernel.trace import equations, structure
 from ves_gym.core.params import Array, Index
 from ves_gym.core.system import System
 
@@ -53,7 +55,10 @@ class KernelBackend(Remembering):
         self.prescribed = system.drive == "prescribed"
         self.dt = system.physics_dt
         self._advance = compiled(system).advance
-        self.names, values = parameters(system)
+        self.rows = ParameterRows(system)
+        self.names, values = self.rows.names, self.rows.values
+        self._gains = np.array([name[:2] in ("kp", "kd") for name in self.names])
+        self._systems = [system] * n
         self._blocks = -(-n // LANES)
         size = 6 + self.joints
         self._nx, self._nu = 2 * size, size
@@ -144,6 +149,24 @@ class KernelBackend(Remembering):
             for i in range(self.joints):
                 row = self.names.index(f"{name}{i + 1}")
                 self._p[ids // LANES, row, ids % LANES] = values[:, i]
+
+    def assign(self, ids: Index, systems: Sequence[System]) -> None:
+        pairs = list(zip(ids.tolist(), systems, strict=True))
+        known: dict[tuple[int, int], Array] = {}  # rows of the arms and vehicles seen
+        rows = []
+        for i, system in pairs:
+            which, bodies = f"system of simulation {i}", bodies_of(system)
+            if bodies not in known:
+                same = bodies == bodies_of(self._systems[i])
+                known[bodies] = self._row(i) if same else self.rows.of(system, which)
+            rows.append(self.rows.with_effects(known[bodies], system, which))
+        for (i, system), row in zip(pairs, rows, strict=True):
+            self._row(i)[:] = np.where(self._gains, self._row(i), row)
+            self._systems[i] = system
+
+    def _row(self, i: int) -> Array:
+        """Parameters of a simulation, in place."""
+        return self._p[i // LANES, :, i % LANES]
 
     def step(
         self, command: Array, wrench: Array | None, substeps: int, ids: Index | None

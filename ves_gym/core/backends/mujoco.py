@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,13 +10,21 @@ import numpy as np
 from ves_gym.core.engine import mujoco  # before its submodules
 
 # isort: split
-from mujoco.batch import Batch
+from mujoco.batch import MODEL_FIELDS, Batch
 
+from ves_gym.core.assignment import Laws, bodies_of
 from ves_gym.core.effect import joint_torque
 from ves_gym.core.gravity import GRAVITY
-from ves_gym.core.model import PRESCRIBED_INERTIA, TO_Y, build_laboratory_spec, build_spec
-from ves_gym.core.params import Array, Index, Mask
+from ves_gym.core.model import (
+    BASE_JOINTS,
+    PRESCRIBED_INERTIA,
+    TO_Y,
+    build_laboratory_spec,
+    build_spec,
+)
+from ves_gym.core.params import Array, Index, Mask, ParameterError
 from ves_gym.core.system import System
+from ves_gym.core.vehicle import BaseModel
 
 _BAD = [
     int(w)
@@ -28,8 +37,12 @@ _BAD = [
 ]
 
 
-def compile_model(system: System) -> mujoco.MjModel:
-    """The MuJoCo model of a system, as the backend runs it."""
+def compile_model(system: System, whole: bool = False) -> mujoco.MjModel:
+    """The MuJoCo model of a system, as the backend runs it.
+
+    `whole`: M, D and K as six tendons each, all on all six axes, whatever their numbers are,
+    so that every model of one structure has one layout.
+    """
     if system.mode == "emulated":
         spec = build_laboratory_spec(
             system.arm,
@@ -39,13 +52,16 @@ def compile_model(system: System) -> mujoco.MjModel:
             physics_dt=system.physics_dt,
         )
     else:
+        base, zero = system.base, np.zeros((6, 6))
         spec = build_spec(
             system.arm,
-            system.base,
+            BaseModel(zero, zero, zero, base.body) if whole else base,
             gravity=(0.0, 0.0, 0.0),
             integrator=system.integrator,
             physics_dt=system.physics_dt,
         )
+        if whole:
+            _add_whole_tendons(spec, base)
     if system.drive == "prescribed":
         for i in range(system.arm.n):
             spec.joint(f"q_{i + 1}").armature += PRESCRIBED_INERTIA
@@ -53,6 +69,37 @@ def compile_model(system: System) -> mujoco.MjModel:
             drive.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
             drive.gainprm[0] = PRESCRIBED_INERTIA  # the command is an acceleration
     return spec.compile()
+
+
+def _add_whole_tendons(spec: mujoco.MjSpec, base: BaseModel) -> None:
+    """M, D, K as in `model.build_spec`, with the vanishing eigenvalues and weights."""
+    for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
+        eigenvalues, vectors = np.linalg.eigh(values)
+        least = 1e-15 * np.abs(values).max()
+        for k in range(6):
+            tendon = spec.add_tendon(name=f"{what}_{k + 1}")
+            for i, name in enumerate(BASE_JOINTS):
+                tendon.wrap_joint(name, float(vectors[TO_Y[i], k]))
+            tendon.springlength = [0.0, 0.0]
+            value = float(eigenvalues[k]) if eigenvalues[k] > least else 0.0
+            setattr(tendon, what, value if what == "armature" else [value, 0.0, 0.0])
+
+
+def _changes(own: mujoco.MjModel, model: mujoco.MjModel, which: str) -> dict[str, Any]:
+    """Fields of a model that differ from the own one's, all but gains and options."""
+    out = {}
+    for name in MODEL_FIELDS:
+        if name.startswith("opt.") or name == "actuator_biasprm":
+            continue
+        mine, values = getattr(own, name), getattr(model, name)
+        if values.shape != mine.shape:
+            raise ParameterError(
+                f"{which}: MuJoCo's model has another layout, its {name} has shape"
+                f" {values.shape}, not {mine.shape}"
+            )
+        if not np.array_equal(values, mine):
+            out[name] = values
+    return out
 
 
 class MujocoBackend:
@@ -64,18 +111,28 @@ class MujocoBackend:
         self.n = n
         self.joints = system.arm.n
         self.prescribed = system.drive == "prescribed"
-        self.model = compile_model(system)
-        self.batch = Batch(self.model, n, threads)
+        self.system, self._nthread = system, threads
+        self._order = np.r_[TO_Y, 6 + np.arange(self.joints)]
+        self._laws = [effect for effect in system.effects if effect.has_law]
+        self._own_laws: Laws | None = None
+        self._whole = False  # the layout of `compile_model`
+        self._systems = [system] * n
+        self._varied: set[str] = set()  # fields of the model that differ, gains apart
+        self._load(compile_model(system))
+
+    def _load(self, model: mujoco.MjModel) -> None:
+        """Run this model."""
+        self.model = model
+        self.batch = Batch(model, self.n, self._nthread)
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._time = self.batch.bind("time")
         self._command, self._slope = self.batch.bind("act"), self.batch.bind("ctrl")
         self._applied = self.batch.bind("qfrc_applied")
         self._force, self._qacc = self.batch.bind("actuator_force"), self.batch.bind("qacc")
-        self._order = np.r_[TO_Y, 6 + np.arange(self.joints)]
         self._drives = slice(self.model.nu - self.joints, None)  # after the platform's
         self._bias: Array | None = None
-        self._laws = [effect for effect in system.effects if effect.has_law]
-        self._felt = self.batch.bind("sensordata") if system.mode == "emulated" else None
+        emulated = self.system.mode == "emulated"
+        self._felt = self.batch.bind("sensordata") if emulated else None
 
     def read(self) -> tuple[Array, Array, Array]:
         return self._time.copy(), self._qpos[:, self._order], self._qvel[:, self._order]
@@ -94,6 +151,34 @@ class MujocoBackend:
         self._bias[ids, self._drives, 1] = -kp
         self._bias[ids, self._drives, 2] = -kd
 
+    def assign(self, ids: Index, systems: Sequence[System]) -> None:
+        pairs = list(zip(ids.tolist(), systems, strict=True))
+        others = {i for i, k in pairs if bodies_of(k) != bodies_of(self._systems[i])}
+        own = self.model
+        if others and not self._whole:
+            own = compile_model(self.system, whole=True)
+        known: dict[tuple[int, int], dict[str, Any]] = {}  # of the arms and vehicles seen
+        for i, system in pairs:
+            if i in others and bodies_of(system) not in known:
+                model = compile_model(system, whole=True)
+                known[bodies_of(system)] = _changes(own, model, f"system of simulation {i}")
+        if own is not self.model:
+            state = self.get_state()
+            self._load(own)
+            self.set_state(state)
+            self._whole = True
+        if self._laws and self._own_laws is None:
+            self._own_laws = Laws(self.system.effects, self.n, self.joints)
+        for i, system in pairs:
+            if self._own_laws is not None:
+                self._own_laws.put(i, system.effects)
+            if i in others:
+                change = known[bodies_of(system)]
+                for name in self._varied | change.keys():
+                    self.batch.expand(name)[i] = change.get(name, getattr(own, name))
+                self._varied |= change.keys()
+            self._systems[i] = system
+
     def step(
         self, command: Array, wrench: Array | None, substeps: int, ids: Index | None
     ) -> None:
@@ -110,7 +195,9 @@ class MujocoBackend:
         """Set the torque of the effects' laws, held until the next physics step."""
         if self._laws:
             q, v = self._qpos[:, 6:], self._qvel[:, 6:]
-            self._applied[:, 6:] = joint_torque(self._laws, q, v)
+            own = self._own_laws
+            torque = joint_torque(self._laws, q, v) if own is None else own.torque(q, v)
+            self._applied[:, 6:] = torque
 
     def play(self, commands: Array, ids: Index | None) -> None:
         slopes = np.diff(commands, axis=1) / self.model.opt.timestep
