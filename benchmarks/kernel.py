@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 import tempfile
 
+import llvmlite.binding as llvm
 import numpy as np
 
 from benchmarks.timing import Pair, side_by_side
@@ -42,6 +44,24 @@ def bare_physics(n: int, threads: int) -> Pair:
             theirs.batch.step(nstep=system.substeps)
 
     return side_by_side(kernel, mujoco, RUNS)
+
+
+_NARROW = """
+import json
+from dataclasses import asdict
+from benchmarks.kernel import bare_physics
+print(json.dumps(asdict(bare_physics({n}, 1))))
+"""
+
+
+def bare_physics_avx2(n: int) -> Pair | None:
+    """`bare_physics` on one thread without AVX-512; None on a machine that has none."""
+    if not llvm.get_host_cpu_features().get("avx512f"):
+        return None
+    environment = {**os.environ, "VES_GYM_FEATURES": "-avx512f"}
+    command = [sys.executable, "-c", _NARROW.format(n=n)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    return Pair(**json.loads(done.stdout))
 
 
 def simulator(n: int, system: System | None = None) -> Pair:
@@ -98,12 +118,18 @@ def first_simulator(runs: int = 3) -> dict[str, float]:
     return {kind: float(np.median(values)) for kind, values in times.items()}
 
 
+_NAMES = (
+    *("K11", "K22", "link2.mass", "D55", "link3.com1", "base.mass", "M33", "kp1"),
+    *("K33", "K44", "K55", "K66", "link1.mass", "link2.com1", "kd1", "D11"),
+)
+
+
 def sensitivities(p: int) -> float:
     """Rollouts that one with the derivatives along p parameters costs, 64 runs of 1 s."""
     system = System()
     sim = Simulator(system, 64)
     hold = np.tile(sim.servo_command(0 * sim.state.q, 0 * sim.state.v)[:, None], (1, 801, 1))
-    names = ("K11", "K22", "link2.mass", "D55", "link3.com1", "base.mass", "M33", "kp1")[:p]
+    names = _NAMES[:p]
     pair = side_by_side(
         lambda: rollout(system, hold, wrt=names), lambda: rollout(system, hold), RUNS
     )
@@ -118,8 +144,9 @@ def steps_per_second(n: int, seconds: float) -> float:
 if __name__ == "__main__":
     for count, threads in ((256, 1), (256, 2), (1, 1)):
         print("bare", count, threads, bare_physics(count, threads))
+    print("bare, AVX2", 256, bare_physics_avx2(256))
     for count in (1, 256):
         print("Simulator", count, simulator(count))
     print("emulated", 256, emulated(256))
     print(first_simulator())
-    print("sensitivities", [sensitivities(p) for p in (1, 8)])
+    print("sensitivities", [sensitivities(p) for p in (1, 8, 16)])

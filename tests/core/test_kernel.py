@@ -305,6 +305,21 @@ def test_structural_zeros_vanish():
     assert size["own weight"] < size["emulated"]  # the balance is not for nothing
 
 
+def test_derivatives_along_one_and_along_many_are_the_same():
+    """Few directions are differentiated one by one, many by the derivative of the state."""
+    names = ("K11", "K22", "link2.mass", "D55", "link3.com1", "base.mass", "M33", "kp1")
+    one, many = (trace._tangents(System(), names, 1, whole).motion for whole in (False, True))
+    assert many.n_instructions() < one.n_instructions()
+    rng = np.random.default_rng(0)
+    x, u = 0.1 * rng.standard_normal(one.size1_in(0)), rng.standard_normal(one.size1_in(1))
+    p = trace.parameters(System())[1]
+    expected = one(x, u, p).full()
+    np.testing.assert_allclose(many(x, u, p).full(), expected, rtol=1e-10, atol=1e-9)
+    size = {k: trace.tangents(System(), names[:k], 0).motion.n_instructions() for k in (1, 8)}
+    assert size[8] < 9 * trace.tangents(System(), (), 0).motion.n_instructions()
+    assert size[8] < 4 * size[1]
+
+
 # -------------------------------------------------------------------------------- cache
 
 
@@ -409,6 +424,15 @@ def test_where_the_cache_is(monkeypatch, tmp_path):
     assert build.cache_folder() == tmp_path / ".cache" / "ves_gym"
     monkeypatch.setattr(sys, "platform", "darwin")
     assert build.cache_folder() == tmp_path / "Library" / "Caches" / "ves_gym"
+
+
+def test_code_for_fewer_features_is_kept_apart(monkeypatch):
+    """Without AVX-512 (where there is one) the same arithmetic, twice as many instructions."""
+    x = np.linspace(-3, 3, 40)
+    wide, key = apply(ca.sin, x), build.machine()
+    monkeypatch.setenv("VES_GYM_FEATURES", "-avx512f")
+    assert build.machine() == f"{key},-avx512f"
+    np.testing.assert_array_equal(apply(ca.sin, x), wide)
 
 
 def links(**changes):

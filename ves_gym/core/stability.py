@@ -157,7 +157,7 @@ def transition(
 def linearise(
     system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
 ) -> Linearised:
-    """The whole loop about rest at joint angles q.
+    """The whole loop about rest at joint angles q (mode emulated; in space: `core/linear.py`).
 
     Noise, drift and the quantisation of transducers and sensor are left out.
     """

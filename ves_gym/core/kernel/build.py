@@ -59,8 +59,15 @@ def machine() -> str:
     import llvmlite
     import llvmlite.binding as llvm
 
-    features = llvm.get_host_cpu_features().flatten()
-    return f"{llvmlite.__version__} {llvm.get_host_cpu_name()} {features}"
+    return f"{llvmlite.__version__} {llvm.get_host_cpu_name()} {_features()}"
+
+
+def _features() -> str:
+    """What this processor can do, less what VES_GYM_FEATURES takes away ("-avx512f")."""
+    import llvmlite.binding as llvm
+
+    host = llvm.get_host_cpu_features().flatten()
+    return ",".join(k for k in (host, os.environ.get("VES_GYM_FEATURES")) if k)
 
 
 def _target() -> Any:
@@ -72,7 +79,7 @@ def _target() -> Any:
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple().create_target_machine(
         cpu=llvm.get_host_cpu_name(),
-        features=llvm.get_host_cpu_features().flatten(),
+        features=_features(),
         opt=2,
         jit=True,
     )

@@ -9,13 +9,14 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from ves_gym.core.dynamics import inertia
 from ves_gym.core.kernel.blocks import aligned, fill, lanes, unlane
 from ves_gym.core.kernel.build import Library, cached
 from ves_gym.core.kernel.emit import LANES, emit_map
 from ves_gym.core.kernel.trace import coupling, inertia_matrix, parameters, structure
-from ves_gym.core.params import Array
+from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.system import System
 
 if TYPE_CHECKING:
@@ -32,8 +33,9 @@ def coupling_matrices(system: System, q: Array) -> Array | None:
     laboratory's graph has no M, D and K.
     """
     system, n = system.ideal(), system.arm.n
+    key, (_, p) = f"coupling {structure(system)}", parameters(system)
     try:
-        return _evaluate("coupling", coupling, system, q, n * n).reshape(-1, n, n)
+        return _compiled(key, lambda: coupling(system), q, p, n * n).reshape(-1, n, n)
     except (ImportError, RuntimeError, OSError):
         return None
 
@@ -51,7 +53,8 @@ class InertiaMap:
         self._H = aligned(blocks, self.size**2, LANES)
         self._run: Callable[[], None] | None = None
         try:
-            run = _library("inertia", inertia_matrix, system).map
+            key = f"inertia {structure(system)}"
+            run = _library(key, lambda: inertia_matrix(system)).map
         except (ImportError, RuntimeError, OSError):
             return
         _, values = parameters(system)
@@ -70,25 +73,60 @@ class InertiaMap:
         return unlane(self._H, len(q)).reshape(-1, self.size, self.size)
 
 
-def _library(name: str, graph: Callable[[System], casadi.Function], system: System) -> Library:
-    key = f"{name} {structure(system)}"
+def points(*parts: tuple[npt.ArrayLike, int, str]) -> Array:
+    """Values (..., width) with their widths and names, side by side: (..., all widths).
+
+    Leading axes broadcast; a single number stands for all of its width.
+
+    Raises:
+        ParameterError: another width, axes that do not broadcast, or a value not finite.
+    """
+    arrays = []
+    for value, width, name in parts:
+        array = np.asarray(value, float)
+        array = np.full(width, array) if array.ndim == 0 else array
+        if array.shape[-1] != width:
+            raise ParameterError(f"{name} must have shape (..., {width}), got {array.shape}")
+        if not np.isfinite(array).all():
+            raise ParameterError(f"{name} must be finite, got {array.tolist()}")
+        arrays.append(array)
+    try:
+        batch = np.broadcast_shapes(*(k.shape[:-1] for k in arrays))
+    except ValueError:
+        got = ", ".join(f"{k[2]} {a.shape}" for k, a in zip(parts, arrays, strict=True))
+        raise ParameterError(f"leading axes must broadcast, got {got}") from None
+    wide = [np.broadcast_to(k, (*batch, k.shape[-1])) for k in arrays]
+    return np.concatenate(wide, axis=-1)
+
+
+def evaluate(
+    key: str, graph: Callable[[], casadi.Function], x: Array, p: Array, outputs: int
+) -> Array:
+    """(..., outputs) of a graph (x, p) -> y at points x (..., k) and one p.
+
+    Compiled and kept under `key`; interpreted by CasADi where nothing compiles.
+    """
+    flat = x.reshape(-1, x.shape[-1])
+    try:
+        out = _compiled(key, graph, flat, p, outputs)
+    except (ImportError, RuntimeError, OSError):
+        function = graph()
+        out = np.array([function(point, p).full().ravel() for point in flat])
+    return out.reshape(*x.shape[:-1], outputs)
+
+
+def _library(key: str, graph: Callable[[], casadi.Function]) -> Library:
     if key not in _LIBRARIES:
-        _LIBRARIES[key] = cached(key, lambda: emit_map(graph(system)))
+        _LIBRARIES[key] = cached(key, lambda: emit_map(graph()))
     return _LIBRARIES[key]
 
 
-def _evaluate(
-    name: str,
-    graph: Callable[[System], casadi.Function],
-    system: System,
-    x: Array,
-    outputs: int,
+def _compiled(
+    key: str, graph: Callable[[], casadi.Function], x: Array, p: Array, outputs: int
 ) -> Array:
-    """(N, outputs) of a graph (x, p) -> y at points x (N, k), p those of the system."""
-    run = _library(name, graph, system).map
-    _, values = parameters(system)
-    p = aligned(len(values), LANES)
-    p[:] = values[:, None]
+    run = _library(key, graph).map
+    numbers = aligned(len(p), LANES)
+    numbers[:] = p[:, None]
     count = len(x)
     out = np.empty((count, outputs))
     size = _CHUNK * LANES
@@ -97,7 +135,7 @@ def _evaluate(
         some = x[first : first + size]
         given = lanes(some)
         found = aligned(len(given), outputs, LANES)
-        run(given.ctypes.data, p.ctypes.data, found.ctypes.data, 0, len(given))
+        run(given.ctypes.data, numbers.ctypes.data, found.ctypes.data, 0, len(given))
         out[first : first + len(some)] = unlane(found, len(some))
 
     starts = range(0, count, size)

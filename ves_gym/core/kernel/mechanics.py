@@ -10,17 +10,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from ves_gym.core.dynamics import (
-    IDENTITY,
-    ZERO,
-    Vec,
-    add,
-    cross,
-    dot,
-    frames,
-    inertia_entries,
-    newton_euler,
-)
+from ves_gym.core.dynamics import Vec, inertia_entries, newton_euler
 from ves_gym.core.gravity import GRAVITY
 
 if TYPE_CHECKING:
@@ -161,24 +151,10 @@ def residual(
 
 def base_energy(model: Model, z: list[Any], zd: list[Any], xp: Any) -> Any:
     """E = 1/2 Y'^T (M + H_b) Y' + 1/2 Y^T K Y (`core/energy.py`)."""
-    T, _ = _rates(z[:6], xp)
-    twist = times(T, zd[:6])
-    linear, w = (twist[0], twist[1], twist[2]), (twist[3], twist[4], twist[5])
-    total: Any = 0.0
-    arm = one_base(model.arm)
-    chain = frames(arm, z[6:], xp)
-    turns = [IDENTITY, *(frame.rotation for frame in chain)]
-    places = [ZERO, *(frame.position for frame in chain)]
-    bodies = [arm.base, *(link.inertial for link in arm.links)]
-    for R, place, body in zip(turns, places, bodies, strict=True):  # joints locked
-        x, y, z_ = body.com
-        velocity = add(linear, cross(w, add(place, R.apply((x, y, z_)))))
-        own = [dot(axis, w) for axis in (R.x, R.y, R.z)]
-        total = total + body.mass * dot(velocity, velocity)
-        total = total + sum(a * b for a, b in pairs(times(body.inertia, own), own))
-    for matrix, vector in ((model.M, zd[:6]), (model.K, z[:6])):
-        total = total + sum(a * b for a, b in pairs(times(matrix, vector), vector))
-    return 0.5 * total
+    twist = times(_rates(z[:6], xp)[0], zd[:6])
+    locked = inertia_entries(one_base(model.arm), z[6:], xp).base
+    forms = ((locked, twist), (model.M, zd[:6]), (model.K, z[:6]))
+    return 0.5 * sum(a * b for A, x in forms for a, b in pairs(times(A, x), x))
 
 
 def on_platform(

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ves_gym.core.dynamics import inertia_entries
+from ves_gym.core.dynamics import ZERO, inertia_entries, newton_euler
 from ves_gym.core.kernel.mechanics import (
     Expression,
     Model,
@@ -40,6 +40,7 @@ from ves_gym.core.params import Array
 if TYPE_CHECKING:
     import casadi
 
+    from ves_gym.core.arm import Arm
     from ves_gym.core.effect import Effect
     from ves_gym.core.system import System
 
@@ -99,13 +100,10 @@ def _model(system: System, read: _Numbers) -> Model:
     arm, base = system.arm, system.base
     prescribed = system.drive == "prescribed"
     links = [
-        SimpleNamespace(
-            d=link.d,  # geometry is part of the structure
-            a=link.a,
-            alpha=link.alpha,
-            offset=link.offset,
-            inertial=read.inertial(f"link{i + 1}", link.inertial),
-            rotor_inertia=read(
+        _link(
+            link,
+            read.inertial(f"link{i + 1}", link.inertial),
+            read(
                 f"link{i + 1}.rotor",
                 link.rotor_inertia + (PRESCRIBED_INERTIA if prescribed else 0.0),
             ),
@@ -141,6 +139,18 @@ def _model(system: System, read: _Numbers) -> Model:
     )
 
 
+def _link(link: Any, inertial: Any, rotor_inertia: Expression) -> Any:
+    """A link with symbols for its masses; its lengths are part of the structure."""
+    return SimpleNamespace(
+        d=link.d,
+        a=link.a,
+        alpha=link.alpha,
+        offset=link.offset,
+        inertial=inertial,
+        rotor_inertia=rotor_inertia,
+    )
+
+
 def parameters(system: System) -> tuple[tuple[str, ...], Array]:
     """Names and values of p for a system."""
     names: list[str] = []
@@ -158,12 +168,16 @@ def parameters(system: System) -> tuple[tuple[str, ...], Array]:
 def structure(system: System) -> str:
     """What the compiled code of a system depends on: its graph's shape, not its values."""
     names, _ = parameters(system)
-    links = [(k.d, k.a, k.alpha, k.offset) for k in system.arm.links]
     step = system.physics_dt if system.integrator == "implicitfast" else None
     balance = system.mode == "emulated" and system.laboratory.joint_balance
     laws = _laws(system) if any(e.has_law for e in system.effects) else None
-    what = (names, links, laws, system.mode, system.integrator, step, balance)
-    return f"{_source()} {what!r}"
+    what = (names, laws, system.mode, system.integrator, step, balance)
+    return f"{geometry(system.arm)} {what!r}"
+
+
+def geometry(arm: Arm) -> str:
+    """What the compiled code of an arm depends on whatever it weighs: lengths and angles."""
+    return f"{_source()} {[(k.d, k.a, k.alpha, k.offset) for k in arm.links]!r}"
 
 
 def _laws(system: System) -> str:
@@ -237,6 +251,59 @@ def _implicit(system: System, model: Model, drive: list[Any], xp: Any) -> list[l
     return out
 
 
+@dataclass(frozen=True)
+class _Balance:
+    """Balance of forces in space, r(x, a, u, p) = M a + bias - loads with a = z''.
+
+    r = 0 gives a(x, u, p), so da = -M^-1 dr with a held in dr: nothing is differentiated
+    through the solution of a linear system.
+    """
+
+    names: tuple[str, ...]  # of p
+    x: Any
+    u: Any
+    p: Any
+    a: Any
+    missing: Any  # r
+    energy: Any  # of the base [J]
+    mass: list[list[Any]]
+    found: list[Any]  # the a of r = 0
+
+    def response(self, change: Any) -> list[Any]:
+        """da for dr."""
+        return solve(self.mass, [-k for k in self.held(change)])
+
+    def held(self, value: Any) -> list[Any]:
+        """A value at the acceleration found."""
+        import casadi as ca
+
+        return list(ca.vertsplit(ca.substitute(value, self.a, ca.vertcat(*self.found))))
+
+
+def _balance(system: System) -> _Balance:
+    import casadi as ca
+
+    model, symbols = _symbols(system)
+    size = 6 + system.arm.n
+    x, u, a = (ca.SX.sym(name, k) for name, k in (("x", 2 * size), ("u", size), ("a", size)))
+    z, zd = list(ca.vertsplit(x))[:size], list(ca.vertsplit(x))[size:]
+    base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
+    tau = drive_torque(model, z, zd, command, ca)[1]
+    tau = [k + law for k, law in zip(tau, model.push(z[6:], zd[6:], ca), strict=True)]
+    mass, loads = balance_of_forces(model, z, zd, base, tau, ca)
+    return _Balance(
+        names=tuple(str(k) for k in symbols),
+        x=x,
+        u=u,
+        p=ca.vertcat(*symbols),
+        a=a,
+        missing=ca.vertcat(*residual(model, z, zd, list(ca.vertsplit(a)), base, tau, ca)),
+        energy=base_energy(model, z, zd, ca),
+        mass=mass,
+        found=solve(mass, loads),
+    )
+
+
 def tangents(system: System, wrt: tuple[str, ...], controls: int) -> Equations:
     """Motion, base energy and their exact derivatives along given directions (mode ideal).
 
@@ -244,46 +311,104 @@ def tangents(system: System, wrt: tuple[str, ...], controls: int) -> Equations:
     With m of them the state is (x, e, dx_1, de_1, ..., dx_m, de_m), e the time integral of
     the base energy, and the input (u, du_1, ..., du_controls).
 
-    The acceleration a(x, u, p) solves r = M a + bias - loads = 0, so da = -M^-1 dr with a held
-    in dr: one pass of Newton-Euler per direction and no derivative of the solution.
+    The balance is differentiated once per direction or, for many, once by the whole state
+    and then multiplied by each: whichever takes fewer operations.
+    """
+    each, whole = (_tangents(system, wrt, controls, k) for k in (False, True))
+    return min(each, whole, key=lambda graphs: int(graphs.motion.n_instructions()))
+
+
+def _tangents(system: System, wrt: tuple[str, ...], controls: int, whole: bool) -> Equations:
+    import casadi as ca
+
+    b, size = _balance(system), 6 + system.arm.n
+    both = ca.vertcat(b.missing, b.energy)
+    slope = ca.jacobian(both, b.x) if whole else None
+    states, inputs = [b.x, ca.SX.sym("e")], [b.u]
+    slopes = [b.x[size:], *b.found, b.energy]
+    for j in range(len(wrt) + controls):
+        dx, du = ca.SX.sym(f"dx{j}", 2 * size), ca.SX.sym(f"du{j}", size)
+        if j < len(wrt):
+            cause, step = b.p[b.names.index(wrt[j])], ca.SX(1)
+        else:
+            cause, step = b.u, du
+            inputs.append(du)
+        if slope is None:
+            change = ca.jtimes(both, ca.vertcat(b.x, cause), ca.vertcat(dx, step))
+        else:
+            change = slope @ dx + ca.jtimes(both, cause, step)
+        states += [dx, ca.SX.sym(f"de{j}")]
+        slopes += [dx[size:], *b.response(change[:-1]), change[-1]]
+    given = [ca.vertcat(*states), ca.vertcat(*inputs), b.p]
+    motion = ca.cse(ca.vertcat(*slopes))
+    return Equations(
+        system.arm.n,
+        b.names,
+        ca.Function("motion", given, [motion]),
+        ca.Function("observe", given, ca.cse([motion, ca.SX(b.energy)])),
+    )
+
+
+def linearisation(system: System) -> casadi.Function:
+    """((Y, q, command), p) -> z'' at rest, then its derivatives (mode ideal).
+
+    (s,) of z'' and, column after column, (s, 2 s) by the state (Y, q, Y', q') and (s, n) by
+    the command, s = 6 + n.
     """
     import casadi as ca
 
-    model, symbols = _symbols(system)
-    names, n = [str(k) for k in symbols], system.arm.n
-    size = 6 + n
-    x, a = ca.SX.sym("x", 2 * size), ca.SX.sym("a", size)
-    u = ca.SX.sym("u", size)
-    p = ca.vertcat(*symbols)
-    z, zd = list(ca.vertsplit(x))[:size], list(ca.vertsplit(x))[size:]
-    base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
-    tau = drive_torque(model, z, zd, command, ca)[1]
-    tau = [a + b for a, b in zip(tau, model.push(z[6:], zd[6:], ca), strict=True)]
-    mass, loads = balance_of_forces(model, z, zd, base, tau, ca)
-    still = solve(mass, loads)
-    missing = ca.vertcat(*residual(model, z, zd, list(ca.vertsplit(a)), base, tau, ca))
-    energy = base_energy(model, z, zd, ca)
+    b, size = _balance(system), 6 + system.arm.n
+    causes = ca.vertcat(b.x, b.u[6:])
+    columns = ca.horzsplit(ca.jacobian(b.missing, causes))
+    out = ca.vertcat(*b.found, *(k for column in columns for k in b.response(column)))
+    still = ca.vertcat(b.x[size:], b.u[:6])
+    out = ca.substitute(out, still, ca.SX.zeros(size + 6))
+    point = ca.vertcat(b.x[:size], b.u[6:])
+    return ca.Function("linearisation", [point, b.p], [ca.cse(ca.densify(out))])
 
-    states, slopes, inputs = [x, ca.SX.sym("e")], [*zd, *still, energy], [u]
-    for j in range(len(wrt) + controls):
-        dx = ca.SX.sym(f"dx{j}", 2 * size)
-        du = ca.SX.zeros(size)
-        dp = ca.SX.zeros(len(names))
-        if j < len(wrt):
-            dp[names.index(wrt[j])] = 1
-        else:
-            du = ca.SX.sym(f"du{j}", size)
-            inputs.append(du)
-        along, seed = ca.vertcat(x, u, p), ca.vertcat(dx, du, dp)
-        change = ca.substitute(ca.jtimes(missing, along, seed), a, ca.vertcat(*still))
-        da = solve(mass, [-k for k in ca.vertsplit(change)])
-        states += [dx, ca.SX.sym(f"de{j}")]
-        slopes += [*list(ca.vertsplit(dx))[size:], *da, ca.jtimes(energy, along, seed)]
-    whole, given = ca.vertcat(*states), ca.vertcat(*inputs)
-    slope = ca.vertcat(*slopes)
-    motion = ca.Function("motion", [whole, given, p], [ca.cse(slope)])
-    observe = ca.Function("observe", [whole, given, p], ca.cse([slope, ca.SX(energy)]))
-    return Equations(n, tuple(names), motion, observe)
+
+def regressor(arm: Arm, moving: bool) -> casadi.Function:
+    """Wrench on the base and joint torques per inertial parameter, column after column.
+
+    Moving: at (q, v, a, spin, turn, accel) as in `newton_euler`, by ten numbers a body (m, m c,
+    inertia about its frame xx xy yy xz yz zz) and the rotor inertias. Otherwise at (q, free
+    fall), by the four of a body that weigh. The second argument, p, is empty.
+
+    The balance is linear in these numbers. It is differentiated by (m, c, I_c) at unit masses
+    in the origins of their frames, which is the same: m c = c there, and what moves I_c to the
+    frame is of second order in c.
+    """
+    import casadi as ca
+
+    n = arm.n
+    numbers, rotors = [ca.SX.sym(f"body{i}", 10) for i in range(n + 1)], ca.SX.sym("rotor", n)
+    bodies = [
+        SimpleNamespace(
+            mass=k[0],
+            com=(k[1], k[2], k[3]),
+            inertia=[[k[4], k[5], k[7]], [k[5], k[6], k[8]], [k[7], k[8], k[9]]],
+        )
+        for k in numbers
+    ]
+    links = [_link(*k) for k in zip(arm.links, bodies[1:], ca.vertsplit(rotors), strict=True)]
+    x = ca.SX.sym("x", 3 * n + 9 if moving else n + 3)
+    at: list[Any] = list(ca.vertsplit(x))
+    q, v, a = at[:n], [0.0] * n, [0.0] * n
+    spin: Any = ZERO
+    turn: Any = ZERO
+    if moving:
+        v, a = at[n : 2 * n], at[2 * n : 3 * n]
+        spin, turn = at[3 * n : 3 * n + 3], at[3 * n + 3 : 3 * n + 6]
+    accel: Any = at[-3:] if moving else [-k for k in at[-3:]]
+    body: Any = SimpleNamespace(n=n, links=links, base=bodies[0])
+    torque, force, moment = newton_euler(
+        body, q, v, a, spin=spin, turn=turn, accel=accel, xp=ca
+    )
+    wanted = ca.vertcat(*numbers, rotors) if moving else ca.vertcat(*(k[:4] for k in numbers))
+    load = ca.vertcat(*(-k for k in (*force, *moment)), *torque)
+    unit = ca.vertcat(*[1.0, *[0.0] * 9] * (n + 1), ca.SX.zeros(n))
+    slope = ca.substitute(ca.jacobian(load, wanted), ca.vertcat(*numbers, rotors), unit)
+    return ca.Function("regressor", [x, ca.SX(0, 1)], [ca.cse(ca.densify(ca.vec(slope)))])
 
 
 def coupling(system: System) -> casadi.Function:
