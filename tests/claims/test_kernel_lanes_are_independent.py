@@ -225,7 +225,7 @@ def test_simulations_not_named_stay_where_they_are(name):
         if sim.system.mode == "emulated":
             engine.ride(nodes, np.full((11, k + 1, 6), 0.1), some)
         else:
-            engine.step(command, None, k, some)
+            engine.step(command, None, None, k, some)
         engine.play(nodes, some)
     for i in range(11):
         wanted = twin.state if i in ids else before

@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import itertools
 import pickle
 
 import numpy as np
@@ -566,3 +567,23 @@ def test_turning_about_the_other_axes_is_no_tumble():
     for _ in range(200):
         state = sim.step(0.0)
     np.testing.assert_allclose(state.y[[0, 1], [3, 5]], 7.5, rtol=1e-3)
+
+
+@pytest.mark.parametrize("backend", ["kernel", "mujoco"])
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_a_command_may_run_linearly_through_the_period(backend, mode):
+    system = System(mode=mode)
+    stepped, played = (Simulator(system, 3, backend=backend, warn_at=None) for _ in "ab")
+    rng = np.random.default_rng(5)
+    ends = rng.normal(0, 20, (4, 3, 3))
+    share = (np.arange(system.substeps + 1) / system.substeps)[:, None]
+    for start, end in itertools.pairwise(ends):
+        stepped.step(start, until=end)
+        played.play(start[:, None] + share * (end - start)[:, None])
+        for one, other in zip(stepped.state, played.state, strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-10)
+    held = Simulator(system, 3, backend=backend, warn_at=None)
+    held.step(ends[0])
+    assert abs(held.state.v - stepped.state.v).max() > 1e-4
+    with pytest.raises(ParameterError, match=r"until must be numbers of shape \(3, 3\)"):
+        stepped.step(0.0, until=np.zeros(4))

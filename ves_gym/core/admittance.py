@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import scipy.linalg
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from ves_gym.core.arm import Inertial
 from ves_gym.core.params import Array, ParameterError
@@ -62,7 +61,7 @@ def coupled_axes(*matrices: Array) -> list[list[int]]:
     for k in matrices:
         size = np.sqrt(np.maximum(np.diag(k), 0.0))
         joined |= np.abs(k) > _ROUNDING * np.outer(size, size)
-    count, labels = connected_components(joined, directed=False)
+    count, labels = scipy.sparse.csgraph.connected_components(joined, directed=False)
     return [np.flatnonzero(labels == k).tolist() for k in range(count)]
 
 

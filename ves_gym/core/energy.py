@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import cumulative_simpson, trapezoid
+import scipy
 
 from ves_gym.core.dynamics import inertia
 from ves_gym.core.effect import joint_torque
@@ -122,7 +122,7 @@ def energies(
     parts = base_energy(system, q, y, yd)
     total = parts.total
     stored, power = _port_energy(system, y, yd)
-    work = stored[:, -1] - stored[:, 0] + trapezoid(power, clock, axis=-1)
+    work = stored[:, -1] - stored[:, 0] + np.trapezoid(power, clock, axis=-1)
     window = clock <= duration + tail + 1e-9
     end = int(np.searchsorted(clock, duration - 1e-9))
     peak = total.max(axis=-1)
@@ -133,11 +133,11 @@ def energies(
         settled = math.inf if last + 1 >= len(clock) else float(clock[last + 1])
         out.append(
             Energies(
-                E_mean=float(trapezoid(total[i, window], clock[window]) / clock[window][-1]),
+                E_mean=float(np.trapezoid(total[i, window], clock[window]) / clock[window][-1]),
                 E_res=float(total[i, end]),
                 E_peak=float(peak[i]),
                 E_strain_peak=float(parts.strain[i].max()),
-                E_int=float(trapezoid(parts.strain[i], clock)),
+                E_int=float(np.trapezoid(parts.strain[i], clock)),
                 W_port=float(work[i]),
                 t_5=settled,
             )
@@ -213,9 +213,9 @@ def ledger(log: RunLog) -> Ledger:
     kinetic = quadratic(body, rates) + quadratic(system.base.M, log.yd)
     strain = quadratic(system.base.K, log.y)
     stored, power = _port_energy(system, log.y, log.yd)
-    dissipated = cumulative_simpson(power, x=log.t, initial=0.0)
+    dissipated = scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0)
     lost = -np.sum(joint_torque(system.effects, log.q, log.v) * log.v, axis=-1)
-    in_joints = cumulative_simpson(lost, x=log.t, initial=0.0)
+    in_joints = scipy.integrate.cumulative_simpson(lost, x=log.t, initial=0.0)
     work = _drive_work(system, log)
     residual = work - (kinetic - kinetic[0]) - (strain - strain[0]) - dissipated
     residual = residual - in_joints
@@ -245,14 +245,18 @@ def _drive_work(system: System, log: RunLog) -> Array:
     at_physics_step = len(step) > 0 and np.allclose(step, system.physics_dt, rtol=1e-6)
     if system.drive != "motor" or not gains or not at_physics_step:
         power = np.sum(log.tau * log.v, axis=-1)
-        return np.asarray(cumulative_simpson(power, x=log.t, initial=0.0), dtype=np.float64)
+        return np.asarray(
+            scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0), dtype=np.float64
+        )
     kp, kd = (np.asarray(gains[k], float) for k in ("kp", "kd"))
     h, q, v = system.physics_dt, log.q - log.q[0], log.v
     command = log.tau + kp * q + kd * v
     # int c v = [c q] - c' int q, with q of both ends and their slopes known
     area = h / 2 * (q[1:] + q[:-1]) - h**2 / 12 * np.diff(v, axis=0)
     pushed = np.diff(command * q - kp * q**2 / 2, axis=0) - np.diff(command, axis=0) / h * area
-    damped = np.diff(cumulative_simpson(kd * v**2, x=log.t, axis=0, initial=0.0), axis=0)
+    damped = np.diff(
+        scipy.integrate.cumulative_simpson(kd * v**2, x=log.t, axis=0, initial=0.0), axis=0
+    )
     # a saturated motor gives its limit, whatever the command
     limited = np.abs(log.tau) > (1 - 1e-9) * system.arm.column("tau_max")
     clipped = (log.tau[1:] + log.tau[:-1]) / 2 * np.diff(q, axis=0)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy
 
 from ves_gym.core.arm import matrix, skew
 from ves_gym.core.params import (

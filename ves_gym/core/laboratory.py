@@ -558,6 +558,12 @@ class Laboratory:
                     f"leg {fast[i] + 1} would move at {speed[i]:.2f} m/s, its limit is"
                     f" {stewart.speed_max:g} m/s"
                 )
+            self.freeze(np.array([i]), reason)
+
+    def freeze(self, ids: Index, reason: str) -> None:
+        """Stop platforms where they are told to be, until they are reset (App. E rule 1)."""
+        s = self.state
+        for i in ids[~s.frozen[ids]].tolist():
             s.frozen[i] = True
             self.events.append(Event(i, float(s.time[i]), reason))
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from ves_gym.core.laboratory import Event
 from ves_gym.core.motion import Motion
@@ -152,5 +152,5 @@ def _averaged(weighed: Recording, slow: float) -> Callable[[Array], Array]:
 
 def _smooth(t: Array, values: Array) -> Callable[[Array], Array]:
     """A cubic spline through samples (N, 6), held at its ends."""
-    spline = CubicSpline(t, values)
+    spline = scipy.interpolate.CubicSpline(t, values)
     return lambda at: np.asarray(spline(np.clip(at, t[0], t[-1])), dtype=np.float64)

@@ -35,9 +35,7 @@ from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
-import scipy.optimize
-import scipy.signal
+import scipy
 
 from ves_gym.core.params import (
     Array,

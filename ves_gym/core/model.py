@@ -56,7 +56,6 @@ def build_spec(
     return spec
 
 
-PRESCRIBED_INERTIA = 1e8  # kg m^2 added to a joint that must follow its command
 # The platform's: the arm's 1 kN then moves it by 1e-7 m/s^2.
 PLATFORM_INERTIA = 1e10  # kg, kg m^2
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BSpline, make_interp_spline
+import scipy
 
 from ves_gym.core.arm import Arm, matrix
 from ves_gym.core.dynamics import inverse_dynamics
@@ -89,7 +89,9 @@ class Motion:
         if len(way) < 3:
             return Motion.straight(start, goal, duration)
         length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))]
-        path = make_interp_spline(length / length[-1], way, k=min(3, len(way) - 1))
+        path = scipy.interpolate.make_interp_spline(
+            length / length[-1], way, k=min(3, len(way) - 1)
+        )
         u = np.linspace(0, 1, 20 * controls + 1)
         q = path(quintic(u))
         q[0], q[-1] = start, goal  # not to rounding only
@@ -115,9 +117,9 @@ class Motion:
         return Motion(duration=duration, control=matrix(control))
 
     @cached_property
-    def _splines(self) -> tuple[BSpline, BSpline, BSpline]:
+    def _splines(self) -> tuple[Any, Any, Any]:
         points = np.asarray(self.control, float)
-        spline = BSpline(knots(len(points)) * self.duration, points, DEGREE)
+        spline = scipy.interpolate.BSpline(knots(len(points)) * self.duration, points, DEGREE)
         return spline, spline.derivative(1), spline.derivative(2)
 
     @property
@@ -187,7 +189,7 @@ def graded(count: int) -> Array:
 
 def basis(m: int, u: npt.ArrayLike, derivative: int = 0) -> Array:
     """(N, m) values (or derivatives) of the basis functions at u in [0, 1]."""
-    spline = BSpline(knots(m), np.eye(m), DEGREE)
+    spline = scipy.interpolate.BSpline(knots(m), np.eye(m), DEGREE)
     out: Array = spline(np.asarray(u, float), nu=derivative)
     return out
 

@@ -158,7 +158,7 @@ def play_motions(
             if len(sim.events) >= n:
                 break
         else:
-            rows.append((*row, _wrench(system, state, ydd)))
+            rows.append((*row, base_wrench(system, state, ydd)))
         if k + 1 < records:
             part = slice(k * periods, (k + 1) * periods)
             if table is not None:
@@ -295,8 +295,8 @@ def _commands(sim: Simulator, s: Samples) -> Array:
     return sim.servo_command(s.q, s.v, tau)
 
 
-def _wrench(system: System, state: State, ydd: Array) -> Array:
-    """Wrench of the arm on the base in platform axes: what the vehicle's motion takes."""
+def base_wrench(system: System, state: State, ydd: Array) -> Array:
+    """(n, 6) wrench of the arm on the base, platform axes: what the vehicle's motion takes."""
     base, y, yd = system.base, state.y, state.yd
     # run by run: one matrix product over the batch would round by its size
     force = matvec(base.M, ydd) + matvec(base.D, yd) + matvec(base.K, y)  # conjugate to Y

@@ -73,6 +73,8 @@ class Simulator:
             unstable one is an `EmulationWarning`. None: not judged.
     """
 
+    seen: State  # after the last step or reset
+
     def __init__(
         self,
         system: System,
@@ -182,8 +184,8 @@ class Simulator:
         if self.laboratory is not None:
             self.laboratory.reset(index, full["q"], full["y"], full["yd"])
         self.diverged[index] = False
-        self._seen = self.state
-        return self._seen
+        self.seen = self.state
+        return self.seen
 
     def snapshot(self) -> Snapshot:
         """The complete state, random generators included; picklable."""
@@ -221,7 +223,7 @@ class Simulator:
         if self.laboratory is not None:
             self.laboratory.set_state(snapshot.laboratory)
         self.diverged = snapshot.diverged.copy()
-        self._seen = self.state
+        self.seen = self.state
 
     @property
     def systems(self) -> tuple[System, ...]:
@@ -298,35 +300,41 @@ class Simulator:
         self,
         command: npt.ArrayLike = 0.0,
         *,
+        until: npt.ArrayLike | None = None,
         base_wrench: npt.ArrayLike | None = None,
         platform: npt.ArrayLike | None = None,
     ) -> State:
-        """Advance one control period with the command held.
+        """Advance one control period, the command held or running linearly to another.
 
         Args:
             command: (n, joints), broadcast. Motor drive: torque [N m] on top of what the
                 servo gains give around zero position and rate (see `servo_command`).
                 Prescribed drive: joint acceleration [rad/s^2].
+            until: (n, joints) command at the end of the period, linear until there;
+                None: held.
             base_wrench: (n, 6) jets' wrench in the platform frame [N, N m]; only a
                 vehicle with thrusters accepts it.
             platform: pose (n, 6), or pose and rate (n, 12), that the platform shall
                 follow; emulators under position control only.
         """
         torque = self._broadcast(command, "command", (self.n, self.joints))
+        end = None if until is None else self._broadcast(until, "until", torque.shape)
         if self.laboratory is not None:
             if base_wrench is not None:
                 raise ParameterError("base_wrench needs mode ideal, got mode emulated")
-            held = np.repeat(torque[:, None], self.system.substeps + 1, axis=1)
-            self._ride(held, self._platform(platform, 1))
+            nodes = np.repeat(torque[:, None], self.system.substeps + 1, axis=1)
+            if end is not None:
+                share = np.arange(self.system.substeps + 1) / self.system.substeps
+                nodes += (end - torque)[:, None] * share[:, None]
+            self._ride(nodes, self._platform(platform, 1))
         else:
             if platform is not None:
                 raise ParameterError("platform needs mode emulated, got mode ideal")
-            self.backend.step(
-                torque, self._base_force(base_wrench), self.system.substeps, self._running()
-            )
+            push = self._base_force(base_wrench)
+            self.backend.step(torque, end, push, self.system.substeps, self._running())
         self._watch()
-        self._seen = self.state
-        return self._seen
+        self.seen = self.state
+        return self.seen
 
     def servo_command(self, q: Array, v: Array, tau: Array | float = 0.0) -> Array:
         """Command that makes the servo track q, v (n, ..., joints) with feed-forward tau."""
@@ -347,7 +355,7 @@ class Simulator:
         if given.ndim != 3 or given.shape[1] < 2:
             raise ParameterError(f"{wanted} {given.shape}")
         nodes = self._broadcast(given, "commands", (self.n, given.shape[1], self.joints))
-        self._seen = self.state
+        self.seen = self.state
         if self.laboratory is not None:
             periods, rest = divmod(nodes.shape[1] - 1, self.system.substeps)
             if rest:
@@ -426,6 +434,12 @@ class Simulator:
             raise ParameterError("zero_sensor needs mode emulated, got mode ideal")
         self.laboratory.zero(self._ids(ids))
 
+    def freeze(self, ids: npt.ArrayLike | None = None) -> None:
+        """Press the platforms' panic buttons: they stand until reset (thesis App. E rule 1)."""
+        if self.laboratory is None:
+            raise ParameterError("freeze needs mode emulated, got mode ideal")
+        self.laboratory.freeze(self._ids(ids), "panic button")
+
     def evaluate(self, command: npt.ArrayLike) -> tuple[Array, Array]:
         """Drive torque (n, joints) [N m] and base acceleration Y'' (n, 6) at this state."""
         torque, acceleration = self.backend.evaluate(
@@ -439,7 +453,12 @@ class Simulator:
         return np.flatnonzero(~self.diverged) if self.diverged.any() else None
 
     def _watch(self) -> None:
-        new = (self.backend.faults() | self._tumbled()) & ~self.diverged
+        new = self.backend.faults()
+        if self.system.base.body is not None:
+            new |= self._tumbled()
+        if not new.any():
+            return
+        new &= ~self.diverged
         if not new.any():
             return
         self.diverged |= new
@@ -462,7 +481,7 @@ class Simulator:
         if self._tumbled()[i]:
             return which + f"phi_y = {np.rad2deg(z[4]):.1f} deg, Z-Y-X angles end at 90 deg"
         if not (np.abs([z, zd]) < MEANINGLESS).all():  # soon every coordinate is
-            seen = self._seen
+            seen = self.seen
             z, zd = np.r_[seen.y[i], seen.q[i]], np.r_[seen.yd[i], seen.v[i]]
         size = np.maximum(np.abs(z), np.abs(zd))
         names = [*AXES, *(f"joint {k + 1}" for k in range(self.joints))]
@@ -489,7 +508,7 @@ class Simulator:
         whole = index.ndim == 1 and (np.issubdtype(index.dtype, np.integer) or not index.size)
         if not whole or (index < 0).any() or (index >= self.n).any():
             raise ParameterError(f"ids must be whole numbers in [0, {self.n}), got {ids!r}")
-        if len(np.unique(index)) < len(index):
+        if (np.diff(np.sort(index)) == 0).any():  # `np.unique` would load numpy.ma
             raise ParameterError(f"ids must name each simulation once, got {ids!r}")
         return index.astype(np.intp)
 
@@ -497,10 +516,12 @@ class Simulator:
     def _broadcast(value: npt.ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
         wanted = f"{name} must be numbers of shape {shape}, got"
         given = _numbers(value, wanted)
-        try:
-            array = np.broadcast_to(given, shape)
-        except ValueError:
-            raise ParameterError(f"{wanted} {given.shape}") from None
+        array = given
+        if given.shape != shape:
+            try:
+                array = np.broadcast_to(given, shape)
+            except ValueError:
+                raise ParameterError(f"{wanted} {given.shape}") from None
         if not np.isfinite(array).all():
             where = np.argwhere(~np.isfinite(array))[0].tolist()
             raise ParameterError(f"{name} must be finite, got {array[tuple(where)]} at {where}")

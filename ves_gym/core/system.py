@@ -31,6 +31,7 @@ from ves_gym.core.vehicle import BENT, BaseModel, Vehicle, get_vehicle
 MODES = ("ideal", "emulated")
 DRIVES = ("motor", "prescribed")
 INTEGRATORS = ("rk4", "euler", "implicitfast")
+PRESCRIBED_INERTIA = 1e8  # kg m^2 added to a joint that must follow its command
 
 
 @dataclass(frozen=True, kw_only=True)

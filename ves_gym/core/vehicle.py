@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy.linalg
 
 from ves_gym.core.arm import Inertial, diagonal, skew
 from ves_gym.core.params import (
@@ -48,7 +47,10 @@ class BaseModel:
 
 def modal_damping(M: Array, K: Array, ratio: float) -> Array:
     """D that gives every mode of (K, M) the same damping ratio. M positive definite."""
-    squares, modes = scipy.linalg.eigh(K, M)
+    root = np.linalg.cholesky(M)
+    inner = np.linalg.solve(root, np.linalg.solve(root, K).T)  # L^-1 K L^-T
+    squares, shapes = np.linalg.eigh((inner + inner.T) / 2)
+    modes = np.linalg.solve(root.T, shapes)
     rates = np.diag(2 * ratio * np.sqrt(np.maximum(squares, 0)))
     damping: Array = M @ modes @ rates @ modes.T @ M
     return (damping + damping.T) / 2

@@ -37,9 +37,17 @@ class Backend(Protocol):
         """
 
     def step(
-        self, command: Array, wrench: Array | None, substeps: int, ids: Index | None
+        self,
+        command: Array,
+        until: Array | None,
+        wrench: Array | None,
+        substeps: int,
+        ids: Index | None,
     ) -> None:
-        """Hold command (n, joints) and generalised base force (n, 6), advance."""
+        """Advance under command (n, joints) and generalised base force (n, 6).
+
+        The command is held, or runs linearly to `until` (n, joints) at the end.
+        """
 
     def play(self, commands: Array, ids: Index | None) -> None:
         """Advance k physics steps, commands (n, k + 1, joints) linear over each step."""

@@ -11,9 +11,9 @@ import numpy as np
 
 from ves_gym.core.backends import MEANINGLESS, Remembering
 from ves_gym.core.backends.mujoco import compile_model
-from ves_gym.core.model import PRESCRIBED_INERTIA, TO_Y
+from ves_gym.core.model import TO_Y
 from ves_gym.core.params import Array, Index, ParameterError
-from ves_gym.core.system import System
+from ves_gym.core.system import PRESCRIBED_INERTIA, System
 
 
 class DeviceBackend(Remembering):
@@ -75,12 +75,20 @@ class DeviceBackend(Remembering):
         )
 
     def step(
-        self, command: Array, wrench: Array | None, substeps: int, ids: Index | None
+        self,
+        command: Array,
+        until: Array | None,
+        wrench: Array | None,
+        substeps: int,
+        ids: Index | None,
     ) -> None:
         self._act[:, self._drives :] = command
         if wrench is not None:
             self._push[:, TO_Y] = wrench
-        self._play(np.zeros((self.n, substeps, self._act.shape[1])), ids)
+        slopes = np.zeros((self.n, substeps, self._act.shape[1]))
+        if until is not None:
+            slopes[..., self._drives :] = ((until - command) / (substeps * self.dt))[:, None]
+        self._play(slopes, ids)
         self._push[:] = 0.0  # it acts in this period only
 
     def play(self, commands: Array, ids: Index | None) -> None:

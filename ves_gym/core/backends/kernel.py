@@ -20,7 +20,7 @@ from ves_gym.core.kernel.build import Library, cached
 from ves_gym.core.kernel.emit import LANES, emit_module
 from ves_gym.core.kernel.trace import equations, structure
 from ves_gym.core.params import Array, Index
-from ves_gym.core.system import System
+from ves_gym.core.system import PRESCRIBED_INERTIA, System
 
 _ALONE = 8  # blocks below which a second thread costs more than it brings
 _LIBRARIES: dict[str, Library] = {}
@@ -67,6 +67,8 @@ class KernelBackend(Remembering):
         self._p = aligned(self._blocks, len(values), LANES)
         self._p[:] = values[:, None]
         self._u = aligned(self._blocks, self._nu, LANES)
+        self._end = aligned(self._blocks, self.joints, LANES)
+        self._ramps: dict[int, tuple[Array, Array]] = {}  # buffers of `_between` by steps
         self._start, self._ticks = np.zeros(n), np.zeros(n, np.int64)
         self._fault = np.zeros(n, bool)
         wanted = threads or os.cpu_count() or 1
@@ -169,12 +171,25 @@ class KernelBackend(Remembering):
         return self._p[i // LANES, :, i % LANES]
 
     def step(
-        self, command: Array, wrench: Array | None, substeps: int, ids: Index | None
+        self,
+        command: Array,
+        until: Array | None,
+        wrench: Array | None,
+        substeps: int,
+        ids: Index | None,
     ) -> None:
-        base = np.zeros((self.n, 6)) if wrench is None else wrench
-        fill(self._u, np.hstack([base, command]))
-        self._guarded(ids, lambda: self._steps(self._u, substeps, self._nu, 0, None))
-        self._u[:, :6] = 0.0  # the force acts in this period only
+        if wrench is not None:  # zero otherwise
+            fill(self._u[:, :6], wrench)
+        fill(self._u[:, 6:], command)
+        if until is None:
+            self._guarded(ids, lambda: self._steps(self._u, substeps, self._nu, 0, None))
+        else:
+            u = self._between(until, substeps)
+            block, node = (substeps + 1) * self._nu, self._nu
+            self._guarded(ids, lambda: self._steps(u, substeps, block, node, None))
+            self._u[:] = u[:, -1]
+        if wrench is not None:
+            self._u[:, :6] = 0.0  # it acts in this period only
 
     def play(self, commands: Array, ids: Index | None) -> None:
         k = commands.shape[1] - 1
@@ -202,12 +217,21 @@ class KernelBackend(Remembering):
         values, size = unlane(out, self.n), 6 + self.joints
         zdd, torque = values[:, :size], values[:, size : size + self.joints]
         if self.prescribed:
-            from ves_gym.core.model import PRESCRIBED_INERTIA  # with MuJoCo: when needed
-
             torque = torque - PRESCRIBED_INERTIA * zdd[:, 6:]
         return torque, zdd
 
     # --------------------------------------------------------------- helpers
+
+    def _between(self, until: Array, steps: int) -> Array:
+        """(blocks, steps + 1, k, LANES) commands linear from the present ones to `until`."""
+        if steps not in self._ramps:
+            share = (np.arange(steps + 1) / steps)[:, None, None]
+            self._ramps[steps] = share, aligned(self._blocks, steps + 1, self._nu, LANES)
+        share, out = self._ramps[steps]
+        fill(self._end, until)
+        out[:] = self._u[:, None]
+        out[:, :, 6:] += share * (self._end - self._u[:, 6:])[:, None]
+        return out
 
     def _steps(self, u: Array, steps: int, block: int, node: int, out: Array | None) -> None:
         self._run(u, steps, block, node, out)

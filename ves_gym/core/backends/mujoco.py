@@ -17,13 +17,12 @@ from ves_gym.core.effect import joint_torque
 from ves_gym.core.gravity import GRAVITY
 from ves_gym.core.model import (
     BASE_JOINTS,
-    PRESCRIBED_INERTIA,
     TO_Y,
     build_laboratory_spec,
     build_spec,
 )
 from ves_gym.core.params import Array, Index, Mask, ParameterError
-from ves_gym.core.system import System
+from ves_gym.core.system import PRESCRIBED_INERTIA, System
 from ves_gym.core.vehicle import BaseModel
 
 _BAD = [
@@ -180,9 +179,15 @@ class MujocoBackend:
             self._systems[i] = system
 
     def step(
-        self, command: Array, wrench: Array | None, substeps: int, ids: Index | None
+        self,
+        command: Array,
+        until: Array | None,
+        wrench: Array | None,
+        substeps: int,
+        ids: Index | None,
     ) -> None:
-        self._command[:], self._slope[:] = command, 0.0
+        rise = 0.0 if until is None else until - command
+        self._command[:], self._slope[:] = command, rise / (substeps * self.model.opt.timestep)
         if wrench is not None:
             self._applied[:, TO_Y] = wrench
         for _ in range(substeps if self._laws else 1):

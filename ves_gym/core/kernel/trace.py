@@ -36,6 +36,7 @@ from ves_gym.core.kernel.mechanics import (
     times,
 )
 from ves_gym.core.params import Array
+from ves_gym.core.system import PRESCRIBED_INERTIA
 
 if TYPE_CHECKING:
     import casadi
@@ -95,8 +96,6 @@ class _Numbers:
 
 def _model(system: System, read: _Numbers) -> Model:
     """Walk through the numbers of a system; the order of the walk is the order of p."""
-    from ves_gym.core.model import PRESCRIBED_INERTIA  # brings MuJoCo along
-
     arm, base = system.arm, system.base
     prescribed = system.drive == "prescribed"
     links = [
@@ -195,9 +194,9 @@ def _laws(system: System) -> str:
 def _source() -> str:
     """Digest of the text that writes the code, so that a changed one is compiled anew."""
     from ves_gym.core import dynamics, gravity
-    from ves_gym.core.kernel import emit, mechanics
+    from ves_gym.core.kernel import emit, mechanics, scene
 
-    files = [__file__, *(str(m.__file__) for m in (dynamics, gravity, emit, mechanics))]
+    files = [__file__, *(str(m.__file__) for m in (dynamics, gravity, emit, mechanics, scene))]
     text = b"".join(Path(name).read_bytes() for name in files)
     return hashlib.sha256(text).hexdigest()
 
