@@ -9,7 +9,7 @@ import platform
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks import kernel
+from benchmarks import environments, kernel
 from benchmarks.coupling import COUNT, coupling_against_loop
 from benchmarks.laboratory import SYSTEMS, emulated_against_ideal
 from benchmarks.simulator import simulator_against_batch, steps_per_second
@@ -85,6 +85,7 @@ def main() -> None:
         f"Q(q)             {pair.ratio:5.1f} x a loop over pin.crba"
         f" ({pair.low:.1f}-{pair.high:.1f}), {COUNT / pair.ours:,.0f} Q/s"
     )
+    results["environments"] = environments.report()
     if args.json:
         args.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 

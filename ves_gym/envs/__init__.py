@@ -1,1 +1,5 @@
-"""Gymnasium environments. None is registered yet; see CHANGELOG.md."""
+"""Gymnasium environments: tasks, single and vector environment, registration."""
+
+from ves_gym.envs.registration import register
+
+register()

@@ -1,0 +1,340 @@
+"""Write docs/environments from the code: `python docs/_generate.py`.
+
+Of README.md only the table of ids. tests/envs/test_pages.py compares: no page goes stale.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+import textwrap
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from ves_gym.core.params import ParameterError
+from ves_gym.core.vehicle import VEHICLES
+from ves_gym.envs.build import build_task
+from ves_gym.envs.control import CONTROLS, Control
+from ves_gym.envs.env import VesEnv
+from ves_gym.envs.registration import IDS
+from ves_gym.envs.task import Task
+
+DOCS = Path(__file__).parent
+PLACE = DOCS / "environments"
+
+HISTORY = {"v0": "first version"}  # what changed in dynamics, reward or spaces
+
+INFO = {
+    "episode": "reset: (seed, index, number) that the episode's random numbers come from",
+    "randomized/...": "reset: parameters drawn for this episode, by effect and name",
+    "reward_terms": "the terms; they sum to the reward exactly, in their order",
+    "success": "whether the episode would count as solved if it ended here",
+    "success_once": "whether it would have at any time",
+    "clipped": "actions of this episode that were out of [-1, 1]",
+    "diverged": "whether the numbers ran away: the episode has failed",
+    "stopped": "laboratory: whether a safety stop froze the platform: the episode has failed",
+    "dump": "with the argument `dump`: run log of an episode that diverged",
+    "energy": "at the end: the energies below",
+}
+COMMON = {
+    "duration": "of an episode",
+    "tail": "after it, the joints held: counts into E_mean and E_int",
+}
+ENERGY = {
+    "E_mean": "mean of the base's energy E over the episode and its tail [J]",
+    "E_res": "E at the end [J]",
+    "E_peak": "largest E during the episode [J]",
+    "E_strain_peak": "largest strain energy of the base [J]",
+    "E_int": "time integral of the strain energy, tail included [J s]",
+}
+
+
+def pages() -> dict[str, str]:
+    """File name -> text of every page."""
+    out = {f"{name}.md": _page(name) for name in IDS}
+    return {"README.md": _index(), **out}
+
+
+# --------------------------------------------------------------------------- pieces
+
+
+def _env(name: str, emulated: bool = False, **settings: Any) -> VesEnv:
+    env = gym.make(f"ves/{name}{'Emulated' * emulated}-v0", **settings).unwrapped
+    assert isinstance(env, VesEnv)
+    return env
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    lines += ["| " + " | ".join(str(k).replace("|", "\\|") for k in row) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def _number(value: Any) -> str:
+    """A number, or those of a vector, as short as four digits allow."""
+    if isinstance(value, (tuple, list, np.ndarray)):
+        values = [_number(k) for k in value]
+        return values[0] if len(set(values)) == 1 else "(" + ", ".join(values) + ")"
+    return f"{float(value):.4g}"
+
+
+def _first_line(text: str | None) -> str:
+    return inspect.cleandoc(text or "").split("\n\n")[0].replace("\n", " ")
+
+
+def _comment(cls: type, field: str) -> str:
+    """The comment behind a field's definition, in the class that defines it."""
+    for owner in cls.__mro__:
+        if field in inspect.get_annotations(owner):
+            found = re.search(
+                rf"^    {field}: .*?  # (.*)$", inspect.getsource(owner), re.MULTILINE
+            )
+            return found.group(1) if found else ""
+    return ""
+
+
+def _default(value: Any) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, (str, bool)):
+        return str(value)
+    return _number(value)
+
+
+def _setting(control: Control, field: dataclasses.Field[Any]) -> str:
+    value, unit = getattr(control, field.name), field.metadata["unit"]
+    if value is None:
+        return f"`{field.name}` = {_comment(type(control), field.name) or 'none'}"
+    return f"`{field.name}` = {_number(value)}{'' if unit == '1' else ' ' + unit}"
+
+
+def _observation(task: Task) -> str:
+    rows, at = [], 0
+    for field in task.fields():
+        last = at + field.size - 1
+        entries = str(at) if field.size == 1 else f"{at}-{last}"
+        rows.append((entries, f"`{field.name}`", field.unit, _number(field.scale), field.what))
+        at += field.size
+    return _table(("entries", "name", "unit", "scale", "what"), rows)
+
+
+def _controls(task: Task) -> str:
+    rows = []
+    for kind, cls in CONTROLS.items():
+        try:
+            control = build_task(task, control=kind).control
+        except ParameterError:
+            continue
+        if kind == task.control.kind:
+            control = task.control
+        settings = [_setting(control, f) for f in dataclasses.fields(control)]
+        name = f"`{kind}`" + (" (default)" if kind == task.control.kind else "")
+        rows.append(
+            (
+                name,
+                control.width(task.system.arm),
+                _first_line(cls.__doc__),
+                ", ".join(settings),
+            )
+        )
+    return _table(("control", "entries", "an action is", "settings"), rows)
+
+
+def _settings(task: Task) -> str:
+    rows = []
+    for field in dataclasses.fields(task):
+        if field.name in ("system", "control", "randomize"):
+            continue
+        unit = field.metadata.get("unit", "1")
+        value = _default(getattr(task, field.name))
+        note = COMMON.get(field.name) or _comment(type(task), field.name)
+        rows.append((f"`{field.name}`", value, "" if unit == "1" else unit, note))
+    return _table(("setting", "default", "unit", "what"), rows)
+
+
+def _info(env: VesEnv) -> str:
+    """What `reset` and the steps of one episode tell."""
+    _, begin = env.reset(seed=0)
+    while True:
+        *_, terminated, truncated, told = env.step(np.zeros(env.action_space.shape))
+        if terminated or truncated:
+            break
+    assert list(told["energy"]) == list(ENERGY)
+    keys = [re.sub("^randomized/.*", "randomized/...", key) for key in (*begin, *told)]
+    unknown = set(keys) - set(INFO)
+    assert not unknown, f"say in INFO what these are: {unknown}"
+    known = [k for k in INFO if k in keys or k == "dump"]
+    terms = ", ".join(f"`{k}`" for k in told["reward_terms"])
+    return (
+        f"Terms of the reward: {terms}. `failure` is -2 once, where an episode fails.\n\n"
+        + _table(("info", "what"), [(f"`{k}`", INFO[k]) for k in known])
+        + "\n\n"
+        + _table(("energy", "what"), [(f"`{k}`", v) for k, v in ENERGY.items()])
+    )
+
+
+def _system(task: Task) -> str:
+    system = task.system
+    vehicle = next((k for k, v in VEHICLES.items() if v == system.vehicle), "its own")
+    return (
+        f"arm {system.arm.name}, vehicle `{vehicle}`, drive {system.drive},"
+        f" {system.integrator} at {system.physics_dt * 1e3:g} ms,"
+        f" control period {system.control_dt * 1e3:g} ms"
+    )
+
+
+def _laboratory(task: Task) -> str:
+    ranges = [f"`{r.label}` in [{r.low}, {r.high}]" for r in task.randomize]
+    effects = [f"`{e.kind}`" for e in task.system.effects]
+    return (
+        f"Mode emulated, effects {', '.join(effects)}, and drawn for every episode"
+        f" {', '.join(ranges)}. The base is seen by what the laboratory measures of it;"
+        " energies and success are of the true pose."
+    )
+
+
+_SNIPPET = """
+```python
+import gymnasium as gym
+
+env = gym.make("ves_gym:ves/{name}-v0")
+observation, info = env.reset(seed=0)
+over = False
+while not over:
+    action = env.action_space.sample()
+    observation, reward, terminated, truncated, info = env.step(action)
+    over = terminated or truncated
+print(info["success"], info["energy"]["E_mean"])
+```
+"""
+
+
+def _page(name: str) -> str:
+    env = _env(name)
+    task = env.task
+    doc = inspect.cleandoc(type(task).__doc__ or "")
+    title, _, rest = doc.partition("\n\n")
+    picture = (
+        f"\n![{name}](../pictures/{name}.gif)\n"
+        if ((DOCS / "pictures" / f"{name}.gif").exists())
+        else ""
+    )
+    size = sum(f.size for f in task.fields())
+    options = ", ".join(f"`{k}`" for k in ("index", *task.options))
+    end = f"The deadline of {task.duration:g} s ({task.steps} steps) is `{task.ends}`"
+    failed = type(task).failed
+    fail = "a joint is beyond its limits." if failed is Task.failed else failed.__doc__
+    goals = ""
+    if task.goal_fields is not None:
+        achieved, desired = task.goal_fields
+        goals = (
+            "\nWith `goal=True` (this id) the observation is a dictionary: `achieved_goal` is"
+            f" `{achieved}`, `desired_goal` is `{desired}`, `observation` the rest."
+            " `compute_reward(achieved, desired, info)` takes any leading axes.\n"
+        )
+    text = f"""<!-- written by docs/_generate.py: change the code instead -->
+# ves/{name}-v0, ves/{name}Emulated-v0
+
+{title}
+{picture}
+{rest}
+{_SNIPPET.format(name=name)}
+{_system(task)[0].upper() + _system(task)[1:]}.
+
+## Observation
+
+{size} numbers, float32: value over scale, clipped to +-{task.CLIP:g}.
+{goals}
+{_observation(task)}
+
+## Action
+
+Numbers in [-1, 1]; what is beyond is clipped and counted. What is not finite, or of another
+shape, is an `ActionError` and changes nothing.
+
+{_controls(task)}
+
+## Reward and info
+
+{_info(_env(name, emulated=True, duration=0.25))}
+
+## End
+
+{end}. Solved: {_sentence(type(task).success.__doc__)} Failed: {_sentence(fail)} An episode
+whose numbers run away, or whose platform a safety stop freezes, has failed too. Failed episodes
+are `terminated` at once.
+
+## Settings
+
+Any of `gym.make`'s and `gym.make_vec`'s keyword arguments: those below, and `system`, `mode`,
+`vehicle`, `effects`, `control`, `randomize`, `backend` ([all of them](README.md#settings)).
+Options of `reset`: {options}.
+
+{_settings(task)}
+
+## ves/{name}Emulated-v0
+
+{_laboratory(_env(name, emulated=True).task)}
+
+## Versions
+
+{_table(("version", "what changed"), HISTORY.items())}
+"""
+    return _filled(text)
+
+
+def _sentence(doc: str | None) -> str:
+    """A docstring's first lines as the end of a sentence."""
+    text = re.sub(r"^\(n,\) (whether )?", "", _first_line(doc))
+    return text[0].lower() + text[1:]
+
+
+def _filled(text: str) -> str:
+    """Lines of at most 96 characters where they are prose; no more than one empty line."""
+    blocks, keep = [], False
+    for block in re.sub(r"\n{3,}", "\n\n", text).strip().split("\n\n"):
+        keep = keep or block.startswith("```")
+        prose = not keep and not block.startswith(("|", "#", "<", "!", "-", " "))
+        blocks.append(textwrap.fill(" ".join(block.split()), 96) if prose else block)
+        if block.rstrip().endswith("```"):
+            keep = False
+    return "\n\n".join(blocks) + "\n"
+
+
+def _index() -> str:
+    rows = []
+    for name in IDS:
+        env = _env(name)
+        task = env.task
+        rows.append(
+            (
+                f"[ves/{name}-v0]({name}.md)",
+                _first_line(type(task).__doc__),
+                sum(f.size for f in task.fields()),
+                f"{env.action_space.shape[0]}, {task.control.kind}",
+                f"{task.duration:g}",
+            )
+        )
+    table = _table(("id", "task", "observation", "action", "s"), rows)
+    text = (PLACE / "README.md").read_text("utf-8")
+    head, tail = text.split("<!-- ids -->")[0], text.split("<!-- end -->")[1]
+    return f"{head}<!-- ids -->\n{table}\n<!-- end -->{tail}"
+
+
+def main() -> None:
+    """Write every page; remove those of ids that are gone."""
+    wanted = pages()
+    for path in PLACE.glob("*.md"):
+        if path.name not in wanted:
+            path.unlink()
+    for name, text in wanted.items():
+        (PLACE / name).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

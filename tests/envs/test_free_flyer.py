@@ -1,0 +1,172 @@
+"""The task free_flyer: a point in space, on a satellite that nothing holds."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from tests.envs.runs import EMULATED, controlled, unscaled
+from ves_gym.baselines.controllers import get_controller
+from ves_gym.core.dynamics import inertia, joint_positions
+from ves_gym.core.params import ParameterError
+from ves_gym.core.spatial import matvec, rotation, twist
+from ves_gym.core.tool import tool_jacobian
+from ves_gym.envs.build import build_task
+from ves_gym.envs.vector import VesVectorEnv
+
+
+class Pull:
+    """Pulls the reference to the inverse kinematics of the target as the base sees it now."""
+
+    KP, KD = 9.0, 6.0  # 1/s^2, 1/s: critically damped
+
+    def reset(self, env, ids):
+        self.q = np.tile(env.task.home, (env.num_envs, 1))
+        for _ in range(30):
+            self._nearer(env)
+
+    def _nearer(self, env):
+        """One round of Newton's method."""
+        s, arm = env.batch.scene, env.task.system.arm
+        point = matvec(np.swapaxes(rotation(s.y_seen), -1, -2), s.goal - s.y_seen[:, :3])
+        error = point - joint_positions(arm, self.q)[:, -1]
+        J = tool_jacobian(arm, self.q)
+        across = np.swapaxes(J, -1, -2)
+        step = matvec(across @ np.linalg.inv(J @ across + 1e-4 * np.eye(3)), error)
+        self.q = self.q + np.clip(step, -0.3, 0.3)
+
+    def act(self, env, observation):
+        self._nearer(env)
+        q, v, _ = env.batch.scene.ref.swapaxes(0, 1)
+        a = self.KP * (self.q - q) - self.KD * v
+        return np.clip(a / np.asarray(env.task.control.a_max), -1, 1)
+
+
+# ------------------------------------------------------------------------- contract
+
+
+@pytest.mark.parametrize("settings", [{}, EMULATED, {"control": "torque"}])
+def test_check_env_has_nothing_to_say(settings):
+    env = gym.make("ves/FreeFlyerReach-v0", duration=0.5, **settings)
+    check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("control", ["acceleration", "torque"])
+def test_observation_varies_within_bounds(control):
+    env = VesVectorEnv(16, "free_flyer", control=control, duration=1.0)
+    rows = [env.reset(seed=0)[0]]
+    noise = np.random.default_rng(0)
+    rows += [env.step(noise.uniform(-0.2, 0.2, (16, 3)))[0] for _ in range(80)]
+    table = np.concatenate(rows)
+    assert (np.ptp(table, axis=0) > 0.01).all()
+    assert np.abs(table).max() < env.task.CLIP
+
+
+def test_observation_shows_the_target_as_the_base_sees_it():
+    env = VesVectorEnv(4, "free_flyer", **EMULATED)
+    env.reset(seed=0)
+    for _ in range(60):
+        observation = env.step(np.full((4, 3), 0.5))[0]
+    seen, s = unscaled(env.task, observation), env.batch.scene
+    # base and tool in space, then the target from the tool: back to the target
+    tool = matvec(rotation(s.y_seen), joint_positions(env.task.system.arm, s.q)[:, -1])
+    there = s.y_seen[:, :3] + tool + matvec(rotation(s.y_seen), seen["to_target"])
+    np.testing.assert_allclose(there, s.goal, atol=1e-6)
+    np.testing.assert_allclose(seen["base_pose"], s.y_seen, atol=1e-7)
+
+
+# ------------------------------------------------------------------------- episodes
+
+
+def test_targets_are_away_and_within_reach():
+    """By forward kinematics of joint angles in the box; 0.3 m from the start or more."""
+    task = build_task("free_flyer")
+    begin = task.start(np.random.default_rng(0).random((500, task.draws)))
+    tool = joint_positions(task.system.arm, begin.q)[:, -1]
+    way = np.linalg.norm(begin.goal - tool, axis=1)
+    assert (way >= 0.3).mean() > 0.99
+    out = np.abs(np.rad2deg(begin.q) - [0, 30, -90]).max(axis=0)
+    np.testing.assert_allclose(out, [75, 35, 30], rtol=0.03)
+    shoulder = np.linalg.norm(begin.goal[:, :2], axis=1), begin.goal[:, 2] - 0.9
+    assert np.hypot(*shoulder).max() < 0.8  # the arm stretched out: 0.88 m
+
+
+def test_options_choose_start_and_target():
+    env = gym.make("ves/FreeFlyerReach-v0").unwrapped
+    q, target = [0.2, 0.5, -1.5], [0.6, 0.2, 0.8]
+    env.reset(seed=0, options={"q": q, "target": target})
+    s = env.batch.scene
+    np.testing.assert_array_equal(s.q[0], q)
+    np.testing.assert_array_equal(s.goal[0], target)
+    np.testing.assert_array_equal(env.task.marker(s), [[target]])
+    for options, why in (
+        ({"target": [2.0, 0, 0]}, "within the tool's reach"),
+        ({"q": [3.0, 0, 0]}, "joint 1 must be within"),
+        ({"y": np.zeros(6)}, "unknown option 'y'; known: index, q, target"),
+    ):
+        with pytest.raises(ParameterError, match=why):
+            env.reset(options=options)
+
+
+def test_what_does_not_fit_is_refused():
+    for settings, why in (
+        ({"control": "pd_gains"}, "control must be acceleration or torque"),
+        ({"span": [3.0, 0, 0]}, "must start within the joint limits"),
+        ({"tolerance": 0.0}, "tolerance"),
+    ):
+        with pytest.raises(ParameterError, match=why):
+            build_task("free_flyer", **settings)
+
+
+def test_momentum_stays_zero():
+    """H_b V + H_bm q' of satellite and arm vanishes, to what rk4 leaves of its parts."""
+    env = VesVectorEnv(8, "free_flyer")
+    env.reset(seed=0)
+    noise = np.random.default_rng(0)
+    for _ in range(80):
+        env.step(noise.uniform(-1, 1, (8, 3)))
+    s, system = env.batch.scene, env.task.system
+    H = inertia(system.arm, s.q)
+    whole = H[:, :6, :6] + system.base.mass_matrix
+    base = matvec(whole, twist(s.y, s.yd))
+    joints = matvec(H[:, :6, 6:], s.v)
+    size = np.abs(joints).max(axis=0)
+    assert (size > 0.1).all()  # kg m/s, kg m^2/s
+    assert (np.abs(base + joints).max(axis=0) < 2e-6 * size).all()
+
+
+def test_rewards_sum_and_resting_costs_the_way():
+    env, total, terms, info = controlled(get_controller("zero"), 16, "free_flyer", duration=0.5)
+    assert set(terms) == {"distance", "energy", "turn", "failure"}
+    np.testing.assert_allclose(sum(terms.values()), total, rtol=1e-12)
+    s = env.batch.scene
+    way = np.linalg.norm(s.goal - joint_positions(env.task.system.arm, s.q)[:, -1], axis=1)
+    np.testing.assert_allclose(terms["distance"], -way / 0.5, rtol=1e-6)
+    assert np.abs(terms["energy"] + terms["turn"]).max() < 1e-9
+    assert not info["success_once"].any()
+
+
+def test_tumbling_is_a_failure():
+    env = gym.make("ves/FreeFlyerReach-v0", tumble=0.01)
+    env.reset(seed=0)
+    for _ in range(400):
+        _, _, terminated, _, info = env.step([1.0, 0, 0])
+        if terminated:
+            break
+    y = env.unwrapped.batch.scene.y[0]
+    assert terminated and info["reward_terms"]["failure"] == -2
+    assert 0.01 < np.abs(y[3:]).max() < 0.02
+
+
+@pytest.mark.parametrize("settings", [{}, {**EMULATED, "randomize": {}}])
+def test_a_pull_to_the_inverse_kinematics_arrives(settings):
+    """Docstring: 999 of 1000 starts in space, -0.44; the base has turned by degrees."""
+    n = 32 if not settings else 8
+    env, total, terms, info = controlled(Pull(), n, "free_flyer", **settings)
+    s = env.batch.scene
+    left = np.linalg.norm(s.goal - s.tool, axis=1)
+    print("solved", info["success"].mean(), "return", total.mean(), "left", left.max())
+    print({k: v.mean() for k, v in terms.items()}, "turned", np.abs(s.y[:, 3:]).max())
+    assert info["success"].all()
+    assert -0.6 < total.mean() < -0.3
+    assert 0.02 < np.abs(s.y[:, 3:]).max() < 0.2

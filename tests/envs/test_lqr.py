@@ -1,0 +1,193 @@
+"""The task lqr: its optimum in closed form is what the optimal feedback really costs."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from tests.envs.runs import EMULATED, controlled, unscaled
+from ves_gym.baselines.controllers import get_controller
+from ves_gym.core.energy import base_energy
+from ves_gym.core.params import ParameterError
+from ves_gym.core.stability import in_space, poles_in_space
+from ves_gym.envs.build import build_task
+from ves_gym.envs.vector import VesVectorEnv
+
+
+class Detuned:
+    """The optimal feedback times a factor."""
+
+    def __init__(self, factor):
+        self.factor, self.least = factor, get_controller("lqr")
+
+    def reset(self, env, ids):
+        self.least.reset(env, ids)
+
+    def act(self, env, observation):
+        return self.factor * self.least.act(env, observation)
+
+
+def state(task, observation):
+    """x = (Y, q - home, Y', q') from an observation."""
+    seen = unscaled(task, np.asarray(observation, float))
+    names = ("base_pose", "joint_angle", "base_rate", "joint_rate")
+    return np.concatenate([seen[k] for k in names], axis=-1)
+
+
+# ------------------------------------------------------------------------- contract
+
+
+@pytest.mark.parametrize("settings", [{}, EMULATED])
+def test_check_env_has_nothing_to_say(settings):
+    env = gym.make("ves/BeamLQR-v0", duration=0.5, **settings)
+    check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_observation_varies_within_bounds():
+    env = VesVectorEnv(16, "lqr", duration=1.0)
+    rows = [env.reset(seed=0)[0]]
+    noise = np.random.default_rng(0)
+    rows += [env.step(noise.uniform(-0.2, 0.2, (16, 3)))[0] for _ in range(80)]
+    table = np.concatenate(rows)
+    assert (np.ptp(table, axis=0) > 0.1).all()
+    assert np.abs(table).max() < env.task.CLIP
+
+
+def test_options_choose_the_start():
+    env = gym.make("ves/BeamLQR-v0").unwrapped
+    home, still = np.deg2rad([45, 0, 0]), np.zeros(6)
+    start = {"q": home, "v": np.zeros(3), "y": still, "yd": still}
+    for name, value in (
+        ("q", home + 0.01),
+        ("v", [0.01, 0.02, 0.0]),
+        ("y", [1e-3, 0, 0, 0, 1e-4, 0]),
+        ("yd", [0, 2e-3, 0, 0, 0, 0]),
+    ):
+        observation, _ = env.reset(seed=0, options={**start, name: value})
+        np.testing.assert_array_equal(getattr(env.batch.scene, name)[0], value)
+        x = state(env.task, observation)
+        assert np.count_nonzero(np.abs(x) > 1e-9) == np.count_nonzero(
+            np.asarray(value) - start[name]
+        )
+    with pytest.raises(ParameterError, match="joint 1 must be within"):
+        env.reset(options={"q": [3.0, 0, 0]})
+    with pytest.raises(ParameterError, match="unknown option 'goal'"):
+        env.reset(options={"goal": [0, 0, 0]})
+
+
+def test_what_does_not_fit_is_refused():
+    for settings, why in (
+        ({"control": "pd_gains"}, "control must be torque"),
+        ({"effort": 0.0}, "effort"),
+        ({"home": [3.0, 0, 0]}, "must start within the joint limits"),
+    ):
+        with pytest.raises(ParameterError, match=why):
+            build_task("lqr", **settings)
+
+
+# --------------------------------------------------------------------- the problem
+
+
+def test_the_plant_is_the_linear_system():
+    """Its poles over one period are those of M, D, K of base and damped joints."""
+    task = build_task("lqr")
+    M, D, K = in_space(task.system, np.asarray(task.home), servo=task.control.servo)
+    poles = np.exp(poles_in_space(M, D, K) * task.system.control_dt)
+    A, B = task.plant
+    np.testing.assert_allclose(
+        np.sort_complex(np.linalg.eigvals(A)), np.sort_complex(poles), atol=1e-7
+    )
+    assert B.shape == (18, 3)
+
+
+def test_the_cost_is_the_energy_of_the_base():
+    """x'Qx / dt = E + stray |q - home|^2, to what small motions leave out."""
+    task = build_task("lqr")
+    env = VesVectorEnv(8, task)
+    env.reset(seed=0, options={"q": np.tile(task.home, (8, 1))})
+    s, (Q, R) = env.batch.scene, task.weights
+    x = task.deviation(s)
+    E = base_energy(task.system, s.q, s.y, s.yd).total
+    np.testing.assert_allclose((x @ Q * x).sum(axis=1) / env.batch.dt, E, rtol=2e-3)
+    np.testing.assert_allclose(s.energy, E, rtol=1e-9)
+    np.testing.assert_array_equal(R, env.batch.dt * 2e-4 * np.eye(3))
+
+
+def test_gains_solve_the_riccati_recursion():
+    """They are stationary: no other torque in the first period leads to less."""
+    task = build_task("lqr")
+    (A, B), (Q, R), best = task.plant, task.weights, task.optimal()
+    assert best.gains.shape == (task.steps, 3, 18)
+    shorter = build_task("lqr", duration=task.duration - task.system.control_dt).optimal()
+    np.testing.assert_allclose(best.gains[1:], shorter.gains, rtol=1e-9, atol=1e-9)
+    x = np.random.default_rng(0).standard_normal(18) * task._spread
+
+    def cost(u):
+        then = A @ x + B @ u
+        return then @ (Q + shorter.cost) @ then + u @ R @ u
+
+    u = -best.gains[0] @ x
+    assert cost(u) == pytest.approx(x @ best.cost @ x, rel=1e-9)
+    for change in np.vstack([np.eye(3), -np.eye(3)]):
+        assert cost(u + change) > cost(u)
+
+
+# ------------------------------------------------------------- measured = closed form
+
+
+def test_measured_cost_is_that_of_the_closed_form():
+    """Through gym.make, from float32 observations: claim 1 %, found 2e-5 to 2e-3 per start."""
+    env = gym.make("ves/BeamLQR-v0")
+    task = env.unwrapped.task
+    best, full = task.optimal(), task.control.fraction * task.system.arm.column("tau_max")
+    measured, predicted = [], []
+    for seed in range(4):
+        observation, _ = env.reset(seed=seed)
+        x = state(task, observation)
+        predicted.append(x @ best.cost @ x)
+        total, k, over = 0.0, 0, False
+        while not over:
+            action = -best.gains[k] @ state(task, observation) / full
+            observation, reward, terminated, truncated, info = env.step(action)
+            total, k, over = total + reward, k + 1, terminated or truncated
+            assert sum(info["reward_terms"].values()) == reward
+        assert terminated and not truncated and k == task.steps
+        assert info["clipped"] == 0
+        measured.append(-total * task.unit_cost)
+    apart = np.array(measured) / np.array(predicted) - 1
+    print("measured over closed form - 1:", apart)
+    np.testing.assert_allclose(measured, predicted, rtol=5e-3)
+    assert sum(measured) == pytest.approx(sum(predicted), rel=1e-3)
+
+
+def test_optimum_returns_minus_one_and_detuned_gains_less():
+    """64 starts: -1 but for the draw; 5 % off either way costs more from every start."""
+    returns = {
+        factor: controlled(Detuned(factor), 64, "lqr")[1] for factor in (0.95, 1.0, 1.05)
+    }
+    _, still, terms, info = controlled(get_controller("zero"), 64, "lqr")
+    s = {k: -v.mean() for k, v in returns.items()}
+    print("mean costs", s, "no torque", -still.mean())
+    assert s[1.0] == pytest.approx(1, abs=0.15)  # 3 deviations of the draw
+    assert s[0.95] > s[1.0] * (1 + 1e-4) and s[1.05] > s[1.0] * (1 + 1e-4)
+    assert (still < returns[1.0]).all() and still.mean() < 1.5 * returns[1.0].mean()
+    assert set(terms) == {"state", "effort", "failure"}
+    np.testing.assert_allclose(sum(terms.values()), still, rtol=1e-12)
+    assert not terms["effort"].any()
+    solved = controlled(get_controller("lqr"), 64, "lqr")[3]
+    assert solved["success"].mean() > info["success"].mean() + 0.2
+
+
+def test_no_start_saturates_the_optimal_torque():
+    task = build_task("lqr")
+    most = (np.abs(task.optimal().gains) * task._spread).sum(axis=2).max(axis=0)
+    assert (most < task.control.fraction * task.system.arm.column("tau_max")).all()
+
+
+def test_in_the_laboratory_it_costs_more():
+    """Closed form left behind by the platform's lag: docstring 1.08 against 1.02."""
+    settings = {**EMULATED, "randomize": {}}
+    ideal = controlled(get_controller("lqr"), 16, "lqr")[1].mean()
+    real = controlled(get_controller("lqr"), 16, "lqr", **settings)[1].mean()
+    print("return ideal, emulated", ideal, real)
+    assert 1.2 * ideal < real < 1.02 * ideal

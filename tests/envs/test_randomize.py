@@ -1,0 +1,180 @@
+"""Randomisation: plain data, drawn anew for every episode, told in `info`, off by default."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from tests.envs.walks import IDS, SHORT, actions, flat, same, walk
+from ves_gym.core.params import ParameterError
+from ves_gym.effects import JointViscous
+from ves_gym.effects.budget import LABORATORY_ERRORS
+from ves_gym.envs.batch import Batch
+from ves_gym.envs.build import build_task
+
+IDEAL = "ves/PumaRestToRest-v0"
+EMULATED = "ves/PumaRestToRestEmulated-v0"
+VISCOUS = {"joint/viscous": {"damping": ([0.0, 10.0, 0.0], [20.0, 30.0, 5.0])}}
+MANY = {
+    "gravity/scale": {"error": (-0.01, 0.01)},
+    "joint/stribeck": {
+        "coulomb": ([0.0] * 3, [5.0] * 3),
+        "stiction": ([1.0] * 3, [8.0] * 3),
+        "fade_speed": (0.1, 0.4),
+    },
+    "sensor/rotation": {"angles": ([-0.01] * 3, [0.01] * 3)},
+    "platform/bandwidth": {"error": (-0.3, 0.3)},
+}
+
+
+def drawn(info):
+    return {k: v for k, v in info.items() if k.startswith("randomized/")}
+
+
+def test_off_by_default_in_space_and_on_in_the_laboratory():
+    for name in IDS:
+        ranges = gym.make(name).unwrapped.task.randomize
+        assert [r.label for r in ranges] == (
+            ["gravity/scale.error"] if "Emulated" in name else []
+        )
+        assert gym.make(name, randomize={}).unwrapped.task.randomize == ()
+
+
+def test_values_are_uniform_and_in_force():
+    """300 episodes: inside the ranges, spread over them, and what the simulations run with."""
+    n = 300
+    env = gym.make_vec(IDEAL, num_envs=n, randomize=VISCOUS)
+    _, info = env.reset(seed=0)
+    (label, values), *others = drawn(info).items()
+    assert label == "randomized/joint/viscous.damping" and not others
+    low, high = np.array(VISCOUS["joint/viscous"]["damping"])
+    share = (values - low) / (high - low)
+    assert ((share >= 0) & (share < 1)).all()
+    np.testing.assert_allclose(share.mean(axis=0), 0.5, atol=4 * np.sqrt(1 / 12 / n))
+    np.testing.assert_allclose(share.var(axis=0), 1 / 12, rtol=0.2)
+    for system, row in zip(env.batch.sim.systems, values, strict=True):
+        assert system.effects == (JointViscous(damping=tuple(row.tolist())),)
+
+
+@pytest.mark.parametrize(("name", "ranges"), [(IDEAL, VISCOUS), (EMULATED, MANY)])
+def test_an_episode_is_that_of_the_system_drawn(name, ranges):
+    """Bit for bit that of an environment whose system has the drawn effects."""
+    n = 4
+    env = gym.make_vec(name, num_envs=n, randomize=ranges, effects=[])
+    env.reset(seed=3)
+    start, goals = env.batch.scene.q.copy(), env.batch.scene.goal[:, :3].copy()
+    moves = actions(env, 15, 0)
+    outcomes = [env.step(a) for a in moves]
+    for i, system in enumerate(env.batch.sim.systems):
+        assert len(system.effects) == len(ranges)
+        alone = gym.make(name, system=system, mode=None, effects=None, randomize={})
+        alone.reset(seed=0, options={"q": start[i], "goal": goals[i]})
+        for (observation, reward, *_), a in zip(outcomes, moves, strict=True):
+            ours = alone.step(a[i])
+            assert same(ours[0], observation[i])
+            assert same(ours[1], float(reward[i]))
+
+
+def test_values_differ_and_matter():
+    """Two environments that start alike and are moved alike part."""
+    env = gym.make_vec(IDEAL, num_envs=2, randomize=VISCOUS)
+    q = np.array([[0.1, 0.2, 0.3]] * 2)
+    env.reset(seed=0, options={"q": q, "goal": -q})
+    for _ in range(30):
+        observation, *_ = env.step(np.zeros((2, 3)))
+    assert not np.array_equal(observation[0], observation[1])
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_every_episode_draws_anew_and_says_so(mode):
+    """Also within `step`; and the draw depends on seed, index and number only."""
+    env = gym.make_vec(
+        EMULATED, num_envs=2, randomize=MANY, autoreset_mode=mode, effects=[], **SHORT
+    )
+    _, info = env.reset(seed=5)
+    seen = [drawn(info)]
+    for a in actions(env, 45, 0):
+        *_, info = env.step(a)
+        if "_episode" in info and info["_episode"].any():
+            assert info["_episode"].all()
+            seen.append(drawn(info))
+            assert info["episode"][:, 2].tolist() == [len(seen) - 1] * 2
+    assert len(seen) == 3
+    for i in range(2):
+        alone = gym.make(EMULATED, randomize=MANY, effects=[], **SHORT)
+        for k, told in enumerate(seen):
+            again = alone.reset(**({"seed": 5, "options": {"index": i}} if k == 0 else {}))[1]
+            for label, value in drawn(again).items():
+                assert same(np.asarray(value), np.asarray(told[label][i])), label
+    flatly = [np.concatenate([v[i].ravel() for v in s.values()]) for s in seen for i in (0, 1)]
+    assert len({f.tobytes() for f in flatly}) == 6
+
+
+def test_a_partial_reset_draws_for_those_only():
+    env, calm = (gym.make_vec(EMULATED, num_envs=3, randomize=MANY, effects=[]) for _ in "ab")
+    env.reset(seed=1), calm.reset(seed=1)
+    before = env.batch.sim.systems
+    mask = np.array([False, True, False])
+    env.reset(options={"reset_mask": mask})
+    after = env.batch.sim.systems
+    assert [a == b for a, b in zip(before, after, strict=True)] == [True, False, True]
+    for ours, theirs in zip(walk(env, 10, 0), walk(calm, 10, 0), strict=True):
+        assert same(flat(ours[0])[~mask], flat(theirs[0])[~mask])
+
+
+def test_randomisation_does_not_change_the_question():
+    """The same seed asks for the same motion with it and without."""
+    ours = gym.make(IDEAL, randomize=VISCOUS).reset(seed=4)[0]
+    theirs = gym.make(IDEAL).reset(seed=4)[0]
+    np.testing.assert_array_equal(ours, theirs)
+
+
+def test_it_comes_on_top_of_the_systems_effects():
+    env = gym.make(EMULATED)
+    env.reset(seed=0)
+    effects = env.unwrapped.batch.sim.systems[0].effects
+    assert effects[: len(LABORATORY_ERRORS)] == LABORATORY_ERRORS
+    assert effects[len(LABORATORY_ERRORS)].kind == "gravity/scale"
+
+
+def test_the_specification_says_it():
+    """As plain data, so that an environment can be made from its JSON."""
+    env = gym.make(EMULATED, randomize=MANY, effects=[])
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.task == env.unwrapped.task
+    assert same(env.reset(seed=0), again.reset(seed=0))
+
+
+@pytest.mark.parametrize(
+    ("ranges", "said"),
+    [
+        ({"gravity/skale": {"error": (0, 1)}}, "effect must be one of .*gravity/scale"),
+        ({"joint/viscous": {"dumping": (0, 1)}}, "has parameters damping, got 'dumping'"),
+        ({"joint/viscous": {"damping": ([2.0] * 3, [1.0] * 3)}}, "low <= high"),
+        ({"joint/viscous": {"damping": ([0.0] * 3, [1.0] * 2)}}, "one shape"),
+        ({"joint/viscous": {"damping": ([0.0] * 2, [1.0] * 2)}}, "3 numbers, one per joint"),
+        ({"joint/viscous": {"damping": 3.0}}, r"must be \(low, high\), got 3.0"),
+        ({"joint/viscous": 3.0}, r"must map parameters to \(low, high\)"),
+        ({"joint/viscous": {"damping": ("a", "b")}}, "numbers"),
+        ({"joint/viscous": {"damping": ([0.0] * 3, [float("nan")] * 3)}}, "low <= high"),
+        ({"joint/viscous": {"damping": ([-1.0] * 3, [1.0] * 3)}}, r"in \[0, 100\]"),
+        ({"joint/viscous": {"damping": ([0.0] * 3, [1e3] * 3)}}, r"in \[0, 100\]"),
+        (
+            {"sensor/bias": {"force": ([0.0] * 3, [1.0] * 3)}},
+            "acts in mode emulated, got ideal",
+        ),
+    ],
+)
+def test_bad_ranges_are_refused_before_anything_runs(ranges, said):
+    with pytest.raises(ParameterError, match=said):
+        Batch(build_task("rest_to_rest", randomize=ranges), 1)
+
+
+def test_an_effect_is_set_or_drawn_but_not_both():
+    with pytest.raises(ParameterError, match="joint/viscous is already in the system"):
+        Batch(
+            build_task(
+                "rest_to_rest", effects=[JointViscous(damping=(1.0,) * 3)], randomize=VISCOUS
+            ),
+            1,
+        )

@@ -1,0 +1,57 @@
+"""`straight_energy`, the measure of the rewards, against simulated straight motions."""
+
+import numpy as np
+import pytest
+
+from ves_gym.core.system import System
+from ves_gym.envs.batch import Batch
+from ves_gym.envs.build import build_task
+from ves_gym.envs.scales import straight_energy
+
+N = 200
+
+
+def straight(**settings):
+    """Simulated E_mean over expected E_straight, and the return, of N straight motions."""
+    batch = Batch(build_task("rest_to_rest", **settings), N)
+    everyone = np.arange(N)
+    batch.seed(everyone, 0, everyone)
+    batch.reset(everyone)
+    total = np.zeros(N)
+    for _ in range(batch.task.steps):
+        reward, *_, info = batch.step(np.zeros((N, 3)))
+        total += reward
+    return info["energy"]["E_mean"] / batch.scene.goal[:, 3], total
+
+
+@pytest.mark.parametrize("duration", [0.5, 1.0, 2.0])
+def test_straight_motions_return_about_minus_one(duration):
+    """Within a factor of 2.5 for 95 % of the queries, 1.3 in the median.
+
+    Longer motions leave less than the modes frozen at mid-way tell (4 s: a factor of three).
+    """
+    ratio, total = straight(duration=duration)
+    inside = np.mean(np.abs(np.log(ratio)) < np.log(2.5))
+    print(f"{duration} s: median {np.median(ratio):.2f}, {inside:.1%} within 2.5")
+    assert inside >= 0.95
+    assert 1 / 1.3 < np.median(ratio) < 1.3
+    assert np.median(np.abs(total + ratio)) < 0.05  # what is left of them: the miss
+
+
+@pytest.mark.parametrize("vehicle", ["straight-vertical", "straight-horizontal", "decoupled"])
+def test_other_vehicles_are_of_the_same_order(vehicle):
+    """Whatever their damping (the scale assumes 5 %)."""
+    ratio, _ = straight(vehicle=vehicle)
+    print(f"{vehicle}: median {np.median(ratio):.2f}")
+    assert 1 / 5 < np.median(ratio) < 5
+
+
+def test_scale_is_even_and_never_zero():
+    scale = straight_energy(System(), 2.0, 10.0)
+    a, b = np.random.default_rng(0).uniform(-1, 1, (2, 20, 3))
+    np.testing.assert_allclose(scale(a, b), scale(b, a), rtol=1e-12)
+    middle, half = (a + b) / 2, (b - a) / 2
+    floor = scale(middle, middle)
+    np.testing.assert_allclose(floor, 1e-4)
+    far, near = scale(middle - half, middle + half), scale(middle - half / 2, middle + half / 2)
+    np.testing.assert_allclose(far - floor, 4 * (near - floor), rtol=1e-9)

@@ -1,0 +1,132 @@
+"""A million random steps over every environment, with random effects."""
+
+import dataclasses
+import gc
+import os
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from tests.envs.walks import IDS, SHORT, flat
+from ves_gym.core.effect import EFFECTS
+from ves_gym.core.params import ParameterError
+
+STEPS = 1_000_000
+PASSES = 4  # over all environments; the first two may still fill caches
+SIZES = (1, 17, 64, 160)  # one simulation, odd blocks, full blocks, two threads
+STRENGTH = 0.05  # of an effect's bounds
+
+
+def random_effects(mode, noise):
+    """Some effects of random size, as plain data."""
+    chosen = []
+    for kind, cls in sorted(EFFECTS.items()):
+        if mode not in cls.modes or noise.random() < 0.7:
+            continue
+        plain = {"kind": kind}
+        for field in dataclasses.fields(cls):
+            low, high = field.metadata["bounds"]
+            null = field.metadata["null"]
+            any_size = 9 if kind == "gravity/moment" else 3  # of its regressor; joints
+            shape = [any_size if k is None else k for k in field.metadata["shape"]]
+            if null is None:
+                value = noise.uniform(low, high, shape)
+            else:
+                value = null + STRENGTH * (noise.uniform(low, high, shape) - null)
+            plain[field.name] = np.asarray(value).tolist()
+        chosen.append(plain)
+    return chosen
+
+
+def usage():
+    """Resident memory [MiB], threads and file descriptors of this process."""
+    gc.collect()
+    with open("/proc/self/statm") as file:
+        pages = int(file.read().split()[1])
+    count = [len(os.listdir(f"/proc/self/{what}")) for what in ("task", "fd")]
+    return np.array([pages * os.sysconf("SC_PAGE_SIZE") / 2**20, *count])
+
+
+def soak(name, n, steps, settings, seed):
+    """Random steps of a vector environment; (steps done, episodes, divergences)."""
+    env = gym.make_vec(name, num_envs=n, **settings)
+    env.action_space.seed(seed)
+    env.reset(seed=seed)
+    episodes = diverged = 0
+    for k in range(-(-steps // n)):
+        action = env.action_space.sample()
+        if k % 3 == 0:
+            action = np.sign(action)
+        observation, reward, terminated, truncated, info = env.step(action)
+        assert env.observation_space.contains(observation)
+        assert np.isfinite(flat(observation)).all() and np.isfinite(reward).all()
+        ended = terminated | truncated
+        episodes += int(ended.sum())
+        diverged += int((info["diverged"] & ended).sum())
+        if ended.any():
+            sound = ended & ~info["diverged"]
+            assert all(np.isfinite(e[sound]).all() for e in info["energy"].values())
+    env.close()
+    return (k + 1) * n, episodes, diverged
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="no /proc")
+def test_a_million_random_steps():
+    """No exception, no number that is none; memory, threads and descriptors do not grow."""
+    per_run = STEPS // (PASSES * len(IDS) * 2) + 1
+    seen, total = [], np.zeros(3, int)
+    for _ in range(PASSES):
+        noise = np.random.default_rng(0)
+        for name in IDS:
+            mode = "emulated" if "Emulated" in name else "ideal"
+            effects = random_effects(mode, noise)
+            for more in ({}, {"effects": effects, "randomize": {}, **SHORT}):
+                n = int(noise.choice(SIZES))
+                # single environments are slower; they take a tenth of the steps
+                steps = per_run if n > 1 else per_run // 10
+                total += soak(name, n, steps, more, int(noise.integers(1000)))
+        while total[0] < (len(seen) + 1) * STEPS // PASSES:  # make up for those
+            total += soak(IDS[0], 160, per_run, {}, 0)
+        seen.append(usage())
+        print("pass", len(seen), "MiB, threads, descriptors:", seen[-1].round(1), total)
+    assert total[0] >= STEPS
+    growth = seen[-1] - seen[1]
+    assert growth[0] < 10, seen
+    assert growth[1] <= 0 and growth[2] <= 0, seen
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="no /proc")
+def test_making_and_closing_leaves_nothing_behind():
+    """300 environments after another, single and vector, with renders never asked for."""
+    seen = []
+    for k in range(300):
+        name = IDS[k % len(IDS)]
+        env = gym.make(name, **SHORT) if k % 2 else gym.make_vec(name, num_envs=160, **SHORT)
+        env.reset(seed=k)
+        env.step(env.action_space.sample())
+        env.close()
+        del env
+        if k in (150, 299):
+            seen.append(usage())
+    print("MiB, threads, descriptors:", seen)
+    growth = seen[1] - seen[0]
+    assert growth[0] < 10, seen
+    assert growth[1] <= 0 and growth[2] <= 0, seen
+
+
+def test_random_effects_are_what_environments_take():
+    """The recipe of the soak itself: some of each mode, none refused."""
+    noise = np.random.default_rng(1)
+    for mode, name in (
+        ("ideal", "ves/PumaRestToRest-v0"),
+        ("emulated", "ves/PumaRestToRestEmulated-v0"),
+    ):
+        for _ in range(3):
+            effects = random_effects(mode, noise)
+            try:
+                gym.make(name, effects=effects, randomize={}, **SHORT).reset(seed=0)
+            except ParameterError as error:
+                pytest.fail(f"{effects}: {error}")

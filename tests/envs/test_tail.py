@@ -1,0 +1,118 @@
+"""`tail_energy`, the closed form, against ten simulated seconds with the joints held."""
+
+import numpy as np
+import pytest
+
+from ves_gym.core.energy import base_energy
+from ves_gym.core.servo import HIGH_GAINS
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import VEHICLES, Matrices
+from ves_gym.envs.batch import Batch
+from ves_gym.envs.build import build_task
+from ves_gym.envs.tail import tail_energy
+
+TAIL = 10.0  # s
+N = 32
+
+
+def diagonal(*values):
+    return tuple(tuple(map(float, row)) for row in np.diag(values))
+
+
+# base modes of 17 to 44 Hz, which the closed form samples every 10 ms
+STIFF = Matrices(
+    M=diagonal(50, 50, 50, 10, 10, 10),
+    K=diagonal(4e6, 4e6, 4e6, 1e6, 1e6, 1e6),
+    D=diagonal(1e3, 1e3, 1e3, 300, 300, 300),
+)
+SYSTEMS = {
+    **{k: System(vehicle=VEHICLES[k], physics_dt=2.5e-3) for k in ("bent", "decoupled")},
+    "straight-horizontal": System(vehicle=VEHICLES["straight-horizontal"], physics_dt=2.5e-3),
+    "prescribed joints": System(drive="prescribed", physics_dt=2.5e-3),
+    "stiff": System(vehicle=STIFF, physics_dt=6.25e-4),
+}
+
+
+def ended(system, **settings):
+    """N episodes that have just ended, moved about by smooth random actions."""
+    batch = Batch(build_task("rest_to_rest", system=system, **settings), N)
+    everyone = np.arange(N)
+    batch.seed(everyone, 0, everyone)
+    batch.reset(everyone)
+    noise, push = np.random.default_rng(0), np.zeros((N, batch.width))
+    for _ in range(batch.task.steps):
+        push = 0.9 * push + noise.uniform(-0.3, 0.3, push.shape)
+        batch.step(np.clip(push, -1, 1))
+    return batch
+
+
+def simulated(batch, command):
+    """Time integrals of E and of the strain energy while the command is held [J s]."""
+    sim, dt = batch.sim, 2.5e-3  # between records
+    held = np.repeat(command[:, None], round(dt / batch.system.physics_dt) + 1, axis=1)
+    states = [sim.state]
+    for _ in range(round(TAIL / dt)):
+        sim.play(held)
+        states.append(sim.state)
+    q, y, yd = (np.stack([getattr(s, k) for s in states]) for k in ("q", "y", "yd"))
+    energy = base_energy(batch.system.ideal(), q, y, yd)
+    return tuple(np.trapezoid(e, dx=dt, axis=0) for e in (energy.total, energy.strain))
+
+
+def state(s, away):
+    """(n, 2 (6 + joints)) base and joints, and their rates."""
+    return np.concatenate([s.y, away, s.yd, s.v], axis=1)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("duration", [0.5, 2.0])
+def test_tail_is_the_simulated_one(name, duration):
+    """Within 1 % in the median; the largest of 32 within 3 %."""
+    batch = ended(SYSTEMS[name], duration=duration)
+    s = batch.scene
+    away = s.q - s.ref[:, 0]
+    predicted = tail_energy(batch.system.ideal(), s.q, state(s, away), s.kp, s.kd, seconds=TAIL)
+    for ours, truth in zip(predicted, simulated(batch, batch._command()), strict=True):
+        error = np.abs(ours / truth - 1)
+        print(f"{name}, {duration} s: median {np.median(error):.1e}, max {error.max():.1e}")
+        assert np.median(error) <= 0.01
+        assert error.max() <= 0.03
+
+
+def test_tail_of_an_episode_is_part_of_its_mean():
+    """E_mean and the reward's last term come from it."""
+    batch = Batch(build_task("rest_to_rest"), N)
+    everyone = np.arange(N)
+    batch.seed(everyone, 0, everyone)
+    batch.reset(everyone)
+    during = np.zeros(N)
+    for _ in range(batch.task.steps):
+        before = batch.scene.energy.copy()
+        *_, info = batch.step(np.zeros((N, 3)))
+        during += (before + batch.scene.energy) * batch.dt / 2
+    s = batch.scene
+    away = s.q - s.ref[:, 0]
+    tail, _ = tail_energy(batch.system, s.q, state(s, away), s.kp, s.kd, seconds=TAIL)
+    mean = (during + tail) / (batch.task.duration + TAIL)
+    np.testing.assert_allclose(info["energy"]["E_mean"], mean, rtol=1e-12)
+    scale = s.goal[:, 3] * (batch.task.duration + TAIL)
+    np.testing.assert_allclose(info["reward_terms"]["tail"], -tail / scale, rtol=1e-12)
+
+
+def test_free_joints_are_caught_where_they_are():
+    """Torque control: from the end on, the high-gain servos hold the joints at rest."""
+    batch = ended(System(physics_dt=2.5e-3), control="torque", duration=0.25)
+    s, space = batch.scene, batch.system
+    np.testing.assert_array_equal(s.kp, np.tile(HIGH_GAINS.kp, (N, 1)))
+    none = np.zeros_like(s.q)
+    predicted, _ = tail_energy(space, s.q, state(s, none), s.kp, s.kd, seconds=TAIL)
+    batch.sim.set_gains(s.kp, s.kd)
+    truth, _ = simulated(batch, batch.sim.servo_command(s.q, none))
+    error = np.abs(predicted / truth - 1)
+    print(f"caught: median {np.median(error):.1e}, max {error.max():.1e}")
+    assert np.median(error) <= 0.05  # they may move by tens of degrees while they are caught
+
+
+def test_no_tail_is_no_energy():
+    batch = ended(System(physics_dt=2.5e-3), duration=0.25, tail=0.0)
+    assert not batch.scene.tail.any()

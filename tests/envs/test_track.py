@@ -1,0 +1,179 @@
+"""The task track: a path in space, on a base that flexes."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from tests.envs.runs import EMULATED, Blind, controlled, unscaled
+from ves_gym.baselines.resolved import Resolved
+from ves_gym.core.params import ParameterError
+from ves_gym.core.tool import joints_for
+from ves_gym.envs.build import build_task
+from ves_gym.envs.vector import VesVectorEnv
+
+
+@pytest.mark.parametrize("settings", [{}, EMULATED])
+def test_check_env_has_nothing_to_say(settings):
+    env = gym.make("ves/PumaTrack-v0", duration=1.0, rounds=1, **settings)
+    check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("control", ["acceleration", "pd_target", "torque"])
+def test_no_entry_of_the_observation_is_constant(control):
+    env = VesVectorEnv(8, "track", control=control, duration=0.5, rounds=1)
+    rows = [env.reset(seed=0)[0]]
+    noise = np.random.default_rng(0)
+    rows += [env.step(noise.uniform(-1, 1, (8, 3)))[0] for _ in range(60)]
+    assert (np.ptp(np.concatenate(rows), axis=0) > 0).all()
+    assert np.abs(np.concatenate(rows)).max() <= env.task.CLIP
+
+
+# ----------------------------------------------------------------------------- paths
+
+
+def test_paths_are_closed_smooth_and_within_reach():
+    """40 paths: every point reached within the joint limits, at rest at both ends."""
+    env = VesVectorEnv(40, "track")
+    env.reset(seed=0)
+    task, scene = env.task, env.batch.scene
+    arm, dt = task.system.arm, task.system.control_dt
+    path = task.path(scene)
+    np.testing.assert_allclose(path[:, 0], scene.tool, atol=1e-12)
+    np.testing.assert_allclose(path[:, -1], path[:, 0], atol=1e-9)
+    speed = np.linalg.norm(np.diff(path, axis=1), axis=2) / dt
+    assert speed[:, [0, -1]].max() < 1e-3
+    assert np.abs(np.diff(speed, axis=1)).max() / dt < 10.0  # m/s^2
+    size = np.ptp(path, axis=1).max(axis=1)
+    print(f"size {size.min():.2f} to {size.max():.2f} m, at most {speed.max():.2f} m/s")
+    assert size.min() > 0.05 and size.max() < 1.0
+    q = scene.q
+    for step in range(0, task.steps + 1, 24):  # joint angles from point to point
+        before, (q, miss) = q, joints_for(arm, path[:, step], q)
+        assert miss.max() < 1e-6
+        rate = np.abs(q - before) / (24 * dt)
+        assert (rate <= 1.01 * task.pace * arm.column("v_max")).all()
+
+
+def test_the_energy_scale_is_that_of_the_motion():
+    """`motion_energy` within a factor of 2.5 of what tracking the path leaves (E_mean)."""
+    env, *_, info = controlled(Blind(), 100, "track")
+    ratio = info["energy"]["E_mean"] / env.batch.scene.goal[:, 0]
+    print(f"median {np.median(ratio):.2f}, {ratio.min():.2f} to {ratio.max():.2f}")
+    assert (np.abs(np.log(ratio)) < np.log(2.5)).mean() >= 0.95
+
+
+def test_marker_runs_along_what_is_left():
+    env = VesVectorEnv(2, "track")
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.zeros((2, 3)))
+    task, scene = env.task, env.batch.scene
+    marker = task.marker(scene)
+    np.testing.assert_array_equal(marker[:, :-5], task.path(scene)[:, 5:])
+    np.testing.assert_array_equal(marker[:, 0], task.wanted(scene))
+    np.testing.assert_array_equal(marker[:, -1], task.path(scene)[:, -1])
+
+
+# ----------------------------------------------------------------------- observation
+
+
+@pytest.mark.parametrize("settings", [{}, EMULATED])
+def test_observation_previews_the_path(settings):
+    env = VesVectorEnv(4, "track", **settings)
+    env.reset(seed=0)
+    for _ in range(30):
+        observation = env.step(np.full((4, 3), 0.1))[0]
+    task, scene = env.task, env.batch.scene
+    seen = unscaled(task, observation)
+    ahead = task.path(scene)[:, [30, 38, 46, 62]] - scene.tool_seen[:, None]
+    np.testing.assert_allclose(seen["path"].reshape(4, 4, 3), ahead, atol=1e-6)
+    np.testing.assert_allclose(seen["time_left"][:, 0], 6.0 - scene.time, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(seen["phase"], axis=1), 1, rtol=1e-6)
+
+
+# ---------------------------------------------------------------------------- reward
+
+
+def test_reward_is_error_and_energy():
+    env, total, terms, info = controlled(Resolved(), 8, "track")
+    np.testing.assert_allclose(sum(terms.values()), total, rtol=1e-12)
+    scale = env.batch.scene.goal[:, 0]
+    expected = -env.task.thrift * info["energy"]["E_mean"] / scale
+    np.testing.assert_allclose(terms["energy"] + terms["tail"], expected, rtol=1e-2)
+    assert (terms["failure"] == 0).all()
+
+
+def test_error_is_quadratic_near_and_linear_far():
+    """At rest at the start: the path's distance from its first point."""
+    env = VesVectorEnv(4, "track", autoreset_mode="Disabled")
+    env.reset(seed=0)
+    task, path = env.task, env.task.path(env.batch.scene).copy()
+    error = 0.0
+    for _ in range(task.steps):
+        *_, info = env.step(np.zeros((4, 3)))
+        error = error + info["reward_terms"]["error"]
+    away = np.linalg.norm(path[:, 1:] - path[:, :1], axis=2)
+    expected = 1 - np.sqrt(1 + (away / task.near) ** 2).mean(axis=1)
+    np.testing.assert_allclose(error, expected, rtol=1e-9)
+    np.testing.assert_allclose(
+        env.batch.scene.memory[:, 1], (away**2).mean(axis=1) * task.duration, rtol=1e-9
+    )
+    assert not info["success"].any()  # closed: the tool is at the path's end
+
+
+# -------------------------------------------------------------------------- what is solved
+
+
+def test_resolved_motion_solves_it():
+    """50 episodes: at least 95 %, the error below a quarter of that of the blind plan."""
+    errors = []
+    for controller in (Resolved(), Blind()):
+        env, *_, info = controlled(controller, 50, "track")
+        errors.append(np.sqrt(env.batch.scene.memory[:, 1] / env.task.duration))
+        if controller.name == "resolved":
+            assert info["success"].mean() >= 0.95
+            np.testing.assert_array_equal(info["success"], errors[0] <= env.task.tolerance)
+            np.testing.assert_array_equal(info["success_once"], info["success"])
+    ours, blind = (1e3 * np.median(e) for e in errors)
+    print(f"median rms {ours:.2f} mm, blind {blind:.2f} mm")
+    assert ours < 0.25 * blind
+
+
+def test_resolved_motion_solves_it_in_the_laboratory():
+    assert controlled(Resolved(), 6, "track", **EMULATED)[3]["success"].all()
+
+
+# ------------------------------------------------------------------------------ options
+
+
+def test_start_can_be_chosen_even_at_a_limit():
+    """Paths keep five degrees from the limits, or stay where they are."""
+    env = gym.make("ves/PumaTrack-v0").unwrapped
+    arm = env.task.system.arm
+    for q in ([0.1, 0.2, -0.9], arm.column("q_max") - [0.1, 0.2, 0.05]):
+        env.reset(seed=0, options={"q": q})
+        scene = env.batch.scene
+        np.testing.assert_array_equal(scene.q[0], q)
+        path = env.task.path(scene)[0]
+        np.testing.assert_allclose(path[0], scene.tool[0], atol=1e-12)
+        found, miss = joints_for(arm, path[::20], np.tile(q, (len(path[::20]), 1)))
+        assert miss.max() < 1e-6
+        assert (found <= np.maximum(arm.column("q_max") - np.deg2rad(5), q) + 1e-6).all()
+    with pytest.raises(ParameterError, match="joint 1 must be within"):
+        env.reset(options={"q": [3.0, 0.0, 0.0]})
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"rounds": 0}, "rounds"),
+        ({"preview": [0.1, 0.13]}, "whole control periods of 0.0125 s"),
+        ({"preview": [0.0]}, "whole control periods"),
+        ({"tolerance": 0.0}, "tolerance"),
+        ({"control": "guided"}, "control must be acceleration"),
+    ],
+)
+def test_bad_settings_are_refused(settings, message):
+    with pytest.raises(ParameterError, match=message):
+        build_task("track", **settings)

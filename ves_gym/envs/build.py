@@ -1,0 +1,167 @@
+"""From what a user writes (names, plain data, objects) to a `Task`; unknown keys are errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import os
+import typing
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from ves_gym.core.effect import Effect
+from ves_gym.core.params import ParameterError, from_plain
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import get_vehicle, vehicle_from_plain
+from ves_gym.effects.budget import LABORATORY_ERRORS
+from ves_gym.envs.control import Control, get_control
+from ves_gym.envs.randomize import Range
+from ves_gym.envs.task import TASKS, Task
+
+_FILES = (
+    "rest_to_rest",
+    "reach",
+    "reach_goal",
+    "track",
+    "damp",
+    "free_flyer",
+    "lqr",
+)  # of `ves_gym.envs`
+
+
+def build_task(
+    task: str | type[Task] | Task,
+    *,
+    system: System | Mapping[str, Any] | str | os.PathLike[str] | None = None,
+    mode: str | None = None,
+    vehicle: Any = None,
+    effects: str | Iterable[Any] | None = None,
+    control: str | Mapping[str, Any] | Control | None = None,
+    randomize: Mapping[str, Mapping[str, Any]] | None = None,
+    **settings: Any,
+) -> Task:
+    """A task with some of its settings changed.
+
+    Args:
+        task: name, "package.module:Class", a class, or a task whose settings are the defaults.
+        system: what to simulate: a `System`, its plain data, or a .toml or .json file.
+        mode: ideal or emulated; changes the system's.
+        vehicle: name, file, plain data or `Vehicle`; changes the system's.
+        effects: list of effects or of their plain data, or "laboratory" for the nominal error
+            budget of an emulated system; replaces the system's.
+        control: name, plain data or `Control`.
+        randomize: {effect: {parameter: (low, high)}}, drawn for every episode.
+        settings: other fields of the task.
+
+    Raises:
+        ParameterError: anything unknown or that does not fit, with what was expected.
+    """
+    defaults = task if isinstance(task, Task) else None
+    cls = type(task) if isinstance(task, Task) else get_task(task)
+    fields = {f.name: f for f in dataclasses.fields(cls)}
+    unknown = [key for key in settings if key not in fields]
+    if unknown:
+        known = (*fields, "mode", "vehicle", "effects")
+        raise ParameterError(
+            f"{cls.kind}: unknown setting {unknown[0]!r}; known: {', '.join(known)}"
+        )
+    start: Any = defaults.system if defaults is not None else fields["system"].default
+    values: dict[str, Any] = {"system": _system(start, system, mode, vehicle, effects)}
+    if control is not None:
+        values["control"] = _control(control)
+    if randomize is not None:
+        values["randomize"] = _ranges(randomize)
+    typed = _typed(cls, settings)
+    if defaults is not None:
+        return dataclasses.replace(defaults, **values, **typed)
+    return cls(**values, **typed)
+
+
+def get_task(task: str | type[Task]) -> type[Task]:
+    """A task's class by name or "package.module:Class"."""
+    if isinstance(task, type) and issubclass(task, Task):
+        return task
+    if not isinstance(task, str):
+        raise ParameterError(f"task must be a name or a Task, got {task!r}")
+    if ":" in task:
+        module, _, name = task.partition(":")
+        try:
+            found = getattr(importlib.import_module(module), name)
+        except (ImportError, AttributeError) as error:
+            raise ParameterError(f"task {task!r} cannot be imported: {error}") from error
+        return get_task(found)
+    if task in _FILES:
+        importlib.import_module(f"ves_gym.envs.{task}")
+    if task not in TASKS:
+        names = ", ".join(dict.fromkeys((*_FILES, *TASKS)))
+        raise ParameterError(f"task must be one of {names}, or module:Class, got {task!r}")
+    return TASKS[task]
+
+
+def _typed(cls: type[Task], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings checked against the types of the task's fields."""
+    hints = typing.get_type_hints(cls)
+    return {k: from_plain(hints[k], v, f"{cls.kind}.{k}") for k, v in settings.items()}
+
+
+def _system(start: System, system: Any, mode: Any, vehicle: Any, effects: Any) -> System:
+    if isinstance(system, System):
+        start = system
+    elif isinstance(system, Mapping):
+        start = System.from_dict(system)
+    elif system is not None:
+        start = System.load(system)
+    changes: dict[str, Any] = {}
+    if vehicle is not None:
+        if isinstance(vehicle, (str, os.PathLike)):
+            vehicle = get_vehicle(vehicle)
+        elif isinstance(vehicle, Mapping):
+            vehicle = vehicle_from_plain(vehicle)
+        changes["vehicle"] = vehicle
+    if mode is not None and mode != start.mode:
+        changes["mode"] = mode
+        if mode == "ideal":
+            start = start.ideal()
+    if effects is not None:
+        changes["effects"] = _effects(effects)
+    return start.replace(**changes)
+
+
+def _effects(given: Any) -> tuple[Effect, ...]:
+    if isinstance(given, str):
+        if given != "laboratory":
+            raise ParameterError(f"effects must be a list or 'laboratory', got {given!r}")
+        return LABORATORY_ERRORS
+    out = []
+    for i, effect in enumerate(given):
+        if not isinstance(effect, Effect):
+            effect = from_plain(Effect, effect, f"effects[{i}]")
+        out.append(effect)
+    return tuple(out)
+
+
+def _control(given: str | Mapping[str, Any] | Control) -> Control:
+    if isinstance(given, Control):
+        return given
+    if isinstance(given, str):
+        return get_control(given)
+    control: Control = from_plain(Control, given, "control")
+    return control
+
+
+def _ranges(given: Mapping[str, Mapping[str, Any]]) -> tuple[Range, ...]:
+    out = []
+    for effect, parameters in given.items():
+        if not isinstance(parameters, Mapping):
+            raise ParameterError(
+                f"randomize[{effect!r}] must map parameters to (low, high), got {parameters!r}"
+            )
+        for name, ends in parameters.items():
+            try:
+                low, high = ends
+            except (TypeError, ValueError):
+                raise ParameterError(
+                    f"randomize[{effect!r}][{name!r}] must be (low, high), got {ends!r}"
+                ) from None
+            out.append(Range(effect=effect, parameter=name, low=low, high=high))
+    return tuple(out)

@@ -1,0 +1,317 @@
+"""What an action means: from numbers in [-1, 1] to the drive of the joints.
+
+Every control keeps the motion the servos follow (`Scene.ref`). Its acceleration runs
+linearly through a control period, so that commands are continuous.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, ClassVar, Protocol
+
+import numpy as np
+
+from ves_gym.core.arm import Arm
+from ves_gym.core.params import (
+    Array,
+    ParameterError,
+    Vector,
+    finite,
+    require_positive,
+    unit,
+)
+from ves_gym.core.servo import FREE, HIGH_GAINS, JointServo
+from ves_gym.core.system import System
+
+if TYPE_CHECKING:
+    from ves_gym.core.simulator import Simulator
+
+CONTROLS: dict[str, type[Control]] = {}
+_LONGEST = 120.0  # s before the deadline that guidance is tabulated for
+
+
+class Moving(Protocol):
+    """What a control reads and moves on: part of `Scene`."""
+
+    time: Array
+    q: Array
+    v: Array
+    ref: Array
+    goal: Array
+
+
+class Driven(Moving, Protocol):
+    """What a control drives with: part of `Scene`."""
+
+    tau: Array
+    kp: Array
+    kd: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Control:
+    """Base of all controls."""
+
+    REGISTRY: ClassVar[dict[str, type[Control]]] = CONTROLS
+    kind: ClassVar[str]
+    level: ClassVar[str]
+    drives: ClassVar[tuple[str, ...]] = ("motor",)
+
+    @property
+    def servo(self) -> JointServo:
+        """Gains of the joint motors."""
+        return HIGH_GAINS
+
+    def width(self, arm: Arm) -> int:
+        """Numbers in an action."""
+        return arm.n
+
+    def check(self, system: System, duration: float) -> None:
+        """Raise ParameterError where the control does not fit a system or a duration [s]."""
+        if system.drive not in self.drives:
+            wanted = " or ".join(self.drives)
+            raise ParameterError(
+                f"control {self.kind} needs drive {wanted}, got {system.drive}"
+            )
+        if system.drive == "motor" and len(self.servo.kp) not in (system.arm.n, 3):
+            raise ParameterError(
+                f"control {self.kind}: servo must have gains for {system.arm.n} joints, got"
+                f" {len(self.servo.kp)}"
+            )
+
+    def drive(
+        self, sim: Simulator, s: Driven, action: Array, left: Array, follow: Callable[[], Array]
+    ) -> None:
+        """Run one control period: here, from the last command to that of the moved reference.
+
+        Args:
+            action: (n, width) in [-1, 1]. left: (n,) s until the deadline, before the period.
+            follow: drive command (n, joints) that follows the reference as it is then.
+        """
+        self.advance(s, action, sim.system.arm, sim.system.control_dt, left)
+        start, s.tau = s.tau, follow()
+        sim.step(start, until=s.tau)
+
+    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, left: Array) -> None:
+        """Move the reference on by one period."""
+
+
+def _file(cls: type[Control]) -> type[Control]:
+    CONTROLS[cls.kind] = cls
+    return cls
+
+
+def _ramp(s: Moving, a: Array, dt: float) -> None:
+    """Move the reference on while its acceleration runs linearly to a."""
+    q, v, before = s.ref.swapaxes(0, 1)
+    jerk = (a - before) / dt
+    q = q + dt * (v + dt * (before / 2 + jerk * (dt / 6)))
+    s.ref = np.stack([q, v + dt * (before + a) / 2, a], axis=1)
+
+
+@_file
+@dataclass(frozen=True, kw_only=True)
+class Guided(Control):
+    """A jerk on top of the quintic that still reaches the goal in time; zero = straight line.
+
+    At every period the reference is led from where it is to rest at the goal at the
+    deadline by the quintic through both ends; the action adds `jerk` times itself. In the
+    last two periods it adds nothing, so that any policy arrives. The first numbers of the
+    task's goal must be the goal's joint angles.
+    """
+
+    kind: ClassVar[str] = "guided"
+    level: ClassVar[str] = "reference"
+    drives: ClassVar[tuple[str, ...]] = ("motor", "prescribed")
+    jerk: float = unit("rad/s^3", default=40.0)
+
+    def __post_init__(self) -> None:
+        require_positive(self, "jerk")
+
+    def check(self, system: System, duration: float) -> None:
+        """See `Control`."""
+        super().check(system, duration)
+        if duration > _LONGEST:
+            raise ParameterError(
+                f"control guided leads for at most {_LONGEST:g} s, got a duration of"
+                f" {duration:g} s"
+            )
+
+    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, left: Array) -> None:
+        """See `Control`."""
+        table = _guidance(dt)
+        periods = np.minimum(np.rint(left / dt).astype(np.intp), len(table) - 1)
+        goal = s.goal[:, None, : arm.n]
+        moved = table[periods] @ np.concatenate([s.ref, goal], axis=1)
+        free = (periods > 2)[:, None] * self.jerk * action
+        s.ref = moved + _pushed(dt) * free[:, None]
+
+
+@lru_cache
+def _guidance(dt: float) -> Array:
+    """(periods left, 3, 4): (q, v, a, goal) -> (q, v, a) one period on, by the quintic.
+
+    q(t) = q + v t + a t^2/2 + c3 t^3 + c4 t^4 + c5 t^5 with rest at the goal at the deadline.
+    """
+    T = np.maximum(np.arange(_LONGEST / dt), 1.0) * dt
+    one, none = np.ones_like(T), np.zeros_like(T)
+    gap = np.stack([-one, -T, -T * T / 2, one])  # each column: weight of q, v, a, goal
+    slope = np.stack([none, -T, -T * T, none])
+    bend = np.stack([none, none, -T * T, none])
+    c3 = (10 * gap - 4 * slope + bend / 2) / T**3
+    c4 = (-15 * gap + 7 * slope - bend) / T**4
+    c5 = (6 * gap - 3 * slope + bend / 2) / T**5
+    q, v, a, _ = np.eye(4)[:, :, None]
+    rows = (
+        q + dt * (v + dt * (a / 2 + dt * (c3 + dt * (c4 + dt * c5)))),
+        v + dt * (a + dt * (3 * c3 + dt * (4 * c4 + dt * 5 * c5))),
+        a + dt * (6 * c3 + dt * (12 * c4 + dt * 20 * c5)),
+    )
+    return np.ascontiguousarray(np.moveaxis(np.stack(rows), 2, 0))
+
+
+def _pushed(dt: float) -> Array:
+    """(3, 1) what a jerk of one adds to q, v, a over a period."""
+    return np.array([[dt**3 / 6], [dt * dt / 2], [dt]])
+
+
+@_file
+@dataclass(frozen=True, kw_only=True)
+class Acceleration(Control):
+    """Acceleration of the reference, a fraction of `a_max`; it brakes before joint limits."""
+
+    kind: ClassVar[str] = "acceleration"
+    level: ClassVar[str] = "reference"
+    drives: ClassVar[tuple[str, ...]] = ("motor", "prescribed")
+    a_max: Vector | None = unit("rad/s^2", default=None)  # None: the arm's own
+
+    def check(self, system: System, duration: float) -> None:
+        """See `Control`; one a_max > 0 per joint."""
+        super().check(system, duration)
+        if self.a_max is None:
+            return
+        if not (finite(self.a_max, (system.arm.n,), "Acceleration.a_max") > 0).all():
+            raise ParameterError(f"Acceleration.a_max must be > 0 rad/s^2, got {self.a_max}")
+
+    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, left: Array) -> None:
+        most = arm.column("a_max") if self.a_max is None else np.asarray(self.a_max, float)
+        q, v, a = s.ref.swapaxes(0, 1)
+        # Angle and rate if the acceleration ran to zero within this period. Whatever the
+        # acceleration b at its end: angle' = angle + rate dt, rate' = rate + b dt.
+        angle, rate = q - a * (dt * dt / 6), v + a * (dt / 2)
+        spare = 0.3 * most * dt * dt  # the ramp's share of the angle, and the last partial step
+        ahead = angle + rate * dt
+        up = _stoppable(arm.column("q_max") - spare - ahead, most, dt)
+        down = _stoppable(ahead - arm.column("q_min") - spare, most, dt)
+        fast = arm.column("v_max")
+        low, high = -np.minimum(down, fast), np.minimum(up, fast)
+        wanted = np.clip(rate + action * most * dt, low, high)
+        _ramp(s, np.clip((wanted - rate) / dt, -most, most), dt)
+
+
+def _stoppable(room: Array, most: Array, dt: float) -> Array:
+    """Rate from which steps of dt at the deceleration `most` end within the room."""
+    half = dt / 2
+    root = np.sqrt(half * half + 2 * np.maximum(room, 0.0) / most)
+    return np.asarray(most * (root - half), dtype=np.float64)
+
+
+@_file
+@dataclass(frozen=True, kw_only=True)
+class Target(Control):
+    """Joint positions the servo is sent to, moving by at most `speed` of the arm's v_max."""
+
+    kind: ClassVar[str] = "pd_target"
+    level: ClassVar[str] = "reference"
+    speed: float = unit("1", default=1.0)
+
+    def __post_init__(self) -> None:
+        require_positive(self, "speed")
+
+    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, left: Array) -> None:
+        step = self.speed * arm.column("v_max") * action * dt
+        before = s.ref[:, 0]
+        moved = np.clip(before + step, arm.column("q_min"), arm.column("q_max"))
+        s.ref = np.stack([moved, (moved - before) / dt, np.zeros_like(moved)], axis=1)
+
+
+@_file
+@dataclass(frozen=True, kw_only=True)
+class Torque(Control):
+    """Motor torque, held over the period; 1 is `fraction` of the motor's limit."""
+
+    kind: ClassVar[str] = "torque"
+    level: ClassVar[str] = "torque"
+    fraction: float = unit("1", default=1.0)
+    damping: Vector | None = unit("N m s/rad", default=None)  # None: none
+
+    def __post_init__(self) -> None:
+        require_positive(self, "fraction")
+
+    @property
+    def servo(self) -> JointServo:
+        """Bare torque, or torque on top of joint damping."""
+        if self.damping is None:
+            return FREE
+        return JointServo(kp=(0.0,) * len(self.damping), kd=self.damping, feedforward=False)
+
+    def drive(
+        self, sim: Simulator, s: Driven, action: Array, left: Array, follow: Callable[[], Array]
+    ) -> None:
+        """See `Control`."""
+        s.tau = self.torque(action, sim.system.arm)
+        sim.step(s.tau)
+
+    def torque(self, action: Array, arm: Arm) -> Array:
+        """(n, joints) [N m]."""
+        return np.asarray(self.fraction * arm.column("tau_max") * action, dtype=np.float64)
+
+
+@_file
+@dataclass(frozen=True, kw_only=True)
+class Gains(Control):
+    """Gains of the joint servos around the configuration held; -1 to 1 spans low to high.
+
+    An action is (kp of every joint, kd of every joint), on a logarithmic scale.
+    """
+
+    kind: ClassVar[str] = "pd_gains"
+    level: ClassVar[str] = "gains"
+    kp: tuple[float, float] = unit("N m/rad", default=(10.0, 4000.0))
+    kd: tuple[float, float] = unit("N m s/rad", default=(5.0, 200.0))
+
+    def __post_init__(self) -> None:
+        for name in ("kp", "kd"):
+            low, high = getattr(self, name)
+            if not 0 < low < high:
+                raise ParameterError(f"Gains.{name} must be 0 < low < high, got {low}, {high}")
+
+    def width(self, arm: Arm) -> int:
+        """Numbers in an action."""
+        return 2 * arm.n
+
+    def drive(
+        self, sim: Simulator, s: Driven, action: Array, left: Array, follow: Callable[[], Array]
+    ) -> None:
+        """See `Control`."""
+        s.kp, s.kd = self.gains(action)
+        sim.set_gains(s.kp, s.kd)
+        s.tau = follow()
+        sim.step(s.tau)
+
+    def gains(self, action: Array) -> tuple[Array, Array]:
+        """kp, kd (n, joints)."""
+        n = action.shape[1] // 2
+        out = []
+        for (low, high), part in ((self.kp, action[:, :n]), (self.kd, action[:, n:])):
+            out.append(low * (high / low) ** ((part + 1) / 2))
+        return out[0], out[1]
+
+
+def get_control(name: str) -> Control:
+    """A control of default settings by name."""
+    if name not in CONTROLS:
+        raise ParameterError(f"control must be one of {', '.join(CONTROLS)}, got {name!r}")
+    return CONTROLS[name]()

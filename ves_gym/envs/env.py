@@ -1,0 +1,175 @@
+"""`VesEnv`: one episode at a time through Gymnasium's interface; a batch of one."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym.core.params import ParameterError
+from ves_gym.envs.batch import Batch, checked
+from ves_gym.envs.build import build_task
+from ves_gym.envs.rendering import Renderer, render_modes, require_display
+from ves_gym.envs.spaces import (
+    goal_space,
+    observation_space,
+    require_index,
+    require_seed,
+    split_goals,
+)
+from ves_gym.envs.task import Task
+
+_ONE = np.zeros(1, np.intp)
+
+
+class VesEnv(gym.Env[Any, Any]):
+    """An episode of a task.
+
+    Args:
+        task: name, "package.module:Class" or `Task`.
+        backend: engine, see `Simulator`.
+        render_mode: None, "human" or "rgb_array".
+        goal: observations of a goal-conditioned task as a dictionary (for HER).
+        dump: folder for run logs of episodes that diverge (`info["dump"]` names the file).
+        settings: see `build_task`: mode, vehicle, effects, control, randomize, ...
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 80}
+
+    def __init__(
+        self,
+        task: str | Task = "rest_to_rest",
+        *,
+        backend: str = "auto",
+        render_mode: str | None = None,
+        goal: bool = False,
+        dump: str | os.PathLike[str] | None = None,
+        **settings: Any,
+    ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(
+                f"render_mode must be None, human or rgb_array, got {render_mode!r}"
+            )
+        self.task = build_task(task, **settings)
+        self.render_mode, self.backend, self.goal = render_mode, backend, goal
+        self._dump = dump
+        self.batch = self._batch()
+        fps = 1 / self.task.system.control_dt  # real time
+        self.metadata = {"render_modes": render_modes(), "render_fps": fps}
+        if render_mode == "human":
+            require_display()
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.batch.width,), np.float32)
+        space = observation_space(self.task)
+        self.observation_space = goal_space(self.task, space) if goal else space
+        self._ready = False
+        self._over = False
+        self._renderer: Any = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin the next episode of the present seed, or the first of a new one.
+
+        Args:
+            seed: root of the sequence of episodes. Episode k of simulation i of a vector
+                environment is the k-th after `reset(seed=seed, options={"index": i})`.
+            options: index (default 0), and what the task lets one choose (`Task.options`).
+        """
+        options = self.task.check_options(options, extra=("index",))
+        if "index" in options and seed is None:
+            raise ParameterError("reset: the option index needs a seed, got none")
+        index = require_index(options.pop("index", 0))
+        if seed is None and not self._ready:
+            seed = int(np.random.SeedSequence().generate_state(1)[0])
+        if seed is not None:
+            require_seed(seed)
+            super().reset(seed=int(seed))
+            self.batch.seed(_ONE, seed, index)
+        self.batch.reset(_ONE, {k: v[None] for k, v in options.items()})
+        self._ready, self._over = True, False
+        info = {k: v[0] for k, v in self.batch.begun().items()}
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(), info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """One control period; an `ActionError` leaves the state as it was."""
+        if not self._ready or self._over:
+            raise gym.error.ResetNeeded(
+                "the episode is over: call reset" if self._ready else "call reset before step"
+            )
+        given = checked(action, (self.batch.width,))[None]
+        reward, terminated, truncated, info = self.batch.step(given)
+        ended = bool(terminated[0] or truncated[0])
+        self._over = ended
+        flat = {k: _first(v) for k, v in info.items() if k[0] != "_"}
+        if self.render_mode == "human":
+            self.render()
+        return (
+            self._observation(),
+            float(reward[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            flat,
+        )
+
+    def _batch(self) -> Batch:
+        return Batch(self.task, 1, backend=self.backend, threads=1, dump=self._dump)
+
+    def _observation(self) -> Any:
+        row = self.batch.observe()[0]
+        return split_goals(self.task, row) if self.goal else row
+
+    def compute_reward(
+        self, achieved_goal: npt.ArrayLike, desired_goal: npt.ArrayLike, info: Any
+    ) -> Any:
+        """Reward of a goal variant; leading axes of the goals are kept (HER)."""
+        return self.task.goal_reward(np.asarray(achieved_goal), np.asarray(desired_goal))
+
+    # ---------------------------------------------------------------- snapshot
+
+    def snapshot(self) -> Any:
+        """The complete state, random generators included; picklable."""
+        return self.batch.get_state(), self._ready, self._over
+
+    def restore(self, snapshot: Any) -> None:
+        """Return to a snapshot of an environment of the same settings."""
+        state, self._ready, self._over = snapshot
+        self.batch.set_state(state)
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = self.__dict__.copy()
+        kept["_renderer"] = None
+        kept["batch"] = self.batch.get_state()
+        return kept
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__dict__.update(kept)
+        self.batch = self._batch()
+        self.batch.set_state(kept["batch"])
+
+    # --------------------------------------------------------------- rendering
+
+    def render(self) -> Any:
+        """The present frame (rgb_array), or the window brought up to date (human)."""
+        if self.render_mode is None:
+            return None
+        if self._renderer is None:
+            self._renderer = Renderer(self.task, self.render_mode)
+        return self._renderer.frame(self.batch)
+
+    def close(self) -> None:
+        """Close window and engine; may be called again."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+def _first(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _first(v) for k, v in value.items()}
+    item = value[0]
+    return item.item() if isinstance(item, np.generic) else item

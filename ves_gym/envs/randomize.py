@@ -1,0 +1,98 @@
+"""Randomisation as data: ranges of the effects' parameters, drawn anew for every episode."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from ves_gym.core.effect import EFFECTS, Effect
+from ves_gym.core.params import Array, ParameterError, from_plain
+from ves_gym.core.system import System
+
+
+@dataclass(frozen=True, kw_only=True)
+class Range:
+    """One parameter of one effect, uniform between `low` and `high` (number or nested list)."""
+
+    effect: str
+    parameter: str
+    low: object
+    high: object
+
+    def __post_init__(self) -> None:
+        if self.effect not in EFFECTS:
+            raise ParameterError(
+                f"randomize: effect must be one of {', '.join(sorted(EFFECTS))}, got"
+                f" {self.effect!r}"
+            )
+        names = [f.name for f in dataclasses.fields(EFFECTS[self.effect])]  # type: ignore[arg-type]
+        if self.parameter not in names:
+            raise ParameterError(
+                f"randomize: {self.effect} has parameters {', '.join(names)}, got"
+                f" {self.parameter!r}"
+            )
+        try:
+            low, high = np.asarray(self.low, float), np.asarray(self.high, float)
+        except (TypeError, ValueError):
+            low, high = np.full(1, np.nan), np.full(1, np.nan)
+        if low.shape != high.shape or not (low <= high).all():
+            raise ParameterError(
+                f"randomize: {self.effect}.{self.parameter} needs numbers low <= high of one"
+                f" shape, got {self.low} and {self.high}"
+            )
+
+    @property
+    def label(self) -> str:
+        """place/name.parameter."""
+        return f"{self.effect}.{self.parameter}"
+
+    @property
+    def size(self) -> int:
+        """Numbers drawn per episode."""
+        return np.asarray(self.low, float).size
+
+    def check(self, system: System) -> None:
+        """Raise ParameterError where the effect does not act in a system."""
+        modes = EFFECTS[self.effect].modes
+        if system.mode not in modes:
+            raise ParameterError(
+                f"randomize: effect {self.effect} acts in mode {', '.join(modes)}, got"
+                f" {system.mode}"
+            )
+
+    def value(self, u: Array) -> Array:
+        """The parameter from uniform numbers (size,)."""
+        low, high = np.asarray(self.low, float), np.asarray(self.high, float)
+        return np.asarray(low + (high - low) * u.reshape(low.shape), dtype=np.float64)
+
+
+def draw(ranges: tuple[Range, ...], u: Array) -> tuple[dict[str, Array], tuple[Effect, ...]]:
+    """Values by label, and the effects that carry them, of uniform numbers (sum of sizes,)."""
+    values: dict[str, Array] = {}
+    at = 0
+    for spread in ranges:
+        values[spread.label] = spread.value(u[at : at + spread.size])
+        at += spread.size
+    effects = []
+    for kind in dict.fromkeys(r.effect for r in ranges):
+        plain = {r.parameter: values[r.label].tolist() for r in ranges if r.effect == kind}
+        effects.append(from_plain(EFFECTS[kind], plain, f"randomize.{kind}"))
+    return values, tuple(effects)
+
+
+def template(system: System, ranges: tuple[Range, ...]) -> System:
+    """The system with every randomised effect at an end of its range."""
+    if not ranges:
+        return system
+    kinds = {r.effect for r in ranges}
+    clash = [e.kind for e in system.effects if e.kind in kinds]
+    if clash:
+        raise ParameterError(
+            f"randomize: effect {clash[0]} is already in the system; randomise it or set it"
+        )
+    draw(ranges, np.zeros(sum(r.size for r in ranges)))  # refuses a lower end out of bounds
+    # not a zero where any other value is possible: what is zero there stays zero (`assign`)
+    ends = np.concatenate([np.asarray(r.high, float).ravel() != 0 for r in ranges])
+    return system.replace(effects=(*system.effects, *draw(ranges, ends.astype(float))[1]))

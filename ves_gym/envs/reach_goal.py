@@ -1,0 +1,63 @@
+"""The task reach with goals in the observation and a reward of the goals alone, for HER."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ves_gym.core.params import Array, Mask
+from ves_gym.envs.joints import require_control
+from ves_gym.envs.reach import Reach
+from ves_gym.envs.task import Field, Scene, register_task
+
+_SCALE = np.ones(3)  # m: of tool and target in the observation
+
+
+@register_task("reach_goal")
+@dataclass(frozen=True, kw_only=True)
+class ReachGoal(Reach):
+    """`Reach`, goal-conditioned: the tool as measured is achieved, the target desired.
+
+    Reward: 0 within `tolerance` of the target, -1 elsewhere, computed from the observation,
+    so that it is `compute_reward` of what `step` returned, bit for bit. The base's energy is
+    told in `info` only. No joint limit ends an episode, for no function of the goals could
+    tell and ending early would pay; the controls that are left keep the reference within.
+    """
+
+    goal_fields: ClassVar[tuple[str, str] | None] = ("tool", "target")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_control(self, "acceleration", "pd_target")
+
+    def fields(self) -> tuple[Field, ...]:
+        """See `Task`."""
+        return (
+            *self._sensed(),
+            Field("tool", "m", _SCALE, "tool in space as measured"),
+            Field("target", "m", _SCALE, "where it is to be"),
+        )
+
+    def observe(self, s: Scene) -> tuple[Array, ...]:
+        """See `Task`."""
+        return *self._sense(s), s.tool_seen, s.goal[:, :3]
+
+    def failed(self, s: Scene) -> Mask:
+        """Never."""
+        return np.zeros(len(s.q), bool)
+
+    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        """See `Task`."""
+        achieved, desired = self._shown(s.tool_seen), self._shown(s.goal[:, :3])
+        return {"reached": self.goal_reward(achieved, desired)}
+
+    def _shown(self, place: Array) -> Array:
+        """(n, 3) a place as the observation gives it."""
+        return np.clip(place / _SCALE, -self.CLIP, self.CLIP).astype(np.float32)
+
+    def goal_reward(self, achieved: Array, desired: Array) -> Array:
+        """(...,) reward of goals (..., 3) in the units of the observation."""
+        gap = (np.asarray(achieved, float) - np.asarray(desired, float)) * _SCALE
+        return np.where((gap**2).sum(axis=-1) <= self.tolerance**2, 0.0, -1.0)

@@ -1,0 +1,119 @@
+"""From rest to rest by a deadline with least energy to the base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from ves_gym.core.dynamics import joint_positions
+from ves_gym.core.motion import QUINTIC_PEAK_SPEED
+from ves_gym.core.params import Array, Mask, Vector, require_positive, unit
+from ves_gym.envs.control import Control, Guided
+from ves_gym.envs.scales import straight_energy
+from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+
+_TRIES = 12  # candidate queries per episode; the first that respects the speed limits counts
+
+
+@register_task("rest_to_rest")
+@dataclass(frozen=True, kw_only=True)
+class RestToRest(Task):
+    """Bring the arm from one configuration to another, at rest at the deadline.
+
+    Queries are drawn as those of the planning benchmark reach100: both ends uniform in a
+    box of joint angles, kept when the straight quintic respects the speed limits. The
+    reward adds up to -E_mean / E_straight, E_straight the energy that a straight motion is
+    expected to leave (`scales.straight_energy`), so the straight line returns about -1.
+    """
+
+    draws: ClassVar[int] = 6 * _TRIES
+    options: ClassVar[tuple[str, ...]] = ("q", "goal")
+    control: Control = Guided()
+    duration: float = unit("s", default=2.0)
+    span: Vector = unit("rad", default=tuple(np.deg2rad([120.0, 60.0, 120.0]).tolist()))
+    tolerance: float = unit("rad", default=float(np.deg2rad(1.0)))  # of each joint at the end
+    rest: float = unit("rad/s", default=float(np.deg2rad(3.0)))  # of each joint at the end
+    miss: float = unit("1/rad", default=2.0)  # penalty of the distance left at the end
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "tolerance", "rest")
+        require_positive(self, "miss", zero=True)
+
+    @cached_property
+    def _straight(self) -> straight_energy:
+        return straight_energy(self.system.ideal(), self.duration, self.tail)
+
+    def start(self, u: Array, **options: Array) -> Start:
+        """See `Task`. Goal: joint angles (joints), then E_straight."""
+        n = self.system.arm.n
+        span = np.resize(np.asarray(self.span, float), n)
+        ends = (2 * u.reshape(len(u), _TRIES, 2, -1)[..., :n] - 1) * span
+        speed = np.abs(ends[:, :, 1] - ends[:, :, 0]) * (QUINTIC_PEAK_SPEED / self.duration)
+        good = np.all(speed <= self.system.arm.column("v_max"), axis=2)
+        pick = np.where(good.any(axis=1), good.argmax(axis=1), 0)
+        chosen = ends[np.arange(len(u)), pick]
+        # none of the tries: shorten the first until it fits
+        excess = (speed / self.system.arm.column("v_max")).max(axis=2)
+        shrink = np.maximum(excess[np.arange(len(u)), pick], 1.0)[:, None]
+        q = chosen[:, 0]
+        goal = options.get("goal", q + (chosen[:, 1] - q) / shrink)
+        q = options.get("q", q)
+        return Start(q, np.column_stack([goal, self._straight(q, goal)]))
+
+    def fields(self) -> tuple[Field, ...]:
+        """See `Task`."""
+        arm = self.system.arm
+        sway, swaying = self.sway
+        fast = arm.column("v_max")
+        return (
+            Field("joint_angle", "rad", np.full(arm.n, np.pi), "joint angles"),
+            Field("to_goal", "rad", np.full(arm.n, np.pi / 2), "goal less reference"),
+            Field("reference_rate", "rad/s", fast, "rate of the reference"),
+            Field(
+                "reference_acceleration", "rad/s^2", 4 * fast, "acceleration of the reference"
+            ),
+            Field("base_pose", "m, rad", sway, "pose of the base as measured"),
+            Field("base_rate", "m/s, rad/s", swaying, "rate of the base as measured"),
+            Field("time_left", "s", np.array([self.duration]), "until the deadline"),
+            Field("energy_scale", "1", np.array([2.0]), "decimal logarithm of E_straight in J"),
+        )
+
+    def observe(self, s: Scene) -> tuple[Array, ...]:
+        """See `Task`."""
+        n = self.system.arm.n
+        return (
+            s.q,
+            s.goal[:, :n] - s.ref[:, 0],
+            s.ref[:, 1],
+            s.ref[:, 2],
+            s.y_seen,
+            s.yd_seen,
+            (self.duration - s.time)[:, None],
+            np.log10(s.goal[:, n:]),
+        )
+
+    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        """See `Task`."""
+        n = self.system.arm.n
+        scale = s.goal[:, n] * (self.duration + self.tail)
+        left = np.abs(s.goal[:, :n] - s.q).sum(axis=1)
+        return {
+            "energy": -s.energy * dt / scale,
+            "tail": -s.tail / scale,
+            "miss": np.where(last, -self.miss * left, 0.0),
+        }
+
+    def marker(self, s: Scene) -> Array:
+        """The arm at the goal, from its tool down."""
+        n = self.system.arm.n
+        return joint_positions(self.system.arm, s.goal[:, :n])[:, ::-1]
+
+    def success(self, s: Scene) -> Mask:
+        """At the goal, and at rest there."""
+        n = self.system.arm.n
+        near = np.all(np.abs(s.goal[:, :n] - s.q) <= self.tolerance, axis=1)
+        return np.asarray(near & np.all(np.abs(s.v) <= self.rest, axis=1), dtype=bool)

@@ -1,0 +1,245 @@
+"""`Task`: what an episode asks, vectorised over simulations. A new task is a new file.
+
+A task is frozen data: the system, how actions drive the joints, and what counts. Whatever
+changes during an episode is held by `Batch`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from ves_gym.core.energy import TAIL
+from ves_gym.core.params import (
+    Array,
+    Mask,
+    ParameterError,
+    finite,
+    from_plain,
+    require_positive,
+    to_plain,
+    unit,
+)
+from ves_gym.core.system import System
+from ves_gym.envs.control import Control
+from ves_gym.envs.randomize import Range
+
+TASKS: dict[str, type[Task]] = {}
+
+
+@dataclass(frozen=True)
+class Field:
+    """A named part of the observation: value / scale, clipped to +-`Task.CLIP`."""
+
+    name: str
+    unit: str
+    scale: Array  # (size,) what counts as one, in the unit
+    what: str
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return len(self.scale)
+
+
+class Start(NamedTuple):
+    """How k episodes begin."""
+
+    q: Array  # (k, joints) rad
+    goal: Array  # (k, g) whatever the task compares with
+    y: Array | float = 0.0  # (k, 6)
+    yd: Array | float = 0.0  # (k, 6)
+    v: Array | float = 0.0  # (k, joints)
+
+
+@dataclass
+class Scene:
+    """Every simulation at one instant. Leading axis n."""
+
+    time: Array  # (n,) s since the episode's start
+    q: Array  # (n, joints) rad
+    v: Array  # (n, joints) rad/s
+    y: Array  # (n, 6) base pose, true [m, rad]
+    yd: Array  # (n, 6) its rate
+    y_seen: Array  # (n, 6) what is measured of it: the truth in space, the platform's pose
+    yd_seen: (
+        Array  # (n, 6) the same of its rate: in the laboratory that of the vehicle emulated
+    )
+    tool: Array  # (n, 3) tool in space, true [m]
+    tool_seen: Array  # (n, 3) where it is by the measured pose of the base [m]
+    energies: Array  # (n, 2) E of the base and its strain energy [J]
+    ref: Array  # (n, 3, joints) motion the servos follow: angle, rate, acceleration
+    goal: Array  # (n, g) of the task
+    memory: (
+        Array  # (n, `Task.memory`) what the task remembers of the episode, zero at its start
+    )
+    tau: Array  # (n, joints) torque or drive command last asked for
+    tail: Array  # (n,) J s that the base will keep after the end; zero before it
+    kp: Array  # (n, joints) N m/rad in force
+    kd: Array  # (n, joints) N m s/rad in force
+
+    @property
+    def energy(self) -> Array:
+        """(n,) E of the base [J]."""
+        return self.energies[:, 0]
+
+    @property
+    def strain(self) -> Array:
+        """(n,) strain energy of the base [J]."""
+        return self.energies[:, 1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task(ABC):
+    """What an episode asks.
+
+    `tail` seconds after the deadline count into `E_mean`, joints held, as in the planning
+    benchmark; their energy is computed from the linearised motion, not simulated.
+    """
+
+    REGISTRY: ClassVar[dict[str, type[Task]]] = TASKS
+    CLIP: ClassVar[float] = 5.0  # of observations, in their scales
+    kind: ClassVar[str]
+    draws: ClassVar[int]  # uniform numbers that `start` takes per episode
+    ends: ClassVar[str] = "terminated"  # what the deadline is: terminated or truncated
+    options: ClassVar[tuple[str, ...]] = ()  # what `reset` lets one choose; keywords of `start`
+    goal_fields: ClassVar[tuple[str, str] | None] = None  # achieved, desired (goal variants)
+    memory: ClassVar[int] = 0  # columns of `Scene.memory`
+
+    system: System = System(physics_dt=2.5e-3)
+    control: Control
+    duration: float = unit("s")
+    tail: float = unit("s", default=TAIL)
+    randomize: tuple[Range, ...] = ()
+
+    def __post_init__(self) -> None:
+        require_positive(self, "duration")
+        require_positive(self, "tail", zero=True)
+        steps = self.duration / self.system.control_dt
+        if abs(steps - round(steps)) > 1e-9 * steps:
+            raise ParameterError(
+                f"{self.kind}.duration must be whole control periods of"
+                f" {self.system.control_dt:g} s, got {self.duration:g} s"
+            )
+        self.control.check(self.system, self.duration)
+        for spread in self.randomize:
+            spread.check(self.system)
+
+    @cached_property
+    def steps(self) -> int:
+        """Control periods of an episode."""
+        return round(self.duration / self.system.control_dt)
+
+    @abstractmethod
+    def start(self, u: Array, **options: Array) -> Start:
+        """Beginnings of k episodes from uniform numbers u (k, draws) in [0, 1).
+
+        `options`: what was chosen instead, (k, ...) each.
+        """
+
+    @abstractmethod
+    def fields(self) -> tuple[Field, ...]:
+        """Parts of the observation, in order."""
+
+    @abstractmethod
+    def observe(self, s: Scene) -> tuple[Array, ...]:
+        """Values (n, size) of the fields, in their units."""
+
+    def remember(self, s: Scene, dt: float) -> None:  # noqa: B027
+        """Bring `s.memory` up to date, once per period and before `reward` is asked."""
+
+    @abstractmethod
+    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        """Terms (n,) of the reward of the period dt that ended here; `last`: the deadline's."""
+
+    @abstractmethod
+    def success(self, s: Scene) -> Mask:
+        """(n,) whether the episode would count as solved if it ended here."""
+
+    def failed(self, s: Scene) -> Mask:
+        """(n,) whether an episode must end now as a failure. Joint limits, by default."""
+        low, high = self.joint_range
+        return np.asarray(np.any((s.q < low) | (s.q > high), axis=1), dtype=bool)
+
+    def marker(self, s: Scene) -> Array | None:
+        """(n, k, 3) points in space that pictures show [m]: a target, then a line from it."""
+        return None
+
+    def goal_reward(self, achieved: Array, desired: Array) -> Array:
+        """(...,) reward of a goal variant from goals (..., g)."""
+        raise NotImplementedError
+
+    def check_options(
+        self, options: Mapping[str, Any] | None, extra: tuple[str, ...], rows: int | None = None
+    ) -> dict[str, Any]:
+        """Options of `reset` as arrays, checked.
+
+        Args:
+            extra: names that are the environment's own, passed on as they are.
+            rows: number of environments of a vector, None for one.
+
+        Raises:
+            ParameterError: unknown names, wrong widths, joints out of their limits.
+        """
+        if not isinstance(options, (Mapping, type(None))):
+            raise ParameterError(f"reset: options must be a dict or None, got {options!r}")
+        out: dict[str, Any] = {}
+        for name, value in (options or {}).items():
+            if name in extra:
+                out[name] = value
+                continue
+            if name not in self.options:
+                known = ", ".join((*extra, *self.options))
+                raise ParameterError(f"reset: unknown option {name!r}; known: {known}")
+            width = 6 if name in ("y", "yd") else 3 if name == "target" else self.system.arm.n
+            shape = (width,) if rows is None else (rows, width)
+            out[name] = finite(value, shape, f"options[{name!r}]")
+            if name in ("q", "goal"):
+                for q in np.atleast_2d(out[name]):
+                    self.system.arm.require_within_limits(q, f"options[{name!r}]")
+        return out
+
+    # ----------------------------------------------------------------- scales
+
+    @cached_property
+    def joint_range(self) -> tuple[Array, Array]:
+        """Lower and upper joint limits (joints,) with a degree to spare."""
+        arm = self.system.arm
+        return arm.column("q_min") - np.deg2rad(1), arm.column("q_max") + np.deg2rad(1)
+
+    @cached_property
+    def sway(self) -> tuple[Array, Array]:
+        """What counts as one of Y and of Y' (6,): there each holds one joule, or m and rad."""
+        base = self.system.ideal().base
+        K, M = np.diag(base.K), np.diag(base.mass_matrix) + self.system.arm.mass
+        soft = np.where(K > 0, K, 2.0)
+        return np.minimum(np.sqrt(2 / soft), 1.0), np.minimum(np.sqrt(2 / M), 1.0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, `kind` included."""
+        plain: dict[str, Any] = to_plain(self)
+        return plain
+
+
+def register_task(kind: str) -> Any:
+    """Class decorator: file a task under its name; a name already taken is an error."""
+
+    def decorate(cls: type[Task]) -> type[Task]:
+        if kind in TASKS:
+            raise ParameterError(f"task {kind!r} is already registered by {TASKS[kind]}")
+        cls.kind = kind
+        TASKS[kind] = cls
+        return cls
+
+    return decorate
+
+
+def task_from_plain(plain: Mapping[str, Any]) -> Task:
+    """A task from plain data with the entry `kind`; unknown keys are an error."""
+    task: Task = from_plain(Task, plain, "task")
+    return task

@@ -1,0 +1,177 @@
+"""`VesVectorEnv`: n episodes in lockstep through Gymnasium's vector interface, no loop."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from ves_gym.core.params import Mask
+from ves_gym.envs.batch import Batch
+from ves_gym.envs.build import build_task
+from ves_gym.envs.spaces import goal_space, observation_space, require_seed, split_goals
+from ves_gym.envs.task import Task
+
+
+class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
+    """n episodes of a task.
+
+    Args:
+        num_envs: how many.
+        task: name, "package.module:Class" or `Task`.
+        autoreset_mode: NextStep (Gymnasium's default), SameStep or Disabled.
+        backend, threads: engine and its threads, see `Simulator`.
+        goal: observations of a goal-conditioned task as a dictionary.
+        dump: folder for run logs of episodes that diverge (`info["dump"]` names the files).
+        settings: see `build_task`.
+
+    `info` holds arrays with the leading axis num_envs; what exists only at the end of an
+    episode has its mask beside it (`energy`, `_energy`), as in Gymnasium.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        task: str | Task = "rest_to_rest",
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        backend: str = "auto",
+        threads: int = 0,
+        goal: bool = False,
+        dump: str | os.PathLike[str] | None = None,
+        **settings: Any,
+    ) -> None:
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.task = build_task(task, **settings)
+        self.num_envs, self.goal = num_envs, goal
+        self._engine: dict[str, Any] = {"backend": backend, "threads": threads, "dump": dump}
+        self.batch = Batch(self.task, num_envs, **self._engine)
+        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.batch.width,), np.float32)
+        space = observation_space(self.task)
+        self.single_observation_space = goal_space(self.task, space) if goal else space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._over = np.zeros(num_envs, bool)
+        self._ready = False
+        self._everyone = np.arange(num_envs)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin the next episodes.
+
+        Args:
+            seed: one root for all, whose simulation i is environment i; or one root per
+                environment, each its simulation 0, as if they were single environments.
+            options: reset_mask (num_envs,) of those to reset, and what the task lets one
+                choose, (num_envs, ...) each.
+        """
+        options = self.task.check_options(options, extra=("reset_mask",), rows=self.num_envs)
+        ids = self._everyone
+        if "reset_mask" in options:
+            ids = np.flatnonzero(_mask(options.pop("reset_mask"), self.num_envs))
+            if not self._ready and len(ids) < self.num_envs:
+                raise gym.error.ResetNeeded("the first reset must include every environment")
+        self._seed(seed, ids)
+        self.batch.reset(ids, {k: v[ids] for k, v in options.items()})
+        self._over[ids] = False
+        self._ready = True
+        return self._observation(), self.batch.begun()
+
+    def _seed(self, seed: Any, ids: Any) -> None:
+        if seed is None and not self._ready:
+            seed = int(np.random.SeedSequence().generate_state(1)[0])
+        if seed is None:
+            return
+        if np.ndim(seed) == 0:
+            require_seed(seed)
+            self._np_random, self._np_random_seed = gym.utils.seeding.np_random(int(seed))
+            self.batch.seed(ids, int(seed), ids)
+            return
+        roots = list(seed)
+        if len(roots) != self.num_envs:
+            raise gym.error.Error(f"seed must be {self.num_envs} numbers, got {len(roots)}")
+        if not self._ready:
+            drawn = np.random.SeedSequence().generate_state(self.num_envs).tolist()
+            roots = [d if r is None else r for r, d in zip(roots, drawn, strict=True)]
+        chosen = [i for i in ids.tolist() if roots[i] is not None]
+        for i in chosen:
+            require_seed(roots[i])
+        self.batch.seed(np.array(chosen, int), np.array([roots[i] for i in chosen], "u8"), 0)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """One control period; an `ActionError` leaves every state as it was."""
+        if not self._ready:
+            raise gym.error.ResetNeeded("call reset before step")
+        mode = self.autoreset_mode
+        if mode is AutoresetMode.DISABLED and self._over.any():
+            some = np.flatnonzero(self._over)[:5].tolist()
+            raise gym.error.ResetNeeded(
+                f"environments {some} are over: reset them with options={{'reset_mask': ...}}"
+            )
+        given = self.batch.check(actions)
+        over = self._over if self._over.any() else None
+        reward, terminated, truncated, info = self.batch.step(given, over)
+        if over is not None:  # their action was only the call for the next episode
+            self.batch.reset(np.flatnonzero(over))
+            info.update(self._begun(over))
+        ended = terminated | truncated
+        self._over = ended
+        if mode is AutoresetMode.SAME_STEP and ended.any():
+            final, last = self._observation(), dict(info)
+            info["final_obs"], info["_final_obs"] = final, ended
+            info["final_info"], info["_final_info"] = last, ended
+            self.batch.reset(np.flatnonzero(ended))
+            info.update(self._begun(ended))
+            self._over = np.zeros(self.num_envs, bool)
+        return self._observation(), reward, terminated, truncated, info
+
+    def _begun(self, who: Mask) -> dict[str, Any]:
+        """What is told of episodes that began within a step, with its masks."""
+        told = self.batch.begun()
+        return {**told, **{f"_{key}": who.copy() for key in told}}
+
+    def _observation(self) -> Any:
+        rows = self.batch.observe()
+        return split_goals(self.task, rows) if self.goal else rows
+
+    def snapshot(self) -> Any:
+        """The complete state, random generators included; picklable."""
+        return self.batch.get_state(), self._ready, self._over.copy()
+
+    def restore(self, snapshot: Any) -> None:
+        """Return to a snapshot of an environment of the same settings."""
+        state, self._ready, over = snapshot
+        self._over = over.copy()
+        self.batch.set_state(state)
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = self.__dict__.copy()
+        kept["batch"] = self.batch.get_state()
+        return kept
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__dict__.update(kept)
+        self.batch = Batch(self.task, self.num_envs, **self._engine)
+        self.batch.set_state(kept["batch"])
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Nothing outlives the arrays."""
+
+
+def _mask(given: Any, n: int) -> Mask:
+    mask = np.asarray(given)
+    if mask.shape != (n,) or mask.dtype != bool:
+        raise gym.error.Error(f"reset_mask must be {n} truth values, got {given!r}")
+    return mask
