@@ -1,7 +1,7 @@
-"""The picture of a run: arm, beam, base path and wrench as a MuJoCo scene, frame by frame.
+"""A system as a picture: arm, beam or legs, base path and wrench as a MuJoCo scene.
 
-Runs in the drawing process only (`movie`): it needs MuJoCo with its OpenGL, so MuJoCo is
-imported first and as it is, not by way of `core.engine`, which would do without.
+Runs in drawing processes only (`movie`, `stage`): it needs MuJoCo with its OpenGL, so MuJoCo
+is imported first and as it is, not by way of `core.engine`, which would do without.
 """
 
 from __future__ import annotations
@@ -20,12 +20,10 @@ from ves_gym.core.spatial import rotation
 from ves_gym.core.system import System
 from ves_gym.core.vehicle import Beam
 from ves_gym.planners.scenes import beam_line
-from ves_gym.report.render import View
 
-_TRAIL = 3.0  # s of the base's past path that is drawn
-_ARROW = 1.2  # m of the longest force or moment arrow
+ARROW = 1.2  # m, of the longest force or moment arrow
 
-_BACKGROUND = (0.075, 0.090, 0.125)
+BACKGROUND = (0.075, 0.090, 0.125)
 _PALE = (0.90, 0.91, 0.93, 1.0)
 JOINT = (0.93, 0.55, 0.16, 1.0)
 _METAL = (0.52, 0.56, 0.62, 1.0)
@@ -36,22 +34,23 @@ TOOL = (0.88, 0.27, 0.27, 1.0)
 FORCE = (0.35, 0.80, 0.48, 1.0)
 MOMENT = (0.74, 0.52, 0.95, 1.0)
 PATH = (0.32, 0.72, 0.98, 1.0)
+TARGET = (0.98, 0.86, 0.30, 1.0)
 
 
 class Drawing:
     """The structure as MuJoCo geometry, posed frame by frame."""
 
-    def __init__(self, system: System, clip: dict[str, Array], view: View) -> None:
-        self.system, self.clip, self.view = system, clip, view
-        in_space = system.mode == "ideal"  # the laboratory stands on legs instead
-        vehicle = system.vehicle
-        self.beam: Any = beam_line(vehicle, clip["y"]) if in_space else None  # (N, k, 3)
-        self.rest: Any = beam_line(vehicle, np.zeros((1, 6))) if in_space else None
-        self.legs: Any = None if in_space else _legs(system, clip["y"])  # (N, 6, 2, 3)
-        turned = joint_positions(system.arm, clip["q"]) @ np.swapaxes(
-            rotation(clip["y"]), -1, -2
-        )
-        self.arm = turned + clip["y"][:, None, :3]  # (N, n + 1, 3)
+    def __init__(self, system: System, width: int, height: int) -> None:
+        self.system, self.size = system, (width, height)
+        self.rest: Any = None  # (k, 3) centreline of a beam
+        self.feet: Any = None  # (6, 3) of legs
+        if system.mode == "emulated":  # the laboratory stands on legs instead
+            stewart = system.laboratory.stewart
+            self.feet = np.array(stewart.base) - [0.0, 0.0, stewart.home_height]
+        elif isinstance(system.vehicle, Beam):
+            lines: Any = beam_line(system.vehicle, np.vstack([np.zeros(6), np.eye(6)]))
+            self.rest, self.bend = lines[0], lines[1:] - lines[0]  # (6, k, 3) per Y
+            self.thick = system.vehicle.outer_diameter
         self.model = self._model()
         self.data = mujoco.MjData(self.model)
 
@@ -70,17 +69,17 @@ class Drawing:
             name="sky",
             type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
             builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-            rgb1=_BACKGROUND,
-            rgb2=_BACKGROUND,
+            rgb1=BACKGROUND,
+            rgb2=BACKGROUND,
             width=32,
             height=192,
         )
         spec.visual.headlight.ambient = [0.35] * 3
         spec.visual.headlight.diffuse = [0.35] * 3
         spec.visual.headlight.specular = [0.1] * 3
-        spec.visual.global_.offwidth = max(64, self.view.width // 2)
-        spec.visual.global_.offheight = self.view.height
+        spec.visual.global_.offwidth, spec.visual.global_.offheight = self.size
         spec.visual.quality.offsamples = 4
+        spec.visual.quality.numslices, spec.visual.quality.numstacks = 20, 8  # of round shapes
         spec.stat.center, spec.stat.extent = [0.0, 0.0, 0.0], 4.0
         spec.visual.map.znear, spec.visual.map.zfar = 0.02, 100.0
         spec.worldbody.add_light(
@@ -103,7 +102,7 @@ class Drawing:
             _rod(platform, "CYLINDER", (0, 0, 0), (0, 0, 0.72 * reach), 1.25 * r, _DARK)
         _rod(spec.worldbody, "CYLINDER", (0, 0, -0.06), (0, 0, 0), 3.6 * r, _GHOST)
         body = self.system.base.body
-        if self.legs is not None:
+        if self.feet is not None:
             stewart = self.system.laboratory.stewart
             top, floor = np.array(stewart.top), stewart.home_height + 0.05
             size = np.linalg.norm(top[:, :2], axis=1).max()
@@ -138,6 +137,11 @@ class Drawing:
             root = end + side * 0.8 * r * across
             _rod(body, "CAPSULE", root, root + 2.6 * r * along, 0.3 * r, TOOL)
 
+    @property
+    def _rim(self) -> Array:
+        """The point (3,) of the plate's rim that cameras see [m]."""
+        return 4.0 * self._radius(0) * np.array([0.64, -0.77, 0.0])
+
     def _radius(self, i: int) -> float:
         arm = self.system.arm
         size = float(sum(math.hypot(k.a, k.d) for k in arm.links))
@@ -145,43 +149,70 @@ class Drawing:
 
     # ------------------------------------------------------------------ frames
 
-    def pose(self, k: int) -> None:
-        """Put the structure where frame k has it."""
-        self.data.qpos[TO_Y] = self.clip["y"][k]
-        self.data.qpos[6:] = self.clip["q"][k]
+    def pose(self, y: Array, q: Array) -> None:
+        """Put the structure there."""
+        self.data.qpos[TO_Y] = y
+        self.data.qpos[6:] = q
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
-    def decorate(self, scene: Any, k: int, extent: float) -> None:
-        """Add what is not a rigid body: bent beam or legs, the plate's path, the wrench."""
-        vehicle = self.system.vehicle
-        if self.legs is not None:
-            for foot, head in self.legs[k]:
+    def beam(self, y: Array) -> Array | None:
+        """Bent centreline (..., k, 3) [m] under base poses y (..., 6)."""
+        if self.rest is None:
+            return None
+        return np.asarray(self.rest + np.tensordot(y, self.bend, 1), dtype=np.float64)
+
+    def legs(self, y: Array) -> Array | None:
+        """Foot and head of every leg (..., 6, 2, 3) [m]; origin: the platform top at home."""
+        if self.feet is None:
+            return None
+        top = np.array(self.system.laboratory.stewart.top)
+        head = top @ np.swapaxes(rotation(y), -1, -2) + y[..., None, :3]
+        return np.stack([np.broadcast_to(self.feet, head.shape), head], axis=-2)
+
+    def arm(self, y: Array, q: Array) -> Array:
+        """Joints and tool (..., n + 1, 3) [m] in space."""
+        turned = joint_positions(self.system.arm, q) @ np.swapaxes(rotation(y), -1, -2)
+        return np.asarray(turned + y[..., None, :3], dtype=np.float64)
+
+    def carry(self, scene: Any, y: Array, extent: float) -> None:
+        """Add what carries the arm and is no rigid body: the bent beam, or the legs."""
+        legs, line = self.legs(y), self.beam(y)
+        if legs is not None:
+            for foot, head in legs:
                 middle = foot + 0.55 * (head - foot)
-                _connect(scene, "CAPSULE", foot, middle, 0.05, _DARK)
-                _connect(scene, "CAPSULE", middle, head, 0.028, _METAL)
-        elif isinstance(vehicle, Beam):
-            radius = max(vehicle.outer_diameter / 2, 0.004 * extent)
-            for a, b in itertools.pairwise(self.rest[0]):
-                _connect(scene, "CAPSULE", a, b, 0.5 * radius, _GHOST)
-            for a, b in itertools.pairwise(self.beam[k]):
-                _connect(scene, "CAPSULE", a, b, radius, _BEAM)
-        first = max(0, k - round(_TRAIL * self.view.fps / self.view.speed))
-        stride = max(1, (k - first) // 60)
-        past = self.clip["y"][first : k + 1][::-stride][::-1]  # ends at this very frame
-        rim = 4.0 * self._radius(0) * np.array([0.64, -0.77, 0.0])  # where cameras see it
-        trail = past[:, :3] + rotation(past) @ rim
-        for i, (a, b) in enumerate(itertools.pairwise(trail)):
-            fade = (*PATH[:3], 0.15 + 0.85 * (i + 1) / len(trail))
-            _connect(scene, "CAPSULE", a, b, 0.005 * extent, fade)
-        if "w" in self.clip:
-            turn, origin = rotation(self.clip["y"][k]), self.clip["y"][k, :3]
-            for part, rgba in ((slice(0, 3), FORCE), (slice(3, 6), MOMENT)):
-                most = np.linalg.norm(self.clip["w"][:, part], axis=1).max()
-                arrow = _ARROW * (turn @ self.clip["w"][k, part]) / max(most, 1e-12)
-                if np.linalg.norm(arrow) > 0.02:
-                    _connect(scene, "ARROW", origin, origin + arrow, 0.025, rgba)
+                connect(scene, "CAPSULE", foot, middle, 0.05, _DARK)
+                connect(scene, "CAPSULE", middle, head, 0.028, _METAL)
+        elif line is not None:
+            radius = max(self.thick / 2, 0.004 * extent)
+            for a, b in itertools.pairwise(self.rest):
+                connect(scene, "CAPSULE", a, b, 0.5 * radius, _GHOST)
+            for a, b in itertools.pairwise(line):
+                connect(scene, "CAPSULE", a, b, radius, _BEAM)
+
+    def trail(self, scene: Any, past: Array, extent: float) -> None:
+        """Add the path of a point on the plate's rim; past: (N, 6) base poses."""
+        stride = max(1, (len(past) - 1) // 60)
+        past = past[::-stride][::-1]  # ends at the last
+        points = past[:, :3] + rotation(past) @ self._rim
+        for i, (a, b) in enumerate(itertools.pairwise(points)):
+            fade = (*PATH[:3], 0.15 + 0.85 * (i + 1) / len(points))
+            connect(scene, "CAPSULE", a, b, 0.005 * extent, fade)
+
+    def wrench(
+        self, scene: Any, y: Array, w: Array, most: tuple[float, float], longest: float = ARROW
+    ) -> None:
+        """Add force and moment on the base; `most`: [N], [N m] as long as `longest` [m].
+
+        They begin on the plate's rim: at its centre the arm would hide them.
+        """
+        turn = rotation(y)
+        origin = y[:3] + turn @ self._rim
+        for part, largest, rgba in zip((w[:3], w[3:]), most, (FORCE, MOMENT), strict=True):
+            arrow = longest * (turn @ part) / max(largest, 1e-12)
+            if np.linalg.norm(arrow) > 0.02:
+                connect(scene, "ARROW", origin, origin + arrow, 0.025, rgba)
 
     def camera(
         self, points: Array, margin: float, azimuth: float, elevation: float, aspect: float
@@ -205,34 +236,34 @@ class Drawing:
         camera.azimuth, camera.elevation = azimuth, elevation
         return camera
 
-    def cameras(self, aspect: float) -> list[tuple[Any, float]]:
-        """A camera on everything and one on the arm, each with the size of what it sees."""
-        arm = np.vstack([self.arm.reshape(-1, 3), np.zeros((1, 3))])
-        whole = arm
-        if self.beam is not None:
-            whole = np.vstack([arm, self.beam.reshape(-1, 3)])
-        if self.legs is not None:
-            whole = np.vstack([arm, self.legs.reshape(-1, 3)])
-        body, margin = self.system.base.body, 0.6
-        if body is not None and self.legs is None:
-            margin += float(_equal_box(body)[0].max())
-            whole = np.vstack([arm, self.clip["y"][:, :3] + np.array(body.com)])
+    def cameras(self, y: Array, q: Array, aspect: float) -> list[tuple[Any, float]]:
+        """A camera on everything and one on the arm, each with the size of what it sees.
+
+        Args:
+            y, q: (N, 6), (N, n) where the run takes base and joints.
+        """
+        arm = np.vstack([self.arm(y, q).reshape(-1, 3), np.zeros((1, 3))])
         out = []
         for points, room, azimuth, elevation in (
-            (whole, margin, 110, -14),
+            (*self.whole(arm, y), 110, -14),
             (arm, 0.4, 130, -18),
         ):
             camera = self.camera(points, room, azimuth, elevation, aspect)
             out.append((camera, float(np.ptp(points, axis=0).max())))
         return out
 
-
-def _legs(system: System, y: Array) -> Array:
-    """(N, 6, 2, 3) foot and head of every leg [m]; the origin is the platform top at home."""
-    stewart = system.laboratory.stewart
-    foot = np.array(stewart.base) - [0.0, 0.0, stewart.home_height]
-    head = np.array(stewart.top) @ np.swapaxes(rotation(y), -1, -2) + y[:, None, :3]
-    return np.stack([np.broadcast_to(foot, head.shape), head], axis=2)
+    def whole(self, arm: Array, y: Array) -> tuple[Array, float]:
+        """Points (m, 3) of arm and vehicle together, and the room they need around them."""
+        body, margin = self.system.base.body, 0.6
+        legs, line = self.legs(y), self.beam(y)
+        if legs is not None:
+            return np.vstack([arm, legs.reshape(-1, 3)]), margin
+        if line is not None:
+            return np.vstack([arm, line.reshape(-1, 3)]), margin
+        if body is not None:
+            margin += float(_equal_box(body)[0].max())
+            return np.vstack([arm, y[:, :3] + np.array(body.com)]), margin
+        return arm, margin
 
 
 def _add(body: Any, kind: str, rgba: Any, **options: Any) -> None:
@@ -256,7 +287,7 @@ def _box(body: Any, at: Any, half: Array, axes: Array, rgba: Any) -> None:
     _add(body, "BOX", rgba, size=half, pos=at, quat=quat)
 
 
-def _connect(scene: Any, kind: str, a: Array, b: Array, radius: float, rgba: Any) -> None:
+def connect(scene: Any, kind: str, a: Array, b: Array, radius: float, rgba: Any) -> None:
     """Add a shape from a to b to this frame of the scene; none where they coincide."""
     if np.linalg.norm(b - a) < 1e-9:
         return
@@ -264,6 +295,14 @@ def _connect(scene: Any, kind: str, a: Array, b: Array, radius: float, rgba: Any
     zero, colour = np.zeros(3), np.array(rgba, np.float32)
     mujoco.mjv_initGeom(geom, shape, zero, zero, np.eye(3).ravel(), colour)
     mujoco.mjv_connector(geom, shape, radius, a, b)
+    scene.ngeom += 1
+
+
+def ball(scene: Any, at: Array, radius: float, rgba: Any) -> None:
+    """Add a sphere to this frame of the scene."""
+    geom, colour = scene.geoms[scene.ngeom], np.array(rgba, np.float32)
+    shape, size = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius)
+    mujoco.mjv_initGeom(geom, shape, size, at, np.eye(3).ravel(), colour)
     scene.ngeom += 1
 
 

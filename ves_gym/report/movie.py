@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -20,15 +21,34 @@ from ves_gym.report.drawing import FORCE, JOINT, MOMENT, PATH, TOOL, Drawing
 from ves_gym.report.render import View
 
 _GAP = 2  # pixels between the two pictures
+_TRAIL = 3.0  # s of the base's past path that is drawn
+
+Clip = dict[str, Array]
 
 
-def _frames(drawing: Drawing) -> Iterator[Array]:
+def _half(view: View) -> int:
+    """Width of one of the two pictures."""
+    return (view.width - _GAP) // 2
+
+
+def _decorate(
+    scene: Any, drawing: Drawing, clip: Clip, view: View, k: int, extent: float
+) -> None:
+    """Add to frame k what is not a rigid body."""
+    drawing.carry(scene, clip["y"][k], extent)
+    first = max(0, k - round(_TRAIL * view.fps / view.speed))
+    drawing.trail(scene, clip["y"][first : k + 1], extent)
+    if "w" in clip:
+        force, moment = np.linalg.norm(clip["w"].reshape(-1, 2, 3), axis=2).max(axis=0)
+        drawing.wrench(scene, clip["y"][k], clip["w"][k], (force, moment))
+
+
+def _frames(drawing: Drawing, clip: Clip, view: View) -> Iterator[Array]:
     """Finished pictures (height, width, 3) uint8, reported on stdout one by one."""
     from PIL import Image, ImageDraw, ImageFont
 
-    view, clip = drawing.view, drawing.clip
-    half = (view.width - _GAP) // 2
-    cameras = drawing.cameras(half / view.height)
+    half = _half(view)
+    cameras = drawing.cameras(clip["y"], clip["q"], half / view.height)
     font = ImageFont.load_default(max(10, view.height // 28))
     count, margin = len(clip["t"]), view.height // 40
     legend = [("base path", PATH)]
@@ -37,11 +57,11 @@ def _frames(drawing: Drawing) -> Iterator[Array]:
     with mujoco.Renderer(drawing.model, view.height, half, max_geom=2000) as renderer:
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         for k in range(count):
-            drawing.pose(k)
+            drawing.pose(clip["y"][k], clip["q"][k])
             page = np.full((view.height, view.width, 3), 60, np.uint8)
             for side, (camera, extent) in enumerate(cameras):
                 renderer.update_scene(drawing.data, camera)
-                drawing.decorate(renderer.scene, k, extent)
+                _decorate(renderer.scene, drawing, clip, view, k, extent)
                 left = side * (view.width - half)
                 page[:, left : left + half] = renderer.render()
             image = Image.fromarray(page)
@@ -94,24 +114,24 @@ def _write_mp4(path: Path, frames: Iterator[Array], view: View) -> None:
     writer.close()
 
 
-def _window(drawing: Drawing) -> None:
+def _window(drawing: Drawing, clip: Clip, view: View) -> None:
     from mujoco.viewer import launch_passive
 
     with launch_passive(
         drawing.model, drawing.data, show_left_ui=False, show_right_ui=False
     ) as viewer:
-        camera, extent = drawing.cameras(4 / 3)[0]
+        camera, extent = drawing.cameras(clip["y"], clip["q"], 4 / 3)[0]
         viewer.cam.lookat[:], viewer.cam.distance = camera.lookat, camera.distance
         viewer.cam.azimuth, viewer.cam.elevation = camera.azimuth, camera.elevation
         k, due = 0, time.monotonic()
         while viewer.is_running():
             with viewer.lock():
-                drawing.pose(k)
+                drawing.pose(clip["y"][k], clip["q"][k])
                 viewer.user_scn.ngeom = 0
-                drawing.decorate(viewer.user_scn, k, extent)
+                _decorate(viewer.user_scn, drawing, clip, view, k, extent)
             viewer.sync()
-            k = (k + 1) % len(drawing.clip["t"])
-            due = max(due + 1 / drawing.view.fps, time.monotonic() - 1.0)
+            k = (k + 1) % len(clip["t"])
+            due = max(due + 1 / view.fps, time.monotonic() - 1.0)
             time.sleep(max(0.0, due - time.monotonic()))
 
 
@@ -120,14 +140,14 @@ def _main(job: str, target: str) -> None:
         clip = {k: held[k] for k in held.files if k != "job"}
         plain = json.loads(str(held["job"]))
     view = View(**plain["view"])
-    drawing = Drawing(System.from_dict(plain["system"]), clip, view)
+    drawing = Drawing(System.from_dict(plain["system"]), _half(view), view.height)
     path = Path(target)
     if path.suffix == ".gif":
-        _write_gif(path, _frames(drawing), view.fps)
+        _write_gif(path, _frames(drawing, clip, view), view.fps)
     elif path.suffix == ".mp4":
-        _write_mp4(path, _frames(drawing), view)
+        _write_mp4(path, _frames(drawing, clip, view), view)
     else:
-        _window(drawing)
+        _window(drawing, clip, view)
 
 
 if __name__ == "__main__":

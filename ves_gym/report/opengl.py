@@ -54,6 +54,15 @@ def has_display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
+def require_display() -> None:
+    """Raise a RenderError where no window can open."""
+    if not has_display():
+        raise RenderError(
+            "a window needs a display: DISPLAY is not set; a GIF or render_mode rgb_array needs"
+            " none (MUJOCO_GL: egl or osmesa)"
+        )
+
+
 def candidates() -> tuple[str, ...]:
     """Backends to try, in order: MUJOCO_GL alone if set, else what the platform has."""
     known = {

@@ -10,11 +10,7 @@ import dataclasses
 import importlib.util
 import json
 import os
-import queue
-import subprocess
-import sys
 import tempfile
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,14 +22,8 @@ from ves_gym.core.energy import base_energy, base_rate
 from ves_gym.core.params import Array, ParameterError, require_positive, unit, write_bytes
 from ves_gym.core.runlog import RunLog
 from ves_gym.core.system import System
-from ves_gym.report.opengl import (
-    RenderError,
-    choose_backend,
-    environment,
-    has_display,
-    last_words,
-    probe,
-)
+from ves_gym.report.opengl import RenderError, choose_backend, probe, require_display
+from ves_gym.report.process import Drawer
 
 _STALL = 180.0  # s without a finished frame after which drawing has hung
 
@@ -98,8 +88,7 @@ def show(log: RunLog, view: View | None = None) -> None:
     """
     view = view or View()
     clip = _clip(log, view)
-    if not has_display():
-        raise RenderError("a window needs a display: DISPLAY is not set; write a GIF instead")
+    require_display()
     found = probe("glfw")
     if not found.works:
         raise RenderError(f"a window needs glfw's OpenGL, which fails here: {found.reason}")
@@ -164,39 +153,15 @@ def _run_child(
     arrays = {k: v for k, v in clip.items() if k != "system"}
     np.savez(job, job=np.array(plain), **arrays)
     patience = _STALL if target.suffix else None  # a window stays as long as it likes
-    with open(target.with_name("stderr.txt"), "w+", encoding="utf-8") as errors:
-        child = subprocess.Popen(
-            [sys.executable, "-m", "ves_gym.report.movie", str(job), str(target)],
-            env=environment(backend),
-            stdout=subprocess.PIPE,
-            stderr=errors,
-            text=True,
-        )
-        lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
-        reader = threading.Thread(target=_pass_on, args=(child.stdout, lines), daemon=True)
-        reader.start()
-        try:
-            while (line := lines.get(timeout=patience)) is not None:
-                if progress is not None:
-                    progress(float(line))  # one per frame: the fraction done
-            status = child.wait()
-        except queue.Empty:
-            raise RenderError(
-                f"drawing with {backend} hung: no frame for {_STALL:g} s"
-            ) from None
-        finally:
-            child.kill()  # does nothing to one that has ended
-            child.wait()
-            reader.join()
-        if status != 0:
-            errors.seek(0)
-            words = last_words(status, errors.read())
-            raise RenderError(f"drawing with {backend} failed: {words}")
+    words = (str(job), str(target))
+    drawer = Drawer(backend, "ves_gym.report.movie", *words, read=_line)
+    try:
+        while (line := drawer.get(patience)) is not None:
+            if progress is not None:
+                progress(float(line))  # one per frame: the fraction done
+    finally:
+        drawer.close()
 
 
-def _pass_on(pipe: IO[str], lines: queue.SimpleQueue[str | None]) -> None:
-    """Queue a process's lines, and None when it has ended."""
-    with pipe:
-        for line in pipe:
-            lines.put(line)
-    lines.put(None)
+def _line(pipe: IO[bytes]) -> bytes | None:
+    return pipe.readline() or None
