@@ -18,11 +18,14 @@ COMMANDS = {  # name -> what it does; the module of the same name is loaded when
     "simulate": "play one motion on one system and record a run log",
     "plan": "find one path with one planner",
     "map": "coupling-map pictures and arrays",
+    "train": "learn policies for an environment with PPO or SAC",
+    "evaluate": "controllers and policies side by side on the same episodes",
     "calibrate": "gravity parameters and sensor matrix from a log of poses",
     "emulation-check": "is an emulation stable, and how true, before it runs",
     "list": "what exists: vehicles, planners, suites, effects",
     "doctor": "what is broken on this machine",
     "view": "watch a run log: window, GIF or MP4",
+    "teleop": "drive the arm from the keyboard while the base reacts",
 }
 DONE, NEGATIVE, BAD_INPUT = 0, 1, 2
 

@@ -1,0 +1,128 @@
+"""Built-in controllers do what their names say."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from ves_gym.baselines.controllers import CONTROLLERS, gains_action, get_controller
+from ves_gym.baselines.evaluate import evaluate, ratio
+from ves_gym.core.motion import Motion
+from ves_gym.core.params import ParameterError
+from ves_gym.core.servo import HIGH_GAINS, PPED_GAINS
+from ves_gym.envs.control import Gains
+
+REST = "ves/PumaRestToRest-v0"
+
+
+def run(controller, id=REST, n=3, steps=None, **settings):
+    """Environment after `steps` of a controller (to one before the end), the references met."""
+    env = gym.make_vec(id, num_envs=n, threads=1, **settings)
+    observation, _ = env.reset(seed=[7, 8, 9][:n])
+    controller.reset(env, np.arange(n))
+    met = [env.batch.scene.ref.copy()]
+    for _ in range(steps or env.task.steps):
+        action = controller.act(env, observation)
+        assert action.shape == (n, env.batch.width) and np.abs(action).max() <= 1
+        observation, _, _, _, info = env.step(action)
+        met.append(env.batch.scene.ref.copy())
+    return env, np.stack(met, axis=1), info
+
+
+@pytest.mark.parametrize("control", ["guided", "acceleration", "pd_target"])
+def test_straight_leads_the_reference_along_the_quintic(control):
+    env, met, info = run(get_controller("straight"), control=control)
+    times = np.arange(env.task.steps + 1) * env.batch.dt
+    for i in range(3):
+        motion = Motion.straight(met[i, 0, 0], env.batch.scene.goal[i, :3], env.task.duration)
+        np.testing.assert_allclose(met[i, :, 0], motion.at(times).q, atol=2e-4)
+    assert info["success"].all()
+
+
+def test_zero_of_control_guided_is_the_straight_line():
+    zero, straight = (
+        evaluate(get_controller(name), REST, episodes=3, threads=1)
+        for name in ("zero", "straight")
+    )
+    for a, b in zip(zero.rows, straight.rows, strict=True):
+        assert a["E_mean"] == pytest.approx(b["E_mean"], rel=1e-6)
+
+
+def test_direct_is_followed_and_pays():
+    """The plan leaves about a third of the straight line's energy (planning benchmark)."""
+    direct = get_controller("direct")
+    settings = direct.settings(gym.spec(REST))
+    _, met, info = run(direct, **settings)
+    plan = direct._plan
+    assert np.abs(met[:, :, 0] - plan[:, :, 0]).max() < 1e-3
+    assert info["success"].all()
+    found = evaluate(get_controller("direct"), REST, episodes=4, threads=1)
+    zero = evaluate(get_controller("zero"), REST, episodes=4, threads=1)
+    assert ratio(found, zero).value < 0.6
+
+
+def test_torque_follows_within_a_few_hundredths_of_a_radian():
+    env, _, _ = run(get_controller("straight"), control="torque")
+    q, goal = env.batch.scene.q, env.batch.scene.goal[:, :3]
+    assert np.abs(q - goal).max() < 0.03
+
+
+def test_random_depends_on_the_episode_alone():
+    one, two = get_controller("random", 4), get_controller("random", 4)
+    env = gym.make_vec(REST, num_envs=3, threads=1)
+    env.reset(seed=[7, 8, 9])
+    one.reset(env, np.arange(3))
+    alone = gym.make_vec(REST, num_envs=1, threads=1)
+    alone.reset(seed=[9])
+    two.reset(alone, np.arange(1))
+    np.testing.assert_array_equal(one.act(env, None)[2], two.act(alone, None)[0])
+    env.reset(options={"reset_mask": np.array([False, False, True])})
+    one.reset(env, np.array([2]))
+    assert not np.array_equal(one.act(env, None)[2], two.act(alone, None)[0])
+
+
+def test_gains_are_set_through_the_control():
+    control = Gains()
+    for servo in (HIGH_GAINS, PPED_GAINS):
+        action = gains_action(control, np.array(servo.kp), np.array(servo.kd))
+        kp, kd = control.gains(action[None])
+        np.testing.assert_allclose(kp[0], servo.kp)
+        np.testing.assert_allclose(kd[0], servo.kd)
+    env, _, _ = run(get_controller("pped"), "ves/PumaDamp-v0", control="pd_gains", steps=3)
+    np.testing.assert_allclose(env.batch.scene.kp[0], PPED_GAINS.kp)
+
+
+@pytest.mark.parametrize("name", ["hold", "high", "pped"])
+def test_hold_keeps_the_joints_in_place(name):
+    env, met, _ = run(get_controller(name), "ves/PumaDamp-v0", steps=160)
+    away = np.abs(env.batch.scene.q - met[:, 0, 0]).max()
+    assert away < (0.6 if name == "pped" else 0.05)
+
+
+def test_lqr_beats_doing_nothing():
+    lqr, zero = (
+        evaluate(get_controller(name), "ves/BeamLQR-v0", episodes=8, threads=1)
+        for name in ("lqr", "zero")
+    )
+    for a, b in zip(lqr.rows, zero.rows, strict=True):
+        assert a["return"] > b["return"]
+
+
+@pytest.mark.parametrize(
+    ("name", "id", "settings", "message"),
+    [
+        ("direct", "ves/PumaReach-v0", {}, "plans from rest to rest"),
+        ("hold", REST, {}, "cannot act through control guided"),
+        ("pped", REST, {"control": "acceleration"}, "has gains of its own"),
+        ("lqr", REST, {}, "acts on task lqr, got rest_to_rest"),
+        ("resolved", REST, {}, "tasks reach and track"),
+    ],
+)
+def test_a_controller_refuses_what_it_cannot_do(name, id, settings, message):
+    with pytest.raises(ParameterError, match=message):
+        evaluate(get_controller(name), id, episodes=1, threads=1, **settings)
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(ParameterError, match=r"one of zero, random.*got 'best'"):
+        get_controller("best")
+    assert all(get_controller(name).name == name for name in CONTROLLERS)

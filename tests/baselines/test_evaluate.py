@@ -1,0 +1,154 @@
+"""Evaluation: the same episodes whatever runs beside them, every one of them counted."""
+
+import json
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from ves_gym.baselines.controllers import get_controller
+from ves_gym.baselines.evaluate import (
+    STATISTICS,
+    Evaluation,
+    beats,
+    bootstrap,
+    evaluate,
+    pool,
+    rate,
+    ratio,
+    report,
+)
+from ves_gym.core.params import ParameterError
+
+REST = "ves/PumaRestToRest-v0"
+
+
+@pytest.mark.parametrize("name", ["random", "zero"])
+@pytest.mark.parametrize("id", [REST, "ves/FreeFlyerReach-v0"])
+def test_rows_do_not_depend_on_how_many_run_at_once(name, id):
+    """Random actions on a satellite end episodes early: environments go on at other times."""
+    whole = evaluate(get_controller(name), id, episodes=7, seed=3, threads=1, duration=1.0)
+    for n in (1, 3):
+        part = evaluate(
+            get_controller(name), id, episodes=7, seed=3, n_envs=n, threads=1, duration=1.0
+        )
+        assert part.rows == whole.rows
+    assert [row["seed"] for row in whole.rows] == list(range(3, 10))
+
+
+def test_episode_k_is_what_a_single_environment_begins_with_its_seed():
+    rows = evaluate(get_controller("zero"), REST, episodes=2, seed=5, threads=1).rows
+    env = gym.make(REST)
+    for row in rows:
+        env.reset(seed=row["seed"])
+        total, over = 0.0, False
+        while not over:
+            _, reward, over, _, info = env.step(np.zeros(3))
+            total += reward
+        assert row["return"] == pytest.approx(total, rel=1e-12)
+        assert row["E_mean"] == info["energy"]["E_mean"]
+        assert row["success"] is info["success"] is True
+        assert row["length"] == env.unwrapped.task.steps
+
+
+def test_failures_count():
+    """Full torque throws the arm against its limits."""
+
+    class Push:
+        name, privileged = "push", False
+
+        def reset(self, env, ids):
+            pass
+
+        def act(self, env, observation):
+            return np.ones((env.num_envs, 3))
+
+    found = evaluate(Push(), REST, episodes=5, n_envs=2, threads=1, control="torque")
+    assert len(found.rows) == 5 and all(row["failed"] for row in found.rows)
+    assert all(row["length"] < 160 for row in found.rows)
+    summary = found.summary()
+    assert summary["failed"] == 5 and summary["success"].value == 0
+
+
+def made(values, name="made", group=0, **more):
+    rows = [
+        {
+            "seed": k,
+            "group": group,
+            "return": v,
+            "length": 1,
+            "success": v > 0,
+            "success_once": True,
+            "failed": False,
+            **dict.fromkeys(("E_mean", "E_peak", "E_res", "E_int"), abs(v)),
+            **more,
+        }
+        for k, v in enumerate(values)
+    ]
+    return Evaluation(name, "x", {}, rows)
+
+
+def test_interval_of_the_mean_is_that_of_statistics():
+    """Reference: 1.96 standard errors; tolerance: of 2000 resamples."""
+    x = np.random.default_rng(0).normal(2.0, 3.0, 400)
+    e = bootstrap([x], STATISTICS["mean"])
+    assert e.value == x.mean()
+    half = 1.96 * x.std() / 20
+    assert e.low == pytest.approx(x.mean() - half, abs=0.03)
+    assert e.high == pytest.approx(x.mean() + half, abs=0.03)
+    assert bootstrap([x], STATISTICS["mean"]) == e
+
+
+def test_interquartile_mean_is_that_of_the_middle_half():
+    assert STATISTICS["iqm"](np.array([100.0, 1, 2, 3, 4, 5, 6, -100])) == 3.5
+
+
+def test_wilson_interval():
+    """Reference: 8 of 10, Brown, Cai, DasGupta, Statistical Science 16(2), 2001: 0.49-0.943."""
+    e = rate(np.array([True] * 8 + [False] * 2))
+    assert e.low == pytest.approx(0.490, abs=5e-4) and e.high == pytest.approx(0.943, abs=5e-4)
+    assert rate(np.ones(100, bool)).low == pytest.approx(0.963, abs=1e-3)
+
+
+def test_better_is_what_lies_apart():
+    rng = np.random.default_rng(0)
+    good, same, bad = (made(rng.normal(m, 1, 50), str(m)) for m in (3.0, 3.1, 1.0))
+    assert beats(good, bad) and not beats(bad, good)
+    assert not beats(good, same) and not beats(same, good)
+    assert beats(bad, good, "E_mean") and not beats(good, bad, "E_mean")
+
+
+def test_ratio_goes_episode_by_episode():
+    a, b = made([1.0, 4.0, 9.0], "a"), made([2.0, 4.0, 3.0], "b")
+    assert ratio(a, b).value == 1.0  # the median of 0.5, 1, 3
+    with pytest.raises(ParameterError, match="share no episode"):
+        ratio(a, made([0.0, 0.0, 0.0]))
+
+
+def test_policies_of_several_seeds_are_groups():
+    both = pool([made([1.0, 2.0]), made([3.0, 4.0])], "two")
+    assert [v.tolist() for v in both.values("return")] == [[1, 2], [3, 4]]
+    assert both.summary()["return"]["mean"].value == 2.5
+    assert ratio(both, made([1.0, 1.0])).value == 2.5
+
+
+def test_report_is_strict_json_even_after_a_divergence():
+    lost = made([1.0, 2.0, 3.0], "lost", E_mean=float("inf"), failed=True)
+    result = report([made([1.0, 2.0, 3.0], "good"), lost])
+    assert result["schema"] == "ves-evaluate/1"
+    text = json.dumps(result, allow_nan=False)
+    lost = json.loads(text)["controllers"][1]
+    assert lost["summary"]["E_mean"]["median"]["value"] is None
+    assert lost["rows"][0]["E_mean"] is None and lost["summary"]["failed"] == 3
+
+
+def test_bad_arguments_are_refused():
+    zero = get_controller("zero")
+    with pytest.raises(ParameterError, match="episodes must be a whole number >= 1, got 0"):
+        evaluate(zero, REST, episodes=0)
+    with pytest.raises(ParameterError, match=r"known: ves/.*PumaRestToRest"):
+        evaluate(zero, "ves/Nothing-v0", episodes=1)
+    with pytest.raises(ParameterError, match="no vector environment of ves_gym"):
+        evaluate(zero, "CartPole-v1", episodes=1)
+    with pytest.raises(ParameterError, match="unknown setting 'speed'"):
+        evaluate(zero, REST, episodes=1, speed=3)

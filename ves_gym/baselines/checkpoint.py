@@ -1,0 +1,171 @@
+"""Nested state in one file: arrays as safetensors, the rest as JSON in its header.
+
+No pickle: what is read back are numbers, text, arrays, containers, `System`s and the plain
+data classes of `ves_gym` itself; nothing in a file can name anything else to be built.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ves_gym.baselines.policy import _safetensors
+from ves_gym.core.params import Array, ParameterError, write_bytes
+from ves_gym.core.system import System
+
+_TAG = "~"  # marks a dictionary that stands for something else
+_ENTRY = "state"  # of the header
+
+
+def save_state(
+    path: str | os.PathLike[str], value: Any, given: Mapping[str, Any] | None = None
+) -> None:
+    """Write nested state completely or not at all.
+
+    Args:
+        given: objects that the reader has; they are saved by name.
+    """
+    packer = _Packer(given or {})
+    tree = {"value": packer.pack(value), "systems": packer.systems}
+    data = _safetensors().save(packer.arrays, metadata={_ENTRY: json.dumps(tree)})
+    write_bytes(path, data)
+
+
+def load_state(path: str | os.PathLike[str], given: Mapping[str, Any] | None = None) -> Any:
+    """Read what `save_state` wrote.
+
+    Args:
+        given: what was given by name then.
+
+    Raises:
+        ParameterError: no such file, or another kind of file.
+    """
+    from safetensors import SafetensorError
+
+    try:
+        data = Path(path).read_bytes()
+        arrays = _safetensors().load(data)
+        size = int.from_bytes(data[:8], "little")
+        tree = json.loads(json.loads(data[8 : 8 + size])["__metadata__"][_ENTRY])
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read: {error.strerror}") from None
+    except (SafetensorError, ValueError, KeyError) as error:
+        raise ParameterError(f"{path}: no checkpoint: {error}") from None
+    systems = [System.from_dict(plain, str(path)) for plain in tree["systems"]]
+    return _unpack(tree["value"], arrays, systems, given or {})
+
+
+class _Packer:
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        self.given = {id(value): name for name, value in given.items()}
+        self.arrays: dict[str, Array] = {}
+        self.systems: list[Any] = []
+        self._seen: dict[str, int] = {}  # hash of a system -> its place
+
+    def pack(self, value: Any) -> Any:
+        """What JSON can hold; arrays and systems go to their lists."""
+        if value is None or isinstance(value, (bool, str)) or type(value) in (int, float):
+            return value
+        if id(value) in self.given:
+            return {_TAG: "given", "name": self.given[id(value)]}
+        if isinstance(value, (np.ndarray, np.generic)):
+            return self._array(np.asarray(value), "array")
+        if type(value).__module__ == "torch":  # a Tensor
+            return self._array(value.detach().cpu().numpy(), "tensor")
+        if isinstance(value, System):
+            at = self._seen.setdefault(value.hash, len(self.systems))
+            if at == len(self.systems):
+                self.systems.append(value.to_dict())
+            return {_TAG: "system", "at": at}
+        if isinstance(value, list):
+            return [self.pack(item) for item in value]
+        if isinstance(value, tuple) and type(value) is tuple:
+            return {_TAG: "tuple", "of": [self.pack(item) for item in value]}
+        if isinstance(value, Mapping):
+            items = [[self.pack(k), self.pack(v)] for k, v in value.items()]
+            return {_TAG: "dict", "of": items}
+        cls = type(value)
+        if _is_ours(cls):
+            names = _names(cls)
+            items = [[k, self.pack(getattr(value, k))] for k in names]
+            return {
+                _TAG: "object",
+                "class": f"{cls.__module__}:{cls.__qualname__}",
+                "of": items,
+            }
+        raise ParameterError(f"a checkpoint cannot hold {cls.__module__}.{cls.__qualname__}")
+
+    def _array(self, array: Array, kind: str) -> dict[str, Any]:
+        if array.dtype.kind not in "fiub":
+            raise ParameterError(f"a checkpoint cannot hold arrays of {array.dtype}")
+        name = str(len(self.arrays))
+        # sums may depend on the order in memory: it is kept
+        turned = array.ndim > 1 and array.flags.f_contiguous and not array.flags.c_contiguous
+        kept = array.T if turned else array
+        self.arrays[name] = np.ascontiguousarray(kept).reshape(kept.shape)
+        return {_TAG: kind, "at": name, **({"turned": True} if turned else {})}
+
+
+def _unpack(
+    tree: Any, arrays: Mapping[str, Array], systems: list[System], given: Mapping[str, Any]
+) -> Any:
+    def each(items: list[Any]) -> list[Any]:
+        return [_unpack(item, arrays, systems, given) for item in items]
+
+    if isinstance(tree, list):
+        return each(tree)
+    if not isinstance(tree, dict):
+        return tree
+    kind = tree[_TAG]
+    if kind in ("array", "tensor"):
+        array = arrays[tree["at"]]
+        array = (array.T if tree.get("turned") else array).copy("K")  # what was read is frozen
+        if kind == "array":
+            return array
+        import torch
+
+        return torch.from_numpy(array)
+    if kind == "given":
+        return given[tree["name"]]
+    if kind == "system":
+        return systems[tree["at"]]
+    if kind == "tuple":
+        return tuple(each(tree["of"]))
+    if kind == "dict":
+        return dict(map(each, tree["of"]))
+    return _build(tree["class"], dict(map(each, tree["of"])))
+
+
+def _is_ours(cls: type) -> bool:
+    """Data classes and named tuples of `ves_gym`."""
+    ours = cls.__module__.split(".")[0] == "ves_gym"
+    return ours and (dataclasses.is_dataclass(cls) or hasattr(cls, "_fields"))
+
+
+def _names(cls: type) -> tuple[str, ...]:
+    if dataclasses.is_dataclass(cls):
+        return tuple(f.name for f in dataclasses.fields(cls))
+    fields: tuple[str, ...] = cls._fields  # type: ignore[attr-defined]
+    return fields
+
+
+def _build(name: str, values: dict[str, Any]) -> Any:
+    module, _, qualname = name.partition(":")
+    cls: Any = None
+    if module.split(".")[0] == "ves_gym":
+        cls = getattr(importlib.import_module(module), qualname, None)
+    if not (isinstance(cls, type) and _is_ours(cls) and set(_names(cls)) == set(values)):
+        raise ParameterError(f"a checkpoint of this version has no {name}")
+    if not dataclasses.is_dataclass(cls):
+        return cls(**values)
+    out = object.__new__(cls)
+    for key, value in values.items():
+        object.__setattr__(out, key, value)  # frozen, and complete as it was
+    return out

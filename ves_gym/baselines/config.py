@@ -1,0 +1,127 @@
+"""`TrainConfig`: everything that a training run is made of, as a TOML file."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ves_gym.baselines.policy import ACTIVATIONS
+from ves_gym.core.params import (
+    ParameterError,
+    from_plain,
+    read_table,
+    require_choice,
+    to_plain,
+)
+
+CONFIGS = Path(__file__).parent / "configs"
+ALGORITHMS = ("PPO", "SAC")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """A training run.
+
+    A step is a decision, held for `hold` control periods of each of `n_envs` environments.
+    `settings` go to the environment (see `envs.build_task`), `hyperparameters` to the
+    algorithm's constructor in Stable-Baselines3 under its names, but for the learning rate,
+    which falls linearly to `final_rate` of itself. Where the network or the noise start is
+    said by `layers`, `activation` and `log_std`. `her` adds hindsight replay to SAC
+    on a goal variant.
+    """
+
+    env: str
+    algorithm: str
+    total_timesteps: int
+    n_envs: int
+    hold: int = 1
+    settings: dict = field(default_factory=dict)
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    hyperparameters: dict = field(default_factory=dict)
+    her: dict | None = None
+    layers: tuple[int, ...] = (64, 64)
+    activation: str = "tanh"
+    log_std: float = -1.0  # of PPO's noise at first
+    final_rate: float = 0.0  # of the learning rate
+    reward_scale: float = 1.0  # constant factor of the rewards that the algorithm sees
+    eval_every: int = 0  # steps; 0: a twentieth of the run
+    eval_episodes: int = 100
+    checkpoint_every: int = 0  # steps; 0: as often as it is evaluated
+
+    def __post_init__(self) -> None:
+        require_choice(self, "algorithm", ALGORITHMS)
+        require_choice(self, "activation", ACTIVATIONS)
+        for name in ("total_timesteps", "n_envs", "hold", "eval_episodes"):
+            if getattr(self, name) < 1:
+                raise ParameterError(
+                    f"TrainConfig.{name} must be >= 1, got {getattr(self, name)}"
+                )
+        for name in ("eval_every", "checkpoint_every"):
+            if getattr(self, name) < 0:
+                raise ParameterError(
+                    f"TrainConfig.{name} must be >= 0, got {getattr(self, name)}"
+                )
+        if not self.seeds or any(s < 0 for s in self.seeds):
+            raise ParameterError(f"TrainConfig.seeds must be numbers >= 0, got {self.seeds}")
+        if not 0 <= self.final_rate <= 1 or not self.reward_scale > 0:
+            raise ParameterError(
+                "TrainConfig needs 0 <= final_rate <= 1 and reward_scale > 0, got"
+                f" {self.final_rate} and {self.reward_scale}"
+            )
+        if self.her is not None and self.algorithm != "SAC":
+            raise ParameterError(f"TrainConfig.her needs SAC, got {self.algorithm}")
+        ours = {"policy", "env", "seed", "device", "verbose", "policy_kwargs", "use_sde"}
+        taken = ours & set(self.hyperparameters)
+        if taken:
+            raise ParameterError(
+                f"TrainConfig.hyperparameters cannot set {', '.join(sorted(taken))}"
+            )
+
+    @property
+    def name(self) -> str:
+        """Such as PumaRestToRest-ppo."""
+        env = self.env.rpartition("/")[2].rpartition("-v")[0]
+        return f"{env}-{self.label}"
+
+    @property
+    def label(self) -> str:
+        """The algorithm's name as it appears in file names: ppo, sac or sac-her."""
+        return self.algorithm.lower() + ("-her" if self.her is not None else "")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        plain: dict[str, Any] = to_plain(self)
+        return plain
+
+
+def read_config(path: str | os.PathLike[str]) -> TrainConfig:
+    """A configuration from a TOML or JSON file; unknown keys are an error."""
+    return config_from_plain(read_table(path), str(path))
+
+
+def config_from_plain(plain: Mapping[str, Any], where: str = "config") -> TrainConfig:
+    """A configuration from plain data; unknown keys are an error."""
+    config: TrainConfig = from_plain(TrainConfig, plain, where)
+    return config
+
+
+def find_configs(env: str, algorithm: str | None = None) -> list[TrainConfig]:
+    """The configurations that come with the package for an environment.
+
+    An ...Emulated id without its own is trained as its ideal twin.
+    """
+    every = [read_config(path) for path in sorted(CONFIGS.glob("*.toml"))]
+    wanted = (None, *ALGORITHMS, *(c.label for c in every))
+    if algorithm not in wanted:
+        names = ", ".join(sorted({c.label for c in every}))
+        raise ParameterError(f"algorithm must be one of {names}, got {algorithm!r}")
+    chosen = [c for c in every if algorithm in (None, c.label, c.algorithm)]
+    found = [c for c in chosen if c.env == env]
+    if not found:
+        twin = env.replace("Emulated-v", "-v")
+        found = [dataclasses.replace(c, env=env) for c in chosen if c.env == twin]
+    return found

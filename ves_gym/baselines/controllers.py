@@ -1,0 +1,296 @@
+"""Controllers: one interface for built-in ones, planners and learned policies.
+
+A controller acts on a whole `VesVectorEnv`. One that is `privileged` reads the true state of
+the simulations (`env.batch.scene`): base pose and rate as they are, reference and goal; the
+others decide by the observation alone, as a policy does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, Protocol
+
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+
+from ves_gym.core.dynamics import inverse_dynamics
+from ves_gym.core.motion import Motion
+from ves_gym.core.params import Array, Index, ParameterError
+from ves_gym.core.servo import HIGH_GAINS, PPED_GAINS, JointServo
+from ves_gym.envs.control import Control, Gains, Torque
+from ves_gym.envs.rest_to_rest import RestToRest
+from ves_gym.envs.vector import VesVectorEnv
+
+_PLANNED_JERK = 4000.0  # rad/s^3: twice what planners begin their motions with
+_FOLLOW = 24.0  # 1/s: how fast a follower takes back its distance from the plan
+_TORQUE_FOLLOW = 12.0  # 1/s: slower, for its torque is held over a control period
+
+
+class Controller(Protocol):
+    """What acts. Every array has the leading axis env.num_envs.
+
+    One that needs settings of the environment has a method `settings(spec)` that tells
+    `evaluate` which, by the specification of the registered id.
+    """
+
+    name: str
+
+    @property
+    def privileged(self) -> bool:
+        """Whether it reads the true state."""
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """Episodes have begun in the environments `ids`."""
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """Actions (n, a) for the present observation."""
+
+
+class Zero:
+    """Does nothing: the straight line of control guided, no torque of control torque."""
+
+    name = "zero"
+    privileged = False
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        return np.zeros((env.num_envs, env.batch.width))
+
+
+class Random:
+    """Uniform actions, drawn from each episode's own seed: the same whatever runs beside."""
+
+    name = "random"
+    privileged = False
+
+    def __init__(self, seed: int = 0) -> None:
+        self.seed = seed
+        self._actions = np.empty(0)
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        shape = (env.task.steps, env.batch.width)
+        if self._actions.shape != (env.num_envs, *shape):
+            self._actions = np.zeros((env.num_envs, *shape))
+        e = env.batch.episodes
+        for i in ids.tolist():
+            key = (self.seed, int(e.root[i]), int(e.index[i]), int(e.number[i]))
+            self._actions[i] = np.random.default_rng(key).uniform(-1.0, 1.0, shape)
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        return _now(env, self._actions)
+
+
+class Hold:
+    """Holds the joints where the episode began, by servo gains where the control lets one.
+
+    Control pd_gains takes the gains; torque makes them of joint angles and rates, once per
+    control period and on top of the control's own damping; acceleration and pd_target hold
+    by the gains they have.
+    """
+
+    privileged = True
+
+    def __init__(self, name: str = "hold", gains: JointServo | None = None) -> None:
+        self.name, self.gains = name, gains
+        self._place = np.empty(0)
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        level, kind = env.task.control.level, env.task.control.kind
+        if kind == "guided" or (level == "reference" and self.gains is not None):
+            raise ParameterError(
+                f"controller {self.name} cannot act through control {kind}, which"
+                + (" leads to its goal" if kind == "guided" else " has gains of its own")
+            )
+        q = env.batch.scene.q
+        if self._place.shape != q.shape:
+            self._place = np.zeros_like(q)
+        self._place[ids] = q[ids]
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        control, s = env.task.control, env.batch.scene
+        servo = self.gains or HIGH_GAINS
+        kp, kd = (np.resize(np.asarray(k, float), s.q.shape[1]) for k in (servo.kp, servo.kd))
+        if isinstance(control, Gains):
+            return np.tile(gains_action(control, kp, kd), (env.num_envs, 1))
+        if isinstance(control, Torque):
+            own = control.damping if control.damping is not None else (0.0,)
+            tau = kp * (self._place - s.q) - (kd - np.resize(own, len(kd))) * s.v
+            return _torque_action(env, control, tau)
+        return np.zeros((env.num_envs, env.batch.width))  # the reference rests where it is
+
+
+class Follow:
+    """Plans every episode's motion between its ends, then follows it.
+
+    Through guided, acceleration and pd_target the reference is led along the plan, within
+    1e-3 rad of it where the control's limits allow its jerk. Planners know no limit of jerk
+    and begin with up to 2000 rad/s^3: `settings` asks for a control guided that has them, so
+    a planner's figures are those of its motion, not of what a policy could do with less.
+    Through torque the arm follows by inverse dynamics on a base at rest, held over each
+    control period, within about 0.02 rad. The plan is of the nominal system, whatever the
+    episode draws.
+    """
+
+    privileged = True
+
+    def __init__(self, name: str, planner: str, seed: int = 0) -> None:
+        self.name, self.planner, self.seed = name, planner, seed
+        self._plan = np.empty(0)  # (n, steps + 1, 3, joints)
+
+    def settings(self, spec: EnvSpec) -> dict[str, Any]:
+        """See `Controller`."""
+        if self.planner == "straight" or spec.kwargs.get("task") != "rest_to_rest":
+            return {}
+        return {"control": {"kind": "guided", "jerk": _PLANNED_JERK}}
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        task, s = env.task, env.batch.scene
+        if not isinstance(task, RestToRest) or task.control.level == "gains":
+            raise ParameterError(
+                f"controller {self.name} plans from rest to rest in joint space; it cannot"
+                f" act on task {task.kind} through control {task.control.kind}"
+            )
+        joints = s.q.shape[1]
+        times = np.arange(task.steps + 1) * task.system.control_dt
+        if self._plan.shape[:2] != (env.num_envs, len(times)):
+            self._plan = np.zeros((env.num_envs, len(times), 3, joints))
+        for i in ids.tolist():
+            samples = self._motion(env, s.q[i], s.goal[i, :joints]).at(times)
+            self._plan[i] = np.stack([samples.q, samples.v, samples.a], axis=1)
+
+    def _motion(self, env: VesVectorEnv, start: Array, goal: Array) -> Motion:
+        from ves_gym.planners.query import Query, solve
+        from ves_gym.planners.registry import get_planner
+
+        task, arm = env.task, env.task.system.arm
+        query = Query(
+            system=task.system.ideal(),
+            start=tuple(start.tolist()),
+            goal=tuple(goal.tolist()),
+            duration=task.duration,
+            v_max=tuple(arm.column("v_max").tolist()),
+            servo=HIGH_GAINS if task.control.level == "torque" else task.control.servo,
+        )
+        return solve(get_planner(self.planner), query, self.seed).motion
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        control, s, arm = env.task.control, env.batch.scene, env.task.system.arm
+        wanted = _now(env, self._plan, ahead=1)
+        if isinstance(control, Torque):
+            q, v, a = np.moveaxis(_now(env, self._plan), 1, 0)
+            a = a + _TORQUE_FOLLOW * (2 * (v - s.v) + _TORQUE_FOLLOW * (q - s.q))
+            tau = inverse_dynamics(arm, s.q, s.v, a)[0]
+            if control.damping is not None:  # what the control takes off again
+                tau = tau + np.resize(control.damping, arm.n) * s.v
+            return _torque_action(env, control, tau)
+        return reference_action(env, control, wanted)
+
+
+def reference_action(env: VesVectorEnv, control: Control, wanted: Array) -> Array:
+    """Actions that lead the reference to `wanted` (n, 3, joints) at the period's end.
+
+    Within a period the reference moves linearly with the action. One number per joint cannot
+    set angle, rate and acceleration at once: it sets a + 2 c v + c^2 q, so that what is left
+    of all three dies away like exp(-c t).
+    """
+    s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
+    left = np.asarray(env.task.duration - env.batch.episodes.steps * dt, dtype=np.float64)
+    ends = []
+    for small in (-_SMALL, _SMALL):  # at a speed limit only one of them does anything
+        moving = SimpleNamespace(time=s.time, q=s.q, v=s.v, ref=s.ref.copy(), goal=s.goal)
+        control.advance(moving, np.full_like(s.q, small), arm, dt, left)
+        ends.append(moving.ref)
+    c = _FOLLOW
+    mix = np.array([c * c, 2 * c, 1.0])
+    if control.kind == "pd_target":  # it sets the angle and nothing else
+        mix = np.array([1.0, 0.0, 0.0])
+    still, slope = mix @ (ends[0] + ends[1]) / 2, mix @ (ends[1] - ends[0]) / (2 * _SMALL)
+    free = np.abs(slope) > 0  # the last periods of guided are not
+    action = np.where(free, (mix @ wanted - still) / np.where(free, slope, 1.0), 0.0)
+    return np.clip(action, -1.0, 1.0)
+
+
+_SMALL = 1e-3  # an action far from every limit
+
+
+class Optimal:
+    """The exact optimum of the task lqr."""
+
+    name = "lqr"
+    privileged = True
+
+    def __init__(self) -> None:
+        self._gains = np.empty(0)
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        optimal = getattr(env.task, "optimal", None)
+        if optimal is None:
+            raise ParameterError(f"controller lqr acts on task lqr, got {env.task.kind}")
+        if not len(self._gains):
+            self._gains = optimal().gains
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        task: Any = env.task
+        gains = self._gains[np.minimum(env.batch.episodes.steps, len(self._gains) - 1)]
+        tau = -(gains @ task.deviation(env.batch.scene)[:, :, None])[:, :, 0]
+        return _torque_action(env, task.control, tau)
+
+
+def gains_action(control: Gains, kp: Array, kd: Array) -> Array:
+    """The action of control pd_gains that sets gains (joints,), within its range."""
+    parts = []
+    for (low, high), wanted in ((control.kp, kp), (control.kd, kd)):
+        parts.append(2 * np.log(np.clip(wanted, low, high) / low) / np.log(high / low) - 1)
+    return np.concatenate(parts)
+
+
+def _torque_action(env: VesVectorEnv, control: Torque, tau: Array) -> Array:
+    full = control.torque(np.ones_like(tau), env.task.system.arm)
+    return np.clip(tau / full, -1.0, 1.0)
+
+
+def _now(env: VesVectorEnv, table: Array, ahead: int = 0) -> Array:
+    """Rows of a table (n, steps, ...) for each episode's present step."""
+    at = np.minimum(env.batch.episodes.steps + ahead, table.shape[1] - 1)
+    return table[np.arange(env.num_envs), at]
+
+
+def _resolved() -> Controller:
+    from ves_gym.baselines.resolved import Resolved  # it builds on this module
+
+    return Resolved()
+
+
+CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
+    "zero": lambda seed: Zero(),
+    "random": Random,
+    "hold": lambda seed: Hold(),
+    "high": lambda seed: Hold("high", HIGH_GAINS),
+    "pped": lambda seed: Hold("pped", PPED_GAINS),
+    "straight": lambda seed: Follow("straight", "straight", seed),
+    "hotspot": lambda seed: Follow("hotspot", "hotspot-qt", seed),
+    "direct": lambda seed: Follow("direct", "direct", seed),
+    "lqr": lambda seed: Optimal(),
+    "resolved": lambda seed: _resolved(),
+}
+
+
+def get_controller(name: str, seed: int = 0) -> Controller:
+    """A built-in controller by name."""
+    if name not in CONTROLLERS:
+        raise ParameterError(
+            f"controller must be one of {', '.join(CONTROLLERS)}, got {name!r}"
+        )
+    return CONTROLLERS[name](seed)

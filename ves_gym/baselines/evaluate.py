@@ -1,0 +1,329 @@
+"""`evaluate`: how well a controller does, on episodes that are always the same.
+
+Episode k of seed s is what `env.reset(seed=s + k)` begins, whatever runs beside it and
+however many run at once. Every episode counts, failures included.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.envs.registration import load_env_creator
+from gymnasium.vector import AutoresetMode
+
+from ves_gym.baselines.controllers import Controller
+from ves_gym.baselines.policy import versions
+from ves_gym.core.params import Array, Mask, ParameterError
+from ves_gym.envs.vector import VesVectorEnv
+
+SCHEMA = "ves-evaluate/1"
+ENERGIES = ("E_mean", "E_peak", "E_res", "E_int")
+MEASURES = ("return", *ENERGIES)
+RATES = ("success", "success_once")
+_RESAMPLES = 2000  # of the bootstrap
+_Z = 1.959964  # standard deviations of a two-sided 95 % interval
+_AT_ONCE = 128  # environments by default: more gain no speed
+
+Progress = Callable[[float], None]
+
+
+class Estimate(NamedTuple):
+    """A number and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What came of every episode.
+
+    A row: seed, group (which of several policies), return, length, success (at the end),
+    success_once, failed (ended early or diverged), E_mean, E_peak, E_res [J], E_int [J s];
+    an energy that is no number, after a divergence, is infinite.
+    """
+
+    name: str
+    id: str
+    settings: Mapping[str, Any]
+    rows: list[dict[str, Any]]
+    about: Mapping[str, Any] = field(default_factory=dict)
+    seconds: float = 0.0
+
+    def values(self, measure: str) -> list[Array]:
+        """A measure's values, group by group."""
+        groups: dict[int, list[float]] = {}
+        for row in self.rows:
+            groups.setdefault(row["group"], []).append(float(row[measure]))
+        return [np.array(some) for some in groups.values()]
+
+    def summary(self) -> dict[str, Any]:
+        """Mean, median and interquartile mean of the measures, and the rates of success."""
+        out: dict[str, Any] = {"episodes": len(self.rows)}
+        out["failed"] = sum(row["failed"] for row in self.rows)
+        for name in MEASURES:
+            out[name] = {
+                kind: bootstrap(self.values(name), statistic)
+                for kind, statistic in STATISTICS.items()
+            }
+        for name in RATES:
+            out[name] = rate(np.concatenate(self.values(name)) > 0)
+        return out
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; what is infinite becomes null."""
+        plain = {
+            "name": self.name,
+            "about": dict(self.about),
+            "settings": dict(self.settings),
+            "seconds": self.seconds,
+            "summary": self.summary(),
+            "rows": self.rows,
+        }
+        out: dict[str, Any] = _plain(plain)
+        return out
+
+
+def evaluate(
+    controller: Controller,
+    id: str,
+    *,
+    episodes: int = 100,
+    seed: int = 0,
+    n_envs: int | None = None,
+    threads: int = 0,
+    progress: Progress | None = None,
+    **settings: Any,
+) -> Evaluation:
+    """Run a controller or policy on an environment.
+
+    Args:
+        id: registered id; its randomisation applies. `randomize={}` turns it off.
+        episodes, seed: episode k begins with `env.reset(seed=seed + k)`.
+        n_envs: how many run at once; the results do not depend on it.
+        threads: of the engine, 0 = one per processor.
+        progress: called with the fraction done.
+        settings: other settings of the environment (see `envs.build_task`).
+    """
+    for name, value in (("episodes", episodes), ("n_envs", 1 if n_envs is None else n_envs)):
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            raise ParameterError(f"{name} must be a whole number >= 1, got {value!r}")
+    needs = getattr(controller, "settings", None)
+    if needs is not None and id in gym.registry:
+        settings = {**needs(gym.spec(id)), **settings}
+    begin = time.perf_counter()
+    env = make_vector(
+        id, min(n_envs or _AT_ONCE, episodes), AutoresetMode.DISABLED, threads, **settings
+    )
+    rows: list[dict[str, Any]] = []
+    queue = list(range(seed, seed + episodes))[::-1]
+    running = np.full(env.num_envs, -1)  # the seed each environment is at, -1: none
+    ended = np.ones(env.num_envs, bool)
+    observation: Any = None
+    while True:
+        if ended.any():
+            observation = _begin(env, ended, running, queue)
+            fresh = np.flatnonzero(ended & (running >= 0))
+            if len(fresh):
+                controller.reset(env, fresh)
+        if (running < 0).all():
+            break
+        actions = controller.act(env, observation)
+        idle = running < 0
+        if idle.any():
+            actions = np.where(idle[:, None], 0.0, actions)
+        observation, _, terminated, truncated, info = env.step(actions)
+        ended = terminated | truncated
+        if ended.any():
+            rows += _rows(env, ended & ~idle, running, info)
+            if progress is not None:
+                progress(len(rows) / episodes)
+    env.close()
+    rows.sort(key=lambda row: row["seed"])
+    about = getattr(controller, "about", {})
+    seconds = round(time.perf_counter() - begin, 3)
+    return Evaluation(controller.name, id, settings, rows, about, seconds)
+
+
+def make_vector(
+    id: str, n: int, mode: AutoresetMode, threads: int = 0, **settings: Any
+) -> VesVectorEnv:
+    """The native vector environment of a registered id."""
+    try:
+        spec = gym.spec(id)
+    except gym.error.Error as error:
+        known = ", ".join(sorted(k for k in gym.registry if k.startswith("ves/")))
+        raise ParameterError(f"{error}; known: {known}") from None
+    entry: Any = spec.vector_entry_point
+    if isinstance(entry, str):
+        entry = load_env_creator(entry)
+    if not (isinstance(entry, type) and issubclass(entry, VesVectorEnv)):
+        raise ParameterError(f"{id} has no vector environment of ves_gym")
+    env = gym.make_vec(
+        id,
+        num_envs=n,
+        vectorization_mode="vector_entry_point",
+        autoreset_mode=mode,
+        threads=threads,
+        **settings,
+    )
+    assert isinstance(env, VesVectorEnv)
+    return env
+
+
+def _begin(env: VesVectorEnv, ended: Mask, running: Array, queue: list[int]) -> Any:
+    """Start the queue's next episodes where one ended; idle ones start any."""
+    for i in np.flatnonzero(ended).tolist():
+        running[i] = queue.pop() if queue else -1
+    seeds = [
+        int(k) if over and k >= 0 else None for k, over in zip(running, ended, strict=True)
+    ]
+    return env.reset(seed=seeds, options={"reset_mask": ended})[0]
+
+
+def _rows(
+    env: VesVectorEnv, which: Mask, running: Array, info: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    e, energy = env.batch.episodes, info["energy"]
+    failed = (info["reward_terms"]["failure"] < 0) | info["diverged"]
+    out = []
+    for i in np.flatnonzero(which).tolist():
+        row = {
+            "seed": int(running[i]),
+            "group": 0,
+            "return": float(e.total[i]),
+            "length": int(e.steps[i]),
+            "success": bool(info["success"][i]),
+            "success_once": bool(info["success_once"][i]),
+            "failed": bool(failed[i]),
+        }
+        for name in ENERGIES:
+            value = float(energy[name][i])
+            row[name] = value if np.isfinite(value) else float("inf")
+        out.append(row)
+    return out
+
+
+def pool(evaluations: Sequence[Evaluation], name: str) -> Evaluation:
+    """Several policies of one kind as one: each a group, resampled within itself."""
+    first = evaluations[0]
+    rows = [{**row, "group": g} for g, e in enumerate(evaluations) for row in e.rows]
+    about = {"policies": [dict(e.about) for e in evaluations]}
+    seconds = sum(e.seconds for e in evaluations)
+    return Evaluation(name, first.id, first.settings, rows, about, seconds)
+
+
+# ---------------------------------------------------------------------- statistics
+
+
+def _iqm(x: Array) -> Array:
+    """Mean of the middle half along the last axis."""
+    ordered = np.sort(x, axis=-1)
+    cut = x.shape[-1] // 4
+    out: Array = ordered[..., cut : x.shape[-1] - cut].mean(axis=-1)
+    return out
+
+
+STATISTICS: dict[str, Callable[[Array], Array]] = {
+    "mean": lambda x: x.mean(axis=-1),
+    "median": lambda x: np.median(x, axis=-1),
+    "iqm": _iqm,
+}
+
+
+def bootstrap(groups: Sequence[Array], statistic: Callable[[Array], Array]) -> Estimate:
+    """Percentile interval of a statistic of all values; groups keep their sizes.
+
+    The draws are the same every time.
+    """
+    rng = np.random.Generator(np.random.PCG64(0))
+    drawn = [g[rng.integers(len(g), size=(_RESAMPLES, len(g)))] for g in groups]
+    with np.errstate(invalid="ignore"):  # infinite energies of runs that diverged
+        spread = np.sort(statistic(np.concatenate(drawn, axis=1)))
+        value = float(statistic(np.concatenate(groups)))
+    low, high = spread[[int(0.025 * _RESAMPLES), int(0.975 * _RESAMPLES) - 1]]
+    return Estimate(value, float(low), float(high))
+
+
+def rate(hits: Mask) -> Estimate:
+    """Share of hits with its Wilson interval: a bootstrap of all or none has no width."""
+    n, p = len(hits), float(hits.mean())
+    middle = (p + _Z**2 / (2 * n)) / (1 + _Z**2 / n)
+    half = _Z * np.sqrt(p * (1 - p) / n + (_Z / (2 * n)) ** 2) / (1 + _Z**2 / n)
+    return Estimate(p, max(0.0, float(middle - half)), min(1.0, float(middle + half)))
+
+
+def ratio(a: Evaluation, b: Evaluation, measure: str = "E_mean") -> Estimate:
+    """Median over episodes of a's measure over b's on the same episode."""
+    reference = {row["seed"]: float(row[measure]) for row in b.rows}
+    groups: dict[int, list[float]] = {}
+    for row in a.rows:
+        if reference.get(row["seed"], 0.0) > 0:
+            groups.setdefault(row["group"], []).append(
+                float(row[measure]) / reference[row["seed"]]
+            )
+    if not groups:
+        raise ParameterError(f"{a.name} and {b.name} share no episode with {measure} > 0")
+    return bootstrap([np.array(g) for g in groups.values()], STATISTICS["median"])
+
+
+def beats(
+    a: Evaluation, b: Evaluation, measure: str = "return", statistic: str = "iqm"
+) -> bool:
+    """Whether a is better than b with 95 % intervals apart."""
+    better, worse = (bootstrap(e.values(measure), STATISTICS[statistic]) for e in (a, b))
+    if measure == "return":
+        return better.low > worse.high
+    return better.high < worse.low
+
+
+def report(evaluations: Sequence[Evaluation]) -> dict[str, Any]:
+    """Several evaluations on the same episodes as plain data, schema ves-evaluate/1.
+
+    `beats` lists the pairs whose intervals of the interquartile mean return are apart;
+    `ratios` are medians of energies over the first controller's, episode by episode.
+    """
+    first = evaluations[0]
+    ratios = {
+        e.name: {name: _ratio_or_none(e, first, name) for name in ENERGIES} for e in evaluations
+    }
+    out: dict[str, Any] = _plain(
+        {
+            "schema": SCHEMA,
+            "id": first.id,
+            "versions": versions(),
+            "controllers": [e.to_dict() for e in evaluations],
+            "ratios": ratios,
+            "beats": [
+                [a.name, b.name] for a in evaluations for b in evaluations if beats(a, b)
+            ],
+        }
+    )
+    return out
+
+
+def _ratio_or_none(a: Evaluation, b: Evaluation, measure: str) -> Estimate | None:
+    try:
+        return ratio(a, b, measure)
+    except ParameterError:  # a base that nothing moves
+        return None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Estimate):
+        return {k: _plain(v) for k, v in value._asdict().items()}
+    if isinstance(value, Mapping):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    json.dumps(value)  # anything else is no plain data, and says so
+    return value

@@ -1,0 +1,307 @@
+"""Policies in a safe format, run by NumPy alone.
+
+A policy is two files: `NAME.json` says what it is (a closed list of architectures) and
+`NAME.safetensors` holds the weights; the first names the second's SHA-256. Nothing in them
+is ever executed. A Stable-Baselines3 zip is a pickle: `read_sb3_zip` opens one only where the
+caller says that its origin is trusted.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+
+from ves_gym import __version__
+from ves_gym.core.params import (
+    Array,
+    Index,
+    ParameterError,
+    from_plain,
+    read_table,
+    require_choice,
+    to_plain,
+    write_bytes,
+    write_text,
+)
+from ves_gym.envs.vector import VesVectorEnv
+
+SCHEMA = "ves-policy/1"
+RELEASED = Path(__file__).parent / "policies"  # one folder per environment, without its version
+ACTIVATIONS = ("tanh", "relu")
+OUTPUTS = ("clip", "tanh")
+_NEEDED = ("goal", "control")  # settings that give observations and actions their meaning
+_LARGEST = 4096  # units of a layer: larger is no policy of ours
+
+
+@dataclass(frozen=True, kw_only=True)
+class Network:
+    """A multi-layer perceptron from observation to deterministic action."""
+
+    sizes: tuple[int, ...]  # observation, hidden layers, action
+    activation: str = "tanh"
+    output: str = "clip"  # how the last layer is brought into [-1, 1]
+    observation_limit: float = 5.0  # observations are clipped to +- this
+    inputs: tuple[str, ...] = ()  # parts of a dictionary observation, in order; none: an array
+    hold: int = 1  # control periods that an action is held for
+
+    def __post_init__(self) -> None:
+        require_choice(self, "activation", ACTIVATIONS)
+        require_choice(self, "output", OUTPUTS)
+        if len(self.sizes) < 2 or not all(0 < k <= _LARGEST for k in self.sizes):
+            raise ParameterError(
+                f"Network.sizes must be two or more of 1 to {_LARGEST}, got {self.sizes}"
+            )
+        for name in ("observation_limit", "hold"):
+            if not getattr(self, name) > 0:
+                raise ParameterError(f"Network.{name} must be > 0, got {getattr(self, name)}")
+
+
+@dataclass
+class Policy:
+    """A network and its weights; a controller (see `controllers.Controller`).
+
+    An action depends on its own observation alone, to the last bit: every row is multiplied
+    on its own, however many there are.
+    """
+
+    network: Network
+    weights: tuple[tuple[Array, Array], ...]  # (inputs, outputs), (outputs,) per layer
+    about: Mapping[str, Any] = field(default_factory=dict)  # where it comes from, plain data
+    name: str = "policy"
+    privileged: ClassVar[bool] = False  # it sees what the observation holds
+    _held: Array | None = field(default=None, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        sizes = self.network.sizes
+        wanted = list(itertools.pairwise(sizes))
+        got = [W.shape for W, _ in self.weights]
+        if got != wanted or [b.shape for _, b in self.weights] != [(k,) for k in sizes[1:]]:
+            raise ParameterError(f"policy weights must have shapes {wanted}, got {got}")
+        if not all(np.isfinite(W).all() and np.isfinite(b).all() for W, b in self.weights):
+            raise ParameterError("policy weights must be finite")
+
+    def settings(self, spec: EnvSpec) -> dict[str, Any]:
+        """What it was trained with and cannot do without: see `controllers.Controller`."""
+        trained = self.about.get("settings", {})
+        return {key: trained[key] for key in _NEEDED if key in trained}
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """Nothing to prepare; an environment of other spaces is refused."""
+        width = env.batch.observations, env.batch.width
+        if width != (self.network.sizes[0], self.network.sizes[-1]):
+            raise ParameterError(
+                f"policy {self.name} takes {self.network.sizes[0]} observations to"
+                f" {self.network.sizes[-1]} actions, the environment has {width[0]} and"
+                f" {width[1]}"
+            )
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """Actions (n, a) of observations (n, o); of the environment only its clock is read."""
+        out = self(observation)
+        if self.network.hold > 1:
+            due = env.batch.episodes.steps % self.network.hold == 0
+            if self._held is not None and len(self._held) == len(out):
+                out = np.where(due[:, None], out, self._held)
+            self._held = out
+        return out
+
+    def __call__(self, observation: Any) -> Array:
+        """Actions (n, a) of observations (n, o), in [-1, 1]."""
+        net = self.network
+        if net.inputs:
+            if not isinstance(observation, Mapping):
+                raise ParameterError(
+                    f"policy {self.name} needs a dictionary of {', '.join(net.inputs)}"
+                )
+            observation = np.concatenate([observation[k] for k in net.inputs], axis=-1)
+        x = np.asarray(observation, dtype=np.float64)
+        if x.ndim != 2 or x.shape[1] != net.sizes[0]:
+            raise ParameterError(
+                f"policy {self.name} needs observations (n, {net.sizes[0]}), got {x.shape}"
+            )
+        x = np.clip(x, -net.observation_limit, net.observation_limit)[:, None, :]
+        for W, b in self.weights[:-1]:
+            x = x @ W + b
+            x = np.tanh(x) if net.activation == "tanh" else np.maximum(x, 0.0)
+        W, b = self.weights[-1]
+        x = (x @ W + b)[:, 0]
+        return np.tanh(x) if net.output == "tanh" else np.clip(x, -1.0, 1.0)
+
+
+# --------------------------------------------------------------------------- files
+
+
+def save_policy(policy: Policy, path: str | os.PathLike[str]) -> Path:
+    """Write `path` (.json) and the weights beside it; the path of the JSON."""
+    path = _json(path)
+    save = _safetensors().save
+    arrays = {}
+    for i, (W, b) in enumerate(policy.weights):
+        arrays[f"layer{i}.weight"] = np.ascontiguousarray(W, dtype=np.float32)
+        arrays[f"layer{i}.bias"] = np.ascontiguousarray(b, dtype=np.float32)
+    data = save(arrays)
+    plain = {
+        "schema": SCHEMA,
+        "network": to_plain(policy.network),
+        "weights": hashlib.sha256(data).hexdigest(),
+        "about": to_plain(dict(policy.about)),
+    }
+    write_bytes(path.with_suffix(".safetensors"), data)
+    write_text(path, json.dumps(plain, indent=1, allow_nan=False) + "\n")
+    return path
+
+
+def load_policy(path: str | os.PathLike[str]) -> Policy:
+    """Read a policy; anything but the safe format is refused.
+
+    Raises:
+        ParameterError: another kind of file, unknown keys, weights that do not fit.
+    """
+    path = _json(path)
+    plain = read_table(path)
+    known = ("schema", "network", "weights", "about")
+    if plain.get("schema") != SCHEMA or set(plain) != set(known):
+        raise ParameterError(
+            f"{path}: expected a policy {SCHEMA} with {', '.join(known)}, got"
+            f" {plain.get('schema')!r} with {', '.join(plain)}"
+        )
+    network: Network = from_plain(Network, plain["network"], f"{path}: network")
+    file = path.with_suffix(".safetensors")
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise ParameterError(f"{file}: weights cannot be read: {error.strerror}") from None
+    if hashlib.sha256(data).hexdigest() != plain["weights"]:
+        raise ParameterError(f"{file}: these are not the weights that {path.name} names")
+    arrays = _safetensors().load(data)
+    layers = range(len(network.sizes) - 1)
+    names = [f"layer{i}.{k}" for i in layers for k in ("weight", "bias")]
+    if set(arrays) != set(names):
+        raise ParameterError(f"{file}: expected {', '.join(names)}, got {', '.join(arrays)}")
+    weights = tuple(
+        (arrays[f"layer{i}.weight"].astype(float), arrays[f"layer{i}.bias"].astype(float))
+        for i in layers
+    )
+    return Policy(network, weights, plain["about"], name=path.stem)
+
+
+def released(id: str) -> dict[str, Path]:
+    """Policies that come with the package for an environment, by name."""
+    folder = RELEASED / id.rpartition("/")[2].rpartition("-v")[0]
+    return {path.stem: path for path in sorted(folder.glob("*.json"))}
+
+
+def _json(path: str | os.PathLike[str]) -> Path:
+    path = Path(path)
+    if path.suffix != ".json":
+        raise ParameterError(
+            f"{path}: a policy is a .json file with a .safetensors file beside it, got"
+            f" {path.suffix!r}; pickles are not read (but see read_sb3_zip)"
+        )
+    return path
+
+
+def _safetensors() -> Any:
+    try:
+        import safetensors.numpy
+    except ImportError:
+        raise ParameterError(
+            "policies need the package safetensors: pip install 'ves-gym[rl]'"
+        ) from None
+    return safetensors.numpy
+
+
+# ------------------------------------------------------------ from Stable-Baselines3
+
+
+def from_sb3(
+    model: Any, about: Mapping[str, Any] | None = None, name: str = "policy", hold: int = 1
+) -> Policy:
+    """The actor of a PPO or SAC model whose policy is a plain perceptron.
+
+    Args:
+        hold: control periods that the model was trained to hold its actions for.
+    """
+    from gymnasium import spaces
+
+    policy = model.policy
+    if hasattr(policy, "mlp_extractor"):  # PPO
+        trunk, head, output = policy.mlp_extractor.policy_net, policy.action_net, "clip"
+    elif hasattr(policy, "actor") and hasattr(policy.actor, "latent_pi"):  # SAC
+        trunk, head, output = policy.actor.latent_pi, policy.actor.mu, "tanh"
+    else:
+        raise ParameterError(f"expected a PPO or SAC model, got {type(model).__name__}")
+    linear, kinds = _layers([*trunk, head])
+    space = policy.observation_space
+    inputs = tuple(space.spaces) if isinstance(space, spaces.Dict) else ()
+    boxes: Sequence[Any] = [space[k] for k in inputs] if inputs else [space]
+    limit = float(max(np.abs(box.high).max() for box in boxes))
+    network = Network(
+        sizes=(linear[0][0].shape[0], *(W.shape[1] for W, _ in linear)),
+        activation=kinds.pop() if kinds else "tanh",
+        output=output,
+        observation_limit=limit,
+        inputs=inputs,
+        hold=hold,
+    )
+    return Policy(network, tuple(linear), dict(about or {}), name)
+
+
+def _layers(modules: Sequence[Any]) -> tuple[list[tuple[Array, Array]], set[str]]:
+    """Weights of the linear modules, and the one kind of activation between them."""
+    linear, kinds = [], set()
+    for module in modules:
+        kind = type(module).__name__
+        if kind == "Linear":
+            W, b = (
+                p.detach().cpu().numpy().astype(float) for p in (module.weight, module.bias)
+            )
+            linear.append((np.ascontiguousarray(W.T), b))
+        elif kind.lower() in ACTIVATIONS:
+            kinds.add(kind.lower())
+        else:
+            raise ParameterError(
+                f"a policy is made of Linear, Tanh and ReLU modules, got {kind}"
+            )
+    if len(kinds) > 1:
+        raise ParameterError(f"a policy has one kind of activation, got {', '.join(kinds)}")
+    return linear, kinds
+
+
+def read_sb3_zip(path: str | os.PathLike[str], algorithm: str, *, trusted: bool) -> Policy:
+    """The actor in a zip saved by Stable-Baselines3.
+
+    Such a file holds pickles: reading it runs whatever code its author put there.
+    `trusted=True` says that you made it, or would run a program from where it comes.
+
+    Args:
+        algorithm: PPO or SAC.
+    """
+    if trusted is not True:
+        raise ParameterError(
+            f"{path}: reading it would run code from the file; pass trusted=True only if you"
+            " would run a program from the same source"
+        )
+    import stable_baselines3
+
+    if algorithm not in ("PPO", "SAC"):
+        raise ParameterError(f"algorithm must be PPO or SAC, got {algorithm!r}")
+    model = getattr(stable_baselines3, algorithm).load(path, device="cpu")
+    return from_sb3(model, name=Path(path).stem)
+
+
+def versions(*more: str) -> dict[str, str]:
+    """What ran: ves_gym, Python, NumPy and the packages named."""
+    found = {name: version(name) for name in ("numpy", "gymnasium", *more)}
+    return {"ves_gym": __version__, "python": platform.python_version(), **found}

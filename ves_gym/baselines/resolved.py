@@ -1,0 +1,95 @@
+"""Resolved-motion control: joint rates that move the tool in space whatever the base does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ves_gym.baselines.controllers import reference_action
+from ves_gym.core.dynamics import joint_positions
+from ves_gym.core.motion import quintic
+from ves_gym.core.params import Array, Index, ParameterError
+from ves_gym.core.spatial import matvec, rotation, twist
+from ves_gym.core.tool import joints_for, tool_jacobian
+from ves_gym.envs.reach import Reach
+from ves_gym.envs.track import Track
+from ves_gym.envs.vector import VesVectorEnv
+
+_MOVE = 0.7  # share of an episode of reach that the way to the target takes
+_DAMPING = 0.05  # m/rad, of the least squares near singular configurations
+
+
+class Resolved:
+    """Leads the tool along a path in space, by joint rates that take back the base's motion.
+
+    The joints follow a plan for a base at rest: for task track the one that the Jacobian
+    gives along the path, for task reach the straight quintic to the nearest joint angles that
+    bring the tool to the target. In every period the plan is corrected by what the Jacobian
+    says of the distance between path and tool, on the base as measured, and of the rate at
+    which the base carries the tool along (resolved motion rate control: Whitney, IEEE Trans.
+    Man-Machine Systems 10(2), 1969).
+    """
+
+    name = "resolved"
+    privileged = True
+
+    def __init__(self) -> None:
+        self._plan = np.empty(0)  # (n, steps + 2, joints) rad
+        self._path = np.empty(0)  # (n, steps + 2, 3) of the tool in space [m]
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        task, s = env.task, env.batch.scene
+        if not isinstance(task, (Reach, Track)) or task.control.level != "reference":
+            raise ParameterError(
+                "controller resolved leads the reference of tasks reach and track, got task"
+                f" {task.kind} through control {task.control.kind}"
+            )
+        arm, steps = task.system.arm, task.steps
+        if self._plan.shape[:2] != (env.num_envs, steps + 2):
+            self._plan = np.zeros((env.num_envs, steps + 2, arm.n))
+            self._path = np.zeros((env.num_envs, steps + 2, 3))
+        q = s.q[ids]
+        if isinstance(task, Track):
+            path = task.path(s)[ids]
+            plan = [q]
+            for point in np.swapaxes(path[:, 1:], 0, 1):
+                gap = point - joint_positions(arm, plan[-1])[:, -1]
+                plan.append(plan[-1] + matvec(_inverse(tool_jacobian(arm, plan[-1])), gap))
+            along = np.stack(plan, axis=1)
+        else:
+            end, _ = joints_for(arm, s.goal[ids, :3], q)
+            share = quintic(np.arange(steps + 1) / (_MOVE * steps))[:, None]
+            along = q[:, None] + share * (end - q)[:, None]
+            path = joint_positions(arm, along)[..., -1, :]
+        self._plan[ids] = np.concatenate([along, along[:, -1:]], axis=1)
+        self._path[ids] = np.concatenate([path, path[:, -1:]], axis=1)
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
+        rows, step = np.arange(env.num_envs), env.batch.episodes.steps
+        before, now, then = (
+            self._plan[rows, np.minimum(step + k, env.task.steps + 1)] for k in (0, 1, 2)
+        )
+        y = s.y_seen + dt * s.yd_seen  # of the base at the period's end
+        reach = joint_positions(arm, now)[:, -1]
+        wanted = self._path[rows, np.minimum(step + 1, env.task.steps)] - y[:, :3]
+        gap = matvec(np.swapaxes(rotation(y), -1, -2), wanted) - reach
+        base = twist(y, s.yd_seen)
+        drift = base[:, :3] + np.cross(base[:, 3:], reach)  # of the tool with the base
+        inverse = _inverse(tool_jacobian(arm, now))
+        reference = [
+            now + matvec(inverse, gap),
+            (then - before) / (2 * dt) - matvec(inverse, drift),
+            (then - 2 * now + before) / dt**2,
+        ]
+        return reference_action(env, env.task.control, np.stack(reference, axis=1))
+
+
+def _inverse(J: Array) -> Array:
+    """(..., n, 3) damped pseudo-inverse of (..., 3, n)."""
+    across = np.swapaxes(J, -1, -2)
+    out: Array = across @ np.linalg.inv(J @ across + _DAMPING**2 * np.eye(3))
+    return out
