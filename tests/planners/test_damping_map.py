@@ -1,0 +1,94 @@
+"""Where the arm damps best: what the coupling promises, candidates, maps."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.core.arms import planar_arm
+from ves_gym.core.params import ParameterError
+from ves_gym.core.puma import PUMA_560
+from ves_gym.core.servo import HIGH_GAINS
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import BENT
+from ves_gym.planners.coupling import coupling_matrix, modes
+from ves_gym.planners.damping_map import best_configurations, damping_map, promised_integral
+from ves_gym.planners.pped import Gains, analyse, plant_at, tune
+
+Q = np.deg2rad([45.0, 0.0, 0.0])
+
+
+def test_the_promise_of_joints_that_give_nothing_is_the_base_alone():
+    """Rotors so heavy that the joints stand still, one mode released: its closed form."""
+    links = tuple(dataclasses.replace(k, rotor_inertia=1e8) for k in PUMA_560.links)
+    system = System(arm=dataclasses.replace(PUMA_560, links=links))
+    shapes = modes(system, Q).shapes
+    plant = plant_at(system, Q)
+    for i in range(6):
+        y = 1e-2 * shapes[:, i]
+        left = analyse(plant, Gains.of(HIGH_GAINS), y).E_int
+        # modal damping of the bare beam is not quite modal with the arm on it
+        assert promised_integral(system, Q, y) == pytest.approx(left, rel=0.02)
+
+
+def test_joints_that_can_take_over_a_mode_promise_less():
+    links = tuple(dataclasses.replace(k, rotor_inertia=0.0) for k in PUMA_560.links)
+    light = System(arm=dataclasses.replace(PUMA_560, links=links))
+    q = np.random.default_rng(0).uniform(-1, 1, (4, 5, 3))
+    less, more = promised_integral(light, q), promised_integral(System(), q)
+    assert less.shape == (4, 5) and (less < more).all()
+
+
+def test_candidates_are_tuned_ranked_and_apart():
+    options = {"samples": 300, "candidates": 4, "seed": 3}
+    told = []
+    found = best_configurations(System(), **options, progress=told.append)
+    again = best_configurations(System(), **options)
+    values = [c.tuned.value for c in found]
+    assert values == sorted(values) and len(found) == 4
+    assert told[-1] == 1.0 and len(told) == 4
+    for a, b in zip(found, again, strict=True):
+        np.testing.assert_array_equal(a.q, b.q)
+        PUMA_560.require_within_limits(a.q)
+        assert a.promised == pytest.approx(float(promised_integral(System(), a.q)))
+        judged = analyse(plant_at(System(), a.q), a.tuned.gains).E_int
+        assert judged == pytest.approx(a.tuned.value, rel=1e-9)
+    gaps = [np.abs(a.q - b.q).max() for a in found for b in found if a is not b]
+    assert min(gaps) > 0.5
+
+
+def test_a_map_is_tuned_node_by_node():
+    system = System()
+    section = damping_map(system, (0, 2), Q, points=3)
+    assert section.tuned.shape == section.promised.shape == section.coupling.shape == (3, 3)
+    assert section.axes[0] == pytest.approx(np.deg2rad([-160, 0, 160]))
+    q = np.array([section.axes[0][1], 0.0, section.axes[1][2]])
+    Q_here = coupling_matrix(system, q)
+    assert section.coupling[1, 2] == pytest.approx(np.trace(Q_here))
+    assert section.promised[1, 2] == pytest.approx(float(promised_integral(system, q)))
+    assert section.tuned[1, 2] == pytest.approx(tune(plant_at(system, q)).value, rel=0.03)
+
+
+def test_other_arms_have_maps():
+    system = System(arm=planar_arm(), vehicle=BENT)
+    section = damping_map(system, (0, 1), np.zeros(2), points=2)
+    assert np.isfinite(section.tuned).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: best_configurations(System(), samples=3, candidates=4),
+            "candidates <= samples",
+        ),
+        (lambda: damping_map(System(), (0, 3), Q), "two different numbers in"),
+        (lambda: damping_map(System(), (1, 1), Q), "two different numbers in"),
+        (lambda: damping_map(System(), (0, 1), Q, points=1), "points must be >= 2, got 1"),
+        (lambda: damping_map(System(), (0, 1), [9.0, 0, 0]), "fixed: joint 1"),
+        (lambda: promised_integral(System(), Q, np.zeros(3)), r"y must have shape \(6,\)"),
+    ],
+)
+def test_wrong_maps_are_refused(call, message):
+    with pytest.raises(ParameterError, match=message):
+        call()

@@ -1,0 +1,321 @@
+"""PPED: the linear plant, its measures, their gradients, the search."""
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from tests.core.arms import WRIST_GAINS, six_joint_arm
+from ves_gym.core.arm import Arm, matrix
+from ves_gym.core.model import TO_Y, pinocchio_model
+from ves_gym.core.params import ParameterError
+from ves_gym.core.puma import PUMA_560
+from ves_gym.core.servo import HIGH_GAINS, PPED_GAINS, JointServo
+from ves_gym.core.simulator import Simulator
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import BENT, DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL, Matrices
+from ves_gym.planners.pped import (
+    OBJECTIVES,
+    THESIS_RELEASE,
+    Bounds,
+    Gains,
+    _Inside,
+    analyse,
+    estimator,
+    objective_of,
+    plant_at,
+    plants,
+    respond,
+    tune,
+)
+
+Q = np.deg2rad([45.0, 0.0, 0.0])
+CONSISTENT = dataclasses.replace(BENT, mass_model="consistent")
+FULL = Gains(  # symmetric, positive definite
+    np.array([[300.0, 80, -20], [80, 200, 40], [-20, 40, 90]]),
+    np.array([[20.0, 4, 1], [4, 15, -3], [1, -3, 8]]),
+)
+SYSTEMS = {
+    "bent": (System(), Gains.of(PPED_GAINS)),
+    "bent, full gains": (System(), FULL),
+    "consistent": (System(vehicle=CONSISTENT), Gains.of(HIGH_GAINS)),
+    "straight": (System(vehicle=STRAIGHT_VERTICAL), Gains.of(HIGH_GAINS)),
+    "six joints": (System(arm=six_joint_arm(), vehicle=DECOUPLED), Gains.of(WRIST_GAINS)),
+}
+
+
+def bent(q=Q):
+    return plant_at(System(), q)
+
+
+# ------------------------------------------------------------------------- the plant
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_plant_is_pinocchios_inertia_with_the_vehicles_matrices(name):
+    """(H_pin + M) z'' + D z' + K z = 0, gains on the joints. Tolerance: rounding."""
+    system, gains = SYSTEMS[name]
+    n, rng = system.arm.n, np.random.default_rng(0)
+    model = pinocchio_model(system.arm, system.base)
+    order = np.r_[TO_Y, 6 : 6 + n]
+    for q in 0.5 * rng.uniform(system.arm.column("q_min"), system.arm.column("q_max"), (5, n)):
+        H = pin.crba(model, model.createData(), np.r_[np.zeros(6), q])
+        M = (np.triu(H) + np.triu(H, 1).T)[np.ix_(order, order)]
+        M[:6, :6] += system.base.M
+        D, K = np.zeros((2, 6 + n, 6 + n))
+        D[:6, :6], K[:6, :6] = system.base.D, system.base.K
+        D[6:, 6:], K[6:, 6:] = gains.B, gains.K
+        expected = np.linalg.solve(M, np.hstack([-K, -D]))
+        found = plant_at(system, q).closed(gains)
+        np.testing.assert_allclose(found[6 + n :], expected, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_array_equal(found[: 6 + n], np.eye(6 + n, 2 * (6 + n), 6 + n))
+
+
+def test_the_plant_is_the_slope_of_the_simulator():
+    """Central differences of one physics step of MuJoCo over 1e-6 of each coordinate."""
+    system = System(physics_dt=1e-4, control_dt=1e-4)
+    s, step = 9, 1e-6
+    points = np.r_[np.zeros(6), Q, np.zeros(s)] + step * np.vstack([np.eye(18), -np.eye(18)])
+    sim = Simulator(system, 36, servo=PPED_GAINS, backend="mujoco")
+    sim.reset(y=points[:, :6], q=points[:, 6:s], yd=points[:, s:15], v=points[:, 15:])
+    hold = sim.servo_command(np.tile(Q, (36, 1)), np.zeros((36, 3)))
+    acceleration = sim.backend.evaluate(hold)[1]
+    slope = (acceleration[:18] - acceleration[18:]).T / (2 * step)
+    A = plant_at(system, Q).closed(Gains.of(PPED_GAINS))
+    np.testing.assert_allclose(slope, A[s:], atol=1e-6 * np.abs(A).max())
+
+
+def test_many_plants_are_one_by_one():
+    q = np.random.default_rng(1).uniform(-1, 1, (3, 3))
+    for k, plant in enumerate(plants(System(), q)):
+        one = plant_at(System(), q[k])
+        np.testing.assert_array_equal(plant.free, one.free)
+        np.testing.assert_allclose(plant.mass, one.mass, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("system", "q", "message"),
+    [
+        (System(vehicle=FREE_FLOATING), Q, "stiffness in all six directions"),
+        (System(drive="prescribed"), Q, "needs drive motor, not prescribed"),
+        (System(mode="emulated"), Q, "needs mode ideal, got emulated"),
+        (System(), [3.0, 0, 0], "joint 1 must be within"),
+        (System(), [0.0, 0], r"q must have shape \(3,\)"),
+    ],
+)
+def test_what_has_no_plant_is_refused(system, q, message):
+    with pytest.raises(ParameterError, match=message):
+        plant_at(system, q)
+
+
+# -------------------------------------------------------------------------- measures
+
+
+@pytest.mark.parametrize("name", [k for k in SYSTEMS if k != "straight"])  # 40 Hz for minutes
+def test_the_strain_integral_is_that_of_the_response(name):
+    """Lyapunov's closed form against Simpson's rule on the response, to 1e-6."""
+    system, gains = SYSTEMS[name]
+    plant = plant_at(system, np.full(system.arm.n, 0.3))
+    y = np.array([0.02, -0.01, 1e-4, 0.01, 0.02, -0.01])
+    found = analyse(plant, gains, y)
+    fastest = np.abs(found.poles.imag).max()
+    end = 16 / -found.poles.real.max()
+    t = np.linspace(0, end, 2 * int(end * fastest * 10) + 1)
+    x = respond(plant, gains, y, t)
+    strain = 0.5 * np.einsum("ki,ij,kj->k", x[:, :6], system.base.K, x[:, :6])
+    weights = np.r_[1, np.tile([4, 2], (len(t) - 3) // 2), 4, 1] * t[1] / 3
+    assert weights @ strain == pytest.approx(found.E_int, rel=1e-6)
+
+
+def test_settling_time_is_read_off_the_response():
+    plant, gains = bent(), Gains.of(PPED_GAINS)
+    t = np.arange(4000) * 0.005
+    x = respond(plant, gains, THESIS_RELEASE, t)
+    E = np.einsum("ki,ij,kj->k", x, plant.total, x)
+    last = t[np.flatnonzero(0.05 * E.max() < E)[-1]]
+    assert analyse(plant, gains).t_5 == pytest.approx(last, abs=0.02)
+
+
+@pytest.mark.parametrize("t", [[0.0], [0.1, 0.2], [0, 0.1, 0.3], 1.0])
+def test_uneven_times_are_refused(t):
+    with pytest.raises(ParameterError, match="evenly spaced times from 0"):
+        respond(bent(), FULL, THESIS_RELEASE, t)
+
+
+def test_no_displacement_is_worse_than_the_worst():
+    """Per joule of initial strain energy; the one named reaches it."""
+    plant, gains = bent(), Gains.of(PPED_GAINS)
+    found = analyse(plant, gains)
+    at_worst = analyse(plant, gains, found.worst_y)
+    assert 0.5 * found.worst_y @ plant.stiffness @ found.worst_y == pytest.approx(1.0)
+    assert at_worst.E_int == pytest.approx(found.worst, rel=1e-9)
+    rng = np.random.default_rng(0)
+    for y in rng.normal(size=(50, 6)) @ np.linalg.inv(np.linalg.cholesky(plant.stiffness)):
+        energy = 0.5 * y @ plant.stiffness @ y
+        assert analyse(plant, gains, y).E_int / energy <= found.worst * (1 + 1e-9)
+
+
+def test_estimator_is_equation_4_4():
+    """By hand: a pair of ratio 0.6 at 5 rad/s, a real pole at 2; a pole at 0 is left out."""
+    expected = 2 * 0.6 * (1 - 5 / 12) + 1.0 * (1 - 2 / 12)
+    assert estimator([-3 + 4j, -3 - 4j, -2, 0]) == pytest.approx(expected)
+
+
+def test_free_joints_never_come_to_rest():
+    none = Gains(np.zeros((3, 3)), np.zeros((3, 3)))
+    found = analyse(bent(), none)
+    assert np.isinf([found.E_int, found.t_5, found.worst]).all()
+    plain = found.to_dict()
+    assert plain["E_int"] is None and plain["worst_y"] is None and plain["estimator"] > 0
+
+
+@pytest.mark.parametrize(
+    ("gains", "y", "message"),
+    [
+        (Gains(np.eye(2), np.eye(3)), THESIS_RELEASE, r"K must have shape \(3, 3\)"),
+        (Gains(np.eye(3), np.full((3, 3), np.nan)), THESIS_RELEASE, "B must be finite"),
+        (Gains.of(HIGH_GAINS), (0.1, 0.1), r"y must have shape \(6,\)"),
+    ],
+)
+def test_wrong_gains_and_displacements_are_refused(gains, y, message):
+    with pytest.raises(ParameterError, match=message):
+        analyse(bent(), gains, y)
+
+
+# -------------------------------------------------------------------------- gradients
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+@pytest.mark.parametrize("gains", [Gains.of(PPED_GAINS), FULL], ids=["diagonal", "full"])
+def test_gradients_are_those_of_differences(objective, gains):
+    """d / dA along random directions of the gains; central differences of 1e-4 of them."""
+    plant = bent(np.deg2rad([30.0, -20, 40]))
+    value = objective_of(plant, objective)
+    _, slope = value(plant.closed(gains))
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        way = Gains(*(1e-4 * np.abs(g).max() * rng.normal(size=(3, 3)) for g in gains))
+        more, less = (
+            value(plant.closed(Gains(gains.K + k * way.K, gains.B + k * way.B)))[0]
+            for k in (1, -1)
+        )
+        change = plant.closed(way) - plant.free
+        assert (more - less) / 2 == pytest.approx(np.sum(slope * change), rel=1e-5, abs=1e-9)
+
+
+@pytest.mark.parametrize("full", [False, True], ids=["diagonal", "full"])
+def test_bounded_matrices_have_the_gradient_of_differences(full):
+    """f(T) of a symmetric T, two of its eigenvalues all but equal; trace(C f(T))."""
+    box = _Inside(3, (2.0, 500.0), full)
+    rng = np.random.default_rng(2)
+    C = rng.normal(size=(3, 3))
+    points = [rng.normal(size=box.size), np.full(box.size, 1e-9)]
+    points[1][0 if full else slice(None)] = 0.7
+    for u in points:
+        _, back = box.gain(u)
+        step = 1e-6 * np.eye(box.size)
+        slope = [np.sum(C * (box.gain(u + d)[0] - box.gain(u - d)[0])) / 2e-6 for d in step]
+        np.testing.assert_allclose(back(C), slope, rtol=1e-5, atol=1e-5)
+    inside = box.gain(points[0])[0]
+    np.testing.assert_allclose(box.gain(box.parameters(inside))[0], inside, rtol=1e-6)
+
+
+# ------------------------------------------------------------------------- the search
+
+
+def test_the_search_beats_random_gains_and_keeps_its_bounds():
+    plant, bounds = bent(), Bounds(K=(30.0, 600.0), B=(1.0, 50.0))
+    found = tune(plant, bounds=bounds)
+    for gain, (low, high) in zip(found.gains, (bounds.K, bounds.B), strict=True):
+        assert np.count_nonzero(gain) == 3
+        assert (
+            low * (1 - 1e-9) <= np.diag(gain).min() <= np.diag(gain).max() <= high * (1 + 1e-9)
+        )
+    assert analyse(plant, found.gains).E_int == pytest.approx(found.value, rel=1e-9)
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        K = np.exp(rng.uniform(*np.log(bounds.K), 3))
+        B = np.exp(rng.uniform(*np.log(bounds.B), 3))
+        assert analyse(plant, Gains(np.diag(K), np.diag(B))).E_int > found.value
+
+
+def test_full_matrices_leave_less_and_keep_their_bounds():
+    plant, bounds = bent(), Bounds(K=(30.0, 900.0), B=(1.0, 50.0))
+    diagonal, full = (tune(plant, full=f, bounds=bounds, starts=6) for f in (False, True))
+    assert full.value < 0.99 * diagonal.value
+    for gain, (low, high) in zip(full.gains, (bounds.K, bounds.B), strict=True):
+        np.testing.assert_allclose(gain, gain.T, rtol=1e-12)
+        values = np.linalg.eigvalsh(gain)
+        assert low * (1 - 1e-9) <= values[0] and values[-1] <= high * (1 + 1e-9)
+
+
+def test_each_objective_is_best_at_what_it_asks():
+    """Against the gains found for the others and the thesis's."""
+    plant = bent()
+    found = {name: tune(plant, name) for name in OBJECTIVES}
+    judged = {name: analyse(plant, tuned.gains) for name, tuned in found.items()}
+    judged["thesis"] = analyse(plant, Gains.of(PPED_GAINS))
+    measures = {"strain": "E_int", "worst": "worst", "estimator": "estimator"}
+    for objective, measure in measures.items():
+        values = {name: getattr(damping, measure) for name, damping in judged.items()}
+        best = max if objective == "estimator" else min
+        assert best(values, key=values.__getitem__) == objective
+        assert values[objective] == pytest.approx(found[objective].value, rel=1e-6)
+
+
+def test_the_same_seed_finds_the_same_gains():
+    first, again = (tune(bent(), full=True, starts=2, seed=7) for _ in range(2))
+    for a, b in zip(first.gains, again.gains, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_seeds_agree():
+    """The value within 1 % whatever the seed."""
+    values = [tune(bent(), seed=k).value for k in range(4)]
+    assert max(values) <= 1.01 * min(values)
+
+
+def test_a_known_start_is_not_made_worse():
+    good = tune(bent()).gains
+    found = tune(bent(), starts=1, first=good)
+    assert found.value <= analyse(bent(), good).E_int * (1 + 1e-6)
+
+
+def test_other_arms():
+    system = System(arm=six_joint_arm(), vehicle=DECOUPLED)
+    plant = plant_at(system, np.full(6, 0.2))
+    before = analyse(plant, Gains.of(WRIST_GAINS)).E_int
+    assert tune(plant, starts=4).value < before
+
+
+def test_a_base_that_no_gains_bring_to_rest_is_refused():
+    """Undamped, and a single joint about the axis of its link's mass: it moves only phi_z."""
+    one = Arm(name="one", base=PUMA_560.base, links=PUMA_560.links[:1], source="test")
+    base = DECOUPLED.base_model()
+    zero = matrix(np.zeros((6, 6)))
+    vehicle = Matrices(M=matrix(base.M), D=zero, K=matrix(base.K))
+    plant = plant_at(System(arm=one, vehicle=vehicle), [0.0])
+    with pytest.raises(ParameterError, match="neither its own damping nor the joints"):
+        tune(plant)
+    servo = JointServo(kp=(100.0,), kd=(10.0,))
+    assert np.isinf(analyse(plant, Gains.of(servo)).E_int)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"objective": "speed"}, "must be one of strain, worst, estimator, got 'speed'"),
+        ({"y": np.zeros(6)}, "other than zero"),
+        ({"starts": 0}, "starts must be >= 1, got 0"),
+    ],
+)
+def test_wrong_searches_are_refused(options, message):
+    with pytest.raises(ParameterError, match=message):
+        tune(bent(), **options)
+
+
+@pytest.mark.parametrize("K", [(5.0, 1.0), (0.0, 10.0), (1.0, 1.0), (1.0,)])
+def test_wrong_bounds_are_refused(K):
+    with pytest.raises(ParameterError, match=r"Bounds\.K"):
+        Bounds(K=K)

@@ -1,0 +1,60 @@
+"""Pictures of gains that damp the base show what they were given."""
+
+import numpy as np
+import pytest
+
+from ves_gym.core.servo import HIGH_GAINS, PPED_GAINS
+from ves_gym.core.stability import poles_in_space
+from ves_gym.core.system import System
+from ves_gym.planners.damping_map import damping_map
+from ves_gym.planners.pped import Gains, analyse, plant_at
+from ves_gym.planners.release import linear_release, simulate_release
+
+pytest.importorskip("matplotlib")
+
+from ves_gym.report.damping import map_figure, pole_figure, response_figure
+
+Q = np.deg2rad([45.0, 0.0, 0.0])
+SETS = [Gains.of(HIGH_GAINS), Gains.of(PPED_GAINS)]
+NAMES = ["high", "PPED"]
+
+
+def test_every_pole_of_the_upper_half_is_drawn():
+    plant = plant_at(System(), Q)
+    sets = [(n, analyse(plant, g).poles) for n, g in zip(NAMES, SETS, strict=True)]
+    base = System().base
+    figure = pole_figure(sets, poles_in_space(plant.mass, base.D, base.K))
+    assert [axes.get_title() for axes in figure.axes] == NAMES
+    for axes, (_, poles) in zip(figure.axes, sets, strict=True):
+        _, rings, crosses = axes.lines
+        assert len(rings.get_xdata()) == 6
+        upper = poles[poles.imag >= 0]
+        np.testing.assert_array_equal(crosses.get_xdata(), upper.real)
+        (left, right), (_, top) = axes.get_xlim(), axes.get_ylim()
+        assert left < upper.real.min() and upper.real.max() < right and upper.imag.max() < top
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_responses_of_both_models_are_drawn(both):
+    linear = linear_release(System(), Q, SETS, seconds=4.0)
+    simulated = simulate_release(System(), Q, SETS, seconds=4.0) if both else None
+    figure = response_figure(NAMES, linear, simulated)
+    translation, strain, integral = figure.axes
+    assert len(strain.lines) == (4 if both else 2)
+    start = translation.lines[0].get_ydata()[0]
+    assert start == pytest.approx(100 * np.sqrt(3))  # mm
+    np.testing.assert_array_equal(strain.lines[-1].get_ydata(), linear.strain[1])
+    assert integral.lines[-1].get_ydata()[-1] == pytest.approx(linear.E_int[1])
+    shown = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert shown == NAMES + ["by the linear model"] * both
+
+
+def test_a_map_has_a_column_per_section():
+    sections = [damping_map(System(), pair, Q, points=2) for pair in ((0, 1), (1, 2))]
+    figure = map_figure(sections)
+    panels = [axes for axes in figure.axes if axes.get_title()]
+    assert len(panels) == 6
+    assert [axes.get_title() for axes in panels[:2]] == ["joint 3 at 0°", "joint 1 at 45°"]
+    assert panels[1].get_xlabel() == "joint 2 [deg]"
+    star = panels[0].lines[0]
+    assert (star.get_xdata()[0], star.get_ydata()[0]) == pytest.approx((45, 0))

@@ -1,0 +1,154 @@
+"""Where in joint space the arm damps its base best (thesis 4.3).
+
+The thesis finds such configurations by the coupling map. Its modes one by one, as in Q_T,
+do tell them; the size of raw Q does not (tests/claims/test_pped.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym.core.params import Array, ParameterError, finite
+from ves_gym.core.system import System
+from ves_gym.planners.coupling import blocks, coupling_matrix, modes
+from ves_gym.planners.pped import THESIS_RELEASE, WIDE, Bounds, Tuned, plants, tune
+
+_STARTS = 3  # random starts at each configuration
+_APART = 0.5  # rad in at least one joint, between candidates
+
+
+def promised_integral(
+    system: System, q: npt.ArrayLike, y: npt.ArrayLike = THESIS_RELEASE
+) -> Array:
+    """(..., n) -> (...) strain-energy integral that the coupling promises [J s]; no search.
+
+    Each base mode by itself: released with strain energy E_i, with damping ratio z_i it
+    leaves E_i (1/z_i + 4 z_i) / (4 omega_i). z_i is the base's own and sqrt(k_i) / 2, what
+    a tuned damper of mass ratio k_i adds at most; k_i = g_i^T H_m^-1 g_i is the share of
+    the mode that the joints can take over (g_i = H_bm^T phi_i, as in Q and Q_T). An
+    estimate that ranks configurations.
+    """
+    angles, release, base = np.asarray(q, float), finite(y, (6,), "y"), system.base
+    b, m = blocks(system, angles), modes(system, angles)
+    across = np.swapaxes(m.shapes, -1, -2) @ b.Hbm  # rows g_i
+    share = np.einsum(
+        "...ij,...ji->...i", across, np.linalg.solve(b.Hm, np.swapaxes(across, -1, -2))
+    )
+    amplitude = np.einsum("...ji,...jk,k->...i", m.shapes, b.Mt, release)
+    energy = 0.5 * (m.omega * amplitude) ** 2
+    own = np.einsum("...ji,jk,...ki->...i", m.shapes, base.D, m.shapes) / (2 * m.omega)
+    zeta = own + np.sqrt(np.maximum(share, 0)) / 2
+    return np.asarray(np.sum(energy * (1 / zeta + 4 * zeta) / (4 * m.omega), axis=-1))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Configuration:
+    """A configuration of the arm and what its best gains leave in the base."""
+
+    q: Array  # (n,) rad
+    promised: float  # by the coupling [J s]
+    tuned: Tuned  # its value is the strain-energy integral [J s]
+
+
+def best_configurations(
+    system: System,
+    y: npt.ArrayLike = THESIS_RELEASE,
+    *,
+    full: bool = False,
+    bounds: Bounds = WIDE,
+    samples: int = 4096,
+    candidates: int = 24,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> list[Configuration]:
+    """Configurations in which the arm damps a release from y best, best first.
+
+    The coupling ranks random configurations; gains are tuned for the first of them that
+    lie apart. Only the joint limits are kept: nothing looks for collisions.
+
+    Args:
+        samples: configurations ranked. candidates: how many of them are tuned, at most.
+        seed: of the configurations and of the searches.
+    """
+    if not 1 <= candidates <= samples:
+        raise ParameterError(f"need 1 <= candidates <= samples, got {candidates} and {samples}")
+    arm, rng = system.arm, np.random.default_rng(seed)
+    angles = rng.uniform(arm.column("q_min"), arm.column("q_max"), (samples, arm.n))
+    promised = promised_integral(system, angles, y)
+    chosen: list[int] = []
+    for i in np.argsort(promised, kind="stable").tolist():
+        if len(chosen) < candidates and _is_apart(angles[i], angles[chosen]):
+            chosen.append(i)
+    found: list[Configuration] = []
+    for i, plant in zip(chosen, plants(system, angles[chosen]), strict=True):
+        tuned = tune(plant, y=y, full=full, bounds=bounds, starts=_STARTS, seed=seed)
+        found.append(Configuration(q=angles[i], promised=float(promised[i]), tuned=tuned))
+        if progress is not None:
+            progress(len(found) / len(chosen))
+    return sorted(found, key=lambda c: c.tuned.value)
+
+
+def _is_apart(q: Array, others: Array) -> bool:
+    return bool((np.abs(others - q).max(axis=1) > _APART).all())
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DampingMap:
+    """A cross-section of joint space: two joints swept, the others fixed."""
+
+    joints: tuple[int, int]  # which joints, from 0
+    axes: tuple[Array, Array]  # grid of each [rad]
+    fixed: Array  # (n,) configuration of the others [rad]
+    coupling: Array  # (ni, nj) trace of raw Q [J/rad^2]
+    promised: Array  # (ni, nj) strain-energy integral that the coupling promises [J s]
+    tuned: Array  # (ni, nj) what the best gains there leave [J s]
+
+
+def damping_map(
+    system: System,
+    joints: tuple[int, int],
+    fixed: npt.ArrayLike,
+    y: npt.ArrayLike = THESIS_RELEASE,
+    *,
+    full: bool = False,
+    bounds: Bounds = WIDE,
+    points: int = 11,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> DampingMap:
+    """Tune gains all over a cross-section of joint space, beside what the coupling says."""
+    n = system.arm.n
+    i, j = joints
+    if not (0 <= i < n and 0 <= j < n and i != j):
+        raise ParameterError(f"joints must be two different numbers in [0, {n}), got {joints}")
+    if points < 2:
+        raise ParameterError(f"points must be >= 2, got {points}")
+    at = system.arm.require_within_limits(fixed, "fixed")
+    links = system.arm.links
+    axes = tuple(np.linspace(links[k].q_min, links[k].q_max, points) for k in joints)
+    q = np.broadcast_to(at, (points, points, n)).copy()
+    q[..., i], q[..., j] = np.meshgrid(*axes, indexing="ij")
+    flat = q.reshape(-1, n)
+    left: list[float] = []
+    near = None  # gains of the neighbour
+    for plant in plants(system, flat):
+        found = tune(
+            plant, y=y, full=full, bounds=bounds, starts=_STARTS, seed=seed, first=near
+        )
+        near = found.gains
+        left.append(found.value)
+        if progress is not None:
+            progress(len(left) / len(flat))
+    shape = points, points
+    return DampingMap(
+        joints=(i, j),
+        axes=(axes[0], axes[1]),
+        fixed=at,
+        coupling=np.trace(coupling_matrix(system, q), axis1=-2, axis2=-1),
+        promised=promised_integral(system, q, y),
+        tuned=np.reshape(left, shape),
+    )

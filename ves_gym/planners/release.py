@@ -1,0 +1,153 @@
+"""The base let go from a displacement, joints held by their gains (thesis figures 4-6, 4-7).
+
+Twice: by the linear model that gains are found with, and by the simulator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.integrate import trapezoid
+
+from ves_gym.core.energy import SETTLED, base_energy
+from ves_gym.core.params import Array, ParameterError, finite
+from ves_gym.core.servo import JointServo
+from ves_gym.core.simulator import Simulator
+from ves_gym.core.system import System
+from ves_gym.planners.coupling import modes
+from ves_gym.planners.pped import THESIS_RELEASE, Gains, plant_at, respond
+
+_RECORDS = 16  # of a period of the stiffest base mode
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Release:
+    """Base motion under several sets of gains on one clock. Leading axis = gains."""
+
+    t: Array  # (N,) s
+    y: Array  # (m, N, 6) base pose [m, rad]
+    strain: Array  # (m, N) strain energy of the base [J]
+    total: Array  # (m, N) its energy E [J]
+    swing: Array  # (m, n) largest joint excursion [rad]
+    effort: Array  # (m, n) largest joint torque over its limit
+
+    @property
+    def E_int(self) -> Array:
+        """(m,) integral of the strain energy over the run [J s]."""
+        found: Array = trapezoid(self.strain, self.t, axis=-1)
+        return found
+
+    @property
+    def t_5(self) -> Array:
+        """(m,) s until E stays below 5 % of its peak; inf if it does not within the run."""
+        late = self.total > SETTLED * self.total.max(axis=-1, keepdims=True)
+        last = len(self.t) - late[:, ::-1].argmax(axis=-1)  # the sample after the last above
+        ends = np.r_[self.t, np.inf]
+        settled: Array = ends[last]
+        return settled
+
+
+def linear_release(
+    system: System,
+    q: npt.ArrayLike,
+    gains: Sequence[Gains],
+    y: npt.ArrayLike = THESIS_RELEASE,
+    *,
+    seconds: float = 30.0,
+) -> Release:
+    """By the linear model."""
+    plant, (t, _) = plant_at(system, q), _clock(system, q, seconds)
+    x = np.stack([respond(plant, g, y, t) for g in gains])
+    w = 6 + system.arm.n
+    s, v = x[..., 6:w], x[..., w + 6 :]
+    torque = np.stack(
+        [a @ g.K + b @ g.B for a, b, g in zip(s, v, gains, strict=True)]  # K, B symmetric
+    )
+    return Release(
+        t=t,
+        y=x[..., :6],
+        strain=np.einsum("mki,ij,mkj->mk", x, plant.strain, x),
+        total=np.einsum("mki,ij,mkj->mk", x, plant.total, x),
+        swing=np.abs(s).max(axis=1),
+        effort=np.abs(torque).max(axis=1) / system.arm.column("tau_max"),
+    )
+
+
+def simulate_release(
+    system: System,
+    q: npt.ArrayLike,
+    gains: Sequence[Gains],
+    y: npt.ArrayLike = THESIS_RELEASE,
+    *,
+    seconds: float = 30.0,
+    backend: str = "auto",
+) -> Release:
+    """By the simulator: large motions, limited motors.
+
+    Diagonal gains act inside the physics step, as those of any servo; the torque by which
+    full matrices couple the joints is held over each physics step.
+    """
+    arm, (t, stride) = system.arm, _clock(system, q, seconds)
+    if system.drive != "motor":
+        raise ParameterError(f"gains need drive motor, got drive {system.drive}")
+    start = arm.require_within_limits(q)
+    K, B = (np.stack([getattr(g, name) for g in gains]) for name in ("K", "B"))
+    kp, kd = (np.diagonal(k, axis1=1, axis2=2) for k in (K, B))
+    across_K, across_B = (k * (1 - np.eye(arm.n)) for k in (K, B))
+    crossed = bool(across_K.any() or across_B.any())
+    fine = system.replace(control_dt=system.physics_dt)
+    zero = (0.0,) * arm.n
+    sim = Simulator(fine, len(gains), servo=JointServo(kp=zero, kd=zero), backend=backend)
+    sim.set_gains(kp, kd)
+    sim.reset(q=start, y=finite(y, (6,), "y"))
+    hold = kp * start
+    nodes = np.repeat(hold[:, None], stride + 1, axis=1)
+
+    def command() -> Array:
+        state = sim.state
+        away = np.einsum("mij,mj->mi", across_K, state.q - start)
+        return np.asarray(hold - away - np.einsum("mij,mj->mi", across_B, state.v))
+
+    states, torques = [], []
+    for k in range(len(t)):
+        states.append(sim.state)
+        torques.append(sim.evaluate(command())[0])
+        if k + 1 == len(t):
+            break
+        if crossed:
+            for _ in range(stride):
+                sim.step(command())
+        else:
+            sim.play(nodes)
+    joints, pose, rate = (
+        np.stack([getattr(s, name) for s in states], axis=1) for name in ("q", "y", "yd")
+    )
+    energy = base_energy(system, joints, pose, rate)
+    return Release(
+        t=t,
+        y=pose,
+        strain=energy.strain,
+        total=energy.total,
+        swing=np.abs(joints - start).max(axis=1),
+        effort=np.abs(np.stack(torques, axis=1)).max(axis=1) / arm.column("tau_max"),
+    )
+
+
+def _clock(system: System, q: npt.ArrayLike, seconds: float) -> tuple[Array, int]:
+    """Times (N,) of the records [s], and physics steps between them.
+
+    The control period, or what shows a swing of the stiffest base mode by _RECORDS.
+    """
+    if not (np.isfinite(seconds) and seconds >= system.control_dt):
+        raise ParameterError(
+            f"seconds must be finite and at least a control period of {system.control_dt:g} s,"
+            f" got {seconds}"
+        )
+    start = system.arm.require_within_limits(q)
+    period = 2 * np.pi / float(modes(system, start).omega.max())
+    stride = int(np.clip(period / _RECORDS / system.physics_dt, 1, system.substeps))
+    dt = stride * np.float64(system.physics_dt)
+    return np.arange(round(seconds / float(dt)) + 1) * dt, stride

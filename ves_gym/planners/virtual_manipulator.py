@@ -1,0 +1,133 @@
+"""The virtual manipulator (thesis 4.3.1, B.5, B.6): PPED gains for arms on soft bases.
+
+A free-floating arm moves as if massless virtual links joined its base to its centre of
+mass, which stands still (Vafa and Dubowsky). Base and arm then are two masses with a
+Cartesian spring and damper K_d, B_d between them. These are tuned, and become joint gains
+by eq. 4.1 and 4.2. The thesis does not print the two-mass model; ours is exact for an arm
+of point masses that its joints move freely, and poor where links and rotors resist turning.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym.core.arm import Arm, skew
+from ves_gym.core.dynamics import inertia
+from ves_gym.core.params import Array, ParameterError
+from ves_gym.core.system import System
+from ves_gym.planners.pped import (
+    THESIS_RELEASE,
+    WIDE,
+    Bounds,
+    Gains,
+    Plant,
+    Tuned,
+    plant_at,
+    tune,
+)
+
+# of the Cartesian spring and damper, far wider than what any joint gives
+CARTESIAN = Bounds(K=(1.0, 1e7), B=(0.1, 1e6))  # N/m, N s/m
+
+
+def virtual_links(arm: Arm, to: str = "base") -> Array:
+    """(n + 1, 3) virtual link vectors [m], from the centre of mass to `base` or `tool`.
+
+    Row j turns with link j (row 0 with the base): in its DH frame, as thesis B.5 and B.6
+    print them. Row 0 ends in the platform-top origin, theirs in the base link's centre.
+    """
+    if to not in ("base", "tool"):
+        raise ParameterError(f"to must be base or tool, got {to!r}")
+    bodies = [arm.base, *(link.inertial for link in arm.links)]
+    masses = np.array([b.mass for b in bodies])
+    beyond = np.cumsum(masses[::-1])[::-1]  # mass of body j and of all after it
+    out = np.array([-b.mass * np.array(b.com) for b in bodies])
+    for j, link in enumerate(arm.links):
+        # d lies along the axis before the link, a along the link's own x
+        out[j, 2] -= beyond[j + 1] * link.d
+        out[j + 1, 0] -= beyond[j + 1] * link.a
+    out /= arm.mass
+    if to == "tool":
+        for j, link in enumerate(arm.links):
+            out[j, 2] += link.d
+            out[j + 1, 0] += link.a
+    return out
+
+
+def virtual_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
+    """(..., 3, n) J_vm: velocity of the base seen from the centre of mass per joint rate [m].
+
+    By the momentum H_bm of the joints: what the arm pushes one way, its base goes the other.
+    """
+    jacobian: Array = -inertia(arm, q)[..., :3, 6:] / arm.mass
+    return jacobian
+
+
+def joint_gains(arm: Arm, q: npt.ArrayLike, cartesian: Gains) -> Gains:
+    """Thesis eq. 4.1 and 4.2: K_vm = J_vm^T K_d J_vm, B_vm = J_vm^T B_d J_vm."""
+    J = virtual_jacobian(arm, q)
+    return Gains(J.T @ cartesian.K @ J, J.T @ cartesian.B @ J)
+
+
+def two_masses(system: System, q: npt.ArrayLike) -> Plant:
+    """The vehicle and, beside it, the arm as one mass at its centre: thesis figure 4-3.
+
+    z = (Y, c), c the displacement of the arm's centre of mass [m]; the gains act on c less
+    what the base carries it along.
+    """
+    arm, base = system.arm, system.base
+    model = plant_at(system, q)  # refuses what has no stiffness, or no motors
+    H, m = model.mass - base.mass_matrix, arm.mass  # of the arm, joints locked
+    # centre of mass from the first moment in the spatial inertia (`Inertial.spatial`)
+    com = np.array([H[5, 1], H[3, 2], H[4, 0]]) / m
+    M, D, K = (np.zeros((9, 9)) for _ in range(3))
+    M[:6, :6], M[6:, 6:] = base.mass_matrix, m * np.eye(3)
+    D[:6, :6], K[:6, :6] = base.D, base.K
+    carried = np.hstack([np.eye(3), -skew(com)])  # displacement of the centre with the base
+    port = np.hstack([-carried, np.eye(3)])
+    free, drive = np.zeros((18, 18)), np.zeros((18, 3))
+    free[:9, 9:] = np.eye(9)
+    free[9:] = np.linalg.solve(M, np.hstack([-K, -D]))
+    drive[9:] = np.linalg.solve(M, port.T)
+    return Plant(
+        free=free,
+        drive=drive,
+        port=port,
+        rest=np.vstack([np.eye(6), carried]),
+        stiffness=model.stiffness,
+        mass=model.mass,
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class VirtualGains:
+    """Gains by way of the virtual manipulator."""
+
+    gains: Gains  # of the joints, eq. 4.1 and 4.2, and the least gains in every direction
+    cartesian: Gains  # K_d, B_d, (3, 3) [N/m, N s/m]
+    search: Tuned  # what the two masses promise
+
+
+def tune_virtual(
+    system: System,
+    q: npt.ArrayLike,
+    objective: str = "strain",
+    *,
+    y: npt.ArrayLike = THESIS_RELEASE,
+    full: bool = False,
+    bounds: Bounds = WIDE,
+    seed: int = 0,
+) -> VirtualGains:
+    """Tune the two masses and turn K_d, B_d into joint gains; judge them with `analyse`.
+
+    Args as in `pped.tune`; `full` is of K_d and B_d. J_vm has rank 3 at most, so the least
+    gains of `bounds` are added: no joint is left free. The largest are not enforced.
+    """
+    search = tune(two_masses(system, q), objective, y=y, full=full, bounds=CARTESIAN, seed=seed)
+    found = joint_gains(system.arm, q, search.gains)
+    least = np.eye(system.arm.n)
+    gains = Gains(found.K + bounds.K[0] * least, found.B + bounds.B[0] * least)
+    return VirtualGains(gains=gains, cartesian=search.gains, search=search)

@@ -1,0 +1,133 @@
+"""Joint gains that damp the base, as pictures: poles, responses, map (thesis 4-4 to 4-7)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from ves_gym.planners.damping_map import DampingMap
+from ves_gym.planners.pped import Complexes
+from ves_gym.planners.release import Release
+from ves_gym.report.figures import _COLOURS, _IN_SPACE, _darker, _panels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ves_gym.core.params import Array
+
+_TICKS = (-1e4, -3e3, -1e3, -300, -100, -30, -10, -3, -1, -0.5, 0)  # 1/s
+_SHOWN = 10.0  # s, of the responses
+
+
+def pole_figure(sets: Sequence[tuple[str, Complexes]], locked: Complexes) -> Figure:
+    """Poles of arm and base, a panel per set of gains; rings: the base, joints locked.
+
+    The upper half of the s-plane (the lower one mirrors it). The real axis is linear up to
+    1/s and logarithmic beyond: joints may have poles far from those of the base.
+    """
+    figure, panels = _panels(len(sets), 4.2, 3.8)
+    every = np.concatenate([locked, *(poles for _, poles in sets)])
+    left = min(-10.0, 1.6 * every.real.min())
+    top = 1.08 * every.imag.max()
+    for k, (axes, (name, poles)) in enumerate(zip(panels, sets, strict=True)):
+        axes.axvline(0, color="0.6", lw=1)
+        rings = locked[locked.imag >= 0]
+        axes.plot(
+            rings.real, rings.imag, "o", mfc="none", color="0.45", ms=9, label="joints locked"
+        )
+        upper = poles[poles.imag >= 0]
+        axes.plot(upper.real, upper.imag, "x", color=_colour(k), mew=1.8, clip_on=False)
+        axes.set_xscale("symlog", linthresh=1.0, linscale=1.0)
+        axes.set_xticks([tick for tick in _TICKS if tick >= left], minor=False)
+        axes.set_xticks([], minor=True)
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.set(xlim=(left, 0.1), ylim=(0, top), xlabel="1/s", ylabel="rad/s")
+        axes.set_title(name, fontsize="medium", color=_darker(_colour(k)))
+        axes.grid(alpha=0.3)
+    panels[0].legend(loc="lower left", fontsize="small")
+    return figure
+
+
+def response_figure(
+    names: Sequence[str], linear: Release, simulated: Release | None = None
+) -> Figure:
+    """Translation, strain energy and its integral after the release, by both models."""
+    figure, panels = _panels(3, 8.4, 2.9, columns=1)
+    labels = ("translation [mm]", "strain energy [J]", "its integral [J s]")
+    end = min(_SHOWN, linear.t[-1])
+    for axes, label in zip(panels, labels, strict=True):
+        axes.set(ylabel=label, xlim=(0, end))
+        axes.grid(alpha=0.3)
+    for k in range(len(names)):
+        if simulated is not None:
+            _draw_release(panels, simulated, k, color=_colour(k), linewidth=2.0)
+            dashed: dict[str, Any] = {"color": _darker(_colour(k)), **_IN_SPACE}
+        else:
+            dashed = {"color": _colour(k), "linewidth": 1.6}
+        _draw_release(panels, linear, k, **dashed)
+    for axes in panels:
+        axes.set_ylim(bottom=0)
+    panels[-1].set_xlabel("time after release [s]")
+    _release_legend(figure, names, simulated is not None)
+    return figure
+
+
+def map_figure(maps: Sequence[DampingMap]) -> Figure:
+    """A column per cross-section: raw coupling, what it promises mode by mode, what is so.
+
+    The star is the configuration that the sections go through.
+    """
+    figure, panels = _panels(3 * len(maps), 4.4, 3.7, columns=len(maps))
+    from matplotlib.ticker import MaxNLocator
+
+    rows = (
+        ("coupling", "trace of raw Q [J/rad²]", "Greys"),
+        ("promised", "promised by the modal coupling [J s]", "viridis_r"),
+        ("tuned", "left by the best gains [J s]", "viridis_r"),
+    )
+    for r, (key, label, colours) in enumerate(rows):
+        values = [getattr(m, key) for m in maps]
+        ends = min(v.min() for v in values), max(v.max() for v in values)
+        levels = MaxNLocator(14).tick_values(*ends)  # one scale along a row
+        for c, section in enumerate(maps):
+            axes = panels[r * len(maps) + c]
+            x, y = (np.rad2deg(a) for a in section.axes)
+            drawn = axes.contourf(x, y, values[c].T, levels=levels, cmap=colours)
+            i, j = section.joints
+            at = np.rad2deg(section.fixed)
+            axes.plot(at[i], at[j], "*", ms=13, color="#c8541a", mec="white")
+            axes.set(xlabel=f"joint {i + 1} [deg]", ylabel=f"joint {j + 1} [deg]")
+            axes.set_title(_fixed(section), fontsize="small")
+        figure.colorbar(drawn, ax=panels[r * len(maps) : (r + 1) * len(maps)], label=label)
+    return figure
+
+
+def _fixed(section: DampingMap) -> str:
+    others = [k for k in range(len(section.fixed)) if k not in section.joints]
+    return ", ".join(f"joint {k + 1} at {np.rad2deg(section.fixed[k]):.0f}°" for k in others)
+
+
+def _draw_release(panels: Sequence[Axes], run: Release, k: int, **style: Any) -> None:
+    distance: Array = 1e3 * np.linalg.norm(run.y[k, :, :3], axis=-1)
+    total = cumulative_trapezoid(run.strain[k], run.t, initial=0.0)
+    for axes, values in zip(panels, (distance, run.strain[k], total), strict=True):
+        axes.plot(run.t, values, **style)
+
+
+def _release_legend(figure: Figure, names: Sequence[str], both: bool) -> None:
+    from matplotlib.lines import Line2D
+
+    lines = [Line2D([], [], color=_colour(k), linewidth=3) for k in range(len(names))]
+    shown = list(names)
+    if both:
+        lines.append(Line2D([], [], color="black", **_IN_SPACE))
+        shown.append("by the linear model")
+    figure.legend(lines, shown, loc="outside lower center", ncols=2, frameon=False)
+
+
+def _colour(k: int) -> str:
+    return _COLOURS[k % len(_COLOURS)]
