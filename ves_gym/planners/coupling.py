@@ -21,7 +21,6 @@ from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.system import System
 from ves_gym.core.vehicle import BaseModel
 
-
 _MANY = 3000  # angles from which compiled code pays, its first use included
 
 
