@@ -3,6 +3,7 @@
 import os
 import shutil
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -49,8 +50,12 @@ def type_keys(title: str, *actions: str) -> None:
     """Keys into the window of a title, like "keydown q"; skips without xdotool."""
     if shutil.which("xdotool") is None:
         pytest.skip("needs xdotool")
-    search = ["xdotool", "search", "--sync", "--name", title]
+    search = ["xdotool", "search", "--sync", "--onlyvisible", "--name", title]
     window = subprocess.run(search, capture_output=True, text=True, check=True, timeout=30)
-    subprocess.run(["xdotool", "windowfocus", "--sync", window.stdout.split()[0]], check=True)
+    focus = ["xdotool", "windowfocus", "--sync", window.stdout.split()[0]]
+    for left in reversed(range(20)):  # a window just mapped may not take the focus yet
+        if subprocess.run(focus, check=not left, stderr=subprocess.DEVNULL).returncode == 0:
+            break
+        time.sleep(0.25)
     for action in actions:
         subprocess.run(["xdotool", *action.split()], check=True)

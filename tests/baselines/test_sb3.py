@@ -61,6 +61,20 @@ def test_a_time_limit_that_is_no_part_of_the_task_truncates():
     assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
 
 
+def test_an_endless_task_is_told_to_be_cut_off_but_for_failures():
+    venv = Sb3VecEnv(vector(control="torque", duration=0.5), endless=True)
+    venv.reset()
+    for _ in range(40):
+        done, infos = venv.step(np.zeros((3, 3), np.float32))[2:]
+    assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
+    for _ in range(40):
+        done, infos = venv.step(np.ones((3, 3), np.float32))[2:]
+        if done.any():
+            break
+    (info,) = [infos[i] for i in np.flatnonzero(done)[:1]]
+    assert info["episode"]["l"] < 40 and not info["TimeLimit.truncated"]
+
+
 @pytest.mark.parametrize("hold", [1, 5])
 def test_goals_are_a_dictionary_and_rewards_can_be_asked_again(hold):
     venv = Sb3VecEnv(vector("ves/PumaReachGoal-v0", duration=0.5), hold=hold, reward_scale=0.5)

@@ -54,7 +54,8 @@ SAC = replace(
 HER = replace(
     SAC,
     env="ves/PumaReachGoal-v0",
-    settings={"duration": 0.5, "hold": 0.1},
+    hold=4,
+    settings={"duration": 0.5, "hold": 0.1, "control": "pd_target"},
     her={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
 )
 

@@ -47,6 +47,7 @@ class TrainConfig:
     activation: str = "tanh"
     log_std: float = -1.0  # of PPO's noise at first
     final_rate: float = 0.0  # of the learning rate
+    endless: bool = False  # learn as if no deadline came, see `Sb3VecEnv`
     reward_scale: float = 1.0  # constant factor of the rewards that the algorithm sees
     eval_every: int = 0  # steps; 0: a twentieth of the run
     eval_episodes: int = 100

@@ -30,9 +30,18 @@ class Sb3VecEnv(VecEnv):
         hold: control periods that an action is held for. Rewards add up meanwhile; those of a
             goal variant are `hold` times the last, as `compute_reward` gives them.
         reward_scale: constant factor of the rewards; returns in `episode` are without it.
+        endless: tell a deadline as a time limit, whatever the task calls it: values are then
+            learned as if the episode went on.
     """
 
-    def __init__(self, env: VesVectorEnv, *, hold: int = 1, reward_scale: float = 1.0) -> None:
+    def __init__(
+        self,
+        env: VesVectorEnv,
+        *,
+        hold: int = 1,
+        reward_scale: float = 1.0,
+        endless: bool = False,
+    ) -> None:
         if not isinstance(env, VesVectorEnv):
             raise ParameterError(f"Sb3VecEnv needs a VesVectorEnv, got {type(env).__name__}")
         if hold < 1 or not reward_scale > 0:
@@ -40,6 +49,7 @@ class Sb3VecEnv(VecEnv):
                 f"Sb3VecEnv needs hold >= 1 and reward_scale > 0, got {hold} and {reward_scale}"
             )
         self.env, self.hold, self.reward_scale = env, hold, reward_scale
+        self.endless = endless
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self.stepping = 0.0
         self._begin = time.perf_counter()
@@ -78,7 +88,9 @@ class Sb3VecEnv(VecEnv):
             )
             ended = terminated | truncated
             if ended.any():
-                infos = self._tell(infos, ended, truncated & ~terminated, info)
+                failed = info["reward_terms"]["failure"] < 0
+                limit = ~failed if self.endless else truncated & ~terminated
+                infos = self._tell(infos, ended, limit, info)
                 done |= ended
         if done.any():
             batch.reset(np.flatnonzero(done))

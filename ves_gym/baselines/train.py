@@ -121,7 +121,12 @@ class _Run:
         env = make_vector(
             config.env, config.n_envs, AutoresetMode.SAME_STEP, threads=1, **self.settings
         )
-        self.venv = Sb3VecEnv(env, hold=config.hold, reward_scale=config.reward_scale)
+        self.venv = Sb3VecEnv(
+            env,
+            hold=config.hold,
+            reward_scale=config.reward_scale,
+            endless=config.endless,
+        )
         self.model = _model(config, seed, self.venv)
         self.venv.seed(TRAINING + seed)
         self.zero = self._evaluate(Zero())  # what every evaluation is compared with

@@ -69,7 +69,7 @@ def _config(args: argparse.Namespace) -> TrainConfig:
             raise ParameterError(
                 f"no configuration for {name}"
                 + (f" and {args.algo}" if args.algo else "")
-                + ": give a .toml file (docs/training.md)"
+                + ": give a .toml file"
             )
         config = found[0]
     changes: dict[str, Any] = {}
