@@ -21,7 +21,7 @@ from ves_gym.core.playback import play_motions
 from ves_gym.core.system import System
 from ves_gym.core.vehicle import BENT
 from ves_gym.planners.coupling import coupling_matrix
-from ves_gym.planners.prediction import MeanEnergy, _momentum, predict, spectral_energy
+from ves_gym.planners.prediction import MeanEnergy, joint_momentum, predict, spectral_energy
 from ves_gym.planners.suites import REACH_DURATIONS, get_suite
 
 START, GOAL = np.zeros(3), np.deg2rad([60.0, 40.0, -30.0])
@@ -98,7 +98,7 @@ def test_frozen_quadratic_form_agrees_with_predict(duration):
     system, servo = System(), reach(duration, 1)[0].servo
     motion = Motion.straight(START, 0.1 * GOAL, duration)
     form = MeanEnergy(system, motion.at(duration / 2).q, duration, servo)
-    u = _momentum(system, motion, form.t).ravel()
+    u = joint_momentum(system, motion, form.t).ravel()
     expected = predict(system, motion, servo).E_mean
     assert 0.5 * u @ form.hessian @ u == pytest.approx(expected, rel=0.01)
 

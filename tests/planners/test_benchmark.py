@@ -16,9 +16,15 @@ from ves_gym.core.playback import play_motions
 from ves_gym.core.system import System
 from ves_gym.core.vehicle import FREE_FLOATING, STRAIGHT_HORIZONTAL
 from ves_gym.effects import GravityScale, SensorNoise
-from ves_gym.planners.benchmark import SCHEMA, run_benchmark, summarise
-from ves_gym.planners.query import Query, solve
-from ves_gym.planners.registry import get_planner
+from ves_gym.planners.benchmark import (
+    SCHEMA,
+    anytime,
+    rank_correlation,
+    run_benchmark,
+    summarise,
+)
+from ves_gym.planners.query import NoPlan, Query, solve
+from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import Suite, get_suite, reach100, uncompensated
 
 DURATIONS = (0.5, 2.0)
@@ -138,7 +144,8 @@ def timeless(result):
     for row in out["rows"]:
         del row["plan_seconds"]
     for row in out["summary"]:
-        del row["plan_seconds_median"]
+        for key in ("plan_seconds_median", "plan_seconds_p95", "plan_seconds_max"):
+            del row[key]
     return out
 
 
@@ -210,6 +217,9 @@ def row(planner, query, mean, *, res=None, peak=None, success=True, duration=1.0
         "prediction_error": 0.1,
         "plan_seconds": 1.0,
         "success": success,
+        "best_known": None,
+        "score": None,
+        "info": {},
         **extra,
     }
 
@@ -286,6 +296,126 @@ def test_no_ratio_to_nothing():
     assert summarise(dead)[1]["ratio_median"] is None
     assert summarise(dead)[1]["ratio_low"] is None
     assert summarise([]) == []
+
+
+def test_what_a_summary_says_of_success_and_time():
+    """A query that nobody solved is not solvable; times as a distribution."""
+    rows = [
+        row("straight", "a", 1.0, plan_seconds=1.0),
+        row("straight", "b", 1.0, plan_seconds=2.0, success=False),
+        row("straight", "c", 1.0, plan_seconds=9.0, success=False),
+        row("refined", "a", 0.5),
+        row("refined", "b", 0.5),
+        row("refined", "c", None, success=False, res=1.0, peak=1.0),
+    ]
+    straight, refined = summarise(rows)
+    assert (straight["solvable"], straight["solvable_rate"]) == (2, 0.5)
+    assert (refined["solvable"], refined["solvable_rate"]) == (2, 1.0)
+    assert refined["success_rate"] == pytest.approx(2 / 3)
+    assert straight["plan_seconds_median"] == 2.0
+    assert straight["plan_seconds_max"] == 9.0
+    assert straight["plan_seconds_p95"] == pytest.approx(np.percentile([1, 2, 9], 95))
+    assert refined["ratio_median"] == 0.5  # of two
+
+
+def test_scores_and_what_comes_near_the_best():
+    rows = [
+        row("straight", "a", 1.0, best_known=0.2, score=0.0),
+        row("straight", "b", 1.0, best_known=None, score=None),
+        row("refined", "a", 0.205, best_known=0.2, score=0.99375),
+        row("refined", "b", 0.3, best_known=None, score=None),
+    ]
+    straight, refined = summarise(rows)
+    assert (straight["score_median"], straight["near_best"]) == (0.0, 0.0)
+    assert (refined["score_median"], refined["near_best"]) == (0.99375, 1.0)
+
+
+def test_anytime_curves_are_relative_to_their_end():
+    curves = [
+        [[0.1, 10, 2.0], [1.0, 100, 1.04], [2.0, 200, 1.0]],
+        [[0.1, 10, 4.0], [0.5, 50, 2.0], [2.0, 200, 2.0]],
+    ]
+    rows = [row("ompl-qt", str(k), 1.0, info={"curve": c}) for k, c in enumerate(curves)]
+    (found,) = anytime([*rows, row("straight", "0", 1.0)])
+    assert (found["planner"], found["vehicle"], found["n"]) == ("ompl-qt", "bent", 2)
+    assert found["seconds"][0] == pytest.approx(0.1) and found["seconds"][-1] == 2.0
+    assert found["ratio"][0] == 2.0 and found["ratio"][-1] == 1.0
+    assert found["ratio"] == sorted(found["ratio"], reverse=True)
+    assert found["to_5_percent_median"] == pytest.approx(0.75)
+    assert found["to_5_percent_max"] == 1.0
+    assert anytime([row("straight", "0", 1.0)]) == []
+
+
+def test_ranks_in_the_laboratory_and_in_space():
+    """By query: one agrees, one is upside down, one too small to rank."""
+
+    def pair(planner, query, emulated, ideal):
+        return row(planner, query, emulated, E_mean_ideal=ideal, compensated=True)
+
+    rows = [pair(p, "a", e, e) for p, e in zip("xyz", (1.0, 2.0, 3.0), strict=True)]
+    rows += [pair(p, "b", e, -e) for p, e in zip("xyz", (1.0, 2.0, 3.0), strict=True)]
+    rows += [pair("x", "c", 1.0, 1.0), pair("y", "c", 2.0, 2.0)]
+    rows += [{**pair("w", "a", 0.0, 9.0), "compensated": False}]
+    (found,) = rank_correlation(rows)
+    assert found == {"vehicle": "bent", "duration": 1.0, "n": 2, "rho_median": 0.0}
+    assert rank_correlation(rows[:3])[0]["rho_median"] == pytest.approx(1.0)
+
+
+# ------------------------------------------------------------------------- what fails
+
+
+class Broken:
+    """A planner that crashes, gives up, or answers, by query."""
+
+    name = "broken"
+    summary = "for this test"
+
+    def find(self, query, seed):
+        if query.duration == 0.5:
+            raise ZeroDivisionError("oh dear")
+        raise NoPlan("no way there")
+
+
+def test_a_planner_that_fails_costs_nothing_but_its_rows(monkeypatch):
+    monkeypatch.setitem(PLANNERS, "broken", Broken())
+    found = run_benchmark(small_suite(), planners=["broken"], workers=1)
+    json.dumps(found, allow_nan=False)
+    failures = {r["query"]: r["failure"] for r in found["rows"] if r["planner"] == "broken"}
+    assert failures == {
+        "reach-0.5s-000": "ZeroDivisionError: oh dear",
+        "reach-2s-000": "no way there",
+    }
+    lost = [r for r in found["rows"] if r["planner"] == "broken"]
+    assert all(r["E_mean"] is None and not r["success"] for r in lost)
+    assert all(r["E_mean"] > 0 and r["failure"] is None for r in found["rows"] if r not in lost)
+    summary = next(s for s in found["summary"] if s["planner"] == "broken")
+    assert (summary["success_rate"], summary["ratio_median"]) == (0.0, None)
+    assert [s["planner"] for t in found["traces"] for s in t["series"]] == ["straight"] * 2
+
+
+def test_among_obstacles():
+    """Ends inside one are said so; nothing that is called a success touches anything."""
+    suite = get_suite("reach100", system=System(), quick=True, obstacles="both")
+    assert len(suite.queries) == 80
+    names = {"reach-1s-000", "reach-4s-000", "reach-4s-001"}
+    names |= {f"{name}-obstacles" for name in names}
+    wanted = tuple((v, q) for v, q in suite.queries if q.name in names)
+    found = run_benchmark(
+        dataclasses.replace(suite, queries=wanted), planners=["ompl-time", "refined"], workers=1
+    )
+    assert {r["vehicle"] for r in found["rows"]} == {"bent", "bent, obstacles"}
+    assert set(found["systems"]) == {"bent", "bent, obstacles"}
+    for row in found["rows"]:
+        assert row["obstacles"] == row["query"].endswith("-obstacles")
+        if not row["success"]:
+            assert "too near" in row["failure"] or "limit" in row["failure"]
+    refined = [r for r in found["rows"] if r["planner"] == "refined"]
+    straight = [r for r in found["rows"] if r["planner"] == "straight" and r["obstacles"]]
+    assert not all(r["success"] for r in straight)
+    assert all(r["success"] for r in refined if "no motion" not in (r["failure"] or ""))
+    shown = [s for s in found["scenes"] if s["obstacles"]]
+    assert shown and {o["kind"] for o in shown[0]["obstacles"]} == {"box", "sphere"}
+    assert {a["planner"] for a in found["anytime"]} == {"ompl-time"}
 
 
 # -------------------------------------------------------------------------- emulated

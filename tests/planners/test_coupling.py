@@ -8,7 +8,9 @@ import scipy.integrate
 import scipy.linalg
 
 from ves_gym.core.dynamics import inertia
+from ves_gym.core.motion import Motion
 from ves_gym.core.params import ParameterError
+from ves_gym.core.playback import play_motions
 from ves_gym.core.system import System
 from ves_gym.core.vehicle import BENT, FREE_FLOATING, STRAIGHT_HORIZONTAL, STRAIGHT_VERTICAL
 from ves_gym.planners.coupling import (
@@ -17,6 +19,7 @@ from ves_gym.planners.coupling import (
     coupling_length,
     coupling_map,
     coupling_matrix,
+    disturbance_matrix,
     invariant_directions,
     metric,
     modes,
@@ -218,3 +221,33 @@ def test_a_map_may_cover_a_part_of_the_range():
     assert part.axes[0].tolist() == [-0.5, -0.25, 0.0, 0.25, 0.5]
     assert part.axes[1][-1] == 1.0
     assert whole.most[2, 2] == pytest.approx(part.most[2, 0])  # both at (0, 0)
+
+
+# -------------------------------------------------------------------------- disturbance
+
+
+def test_the_disturbance_matrix_is_the_turn_of_a_free_base():
+    """A small motion of the joints, simulated: the base turns by A dq; 1e-3 of it."""
+    system = System(vehicle=FREE_FLOATING, drive="prescribed")
+    q, step = np.array([0.3, -0.4, 0.8]), 1e-3 * np.array([1.0, -0.5, 0.7])
+    motion = Motion.straight(q, q + step, 1.0)
+    run = play_motions(system, [motion], settle=0.0, record_dt=system.physics_dt)
+    turned = np.linalg.norm(run.y[0, -1, 3:])
+    expected = np.sqrt(step @ disturbance_matrix(system, q + step / 2) @ step)
+    assert turned == pytest.approx(expected, rel=1e-3)
+    assert turned > 1e-6
+
+
+def test_a_disturbance_map():
+    system = System(vehicle=FREE_FLOATING)
+    section = coupling_map(system, (0, 1), (0.0, 0.0, 0.0), points=9, disturbance=True)
+    assert section.disturbance
+    i, j = 2, 5
+    q = np.array([section.axes[0][i], section.axes[1][j], 0.0])
+    block = disturbance_matrix(system, q)[:2, :2]
+    np.testing.assert_allclose(
+        [section.least[i, j], section.most[i, j]], np.linalg.eigvalsh(block), rtol=1e-9
+    )
+    assert section.lines()
+    with pytest.raises(ParameterError, match=r"a disturbance map has no duration, got 2\.0"):
+        coupling_map(system, (0, 1), (0.0,) * 3, duration=2.0, disturbance=True)

@@ -1,12 +1,17 @@
 """`direct`: the gradient is right, the limits hold at every instant, it never loses."""
 
+import dataclasses
+
 import numpy as np
 import pytest
+import scipy.optimize
 
+from ves_gym.core.dynamics import inverse_dynamics
 from ves_gym.core.motion import limit_ratios
 from ves_gym.core.system import System
 from ves_gym.core.vehicle import BENT, DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
-from ves_gym.planners.direct import Direct, _Problem
+from ves_gym.planners.direct import Direct, MotionProblem, minimise, quadratic_program
+from ves_gym.planners.obstacles import Sphere, Surroundings
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
@@ -17,7 +22,7 @@ QUERIES = {q.name: q for _, q in reach100(System(), "bent", 2).queries}
 
 def problem_of(query, free):
     """What `direct` minimises."""
-    return _Problem(query, free)
+    return MotionProblem(query, free)
 
 
 @pytest.fixture(scope="module", params=QUERIES)
@@ -133,25 +138,109 @@ def test_it_starts_from_the_straight_line():
     np.testing.assert_allclose(
         problem.motion(problem.straight).at(t).q, query.straight.at(t).q, atol=1e-9
     )
-    # and the straight line is inside its constraints
-    for constraint in problem.constraints:
-        assert constraint["fun"](problem.straight).min() > -1e-9
+    assert problem.limits(problem.straight)[0].max() < 1e-9
 
 
-def test_the_slope_of_its_constraints():
-    """Central differences; relative to the largest entry."""
-    problem = problem_of(QUERIES["reach-2s-000"], 8)
+LIMITED = Query(  # every kind of limit, a ball near the way
+    system=System(),
+    start=(-0.6, -0.2, 0.4),
+    goal=(0.6, 0.2, 0.1),
+    duration=1.5,
+    v_max=SPEED_LIMITS,
+    a_max=(8.0, 8.0, 20.0),
+    surroundings=Surroundings(obstacles=(Sphere(centre=(0.9, 0.1, 1.1), radius=0.1),)),
+)
+
+
+def test_the_slope_of_its_limits():
+    """Central differences of 1e-6; relative to the largest entry of a kind."""
+    problem = problem_of(LIMITED, 8)
     rng = np.random.default_rng(0)
-    x, d, h = problem.straight, rng.normal(size=problem.straight.size), 1e-5
-    assert problem.constraints
-    for constraint in problem.constraints:
-        change = (constraint["fun"](x + h * d) - constraint["fun"](x - h * d)) / (2 * h)
-        slope = constraint["jac"](x) @ d
-        np.testing.assert_allclose(slope, change, atol=1e-5 * np.abs(change).max())
+    x, h = problem.straight + 0.02 * rng.normal(size=problem.straight.size), 1e-6
+    values, rows = problem.limits(x)
+    for _ in range(3):
+        d = rng.normal(size=x.size)
+        ahead, behind = (problem.limits(x + s * h * d)[0] for s in (1, -1))
+        assert len(ahead) == len(behind) == len(values)
+        change = (ahead - behind) / (2 * h)
+        np.testing.assert_allclose(rows @ d, change, atol=1e-5 * np.abs(change).max())
+
+
+def test_its_limits_are_those_of_the_motion():
+    """Control polygons bound speed and acceleration from above; torque is sampled."""
+    problem = problem_of(dataclasses.replace(LIMITED, surroundings=None), 8)
+    x = problem.straight + 0.05 * np.random.default_rng(0).normal(size=problem.straight.size)
+    s = problem.motion(x).at(np.linspace(0, 1.5, 4001))
+    values = problem.limits(x)[0]
+    samples = 2 * 3 * len(problem._torque_times)
+    torque = (
+        np.abs(inverse_dynamics(problem.arm, s.q, s.v, s.a)[0] / problem._tau_max).max() - 1
+    )
+    assert values[-samples:].max() == pytest.approx(torque, abs=0.05)
+    polygons = values[:-samples].max()
+    speed, acceleration = np.abs(s.v / SPEED_LIMITS).max(), np.abs(s.a / LIMITED.a_max).max()
+    assert polygons >= max(speed, acceleration) - 1
+    assert polygons <= 2.5 * max(speed, acceleration) - 1  # rough motion, wide polygon
     prescribed = Query(
         system=System(drive="prescribed"), start=(0.0,) * 3, goal=(0.1,) * 3, duration=1.0
     )
-    assert problem_of(prescribed, 8).constraints == []
+    assert problem_of(prescribed, 8).limits(problem_of(prescribed, 8).straight)[0].size == 0
+
+
+def test_acceleration_limits_hold_at_every_instant():
+    query = QUERIES["reach-1s-000"]
+    free = solve(get_planner("direct"), query)
+    reached = np.abs(free.motion.at(np.linspace(0, 1, 2001)).a).max(axis=0)
+    bound = dataclasses.replace(query, a_max=tuple(0.8 * reached))
+    plan = solve(get_planner("direct"), bound)
+    assert plan.feasible
+    a = plan.motion.at(np.linspace(0, 1, 20_001)).a
+    assert (np.abs(a) <= 0.8 * reached * (1 + 1e-6)).all()
+    assert plan.predicted.E_mean > free.predicted.E_mean
+
+
+def test_a_start_outside_the_limits_is_brought_inside():
+    query = QUERIES["reach-2s-000"]
+    problem = problem_of(query, 12)
+    rng = np.random.default_rng(0)
+    x0 = np.clip(
+        problem.straight + 0.3 * rng.normal(size=problem.straight.size), *problem.bounds
+    )
+    assert problem.limits(x0)[0].max() > 0.5
+    found = minimise(problem, x0)
+    assert found.excess < 1e-6
+    assert found.energy < 0.9 * problem.value(problem.straight)[0]
+
+
+def test_it_ends_at_a_minimum():
+    """Nowhere within 1e-3 rad, inside the limits, is there less; to its tolerance."""
+    problem = problem_of(QUERIES["reach-2s-000"], 12)
+    found = minimise(problem, problem.straight, tolerance=1e-7)
+    values, rows = problem.limits(found.x)
+    gradient = problem.value(found.x)[1] / found.energy
+    low, high = problem.bounds
+    box = np.maximum(low - found.x, -1e-3), np.minimum(high - found.x, 1e-3)
+    best = scipy.optimize.linprog(
+        gradient, A_ub=rows, b_ub=np.maximum(-values, 1e-9), bounds=np.transpose(box)
+    )
+    assert best.fun > -1e-4
+
+
+def test_quadratic_programs_against_their_conditions():
+    """Karush, Kuhn and Tucker's, on random problems with a slack variable last."""
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        R = rng.normal(size=(6, 6))
+        H, g = R @ R.T + 0.1 * np.eye(6), rng.normal(size=6)
+        A, upper = rng.normal(size=(8, 6)), rng.uniform(0.1, 1.0, 8)
+        low, high = np.full(6, -0.5), np.full(6, 0.5)
+        x, price = quadratic_program(H, g, A, upper, low, high)
+        assert (A @ x <= upper + 1e-8).all() and (price >= -1e-8).all()
+        np.testing.assert_allclose(price * (A @ x - upper), 0, atol=1e-7)
+        rest = H @ x + g + A.T @ price  # what the bounds carry
+        inside = (x > low + 1e-7) & (x < high - 1e-7)
+        np.testing.assert_allclose(rest[inside], 0, atol=1e-6)
+        assert (rest[x <= low + 1e-7] >= -1e-6).all() and (rest[x >= high - 1e-7] <= 1e-6).all()
 
 
 def test_more_freedom_is_no_worse():

@@ -1,6 +1,6 @@
 """The hot-spot method and its opposite: what the coupling map promises and warns of."""
 
-import time
+import itertools
 
 import numpy as np
 import pytest
@@ -9,7 +9,8 @@ from tests.core.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
 from ves_gym.core.motion import QUINTIC_PEAK_SPEED
 from ves_gym.core.params import ParameterError
 from ves_gym.core.system import System
-from ves_gym.planners.coupling import coupling_length
+from ves_gym.planners.coupling import coupling_length, coupling_matrix, spots
+from ves_gym.planners.hotspot import Lattice, Roadmap, _resample
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import reach100
@@ -96,19 +97,71 @@ def test_the_bad_path_passes_the_corners_of_the_box(query):
     assert sum(miss < 0.05 for miss in corners) >= 4
 
 
+SIX = Query(
+    system=System(arm=six_joint_arm()),
+    start=(-1.2, -0.8, 1.0, -0.8, 0.6, -1.0),
+    goal=(1.2, 0.9, -1.0, 0.8, -0.6, 1.0),
+    duration=6.0,
+    servo=WRIST_GAINS,
+)
+
+
 @pytest.mark.parametrize("name", ["hotspot-q", "hotspot-qt"])
-def test_too_many_joints_are_refused_before_the_lattice_is_built(name):
-    query = Query(
-        system=System(arm=six_joint_arm()),
-        start=(0.0,) * 6,
-        goal=(0.1,) * 6,
-        duration=1.0,
-        servo=WRIST_GAINS,
-    )
-    begin = time.perf_counter()
-    with pytest.raises(ParameterError, match="puma560-wrist with 6 joints needs"):
-        solve(get_planner(name), query)
-    assert time.perf_counter() - begin < 1.0  # the lattice would fill gigabytes
+def test_six_joints_take_a_roadmap(name):
+    """Through the whole joint space; no longer than the straight line in its own metric."""
+    plan = solve(get_planner(name), SIX)
+    assert plan.motion.n == 6
+    assert plan.info["from"] in ("straight", "roadmap")
+    assert plan.info["coupling_length"] <= plan.info["straight_coupling_length"]
+    assert plan.info["coupling_length"] < 0.9 * plan.info["straight_coupling_length"]
+    assert plan.feasible
+
+
+def test_a_roadmap_is_as_good_as_the_lattice():
+    """Before relaxation, on the three joints that both can do: within 10 %."""
+    system = System()
+    start, goal = np.array([-1.0, -0.8, 1.5]), np.array([1.2, 0.9, -1.4])
+    lengths = [
+        coupling_length(system, _resample(network(system, 2.0).route(start, goal), 200), 2.0)
+        for network in (Lattice, Roadmap)
+    ]
+    assert lengths[1] < 1.1 * lengths[0]
+
+
+def test_a_roadmap_reaches_every_corner():
+    system = System(arm=six_joint_arm())
+    roadmap = Roadmap(system, None)
+    low, high = system.arm.column("q_min"), system.arm.column("q_max")
+    path = roadmap.route(low, high)
+    np.testing.assert_array_equal(path[[0, -1]], [low, high])
+    assert ((path >= low) & (path <= high)).all()
+
+
+@pytest.mark.parametrize("arm", [None, six_joint_arm()], ids=["three joints", "six"])
+@pytest.mark.parametrize("hot", [True, False])
+def test_spots_are_local_extremes_of_the_whole_joint_space(arm, hot):
+    """No neighbour within 0.02 rad, inside the box, is hotter (cooler)."""
+    system = System() if arm is None else System(arm=arm)
+    found = spots(system, hot=hot, count=3, samples=512)
+    assert len(found) == 3
+    values = [s.coupling for s in found]
+    assert values == sorted(values, reverse=hot)
+    low, high = system.arm.column("q_min"), system.arm.column("q_max")
+    rng, sign = np.random.default_rng(0), 1 if hot else -1
+    for spot in found:
+        near = np.clip(spot.q + rng.uniform(-0.02, 0.02, (200, system.arm.n)), low, high)
+        strongest = np.linalg.eigvalsh(coupling_matrix(system, near))[:, -1]
+        assert np.linalg.eigvalsh(coupling_matrix(system, spot.q))[-1] == pytest.approx(
+            spot.coupling
+        )
+        assert (sign * (strongest - spot.coupling) <= 1e-4 * spot.coupling).all()
+    gaps = [np.linalg.norm(a.q - b.q) for a, b in itertools.combinations(found, 2)]
+    assert min(gaps) >= 0.2
+
+
+def test_spots_that_cannot_be():
+    with pytest.raises(ParameterError, match="need 1 <= count <= samples, got 0 and 4096"):
+        spots(System(), count=0)
 
 
 def test_two_joints_are_fine():

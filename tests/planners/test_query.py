@@ -66,6 +66,8 @@ def test_an_unknown_planner_is_an_error_that_lists_the_known(name):
         ({"v_max": (1.0, 0.0, 1.0)}, r"v_max must be > 0 rad/s"),
         ({"v_max": (1.0, -1.0, 1.0)}, r"v_max must be > 0 rad/s"),
         ({"v_max": 1.0}, "v_max must have shape"),
+        ({"a_max": (1.0, 1.0)}, r"a_max must have shape \(3,\)"),
+        ({"a_max": (1.0, 0.0, 1.0)}, r"a_max must be > 0 rad/s\^2"),
     ],
 )
 def test_a_query_nobody_can_answer_is_refused(options, message):
@@ -115,8 +117,14 @@ def test_the_same_question_has_the_same_answer(planner):
     first, again = solve(planner, q, seed=3), solve(planner, q, seed=3)
     assert again.motion == first.motion
     assert again.predicted == first.predicted
-    assert again.info == first.info
+    assert timeless(again.info) == timeless(first.info)
     assert json.loads(json.dumps(first.info, allow_nan=False)) == first.info
+
+
+def timeless(info):
+    """Without the seconds of an anytime curve."""
+    curve = [point[1:] for point in info.get("curve", [])]
+    return {**info, "curve": curve}
 
 
 def test_the_same_answer_in_another_process():

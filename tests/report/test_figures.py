@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ves_gym.core.params import ParameterError
-from ves_gym.report.figures import time_figure, write_figures
+from ves_gym.report.figures import anytime_figure, time_figure, write_figures
 
 ALL = ["ratio.png", "energy.png", "coupling.png", "prediction.png"]
 
@@ -24,6 +24,22 @@ def test_four_figures_with_something_on_them(tmp_path, make_result):
         pixels = np.asarray(Image.open(path).convert("RGB"))
         assert min(pixels.shape[:2]) > 400
         assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 50  # lines, text, colours
+
+
+def test_searches_add_a_figure(tmp_path, make_result):
+    """A panel per case, a line per search in its planner's colour, and the 5 % line."""
+    result = make_result(queries=2, durations=(1.0,), points=9)
+    curve = {"vehicle": "bent", "n": 2, "seconds": [0.1, 0.5, 1.0], "ratio": [1.3, 1.02, 1.0]}
+    result["anytime"] = [
+        {**curve, "duration": d, "planner": name}
+        for d in (1.0, 2.0)
+        for name in ("hotspot-q", "direct")
+    ]
+    assert written(result, tmp_path) == [*ALL, "anytime.png"]
+    panels = anytime_figure(result).axes
+    assert [len(axes.lines) for axes in panels] == [3, 3]
+    colours = [line.get_color() for line in panels[0].lines[:2]]
+    assert colours == ["#c8541a", "#0a7bb5"]  # those of these planners elsewhere
 
 
 def test_mode_emulated_adds_base_motion_and_strain_energy(tmp_path, make_emulated):

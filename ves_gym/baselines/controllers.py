@@ -180,7 +180,8 @@ class Follow:
             v_max=tuple(arm.column("v_max").tolist()),
             servo=HIGH_GAINS if task.control.level == "torque" else task.control.servo,
         )
-        return solve(get_planner(self.planner), query, self.seed).motion
+        found = solve(get_planner(self.planner), query, self.seed).motion
+        return query.straight if found is None else found  # better than not to move
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""

@@ -5,14 +5,17 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ves_gym.cli.common import add_system_arguments, out_dir, progress, system_from, write_json
 from ves_gym.core.params import ParameterError
 from ves_gym.planners.benchmark import run_benchmark
+from ves_gym.planners.best_known import keep_best
 from ves_gym.planners.registry import PLANNERS, get_planner
-from ves_gym.planners.suites import SUITES, get_suite
+from ves_gym.planners.suites import OBSTACLES, SUITES, Suite, get_suite
 
 _STOPS = 10  # stopped runs named on the terminal
 
@@ -21,10 +24,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("--suite", default="reach100", help=f"{', '.join(SUITES)}")
     parser.add_argument(
-        "--planners", metavar="A,B", help=f"of {', '.join(PLANNERS)}; default the suite's own"
+        "--planners",
+        metavar="A,B",
+        help=f"all, or of {', '.join(PLANNERS)}; default the suite's own",
     )
+    parser.add_argument(
+        "--obstacles",
+        default="off",
+        metavar="O",
+        help=f"{', '.join(OBSTACLES)} (reach100; off)",
+    )
+    parser.add_argument(
+        "--durations", metavar="S,S", help="only queries of these durations [s]; default all"
+    )
+    parser.add_argument("--first", type=int, metavar="N", help="only N queries per duration")
     parser.add_argument("--quick", action="store_true", help="ten queries per duration")
     parser.add_argument("--workers", type=int, metavar="N", help="planning processes")
+    parser.add_argument(
+        "--keep-best", metavar="FILE", help="merge the least energies into FILE (best known)"
+    )
     parser.add_argument("--no-figures", action="store_true", help="skip figures and report")
     add_system_arguments(parser)
 
@@ -34,11 +52,20 @@ def run(args: argparse.Namespace) -> int:
     if args.workers is not None and args.workers < 1:
         raise ParameterError(f"--workers must be >= 1, got {args.workers}")
     names = None
-    if args.planners is not None:
+    if args.planners == "all":
+        names = list(PLANNERS)
+    elif args.planners is not None:
         names = [get_planner(name.strip()).name for name in args.planners.split(",")]
     base = argparse.Namespace(**{**vars(args), "vehicle": None})
-    suite = get_suite(
-        args.suite, system=system_from(base), vehicle=args.vehicle, quick=args.quick
+    suite = _part_of(
+        get_suite(
+            args.suite,
+            system=system_from(base),
+            vehicle=args.vehicle,
+            quick=args.quick,
+            obstacles=args.obstacles,
+        ),
+        args,
     )
     with progress() as tell:
         result = run_benchmark(
@@ -55,12 +82,45 @@ def run(args: argparse.Namespace) -> int:
     write_json(str(folder / "benchmark.json"), _compact(result))
     write_json(args.json, _compact(result))
     written: list[Path] = [folder / "benchmark.json"]
+    if args.keep_best is not None:
+        print(f"best known: {keep_best(args.keep_best, result)} new or lower")
+        written.append(Path(args.keep_best))
     if not args.no_figures:
         written += _pictures(result, folder)
     print(f"\n{len(result['rows'])} runs in {result['seconds']:.0f} s; written:")
     for path in written:
         print(f"  {path}")
     return 0
+
+
+def _part_of(suite: Suite, args: argparse.Namespace) -> Suite:
+    """The suite with the durations and the number of queries that are asked for."""
+    queries = list(suite.queries)
+    if args.durations is not None:
+        try:
+            wanted = {float(part) for part in args.durations.split(",")}
+        except ValueError:
+            raise ParameterError(
+                f"--durations must be numbers like 1,2,4 [s], got {args.durations!r}"
+            ) from None
+        known = sorted({q.duration for _, q in queries})
+        if not wanted <= set(known):
+            raise ParameterError(
+                f"--durations must be of {', '.join(f'{k:g}' for k in known)} s, got"
+                f" {args.durations}"
+            )
+        queries = [(v, q) for v, q in queries if q.duration in wanted]
+    if args.first is not None:
+        if args.first < 1:
+            raise ParameterError(f"--first must be >= 1, got {args.first}")
+        counted: Counter[tuple[str, float]] = Counter()
+        some = []
+        for vehicle, query in queries:
+            counted[vehicle, query.duration] += 1
+            if counted[vehicle, query.duration] <= args.first:
+                some.append((vehicle, query))
+        queries = some
+    return replace(suite, queries=tuple(queries))
 
 
 def _compact(result: dict[str, Any]) -> dict[str, Any]:
@@ -82,7 +142,8 @@ def _print_tables(result: dict[str, Any]) -> None:
     from rich.table import Table
 
     emulated = result["mode"] == "emulated"
-    width = 140 if emulated else 102
+    scores = any(row["score_median"] is not None for row in result["summary"])
+    width = 158 if emulated else 120
     console = Console(width=None if sys.stdout.isatty() else width, markup=False)
     for vehicle in result["systems"]:
         table = Table(title=f"Energy in the base: suite {result['suite']}, {vehicle}")
@@ -91,12 +152,13 @@ def _print_tables(result: dict[str, Any]) -> None:
         for name in (
             "E_mean [J]",
             "ratio",
+            *(("score",) if scores else ()),
             "E_res",
             "E_peak",
             *(("emulation\nerror", "base\nerror") if emulated else ()),
             "off",
             "success",
-            "plan [s]",
+            "plan [s]\nmost",
         ):
             table.add_column(name, justify="right", no_wrap=True)
         previous = None
@@ -109,20 +171,23 @@ def _print_tables(result: dict[str, Any]) -> None:
                 row["planner"],
                 _number(row["E_mean_median"], ".4g"),
                 _number(row["ratio_median"], ".3f") + _interval(row),
+                *((_number(row["score_median"], ".3f"),) if scores else ()),
                 _number(row["E_res_ratio_median"], ".3f"),
                 _number(row["E_peak_ratio_median"], ".3f"),
                 *_errors(row),
                 _number(row["prediction_error_median"], ".2%"),
                 f"{100 * row['success_rate']:.0f} %",
-                f"{row['plan_seconds_median']:.2f}",
+                f"{row['plan_seconds_median']:.2f} {row['plan_seconds_max']:6.2f}",
             )
         console.print(table)
     console.print(
         "Medians over queries. ratio: E_mean over the straight line's on the same query, with\n"
-        "the 95 % interval of the median; E_res, E_peak: likewise; off: predicted E_mean\n"
-        "against the simulated one.",
+        "the 95 % interval of the median; E_res, E_peak: likewise; score: 0 the straight\n"
+        "line, 1 the best known; off: predicted E_mean against the simulated one; success: of\n"
+        "all queries; plan: median and longest planning time.",
         style="dim",
     )
+    _print_failures(result, console)
     if emulated:
         console.print(
             "Energies are those of the emulated base. emulation error: its E_mean over that of"
@@ -134,10 +199,33 @@ def _print_tables(result: dict[str, Any]) -> None:
         _print_machine(result, console)
 
 
+def _print_failures(result: dict[str, Any], console: Any) -> None:
+    """What planners said of queries they had no answer to, most frequent first."""
+    said = Counter((r["planner"], r["failure"]) for r in result["rows"] if r["failure"])
+    for (planner, why), count in said.most_common(_STOPS):
+        console.print(f"failed {count} x: {planner}: {why}", soft_wrap=True)
+    if len(said) > _STOPS:
+        console.print(f"... and {len(said) - _STOPS} more reasons, see benchmark.json")
+    among = [s for s in result["summary"] if s["solvable"] < s["n"]]
+    if among:
+        rates = {s["planner"]: [0, 0] for s in among}
+        for s in among:
+            rates[s["planner"]][0] += round((s["solvable_rate"] or 0.0) * s["solvable"])
+            rates[s["planner"]][1] += s["solvable"]
+        text = ", ".join(f"{name} {a}/{b}" for name, (a, b) in rates.items())
+        console.print(f"of the solvable queries: {text}", soft_wrap=True)
+
+
 def _print_machine(result: dict[str, Any], console: Any) -> None:
     """What was emulated with, and which runs it had to stop."""
     machine = "; ".join(f"{k}: {v}" for k, v in result["machine"].items())
     console.print(f"\n{machine}", soft_wrap=True)
+    for one in result["rank_correlation"]:
+        console.print(
+            f"planners rank as in space: {one['vehicle']}, T = {one['duration']:g} s:"
+            f" rho = {_number(one['rho_median'], '.2f')} (median of {one['n']})",
+            soft_wrap=True,
+        )
     stopped = [row for row in result["rows"] if row["stopped"]]
     for row in stopped[:_STOPS]:
         console.print(

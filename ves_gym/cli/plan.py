@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,13 @@ import numpy as np
 from ves_gym.cli.common import add_system_arguments, degrees, out_dir, system_from, write_json
 from ves_gym.cli.motions import duration_from, joint_angles, motion_table
 from ves_gym.core.energy import TAIL, Energies, energies
-from ves_gym.core.params import write_text
-from ves_gym.planners.query import Plan, Query, solve
+from ves_gym.core.motion import Motion
+from ves_gym.core.params import ParameterError, write_text
+from ves_gym.planners.obstacles import read_surroundings
+from ves_gym.planners.ompl_search import Ompl
+from ves_gym.planners.ompl_worker import ALGORITHMS
+from ves_gym.planners.prediction import Prediction
+from ves_gym.planners.query import Plan, Planner, Query, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 
 SCHEMA = "ves-plan/1"
@@ -30,12 +36,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--planner", default="direct", metavar="P", help=f"{', '.join(PLANNERS)} (direct)"
     )
     parser.add_argument("--v-max", metavar="A,B,C", help="joint speed limits [deg/s] (none)")
+    parser.add_argument(
+        "--a-max", metavar="A,B,C", help="joint acceleration limits [deg/s^2] (none)"
+    )
+    parser.add_argument(
+        "--obstacles",
+        metavar="FILE",
+        help="surroundings in TOML or JSON: clearance [m], obstacles (spheres, boxes); the"
+        " arm's own links, platform and beam then count too",
+    )
+    search = parser.add_argument_group("search (planners ompl-...)")
+    search.add_argument("--algorithm", metavar="A", help=f"{', '.join(ALGORITHMS)} (bitstar)")
+    search.add_argument("--evaluations", type=int, metavar="N", help="budget of edge costs")
+    search.add_argument("--seconds", type=float, metavar="S", help="budget of time [s]")
     add_system_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Plan, simulate beside the straight line; exit 1 if the path breaks a limit."""
-    planner = get_planner(args.planner)
+    planner = _planner_from(args)
     system = system_from(args)
     arm = system.arm
     query = Query(
@@ -44,9 +63,13 @@ def run(args: argparse.Namespace) -> int:
         goal=tuple(joint_angles(args.goal, arm, "--goal").tolist()),
         duration=duration_from(args.duration),
         v_max=None if args.v_max is None else degrees(args.v_max, arm.n, "--v-max"),
+        a_max=None if args.a_max is None else degrees(args.a_max, arm.n, "--a-max"),
+        surroundings=None if args.obstacles is None else read_surroundings(args.obstacles),
     )
     plan = solve(planner, query, args.seed)
-    simulated, straight = _simulated(plan)
+    if plan.motion is None or plan.predicted is None:
+        return _without_motion(args, plan)
+    simulated, straight = _simulated(query, plan.motion)
     times = np.linspace(0, query.duration, _SAMPLES)
     result = {
         "schema": SCHEMA,
@@ -62,26 +85,58 @@ def run(args: argparse.Namespace) -> int:
         "straight": straight.to_dict(),
         "plan_seconds": plan.seconds,
         "feasible": plan.feasible,
+        "failure": plan.failure,
         "info": plan.info,
     }
     file = out_dir(args, "out/plan") / "motion.json"
     write_text(file, json.dumps(motion_table(plan.motion), indent=1, allow_nan=False) + "\n")
     write_json(args.json, result)
-    _print_table(plan, simulated, straight)
+    _print_table(plan, plan.predicted, simulated, straight)
     print(f"written: {file}   (play it: ves-gym simulate --motion {file})")
     return 0 if plan.feasible else 1
 
 
-def _simulated(plan: Plan) -> tuple[Energies, Energies]:
-    """Energies of the plan and of the straight line, on the full nonlinear system."""
+def _planner_from(args: argparse.Namespace) -> Planner:
+    """The planner by name, a search with the budget that is asked for."""
+    planner = get_planner(args.planner)
+    names = ("algorithm", "evaluations", "seconds")
+    asked = {k: getattr(args, k) for k in names if getattr(args, k) is not None}
+    if not asked:
+        return planner
+    if not isinstance(planner, Ompl):
+        raise ParameterError(
+            f"--{next(iter(asked))} is for planners ompl-..., got {planner.name}"
+        )
+    return replace(planner, **asked)
+
+
+def _without_motion(args: argparse.Namespace, plan: Plan) -> int:
+    """Say why there is no motion."""
+    result = {
+        "schema": SCHEMA,
+        "planner": plan.planner,
+        "system": plan.query.system.hash,
+        "seed": args.seed,
+        "duration": plan.query.duration,
+        "plan_seconds": plan.seconds,
+        "feasible": False,
+        "failure": plan.failure,
+        "info": plan.info,
+    }
+    write_json(args.json, result)
+    print(f"{plan.planner}: {plan.failure} ({plan.seconds:.2f} s)")
+    return 1
+
+
+def _simulated(query: Query, motion: Motion) -> tuple[Energies, Energies]:
+    """Energies of a motion and of the straight line, on the full nonlinear system."""
     from ves_gym.core.playback import play_motions
 
-    query = plan.query
     dt = query.system.physics_dt
     record = max(1, round(_RECORD / dt)) * dt
     run = play_motions(
         query.system,
-        [plan.motion, query.straight],
+        [motion, query.straight],
         servo=query.servo,
         settle=TAIL,
         record_dt=record,
@@ -90,7 +145,9 @@ def _simulated(plan: Plan) -> tuple[Energies, Energies]:
     return first, second
 
 
-def _print_table(plan: Plan, simulated: Energies, straight: Energies) -> None:
+def _print_table(
+    plan: Plan, prediction: Prediction, simulated: Energies, straight: Energies
+) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -99,7 +156,7 @@ def _print_table(plan: Plan, simulated: Energies, straight: Energies) -> None:
     )
     for name in ("measure", "predicted", "simulated", "straight line", "ratio"):
         table.add_column(name, justify="left" if name == "measure" else "right")
-    predicted: dict[str, Any] = plan.predicted.to_dict()
+    predicted: dict[str, Any] = prediction.to_dict()
     for name in predicted:
         here, there = getattr(simulated, name), getattr(straight, name)
         ratio = f"{here / there:.3f}" if there > 0 else "-"
@@ -107,5 +164,5 @@ def _print_table(plan: Plan, simulated: Energies, straight: Energies) -> None:
             f"{name} [J]", f"{predicted[name]:.4g}", f"{here:.4g}", f"{there:.4g}", ratio
         )
     Console(width=None if sys.stdout.isatty() else 120, markup=False).print(table)
-    verdict = "inside the limits" if plan.feasible else "NOT feasible: it breaks a limit"
+    verdict = "inside the limits" if plan.feasible else f"NOT feasible: {plan.failure}"
     print(f"planned in {plan.seconds:.2f} s; {verdict}")

@@ -21,12 +21,15 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+import scipy.stats
 
 from ves_gym import __version__
 from ves_gym.core.energy import TAIL, Energies, energies
 from ves_gym.core.legs import LEG_SERVOS, LegServo
+from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.playback import Recording, play_motions
 from ves_gym.core.system import System
+from ves_gym.planners.best_known import near_best, scored
 from ves_gym.planners.query import Plan, Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.scenes import Shown, coupling_maps, scene, trace
@@ -77,6 +80,7 @@ def run_benchmark(
         if (query.name, name) in suite.weighed:
             runs.append(_Run(name + _WEIGHED, vehicle, plan, uncompensated(query.system)))
     rows, keep = _simulate_all(runs, seed, tell)
+    scored(rows, {v: q.system.ideal().hash for v, q in suite.queries}, BASELINE)
     first = suite.queries[0][1].system
     listed = [{"name": n, "summary": get_planner(n).summary} for n in names]
     for label in dict.fromkeys(r.label for r in runs if r.label not in names):
@@ -97,6 +101,8 @@ def run_benchmark(
         "planners": listed,
         "rows": rows,
         "summary": summarise(rows),
+        "anytime": anytime(rows),
+        **({"rank_correlation": rank_correlation(rows)} if first.mode == "emulated" else {}),
         "traces": [trace(*group) for group in keep],
         "maps": [
             m
@@ -115,7 +121,14 @@ Job = tuple[str, str, Query]  # planner, vehicle, query
 
 def _plan_one(job: tuple[str, Query, int]) -> Plan:
     name, query, seed = job
-    return solve(get_planner(name), query, seed)
+    begin = time.perf_counter()
+    try:
+        return solve(get_planner(name), query, seed)
+    except ParameterError:
+        raise  # a wrong question, not a planner that failed
+    except Exception as error:  # reported for this query; the run goes on
+        why = f"{type(error).__name__}: {error}"
+        return Plan(name, query, None, None, time.perf_counter() - begin, why)
 
 
 def _plan_all(
@@ -160,9 +173,12 @@ def _simulate_all(
 ) -> tuple[list[dict[str, Any]], list[Group]]:
     """Rows in the order of the runs, and those to show (one query per duration)."""
     batches: dict[tuple[str, System, float], list[int]] = defaultdict(list)
-    for i, one in enumerate(runs):
-        batches[one.vehicle, one.system, one.plan.query.duration].append(i)
     rows: dict[int, dict[str, Any]] = {}
+    for i, one in enumerate(runs):
+        if one.plan.motion is None:
+            rows[i] = _row_without_motion(one)
+        else:
+            batches[one.vehicle, one.system, one.plan.query.duration].append(i)
     shown: dict[tuple[str, str], list[tuple[int, Shown]]] = defaultdict(list)
     for (vehicle, system, _), members in batches.items():
         showcase = _shown_queries([runs[i].plan.query for i in members])
@@ -200,7 +216,7 @@ def _record_dt(system: System) -> float:
 
 
 def _play(system: System, plans: Sequence[Plan], record_dt: float, seed: int) -> Recording:
-    motions, servo = [p.motion for p in plans], plans[0].query.servo
+    motions, servo = [p.motion for p in plans if p.motion is not None], plans[0].query.servo
     return play_motions(
         system, motions, servo=servo, settle=TAIL, record_dt=record_dt, seed=seed
     )
@@ -228,30 +244,71 @@ def _shown_queries(queries: list[Query]) -> set[str]:
 def _showcase(groups: list[Group]) -> list[Group]:
     """Groups whose maps and animation are shown: at most three, the middle durations.
 
-    Planners' answers only: the same motion under another load is for the traces.
+    One of each vehicle before a second of any. Planners' answers only: the same motion under
+    another load is for the traces.
     """
     ordered = sorted(groups, key=lambda g: abs(np.log(g[1][0].plan.query.duration / 2.0)))
+    names = [vehicle for vehicle, _ in ordered]
+    ordered = [
+        g for _, g in sorted(enumerate(ordered), key=lambda p: names[: p[0]].count(p[1][0]))
+    ]
     return [(v, [s for s in some if s.label == s.plan.planner]) for v, some in ordered[:3]]
 
 
 def _row(one: _Run, measured: Energies | None, in_space: Energies | None) -> dict[str, Any]:
     plan = one.plan
     assert in_space is not None  # nothing stops a run in space
+    assert plan.predicted is not None
     return {
-        "planner": one.label,
-        "query": plan.query.name,
-        "vehicle": one.vehicle,
-        "mode": one.system.mode,
-        "duration": plan.query.duration,
+        **_named(one),
         **(dict.fromkeys(_MEASURES) if measured is None else measured.to_dict()),
         "predicted": plan.predicted.E_mean,
         "prediction_error": _excess(plan.predicted.E_mean, in_space.E_mean),
         "plan_seconds": plan.seconds,
         "success": plan.feasible and measured is not None,
+        "failure": plan.failure,
         "info": plan.info,
     }
 
 
+def _row_without_motion(one: _Run) -> dict[str, Any]:
+    """The row of a query that the planner had no answer to."""
+    emulated: dict[str, Any] = {}
+    if one.system.mode == "emulated":
+        emulated = dict.fromkeys(_OF_THE_LABORATORY)
+        emulated["compensated"] = is_compensated(one.system)
+    return {
+        **_named(one),
+        **dict.fromkeys((*_MEASURES, "predicted", "prediction_error")),
+        "plan_seconds": one.plan.seconds,
+        "success": False,
+        "failure": one.plan.failure,
+        "info": one.plan.info,
+        **emulated,
+    }
+
+
+def _named(one: _Run) -> dict[str, Any]:
+    query = one.plan.query
+    return {
+        "planner": one.label,
+        "query": query.name,
+        "vehicle": one.vehicle,
+        "mode": one.system.mode,
+        "duration": query.duration,
+        "obstacles": query.surroundings is not None,
+    }
+
+
+_OF_THE_LABORATORY = (
+    "compensated",
+    "stopped",
+    "E_mean_ideal",
+    "E_res_ideal",
+    "E_peak_ideal",
+    "emulation_error",
+    "base_error",
+)
 _MEASURES = tuple(field.name for field in fields(Energies))
 
 
@@ -290,9 +347,11 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     A ratio is taken query by query; `ratio_low` and `ratio_high` are the 95 % bootstrap
     interval of its median. A failed plan stays in the medians: the straight line's own
     energy and its own are both simulated facts; `success_rate` says how many failed. A
-    stopped run has no energy and is in none.
+    stopped run and a query without an answer have no energy and are in none. A query is
+    solvable if any planner of the run solved it.
     """
     baseline = {(r["vehicle"], r["query"]): r for r in rows if r["planner"] == BASELINE}
+    solvable = {(r["vehicle"], r["query"]) for r in rows if r["success"]}
     groups: dict[tuple[str, float, str], list[dict[str, Any]]] = defaultdict(list)
     for row in rows:
         groups[row["vehicle"], row["duration"], row["planner"]].append(row)
@@ -309,6 +368,8 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "base_error_median": _median(_known(members, "base_error")),
             }
         errors = [abs(e) for e in _known(members, "prediction_error")]
+        possible = [r["success"] for r in members if (vehicle, r["query"]) in solvable]
+        seconds = [r["plan_seconds"] for r in members]
         out.append(
             {
                 "vehicle": vehicle,
@@ -322,12 +383,81 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "ratio_high": high,
                 "E_res_ratio_median": _median(ratios["E_res"]),
                 "E_peak_ratio_median": _median(ratios["E_peak"]),
+                "solvable": len(possible),
+                "solvable_rate": float(np.mean(possible)) if possible else None,
                 "prediction_error_median": _median(errors),
-                "plan_seconds_median": _median([r["plan_seconds"] for r in members]),
+                "prediction_error_max": max(errors, default=None),
+                "plan_seconds_median": _median(seconds),
+                "plan_seconds_p95": float(np.percentile(seconds, 95)),
+                "plan_seconds_max": max(seconds),
+                "score_median": _median(_known(members, "score")),
+                "near_best": near_best(members),
                 **emulated,
             }
         )
     return out
+
+
+def anytime(rows: Sequence[dict[str, Any]], points: int = 41) -> list[dict[str, Any]]:
+    """How the best cost of a search came down: medians over the queries of a duration.
+
+    For planners that tell a `curve` of (seconds, evaluations, cost) in their `info`: cost over
+    the final cost at times spaced geometrically, from when half the queries have a solution,
+    and the time to come within 5 % of it.
+    """
+    groups: dict[tuple[str, float, str], list[Array]] = defaultdict(list)
+    for row in rows:
+        if row["info"].get("curve"):
+            curve = np.array(row["info"]["curve"], float)
+            groups[row["vehicle"], row["duration"], row["planner"]].append(curve)
+    out = []
+    for (vehicle, duration, planner), curves in groups.items():
+        last = max(c[-1, 0] for c in curves)
+        first = float(np.median([c[0, 0] for c in curves]))
+        at = np.geomspace(min(first, last), last, points)
+        ratios = np.full((len(curves), points), np.inf)
+        for i, c in enumerate(curves):
+            k = np.searchsorted(c[:, 0], at, side="right") - 1
+            ratios[i, k >= 0] = c[k[k >= 0], 2] / max(c[-1, 2], 1e-300)
+        median = np.median(ratios, axis=0)
+        there = np.isfinite(median)
+        within = [float(c[np.argmax(c[:, 2] <= 1.05 * c[-1, 2]), 0]) for c in curves]
+        out.append(
+            {
+                "vehicle": vehicle,
+                "duration": duration,
+                "planner": planner,
+                "n": len(curves),
+                "seconds": [float(f"{k:.4g}") for k in at[there]],
+                "ratio": [float(f"{k:.5g}") for k in median[there]],
+                "to_5_percent_median": _median(within),
+                "to_5_percent_max": max(within),
+            }
+        )
+    return out
+
+
+def rank_correlation(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Whether planners rank in the laboratory as in space: Spearman's rho by query.
+
+    Per vehicle and duration the median of rho over queries with three planners or more that
+    have an energy in both.
+    """
+    queries: dict[tuple[str, float, str], list[tuple[float, float]]] = defaultdict(list)
+    for row in rows:
+        if row["compensated"] and row["E_mean"] is not None:
+            pair = (row["E_mean"], row["E_mean_ideal"])
+            queries[row["vehicle"], row["duration"], row["query"]].append(pair)
+    groups: dict[tuple[str, float], list[float]] = defaultdict(list)
+    for (vehicle, duration, _), pairs in queries.items():
+        emulated, ideal = np.array(pairs).T
+        if len(pairs) >= 3 and np.ptp(emulated) > 0 and np.ptp(ideal) > 0:
+            found = scipy.stats.spearmanr(emulated, ideal).statistic
+            groups[vehicle, duration].append(float(found))
+    return [
+        {"vehicle": v, "duration": d, "n": len(rho), "rho_median": _median(rho)}
+        for (v, d), rho in groups.items()
+    ]
 
 
 def _ratios(

@@ -13,7 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.optimize
 from scipy.special import spherical_jn
+from scipy.stats import qmc
 
 from ves_gym.core.dynamics import inertia
 from ves_gym.core.kernel.maps import coupling_matrices
@@ -22,6 +24,7 @@ from ves_gym.core.system import System
 from ves_gym.core.vehicle import BaseModel
 
 _MANY = 3000  # angles from which compiled code pays, its first use included
+_SAME = 0.2  # rad: spots nearer than this are one
 
 
 class Blocks(NamedTuple):
@@ -114,6 +117,17 @@ def metric(system: System, q: npt.ArrayLike, duration: float | None) -> Array:
     return band_limited(system, q, duration)
 
 
+def disturbance_matrix(system: System, q: npt.ArrayLike) -> Array:
+    """A_r^T A_r with the base's rotation per joint motion A_r: (..., n) -> (..., n, n) [1].
+
+    The disturbance map of a free-floating base: from rest a small joint motion dq turns it
+    by sqrt(dq^T A_r^T A_r dq) [rad], for momentum is conserved (Vafa and Dubowsky's map).
+    """
+    b = blocks(system, q)
+    turn = np.linalg.solve(b.Mt, b.Hbm)[..., 3:, :]
+    return np.swapaxes(turn, -1, -2) @ turn
+
+
 class Directions(NamedTuple):
     """Joint directions of least to most coupling, independent of joint scaling."""
 
@@ -160,10 +174,11 @@ class CouplingMap:
     joints: tuple[int, int]  # which joints, from 0
     axes: tuple[Array, Array]  # grid of each [rad]
     fixed: Array  # (n,) configuration of the others [rad]
-    duration: float | None  # of Q_T [s]; None is raw Q
-    least: Array  # (ni, nj) smaller eigenvalue of the 2x2 block [J/rad^2]
+    duration: float | None  # of Q_T [s]; None is raw Q, or the disturbance matrix
+    least: Array  # (ni, nj) smaller eigenvalue of the 2x2 block [J/rad^2; disturbance: 1]
     most: Array  # (ni, nj) larger eigenvalue
     direction: Array  # (ni, nj, 2) unit joint direction of least coupling
+    disturbance: bool = False  # of a free-floating base instead of coupling
 
     def lines(self, spacing: float = 0.05, step: float = 0.2) -> list[Array]:
         """Minimum-energy lines: curves along the least-coupling direction.
@@ -189,8 +204,14 @@ def coupling_map(
     duration: float | None = None,
     points: int = 61,
     limits: tuple[tuple[float, float], tuple[float, float]] | None = None,
+    disturbance: bool = False,
 ) -> CouplingMap:
-    """Sweep two joints over their range (or `limits`, rad) with the others fixed."""
+    """Sweep two joints over their range (or `limits`, rad) with the others fixed.
+
+    With `disturbance` the map is that of `disturbance_matrix`.
+    """
+    if disturbance and duration is not None:
+        raise ParameterError(f"a disturbance map has no duration, got {duration!r}")
     n = system.arm.n
     i, j = joints
     if not (0 <= i < n and 0 <= j < n and i != j):
@@ -207,7 +228,8 @@ def coupling_map(
     axes = tuple(np.linspace(*r, points) for r in ranges)
     q = np.broadcast_to(at, (points, points, n)).copy()
     q[..., i], q[..., j] = np.meshgrid(*axes, indexing="ij")
-    block = metric(system, q, duration)[..., [i, j], :][..., :, [i, j]]
+    full = disturbance_matrix(system, q) if disturbance else metric(system, q, duration)
+    block = full[..., [i, j], :][..., :, [i, j]]
     values, vectors = np.linalg.eigh(block)
     return CouplingMap(
         (i, j),
@@ -217,7 +239,54 @@ def coupling_map(
         values[..., 0],
         values[..., 1],
         vectors[..., :, 0],
+        disturbance,
     )
+
+
+class Spot(NamedTuple):
+    """A configuration where coupling is locally largest (a hot spot) or least."""
+
+    q: Array  # (n,) rad
+    coupling: float  # largest eigenvalue of the matrix [J/rad^2]
+
+
+def spots(
+    system: System,
+    *,
+    hot: bool = True,
+    duration: float | None = None,
+    count: int = 5,
+    samples: int = 4096,
+) -> list[Spot]:
+    """The strongest hot spots in the joint space of all n joints, or the least coupled.
+
+    Starts from the best of Halton's points in the joint box, each followed uphill (or
+    downhill) inside the box; those within 0.2 rad of a better one are the same spot.
+    """
+    if count < 1 or samples < count:
+        raise ParameterError(f"need 1 <= count <= samples, got {count} and {samples}")
+    arm, sign = system.arm, -1.0 if hot else 1.0
+    low, high = arm.column("q_min"), arm.column("q_max")
+    at = qmc.scale(qmc.Halton(arm.n, scramble=False).random(samples), low, high)
+
+    def strength(q: npt.ArrayLike) -> Array:
+        return np.asarray(
+            sign * np.linalg.eigvalsh(metric(system, q, duration))[..., -1], float
+        )
+
+    found: list[Spot] = []
+    for k in np.argsort(strength(at)):
+        if any(np.linalg.norm(at[k] - spot.q) < _SAME for spot in found):
+            continue
+        best = scipy.optimize.minimize(
+            lambda q: float(strength(q)), at[k], method="L-BFGS-B",
+            bounds=scipy.optimize.Bounds(low, high),
+        )  # fmt: skip
+        if all(np.linalg.norm(best.x - spot.q) >= _SAME for spot in found):
+            found.append(Spot(best.x, float(sign * best.fun)))
+        if len(found) >= count:
+            break
+    return sorted(found, key=lambda spot: sign * spot.coupling)
 
 
 def _trace_lines(

@@ -1,32 +1,38 @@
 """Direct minimisation of the predicted E_mean over smooth motions.
 
-With the base mass frozen at the middle of the straight line, E_mean = 1/2 u^T W u in
-the samples u of the joint momentum H_bm(q) q' (`MeanEnergy`). The decision is
-the inner control points of a B-spline; position and speed limits are linear in them,
-on the control polygon, so they hold at every instant. Motor torque is kept inside its
-limits at sampled times.
+With the base mass frozen at the middle of the straight line, E_mean = 1/2 u^T W u in the
+samples u of the joint momentum H_bm(q) q' (`MeanEnergy`). The decision is the inner control
+points of a B-spline: way-points and their timing at once. Position, speed and acceleration
+limits are linear in them, on the control polygon, so they hold at every instant; motor
+torque and the distance from obstacles are kept at sampled times. Sequential quadratic
+programming with the exact derivative of u and Gauss and Newton's second derivative J^T W J.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.optimize
 
 from ves_gym.core.arm import matrix
-from ves_gym.core.dynamics import inertia, inverse_dynamics
 from ves_gym.core.motion import DEGREE, Motion, basis, graded, knots
 from ves_gym.core.params import Array
-from ves_gym.core.spatial import matvec
+from ves_gym.planners.momentum import momentum, torque
+from ves_gym.planners.obstacles import Collisions, collisions
 from ves_gym.planners.prediction import MeanEnergy
 from ves_gym.planners.query import Query
 
 _FIXED = 3  # control points held at each end
-_SPEED_SHARE = 1 - 1e-4  # of the limit: more than the optimiser's tolerance
-_TORQUE_SAMPLES = 81
+_SHARE = 1 - 1e-4  # of speed and acceleration limits: more than the optimiser's tolerance
 _TORQUE_SHARE = 0.97  # of the limit, at samples: leaves room between them and for the servo
-_DIFFERENCE = 1e-6  # central differences of momentum and torque: error about 1e-9
+_SAMPLES = 4  # of torque per control point
+_CLOSER = 1.01  # of that share: a peak between samples that is sampled from then on
+_NEAR = 0.1  # m: shapes further from each other are not looked at
+_ROOM = 0.005  # m kept beyond the clearance, for what happens between samples
+_STEP = 0.06  # rad in joint space between samples of the distance, about
 
 
 class Direct:
@@ -35,32 +41,18 @@ class Direct:
     name = "direct"
     summary = "minimise predicted E_mean over a smooth motion inside all joint limits"
 
-    def __init__(self, free: int = 12, iterations: int = 150) -> None:
+    def __init__(self, free: int = 12, iterations: int = 60) -> None:
         self.free, self.iterations = free, iterations
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Deterministic: the seed is not used; one start, the straight line."""
-        problem = _Problem(query, self.free)
-        x0 = problem.straight
-        scale = max(problem.value(x0)[0], 1e-12)  # SLSQP's tolerance is absolute
-        found = scipy.optimize.minimize(
-            lambda x: tuple(part / scale for part in problem.value(x)),
-            x0,
-            jac=True,
-            method="SLSQP",
-            bounds=problem.bounds,
-            constraints=problem.constraints,
-            options={"maxiter": self.iterations, "ftol": 1e-5},
-        )
-        return problem.motion(found.x), {
-            "evaluations": int(found.nfev),
-            "iterations": int(found.nit),
-            "message": str(found.message),
-        }
+        problem = MotionProblem(query, self.free)
+        found = minimise(problem, problem.straight, self.iterations)
+        return problem.motion(found.x), found.told()
 
 
-class _Problem:
-    """E_mean of a query's motions as a function of the free control points."""
+class MotionProblem:
+    """E_mean of a query's motions, and their limits, by the free control points x."""
 
     def __init__(self, query: Query, free: int) -> None:
         self.query, self.arm = query, query.system.arm
@@ -68,22 +60,26 @@ class _Problem:
         self.n, self.m = self.arm.n, free + 2 * _FIXED
         middle = (self.start + self.goal) / 2
         self.energy = MeanEnergy(query.system, middle, query.duration, query.servo)
-        u = self.energy.t / query.duration
-        self.position = basis(self.m, u)  # (N + 1, m)
-        self.velocity = basis(self.m, u, 1) / query.duration
-        at = graded(_TORQUE_SAMPLES)
-        self._torque_bases = [
-            basis(self.m, at, order) / query.duration**order for order in range(3)
-        ]
+        self._bases = self._sampled(self.energy.t / query.duration, 2)
+        self._torque_times = graded(_SAMPLES * self.m + 1)
+        self._torque_bases = self._sampled(self._torque_times, 3)
         self._tau_max = _TORQUE_SHARE * self.arm.column("tau_max")
         # the straight quintic lies in the spline space, so its fit is exact
-        self.straight = np.array(
-            Motion.fit(
-                query.straight.at(np.linspace(0, query.duration, 200)).q,
-                query.duration,
-                controls=self.m,
-            ).control
-        )[_FIXED:-_FIXED].ravel()
+        self.straight = self.of(query.straight)
+        self._checker: Collisions | None = None
+        if query.surroundings is not None:
+            self._checker = collisions(query.system.ideal(), query.surroundings)
+
+    def _sampled(self, u: Array, orders: int) -> list[Array]:
+        """Basis functions and their derivatives at times u T: each (N, m)."""
+        return [basis(self.m, u, k) / self.query.duration**k for k in range(orders)]
+
+    def of(self, motion: Motion) -> Array:
+        """The decision nearest to a motion, of any duration."""
+        q = motion.at(np.linspace(0, motion.duration, 12 * self.m)).q
+        fitted = Motion.fit(q, self.query.duration, controls=self.m)
+        low, high = self.bounds
+        return np.clip(np.array(fitted.control)[_FIXED:-_FIXED].ravel(), low, high)
 
     def control(self, x: Array) -> Array:
         """(m, n) control points from the free ones."""
@@ -94,84 +90,291 @@ class _Problem:
         """The motion of a decision."""
         return Motion(duration=self.query.duration, control=matrix(self.control(x)))
 
-    def value(self, x: Array) -> tuple[float, Array]:
-        """E_mean [J] and its gradient."""
-        control = self.control(x)
-        q, v = self.position @ control, self.velocity @ control
-        shifted = np.stack(
-            [q] + [q + s * d for d in np.eye(self.n) for s in (_DIFFERENCE, -_DIFFERENCE)]
-        )
-        H = inertia(self.arm, shifted)[..., :6, 6:]
-        momenta = matvec(H, np.broadcast_to(v, shifted.shape))  # (1 + 2n, N + 1, 6)
-        u = momenta[0]
-        force = (self.energy.hessian @ u.ravel()).reshape(u.shape)  # dE/du
-        by_q = (momenta[1::2] - momenta[2::2]) / (2 * _DIFFERENCE)  # (n, N + 1, 6)
-        dq = np.einsum("jkc,kc->kj", by_q, force)
-        dv = np.einsum("kcj,kc->kj", H[0], force)
-        gradient = self.position.T @ dq + self.velocity.T @ dv
-        return 0.5 * float(np.sum(u * force)), gradient[_FIXED:-_FIXED].ravel()
-
     @property
-    def bounds(self) -> scipy.optimize.Bounds:
+    def bounds(self) -> tuple[Array, Array]:
         """Joint limits: a B-spline stays inside the hull of its control points."""
         free = self.m - 2 * _FIXED
         low, high = self.arm.column("q_min"), self.arm.column("q_max")
-        return scipy.optimize.Bounds(np.tile(low, free), np.tile(high, free))
+        return np.tile(low, free), np.tile(high, free)
+
+    # ------------------------------------------------------------------------ energy
+
+    def momentum(self, x: Array) -> tuple[Array, Array]:
+        """Samples u (N 6) of the base momentum, and their derivative (N 6, free n)."""
+        control = self.control(x)
+        position, velocity = self._bases
+        found = momentum(self.arm, position @ control, velocity @ control)
+        inner = slice(_FIXED, self.m - _FIXED)
+        slope = np.einsum("kcj,km->kcmj", found.by_q, position[:, inner])
+        slope += np.einsum("kcj,km->kcmj", found.by_v, velocity[:, inner])
+        return found.u.ravel(), slope.reshape(found.u.size, -1)
+
+    def value(self, x: Array) -> tuple[float, Array]:
+        """E_mean [J] and its gradient."""
+        u, slope = self.momentum(x)
+        force = self.energy.hessian @ u  # dE/du
+        return 0.5 * float(u @ force), slope.T @ force
+
+    # ------------------------------------------------------------------------ limits
+
+    def limits(self, x: Array) -> tuple[Array, Array]:
+        """What must be <= 0, each in shares of its limit (of 0.1 m for distances).
+
+        Returns:
+            (r,) values and their derivative (r, free n).
+        """
+        offset, slope = self._linear
+        values, slopes = [offset + slope @ x], [slope]
+        if self.query.system.drive == "motor":
+            value, derivative = self._torque(x)
+            values += [value - 1, -value - 1]
+            slopes += [derivative, -derivative]
+        if self._checker is not None:
+            value, derivative = self._distance(x, self._checker)
+            values.append(value)
+            slopes.append(derivative)
+        return np.concatenate(values), np.vstack(slopes)
+
+    @cached_property
+    def _linear(self) -> tuple[Array, Array]:
+        """offset + slope @ x <= 0: the control polygons of velocity and acceleration."""
+        offsets, slopes = [np.zeros(0)], [np.zeros((0, self.straight.size))]
+        t, free = knots(self.m) * self.query.duration, slice(_FIXED, self.m - _FIXED)
+        ends = self.control(np.zeros_like(self.straight))
+        polygon = np.eye(self.m)
+        for order, limit in ((1, self.query.v_max), (2, self.query.a_max)):
+            count, degree = self.m - order, DEGREE + 1 - order
+            span = t[DEGREE + 1 : count + DEGREE + 1] - t[order : count + order]
+            polygon = degree * np.diff(polygon, axis=0) / span[:, None]
+            if limit is None:
+                continue
+            most = _SHARE * np.array(limit)
+            rows = np.kron(polygon[:, free], np.diag(1 / most))
+            at_rest = ((polygon @ ends) / most).ravel()
+            active = np.abs(rows).max(axis=1) > 0
+            offsets += [at_rest[active] - 1, -at_rest[active] - 1]
+            slopes += [rows[active], -rows[active]]
+        return np.concatenate(offsets), np.vstack(slopes)
+
+    def _torque(self, x: Array) -> tuple[Array, Array]:
+        """Joint torque over its limit at sampled times, on a base that stands still."""
+        control = self.control(x)
+        found = torque(self.arm, *(b @ control for b in self._torque_bases))
+        inner = slice(_FIXED, self.m - _FIXED)
+        slope = sum(
+            np.einsum("kij,km->kimj", found.by[:, order], b[:, inner])
+            for order, b in enumerate(self._torque_bases)
+        )
+        size = found.tau.size
+        scaled = slope / self._tau_max[:, None, None]
+        return (found.tau / self._tau_max).ravel(), scaled.reshape(size, -1)
+
+    def look_closer(self, x: Array) -> bool:
+        """Whether torque passes its share of the limit between samples; samples it there."""
+        if self.query.system.drive != "motor":
+            return False
+        fine = graded(12 * len(self._torque_times))
+        control = self.control(x)
+        bases = self._sampled(fine, 3)
+        tau = np.abs(torque(self.arm, *(b @ control for b in bases)).tau / self._tau_max)
+        inner = (tau[1:-1] >= tau[:-2]) & (tau[1:-1] >= tau[2:]) & (tau[1:-1] > _CLOSER)
+        peaks = fine[1:-1][inner.any(axis=1)]
+        if not len(peaks):
+            return False
+        self._torque_times = np.union1d(self._torque_times, peaks)
+        self._torque_bases = self._sampled(self._torque_times, 3)
+        return True
+
+    def _distance(self, x: Array, checker: Collisions) -> tuple[Array, Array]:
+        """Lack of distance at sampled times, in units of 0.1 m."""
+        control = self.control(x)
+        polygon = float(np.linalg.norm(np.diff(control, axis=0), axis=1).sum())
+        count = int(np.clip(polygon / _STEP, 20, 400))
+        position = basis(self.m, graded(count))
+        inner = slice(_FIXED, self.m - _FIXED)
+        least = checker.clearance + _ROOM
+        near = [checker.near(row @ control, least + _NEAR) for row in position[1:-1]]
+        counts = [len(k.distance) for k in near]
+        at = np.repeat(position[1:-1, inner], counts, axis=0)  # the basis of each distance
+        slope = np.vstack([k.slope for k in near])
+        rows = -10 * at[:, :, None] * slope[:, None, :]
+        lack = 10 * (least - np.concatenate([k.distance for k in near]))
+        return lack, rows.reshape(len(lack), x.size)
+
+
+# ------------------------------------------------------- sequential quadratic programming
+
+_ROUNDS = 4  # of looking for torque between samples
+_FIRST = 0.3  # rad: how far control points may move in the first step
+_LEAST_STEP = 1e-6  # rad
+_NEAREST = 0.1  # of a limit: what is nearer to it a step minds from the start
+_MISSED = 1e-8  # of a limit by which a step may break what it did not mind
+_RIDGE = 1e-7  # of the mean curvature, on flat directions
+_ACCEPTED = 1e-6  # of a limit by which an answer may break it; `_SHARE` is for that
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where an optimisation ended."""
+
+    x: Array
+    energy: float  # J
+    excess: float  # by how much of a limit x breaks it; <= 0 if none
+    iterations: int
+    evaluations: int
+    message: str
+
+    def told(self) -> dict[str, Any]:
+        """What is worth telling."""
+        return {
+            "evaluations": self.evaluations,
+            "iterations": self.iterations,
+            "message": self.message,
+        }
+
+
+class _Point(NamedTuple):
+    """A decision, its energy and limits, their derivatives."""
+
+    x: Array
+    energy: float
+    u: Array
+    slope: Array  # of u
+    limits: Array
+    rows: Array  # derivative of limits
 
     @property
-    def constraints(self) -> list[dict[str, Any]]:
-        """Inequalities f(x) >= 0: the query's speed limits, and on motors the torque's."""
-        out = []
-        if self.query.v_max is not None:
-            room, jacobian = self._speed_limits(_SPEED_SHARE * np.array(self.query.v_max))
-            out.append(
-                {
-                    "type": "ineq",
-                    "fun": lambda x: room + jacobian @ x,
-                    "jac": lambda x: jacobian,
-                }
+    def excess(self) -> float:
+        return float(self.limits.max(initial=-1.0))
+
+
+def minimise(
+    problem: MotionProblem, x0: Array, iterations: int = 60, tolerance: float = 1e-4
+) -> Minimum:
+    """Least E_mean from x0, by steps inside a trust region that an exact penalty judges.
+
+    Args:
+        x0: start; it may break limits.
+        tolerance: relative decrease of E_mean below which a step is the last.
+    """
+    done = evaluations = 0
+    for _ in range(_ROUNDS):
+        found = _minimise(problem, x0, iterations, tolerance)
+        x0, done, evaluations = (
+            found.x,
+            done + found.iterations,
+            evaluations + found.evaluations,
+        )
+        if not problem.look_closer(x0):
+            break
+    return replace(found, iterations=done, evaluations=evaluations)
+
+
+def _minimise(problem: MotionProblem, x0: Array, iterations: int, tolerance: float) -> Minimum:
+    W, (low, high) = problem.energy.hessian, problem.bounds
+
+    def at(x: Array) -> _Point:
+        u, slope = problem.momentum(x)
+        limits, rows = problem.limits(x)
+        return _Point(x, 0.5 * float(u @ W @ u), u, slope, limits, rows)
+
+    here = at(np.clip(x0, low, high))
+    scale = max(here.energy, 1e-12)
+    radius, price, done, evaluations = _FIRST, 10.0, 0, 1
+    message = "iteration limit reached"
+    while done < iterations:
+        done += 1
+        force = W @ here.slope
+        hessian = here.slope.T @ force / scale
+        gradient = force.T @ here.u / scale
+        step = None
+        while radius > _LEAST_STEP:
+            step, slack, price = _subproblem(
+                hessian,
+                gradient,
+                here,
+                np.maximum(low - here.x, -radius),
+                np.minimum(high - here.x, radius),
+                price,
             )
-        if self.query.system.drive == "motor":
-            out.append({"type": "ineq", "fun": self.torque_room, "jac": self.torque_slope})
-        return out
+            there = at(here.x + step)
+            evaluations += 1
+            model = -(gradient @ step + 0.5 * step @ hessian @ step)
+            model += price * (max(here.excess, 0.0) - slack)
+            actual = (here.energy - there.energy) / scale
+            actual += price * (max(here.excess, 0.0) - max(there.excess, 0.0))
+            if actual >= 0.1 * model:
+                break
+            radius = min(radius, float(np.abs(step).max())) / 3
+            step = None
+            if model <= tolerance * here.energy / scale and here.excess <= _ACCEPTED:
+                break
+        if step is None:
+            message = "no better step"
+            break
+        if actual > 0.7 * model and np.abs(step).max() > 0.9 * radius:
+            radius *= 2.5
+        merit = there.energy / scale + price * max(there.excess, 0.0)
+        here = there
+        if abs(actual) <= tolerance * merit:
+            message = "converged" if here.excess <= _ACCEPTED else "limits cannot be kept"
+            break
+    return Minimum(here.x, here.energy, here.excess, done, evaluations, message)
 
-    def _speed_limits(self, v_max: Array) -> tuple[Array, Array]:
-        """room + jacobian @ x >= 0 on the control polygon of the velocity spline."""
-        t = knots(self.m) * self.query.duration
-        span = t[DEGREE + 1 : self.m + DEGREE] - t[1 : self.m]
-        speed = DEGREE * np.diff(np.eye(self.m), axis=0) / span[:, None]
-        rows = np.kron(speed, np.diag(1 / v_max))  # on control.ravel(); within +-1
-        free = slice(_FIXED * self.n, (self.m - _FIXED) * self.n)
-        A, offset = rows[:, free], rows @ self.control(np.zeros(self.straight.size)).ravel()
-        active = np.abs(A).max(axis=1) > 0
-        A, offset = A[active], offset[active]
-        return np.concatenate([1 - offset, 1 + offset]), np.vstack([-A, A])
 
-    def torque_room(self, x: Array) -> Array:
-        """How far each joint torque is inside its limit, at sampled times: (2 K n,)."""
-        tau = self._torque(*self._sampled(x))
-        return np.concatenate([1 - tau.ravel(), 1 + tau.ravel()])
+def _subproblem(
+    hessian: Array, gradient: Array, here: _Point, low: Array, high: Array, price: float
+) -> tuple[Array, float, float]:
+    """Least quadratic model within bounds, limits linear, their largest excess priced.
 
-    def torque_slope(self, x: Array) -> Array:
-        """Derivative of `torque_room`: (2 K n, free n)."""
-        sampled = self._sampled(x)
-        steps = _DIFFERENCE * np.eye(self.n)[:, None, :]
-        slope = np.zeros((len(self._torque_bases[0]), self.n, self.m, self.n))
-        for k, basis_k in enumerate(self._torque_bases):
-            shifted = [np.broadcast_to(s, (self.n, *s.shape)) for s in sampled]
-            ahead, behind = list(shifted), list(shifted)
-            ahead[k], behind[k] = shifted[k] + steps, shifted[k] - steps
-            change = self._torque(*ahead) - self._torque(*behind)
-            by = change / (2 * _DIFFERENCE)  # (n inputs, K, n torques)
-            slope += np.einsum("iko,km->komi", by, basis_k)
-        flat = slope[:, :, _FIXED : self.m - _FIXED].reshape(-1, x.size)
-        return np.vstack([-flat, flat])
+    Returns:
+        The step, the excess it leaves, and the price, raised if it was too low to matter.
+    """
+    size = len(gradient)
+    ridge = _RIDGE * np.trace(hessian) / size + 1e-12
+    H = np.zeros((size + 1, size + 1))
+    H[:size, :size] = hessian + ridge * np.eye(size)
+    H[size, size] = price
+    low, high = np.r_[low, 0.0], np.r_[high, max(here.excess, 0.0) + 10.0]
+    working = here.limits > -_NEAREST
+    while True:  # few of the rows matter: those that the step breaks are added
+        A = np.hstack([here.rows[working], np.full((int(working.sum()), 1), -1.0)])
+        found, multipliers = quadratic_program(
+            H, np.r_[gradient, price], A, -here.limits[working], low, high
+        )
+        step, slack = found[:size], float(found[size])
+        missed = (here.limits + here.rows @ step > slack + _MISSED) & ~working
+        if not missed.any():
+            break
+        working |= missed
+    return step, slack, max(price, 2.0 * float(np.abs(multipliers).sum()))
 
-    def _torque(self, q: Array, v: Array, a: Array) -> Array:
-        """Joint torque over its limit, on a base that stands still."""
-        return inverse_dynamics(self.arm, q, v, a)[0] / self._tau_max
 
-    def _sampled(self, x: Array) -> list[Array]:
-        """q, v, a at the times where torque is checked, each (K, n)."""
-        control = self.control(x)
-        return [b @ control for b in self._torque_bases]
+def quadratic_program(
+    H: Array, g: Array, A: Array, upper: Array, low: Array, high: Array
+) -> tuple[Array, Array]:
+    """Least 1/2 x^T H x + g^T x with A x <= upper, low <= x <= high, H positive definite.
+
+    Returns:
+        x (k,) and the multipliers of the rows of A. An active-set method from CasADi's
+        distribution (DAQP, or qpOASES in one without it).
+    """
+    size = float(np.abs(H[:-1, :-1]).max())  # the last variable is a slack
+    solver = _solver(len(g), len(A))
+    found = solver(h=H / size, g=g / size, a=A, lba=-math.inf, uba=upper, lbx=low, ubx=high)
+    x = np.clip(np.nan_to_num(np.array(found["x"]).ravel()), low, high)
+    return x, size * np.array(found["lam_a"]).ravel()
+
+
+@lru_cache(maxsize=256)
+def _solver(size: int, rows: int) -> Any:
+    import casadi as ca
+
+    name = next(k for k in ("daqp", "qpoases") if ca.has_conic(k))
+    shape = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity.dense(rows, size)}
+    # rows reach 2000 per rad; DAQP's own tolerance of 1e-6 is after scaling them to 1
+    options: dict[str, Any] = {
+        "daqp": {"daqp": {"primal_tol": 1e-10}},
+        "qpoases": {"printLevel": "none"},
+    }
+    return ca.conic("qp", name, shape, {"error_on_fail": False, **options[name]})

@@ -2,32 +2,37 @@
 
 The coupling matrix is a metric on joint space: a path's length in it is small when it
 runs along minimum-energy lines and keeps out of hot spots. The planner finds a short
-path on a lattice, relaxes it into a smooth geodesic, and times it with a quintic.
+path on a lattice or, with more than three joints, on a roadmap of points spread evenly
+through the whole joint space, relaxes it into a smooth geodesic, and times it with a quintic.
 """
 
 from __future__ import annotations
 
 import itertools
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 import scipy.optimize
 import scipy.sparse
+import scipy.spatial
 from scipy.sparse.csgraph import dijkstra
+from scipy.stats import qmc
 
 from ves_gym.core.arm import Arm
 from ves_gym.core.motion import Motion, quintic
-from ves_gym.core.params import Array, ParameterError
+from ves_gym.core.params import Array
 from ves_gym.core.system import System
 from ves_gym.planners.coupling import coupling_length, metric
+from ves_gym.planners.metric import Metric
 from ves_gym.planners.query import Query, is_feasible
 
 Ints = npt.NDArray[np.signedinteger[Any]]
 _PITCH = np.deg2rad(15.0)  # lattice spacing
 _LEAST = 1e-2  # of the mean coupling: keeps null directions from being free
 _LARGEST = 200_000  # lattice edges; beyond that a lattice is the wrong tool
+_ROADMAP = 4000  # points of a roadmap
 _CONTROLS = 64  # of the joint-by-joint motion: follows it to about 1e-4 rad
 _POINTS = 16  # segments of the relaxed path
 _DIFFERENCE = 1e-5  # rad
@@ -47,16 +52,16 @@ class HotSpot:
         duration = query.duration if self.band_limited else None
         start, goal = query.ends
         line = np.linspace(start, goal, _POINTS + 1)
-        lattice = _lattice(query.system, duration)
-        routes = [line, _resample(lattice.route(start, goal), _POINTS + 1)]
+        network = _network(query.system, duration)
+        routes = [line, _resample(network.route(start, goal), _POINTS + 1)]
         relaxed = [_relax(query.system, route, duration) for route in routes]
         lengths = [coupling_length(query.system, path, duration) for path in relaxed]
         best = int(np.argmin(lengths))
-        motion, share = _feasible_part(query, relaxed[best])
+        motion, share = feasible_part(query, relaxed[best])
         info = {
             "coupling_length": lengths[best],
             "straight_coupling_length": coupling_length(query.system, line, duration),
-            "from": ("straight", "lattice")[best],
+            "from": ("straight", network.name)[best],
             "share": share,  # of the way from the straight line that the limits allow
         }
         return motion, info
@@ -93,26 +98,26 @@ class BadPath:
 # ------------------------------------------------------------------------- lattice
 
 
+class Network(Protocol):
+    """Joint space as a graph of coupling lengths."""
+
+    name: str
+
+    def route(self, start: Array, goal: Array) -> Array:
+        """Shortest path (k, n) through it."""
+
+
 class Lattice:
     """Joint space on a regular lattice with coupling lengths on its edges."""
 
+    name = "lattice"
+
     def __init__(self, system: System, duration: float | None) -> None:
-        arm: Arm = system.arm
-        low, high = arm.column("q_min"), arm.column("q_max")
-        self.axes = [
-            np.arange(np.ceil(a / _PITCH), np.floor(b / _PITCH) + 1) * _PITCH
-            for a, b in zip(low, high, strict=True)
-        ]
+        self.axes = _axes(system.arm)
         self.shape = tuple(len(axis) for axis in self.axes)
-        moves = [m for m in itertools.product((-1, 0, 1), repeat=arm.n) if m > (0,) * arm.n]
-        if len(moves) * int(np.prod(self.shape)) > _LARGEST:
-            raise ParameterError(
-                f"the hot-spot lattice reaches {_LARGEST} edges at most; {arm.name} with"
-                f" {arm.n} joints needs {len(moves) * int(np.prod(self.shape))}"
-            )
         self.points = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1)
         self.system, self.duration = system, duration
-        self.graph, self.least = self._edges(moves)
+        self.graph, self.least = self._edges(_moves(system.arm.n))
 
     def _edges(self, moves: list[tuple[int, ...]]) -> tuple[scipy.sparse.csr_array, float]:
         index = np.arange(int(np.prod(self.shape))).reshape(self.shape)
@@ -156,12 +161,65 @@ class Lattice:
         a = np.concatenate([old.row, *rows])
         b = np.concatenate([old.col, *columns])
         graph = _graph(np.concatenate([old.data, *values]), a, b, size + 2)
-        _, before = dijkstra(graph, directed=False, indices=size, return_predecessors=True)
-        path, node = [goal], int(before[size + 1])
-        while node != size:
-            path.append(flat[node])
-            node = int(before[node])
-        return np.array([start, *path[::-1]])
+        return np.vstack([flat, start, goal])[_shortest(graph, size, size + 1)]
+
+
+class Roadmap:
+    """Joint space of any dimension as Halton's points, joined to their neighbours.
+
+    The number of neighbours is that of PRM* (Karaman and Frazzoli 2011).
+    """
+
+    name = "roadmap"
+
+    def __init__(self, system: System, duration: float | None) -> None:
+        arm = system.arm
+        low, high = arm.column("q_min"), arm.column("q_max")
+        # "qt" and "q" as the lattice has them, compiled
+        self.metric = Metric(system, "q" if duration is None else "qt", duration)
+        halton = qmc.Halton(arm.n, scramble=False).random(_ROADMAP)
+        self.points = qmc.scale(halton, low, high)
+        self.neighbours = int(np.ceil(np.e * (1 + 1 / arm.n) * np.log(_ROADMAP)))
+        self.tree = scipy.spatial.cKDTree(self.points)
+        _, near = self.tree.query(self.points, self.neighbours + 1)
+        a = np.repeat(np.arange(_ROADMAP), self.neighbours)
+        self.edges = a, near[:, 1:].ravel()
+        self.lengths = self.metric.lengths(self.points[a], self.points[self.edges[1]])
+
+    def route(self, start: Array, goal: Array) -> Array:
+        """Shortest path (k, n) from start to goal through the roadmap."""
+        ends, size = np.array([start, goal]), len(self.points)
+        _, near = self.tree.query(ends, self.neighbours)
+        a = np.repeat([size, size + 1], self.neighbours)
+        lengths = self.metric.lengths(ends[a - size], self.points[near.ravel()])
+        graph = _graph(
+            np.concatenate([self.lengths, lengths, [self.metric.lengths(start, goal)]]),
+            np.concatenate([self.edges[0], a, [size]]),
+            np.concatenate([self.edges[1], near.ravel(), [size + 1]]),
+            size + 2,
+        )
+        return np.vstack([self.points, ends])[_shortest(graph, size, size + 1)]
+
+
+def _shortest(graph: scipy.sparse.csr_array, a: int, b: int) -> list[int]:
+    """Nodes on the shortest way from a to b."""
+    _, before = dijkstra(graph, directed=False, indices=a, return_predecessors=True)
+    nodes = [b]
+    while nodes[-1] != a:
+        nodes.append(int(before[nodes[-1]]))
+    return nodes[::-1]
+
+
+def _axes(arm: Arm) -> list[Array]:
+    low, high = arm.column("q_min"), arm.column("q_max")
+    return [
+        np.arange(np.ceil(a / _PITCH), np.floor(b / _PITCH) + 1) * _PITCH
+        for a, b in zip(low, high, strict=True)
+    ]
+
+
+def _moves(n: int) -> list[tuple[int, ...]]:
+    return [m for m in itertools.product((-1, 0, 1), repeat=n) if m > (0,) * n]
 
 
 def _graph(lengths: Array, a: Ints, b: Ints, size: int) -> scipy.sparse.csr_array:
@@ -171,8 +229,12 @@ def _graph(lengths: Array, a: Ints, b: Ints, size: int) -> scipy.sparse.csr_arra
 
 
 @lru_cache(maxsize=16)
-def _lattice(system: System, duration: float | None) -> Lattice:
-    return Lattice(system, duration)
+def _network(system: System, duration: float | None) -> Network:
+    """A lattice where it is small enough."""
+    nodes = int(np.prod([len(axis) for axis in _axes(system.arm)]))
+    if nodes * (3**system.arm.n - 1) // 2 <= _LARGEST:
+        return Lattice(system, duration)
+    return Roadmap(system, duration)
 
 
 # ---------------------------------------------------------------------- relaxation
@@ -222,7 +284,7 @@ def _relax(system: System, path: Array, duration: float | None) -> Array:
     return np.vstack([path[0], found.x.reshape(-1, n), path[-1]])
 
 
-def _feasible_part(query: Query, path: Array) -> tuple[Motion, float]:
+def feasible_part(query: Query, path: Array) -> tuple[Motion, float]:
     """The timed path, drawn towards the straight line until it keeps the limits."""
     line = np.linspace(path[0], path[-1], len(path))
 

@@ -54,13 +54,13 @@ def spectral_energy(system: System, motion: Motion, nodes: int | None = None) ->
     if nodes is None:
         nodes = int(min(20_000, max(200, 16 * frozen.omega[-1] * T / (2 * np.pi))))
     t = np.linspace(0, T, nodes)
-    momentum = _momentum(system, motion, t)  # vanishes at both ends: the trapezoid rule
+    momentum = joint_momentum(system, motion, t)  # vanishes at both ends: the trapezoid rule
     phase = np.exp(-1j * frozen.omega * t[:, None])  # is of high order there
     integral = np.trapezoid(phase * (momentum @ frozen.shapes), t, axis=0)
     return float(0.5 * np.sum(frozen.omega**2 * np.abs(integral) ** 2))
 
 
-def _momentum(system: System, motion: Motion, t: Array) -> Array:
+def joint_momentum(system: System, motion: Motion, t: Array) -> Array:
     """(N, 6) base momentum H_bm(q) q' of the moving joints."""
     s = motion.at(t)
     return matvec(inertia(system.arm, s.q)[..., :6, 6:], s.v)
@@ -166,7 +166,13 @@ class MeanEnergy:
     ) -> None:
         linear = LinearBase(system, servo)
         self.t = np.linspace(0, duration, nodes + 1)
+        self.system = system
         self.hessian = self._hessian(linear, linear.mass(inertia(system.arm, at)))
+
+    def of(self, motion: Motion) -> float:
+        """E_mean of a motion [J]."""
+        u = joint_momentum(self.system, motion, self.t).ravel()
+        return 0.5 * float(u @ self.hessian @ u)
 
     def _hessian(self, linear: LinearBase, M: Array) -> Array:
         """W: (6(N + 1), 6(N + 1)) [J / (kg m/s)^2]."""

@@ -16,6 +16,7 @@ from ves_gym.core.motion import Motion, limit_ratios
 from ves_gym.core.params import Array, ParameterError, Vector, finite, require_positive, unit
 from ves_gym.core.servo import HIGH_GAINS, JointServo
 from ves_gym.core.system import System
+from ves_gym.planners.obstacles import RESOLUTION, Surroundings, collisions
 from ves_gym.planners.prediction import Prediction, predict
 
 
@@ -28,6 +29,8 @@ class Query:
     goal: Vector = unit("rad")
     duration: float = unit("s")
     v_max: Vector | None = unit("rad/s", default=None)  # speed limits, None = none
+    a_max: Vector | None = unit("rad/s^2", default=None)  # acceleration limits, None = none
+    surroundings: Surroundings | None = None  # what not to touch, None = nothing is checked
     servo: JointServo = HIGH_GAINS  # what will move the joints
     name: str = ""
 
@@ -36,8 +39,10 @@ class Query:
         arm = self.system.arm
         for end in ("start", "goal"):
             arm.require_within_limits(getattr(self, end), end)
-        if self.v_max is not None and not (finite(self.v_max, (arm.n,), "v_max") > 0).all():
-            raise ParameterError(f"v_max must be > 0 rad/s, got {self.v_max}")
+        for name, symbol in (("v_max", "rad/s"), ("a_max", "rad/s^2")):
+            limit = getattr(self, name)
+            if limit is not None and not (finite(limit, (arm.n,), name) > 0).all():
+                raise ParameterError(f"{name} must be > 0 {symbol}, got {limit}")
         if self.system.drive == "motor" and len(self.servo.kp) != arm.n:
             raise ParameterError(
                 f"servo must have gains for {arm.n} joints, got {len(self.servo.kp)}"
@@ -56,25 +61,43 @@ class Query:
 
 @dataclass(frozen=True)
 class Plan:
-    """A planner's answer."""
+    """A planner's answer: a motion, or the reason why there is none."""
 
     planner: str
     query: Query
-    motion: Motion
-    predicted: Prediction
+    motion: Motion | None
+    predicted: Prediction | None
     seconds: float  # planning time, prediction included
-    feasible: bool  # inside the limits, see is_feasible
+    failure: str | None = None  # why there is no motion, or what limit it breaks
     info: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def feasible(self) -> bool:
+        """Whether there is a motion, inside the limits and clear of everything."""
+        return self.failure is None
+
+
+class NoPlan(Exception):
+    """A planner found no motion; the message says why."""
 
 
 class Planner(Protocol):
     """Finds a motion for a query. The same query and seed give the same motion."""
 
-    name: str
-    summary: str
+    @property
+    def name(self) -> str:
+        """What it is called."""
+
+    @property
+    def summary(self) -> str:
+        """What it does, in a line."""
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """The motion, and anything worth telling about how it was found."""
+        """The motion, and anything worth telling about how it was found.
+
+        Raises:
+            NoPlan: there is none, or none was found.
+        """
 
 
 def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
@@ -84,13 +107,18 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
     over threads would make the last bits depend on the machine's load.
     """
     begin = time.perf_counter()
+    motion, predicted = None, None
+    info: dict[str, Any] = {}
     with _threads().limit(limits=1, user_api="blas"):
-        motion, info = planner.find(query, seed)
-        predicted = predict(query.system, motion, query.servo)
+        try:
+            motion, info = planner.find(query, seed)
+        except NoPlan as error:
+            failure: str | None = str(error)
+        else:
+            predicted = predict(query.system, motion, query.servo)
+            failure = broken_limit(query, motion)
     seconds = time.perf_counter() - begin
-    return Plan(
-        planner.name, query, motion, predicted, seconds, is_feasible(query, motion), info
-    )
+    return Plan(planner.name, query, motion, predicted, seconds, failure, info)
 
 
 @cache
@@ -99,19 +127,69 @@ def _threads() -> ThreadpoolController:
 
 
 def is_feasible(query: Query, motion: Motion) -> bool:
-    """Whether a motion joins the query's ends inside its limits.
+    """Whether a motion joins the query's ends inside its limits, clear of everything."""
+    return broken_limit(query, motion) is None
 
-    Position and the query's speed limits; on motor drives also the joint torque.
+
+def broken_limit(query: Query, motion: Motion) -> str | None:
+    """What keeps a motion from being an answer to a query, in words; None if nothing.
+
+    Ends, duration, position, the query's speed and acceleration limits, on motor drives the
+    joint torque, and collisions at four times the planning resolution.
     """
     arm: Arm = query.system.arm
     start, goal = query.ends
-    joined = np.allclose(motion.start, start) and np.allclose(motion.goal, goal)
+    if not (np.allclose(motion.start, start) and np.allclose(motion.goal, goal)):
+        return "the motion does not join the ends of the query"
+    if not math.isclose(motion.duration, query.duration):
+        return f"the motion takes {motion.duration:g} s, asked {query.duration:g} s"
     ratios = limit_ratios(arm, motion)
-    speed = 0.0
+    found = {"position": ratios["position"]}
+    for name, limit in (("velocity", query.v_max), ("acceleration", query.a_max)):
+        if limit is not None:
+            own = arm.column("v_max" if name == "velocity" else "a_max")
+            found[name] = ratios[name] * own / np.array(limit)
+    if query.system.drive == "motor":
+        found["torque"] = ratios["torque"]
+    for name, ratio in found.items():
+        if ratio.max() > 1 + 1e-6:
+            joint = int(ratio.argmax())
+            return f"{name} of joint {joint + 1} reaches {ratio[joint]:.3g} of its limit"
+    return _touched(query, motion)
+
+
+def _touched(query: Query, motion: Motion) -> str | None:
+    if query.surroundings is None:
+        return None
+    checker = collisions(query.system.ideal(), query.surroundings)
+    path = spaced(motion, RESOLUTION / 4)
+    k = checker.first(path)
+    return None if k is None else f"too near: {', '.join(checker.touching(path[k]))}"
+
+
+def spaced(motion: Motion, step: float) -> Array:
+    """(N, n) configurations along a motion, at most `step` [rad] apart in joint space."""
+    q = motion.at(np.linspace(0, motion.duration, 4001)).q
+    length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))]
+    count = max(2, 2 + int(length[-1] / (0.9 * step)))
+    at = np.searchsorted(length, np.linspace(0, length[-1], count))
+    out: Array = q[np.unique(np.minimum(at, len(q) - 1))]
+    return out
+
+
+def require_possible(query: Query) -> None:
+    """Raise NoPlan where the ends alone rule a motion out: too far, or too near something."""
+    start, goal = query.ends
     if query.v_max is not None:
-        speed = float((ratios["velocity"] * arm.column("v_max") / np.array(query.v_max)).max())
-    slack = 1 + 1e-6
-    torque = ratios["torque"].max() if query.system.drive == "motor" else 0.0
-    in_time = math.isclose(motion.duration, query.duration)
-    inside = max(ratios["position"].max(), speed, torque) <= slack
-    return bool(joined and in_time and inside)
+        least = np.abs(goal - start) / np.array(query.v_max)
+        if least.max() > query.duration:
+            raise NoPlan(
+                f"no motion: joint {int(least.argmax()) + 1} needs {least.max():.3g} s at its"
+                f" speed limit, there are {query.duration:g} s"
+            )
+    if query.surroundings is None:
+        return
+    checker = collisions(query.system.ideal(), query.surroundings)
+    for name, q in (("start", start), ("goal", goal)):
+        if not checker.clear(q):
+            raise NoPlan(f"no motion: the {name} is too near: {', '.join(checker.touching(q))}")

@@ -5,19 +5,27 @@ from __future__ import annotations
 from ves_gym.core.params import ParameterError
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.hotspot import BadPath, HotSpot
+from ves_gym.planners.ompl_search import OBJECTIVES, Ompl
 from ves_gym.planners.query import Planner
+from ves_gym.planners.reaction_null import ReactionNull
+from ves_gym.planners.refine import Refined
+from ves_gym.planners.shaping import SHAPERS, Shaped, SmoothJerk
 from ves_gym.planners.straight import Straight
 
-PLANNERS: dict[str, Planner] = {
-    planner.name: planner
-    for planner in (
-        Straight(),
-        BadPath(),
-        HotSpot(band_limited=False),
-        HotSpot(band_limited=True),
-        Direct(),
-    )
-}
+_ALL: list[Planner] = [
+    Straight(),
+    SmoothJerk(),
+    *(Shaped(kind) for kind in SHAPERS),
+    BadPath(),
+    HotSpot(band_limited=False),
+    HotSpot(band_limited=True),
+    ReactionNull(),
+    *(Ompl(objective=objective) for objective in OBJECTIVES),
+    Direct(),
+    Refined(),
+    Refined(free=32, starts=24, name="refined-long"),  # what is best known comes from it
+]
+PLANNERS: dict[str, Planner] = {planner.name: planner for planner in _ALL}
 
 
 def get_planner(name: str) -> Planner:

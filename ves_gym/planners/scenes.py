@@ -8,7 +8,7 @@ import numpy as np
 
 from ves_gym.core.dynamics import joint_positions
 from ves_gym.core.energy import base_energy
-from ves_gym.core.params import Array
+from ves_gym.core.params import Array, to_plain
 from ves_gym.core.playback import Recording
 from ves_gym.core.spatial import rotation
 from ves_gym.core.vehicle import Beam
@@ -87,6 +87,7 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
         if k not in section.joints
     )
     what = "Q" if section.duration is None else f"Q_T for {section.duration:g} s"
+    what = "Disturbance" if section.disturbance else what
     data: dict[str, Any] = {
         "vehicle": vehicle,
         "title": f"{what}: joints {i + 1} and {j + 1} ({others})",
@@ -98,6 +99,7 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
         "paths": [],
     }
     for plan in plans:
+        assert plan.motion is not None
         path = plan.motion.at(np.linspace(0, plan.query.duration, 41)).q[:, [i, j]]
         data["paths"].append({"planner": plan.planner, "points": [_degrees(p) for p in path]})
     if plans:
@@ -115,6 +117,10 @@ def scene(vehicle: str, runs: list[Shown]) -> dict[str, Any]:
         "duration": query.duration,
         "query": query.name,
         "rest_beam": None if rest is None else _round(rest[0], 3),
+        "obstacles": [
+            to_plain(obstacle)
+            for obstacle in (query.surroundings.obstacles if query.surroundings else ())
+        ],
         "runs": [],
     }
     for plan, run, k, *_ in runs:

@@ -10,6 +10,7 @@ from ves_gym.core.motion import QUINTIC_PEAK_SPEED
 from ves_gym.core.params import ParameterError, Vector
 from ves_gym.core.system import System
 from ves_gym.core.vehicle import get_vehicle
+from ves_gym.planners.obstacles import Box, Sphere, Surroundings
 from ves_gym.planners.query import Query
 
 # A rule of the benchmark, not a claim about the machine (DESIGN): joint speeds [rad/s].
@@ -18,6 +19,17 @@ REACH_RANGE = np.deg2rad([120.0, 60.0, 120.0])  # +- of each joint
 REACH_DURATIONS = (0.5, 1.0, 2.0, 4.0)  # s
 REACH_SEED = 560  # the published question set
 SUITES = ("reach100", "thesis")
+OBSTACLES = ("off", "on", "both")
+# Two crates and a ball within reach: a quarter of the straight lines of 4 s run into one.
+REACH_OBSTACLES = Surroundings(
+    obstacles=(
+        Box(centre=(0.55, 0.45, 0.75), size=(0.2, 0.2, 0.9)),
+        Box(centre=(-0.45, -0.55, 1.15), size=(0.25, 0.25, 0.25)),
+        Sphere(centre=(0.0, -0.75, 0.6), radius=0.15),
+    ),
+    clearance=0.02,
+)
+AMONG = ", obstacles"  # after the name of a vehicle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +46,12 @@ class Suite:
 
 
 def get_suite(
-    name: str, *, system: System, vehicle: str | None = None, quick: bool = False
+    name: str,
+    *,
+    system: System,
+    vehicle: str | None = None,
+    quick: bool = False,
+    obstacles: str = "off",
 ) -> Suite:
     """A suite by name.
 
@@ -42,10 +59,17 @@ def get_suite(
         system: everything but the vehicle (mode, drive, steps).
         vehicle: name or file; default the suite's own.
         quick: ten queries per duration instead of a hundred (reach100).
+        obstacles: off, on, or both, the second time among `REACH_OBSTACLES` (reach100).
     """
+    if obstacles not in OBSTACLES:
+        raise ParameterError(
+            f"obstacles must be one of {', '.join(OBSTACLES)}, got {obstacles!r}"
+        )
     if name == "reach100":
-        return reach100(system, vehicle or "bent", 10 if quick else 100)
+        return reach100(system, vehicle or "bent", 10 if quick else 100, obstacles)
     if name == "thesis":
+        if obstacles != "off":
+            raise ParameterError(f"suite thesis has no obstacles, got {obstacles!r}")
         return thesis(system, vehicle)
     raise ParameterError(f"suite must be one of {', '.join(SUITES)}, got {name!r}")
 
@@ -65,11 +89,12 @@ def is_compensated(system: System) -> bool:
     return system.mode == "ideal" or system.laboratory.operation == "microgravity"
 
 
-def reach100(system: System, vehicle: str, count: int) -> Suite:
+def reach100(system: System, vehicle: str, count: int, obstacles: str = "off") -> Suite:
     """`count` seeded start and goal pairs per duration, uniform in the joint box.
 
     Kept when the straight quintic respects the speed limits. The first k of a larger
-    count are those of a smaller one.
+    count are those of a smaller one. Among obstacles the ends are the same; some of them
+    are then inside one, which a planner has to say.
     """
     ridden = system.replace(vehicle=get_vehicle(vehicle))
     if ridden.arm.n != len(REACH_RANGE):
@@ -98,10 +123,14 @@ def reach100(system: System, vehicle: str, count: int) -> Suite:
                 )
             )
             found += 1
+    among = [
+        (v + AMONG, replace(q, name=f"{q.name}-obstacles", surroundings=REACH_OBSTACLES))
+        for v, q in queries
+    ]
     return Suite(
         name="reach100",
-        queries=tuple(queries),
-        planners=("straight", "hotspot-q", "hotspot-qt", "direct"),
+        queries=tuple({"off": queries, "on": among, "both": queries + among}[obstacles]),
+        planners=("straight", "hotspot-q", "hotspot-qt", "direct", "refined"),
     )
 
 

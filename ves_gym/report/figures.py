@@ -32,8 +32,9 @@ def write_figures(result: Result, directory: str | os.PathLike[str]) -> list[Pat
     """Write the figures a result has data for, as PNG.
 
     Returns:
-        What was written, of ratio.png, energy.png, coupling.png and prediction.png; in mode
-        emulated also base_motion_emulated.png and strain_energy_emulated.png.
+        What was written, of ratio.png, energy.png, coupling.png, prediction.png and, where
+        planners search, anytime.png; in mode emulated also base_motion_emulated.png and
+        strain_energy_emulated.png.
 
     Raises:
         ParameterError: matplotlib is not installed.
@@ -45,6 +46,7 @@ def write_figures(result: Result, directory: str | os.PathLike[str]) -> list[Pat
         if result.get("maps")
         else None,
         "prediction": prediction_figure(result) if result.get("rows") else None,
+        "anytime": anytime_figure(result) if result.get("anytime") else None,
     }
     if result.get("traces") and result.get("mode") == "emulated":
         figures["base_motion_emulated"] = time_figure(result, "distance")
@@ -191,6 +193,31 @@ def prediction_figure(result: Result) -> Figure:
     return figure
 
 
+def anytime_figure(result: Result) -> Figure:
+    """Best cost of every search over its final cost against planning time, by case."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    names = _planners(result)
+    cases = list(dict.fromkeys((c["vehicle"], c["duration"]) for c in result["anytime"]))
+    figure, panels = _panels(len(cases), 4.6, 3.0)
+    for axes, case in zip(panels, cases, strict=True):
+        for curve in result["anytime"]:
+            if (curve["vehicle"], curve["duration"]) == case:
+                colour = _colour(names, curve["planner"])
+                axes.plot(
+                    curve["seconds"], curve["ratio"], color=colour, drawstyle="steps-post"
+                )
+        axes.axhline(1.05, color="0.4", linewidth=0.8, linestyle=":")
+        axes.set(xscale="log", xlabel="planning time [s]", ylabel="best cost / final cost")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set_title(f"{case[0]}, T = {case[1]:g} s", fontsize="medium")
+    searched = {c["planner"] for c in result["anytime"]}
+    _legend(figure, names, shown=[n for n in names if n in searched])
+    return figure
+
+
 # ---------------------------------------------------------------------------- pieces
 
 
@@ -289,10 +316,17 @@ def _darker(colour: str) -> str:
     return "#" + "".join(f"{int(0.45 * c):02x}" for c in channels)
 
 
-def _legend(figure: Figure, names: Sequence[str], emulated: bool = False) -> None:
+def _legend(
+    figure: Figure,
+    names: Sequence[str],
+    emulated: bool = False,
+    shown: Sequence[str] | None = None,
+) -> None:
     from matplotlib.lines import Line2D
 
-    lines = [Line2D([], [], color=_colour(names, n), linewidth=3) for n in names]
+    some = names if shown is None else shown
+    lines = [Line2D([], [], color=_colour(names, n), linewidth=3) for n in some]
+    names = some
     if emulated:
         lines.append(Line2D([], [], color="black", **_IN_SPACE))
         names = [*names, "the same in space"]

@@ -239,6 +239,10 @@ function provenance() {
   for (const [term, text] of Object.entries(data.machine ?? {})) {
     $("machine").append(el("dt", {}, term), el("dd", {}, text));
   }
+  for (const { vehicle, duration, n, rho_median: rho } of data.rank_correlation ?? []) {
+    $("machine").append(el("dt", {}, "ranking of planners"), el("dd", {},
+      `${vehicle}, T = ${duration} s: rank correlation with space ${number(rho)} (median of ${n} queries)`));
+  }
   for (const run of (data.rows ?? []).filter((row) => row.stopped)) {
     $("stops").append(el("li", {}, `${run.vehicle}, ${run.query}, ${run.planner}: ${run.stopped}`));
   }

@@ -103,6 +103,36 @@ function wall(ctx, to, beam) {
   ctx.fill();
 }
 
+/** Turned by Z-Y-X fixed angles (a, b, c): Rz(c) Ry(b) Rx(a). */
+function turned([x, y, z], [a, b, c]) {
+  [y, z] = [y * Math.cos(a) - z * Math.sin(a), y * Math.sin(a) + z * Math.cos(a)];
+  [x, z] = [x * Math.cos(b) + z * Math.sin(b), z * Math.cos(b) - x * Math.sin(b)];
+  return [x * Math.cos(c) - y * Math.sin(c), x * Math.sin(c) + y * Math.cos(c), z];
+}
+
+/** What the arm must not touch: the edges of boxes, the outlines of spheres. */
+function obstacles(ctx, to, scale) {
+  for (const item of film.item.obstacles ?? []) {
+    ctx.globalAlpha = 0.75;
+    if (item.kind === "sphere") {
+      const [x, y] = to(item.centre);
+      ctx.beginPath();
+      ctx.arc(x, y, item.radius * scale, 0, 7);
+      Object.assign(ctx, { fillStyle: ink("--ghost"), strokeStyle: ink("--soft"), lineWidth: 1.2 });
+      ctx.fill();
+      ctx.stroke();
+    } else {
+      const half = item.size.map((s) => s / 2);
+      const corner = (...signs) => to(plus(item.centre,
+        turned(signs.map((s, k) => s * half[k]), item.angles ?? [0, 0, 0])));
+      const square = [[1, 1], [1, -1], [-1, -1], [-1, 1], [1, 1]];
+      for (const z of [-1, 1]) stroke(ctx, square.map(([x, y]) => corner(x, y, z)), 1.2, ink("--soft"));
+      for (const [x, y] of square) stroke(ctx, [corner(x, y, -1), corner(x, y, 1)], 1.2, ink("--soft"));
+    }
+    ctx.globalAlpha = 1;
+  }
+}
+
 /** A link that tapers from a to b. */
 function link(ctx, a, b, from, into) {
   const length = Math.hypot(b[0] - a[0], b[1] - a[1]) || 1;
@@ -165,6 +195,7 @@ function structure(ctx, view, box, now, closeUp, { size = 1, low = false, clip =
   if (rest && rest.length > 1) wall(ctx, to, rest);
   if (now.beam) tube(ctx, now.beam.map(to), width);
   else body(ctx, to, now, view.run);
+  obstacles(ctx, to, frame.scale);
   trail(ctx, view, to, now, m, closeUp);
   arm(ctx, now.arm.map(to), frame.scale);
   ctx.restore();
@@ -173,12 +204,7 @@ function structure(ctx, view, box, now, closeUp, { size = 1, low = false, clip =
 
 /** A base without a beam: a box of half a metre under the arm, turned as the base is. */
 function body(ctx, to, now, run) {
-  const [a, b, c] = run.base[now.frame].slice(3);
-  const turn = ([x, y, z]) => { // Z-Y-X fixed angles, Rz(c) Ry(b) Rx(a)
-    [y, z] = [y * Math.cos(a) - z * Math.sin(a), y * Math.sin(a) + z * Math.cos(a)];
-    [x, z] = [x * Math.cos(b) + z * Math.sin(b), z * Math.cos(b) - x * Math.sin(b)];
-    return [x * Math.cos(c) - y * Math.sin(c), x * Math.sin(c) + y * Math.cos(c), z];
-  };
+  const turn = (p) => turned(p, run.base[now.frame].slice(3));
   const corner = (x, y, z) => to(plus(now.arm[0], turn([0.25 * x, 0.25 * y, 0.25 * z - 0.25])));
   const square = [[1, 1], [1, -1], [-1, -1], [-1, 1], [1, 1]];
   for (const z of [-1, 1]) stroke(ctx, square.map(([x, y]) => corner(x, y, z)), 1.6, ink("--tube-edge"));

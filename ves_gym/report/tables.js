@@ -12,6 +12,7 @@ function ratioOf(row) {
 
 // ---------------------------------------------------------------------- summary
 
+const SCORES = (data.summary ?? []).some((row) => typeof row.score_median === "number");
 const BAR = { w: 190, h: 22, pad: 5 };
 
 /** Median as a bar, its interval as a whisker, every query as a dot; 1 is the straight line. */
@@ -53,9 +54,9 @@ function summaryTable(groups) {
   const head = [
     ["case", ""], ["planner", ""], ["ratio to straight", `0 to ${number(top, 2)}`],
     ["E_mean", "ratio"], ["95 %", "interval"], ["E_mean", "J"], ["E_res", "ratio"],
-    ["E_peak", "ratio"],
-    ...(EMULATED ? [["emulation", "error"], ["base", "error"]] : []), ["predicted", "error"], ["planning", "s"], ["success", ""],
-    ["queries", ""],
+    ["E_peak", "ratio"], ...(SCORES ? [["score", "best = 1"]] : []),
+    ...(EMULATED ? [["emulation", "error"], ["base", "error"]] : []), ["predicted", "error"],
+    ["planning", "s"], ["95 %", "below s"], ["success", ""], ["solvable", "solved"], ["queries", ""],
   ];
   const header = el("tr", {}, ...head.map(([name, unit], k) => el("th",
     { scope: "col", class: k > 2 ? "number" : null },
@@ -81,13 +82,16 @@ function summaryGroup(group, top) {
       cell(number(row.E_mean_median)),
       cell(number(row.E_res_ratio_median)),
       cell(number(row.E_peak_ratio_median)),
+      ...(SCORES ? [cell(number(row.score_median))] : []),
       ...(EMULATED ? [
         row.stopped === row.n ? cell("stopped", "bad") : cell(signed(row.emulation_error_median)),
         cell(percent(row.base_error_median)),
       ] : []),
       cell(percent(row.prediction_error_median), "soft"),
       cell(number(row.plan_seconds_median, 2), "soft"),
+      cell(number(row.plan_seconds_p95, 2), "soft"),
       cell(percent(row.success_rate), row.success_rate < 1 ? "bad" : "soft"),
+      cell(percent(row.solvable_rate ?? null), row.solvable_rate < 1 ? "bad" : "soft"),
       cell(String(row.n), "soft"),
     );
     body.append(line);
@@ -114,6 +118,8 @@ const COLUMNS = [
   ["predicted", "predicted", "J", number], ["prediction_error", "error", "", percent],
   ["plan_seconds", "planning", "s", (value) => number(value, 2)],
   ["success", "success", "", (value) => (value ? "yes" : "failed")],
+  ["failure", "why", ""],
+  ...(SCORES ? [["score", "score", "best = 1", number]] : []),
   ...(EMULATED ? [["stopped", "stopped", ""]] : []),
 ];
 const FIRST = 200; // rows shown until all are asked for

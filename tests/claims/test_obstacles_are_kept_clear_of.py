@@ -1,0 +1,108 @@
+"""Claim: no motion that is called a success touches anything; what is solvable is solved.
+
+reach100 among its obstacles (`suites.REACH_OBSTACLES`): every successful motion is checked
+by another geometry than the planners': distances of capsules from boxes and spheres by
+hand, at sixteen times the planning resolution. Solvable is what any planner of the run
+solved. An unsolvable query says why.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ves_gym.core.dynamics import frames, joint_positions
+from ves_gym.core.spatial import rotation
+from ves_gym.core.system import System
+from ves_gym.planners.obstacles import RESOLUTION, Sphere, link_radius
+from ves_gym.planners.query import solve, spaced
+from ves_gym.planners.registry import get_planner
+from ves_gym.planners.suites import REACH_OBSTACLES, get_suite
+
+PLANNERS = ("ompl-time", "ompl-qt", "refined")
+ARM = System().arm
+
+
+def capsules(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ends a, b (k, 3) and radii (k,) of links 2 and 3 and the tool at one configuration."""
+    points = joint_positions(ARM, q)
+    axes = [np.array([float(x) for x in f.axis]) for f in frames(ARM, list(q))]
+    a, b, r = [], [], []
+    for i in (1, 2):
+        knee = points[i] + ARM.links[i].d * axes[i]
+        a += [points[i], knee]
+        b += [knee, points[i + 1]]
+        r += [link_radius(ARM, i)] * 2
+    a.append(points[-1])
+    b.append(points[-1])
+    r.append(1.1 * link_radius(ARM, 2))
+    return np.array(a), np.array(b), np.array(r)
+
+
+def least_gap(path: np.ndarray) -> float:
+    """Least distance [m] of the arm from the obstacles along configurations (N, n).
+
+    Along each capsule's axis 25 points; the distance of a point from a box is exact.
+    """
+    gap = np.inf
+    u = np.linspace(0, 1, 25)[:, None, None]
+    for q in path:
+        a, b, r = capsules(q)
+        points = a + u * (b - a)  # (25, k, 3)
+        for obstacle in REACH_OBSTACLES.obstacles:
+            centre = np.array(obstacle.centre)
+            if isinstance(obstacle, Sphere):
+                distance = np.linalg.norm(points - centre, axis=-1) - obstacle.radius
+            else:
+                turn = rotation(np.array([0, 0, 0, *obstacle.angles]))
+                local = np.abs((points - centre) @ turn) - np.array(obstacle.size) / 2
+                distance = np.linalg.norm(np.maximum(local, 0), axis=-1)
+            gap = min(gap, float((distance - r).min()))
+    return gap
+
+
+def answers(count: int, durations: tuple[float, ...]) -> list[dict]:
+    """What each planner says to the first queries of some durations."""
+    suite = get_suite("reach100", system=System(), obstacles="on")
+    out = []
+    for duration in durations:
+        for _, query in [p for p in suite.queries if p[1].duration == duration][:count]:
+            plans = {name: solve(get_planner(name), query) for name in PLANNERS}
+            out.append({"query": query, **plans})
+    return out
+
+
+def check(found: list[dict]) -> None:
+    solvable = [f for f in found if any(f[name].feasible for name in PLANNERS)]
+    assert len(solvable) >= 0.7 * len(found)
+    assert np.mean([f["refined"].feasible for f in solvable]) >= 0.95
+    gaps = [
+        least_gap(spaced(f[name].motion, RESOLUTION / 16))
+        for f in found
+        for name in PLANNERS
+        if f[name].feasible
+    ]
+    assert min(gaps) > 0.01  # of the 0.02 m kept at the resolution of the check
+    for f in found:
+        if f not in solvable:
+            assert f["refined"].failure.startswith("no ")  # motion, path found
+
+
+def test_no_motion_touches_anything():
+    check(answers(5, (4.0,)))
+
+
+@pytest.mark.slow
+def test_no_motion_touches_anything_in_the_whole_suite():
+    check(answers(100, (1.0, 2.0, 4.0)))
+
+
+def test_the_check_sees_a_collision():
+    """A straight line through a crate."""
+    suite = get_suite("reach100", system=System(), obstacles="on")
+    query = next(q for _, q in suite.queries if q.name == "reach-4s-000-obstacles")
+    plan = solve(get_planner("straight"), query)
+    assert "obstacle" in plan.failure
+    assert least_gap(spaced(plan.motion, RESOLUTION)) < 0
+    free = dataclasses.replace(query, surroundings=None)
+    assert solve(get_planner("straight"), free).feasible

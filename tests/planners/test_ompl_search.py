@@ -1,0 +1,253 @@
+"""OMPL: good paths, the same ones every time, and no harm from a child that fails."""
+
+import dataclasses
+import re
+import time
+
+import numpy as np
+import pytest
+
+from tests.core.arms import WRIST_GAINS, six_joint_arm
+from ves_gym.core.dynamics import frames
+from ves_gym.core.motion import quintic
+from ves_gym.core.params import ParameterError
+from ves_gym.core.system import System
+from ves_gym.planners import ompl_search
+from ves_gym.planners.metric import Metric
+from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
+from ves_gym.planners.ompl_search import OBJECTIVES, Child, Ompl, cruise, dense, follow
+from ves_gym.planners.ompl_worker import ALGORITHMS, BadCost, require_cost
+from ves_gym.planners.prediction import predict
+from ves_gym.planners.query import NoPlan, Query, broken_limit, solve
+from ves_gym.planners.suites import SPEED_LIMITS
+
+# from one side to the other past a pillar that the straight line runs into
+PILLAR = Surroundings(obstacles=(Box(centre=(0.75, 0.0, 0.7), size=(0.2, 0.2, 0.8)),))
+ACROSS = Query(
+    system=System(), start=(-1.0, 0.1, 0.2), goal=(1.0, 0.1, 0.2), duration=4.0,
+    v_max=SPEED_LIMITS, surroundings=PILLAR,
+)  # fmt: skip
+LONG = Query(system=System(), start=(-1.0, -0.8, 1.5), goal=(1.2, 0.9, -1.4), duration=8.0)
+
+
+@pytest.mark.parametrize("objective", ["q", "qt"])
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_it_finds_a_shorter_path_than_the_straight_one(algorithm, objective):
+    """In its own metric, and no longer with time. Seen: 0.94 to 0.95 and 0.77 to 0.82."""
+    planner = Ompl(objective=objective, algorithm=algorithm, evaluations=20_000)
+    found = planner.search(LONG, seed=0)
+    metric = Metric(LONG.system, objective, LONG.duration)
+    assert found.cost < 0.97 * metric.length(np.array(LONG.ends))
+    assert found.cost == pytest.approx(metric.length(found.path), rel=1e-9)
+    np.testing.assert_allclose(found.path[[0, -1]], LONG.ends)
+    costs = [point.cost for point in found.curve]
+    assert costs == sorted(costs, reverse=True)
+    assert costs[-1] == found.cost
+    assert found.evaluations <= 1.5 * 20_000 + 1001
+    assert [p.evaluations for p in found.curve] == sorted(p.evaluations for p in found.curve)
+
+
+def test_energy_judges_every_path_by_its_motion():
+    planner = Ompl(objective="energy", evaluations=4000)
+    found = planner.search(LONG, seed=0)
+    plan = solve(planner, LONG)
+    assert plan.feasible
+    # the inertia frozen in the search, following the arm in the prediction
+    assert found.cost == pytest.approx(plan.predicted.E_mean, rel=0.05)
+    straight = predict(LONG.system, LONG.straight, LONG.servo).E_mean
+    assert plan.predicted.E_mean <= straight * (1 + 1e-9)  # it is among what is judged
+    quicker = dataclasses.replace(LONG, duration=6.0)
+    straight = predict(LONG.system, quicker.straight, LONG.servo).E_mean
+    assert solve(planner, quicker).predicted.E_mean < 0.9 * straight
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_the_same_seed_gives_the_same_path(algorithm):
+    """In a child that has searched before, and in a new one."""
+    planner = Ompl(algorithm=algorithm, evaluations=10_000)
+    first = planner.search(ACROSS, seed=3)
+    again = planner.search(ACROSS, seed=3)
+    other = planner.search(ACROSS, seed=4)
+    fresh = Child()
+    request = ompl_search.Request(
+        query=ACROSS,
+        objective="qt",
+        algorithm=algorithm,
+        seed=3,
+        evaluations=10_000,
+        seconds=30,
+    )
+    new = fresh.ask(request, 60.0)
+    for found in (again, new):
+        np.testing.assert_array_equal(found.path, first.path)
+        assert [p[1:] for p in found.curve] == [p[1:] for p in first.curve]
+    assert other.path.shape != first.path.shape or (other.path != first.path).any()
+
+
+def test_it_goes_around():
+    assert "obstacle 1 (box)" in broken_limit(ACROSS, ACROSS.straight)
+    plan = solve(Ompl(evaluations=5000), ACROSS)
+    assert plan.feasible
+    assert plan.info["checks"] > 0
+    checker = collisions(System(), PILLAR)
+    t = np.linspace(0, ACROSS.duration, 2001)
+    assert checker.first(plan.motion.at(t).q) is None
+
+
+def test_a_path_there_is_no_time_for_gives_way_to_the_fastest():
+    slow = solve(Ompl(evaluations=5000), ACROSS)
+    assert slow.feasible
+    fast = solve(Ompl(objective="time", evaluations=5000), ACROSS)
+    assert fast.feasible and not fast.info["hurried"]
+    assert slow.info["hurried"]
+    relaxed = dataclasses.replace(ACROSS, duration=8.0)
+    assert not solve(Ompl(evaluations=5000), relaxed).info["hurried"]
+
+
+def test_a_law_that_cruises():
+    u = np.linspace(0, 1, 4001)
+    s = cruise(u)
+    speed = np.gradient(s, u)
+    assert (s[0], s[-1]) == (0.0, 1.0)
+    assert (np.diff(s) >= -1e-12).all()
+    assert speed.max() == pytest.approx(1.25, rel=1e-3)
+    assert speed[[0, -1]] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_an_end_in_an_obstacle_is_no_question():
+    tip = Sphere(centre=(1.1, 0.0, 0.9), radius=0.5)
+    query = Query(
+        system=System(), start=(1.5, 0.0, 0.0), goal=(0.0, 0.0, 0.0), duration=2.0,
+        surroundings=Surroundings(obstacles=(tip,)),
+    )  # fmt: skip
+    plan = solve(Ompl(), query)
+    assert plan.motion is None and plan.predicted is None and not plan.feasible
+    assert plan.failure.startswith("no motion: the goal is too near: ")
+    assert "obstacle 1 (sphere)" in plan.failure
+
+
+def test_where_there_is_no_way_it_says_so():
+    """A block in the way of the shoulder, which only joint 1 moves, and only past it."""
+    shoulder = frames(System().arm, [0.0, 0.0, 0.0])[1]
+    axis = np.array([float(k) for k in shoulder.axis])
+    block = Box(centre=tuple(np.array([0, 0, 0.9]) - 0.2 * axis), size=(0.05, 0.05, 0.05))
+    query = dataclasses.replace(ACROSS, surroundings=Surroundings(obstacles=(block,)))
+    begin = time.perf_counter()
+    plan = solve(Ompl(evaluations=1500), query)
+    assert re.match(r"no path found within \d+ cost evaluations and \d+ valid", plan.failure)
+    assert time.perf_counter() - begin < 20
+
+
+def test_seconds_end_a_search():
+    planner = Ompl(evaluations=10**9, seconds=0.5)
+    begin = time.perf_counter()
+    found = planner.search(LONG, seed=0)
+    assert time.perf_counter() - begin < 8
+    assert found.path is not None
+
+
+def test_any_number_of_joints():
+    query = Query(
+        system=System(arm=six_joint_arm()),
+        start=(-0.5,) * 6,
+        goal=(0.5,) * 6,
+        duration=4.0,
+        servo=WRIST_GAINS,
+    )
+    plan = solve(Ompl(evaluations=1500), query)
+    assert plan.motion.n == 6
+
+
+# ------------------------------------------------------------------- a child that fails
+
+FAULTS = {
+    "crash": ("import os; w.search = lambda request: os.abort()", "crashed: exit status -6"),
+    "hang": ("import time; w.search = lambda request: time.sleep(60)", "not answer within 2 s"),
+    "nan": (
+        "from ves_gym.planners import metric as m; m.Edge.__call__ = lambda *a: float('nan')",
+        "BadCost: a cost must be finite and >= 0, got nan",
+    ),
+    "negative": (
+        "from ves_gym.planners import metric as m; m.Edge.__call__ = lambda *a: -1.0",
+        "BadCost: a cost must be finite and >= 0, got -1.0",
+    ),
+    "deaf": ("w.ALGORITHMS['rrtstar'] = 'RRTConnect'", "rrtstar never asked for the cost"),
+    "no start": ("raise SystemExit('no such thing')", "crashed: exit status 1; no such thing"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_failure_in_the_child_is_reported(monkeypatch, fault):
+    """As that of one query: the next one gets a new child."""
+    code, message = FAULTS[fault]
+    child = Child(f"from ves_gym.planners import ompl_worker as w\n{code}\nw.serve()")
+    monkeypatch.setattr(ompl_search, "CHILD", child)
+    monkeypatch.setattr(ompl_search, "_GRACE", 1.0)
+    query = ACROSS if fault == "deaf" else LONG
+    seconds = 1.0 if fault == "hang" else 20.0
+    planner = Ompl(algorithm="rrtstar", evaluations=500, seconds=seconds)
+    for _ in range(2):  # with the same child, or one started anew
+        plan = solve(planner, query)
+        assert message in plan.failure
+        assert plan.motion is None
+    child.program = Child().program
+    if child._process is not None:
+        child._kill()
+    assert solve(planner, query).motion is not None
+
+
+def test_costs_that_ompl_cannot_take():
+    assert require_cost(0.0) == 0.0
+    for cost in (np.nan, np.inf, -1e-9):
+        with pytest.raises(BadCost, match="must be finite and >= 0"):
+            require_cost(cost)
+
+
+# ------------------------------------------------------------------------------ options
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"objective": "Q"}, "Ompl.objective must be one of q, qt, energy, time, got 'Q'"),
+        ({"algorithm": "prm"}, "Ompl.algorithm must be one of rrtstar, .*, got 'prm'"),
+        ({"evaluations": 0}, "evaluations must be >= 1, got 0"),
+        ({"seconds": 0.0}, "seconds must be > 0 and finite, got 0.0"),
+        ({"seconds": np.inf}, "seconds must be > 0 and finite, got inf"),
+    ],
+)
+def test_options_that_are_none(options, message):
+    with pytest.raises(ParameterError, match=message):
+        Ompl(**options)
+
+
+def test_names():
+    assert {Ompl(objective=o).name for o in OBJECTIVES} == {
+        "ompl-q",
+        "ompl-qt",
+        "ompl-energy",
+        "ompl-time",
+    }
+    assert "BITstar" in Ompl(algorithm="bitstar").summary
+
+
+def test_a_motion_that_has_to_stay_on_its_polyline():
+    path = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
+    fine = dense(path, 201)
+    gaps = [
+        np.linalg.norm(
+            follow(path, 2.0, np.ones(3), n, quintic).at(np.linspace(0, 2, 301)).q[:, None]
+            - fine,
+            axis=-1,
+        )
+        .min(axis=1)
+        .max()
+        for n in (24, 96)
+    ]
+    assert gaps[1] < gaps[0] < 0.1
+    assert gaps[1] < 0.02
+
+
+def test_no_plan_is_an_exception_for_people():
+    with pytest.raises(NoPlan, match="why"):
+        raise NoPlan("why")

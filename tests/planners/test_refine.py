@@ -1,0 +1,194 @@
+"""Refinement: from any motion, around obstacles, at any duration; never outside a limit."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.core.arms import WRIST_GAINS, six_joint_arm
+from ves_gym.core.dynamics import frames
+from ves_gym.core.motion import Motion, limit_ratios
+from ves_gym.core.params import ParameterError
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import FREE_FLOATING
+from ves_gym.planners.direct import MotionProblem
+from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
+from ves_gym.planners.prediction import predict
+from ves_gym.planners.query import NoPlan, Query, broken_limit, solve
+from ves_gym.planners.refine import Refined, detours, refine, refine_duration
+from ves_gym.planners.registry import get_planner
+from ves_gym.planners.suites import SPEED_LIMITS, reach100
+
+QUERIES = {q.name: q for _, q in reach100(System(), "bent", 3).queries}
+PILLAR = Surroundings(obstacles=(Box(centre=(0.75, 0.0, 0.7), size=(0.2, 0.2, 0.8)),))
+ACROSS = Query(
+    system=System(), start=(-1.0, 0.1, 0.2), goal=(1.0, 0.1, 0.2), duration=4.0,
+    v_max=SPEED_LIMITS, surroundings=PILLAR,
+)  # fmt: skip
+
+
+def energy(query, motion):
+    return predict(query.system, motion, query.servo).E_mean
+
+
+@pytest.mark.parametrize("name", [n for n in QUERIES if not n.endswith("2")])
+def test_it_is_no_worse_than_direct(name):
+    """More control points and more starts; 0.5 % for where an optimiser stops."""
+    query = QUERIES[name]
+    plan = solve(Refined(), query)
+    assert plan.feasible
+    direct = solve(get_planner("direct"), query)
+    assert plan.predicted.E_mean <= 1.005 * direct.predicted.E_mean
+    assert plan.info["starts"] == 5
+
+
+def test_limits_hold_between_samples():
+    query = dataclasses.replace(QUERIES["reach-1s-001"], a_max=(12.0, 16.0, 45.0))
+    plan = solve(Refined(), query)
+    assert plan.feasible
+    s = plan.motion.at(np.linspace(0, query.duration, 20_001))
+    assert (np.abs(s.v).max(axis=0) <= np.array(query.v_max) * (1 + 1e-6)).all()
+    assert (np.abs(s.a).max(axis=0) <= np.array(query.a_max) * (1 + 1e-6)).all()
+    ratios = limit_ratios(query.system.arm, plan.motion, samples=20_001)
+    assert ratios["torque"].max() <= 1 + 1e-2
+
+
+def test_the_same_seed_gives_the_same_motion():
+    query = QUERIES["reach-4s-000"]
+    assert solve(Refined(), query, 3).motion == solve(Refined(), query, 3).motion
+    problem = MotionProblem(query, 12)
+    assert (detours(problem, 2, 3)[0] != detours(problem, 2, 4)[0]).any()
+
+
+@pytest.mark.parametrize("planner", ["hotspot-q", "bad-path", "straight"])
+def test_any_motion_may_be_refined(planner):
+    query = QUERIES["reach-2s-000"]
+    given = solve(get_planner(planner), query).motion
+    motion, info = refine(query, given)
+    assert broken_limit(query, motion) is None
+    assert energy(query, motion) < energy(query, given)
+    assert info["starts"] == 1
+    slow = given.retimed(5.0)  # at whatever speed it was
+    assert energy(query, refine(query, [slow, given])[0]) < energy(query, given)
+
+
+def test_another_start_can_find_less():
+    """A query on which the straight line leads to a minimum 15 % above another one."""
+    query = QUERIES["reach-2s-002"]
+    one, many = (solve(Refined(starts=k), query).predicted.E_mean for k in (1, 7))
+    assert many < 0.9 * one
+
+
+def test_it_goes_around_obstacles():
+    assert "obstacle 1 (box)" in broken_limit(ACROSS, ACROSS.straight)
+    plan = solve(Refined(), ACROSS)
+    assert plan.feasible
+    checker = collisions(System(), PILLAR)
+    assert checker.first(plan.motion.at(np.linspace(0, 4.0, 4001)).q) is None
+    rough = solve(get_planner("ompl-qt"), ACROSS)
+    assert plan.predicted.E_mean < rough.predicted.E_mean
+
+
+def test_obstacles_that_are_not_in_the_way_change_nothing_much():
+    query = QUERIES["reach-2s-000"]
+    far = Surroundings(obstacles=(Sphere(centre=(5.0, 0.0, 0.0), radius=0.5),))
+    with_room = solve(Refined(), dataclasses.replace(query, surroundings=far))
+    assert with_room.feasible
+    without = solve(Refined(), query).predicted.E_mean
+    assert with_room.predicted.E_mean == pytest.approx(without, rel=0.02)
+
+
+def test_an_end_in_an_obstacle_is_said():
+    inside = Surroundings(obstacles=(Sphere(centre=(0.9, 0.0, 0.9), radius=0.6),))
+    plan = solve(Refined(), dataclasses.replace(ACROSS, surroundings=inside))
+    assert plan.motion is None
+    assert "is too near: " in plan.failure
+
+
+def test_no_way_is_said():
+    """A block in the way of the shoulder, which only joint 1 moves, and only past it."""
+    axis = np.array([float(k) for k in frames(System().arm, [0.0, 0.0, 0.0])[1].axis])
+    block = Box(centre=tuple(np.array([0, 0, 0.9]) - 0.2 * axis), size=(0.05, 0.05, 0.05))
+    walled = Surroundings(obstacles=(block,))
+    plan = solve(Refined(), dataclasses.replace(ACROSS, surroundings=walled))
+    assert plan.motion is None
+    assert plan.failure.startswith("no path found within ")
+
+
+@pytest.mark.parametrize(
+    ("duration", "said"),
+    [
+        (0.4, "no motion: joint 1 needs 1.4 s at its speed limit, there are 0.4 s"),
+        (1.42, "of its limit"),  # hardly time to speed up, on the straight way
+    ],
+)
+def test_no_time_is_said(duration, said):
+    plan = solve(Refined(), dataclasses.replace(ACROSS, duration=duration))
+    assert not plan.feasible
+    assert said in plan.failure
+
+
+def test_any_arm_and_vehicle():
+    six = Query(
+        system=System(arm=six_joint_arm()), start=(-0.3,) * 6, goal=(0.3,) * 6, duration=3.0,
+        servo=WRIST_GAINS,
+    )  # fmt: skip
+    floating = Query(
+        system=System(vehicle=FREE_FLOATING), start=(0.0,) * 3, goal=(0.8, 0.4, -0.6),
+        duration=2.0,
+    )  # fmt: skip
+    for query in (six, floating):
+        plan = solve(Refined(starts=2), query)
+        assert plan.feasible
+        assert plan.predicted.E_mean < energy(query, query.straight)
+
+
+# ------------------------------------------------------------------------------ duration
+
+
+def test_the_duration_may_be_chosen():
+    """With no price on time the longest of a range, or near it; with one, less."""
+    query = QUERIES["reach-2s-000"]
+    motion, info = refine_duration(query, 1.5, 4.0, free=12)
+    assert motion.duration == info["duration"] > 3.0
+    hurried, paid = refine_duration(query, 1.5, 4.0, price=0.02, free=12)
+    assert hurried.duration < motion.duration
+    asked = dataclasses.replace(query, duration=hurried.duration)
+    assert broken_limit(asked, hurried) is None
+    assert paid["cost"] == pytest.approx(
+        energy(asked, hurried) + 0.02 * hurried.duration, rel=0.02
+    )
+
+
+def test_no_duration_in_range():
+    with pytest.raises(NoPlan, match=r"no motion keeps the limits in 0\.05 to 0\.1 s"):
+        refine_duration(QUERIES["reach-2s-000"], 0.05, 0.1, free=6, looks=3)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda q: Refined(free=0), "free and starts must be >= 1, got 0 and 5"),
+        (lambda q: Refined(starts=0), "free and starts must be >= 1"),
+        (lambda q: refine_duration(q, 2.0, 1.0), "need 0 < shortest < longest"),
+        (lambda q: refine_duration(q, 1.0, np.inf), "need 0 < shortest < longest"),
+        (
+            lambda q: refine_duration(q, 1.0, 2.0, price=-1.0),
+            "price must be >= 0 J/s, got -1.0",
+        ),
+        (lambda q: refine_duration(q, 1.0, 2.0, looks=2), "looks must be >= 3, got 2"),
+    ],
+)
+def test_options_that_are_none(call, message):
+    with pytest.raises(ParameterError, match=message):
+        call(QUERIES["reach-2s-000"])
+
+
+def test_a_decision_is_read_off_a_motion():
+    problem = MotionProblem(QUERIES["reach-2s-000"], 12)
+    motion = Motion.through(
+        [problem.start, (problem.start + problem.goal) / 2 + 0.2, problem.goal], 3.0
+    )
+    t = np.linspace(0, 1, 101)
+    fitted = problem.motion(problem.of(motion)).at(2.0 * t).q
+    np.testing.assert_allclose(fitted, motion.at(3.0 * t).q, atol=2e-3)

@@ -1,0 +1,157 @@
+"""References that know of vibration: laws, impulses, and the modes they are for."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ves_gym.core.energy import base_energy
+from ves_gym.core.params import ParameterError
+from ves_gym.core.playback import play_motions
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import BENT, FREE_FLOATING
+from ves_gym.planners.coupling import modes
+from ves_gym.planners.query import Query, solve
+from ves_gym.planners.registry import get_planner
+from ves_gym.planners.shaping import (
+    BaseMode,
+    Shaper,
+    SmoothJerk,
+    excited_modes,
+    septic,
+    shaped_motion,
+    shaper,
+)
+from ves_gym.planners.suites import SPEED_LIMITS, reach100
+
+MODE = BaseMode(2 * np.pi * 0.8, 0.05, 1.0)
+
+
+def residual(shape: Shaper, frequency: float, damping: float) -> float:
+    """Vibration an impulse train leaves, over that of one impulse (Singer and Seering)."""
+    root = np.sqrt(1 - damping**2)
+    t, last = shape.times, shape.times[-1]
+    grown = shape.sizes * np.exp(-damping * frequency * (last - t))
+    return abs(np.sum(grown * np.exp(1j * frequency * root * t)))
+
+
+@pytest.mark.parametrize("kind", ["zv", "zvd"])
+def test_impulses_leave_their_mode_at_rest(kind):
+    shape = shaper(kind, MODE)
+    assert shape.times[0] == 0 and shape.sizes.sum() == pytest.approx(1.0)
+    assert residual(shape, MODE.frequency, MODE.damping) < 1e-12
+
+
+def test_zvd_forgives_a_wrong_frequency():
+    """10 % off: ZV leaves about 15 %, ZVD 2 %; its slope is zero."""
+    zv, zvd = (residual(shaper(k, MODE), 1.1 * MODE.frequency, 0.05) for k in ("zv", "zvd"))
+    assert 0.1 < zv < 0.2
+    assert zvd < 0.03
+
+
+def test_the_seventh_order_law():
+    u = np.linspace(0, 1, 20_001)
+    s = septic(u)
+    assert (s[0], s[-1]) == (0, 1)
+    jerk = np.gradient(np.gradient(np.gradient(s, u), u), u)
+    assert abs(jerk[5]) < 0.5 and abs(jerk[-6]) < 0.5
+    assert np.gradient(s, u).max() == pytest.approx(35 / 16, rel=1e-6)
+    np.testing.assert_array_equal(septic(np.array([-1.0, 2.0])), [0.0, 1.0])
+
+
+QUERY = Query(
+    system=System(vehicle=dataclasses.replace(BENT, damping_ratio=0.0), drive="prescribed"),
+    start=(0.0, -0.1, 0.1),
+    goal=(0.1, 0.1, -0.1),
+    duration=4.0,
+)
+
+
+def test_modes_are_those_of_the_base_by_energy():
+    found = excited_modes(QUERY.system, QUERY.straight)
+    energies = [mode.energy for mode in found]
+    assert energies == sorted(energies, reverse=True)
+    expected = modes(QUERY.system, (0.05, 0.0, 0.0)).omega
+    assert sorted(m.frequency for m in found) == pytest.approx(expected)
+    damped = excited_modes(System(), QUERY.straight)
+    # 5 % modal damping of the beam alone; the arm's mass takes from it
+    assert all(0.005 < mode.damping < 0.06 for mode in damped)
+    assert excited_modes(System(vehicle=FREE_FLOATING), QUERY.straight) == []
+
+
+def test_a_shaped_motion_leaves_less_in_the_modes_it_is_shaped_for():
+    """Undamped, small: E_res of the strongest mode down a hundred times, simulated."""
+    strongest = excited_modes(QUERY.system, QUERY.straight)[0]
+    shaped = shaped_motion(QUERY, shaper("zvd", strongest))
+    run = play_motions(QUERY.system, [QUERY.straight, shaped], settle=0.0)
+    shapes = modes(QUERY.system, (0.05, 0.0, 0.0))
+    k = int(np.abs(shapes.omega - strongest.frequency).argmin())
+    M = np.linalg.inv(shapes.shapes @ shapes.shapes.T)
+    modal = [
+        np.einsum("i,ij,nj->n", shapes.shapes[:, k], M, y)
+        for y in (run.y[:, -1], run.yd[:, -1])
+    ]
+    left = 0.5 * (modal[1] ** 2 + (strongest.frequency * modal[0]) ** 2)
+    assert left[1] < 0.01 * left[0]
+
+
+@pytest.mark.parametrize("name", ["shaped-zv", "shaped-zvd"])
+def test_shaping_pays_where_there_is_time_for_it(name):
+    """Predicted E_res at 4 s, median over queries; and what was shaped for is told."""
+    queries = [q for _, q in reach100(System(), "bent", 6).queries if q.duration == 4.0]
+    plans = [solve(get_planner(name), q) for q in queries]
+    lines = [solve(get_planner("straight"), q) for q in queries]
+    ratio = [a.predicted.E_res / b.predicted.E_res for a, b in zip(plans, lines, strict=True)]
+    assert max(ratio) < 1.2  # its prediction is not quite that of the choice
+    assert np.median(ratio) < 0.9
+    assert all(p.feasible for p in plans)
+    assert any(p.info["shaped_hz"] for p in plans)
+    assert all(0 <= p.info["delay"] < 4.0 for p in plans)
+
+
+def test_without_time_or_modes_the_line_is_the_quintic():
+    short = Query(system=System(), start=(0.0,) * 3, goal=(0.1,) * 3, duration=0.2)
+    free = Query(
+        system=System(vehicle=FREE_FLOATING), start=(0.0,) * 3, goal=(0.1,) * 3, duration=2
+    )
+    for query in (short, free):
+        plan = solve(get_planner("shaped-zv"), query)
+        assert plan.info["shaped_hz"] == []
+        assert plan.motion == query.straight
+
+
+def test_shaping_keeps_the_limits():
+    queries = [q for _, q in reach100(System(), "bent", 3).queries]
+    for query in queries:
+        assert query.v_max == SPEED_LIMITS
+        for name in ("shaped-zv", "shaped-zvd"):
+            assert (
+                solve(get_planner(name), query).feasible
+                == solve(get_planner("straight"), query).feasible
+            )
+
+
+def test_a_smoother_law_on_the_same_line():
+    plan = solve(SmoothJerk(), QUERY)
+    s = plan.motion.at(np.linspace(0, 4, 101))
+    line = (s.q - QUERY.start) / (np.array(QUERY.goal) - QUERY.start)
+    np.testing.assert_allclose(line, septic(s.t / 4)[:, None] * np.ones(3), atol=1e-6)
+
+
+def test_free_vibration_after_shaping_is_that_of_the_other_modes():
+    """The strongest of them shaped: little is left (small motion, undamped)."""
+    query = dataclasses.replace(QUERY, duration=12.0)
+    plan = solve(get_planner("shaped-zvd"), query)
+    run = play_motions(query.system, [query.straight, plan.motion], settle=0.0)
+    left = base_energy(query.system, run.q, run.y, run.yd).total[:, -1]
+    assert len(plan.info["shaped_hz"]) >= 2
+    assert left[1] < 0.1 * left[0]
+
+
+def test_a_shaper_that_is_none():
+    from ves_gym.planners.shaping import Shaped
+
+    with pytest.raises(
+        ParameterError, match=r"Shaped\.kind must be one of zv, zvd, got 'zvdd'"
+    ):
+        Shaped("zvdd")

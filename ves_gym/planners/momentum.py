@@ -1,0 +1,86 @@
+"""Base momentum and joint torque of a moving arm with their exact derivatives, compiled.
+
+The text of `core/dynamics.py`, traced and differentiated by CasADi, for many instants of a
+motion at once: what the optimisers evaluate.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ves_gym.core.arm import Arm
+from ves_gym.core.dynamics import inertia_entries, newton_euler
+from ves_gym.core.kernel.maps import evaluate, points
+from ves_gym.core.kernel.trace import geometry
+from ves_gym.core.params import Array, content_hash, to_plain
+
+if TYPE_CHECKING:
+    import casadi
+
+_NOTHING = np.zeros(0)  # the graphs hold the arm's numbers
+
+
+class Momentum(NamedTuple):
+    """u = H_bm(q) v and its derivatives."""
+
+    u: Array  # (..., 6) kg m/s, kg m^2/s
+    by_q: Array  # (..., 6, n)
+    by_v: Array  # (..., 6, n), H_bm itself
+
+
+def momentum(arm: Arm, q: Array, v: Array) -> Momentum:
+    """Base momentum of joint rates v (..., n) at configurations q (..., n)."""
+    n = arm.n
+    out = _evaluate("momentum", _momentum, arm, points((q, n, "q"), (v, n, "v")), 6 + 12 * n)
+    slopes = out[..., 6:].reshape(*out.shape[:-1], 2, n, 6)
+    by_q, by_v = np.moveaxis(np.swapaxes(slopes, -1, -2), -3, 0)
+    return Momentum(out[..., :6], by_q, by_v)
+
+
+class Torque(NamedTuple):
+    """Joint torque on a base that stands still, and its derivatives."""
+
+    tau: Array  # (..., n) N m
+    by: Array  # (..., 3, n, n) by position, rate and acceleration; [.., k, i, j] = dtau_i/dx_j
+
+
+def torque(arm: Arm, q: Array, v: Array, a: Array) -> Torque:
+    """Inverse dynamics with derivatives, all inputs (..., n)."""
+    n = arm.n
+    at = points((q, n, "q"), (v, n, "v"), (a, n, "a"))
+    out = _evaluate("torque", _torque, arm, at, n + 3 * n * n)
+    slopes = out[..., n:].reshape(*out.shape[:-1], 3, n, n)
+    return Torque(out[..., :n], np.swapaxes(slopes, -1, -2))
+
+
+def _evaluate(name: str, graph: Any, arm: Arm, x: Array, outputs: int) -> Array:
+    return evaluate(f"{name} {_digest(arm)}", partial(graph, arm), x, _NOTHING, outputs)
+
+
+@lru_cache(maxsize=16)
+def _digest(arm: Arm) -> str:
+    return f"{content_hash(to_plain(arm))} {geometry(arm)}"
+
+
+def _momentum(arm: Arm) -> casadi.Function:
+    import casadi as ca
+
+    n, x = arm.n, ca.SX.sym("x", 2 * arm.n)
+    across = inertia_entries(arm, list(ca.vertsplit(x[:n])), ca).across
+    Hbm = ca.horzcat(*(ca.vertcat(*column) for column in across))
+    u = Hbm @ x[n:]
+    out = ca.vertcat(u, ca.vec(ca.jacobian(u, x[:n])), ca.vec(Hbm))
+    return ca.Function("momentum", [x, ca.SX(0, 1)], [ca.cse(ca.densify(out))])
+
+
+def _torque(arm: Arm) -> casadi.Function:
+    import casadi as ca
+
+    n, x = arm.n, ca.SX.sym("x", 3 * arm.n)
+    parts: list[Any] = list(ca.vertsplit(x))
+    tau = ca.vertcat(*newton_euler(arm, parts[:n], parts[n : 2 * n], parts[2 * n :], xp=ca)[0])
+    out = ca.vertcat(tau, ca.vec(ca.jacobian(tau, x)))
+    return ca.Function("torque", [x, ca.SX(0, 1)], [ca.cse(ca.densify(out))])

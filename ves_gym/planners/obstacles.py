@@ -1,0 +1,281 @@
+"""What the arm must not touch: obstacles as plain data, checked by MuJoCo's collisions.
+
+All in the platform-top frame with the base at rest; `Surroundings.clearance` leaves room
+for its sway. The arm is a chain of capsules; the platform, the beam or the satellite under
+it, and its own links count as soon as surroundings are given.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym.core.arm import Arm
+from ves_gym.core.params import (
+    Array,
+    ParameterError,
+    Vector,
+    finite,
+    from_plain,
+    read_table,
+    require_positive,
+    unit,
+)
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import Beam
+
+RESOLUTION = 0.04  # rad in joint space between the configurations a search checks
+# Radius of the first link over the arm's length (this project): thin enough for a PUMA's
+# forearm to pass its column with some clearance, as the machine's does.
+_THICKNESS = 0.036
+_TAPER = 0.45  # by how much of it the last link is thinner
+_PLATFORM = 4.5, 0.06  # radius over the first link's; height [m]
+_AROUND = 29  # collision bit of what surrounds the arm; links below it have their own
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sphere:
+    """A ball."""
+
+    kind: ClassVar[str] = "sphere"
+    centre: Vector = unit("m")
+    radius: float = unit("m")
+
+    def __post_init__(self) -> None:
+        finite(self.centre, (3,), "Sphere.centre")
+        require_positive(self, "radius")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box:
+    """A box, turned by Z-Y-X fixed angles (phi_x, phi_y, phi_z) as the base is."""
+
+    kind: ClassVar[str] = "box"
+    centre: Vector = unit("m")
+    size: Vector = unit("m")  # edge lengths
+    angles: Vector = unit("rad", default=(0.0, 0.0, 0.0))
+
+    def __post_init__(self) -> None:
+        finite(self.centre, (3,), "Box.centre")
+        finite(self.angles, (3,), "Box.angles")
+        if not (finite(self.size, (3,), "Box.size") > 0).all():
+            raise ParameterError(f"Box.size must be > 0 m, got {self.size}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surroundings:
+    """Obstacles, and the distance to keep from everything."""
+
+    obstacles: tuple[Sphere | Box, ...] = ()
+    clearance: float = unit("m", default=0.02)
+
+    def __post_init__(self) -> None:
+        require_positive(self, "clearance", zero=True)
+
+
+def read_surroundings(path: str | os.PathLike[str]) -> Surroundings:
+    """Surroundings from a TOML or JSON file that mirrors `Surroundings`."""
+    out: Surroundings = from_plain(Surroundings, read_table(path), str(path))
+    return out
+
+
+def link_radius(arm: Arm, i: int) -> float:
+    """Radius of link i's capsule [m]: nominal, this project."""
+    size = float(sum(math.hypot(k.a, k.d) for k in arm.links))
+    return _THICKNESS * size * (1 - _TAPER * i / arm.n)
+
+
+class Near(NamedTuple):
+    """Pairs of shapes near each other at one configuration."""
+
+    distance: Array  # (k,) m, negative where they overlap
+    slope: Array  # (k, n) its derivative by the joint angles [m/rad]
+
+
+class Collisions:
+    """MuJoCo's collision detection on one system and its surroundings."""
+
+    def __init__(self, system: System, surroundings: Surroundings) -> None:
+        from ves_gym.core.engine import mujoco
+
+        self._mujoco = mujoco
+        self.clearance, self.n = surroundings.clearance, system.arm.n
+        self.model = _model(system, surroundings)
+        self.data = mujoco.MjData(self.model)
+        self._tested: float | None = None
+
+    def _detect(self, q: Array, within: float) -> Any:
+        """Contacts of shapes nearer than `within` [m]; some further ones among them."""
+        if within != self._tested:
+            self.model.geom_margin[:] = self.model.body_margin[:] = self._tested = within
+        self.data.qpos[6:] = q
+        self._mujoco.mj_kinematics(self.model, self.data)
+        self._mujoco.mj_collision(self.model, self.data)
+        return self.data.contact
+
+    def clear(self, q: Array) -> bool:
+        """Whether a configuration (n,) keeps the clearance."""
+        found = self._detect(q, self.clearance)
+        return self.data.ncon == 0 or bool((found.dist >= self.clearance).all())
+
+    def first(self, path: npt.ArrayLike) -> int | None:
+        """Index of the first of the configurations (N, n) that does not keep it, or None."""
+        for k, q in enumerate(np.asarray(path, float)):
+            if not self.clear(q):
+                return k
+        return None
+
+    def touching(self, q: npt.ArrayLike) -> list[str]:
+        """What is too near what at a configuration, in words."""
+        found = self._detect(np.asarray(q, float), self.clearance)
+        pairs = found.geom[found.dist < self.clearance]
+        return sorted({" and ".join(self.model.geom(g).name for g in pair) for pair in pairs})
+
+    def near(self, q: Array, within: float) -> Near:
+        """Pairs nearer than `within` [m], and how their distances change.
+
+        Distances are those of MuJoCo's geometry; where one shape is deep inside another its
+        distance may stay the same, and the slope only points the way out.
+        """
+        mj, model, data = self._mujoco, self.model, self.data
+        found = self._detect(q, within)
+        if data.ncon == 0:
+            return Near(np.zeros(0), np.zeros((0, self.n)))
+        pairs = sorted({(int(a), int(b)) for a, b in found.geom})
+        mj.mj_comPos(model, data)
+        distance, slope = np.empty(len(pairs)), np.zeros((len(pairs), self.n))
+        ends, jacobian = np.empty(6), np.empty((3, model.nv))
+        for k, (first, second) in enumerate(pairs):
+            distance[k] = mj.mj_geomDistance(model, data, first, second, within, ends)
+            if distance[k] == 0.0:
+                continue  # touching just so: the shapes have no direction apart
+            normal = (ends[3:] - ends[:3]) / distance[k]
+            for sign, geom, point in ((-1.0, first, ends[:3]), (1.0, second, ends[3:])):
+                mj.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[geom])
+                slope[k] += sign * normal @ jacobian[:, 6:]
+        keep = distance < within
+        return Near(distance[keep], slope[keep])
+
+
+@lru_cache(maxsize=8)
+def collisions(system: System, surroundings: Surroundings) -> Collisions:
+    """The checker of a system and its surroundings, kept: not for several threads at once."""
+    return Collisions(system, surroundings)
+
+
+# ---------------------------------------------------------------------------- model
+
+
+def _model(system: System, surroundings: Surroundings) -> Any:
+    """The system's own MuJoCo model with shapes, contacts on."""
+    from ves_gym.core.engine import mujoco
+    from ves_gym.core.model import build_spec
+
+    arm = system.arm
+    spec = build_spec(arm, system.base, gravity=(0.0,) * 3, integrator="euler", physics_dt=1e-3)
+    spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    r = link_radius(arm, 0)
+    _add_arm(spec, arm)
+    platform, plate = spec.body("platform"), (0, 0, -_PLATFORM[1])
+    under = _AROUND + 1  # meets every link but the first, which stands on it
+    _rod(platform, "platform", "CYLINDER", plate, (0, 0, 0), _PLATFORM[0] * r, under)
+    if system.base.body is not None:
+        _add_satellite(spec, system.base.body, under)
+    if isinstance(system.vehicle, Beam):
+        nodes = system.vehicle.nodes
+        for k, (a, b) in enumerate(itertools.pairwise(nodes)):
+            half = system.vehicle.outer_diameter / 2
+            _rod(spec.worldbody, f"beam segment {k + 1}", "CAPSULE", a, b, half, under)
+    for k, obstacle in enumerate(surroundings.obstacles):
+        name = f"obstacle {k + 1} ({obstacle.kind})"
+        if isinstance(obstacle, Sphere):
+            _add(spec.worldbody, name, "SPHERE", _AROUND, pos=obstacle.centre,
+                 size=[obstacle.radius, 0, 0])  # fmt: skip
+        else:
+            half_size = [k / 2 for k in obstacle.size]
+            _add(spec.worldbody, name, "BOX", _AROUND, pos=obstacle.centre, size=half_size,
+                 quat=_quaternion(obstacle.angles))  # fmt: skip
+    for a, b in _too_close(arm):
+        spec.add_exclude(bodyname1=f"link_{a + 1}", bodyname2=f"link_{b + 1}")
+    return spec.compile()
+
+
+def _add_arm(spec: Any, arm: Arm) -> None:
+    """Capsules along every link, and the tool."""
+    if arm.n >= _AROUND:
+        raise ParameterError(f"collisions know {_AROUND - 1} links, got {arm.n}")
+    for i, link in enumerate(arm.links):
+        body, r = spec.body(f"link_{i + 1}"), link_radius(arm, i)
+        knee, end = (0.0, 0.0, link.d), (link.a, 0.0, link.d)
+        parts = [((0.0, 0.0, 0.0), knee)] if abs(link.d) > 1e-6 else []
+        parts += [(knee, end)] if abs(link.a) > 1e-6 else []
+        # meets what surrounds it and every link before it but its neighbour
+        affinity = (1 << _AROUND) | ((1 << (_AROUND + 1)) if i else 0)
+        affinity |= sum(1 << j for j in range(i - 1))
+        for k, (a, b) in enumerate(parts):
+            _rod(body, f"link {i + 1}" + "'" * k, "CAPSULE", a, b, r, i, affinity)
+        if i == arm.n - 1:
+            _add(body, "tool", "SPHERE", i, affinity, pos=end, size=[1.1 * r, 0, 0])
+
+
+def _too_close(arm: Arm) -> list[tuple[int, int]]:
+    """Links not next to each other, with too little between them to ever be apart."""
+    out = []
+    for i in range(arm.n):
+        for j in range(i + 2, arm.n):
+            between = sum(math.hypot(k.a, k.d) for k in arm.links[i + 1 : j])
+            if between <= link_radius(arm, i) + link_radius(arm, j):
+                out.append((i, j))
+    return out
+
+
+def _add_satellite(spec: Any, body: Any, bit: int) -> None:
+    """The homogeneous box with the satellite's inertia."""
+    from ves_gym.core.engine import mujoco
+
+    moments, axes = np.linalg.eigh(np.array(body.inertia))
+    axes = axes * np.sign(np.linalg.det(axes))
+    squares = 6 / max(body.mass, 1e-9) * (moments.sum() - 2 * moments)
+    half = np.sqrt(np.maximum(squares, 1e-4)) / 2
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, axes.flatten())
+    _add(spec.body("satellite"), "satellite", "BOX", bit, pos=body.com, size=half.tolist(),
+         quat=quat.tolist())  # fmt: skip
+
+
+def _rod(
+    body: Any, name: str, kind: str, a: Any, b: Any, radius: float, bit: int, affinity: int = 0
+) -> None:
+    ends = [float(k) for k in (*a, *b)]
+    _add(body, name, kind, bit, affinity, size=[radius, 0, 0], fromto=ends)
+
+
+def _add(body: Any, name: str, kind: str, bit: int, affinity: int = 0, **shape: Any) -> None:
+    """A shape of no mass that meets shapes with its bit among their affinities."""
+    from ves_gym.core.engine import mujoco
+
+    given = {key: [float(k) for k in value] for key, value in shape.items()}
+    body.add_geom(
+        name=name,
+        type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"),
+        contype=1 << bit,
+        conaffinity=affinity,
+        mass=0,
+        **given,
+    )
+
+
+def _quaternion(angles: Vector) -> list[float]:
+    from ves_gym.core.engine import mujoco
+    from ves_gym.core.spatial import rotation
+
+    turn, quat = rotation(np.array([0.0, 0, 0, *angles])), np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(turn).ravel())
+    return [float(k) for k in quat]

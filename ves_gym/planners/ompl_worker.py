@@ -1,0 +1,301 @@
+"""One OMPL search, in a process of its own: `ompl_search` starts it and may kill it.
+
+OMPL is C++ with Python callbacks: a planner can crash, hang, hold the interpreter's lock or
+outlast its time limit. Here it harms nobody. Requests come on standard input, answers go out
+on standard output, one pickle each.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ves_gym.core.motion import Motion
+from ves_gym.core.params import Array
+from ves_gym.planners.metric import Metric
+from ves_gym.planners.obstacles import RESOLUTION, collisions
+from ves_gym.planners.prediction import MeanEnergy
+from ves_gym.planners.query import Query
+
+CHECKPOINTS = 20  # of the anytime curve
+_CHECKS = 5  # validity checks allowed per cost evaluation of the budget
+_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from the straight line that are judged
+_OVERRUN = 1.5  # of the budget, after which a planner that does not stop is stopped
+
+# OMPL's classes that take a cost written in Python, by name here. Measured on 2.0.1: PRM,
+# PRM* hang on such a cost; AORRTC and RRTConnect never ask for it; FMT* and BFMT* do not
+# stop in time and cannot go on.
+ALGORITHMS = {
+    "rrtstar": "RRTstar",
+    "informed-rrtstar": "InformedRRTstar",
+    "sorrtstar": "SORRTstar",
+    "bitstar": "BITstar",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What to search. The same request gives the same path while `seconds` is not reached."""
+
+    query: Query
+    objective: str  # q, qt, time or energy
+    algorithm: str  # of ALGORITHMS
+    seed: int
+    evaluations: int  # of edge costs
+    seconds: float
+
+
+class Point(NamedTuple):
+    """The best of a search at a moment."""
+
+    seconds: float
+    evaluations: int
+    cost: float  # coupling length [J^(1/2)], time [s], or predicted E_mean [J]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found."""
+
+    path: Array | None  # (k, n) way-points
+    cost: float
+    curve: tuple[Point, ...]  # anytime
+    evaluations: int
+    checks: int  # of validity
+
+
+class BadCost(Exception):
+    """A cost that OMPL cannot take: it crashes on negative ones and returns NaN as exact."""
+
+
+class _Over(Exception):
+    """The budget is used up and the planner does not stop."""
+
+
+def serve() -> None:
+    """Answer requests until standard input ends."""
+    requests = Connection(os.dup(0), writable=False)
+    answers = Connection(os.dup(1), readable=False)
+    os.dup2(2, 1)  # what OMPL prints is not an answer
+    answers.send("ready")
+    while True:
+        try:
+            request = requests.recv()
+        except EOFError:
+            return
+        try:
+            answer = search(request)
+        except Exception as error:  # all of it is the parent's to report
+            answers.send(f"{type(error).__name__}: {error}")
+        else:
+            answers.send(answer)
+
+
+def search(request: Request) -> Found:
+    """Run OMPL on a request."""
+    from ompl import base as ob
+    from ompl import geometric as og
+    from ompl import util as ou
+
+    ou.setLogLevel(ou.LOG_NONE)
+    ou.RNG.setSeed(request.seed + 1)  # zero would mean a random seed
+    search = _Search(request)
+    space = search.space(ob)
+    information = ob.SpaceInformation(space)
+    validity, objective = search.validity(ob, information), search.objective(ob, information)
+    information.setStateValidityChecker(validity)
+    information.setStateValidityCheckingResolution(RESOLUTION / space.getMaximumExtent())
+    information.setup()
+    problem = ob.ProblemDefinition(information)
+    ends = [space.allocState() for _ in range(2)]
+    for state, q in zip(ends, request.query.ends, strict=True):
+        for i, angle in enumerate(q):
+            state[i] = float(angle)
+    problem.setStartAndGoalStates(*ends)
+    problem.setOptimizationObjective(objective)
+    planner = getattr(og, ALGORITHMS[request.algorithm])(information)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    for k in range(CHECKPOINTS):
+        search.share = (k + 1) / CHECKPOINTS
+        try:
+            planner.solve(ob.PlannerTerminationCondition(search.enough))
+        except _Over:
+            search.share = 1.0
+        if problem.hasExactSolution():
+            path = problem.getSolutionPath()
+            states = (path.getState(i) for i in range(path.getStateCount()))
+            search.consider(np.array([[s[j] for j in range(search.n)] for s in states]))
+        if search.over:
+            break
+    return search.found()
+
+
+class _Search:
+    """Budget, costs and the best path of one request."""
+
+    def __init__(self, request: Request) -> None:
+        query = request.query
+        self.request, self.n = request, query.system.arm.n
+        self.edge, self.price = _costs(query, request.objective)
+        self.shares = _SHARES if request.objective == "energy" else (1.0,)
+        self.begin = time.perf_counter()
+        self.share = 0.0  # of the budget that may be used now
+        self.evaluations = self.checks = 0
+        self.best: tuple[float, Array] | None = None
+        self.curve: list[Point] = []
+
+    @property
+    def used(self) -> float:
+        """Share of the budget used up; alike on every machine until the time is up."""
+        asked = self.request
+        work = max(self.evaluations, self.checks / _CHECKS) / asked.evaluations
+        late = time.perf_counter() - self.begin > asked.seconds
+        return math.inf if late else work
+
+    @property
+    def over(self) -> bool:
+        return self.share >= 1.0 or self.used >= 1.0
+
+    def enough(self) -> bool:
+        return self.used >= self.share
+
+    def space(self, ob: Any) -> Any:
+        space, bounds = ob.RealVectorStateSpace(self.n), ob.RealVectorBounds(self.n)
+        for i, link in enumerate(self.request.query.system.arm.links):
+            bounds.setLow(i, link.q_min)
+            bounds.setHigh(i, link.q_max)
+        space.setBounds(bounds)
+        return space
+
+    def validity(self, ob: Any, information: Any) -> Any:
+        query, n = self.request.query, self.n
+        if query.surroundings is None:
+            return ob.AllValidStateValidityChecker(information)
+        checker, search = collisions(query.system.ideal(), query.surroundings), self
+
+        class Validity(ob.StateValidityChecker):
+            def isValid(self, state: Any) -> bool:
+                search.checks += 1
+                search.stop_if_overrun()
+                return checker.clear(np.array([state[i] for i in range(n)]))
+
+        return Validity(information)
+
+    def objective(self, ob: Any, information: Any) -> Any:
+        search, n, edge = self, self.n, self.edge
+        identity = ob.Cost(0.0)
+
+        # of the class itself: costs of a subclass of StateCostIntegralObjective are ignored
+        class Coupling(ob.OptimizationObjective):
+            def stateCost(self, state: Any) -> Any:
+                return identity
+
+            def motionCost(self, a: Any, b: Any) -> Any:
+                search.evaluations += 1
+                search.stop_if_overrun()
+                start = np.array([a[i] for i in range(n)])
+                return ob.Cost(require_cost(edge(start, np.array([b[i] for i in range(n)]))))
+
+            def motionCostHeuristic(self, a: Any, b: Any) -> Any:
+                return identity
+
+        return Coupling(information)
+
+    def stop_if_overrun(self) -> None:
+        """Leave a planner that looks at its termination condition too seldom."""
+        work = max(self.evaluations, self.checks / _CHECKS)
+        if work > _OVERRUN * self.request.evaluations + 1000:
+            raise _Over
+
+    def consider(self, path: Array) -> None:
+        """Keep the better path, and a point of the curve.
+
+        For a cost that is not a sum over edges, also what lies between the path and the
+        straight line, where that is clear.
+        """
+        line = straight_beside(path)
+        for share in self.shares:
+            some = line + share * (path - line)
+            some[[0, -1]] = path[[0, -1]]  # not to rounding only
+            if share < 1.0 and not self._clear(some):
+                continue
+            cost = require_cost(self.price(some))
+            if self.best is None or cost < self.best[0]:
+                self.best = cost, some
+        spent, least = time.perf_counter() - self.begin, self.best[0] if self.best else math.inf
+        self.curve.append(Point(spent, self.evaluations, least))
+
+    def _clear(self, path: Array) -> bool:
+        query = self.request.query
+        if query.surroundings is None:
+            return True
+        gaps = np.linalg.norm(np.diff(path, axis=0), axis=1) / RESOLUTION
+        fine = [
+            np.linspace(a, b, 2 + int(gap))
+            for a, b, gap in zip(path[:-1], path[1:], gaps, strict=True)
+        ]
+        return collisions(query.system, query.surroundings).first(np.vstack(fine)) is None
+
+    def found(self) -> Found:
+        cost, path = self.best or (math.nan, None)
+        if path is not None and len(path) > 2 and self.evaluations == 0:
+            raise BadCost(f"{self.request.algorithm} never asked for the cost")
+        return Found(path, cost, tuple(self.curve), self.evaluations, self.checks)
+
+
+def require_cost(cost: float) -> float:
+    """A cost that is finite and not negative, or BadCost."""
+    if not (math.isfinite(cost) and cost >= 0):
+        raise BadCost(f"a cost must be finite and >= 0, got {cost}")
+    return cost
+
+
+def straight_beside(path: Array) -> Array:
+    """Points of the straight line at the same share of the length as those of a path."""
+    length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
+    u = (length / max(length[-1], 1e-300))[:, None]
+    out: Array = path[0] + u * (path[-1] - path[0])
+    return out
+
+
+def _costs(
+    query: Query, objective: str
+) -> tuple[Callable[[Array, Array], float], Callable[[Array], float]]:
+    """Cost of an edge, which the search adds up, and of a whole path, which decides."""
+    if objective == "time":
+        speed = speed_limits(query)
+
+        def edge(a: Array, b: Array) -> float:
+            return float(np.max(np.abs(b - a) / speed))
+
+        return edge, lambda path: fastest(path, speed)
+    if objective == "q":
+        metric = Metric(query.system, "q")
+    else:
+        metric = Metric(query.system, "qt", query.duration)
+    return metric.edge, _timed_energy(query) if objective == "energy" else metric.length
+
+
+def speed_limits(query: Query) -> Array:
+    """(n,) of the query, or of the arm where it has none [rad/s]."""
+    return query.system.arm.column("v_max") if query.v_max is None else np.array(query.v_max)
+
+
+def fastest(path: Array, speed: Array) -> float:
+    """Time [s] a path (k, n) takes with one joint at its speed limit (n,) throughout."""
+    return float(np.sum(np.max(np.abs(np.diff(path, axis=0)) / speed, axis=1)))
+
+
+def _timed_energy(query: Query) -> Callable[[Array], float]:
+    """Predicted E_mean [J] of way-points (k, n) passed in the query's time."""
+    start, goal = query.ends
+    form = MeanEnergy(query.system, (start + goal) / 2, query.duration, query.servo)
+    return lambda path: form.of(Motion.through(path, query.duration))
