@@ -58,6 +58,9 @@ def test_another_file_is_refused(tmp_path):
     path.write_text('{"format": "ves-motion/1"}')
     with pytest.raises(ParameterError, match=r"best\.json: format must be 'ves-best/1'"):
         read_best(path)
+    path.write_text('{"format": "ves-best/1", "entries": {"a": {"E_mean": "low"}}}')
+    with pytest.raises(ParameterError, match=r"best\.json: 'a' must hold a number E_mean"):
+        read_best(path)
 
 
 def test_scores(monkeypatch):
@@ -70,15 +73,17 @@ def test_scores(monkeypatch):
         row("refined", "a", 0.2),
         row("new", "a", 0.1),
         row("broken", "a", None, success=False),
+        row("fast", "a", 0.15, success=False),
         row("straight", "b", 1.0),
     ]
     scored(rows, {"bent": HASH}, "straight")
     assert [r["score"] for r in rows] == [
-        0.0, pytest.approx(0.5), 1.0, pytest.approx(1.125), None, None,
+        0.0, pytest.approx(0.5), 1.0, pytest.approx(1.125), None, None, None,
     ]  # fmt: skip
-    assert [r["best_known"] for r in rows] == [0.2] * 5 + [None]
+    assert [r["best_known"] for r in rows] == [0.2] * 6 + [None]
     assert near_best(rows[:4]) == 0.5
-    assert near_best(rows[5:]) is None
+    assert near_best(rows[5:6]) == 0.0  # it breaks a limit
+    assert near_best(rows[6:]) is None
 
 
 def test_the_packaged_file_is_of_the_suite():

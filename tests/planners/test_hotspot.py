@@ -10,7 +10,7 @@ from ves_gym.core.motion import QUINTIC_PEAK_SPEED
 from ves_gym.core.params import ParameterError
 from ves_gym.core.system import System
 from ves_gym.planners.coupling import coupling_length, coupling_matrix, spots
-from ves_gym.planners.hotspot import Lattice, Roadmap, _resample
+from ves_gym.planners.hotspot import Lattice, Roadmap, resample
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import reach100
@@ -122,7 +122,7 @@ def test_a_roadmap_is_as_good_as_the_lattice():
     system = System()
     start, goal = np.array([-1.0, -0.8, 1.5]), np.array([1.2, 0.9, -1.4])
     lengths = [
-        coupling_length(system, _resample(network(system, 2.0).route(start, goal), 200), 2.0)
+        coupling_length(system, resample(network(system, 2.0).route(start, goal), 200), 2.0)
         for network in (Lattice, Roadmap)
     ]
     assert lengths[1] < 1.1 * lengths[0]

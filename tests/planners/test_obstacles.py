@@ -179,6 +179,8 @@ def test_files(tmp_path):
         (lambda: Sphere(centre=(0, 0, 0), radius=0.0), "Sphere.radius must be > 0 m, got 0.0"),
         (lambda: Box(centre=(0, 0, 0), size=(1, 0, 1)), r"Box.size must be > 0 m"),
         (lambda: Surroundings(clearance=-0.1), "clearance must be >= 0 m, got -0.1"),
+        (lambda: Surroundings(obstacles=(1.0,)), "must be Sphere or Box, got 1.0"),
+        (lambda: Surroundings(obstacles=[BUSY]), "obstacles must be a tuple, got "),
     ],
 )
 def test_surroundings_that_are_none(make, message):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+import signal
 import time
 
 import numpy as np
@@ -13,9 +14,10 @@ from ves_gym.core.motion import quintic
 from ves_gym.core.params import ParameterError
 from ves_gym.core.system import System
 from ves_gym.planners import ompl_search
+from ves_gym.planners.hotspot import resample
 from ves_gym.planners.metric import Metric
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
-from ves_gym.planners.ompl_search import OBJECTIVES, Child, Ompl, cruise, dense, follow
+from ves_gym.planners.ompl_search import OBJECTIVES, Child, Ompl, cruise, follow
 from ves_gym.planners.ompl_worker import ALGORITHMS, BadCost, require_cost
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import NoPlan, Query, broken_limit, solve
@@ -196,6 +198,57 @@ def test_a_failure_in_the_child_is_reported(monkeypatch, fault):
     assert solve(planner, query).motion is not None
 
 
+def test_a_child_that_does_not_start_is_reported(monkeypatch):
+    monkeypatch.setattr(ompl_search, "_START", 0.5)
+    child = Child("import time; time.sleep(60)")
+    monkeypatch.setattr(ompl_search, "CHILD", child)
+    plan = solve(Ompl(evaluations=100), LONG)
+    assert plan.failure == "the search did not start within 0.5 s"
+    assert child._process is None
+
+
+def test_an_interrupted_search_leaves_no_answer_behind(monkeypatch):
+    """The next request gets its own answer, not the one nobody waited for."""
+    child = Child()
+    monkeypatch.setattr(ompl_search, "CHILD", child)
+    planner = Ompl(evaluations=300)
+    planner.search(LONG, 0)
+
+    def interrupt(limit):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(child._answers, "poll", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        planner.search(dataclasses.replace(LONG, start=(0.5, 0.0, 0.0)), 0)
+    np.testing.assert_allclose(planner.search(LONG, 0).path[0], LONG.start)
+
+
+def test_a_forked_process_starts_its_own_child(monkeypatch):
+    child = Child()
+    monkeypatch.setattr(ompl_search, "CHILD", child)
+    planner = Ompl(evaluations=300)
+    planner.search(LONG, 0)
+    mine = child._process
+    child._owner = -1  # as a process that was forked from the owner sees it
+    planner.search(LONG, 0)
+    assert child._process is not mine and mine.poll() is None
+    mine.kill()
+    mine.wait()
+
+
+def test_a_search_that_nobody_kills_ends_by_itself():
+    """Its parent gone, a planner that never returns is stopped by an alarm."""
+    code = (
+        "import time; from ves_gym.planners import ompl_worker as w; w._ORPHAN = 1.0;"
+        "w.search = lambda request: time.sleep(60); w.serve()"
+    )
+    request = ompl_search.Request(
+        query=LONG, objective="q", algorithm="bitstar", seed=0, evaluations=1, seconds=0.1
+    )
+    with pytest.raises(NoPlan, match=f"crashed: exit status -{signal.SIGALRM.value}"):
+        Child(code).ask(request, 30.0)
+
+
 def test_costs_that_ompl_cannot_take():
     assert require_cost(0.0) == 0.0
     for cost in (np.nan, np.inf, -1e-9):
@@ -233,7 +286,7 @@ def test_names():
 
 def test_a_motion_that_has_to_stay_on_its_polyline():
     path = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
-    fine = dense(path, 201)
+    fine = resample(path, 201)
     gaps = [
         np.linalg.norm(
             follow(path, 2.0, np.ones(3), n, quintic).at(np.linspace(0, 2, 301)).q[:, None]

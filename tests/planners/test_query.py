@@ -1,5 +1,6 @@
 """Queries, the registry, and what every planner promises."""
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -15,7 +16,7 @@ from ves_gym.core.params import ParameterError, content_hash
 from ves_gym.core.playback import play_motions
 from ves_gym.core.system import System
 from ves_gym.core.vehicle import DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
-from ves_gym.planners.query import Query, is_feasible, solve
+from ves_gym.planners.query import Query, broken_limit, is_feasible, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import SPEED_LIMITS
 
@@ -68,11 +69,30 @@ def test_an_unknown_planner_is_an_error_that_lists_the_known(name):
         ({"v_max": 1.0}, "v_max must have shape"),
         ({"a_max": (1.0, 1.0)}, r"a_max must have shape \(3,\)"),
         ({"a_max": (1.0, 0.0, 1.0)}, r"a_max must be > 0 rad/s\^2"),
+        ({"surroundings": "room.toml"}, "surroundings must be Surroundings, got 'room.toml'"),
     ],
 )
 def test_a_query_nobody_can_answer_is_refused(options, message):
     with pytest.raises(ParameterError, match=message):
         query(**options)
+
+
+def test_a_seed_that_is_none():
+    with pytest.raises(ParameterError, match="seed must be >= 0, got -1"):
+        solve(get_planner("straight"), query(), seed=-1)
+
+
+def test_a_limit_broken_by_little_is_not_said_to_be_kept():
+    """Straight quintic, speed limit 1e-4 below its peak."""
+    fast = query()
+    peak = np.abs(fast.straight.at(np.linspace(0, fast.duration, 2001)).v).max(axis=0)
+    limited = dataclasses.replace(fast, v_max=tuple((peak + 1) * (1, 1, 1)))
+    assert broken_limit(limited, fast.straight) is None
+    joint = int(peak.argmax())
+    limit = peak + 1
+    limit[joint] = peak[joint] / (1 + 1e-4)
+    found = broken_limit(dataclasses.replace(fast, v_max=tuple(limit)), fast.straight)
+    assert found == f"velocity of joint {joint + 1} reaches 1.0001 of its limit"
 
 
 def test_the_straight_answer():

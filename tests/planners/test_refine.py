@@ -1,6 +1,7 @@
 """Refinement: from any motion, around obstacles, at any duration; never outside a limit."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -128,6 +129,15 @@ def test_no_time_is_said(duration, said):
     assert said in plan.failure
 
 
+def test_what_torque_cannot_do_is_soon_given_up():
+    """Two radians in 0.1 s: fifty times the torque there is. Iterations, not seconds."""
+    plan = solve(
+        Refined(), dataclasses.replace(ACROSS, duration=0.1, v_max=None, surroundings=None)
+    )
+    assert re.match(r"torque of joint \d reaches", plan.failure)
+    assert plan.info["iterations"] <= 5 * 15 + 60
+
+
 def test_any_arm_and_vehicle():
     six = Query(
         system=System(arm=six_joint_arm()), start=(-0.3,) * 6, goal=(0.3,) * 6, duration=3.0,
@@ -170,6 +180,11 @@ def test_no_duration_in_range():
     [
         (lambda q: Refined(free=0), "free and starts must be >= 1, got 0 and 5"),
         (lambda q: Refined(starts=0), "free and starts must be >= 1"),
+        (lambda q: refine(q, []), "refine needs at least one motion, got none"),
+        (
+            lambda q: refine(q, Motion.straight([0.0], [1.0], 2.0)),
+            "motion must have 3 joints, got 1",
+        ),
         (lambda q: refine_duration(q, 2.0, 1.0), "need 0 < shortest < longest"),
         (lambda q: refine_duration(q, 1.0, np.inf), "need 0 < shortest < longest"),
         (

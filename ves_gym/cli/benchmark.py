@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--durations", metavar="S,S", help="only queries of these durations [s]; default all"
     )
     parser.add_argument("--first", type=int, metavar="N", help="only N queries per duration")
+    parser.add_argument("--skip", type=int, metavar="N", help="leave out N of each first (0)")
     parser.add_argument("--quick", action="store_true", help="ten queries per duration")
     parser.add_argument("--workers", type=int, metavar="N", help="planning processes")
     parser.add_argument(
@@ -110,17 +111,20 @@ def _part_of(suite: Suite, args: argparse.Namespace) -> Suite:
                 f" {args.durations}"
             )
         queries = [(v, q) for v, q in queries if q.duration in wanted]
-    if args.first is not None:
-        if args.first < 1:
-            raise ParameterError(f"--first must be >= 1, got {args.first}")
-        counted: Counter[tuple[str, float]] = Counter()
-        some = []
-        for vehicle, query in queries:
-            counted[vehicle, query.duration] += 1
-            if counted[vehicle, query.duration] <= args.first:
-                some.append((vehicle, query))
-        queries = some
-    return replace(suite, queries=tuple(queries))
+    skip = 0 if args.skip is None else args.skip
+    if skip < 0:
+        raise ParameterError(f"--skip must be >= 0, got {skip}")
+    if args.first is not None and args.first < 1:
+        raise ParameterError(f"--first must be >= 1, got {args.first}")
+    counted: Counter[tuple[str, float]] = Counter()
+    some = []
+    for vehicle, query in queries:
+        counted[vehicle, query.duration] += 1
+        if skip < counted[vehicle, query.duration] <= skip + (args.first or len(queries)):
+            some.append((vehicle, query))
+    if not some:
+        raise ParameterError(f"--skip {skip} leaves none of {max(counted.values())} queries")
+    return replace(suite, queries=tuple(some))
 
 
 def _compact(result: dict[str, Any]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -117,9 +118,10 @@ def run_benchmark(
 # ------------------------------------------------------------------------- planning
 
 Job = tuple[str, str, Query]  # planner, vehicle, query
+Work = tuple[str, Query, int]  # planner, query, seed
 
 
-def _plan_one(job: tuple[str, Query, int]) -> Plan:
+def _plan_one(job: Work) -> Plan:
     name, query, seed = job
     begin = time.perf_counter()
     try:
@@ -142,14 +144,42 @@ def _plan_all(
     return plans
 
 
-def _mapped(work: list[tuple[str, Query, int]], workers: int | None) -> Iterator[Plan]:
+def _mapped(
+    work: list[Work], workers: int | None, plan: Callable[[Work], Plan] = _plan_one
+) -> Iterator[Plan]:
+    """Plans in order; one that takes its process down with it is a failure of its query."""
     workers = min(workers or os.cpu_count() or 1, len(work))
     if workers == 1:
-        yield from map(_plan_one, work)
+        yield from map(plan, work)
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        yield from pool.map(_plan_one, work, chunksize=4)
+    done = 0
+    while done < len(work):
+        with _pool(workers) as pool:
+            try:
+                for future in [pool.submit(plan, job) for job in work[done:]]:
+                    answer = future.result()
+                    yield answer
+                    done += 1
+                return
+            except BrokenProcessPool:  # by this job or one beside it
+                pass
+        yield _alone(work[done], plan)
+        done += 1
+
+
+def _alone(job: Work, plan: Callable[[Work], Plan]) -> Plan:
+    """The plan from a process of its own, or that the process crashed."""
+    begin = time.perf_counter()
+    with _pool(1) as pool:
+        try:
+            return pool.submit(plan, job).result()
+        except BrokenProcessPool:
+            why = "the planning process crashed"
+            return Plan(job[0], job[1], None, None, time.perf_counter() - begin, why)
+
+
+def _pool(workers: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
 
 
 # ----------------------------------------------------------------------- simulation
@@ -346,9 +376,10 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
     A ratio is taken query by query; `ratio_low` and `ratio_high` are the 95 % bootstrap
     interval of its median. A failed plan stays in the medians: the straight line's own
-    energy and its own are both simulated facts; `success_rate` says how many failed. A
-    stopped run and a query without an answer have no energy and are in none. A query is
-    solvable if any planner of the run solved it.
+    energy and its own are both simulated facts; `success_rate` says how many failed.
+    Errors of the prediction are those of motions that keep their limits. A stopped run and
+    a query without an answer have no energy and are in none. A query is solvable if any
+    planner of the run solved it.
     """
     baseline = {(r["vehicle"], r["query"]): r for r in rows if r["planner"] == BASELINE}
     solvable = {(r["vehicle"], r["query"]) for r in rows if r["success"]}
@@ -367,7 +398,8 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "emulation_error_median": _median(_known(members, "emulation_error")),
                 "base_error_median": _median(_known(members, "base_error")),
             }
-        errors = [abs(e) for e in _known(members, "prediction_error")]
+        kept = [r for r in members if r["failure"] is None]
+        errors = [abs(e) for e in _known(kept, "prediction_error")]
         possible = [r["success"] for r in members if (vehicle, r["query"]) in solvable]
         seconds = [r["plan_seconds"] for r in members]
         out.append(

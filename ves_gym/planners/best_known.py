@@ -39,7 +39,10 @@ def read_best(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
 def _entries(table: dict[str, Any], where: str) -> dict[str, dict[str, Any]]:
     if table.get("format") != FORMAT:
         raise ParameterError(f"{where}: format must be {FORMAT!r}, got {table.get('format')!r}")
-    entries: dict[str, dict[str, Any]] = table["entries"]
+    entries: dict[str, dict[str, Any]] = table.get("entries", {})
+    for name, entry in entries.items():
+        if not (isinstance(entry, dict) and isinstance(entry.get("E_mean"), float | int)):
+            raise ParameterError(f"{where}: {name!r} must hold a number E_mean, got {entry!r}")
     return entries
 
 
@@ -81,7 +84,8 @@ def keep_best(path: str | os.PathLike[str], result: dict[str, Any]) -> int:
 def scored(rows: Iterable[dict[str, Any]], hashes: dict[str, str], baseline: str) -> None:
     """Add `best_known` [J] and `score` to rows, None where nothing is known.
 
-    The score is 0 for the energy of the straight line and 1 for the best known one.
+    The score is 0 for the energy of the straight line and 1 for the best known one; only
+    motions that keep every limit have one.
     """
     every = list(rows)
     straight = {
@@ -89,17 +93,17 @@ def scored(rows: Iterable[dict[str, Any]], hashes: dict[str, str], baseline: str
     }
     for row in every:
         entry = packaged().get(key(hashes[row["vehicle"]], row["query"]))
-        best = None if entry is None else entry["E_mean"]
+        best = row["best_known"] = None if entry is None else entry["E_mean"]
         line, own = straight.get((row["vehicle"], row["query"])), row["E_mean"]
-        row["best_known"], row["score"] = best, None
-        if best is not None and line is not None and own is not None and line > best:
+        row["score"] = None
+        if row["success"] and best is not None and line is not None and line > best:
             row["score"] = (line - own) / (line - best)
 
 
 def near_best(rows: Sequence[dict[str, Any]], share: float = 1.05) -> float | None:
-    """Share of the rows with a best known energy that come within `share` times of it."""
+    """Share of the rows with a best known energy that succeed within `share` times it."""
     known = [r for r in rows if r["best_known"] is not None]
     if not known:
         return None
-    good = [r["E_mean"] is not None and r["E_mean"] <= share * r["best_known"] for r in known]
+    good = [r["success"] and r["E_mean"] <= share * r["best_known"] for r in known]
     return sum(good) / len(good)

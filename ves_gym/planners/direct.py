@@ -19,7 +19,7 @@ import numpy as np
 
 from ves_gym.core.arm import matrix
 from ves_gym.core.motion import DEGREE, Motion, basis, graded, knots
-from ves_gym.core.params import Array
+from ves_gym.core.params import Array, ParameterError
 from ves_gym.planners.momentum import momentum, torque
 from ves_gym.planners.obstacles import Collisions, collisions
 from ves_gym.planners.prediction import MeanEnergy
@@ -42,6 +42,10 @@ class Direct:
     summary = "minimise predicted E_mean over a smooth motion inside all joint limits"
 
     def __init__(self, free: int = 12, iterations: int = 60) -> None:
+        if free < 1 or iterations < 1:
+            raise ParameterError(
+                f"free and iterations must be >= 1, got {free} and {iterations}"
+            )
         self.free, self.iterations = free, iterations
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
@@ -76,6 +80,8 @@ class MotionProblem:
 
     def of(self, motion: Motion) -> Array:
         """The decision nearest to a motion, of any duration."""
+        if motion.n != self.n:
+            raise ParameterError(f"motion must have {self.n} joints, got {motion.n}")
         q = motion.at(np.linspace(0, motion.duration, 12 * self.m)).q
         fitted = Motion.fit(q, self.query.duration, controls=self.m)
         low, high = self.bounds
@@ -205,6 +211,7 @@ class MotionProblem:
 # ------------------------------------------------------- sequential quadratic programming
 
 _ROUNDS = 4  # of looking for torque between samples
+_NEARLY = 0.01  # of a limit: what breaks it by more is not looked at more closely
 _FIRST = 0.3  # rad: how far control points may move in the first step
 _LEAST_STEP = 1e-6  # rad
 _NEAREST = 0.1  # of a limit: what is nearer to it a step minds from the start
@@ -265,7 +272,7 @@ def minimise(
             done + found.iterations,
             evaluations + found.evaluations,
         )
-        if not problem.look_closer(x0):
+        if found.excess > _NEARLY or not problem.look_closer(x0):
             break
     return replace(found, iterations=done, evaluations=evaluations)
 

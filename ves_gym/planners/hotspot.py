@@ -53,7 +53,7 @@ class HotSpot:
         start, goal = query.ends
         line = np.linspace(start, goal, _POINTS + 1)
         network = _network(query.system, duration)
-        routes = [line, _resample(network.route(start, goal), _POINTS + 1)]
+        routes = [line, resample(network.route(start, goal), _POINTS + 1)]
         relaxed = [_relax(query.system, route, duration) for route in routes]
         lengths = [coupling_length(query.system, path, duration) for path in relaxed]
         best = int(np.argmin(lengths))
@@ -240,8 +240,8 @@ def _network(system: System, duration: float | None) -> Network:
 # ---------------------------------------------------------------------- relaxation
 
 
-def _resample(path: Array, points: int) -> Array:
-    """Points evenly spaced in joint-space length along a polyline."""
+def resample(path: Array, points: int) -> Array:
+    """Points evenly spaced in joint-space length along a polyline (k, n), its ends kept."""
     length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
     at = np.linspace(0, length[-1], points)
     return np.stack([np.interp(at, length, path[:, j]) for j in range(path.shape[1])], axis=1)

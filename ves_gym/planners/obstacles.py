@@ -78,6 +78,11 @@ class Surroundings:
 
     def __post_init__(self) -> None:
         require_positive(self, "clearance", zero=True)
+        if not isinstance(self.obstacles, tuple):
+            raise ParameterError(f"obstacles must be a tuple, got {self.obstacles!r}")
+        for obstacle in self.obstacles:
+            if not isinstance(obstacle, Sphere | Box):
+                raise ParameterError(f"obstacles must be Sphere or Box, got {obstacle!r}")
 
 
 def read_surroundings(path: str | os.PathLike[str]) -> Surroundings:

@@ -22,7 +22,7 @@ import numpy as np
 
 from ves_gym.core.motion import Motion, quintic
 from ves_gym.core.params import Array, ParameterError, require_choice
-from ves_gym.planners.hotspot import feasible_part
+from ves_gym.planners.hotspot import feasible_part, resample
 from ves_gym.planners.ompl_worker import ALGORITHMS, Found, Request, speed_limits
 from ves_gym.planners.query import NoPlan, Query, broken_limit, require_possible
 
@@ -35,6 +35,7 @@ OBJECTIVES = {
 _START = 120.0  # s for a child to come up, on a busy machine
 _GRACE = 10.0  # s a search may take longer than asked before it is killed
 _RAMP = 0.2  # of a cruising motion's time to speed up in, and to slow down in
+_POINTS = 65  # of a path that is drawn towards the straight line
 _FOLLOWED = (48, 96)  # control points of a motion that has to stay on the path found
 
 
@@ -122,20 +123,13 @@ def timed(query: Query, path: Array) -> tuple[Motion, float]:
     if broken_limit(query, smooth) is None:
         return smooth, 1.0
     if query.surroundings is None:
-        return feasible_part(query, dense(path))
+        return feasible_part(query, resample(path, _POINTS))
     for law in (quintic, cruise):
         for controls in _FOLLOWED:
             motion = follow(path, query.duration, speed_limits(query), controls, law)
             if broken_limit(query, motion) is None:
                 return motion, 1.0
     return motion, 1.0
-
-
-def dense(path: Array, points: int = 65) -> Array:
-    """Points evenly spaced along a polyline (k, n), its ends among them."""
-    length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
-    at = np.linspace(0, length[-1], points)
-    return np.stack([np.interp(at, length, column) for column in path.T], axis=1)
 
 
 def follow(
@@ -146,7 +140,7 @@ def follow(
     Joint speeds stay in proportion to their limits `speed` (n,): the law runs over the time
     the path takes with one joint at its limit throughout.
     """
-    fine = dense(path, 2001)
+    fine = resample(path, 2001)
     least = np.r_[0, np.cumsum(np.max(np.abs(np.diff(fine, axis=0)) / speed, axis=1))]
     at = law(np.linspace(0, 1, 20 * controls + 1)) * least[-1]
     q = np.stack([np.interp(at, least, column) for column in fine.T], axis=1)
@@ -167,11 +161,15 @@ def cruise(u: Array) -> Array:
 
 
 class Child:
-    """The searching process: started when first asked, started anew after it was killed."""
+    """The searching process: started when first asked, started anew after it was killed.
+
+    Not for several threads at once; a forked process starts its own.
+    """
 
     def __init__(self, program: str = "") -> None:
         self.program = program or "from ves_gym.planners.ompl_worker import serve; serve()"
         self._process: subprocess.Popen[bytes] | None = None
+        self._owner = 0  # process that started it
 
     def ask(self, request: Request, limit: float) -> Found:
         """The answer to a request, or NoPlan with what happened to the child.
@@ -180,20 +178,30 @@ class Child:
             limit: s after which the child is killed.
         """
         try:
-            if self._process is None or self._process.poll() is not None:
-                self._start()
-                self._answers.poll(_START)
-                self._answers.recv()  # it is there
+            self._require_running()
             self._requests.send(request)
             if not self._answers.poll(limit):
-                self._kill()
                 raise NoPlan(f"the search did not answer within {limit:g} s and was killed")
             answer = self._answers.recv()
         except (EOFError, OSError):
             raise NoPlan(f"the search crashed: {self._kill()}") from None
+        except BaseException:  # or the next request would get this one's answer
+            self._kill()
+            raise
         if not isinstance(answer, Found):
             raise NoPlan(f"the search failed: {answer}")
         return answer
+
+    def _require_running(self) -> None:
+        if self._owner != os.getpid():
+            self._process = None  # the process this one was forked from keeps it
+        if self._process is not None and self._process.poll() is None:
+            return
+        self._kill()
+        self._start()
+        if not self._answers.poll(_START):
+            raise NoPlan(f"the search did not start within {_START:g} s")
+        self._answers.recv()  # it is there
 
     def _start(self) -> None:
         paths = os.pathsep.join(p or os.getcwd() for p in sys.path)
@@ -207,24 +215,25 @@ class Child:
             env={**os.environ, "PYTHONPATH": paths, **threads},
         )
         assert process.stdin is not None and process.stdout is not None
-        self._process = process
+        self._process, self._owner = process, os.getpid()
         self._requests = Connection(os.dup(process.stdin.fileno()), readable=False)
         self._answers = Connection(os.dup(process.stdout.fileno()), writable=False)
         process.stdin.close()
         process.stdout.close()
-        weakref.finalize(self, _end, process, self._requests, self._answers, self._errors)
+        files = self._requests, self._answers, self._errors
+        self._end = weakref.finalize(self, _end, process, *files)
 
     def _kill(self) -> str:
-        """End the child; how it had ended, and the last thing it said."""
-        process = self._process
-        assert process is not None
+        """End the child, if there is one; how it had ended, and the last thing it said."""
+        if self._process is None:
+            return "not started"
         try:  # a child that crashed is still about to end
-            code: int | None = process.wait(timeout=1.0)
+            code: int | None = self._process.wait(timeout=1.0)
         except subprocess.TimeoutExpired:
             code = None
         self._errors.seek(0)
         said = self._errors.read().decode(errors="replace").strip().splitlines()
-        _end(process, self._requests, self._answers, self._errors)
+        self._end()
         self._process = None
         how = "killed" if code is None else f"exit status {code}"
         return f"{how}; {said[-1][:200]}" if said else how
@@ -232,8 +241,7 @@ class Child:
 
 def _end(process: subprocess.Popen[bytes], *files: Any) -> None:
     for file in files:
-        if not file.closed:
-            file.close()
+        file.close()
     if process.poll() is None:
         process.kill()
     process.wait()

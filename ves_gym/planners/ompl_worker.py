@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from ves_gym.planners.query import Query
 CHECKPOINTS = 20  # of the anytime curve
 _CHECKS = 5  # validity checks allowed per cost evaluation of the budget
 _SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from the straight line that are judged
+_ORPHAN = 60.0  # s beyond its time after which a search that nobody kills ends by itself
 _OVERRUN = 1.5  # of the budget, after which a planner that does not stop is stopped
 
 # OMPL's classes that take a cost written in Python, by name here. Measured on 2.0.1: PRM,
@@ -90,12 +92,13 @@ def serve() -> None:
             request = requests.recv()
         except EOFError:
             return
+        signal.alarm(math.ceil(min(request.seconds + _ORPHAN, 1e9)))
         try:
-            answer = search(request)
+            answer: Found | str = search(request)
         except Exception as error:  # all of it is the parent's to report
-            answers.send(f"{type(error).__name__}: {error}")
-        else:
-            answers.send(answer)
+            answer = f"{type(error).__name__}: {error}"
+        signal.alarm(0)
+        answers.send(answer)
 
 
 def search(request: Request) -> Found:
@@ -106,10 +109,10 @@ def search(request: Request) -> Found:
 
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(request.seed + 1)  # zero would mean a random seed
-    search = _Search(request)
-    space = search.space(ob)
+    run = _Search(request)
+    space = run.space(ob)
     information = ob.SpaceInformation(space)
-    validity, objective = search.validity(ob, information), search.objective(ob, information)
+    validity, objective = run.validity(ob, information), run.objective(ob, information)
     information.setStateValidityChecker(validity)
     information.setStateValidityCheckingResolution(RESOLUTION / space.getMaximumExtent())
     information.setup()
@@ -124,18 +127,18 @@ def search(request: Request) -> Found:
     planner.setProblemDefinition(problem)
     planner.setup()
     for k in range(CHECKPOINTS):
-        search.share = (k + 1) / CHECKPOINTS
+        run.share = (k + 1) / CHECKPOINTS
         try:
-            planner.solve(ob.PlannerTerminationCondition(search.enough))
+            planner.solve(ob.PlannerTerminationCondition(run.enough))
         except _Over:
-            search.share = 1.0
+            run.share = 1.0
         if problem.hasExactSolution():
             path = problem.getSolutionPath()
             states = (path.getState(i) for i in range(path.getStateCount()))
-            search.consider(np.array([[s[j] for j in range(search.n)] for s in states]))
-        if search.over:
+            run.consider(np.array([[s[j] for j in range(run.n)] for s in states]))
+        if run.over:
             break
-    return search.found()
+    return run.found()
 
 
 class _Search:

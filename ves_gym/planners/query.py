@@ -43,6 +43,10 @@ class Query:
             limit = getattr(self, name)
             if limit is not None and not (finite(limit, (arm.n,), name) > 0).all():
                 raise ParameterError(f"{name} must be > 0 {symbol}, got {limit}")
+        if not isinstance(self.surroundings, Surroundings | None):
+            raise ParameterError(
+                f"surroundings must be Surroundings, got {self.surroundings!r}"
+            )
         if self.system.drive == "motor" and len(self.servo.kp) != arm.n:
             raise ParameterError(
                 f"servo must have gains for {arm.n} joints, got {len(self.servo.kp)}"
@@ -106,6 +110,8 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
     Linear algebra runs on one thread meanwhile: its matrices are small, and a sum split
     over threads would make the last bits depend on the machine's load.
     """
+    if seed < 0:
+        raise ParameterError(f"seed must be >= 0, got {seed}")
     begin = time.perf_counter()
     motion, predicted = None, None
     info: dict[str, Any] = {}
@@ -154,7 +160,9 @@ def broken_limit(query: Query, motion: Motion) -> str | None:
     for name, ratio in found.items():
         if ratio.max() > 1 + 1e-6:
             joint = int(ratio.argmax())
-            return f"{name} of joint {joint + 1} reaches {ratio[joint]:.3g} of its limit"
+            worst = ratio[joint]
+            shown = f"{worst:.3g}" if worst > 1.005 else f"{worst:.7g}"
+            return f"{name} of joint {joint + 1} reaches {shown} of its limit"
     return _touched(query, motion)
 
 

@@ -66,6 +66,8 @@ def refine(
 ) -> tuple[Motion, dict[str, Any]]:
     """The motion of least predicted E_mean near one of the given ones, of any duration."""
     given = [motions] if isinstance(motions, Motion) else list(motions)
+    if not given:
+        raise ParameterError("refine needs at least one motion, got none")
     problem = MotionProblem(query, free)
     return _best(problem, [problem.of(motion) for motion in given])
 
