@@ -63,6 +63,8 @@ def test_a_part_of_the_suite(call):
     assert status == 0
     assert [r["query"] for r in result["rows"]] == ["reach-2s-000", "reach-2s-000-obstacles"]
     assert "bent, obstacles" in out
+    _, _, _, result = call(*BENCHMARK, "--planners", "straight", "--skip", "3")
+    assert [r["query"] for r in result["rows"]] == ["reach-2s-003"]
 
 
 def test_every_planner_by_one_word(call, monkeypatch):
@@ -98,6 +100,8 @@ def test_best_energies_are_kept(call, tmp_path):
         (("benchmark", "--durations", "3"), "--durations must be of 0.5, 1, 2, 4 s, got 3"),
         (("benchmark", "--durations", "x"), "--durations must be numbers like 1,2,4 [s]"),
         (("benchmark", "--first", "0"), "--first must be >= 1, got 0"),
+        (("benchmark", "--skip", "-1"), "--skip must be >= 0, got -1"),
+        (("benchmark", "--skip", "100"), "--skip 100 leaves none of 100 queries"),
     ],
 )
 def test_words_that_are_refused(refused, words, message):

@@ -25,12 +25,11 @@ from ves_gym.core.motion import Motion, quintic
 from ves_gym.core.params import Array
 from ves_gym.core.system import System
 from ves_gym.planners.coupling import coupling_length, metric
-from ves_gym.planners.metric import Metric
+from ves_gym.planners.metric import LEAST, Metric
 from ves_gym.planners.query import Query, is_feasible
 
 Ints = npt.NDArray[np.signedinteger[Any]]
 _PITCH = np.deg2rad(15.0)  # lattice spacing
-_LEAST = 1e-2  # of the mean coupling: keeps null directions from being free
 _LARGEST = 200_000  # lattice edges; beyond that a lattice is the wrong tool
 _ROADMAP = 4000  # points of a roadmap
 _CONTROLS = 64  # of the joint-by-joint motion: follows it to about 1e-4 rad
@@ -140,7 +139,7 @@ class Lattice:
         step = b - a
         Q = metric(self.system, (a + b) / 2, self.duration)
         if least is None:
-            least = float(_LEAST * np.mean(np.trace(Q, axis1=-2, axis2=-1)) / step.shape[-1])
+            least = float(LEAST * np.mean(np.trace(Q, axis1=-2, axis2=-1)) / step.shape[-1])
         squares = np.einsum("ki,kij,kj->k", step, Q, step) + least * np.sum(step**2, axis=-1)
         return np.sqrt(np.maximum(squares, 0)), least
 
@@ -251,7 +250,7 @@ def _relax(system: System, path: Array, duration: float | None) -> Array:
     """Minimise the path energy sum dq^T (Q + least) dq over the inner points."""
     n, k = path.shape[1], len(path) - 1
     middle = metric(system, path, duration)
-    least = _LEAST * float(np.mean(np.trace(middle, axis1=-2, axis2=-1))) / n
+    least = LEAST * float(np.mean(np.trace(middle, axis1=-2, axis2=-1))) / n
 
     def value(x: Array) -> tuple[float, Array]:
         points = np.vstack([path[0], x.reshape(-1, n), path[-1]])

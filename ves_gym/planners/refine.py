@@ -151,18 +151,22 @@ def _best(problem: MotionProblem, starts: Sequence[Array]) -> tuple[Motion, dict
     """
     looks = [minimise(problem, x, _FIRST_LOOK, _COARSE) for x in starts]
     order = sorted(range(len(looks)), key=lambda i: _rank(looks[i]))
-    best: tuple[Motion, Minimum] | None = None
+    best: tuple[Motion, Minimum, int] | None = None
     stands = False
     for k in order[: max(1, sum(map(_kept, looks)))]:
         found = minimise(problem, looks[k].x, tolerance=_FINE)
         motion = problem.motion(found.x)
         stands = broken_limit(problem.query, motion) is None
         if best is None or stands:
-            best = motion, found
+            best = motion, found, k
         if stands:
             break
     assert best is not None
-    info = {"starts": len(starts), "from": k, "energies": [m.energy for m in looks]}
+    info: dict[str, Any] = {
+        "starts": len(starts),
+        "from": best[2],
+        "energies": [m.energy for m in looks],
+    }
     iterations = sum(look.iterations for look in looks) + best[1].iterations
     info |= best[1].told() | {"iterations": iterations}
     if stands:
