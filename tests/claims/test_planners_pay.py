@@ -5,35 +5,40 @@ system. `refined` against the straight line and the best known energies, the his
 it, and predicted against simulated `E_mean` over every planner's motions.
 
 The fast tests take the first queries of a duration, the slow ones all hundred. Promised and
-missed: half the straight line's energy at T = 1 s. In one second the base's slow modes (0.3
-to 0.5 Hz) see little but the ends of a motion (docs/planners.md): without any limit of
-speed or torque the median on the first 24 queries is still 0.60.
+missed: half the straight line's energy at T = 1 s, where 0.63 is reached. In one second the
+base's slow modes (0.3 to 0.5 Hz) see little but the ends of a motion (docs/planners.md).
+That 0.63 is where the optimum lies: two sets of 24 starts agree within 1.3 % on each of the
+hundred queries, 32 starts with detours of up to 1.8 rad find 0.3 % at best, and without any
+limit of speed or torque the median on the first 24 queries is still 0.60.
 """
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from ves_gym.core.params import write_table
 from ves_gym.core.system import System
+from ves_gym.core.vehicle import BENT, STRAIGHT_HORIZONTAL
 from ves_gym.planners.benchmark import run_benchmark
+from ves_gym.planners.best_known import near_best
 from ves_gym.planners.suites import get_suite
 
 HISTORY = ("hotspot-q", "hotspot-qt", "ompl-q", "ompl-qt", "ompl-energy")
+MOST = ("smooth-jerk", "shaped-zv", "shaped-zvd", *HISTORY, "direct", "refined")
 MISS = pytest.mark.xfail(reason="miss: 0.63 on the whole suite, docs/claims.md")
 PROMISED = [pytest.param(1.0, 0.50, marks=MISS), (2.0, 0.25), (4.0, 0.05)]
 
 
 @functools.cache
-def rows(planners: tuple[str, ...], duration: float, count: int) -> dict[str, list[dict]]:
+def rows(
+    planners: tuple[str, ...], duration: float, count: int, vehicle: str = "bent"
+) -> dict[str, list[dict]]:
     """Benchmark rows of the first queries of a duration, by planner."""
-    import dataclasses
-
-    suite = get_suite("reach100", system=System())
+    suite = get_suite("reach100", system=System(), vehicle=vehicle)
     queries = [(v, q) for v, q in suite.queries if q.duration == duration][:count]
-    result = run_benchmark(
-        dataclasses.replace(suite, queries=tuple(queries)), planners=planners, workers=1
-    )
+    result = run_benchmark(replace(suite, queries=tuple(queries)), planners=planners, workers=1)
     out: dict[str, list[dict]] = {}
     for row in result["rows"]:
         out.setdefault(row["planner"], []).append(row)
@@ -68,11 +73,17 @@ def test_every_answer_is_feasible_and_none_is_worse(duration):
 
 @pytest.mark.parametrize("duration", [1.0, 2.0, 4.0])
 def test_near_the_best_known(duration):
-    """Within 5 % of the best known energy on nine of ten queries that have one."""
+    """Within 5 % of the best known energy on nine of ten queries."""
     found = rows(("refined",), duration, 12 if duration > 1 else 24)["refined"]
-    known = [r["E_mean"] / r["best_known"] for r in found if r["best_known"] is not None]
-    assert len(known) >= 10
-    assert np.mean(np.array(known) <= 1.05) >= 0.9
+    assert near_best(found) >= 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("duration", [1.0, 2.0, 4.0])
+def test_near_the_best_known_on_the_whole_suite(duration):
+    found = rows(("refined",), duration, 100)["refined"]
+    assert all(r["best_known"] is not None for r in found)
+    assert near_best(found) >= 0.9
 
 
 @pytest.mark.parametrize("duration", [1.0, 2.0, 4.0])
@@ -83,18 +94,26 @@ def test_the_energy_at_the_end_falls_too(duration):
 
 @pytest.mark.parametrize(("duration", "allowed"), [(1.0, 1.0), (2.0, 1.1), (4.0, 1.0)])
 def test_the_peak_does_not_rise(duration, allowed):
-    """Median at T = 2 s as high as the straight line's; 10 % for so few queries."""
+    """Median at T = 2 s 0.96 of the straight line's on all queries; 10 % for so few."""
     found = rows(("refined",), duration, 12 if duration > 1 else 24)
     assert np.median(ratios(found, "refined", "E_peak")) <= allowed
 
 
-def history(count: int) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("duration", [1.0, 2.0, 4.0])
+def test_neither_the_peak_nor_the_end_rises_on_the_whole_suite(duration):
+    found = rows(("refined",), duration, 100)
+    assert np.median(ratios(found, "refined", "E_peak")) <= 1
+    assert ratios(found, "refined", "E_res").max() <= 1
+
+
+def history(names: tuple[str, ...], count: int) -> None:
     """Raw Q goes by what instantaneous motions do; at 1 s it is worse than a straight line.
 
     At every duration the refined motion beats all.
     """
     for duration, worse in ((1.0, True), (4.0, False)):
-        found = rows((*HISTORY, "refined"), duration, count)
+        found = rows(names, duration, count)
         median = {name: np.median(ratios(found, name)) for name in (*HISTORY, "refined")}
         if worse:
             assert max(ratios(found, "hotspot-q").max(), ratios(found, "ompl-q").max()) > 1
@@ -102,25 +121,23 @@ def history(count: int) -> None:
 
 
 def prediction(names: tuple[str, ...], durations: tuple[float, ...], count: int) -> None:
-    """Relative error of the predicted E_mean over all planned motions."""
+    """Relative error of the predicted E_mean over all motions that keep their limits."""
     errors = []
     for duration in durations:
         some = [r for part in rows(names, duration, count).values() for r in part]
-        errors += [
-            abs(r["prediction_error"]) for r in some if r["prediction_error"] is not None
-        ]
+        errors += [abs(r["prediction_error"]) for r in some if r["failure"] is None]
     assert len(errors) >= count * len(names)
     assert np.median(errors) <= 0.02
     assert max(errors) <= 0.10
 
 
 def test_the_history_side_by_side():
-    history(3)
+    history((*HISTORY, "refined"), 3)
 
 
 @pytest.mark.slow
-def test_the_history_side_by_side_on_the_whole_suite():
-    history(100)
+def test_the_history_side_by_side_on_more_queries():
+    history(MOST, 20)
 
 
 def test_prediction_matches_simulation_over_all_planned_motions():
@@ -128,6 +145,24 @@ def test_prediction_matches_simulation_over_all_planned_motions():
 
 
 @pytest.mark.slow
-def test_prediction_matches_simulation_over_the_whole_suite():
-    names = ("smooth-jerk", "shaped-zv", "shaped-zvd", *HISTORY, "direct", "refined")
-    prediction(names, (1.0, 2.0, 4.0), 100)
+def test_prediction_matches_simulation_on_more_queries():
+    prediction(MOST, (1.0, 2.0, 4.0), 20)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("vehicle", "reached"),
+    [
+        (replace(BENT, mass_model="consistent"), {1.0: 0.45, 2.0: 0.06, 4.0: 0.03}),
+        (STRAIGHT_HORIZONTAL, {1.0: 0.60, 2.0: 0.32, 4.0: 0.50}),
+    ],
+    ids=["consistent mass", "straight beam"],
+)
+def test_other_beams(vehicle, reached, tmp_path):
+    """Seen on thirty queries: 0.38, 0.048, 0.024 and 0.55, 0.28, 0.41; here on ten."""
+    path = tmp_path / "beam.toml"
+    write_table(path, vehicle)
+    for duration, most in reached.items():
+        found = rows(("refined",), duration, 10, str(path))
+        assert np.median(ratios(found, "refined")) <= most
+        assert all(row["success"] for row in found["refined"])
