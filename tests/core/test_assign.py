@@ -589,16 +589,17 @@ def test_a_law_that_takes_single_coefficients():
         @dataclasses.dataclass(frozen=True, kw_only=True)
         class Fourier(Effect):
             modes = ("ideal", "emulated")
+            port = "joint"
             size: tuple = parameter("N m", bounds=(0.0, 10.0), shape=(3,))
 
-            def law(self, xp, q, v):
+            def law(self, xp, q, v, tau):
                 return self.size[0] * xp.sin(q) - self.size[1] * v + self.size[2]
 
         template, *systems = (
             IDEAL.replace(effects=(JointCoulomb(torque=(1.0, 2.0, 3.0)), Fourier(size=k)))
             for k in ((1.0, 2.0, 3.0), (3.0, 1.0, 2.0), (0.5, 4.0, 1.0))
         )
-        assert not Laws(template.effects, 2, 3)._stackable
+        assert not Laws(template, 2)._stackable
         for backend in BACKENDS:
             check(template, systems, backend, ids=[0, 2], n=3)
     finally:
@@ -613,7 +614,7 @@ def test_registered_laws_run_together():
     ]
     assert {JointCoulomb, JointStribeck, JointViscous} <= {type(k) for k in laws}
     for law in laws:
-        assert Laws((law,), 2, 3)._stackable, law.kind
+        assert Laws(IDEAL.replace(effects=(law,)), 2)._stackable, law.kind
 
 
 def test_many_simulations_on_several_threads():

@@ -205,10 +205,12 @@ class Inertias:
 class Laws:
     """Torque laws of n simulations whose effects differ in values (`effect.joint_torque`)."""
 
-    def __init__(self, effects: tuple[Effect, ...], n: int, joints: int) -> None:
+    def __init__(self, system: System, n: int) -> None:
+        effects, joints = system.effects, system.arm.n
         self._which = [i for i, effect in enumerate(effects) if effect.has_law]
         laws = [effects[i] for i in self._which]
         self._alone = [laws] * n
+        self._limits = np.tile(system.arm.column("tau_max"), (n, 1))
         self._values = [
             {name: np.tile(np.ravel(getattr(effect, name)), (n, 1)) for name in _names(effect)}
             for effect in laws
@@ -217,19 +219,20 @@ class Laws:
         self._together = _bound(laws, self._values)
         self._stackable = _stackable(laws, joints)
 
-    def put(self, i: int, effects: tuple[Effect, ...]) -> None:
+    def put(self, i: int, system: System) -> None:
         """Values of simulation i."""
-        self._alone[i] = [effects[k] for k in self._which]
+        self._alone[i] = [system.effects[k] for k in self._which]
+        self._limits[i] = system.arm.column("tau_max")
         for effect, values in zip(self._alone[i], self._values, strict=True):
             for name, rows in values.items():
                 rows[i] = np.ravel(getattr(effect, name))
 
-    def torque(self, q: Array, v: Array) -> Array:
-        """(n, joints) torque [N m]."""
+    def torque(self, q: Array, v: Array, tau: Array) -> Array:
+        """(n, joints) torque [N m], under motor torques tau (n, joints)."""
         if self._stackable:
-            return joint_torque(self._together, q, v)
-        rows = zip(self._alone, q, v, strict=True)
-        return np.stack([joint_torque(laws, a, b) for laws, a, b in rows])
+            return joint_torque(self._together, q, v, tau, self._limits)
+        rows = zip(self._alone, q, v, tau, self._limits, strict=True)
+        return np.stack([joint_torque(*row) for row in rows])
 
 
 def _names(effect: Effect) -> list[str]:
@@ -247,17 +250,19 @@ def _stackable(laws: list[Effect], joints: int) -> bool:
     Found out with made-up numbers, different in two simulations.
     """
     shapes = [{name: np.shape(getattr(e, name)) for name in _names(e)} for e in laws]
-    q, v = np.linspace([0.3, -0.4], [0.9, 1.1], joints, axis=1)
+    q, v, tau = np.linspace([0.3, -0.4, 0.7], [0.9, 1.1, -1.9], joints, axis=1)
+    limit = np.full(joints, 0.6)
     rng = np.random.default_rng(0)
     made = [{k: rng.uniform(0.5, 2.0, (2, *s)) for k, s in given.items()} for given in shapes]
     stacked = [{k: values.reshape(2, -1) for k, values in given.items()} for given in made]
     rows = [[{k: values[i] for k, values in given.items()} for given in made] for i in (0, 1)]
     try:
-        together = joint_torque(_bound(laws, stacked), np.stack([q, v]), np.stack([v, q]))
+        both = np.stack([q, v]), np.stack([v, q]), np.stack([tau, q])
+        together = joint_torque(_bound(laws, stacked), *both, limit)
     except (ValueError, IndexError):
         return False
-    states = ((q, v), (v, q))
-    alone = [joint_torque(_bound(laws, rows[i]), *states[i]) for i in (0, 1)]
+    states = ((q, v, tau), (v, q, q))
+    alone = [joint_torque(_bound(laws, rows[i]), *states[i], limit) for i in (0, 1)]
     same: bool = together.shape == (2, joints) and np.allclose(
         together, alone, rtol=1e-9, atol=0
     )

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from ves_gym.core.system import System
 
 EFFECTS: dict[str, type[Effect]] = {}
+# Balance of torques at the joints; force sensor; estimate of the arm's weight; vehicle, real
+# or emulated; from the platform's command to its pose.
+PORTS = ("joint", "wrench", "gravity", "admittance", "platform")
 
 
 class Effect:
@@ -29,11 +32,15 @@ class Effect:
     at the joints, in space as in the laboratory: a pure function of arrays written against a
     small namespace `xp` (tanh, exp, fabs, ...), so that one text runs in NumPy and is
     compiled into the kernel and its derivatives.
+
+    `port` says at which component of the loop it enters, for whoever looks for it there.
     """
 
     REGISTRY: ClassVar[dict[str, type[Effect]]] = EFFECTS
     kind: ClassVar[str]  # "place/name"; set by `register`
     modes: ClassVar[tuple[str, ...]] = ("emulated",)
+    port: ClassVar[str]  # one of PORTS
+    tau_max: Any  # in `law`: (n,) torque limits of the arm as described [N m]
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):  # type: ignore[arg-type]
@@ -63,12 +70,14 @@ class Effect:
     def edit(self, p: Parameters) -> None:
         """Add the deviation to the machine's parameters."""
 
-    def law(self, xp: Any, q: Any, v: Any) -> Any:
-        """Torque at the joints, outside the motors [N m]: q, v (..., n) -> (..., n).
+    def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
+        """Torque at the joints beside the motors' [N m]: q, v, tau (..., n) -> (..., n).
 
-        Parameters of the effect are arrays (or symbols) here, whatever they were given as:
-        () or (n,), and (simulations, 1) or (simulations, n) where simulations have values of
-        their own (`Simulator.assign`) and the law is seen to broadcast.
+        tau [N m] is what the motors are told to give, within the limits of the arm as
+        described; it is what logs record. Parameters of the effect, and `tau_max`, are
+        arrays (or symbols) here, whatever they were given as: () or (n,), and (simulations,
+        1) or (simulations, n) where simulations have values of their own
+        (`Simulator.assign`) and the law is seen to broadcast.
         """
         raise NotImplementedError
 
@@ -78,7 +87,7 @@ class Effect:
         return type(self).law is not Effect.law
 
     def bound(self, values: dict[str, Any]) -> Any:
-        """The same effect with arrays or symbols for parameters, as `law` takes them."""
+        """The effect with arrays or symbols for parameters (and `tau_max`), as in `law`."""
         out = object.__new__(type(self))
         for name, value in values.items():
             object.__setattr__(out, name, value)
@@ -87,6 +96,20 @@ class Effect:
     def _require(self, fits: bool, what: str) -> None:
         if not fits:
             raise ParameterError(f"effect {self.kind} would do nothing: it needs {what}")
+
+    def _require_per_joint(self, system: System, *names: str) -> None:
+        """One number per joint in each of the named parameters."""
+        n = system.arm.n
+        for name in names:
+            if len(getattr(self, name)) != n:
+                raise ParameterError(
+                    f"{self.kind}.{name} must be {n} numbers, one per joint, got"
+                    f" {len(getattr(self, name))}"
+                )
+
+    def _require_motor(self, system: System) -> None:
+        """A joint that follows its command exactly has no torque of its own."""
+        self._require(system.drive == "motor", f"drive motor, got drive {system.drive}")
 
     @property
     def is_null(self) -> bool:
@@ -133,6 +156,10 @@ def register(kind: str) -> Callable[[E], E]:
     def decorate(cls: E) -> E:
         if cls.edit is Effect.edit and cls.law is Effect.law:
             raise ParameterError(f"effect {kind!r} must have `edit` or `law`, got neither")
+        if getattr(cls, "port", None) not in PORTS:
+            known = ", ".join(PORTS)
+            got = getattr(cls, "port", None)
+            raise ParameterError(f"effect {kind!r}: port must be one of {known}, got {got!r}")
         if kind in EFFECTS:
             raise ParameterError(
                 f"effect {kind!r} is already registered by {EFFECTS[kind].__name__}"
@@ -144,12 +171,17 @@ def register(kind: str) -> Callable[[E], E]:
     return decorate
 
 
-def joint_torque(effects: Iterable[Effect], q: Array, v: Array) -> Array:
-    """(..., n) torque of all laws among the effects [N m], at angles and rates (..., n)."""
+def joint_torque(
+    effects: Iterable[Effect], q: Array, v: Array, tau: Array, tau_max: Array
+) -> Array:
+    """(..., n) torque of all laws among the effects [N m].
+
+    At angles and rates (..., n), under motor torques tau (..., n) of limits tau_max (n,).
+    """
     out = np.zeros(q.shape)
     for effect in effects:
         if effect.has_law:
             fields = dataclasses.fields(effect)  # type: ignore[arg-type]
             values = {f.name: np.asarray(getattr(effect, f.name), float) for f in fields}
-            out = out + effect.bound(values).law(np, q, v)
+            out = out + effect.bound({**values, "tau_max": tau_max}).law(np, q, v, tau)
     return out

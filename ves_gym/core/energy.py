@@ -214,7 +214,8 @@ def ledger(log: RunLog) -> Ledger:
     strain = quadratic(system.base.K, log.y)
     stored, power = _port_energy(system, log.y, log.yd)
     dissipated = scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0)
-    lost = -np.sum(joint_torque(system.effects, log.q, log.v) * log.v, axis=-1)
+    laws = joint_torque(system.effects, log.q, log.v, log.tau, system.arm.column("tau_max"))
+    lost = -np.sum(laws * log.v, axis=-1)
     in_joints = scipy.integrate.cumulative_simpson(lost, x=log.t, initial=0.0)
     work = _drive_work(system, log)
     residual = work - (kinetic - kinetic[0]) - (strain - strain[0]) - dissipated

@@ -12,8 +12,14 @@ from ves_gym.effects.gravity_mass import GravityMass
 from ves_gym.effects.gravity_moment import GravityMoment
 from ves_gym.effects.gravity_scale import GravityScale
 from ves_gym.effects.gravity_tilt import GravityTilt
+from ves_gym.effects.joint_asymmetry import JointAsymmetry
 from ves_gym.effects.joint_coulomb import JointCoulomb
+from ves_gym.effects.joint_drive_gain import JointDriveGain
+from ves_gym.effects.joint_load_friction import JointLoadFriction
+from ves_gym.effects.joint_ripple import JointRipple
 from ves_gym.effects.joint_stribeck import JointStribeck
+from ves_gym.effects.joint_torque_limit import JointTorqueLimit
+from ves_gym.effects.joint_torque_offset import JointTorqueOffset
 from ves_gym.effects.joint_viscous import JointViscous
 from ves_gym.effects.payload_inertia import PayloadInertia
 from ves_gym.effects.platform_bandwidth import PlatformBandwidth
@@ -34,8 +40,14 @@ __all__ = [
     "GravityMoment",
     "GravityScale",
     "GravityTilt",
+    "JointAsymmetry",
     "JointCoulomb",
+    "JointDriveGain",
+    "JointLoadFriction",
+    "JointRipple",
     "JointStribeck",
+    "JointTorqueLimit",
+    "JointTorqueOffset",
     "JointViscous",
     "PayloadInertia",
     "PlatformBandwidth",

@@ -14,6 +14,7 @@ from ves_gym.core.system import System
 class GravityDelay(Effect):
     """The gravity estimate is of joints and pose `delay` ago."""
 
+    port = "gravity"
     delay: float = parameter("s", bounds=(0.0, 0.5))
 
     def check(self, system: System) -> None:

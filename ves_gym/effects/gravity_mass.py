@@ -14,6 +14,7 @@ from ves_gym.core.system import System
 class GravityMass(Effect):
     """The gravity estimate takes the arm for heavier by `error`; its moments are right."""
 
+    port = "gravity"
     error: float = parameter("kg", bounds=(-20.0, 20.0))
 
     def check(self, system: System) -> None:

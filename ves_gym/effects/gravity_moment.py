@@ -18,6 +18,7 @@ from ves_gym.core.system import System
 class GravityMoment(Effect):
     """Errors of the minimal moment parameters, in their order (`minimal_model(arm).names`)."""
 
+    port = "gravity"
     error: Vector = parameter("kg m", bounds=(-20.0, 20.0), null=0.0, shape=(None,))
 
     def check(self, system: System) -> None:

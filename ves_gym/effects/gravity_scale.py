@@ -14,6 +14,7 @@ from ves_gym.core.system import System
 class GravityScale(Effect):
     """The gravity estimate is too large by the fraction `error`, force and moment alike."""
 
+    port = "gravity"
     error: float = parameter("1", bounds=(-0.2, 0.2))
 
     def check(self, system: System) -> None:

@@ -17,6 +17,7 @@ from ves_gym.core.system import System
 class GravityTilt(Effect):
     """The pose given to the gravity estimate is turned by `angles` about x, y and z."""
 
+    port = "gravity"
     angles: Vector = parameter("rad", bounds=(-0.1, 0.1), shape=(3,))
 
     def check(self, system: System) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.params import ParameterError, Vector
+from ves_gym.core.params import Vector
 from ves_gym.core.system import System
 
 CREEP = 1e-2  # rad/s over which friction builds up from rest
@@ -18,19 +18,14 @@ class JointCoulomb(Effect):
     """Friction of constant size against the motion; smooth at rest, so a joint creeps."""
 
     modes = ("ideal", "emulated")
+    port = "joint"
     torque: Vector = parameter("N m", bounds=(0.0, 50.0), shape=(None,))
 
     def check(self, system: System) -> None:
         """One number per joint."""
-        n = system.arm.n
-        for name in ("torque",):
-            if len(getattr(self, name)) != n:
-                raise ParameterError(
-                    f"{self.kind}.{name} must be {n} numbers, one per joint, got"
-                    f" {len(getattr(self, name))}"
-                )
+        self._require_per_joint(system, "torque")
 
-    def law(self, xp: Any, q: Any, v: Any) -> Any:
+    def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
         """-torque tanh(v / CREEP)."""
         torque: Any = self.torque
         return -torque * xp.tanh(v / CREEP)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.params import ParameterError, Vector
+from ves_gym.core.params import Vector
 from ves_gym.core.system import System
 
 CREEP = 1e-2  # of fade_speed over which friction builds up from rest
@@ -22,21 +22,16 @@ class JointStribeck(Effect):
     """
 
     modes = ("ideal", "emulated")
+    port = "joint"
     coulomb: Vector = parameter("N m", bounds=(0.0, 50.0), shape=(None,))
     stiction: Vector = parameter("N m", bounds=(0.0, 80.0), shape=(None,))
     fade_speed: float = parameter("rad/s", bounds=(1e-2, 2.0), null=None, default=0.2)
 
     def check(self, system: System) -> None:
         """One number per joint."""
-        n = system.arm.n
-        for name in ("coulomb", "stiction"):
-            if len(getattr(self, name)) != n:
-                raise ParameterError(
-                    f"{self.kind}.{name} must be {n} numbers, one per joint, got"
-                    f" {len(getattr(self, name))}"
-                )
+        self._require_per_joint(system, "coulomb", "stiction")
 
-    def law(self, xp: Any, q: Any, v: Any) -> Any:
+    def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
         """Level fading from stiction to Coulomb with (v / fade_speed)^2, against the motion."""
         coulomb: Any = self.coulomb
         stiction: Any = self.stiction

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.params import ParameterError, Vector
+from ves_gym.core.params import Vector
 from ves_gym.core.system import System
 
 
@@ -16,19 +16,14 @@ class JointViscous(Effect):
     """Friction in proportion to the joint's rate."""
 
     modes = ("ideal", "emulated")
+    port = "joint"
     damping: Vector = parameter("N m s/rad", bounds=(0.0, 100.0), shape=(None,))
 
     def check(self, system: System) -> None:
         """One number per joint."""
-        n = system.arm.n
-        for name in ("damping",):
-            if len(getattr(self, name)) != n:
-                raise ParameterError(
-                    f"{self.kind}.{name} must be {n} numbers, one per joint, got"
-                    f" {len(getattr(self, name))}"
-                )
+        self._require_per_joint(system, "damping")
 
-    def law(self, xp: Any, q: Any, v: Any) -> Any:
+    def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
         """-damping v."""
         damping: Any = self.damping
         return -damping * v

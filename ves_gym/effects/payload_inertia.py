@@ -14,6 +14,7 @@ from ves_gym.core.system import System
 class PayloadInertia(Effect):
     """The compensation takes the arm's inertia for larger by the fraction `error`."""
 
+    port = "admittance"
     error: float = parameter("1", bounds=(-0.9, 2.0))
 
     def check(self, system: System) -> None:

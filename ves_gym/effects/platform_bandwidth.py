@@ -15,6 +15,7 @@ from ves_gym.core.system import System
 class PlatformBandwidth(Effect):
     """The platform's bandwidth differs from the stated one by the fraction `error`."""
 
+    port = "platform"
     error: float = parameter("1", bounds=(-0.9, 10.0))
 
     def check(self, system: System) -> None:

@@ -16,6 +16,7 @@ from ves_gym.core.params import Vector
 class SensorBias(Effect):
     """Offset of the signals in the sensor frame. Zeroing the sensor takes it out."""
 
+    port = "wrench"
     force: Vector = parameter("N", bounds=(-100.0, 100.0), shape=(3,))
     moment: Vector = parameter("N m", bounds=(-50.0, 50.0), shape=(3,))
 

@@ -18,6 +18,7 @@ class SensorCalibration(Effect):
     cross-talk beside it. Between forces and moments the unit is 1/m or m.
     """
 
+    port = "wrench"
     error: Matrix = parameter("1", bounds=(-0.5, 0.5), shape=(6, 6))
 
     def edit(self, p: Parameters) -> None:

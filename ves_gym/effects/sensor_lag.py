@@ -13,6 +13,7 @@ from ves_gym.core.laboratory import Parameters
 class SensorLag(Effect):
     """The sensor filter's cut-off differs from the stated one by the fraction `error`."""
 
+    port = "wrench"
     error: float = parameter("1", bounds=(-0.9, 10.0))
 
     def edit(self, p: Parameters) -> None:

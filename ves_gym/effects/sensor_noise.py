@@ -16,6 +16,7 @@ from ves_gym.core.params import Vector
 class SensorNoise(Effect):
     """Standard deviation of the signals' noise, as it is left after the sensor's filter."""
 
+    port = "wrench"
     force: Vector = parameter("N", bounds=(0.0, 20.0), shape=(3,))
     moment: Vector = parameter("N m", bounds=(0.0, 10.0), shape=(3,))
 

@@ -17,6 +17,7 @@ from ves_gym.core.params import Vector
 class SensorRotation(Effect):
     """The sensor is turned by the small `angles` about its x, y, z against its stated frame."""
 
+    port = "wrench"
     angles: Vector = parameter("rad", bounds=(-0.1, 0.1), shape=(3,))
 
     def edit(self, p: Parameters) -> None:

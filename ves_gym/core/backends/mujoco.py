@@ -116,6 +116,7 @@ class MujocoBackend:
         self._own_laws: Laws | None = None
         self._whole = False  # the layout of `compile_model`
         self._systems = [system] * n
+        self._limits = np.tile(system.arm.column("tau_max"), (n, 1))
         self._varied: set[str] = set()  # fields of the model that differ, gains apart
         self._load(compile_model(system))
 
@@ -167,10 +168,11 @@ class MujocoBackend:
             self.set_state(state)
             self._whole = True
         if self._laws and self._own_laws is None:
-            self._own_laws = Laws(self.system.effects, self.n, self.joints)
+            self._own_laws = Laws(self.system, self.n)
         for i, system in pairs:
             if self._own_laws is not None:
-                self._own_laws.put(i, system.effects)
+                self._own_laws.put(i, system)
+                self._limits[i] = system.arm.column("tau_max")
             if i in others:
                 change = known[bodies_of(system)]
                 for name in self._varied | change.keys():
@@ -200,9 +202,21 @@ class MujocoBackend:
         """Set the torque of the effects' laws, held until the next physics step."""
         if self._laws:
             q, v = self._qpos[:, 6:], self._qvel[:, 6:]
-            own = self._own_laws
-            torque = joint_torque(self._laws, q, v) if own is None else own.torque(q, v)
+            own, tau = self._own_laws, self._motor_torque(q, v)
+            if own is None:
+                torque = joint_torque(self._laws, q, v, tau, self._limits[0])
+            else:
+                torque = own.torque(q, v, tau)
             self._applied[:, 6:] = torque
+
+    def _motor_torque(self, q: Array, v: Array) -> Array:
+        """(n, joints) what the motors are told now, within their limits [N m]."""
+        tau = self._command[:, self._drives] * self.model.actuator_gainprm[self._drives, 0]
+        if self._bias is not None:
+            tau += self._bias[:, self._drives, 1] * q + self._bias[:, self._drives, 2] * v
+        if not self.prescribed:
+            tau = np.clip(tau, -self._limits, self._limits)
+        return np.asarray(tau, dtype=np.float64)
 
     def play(self, commands: Array, ids: Index | None) -> None:
         slopes = np.diff(commands, axis=1) / self.model.opt.timestep

@@ -5,6 +5,7 @@ Built on `core/dynamics.py`: inertia and Newton-Euler are written there and nowh
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -33,17 +34,30 @@ class Model:
     gain: list[Expression]
     laws: list[tuple[Effect, dict[str, Any]]]  # with their numbers
 
-    def push(self, q: list[Any], v: list[Any], xp: Any) -> list[Any]:
-        """Torque of the effects' laws at the joints."""
+    def push(self, q: list[Any], v: list[Any], tau: list[Any], xp: Any) -> list[Any]:
+        """Torque of the effects' laws at the joints, under motor torques tau."""
         total = [0.0] * len(q)
         for effect, values in self.laws:
+            if _vanishes(effect, values):
+                continue
             given = {
                 k: xp.vertcat(*value) if isinstance(value, list) else value
                 for k, value in values.items()
             }
-            torque = effect.bound(given).law(xp, xp.vertcat(*q), xp.vertcat(*v))
+            bound = effect.bound({**given, "tau_max": xp.vertcat(*self.limit)})
+            torque = bound.law(xp, xp.vertcat(*q), xp.vertcat(*v), xp.vertcat(*tau))
             total = [a + b for a, b in zip(total, xp.vertsplit(torque), strict=True)]
         return total
+
+
+def _vanishes(effect: Effect, values: dict[str, Any]) -> bool:
+    """Whether every number that makes the effect act is a structural zero."""
+    for field in dataclasses.fields(effect):  # type: ignore[arg-type]
+        value, null = values[field.name], field.metadata["null"]
+        numbers = value if isinstance(value, list) else [value]
+        if null is not None and not (null == 0 and all(is_zero(k) for k in numbers)):
+            return False
+    return True
 
 
 def drive_torque(

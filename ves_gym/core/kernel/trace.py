@@ -184,9 +184,10 @@ def _laws(system: System) -> str:
     import casadi as ca
 
     model, symbols = _symbols(system)
-    q, v = (ca.SX.sym(name, system.arm.n) for name in "qv")
-    torque = ca.vertcat(*model.push(ca.vertsplit(q), ca.vertsplit(v), ca))
-    graph = ca.Function("laws", [q, v, ca.vertcat(*symbols)], [torque])
+    q, v, tau = (ca.SX.sym(name, system.arm.n) for name in ("q", "v", "tau"))
+    parts = [list(ca.vertsplit(part)) for part in (q, v, tau)]
+    torque = ca.vertcat(*model.push(parts[0], parts[1], parts[2], ca))
+    graph = ca.Function("laws", [q, v, tau, ca.vertcat(*symbols)], [torque])
     return hashlib.sha256(graph.serialize().encode()).hexdigest()
 
 
@@ -212,7 +213,7 @@ def equations(system: System) -> Equations:
     z, zd = list(ca.vertsplit(x))[: 6 + n], list(ca.vertsplit(x))[6 + n :]
     base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
     drive, tau = drive_torque(model, z, zd, command, ca)
-    joint = [a + b for a, b in zip(tau, model.push(z[6:], zd[6:], ca), strict=True)]
+    joint = [a + b for a, b in zip(tau, model.push(z[6:], zd[6:], tau, ca), strict=True)]
 
     def accelerations(implicit: list[list[Any]]) -> tuple[list[Any], list[Any]]:
         if system.mode == "emulated":
@@ -288,7 +289,7 @@ def _balance(system: System) -> _Balance:
     z, zd = list(ca.vertsplit(x))[:size], list(ca.vertsplit(x))[size:]
     base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
     tau = drive_torque(model, z, zd, command, ca)[1]
-    tau = [k + law for k, law in zip(tau, model.push(z[6:], zd[6:], ca), strict=True)]
+    tau = [k + law for k, law in zip(tau, model.push(z[6:], zd[6:], tau, ca), strict=True)]
     mass, loads = balance_of_forces(model, z, zd, base, tau, ca)
     return _Balance(
         names=tuple(str(k) for k in symbols),

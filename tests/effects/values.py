@@ -1,0 +1,57 @@
+"""A typical value of every effect for the PUMA 560; a new effect must be entered here."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ves_gym.core.arm import matrix
+from ves_gym.core.effect import EFFECTS, Effect
+
+CROSS = 0.02 * np.random.default_rng(0).normal(size=(6, 6))
+
+VALUES = {
+    "gravity/delay": {"delay": 0.03},
+    "gravity/mass": {"error": 0.5},
+    "gravity/moment": {"error": tuple((0.1 * np.arange(1.0, 10.0)).tolist())},
+    "gravity/scale": {"error": 0.01},
+    "gravity/tilt": {"angles": (0.01, -0.02, 0.0)},
+    "joint/asymmetry": {"coulomb": (1.0, -2.0, 0.5), "viscous": (0.5, 0.5, -0.2)},
+    "joint/coulomb": {"torque": (1.0, 2.0, 0.5)},
+    "joint/drive_gain": {"error": (0.05, -0.05, 0.1)},
+    "joint/load_friction": {"coefficient": (0.05, 0.1, 0.05)},
+    "joint/ripple": {
+        "amplitude": (1.0, 1.0, 0.5),
+        "cycles": (62.6, 107.8, 53.7),
+        "phase": (0.0, 1.0, -2.0),
+    },
+    "joint/stribeck": {"coulomb": (1.0,) * 3, "stiction": (2.0,) * 3, "fade_speed": 0.1},
+    "joint/torque_limit": {"fraction": (0.9, 0.8, 0.9)},
+    "joint/torque_offset": {"torque": (1.0, -2.0, 0.5)},
+    "joint/viscous": {"damping": (2.0, 2.0, 1.0)},
+    "payload/inertia": {"error": 0.1},
+    "platform/bandwidth": {"error": -0.2},
+    "platform/damping": {"error": 0.3},
+    "sensor/bias": {"force": (1.0, -2.0, 3.0), "moment": (0.5, 0.0, -0.5)},
+    "sensor/calibration": {"error": matrix(CROSS)},
+    "sensor/drift": {"force": (1.0, 1.0, 1.0), "moment": (0.3,) * 3, "time": 2.0},
+    "sensor/lag": {"error": -0.3},
+    "sensor/noise": {"force": (1.0, 0.5, 2.0), "moment": (0.1,) * 3},
+    "sensor/rotation": {"angles": (0.01, 0.02, -0.03)},
+}
+
+
+def effect(kind: str) -> Effect:
+    """The effect at its typical value."""
+    return EFFECTS[kind](**VALUES[kind])
+
+
+def null(kind: str) -> Effect:
+    """The effect at its null value; parameters that have none keep the typical one."""
+    values = dict(VALUES[kind])
+    for field in dataclasses.fields(EFFECTS[kind]):
+        zero = field.metadata["null"]
+        if zero is not None:
+            values[field.name] = np.full(np.shape(values[field.name]), zero)
+    return EFFECTS[kind](**values)

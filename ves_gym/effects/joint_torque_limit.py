@@ -1,0 +1,34 @@
+"""Joint drive: saturates early."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.params import Vector
+from ves_gym.core.system import System
+
+
+@register("joint/torque_limit")
+@dataclass(frozen=True, kw_only=True)
+class JointTorqueLimit(Effect):
+    """Motors give at most (1 - `fraction`) of their stated limit (a current limit).
+
+    The log shows the torque told (derived here).
+    """
+
+    modes = ("ideal", "emulated")
+    port = "joint"
+    fraction: Vector = parameter("1", bounds=(0.0, 0.95), shape=(None,))
+
+    def check(self, system: System) -> None:
+        """One number per joint, on motors."""
+        self._require_per_joint(system, "fraction")
+        self._require_motor(system)
+
+    def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
+        """What is missing of tau above (1 - fraction) tau_max."""
+        fraction: Any = self.fraction
+        most = (1 - fraction) * self.tau_max
+        return xp.fmin(xp.fmax(tau, -most), most) - tau
