@@ -88,7 +88,7 @@ def test_one_number_per_joint():
 
 
 def test_an_effect_must_do_something():
-    with pytest.raises(ParameterError, match="must have `edit` or `law`"):
+    with pytest.raises(ParameterError, match="must have one of `edit`, `law`, "):
 
         @register("test/nothing")
         class Nothing(Effect):

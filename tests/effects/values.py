@@ -12,6 +12,9 @@ from ves_gym.core.effect import EFFECTS, Effect
 CROSS = 0.02 * np.random.default_rng(0).normal(size=(6, 6))
 
 VALUES = {
+    "base/damping": {"error": 0.5},
+    "base/stiffness": {"error": -0.2},
+    "base/virtual_mass": {"error": 0.2},
     "gravity/delay": {"delay": 0.03},
     "gravity/mass": {"error": 0.5},
     "gravity/moment": {"error": tuple((0.1 * np.arange(1.0, 10.0)).tolist())},
@@ -26,11 +29,14 @@ VALUES = {
         "cycles": (62.6, 107.8, 53.7),
         "phase": (0.0, 1.0, -2.0),
     },
+    "joint/rotor_inertia": {"added": (0.5, 1.0, 0.3)},
     "joint/stribeck": {"coulomb": (1.0,) * 3, "stiction": (2.0,) * 3, "fade_speed": 0.1},
     "joint/torque_limit": {"fraction": (0.9, 0.8, 0.9)},
     "joint/torque_offset": {"torque": (1.0, -2.0, 0.5)},
     "joint/viscous": {"damping": (2.0, 2.0, 1.0)},
+    "payload/com": {"offset": (0.05, -0.02, 0.03)},
     "payload/inertia": {"error": 0.1},
+    "payload/mass": {"mass": 2.0, "position": (0.05, 0.0, 0.1)},
     "platform/bandwidth": {"error": -0.2},
     "platform/damping": {"error": 0.3},
     "sensor/bias": {"force": (1.0, -2.0, 3.0), "moment": (0.5, 0.0, -0.5)},

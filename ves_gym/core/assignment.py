@@ -150,8 +150,8 @@ class Bodies:
 
     @staticmethod
     def of(system: System, linear: bool, numbers: Array) -> Bodies:
-        """One row, for a system and its numbers (k,)."""
-        base, weight = system.base, GravityModel.of(system.arm)
+        """One row, for a system and its numbers (k,): what is really there, but for those."""
+        base, weight = system.actual.base, GravityModel.of(system.actual.arm)
         phi, gamma = np.zeros((12, 12)), np.zeros((12, 6))
         if linear:
             form = system.laboratory.admittance_form

@@ -15,10 +15,13 @@ import numpy as np
 from ves_gym.core.params import Array, ParameterError, to_plain, unit
 
 if TYPE_CHECKING:
+    from ves_gym.core.arm import Arm
     from ves_gym.core.laboratory import Parameters
     from ves_gym.core.system import System
+    from ves_gym.core.vehicle import BaseModel
 
 EFFECTS: dict[str, type[Effect]] = {}
+WAYS = ("edit", "law", "arm", "base")  # methods by which an effect acts
 # Balance of torques at the joints; force sensor; estimate of the arm's weight; vehicle, real
 # or emulated; from the platform's command to its pose.
 PORTS = ("joint", "wrench", "gravity", "admittance", "platform")
@@ -27,11 +30,13 @@ PORTS = ("joint", "wrench", "gravity", "admittance", "platform")
 class Effect:
     """Base of all effects; see `register` and `parameter`.
 
-    An effect acts in one of two ways. `edit` changes the parameters of the laboratory: it
-    adds to them, so that several effects combine and none undoes another. `law` is a torque
-    at the joints, in space as in the laboratory: a pure function of arrays written against a
-    small namespace `xp` (tanh, exp, fabs, ...), so that one text runs in NumPy and is
-    compiled into the kernel and its derivatives.
+    An effect acts in one of these ways (docs/decisions/0012). `edit` changes the parameters
+    of the laboratory: it adds to them, so that several effects combine and none undoes
+    another. `law` is a torque at the joints, in space as in the laboratory: a pure function
+    of arrays written against a small namespace `xp` (tanh, exp, fabs, ...), so that one text
+    runs in NumPy and is compiled into the kernel and its derivatives. `arm` and `base` say
+    what arm and vehicle really are, while all that is computed about them - gravity
+    estimate, payload compensation, feed-forward, plans - goes by the description.
 
     `port` says at which component of the loop it enters, for whoever looks for it there.
     """
@@ -80,6 +85,19 @@ class Effect:
         (`Simulator.assign`) and the law is seen to broadcast.
         """
         raise NotImplementedError
+
+    def arm(self, arm: Arm) -> Arm:
+        """The arm that is really there, from the described one."""
+        return arm
+
+    def base(self, base: BaseModel) -> BaseModel:
+        """The vehicle that is really there (or emulated), from the described one."""
+        return base
+
+    @property
+    def is_plant(self) -> bool:
+        """Whether this effect is a difference of arm or vehicle from their description."""
+        return type(self).arm is not Effect.arm or type(self).base is not Effect.base
 
     @property
     def has_law(self) -> bool:
@@ -154,8 +172,9 @@ def register(kind: str) -> Callable[[E], E]:
     """Class decorator: file an effect under "place/name"; a name already taken is an error."""
 
     def decorate(cls: E) -> E:
-        if cls.edit is Effect.edit and cls.law is Effect.law:
-            raise ParameterError(f"effect {kind!r} must have `edit` or `law`, got neither")
+        if all(getattr(cls, name) is getattr(Effect, name) for name in WAYS):
+            known = ", ".join(f"`{name}`" for name in WAYS)
+            raise ParameterError(f"effect {kind!r} must have one of {known}, got none")
         if getattr(cls, "port", None) not in PORTS:
             known = ", ".join(PORTS)
             got = getattr(cls, "port", None)

@@ -205,7 +205,7 @@ def ledger(log: RunLog) -> Ledger:
     if log.tau is None or log.v is None or log.yd is None:
         missing = [k for k in ("tau", "v", "yd") if getattr(log, k) is None]
         raise ParameterError(f"the energy ledger needs the columns {', '.join(missing)}")
-    system = _system(log)
+    system = _system(log).actual
     rates = np.concatenate([twist(log.y, log.yd), log.v], axis=-1)
     body = inertia(system.arm, log.q)
     if system.base.body is not None:

@@ -23,6 +23,7 @@ from ves_gym.core.admittance import (
 )
 from ves_gym.core.arm import Arm
 from ves_gym.core.assignment import Bodies, Inertias, ParameterRows, bodies_of
+from ves_gym.core.effect import Effect
 from ves_gym.core.emulator import Emulator
 from ves_gym.core.force_sensor import LowPass, Sensor, SensorErrors
 from ves_gym.core.gravity import GravityModel, gravity_vector, gravity_wrench
@@ -161,7 +162,8 @@ class Laboratory:
         self.follower = self._follower(p)
         self.custom = admittance
         self._nonlinear = admittance
-        base = system.base
+        _require_vehicle(system, admittance)
+        base = system.actual.base  # the arm's model, in what follows, is the description
         if base.body is not None and admittance is None:
             self._nonlinear = rigid_body(base.body, base)
         self.compensating = emulator.payload_compensation and emulator.operation != "position"
@@ -225,7 +227,7 @@ class Laboratory:
         """
         pairs = list(zip(ids.tolist(), systems, strict=True))
         p = Parameters.stacked([self._parameters_of(system) for system in systems])
-        others = [(i, k) for i, k in pairs if bodies_of(k) != bodies_of(self._systems[i])]
+        others = [(i, k) for i, k in pairs if _all_bodies(k) != _all_bodies(self._systems[i])]
         if self.custom is not None and any(
             k.vehicle is not self.system.vehicle for _, k in pairs
         ):
@@ -234,7 +236,7 @@ class Laboratory:
                 " with the vehicle of the simulator's own"
             )
         bodies, inertias = self._bodies, self._inertias
-        known: dict[tuple[int, int], Bodies] = {}  # a row of each arm and vehicle seen
+        known: dict[tuple[int, ...], Bodies] = {}  # a row of each arm and vehicle seen
         if others:
             names = ParameterRows(self.system) if self.compensating else None
 
@@ -244,8 +246,8 @@ class Laboratory:
                 return Bodies.of(system, self._linear is not None, numbers)
 
             for i, k in others:
-                if bodies_of(k) not in known:
-                    known[bodies_of(k)] = row(k, f"system of simulation {i}")
+                if _all_bodies(k) not in known:
+                    known[_all_bodies(k)] = row(k, f"system of simulation {i}")
             if bodies is None:
                 bodies = row(self.system, "own system").repeated(self.n)
                 inertias = Inertias(self.system, self.n) if self.compensating else None
@@ -254,7 +256,7 @@ class Laboratory:
             self._bodies, self._inertias = bodies, inertias
             for i, system in others:
                 assert bodies is not None
-                bodies.put(i, known[bodies_of(system)])
+                bodies.put(i, known[_all_bodies(system)])
                 if inertias is not None:
                     inertias.arms[i] = system.arm
             for i, system in pairs:
@@ -413,7 +415,7 @@ class Laboratory:
 
     def _weight_of(self, q: Array, y: Array, ids: Index) -> Array:
         """True static wrench (m, 6) of the arm on the platform."""
-        arm, own = self.system.arm, self._bodies
+        arm, own = self.system.actual.arm, self._bodies
         if own is None:
             return GravityModel.of(arm).wrench(arm, q, y)
         return gravity_wrench(arm, q, gravity_vector(y), own.mass[ids], own.P[ids])
@@ -477,7 +479,7 @@ class Laboratory:
         self, H: Array, X: Array, sway: Array, force: Array, ids: Index
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Matrices, state and force of vehicle and servo-held joints as one linear system."""
-        base, own, m = self.system.base, self._bodies, self._moving
+        base, own, m = self.system.actual.base, self._bodies, self._moving
         M, D, K = np.zeros((3, len(ids), 6 + m, 6 + m))
         turn = np.broadcast_to(np.eye(6 + m), M.shape).copy()
         turn[:, :6, :6] = rate_matrix(X[:, :6])
@@ -566,6 +568,20 @@ class Laboratory:
         for i in ids[~s.frozen[ids]].tolist():
             s.frozen[i] = True
             self.events.append(Event(i, float(s.time[i]), reason))
+
+
+def _all_bodies(system: System) -> tuple[int, ...]:
+    """Arm and vehicle as described and as they are."""
+    return bodies_of(system) + bodies_of(system.actual)
+
+
+def _require_vehicle(system: System, admittance: Nonlinear | None) -> None:
+    """Refuse effects on a vehicle whose place an `admittance` takes."""
+    on_base = [e.kind for e in system.effects if type(e).base is not Effect.base]
+    if admittance is not None and on_base:
+        raise ParameterError(
+            f"effect {on_base[0]} would do nothing: an `admittance` takes the vehicle's place"
+        )
 
 
 def _linearised(g: Nonlinear, X: Array, stacked: bool) -> tuple[Array, Array, Array, Array]:

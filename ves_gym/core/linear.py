@@ -86,6 +86,7 @@ def linearise_ideal(
             f"linearise_ideal needs mode ideal, got {system.mode}: system.ideal() is what it"
             " emulates, core.stability.linearise the laboratory's loop"
         )
+    system = system.actual
     n, size = system.arm.n, 6 + system.arm.n
     names, p = parameters(system)
     kp = np.zeros(n)

@@ -297,7 +297,7 @@ def _commands(sim: Simulator, s: Samples) -> Array:
 
 def base_wrench(system: System, state: State, ydd: Array) -> Array:
     """(n, 6) wrench of the arm on the base, platform axes: what the vehicle's motion takes."""
-    base, y, yd = system.base, state.y, state.yd
+    base, y, yd = system.actual.base, state.y, state.yd
     # run by run: one matrix product over the batch would round by its size
     force = matvec(base.M, ydd) + matvec(base.D, yd) + matvec(base.K, y)  # conjugate to Y
     turn = np.swapaxes(rate_matrix(y), -1, -2)

@@ -93,12 +93,12 @@ class Simulator:
         if on_divergence not in ("raise", "mark"):
             raise ParameterError(f"on_divergence must be raise or mark, got {on_divergence!r}")
         if system.mode == "ideal":
-            _require_stable_step(system)
+            _require_stable_step(system.actual)
             if admittance is not None:
                 raise ParameterError("an admittance needs mode emulated, got mode ideal")
         self.system, self.n = system, int(n)
         self.joints = system.arm.n
-        self.backend = make_backend(backend, system, self.n, threads)
+        self.backend = make_backend(backend, system.actual, self.n, threads)
         self._assigned: dict[int, System] = {}  # simulations with a system of their own
         self.on_divergence = on_divergence
         self.generators: list[np.random.Generator] = []
@@ -259,20 +259,20 @@ class Simulator:
         if isinstance(systems, System) or len(systems) != len(index):
             got = "one System" if isinstance(systems, System) else f"{len(systems)}"
             raise ParameterError(f"systems must be a sequence of {len(index)}, got {got}")
-        stable = {bodies_of(self.system)}
+        stable = {bodies_of(self.system.actual)}
         for i, system in zip(index.tolist(), systems, strict=True):
             if not isinstance(system, System):
                 raise ParameterError(f"systems must hold Systems, got {system!r}")
             share_base(self.system, system)
             require_alike(self.system, system, f"system of simulation {i}")
-            if system.mode == "ideal" and bodies_of(system) not in stable:
-                _require_stable_step(system)
-                stable.add(bodies_of(system))
+            if system.mode == "ideal" and bodies_of(system.actual) not in stable:
+                _require_stable_step(system.actual)
+                stable.add(bodies_of(system.actual))
         if not len(index):
             return
         lab = self.laboratory
         install = None if lab is None else lab.prepare(index, systems)
-        self.backend.assign(index, systems)
+        self.backend.assign(index, [system.actual for system in systems])
         if install is not None:
             install()
         for i, system in zip(index.tolist(), systems, strict=True):

@@ -26,7 +26,7 @@ from ves_gym.core.params import (
     write_table,
 )
 from ves_gym.core.puma import PUMA_560
-from ves_gym.core.vehicle import BENT, BaseModel, Vehicle, get_vehicle
+from ves_gym.core.vehicle import BENT, BaseModel, Vehicle, altered, get_vehicle
 
 MODES = ("ideal", "emulated")
 DRIVES = ("motor", "prescribed")
@@ -97,6 +97,27 @@ class System:
         for array in (model.M, model.D, model.K):
             array.flags.writeable = False
         return model
+
+    @property
+    def actual(self) -> System:
+        """The system as it really is: arm and vehicle as the effects on them say.
+
+        The engine runs this one; what is computed about it goes by the description. Holds
+        the remaining effects. A system without such effects is its own.
+        """
+        return self._actual if any(e.is_plant for e in self.effects) else self
+
+    @cached_property
+    def _actual(self) -> System:
+        arm, base = self.arm, self.base
+        for effect in self.effects:
+            arm, base = effect.arm(arm), effect.base(base)
+        rest = tuple(e for e in self.effects if not e.is_plant)
+        if base is self.base:
+            out = self.replace(arm=arm, effects=rest)
+            out.__dict__["base"] = base  # cached: the vehicle is the very same
+            return out
+        return self.replace(arm=arm, vehicle=altered(self.vehicle, base), effects=rest)
 
     @cached_property
     def hash(self) -> str:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ves_gym.core.arm import Inertial, diagonal, skew
+from ves_gym.core.arm import Inertial, diagonal, matrix, skew
 from ves_gym.core.params import (
     Array,
     Matrix,
@@ -312,6 +312,22 @@ VEHICLES: dict[str, Vehicle] = {
     "free-floating": FREE_FLOATING,
     "free-flying": FREE_FLYING,
 }
+
+
+def has(vehicle: Vehicle, name: str) -> bool:
+    """Whether a vehicle's D or K (by name) is other than zero."""
+    if isinstance(vehicle, Beam):
+        return name != "D" or vehicle.damping_ratio > 0
+    return isinstance(vehicle, Matrices) and bool(np.any(getattr(vehicle, name)))
+
+
+def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
+    """The vehicle of another base model of the same kind (with or without a body)."""
+    if base.body is not None:
+        thrusters = isinstance(vehicle, Satellite) and vehicle.thrusters
+        return Satellite(body=base.body, thrusters=thrusters, source=vehicle.source)
+    parts = {name: matrix(getattr(base, name)) for name in "MDK"}
+    return Matrices(**parts, source=vehicle.source)
 
 
 def vehicle_from_plain(plain: Any, where: str = "vehicle") -> Vehicle:

@@ -6,6 +6,9 @@ Importing this package files them all under their names in `EFFECTS`.
 from __future__ import annotations
 
 from ves_gym.core.effect import EFFECTS, Effect
+from ves_gym.effects.base_damping import BaseDamping
+from ves_gym.effects.base_stiffness import BaseStiffness
+from ves_gym.effects.base_virtual_mass import BaseVirtualMass
 from ves_gym.effects.budget import LABORATORY_ERRORS
 from ves_gym.effects.gravity_delay import GravityDelay
 from ves_gym.effects.gravity_mass import GravityMass
@@ -17,11 +20,14 @@ from ves_gym.effects.joint_coulomb import JointCoulomb
 from ves_gym.effects.joint_drive_gain import JointDriveGain
 from ves_gym.effects.joint_load_friction import JointLoadFriction
 from ves_gym.effects.joint_ripple import JointRipple
+from ves_gym.effects.joint_rotor_inertia import JointRotorInertia
 from ves_gym.effects.joint_stribeck import JointStribeck
 from ves_gym.effects.joint_torque_limit import JointTorqueLimit
 from ves_gym.effects.joint_torque_offset import JointTorqueOffset
 from ves_gym.effects.joint_viscous import JointViscous
+from ves_gym.effects.payload_com import PayloadCom
 from ves_gym.effects.payload_inertia import PayloadInertia
+from ves_gym.effects.payload_mass import PayloadMass
 from ves_gym.effects.platform_bandwidth import PlatformBandwidth
 from ves_gym.effects.platform_damping import PlatformDamping
 from ves_gym.effects.sensor_bias import SensorBias
@@ -34,6 +40,9 @@ from ves_gym.effects.sensor_rotation import SensorRotation
 __all__ = [
     "EFFECTS",
     "LABORATORY_ERRORS",
+    "BaseDamping",
+    "BaseStiffness",
+    "BaseVirtualMass",
     "Effect",
     "GravityDelay",
     "GravityMass",
@@ -45,11 +54,14 @@ __all__ = [
     "JointDriveGain",
     "JointLoadFriction",
     "JointRipple",
+    "JointRotorInertia",
     "JointStribeck",
     "JointTorqueLimit",
     "JointTorqueOffset",
     "JointViscous",
+    "PayloadCom",
     "PayloadInertia",
+    "PayloadMass",
     "PlatformBandwidth",
     "PlatformDamping",
     "SensorBias",

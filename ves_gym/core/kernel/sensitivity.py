@@ -46,11 +46,11 @@ def rollout(
     """Play commands and differentiate what comes out.
 
     Args:
-        system: mode ideal, integrator rk4.
+        system: mode ideal, integrator rk4; what runs is `system.actual`.
         commands: (n, k + 1, joints) drive commands at the physics steps, linear between.
         x0: start (n, 2 (6 + joints)), broadcast; it does not depend on the directions.
-        wrt: parameters by name (`parameters(system)[0]`): K11, link2.mass, kp1, ... A number
-            that is zero in the system is structural and has no derivative.
+        wrt: parameters by name (`parameters(system.actual)[0]`): K11, link2.mass, kp1, ... A
+            number that is zero in the system is structural and has no derivative.
         along: (n, k + 1, c, joints) directions of the commands, c of them.
         servo: gains of the motors; None for bare torque.
         values: (n, len(parameters)) of p per run; default the system's own, with the gains.
@@ -66,6 +66,7 @@ def rollout(
             "derivatives of rollouts need mode ideal and integrator rk4, got"
             f" {system.mode} and {system.integrator}"
         )
+    system = system.actual
     names, nominal = parameters(system)
     unknown = [name for name in wrt if name not in names]
     if unknown:

@@ -1,0 +1,230 @@
+"""Effects on arm and vehicle: what is there differs, what is believed does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.effects.values import effect
+from ves_gym.core.dynamics import joint_positions
+from ves_gym.core.emulator import Emulator
+from ves_gym.core.energy import ledger
+from ves_gym.core.gravity import GRAVITY
+from ves_gym.core.linear import linearise_ideal
+from ves_gym.core.motion import Motion
+from ves_gym.core.params import ParameterError
+from ves_gym.core.playback import play_motions
+from ves_gym.core.puma import PUMA_560
+from ves_gym.core.servo import HIGH_GAINS
+from ves_gym.core.simulator import Simulator
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import BENT, DECOUPLED, FREE_FLOATING, Matrices
+from ves_gym.effects import (
+    BaseDamping,
+    BaseStiffness,
+    BaseVirtualMass,
+    JointRotorInertia,
+    PayloadCom,
+    PayloadMass,
+)
+
+BACKENDS = ("kernel", "mujoco")
+Q = np.array([0.3, -0.4, 0.7])
+PLANT = tuple(
+    effect(kind)
+    for kind in (
+        "base/damping",
+        "base/stiffness",
+        "base/virtual_mass",
+        "joint/rotor_inertia",
+        "payload/com",
+        "payload/mass",
+    )
+)
+
+
+def test_a_system_without_such_effects_is_its_own():
+    plain = System(effects=(effect("joint/viscous"),))
+    assert plain.actual is plain
+    null = System(effects=(PayloadMass(), BaseStiffness(), effect("joint/viscous")))
+    assert null.actual == plain
+    assert null.actual.arm is null.arm
+    assert null.actual.base is null.base
+
+
+def test_the_actual_system_is_the_one_with_other_numbers():
+    """The same as a system described that way, effects on arm and vehicle taken out."""
+    system = System(effects=(*PLANT, effect("joint/viscous")))
+    there = system.actual
+    assert [e.kind for e in there.effects] == ["joint/viscous"]
+    np.testing.assert_allclose(there.base.K, 0.8 * system.base.K)
+    np.testing.assert_allclose(there.base.D, 1.5 * system.base.D)
+    np.testing.assert_allclose(there.base.M, 1.2 * system.base.M)
+    assert there.arm.mass == pytest.approx(system.arm.mass + 2.0)
+    assert there.arm.links[1].rotor_inertia == system.arm.links[1].rotor_inertia + 1.0
+
+
+def test_a_satellite_with_another_mass_is_a_satellite():
+    heavier = System(vehicle=FREE_FLOATING, effects=(BaseVirtualMass(error=0.5),)).actual
+    assert heavier.base.body.mass == 750
+    assert heavier.vehicle.thrusters is False
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_the_run_is_that_of_the_arm_so_described(mode, backend):
+    """Without a model of the arm in the loop the two cannot be told apart, to the bit."""
+    emulator = None
+    if mode == "emulated":
+        emulator = Emulator(operation="admittance", payload_compensation=False)
+    system = System(mode=mode, emulator=emulator, effects=PLANT)
+    runs = []
+    for one in (system, system.actual):
+        sim = Simulator(one, backend=backend, warn_at=None)
+        sim.reset(q=Q)
+        for k in range(8):
+            sim.step(sim.servo_command(Q + 0.01 * k, 0 * Q))
+        runs.append(sim.state)
+    for a, b in zip(*runs, strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_payload_weighs_m_g_at_the_tool_and_the_estimate_knows_nothing_of_it(backend):
+    """Closed form: force m g, moment r x m g about the platform's origin."""
+    payload = PayloadMass(mass=2.0)
+    still = Emulator(operation="microgravity")
+    seen = []
+    for effects in ((), (payload,)):
+        system = System(mode="emulated", emulator=still, effects=effects)
+        sim = Simulator(system, backend=backend, warn_at=None)
+        sim.reset(q=Q)
+        seen.append(sim.readings)
+    more = seen[1].wrench[0] - seen[0].wrench[0]
+    weight = np.array([0.0, 0.0, -2.0 * GRAVITY])
+    tool = joint_positions(PUMA_560, Q)[-1]
+    np.testing.assert_allclose(more, np.r_[weight, np.cross(tool, weight)], atol=1e-9)
+    np.testing.assert_array_equal(seen[0].gravity, seen[1].gravity)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_the_weight_felt_in_motion_is_the_weight_at_rest(backend):
+    """The engine's arm and the sensor's start are one: nothing jumps after a reset."""
+    still = Emulator(operation="position")
+    system = System(mode="emulated", emulator=still, effects=PLANT, drive="motor")
+    system = system.replace(effects=tuple(e for e in PLANT if e.port == "joint"))
+    sim = Simulator(system, backend=backend, warn_at=None)
+    sim.reset(q=Q)
+    before = sim.readings.wrench
+    for _ in range(20):
+        sim.step(sim.servo_command(Q, 0 * Q))
+    np.testing.assert_allclose(sim.readings.wrench, before, atol=1e-6)
+
+
+def test_frequency_of_a_softer_base():
+    """One axis of a base on a prescribed arm: w^2 in proportion to K."""
+    slow, fast = (
+        np.abs(
+            np.linalg.eigvals(
+                linearise_ideal(System(vehicle=DECOUPLED, drive="prescribed", effects=k)).A
+            )
+        )
+        for k in ((BaseStiffness(error=-0.36),), ())
+    )
+    assert slow.max() / fast.max() == pytest.approx(0.8, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("more", "tolerance"),
+    [((), 1e-5), ((effect("joint/drive_gain"), effect("joint/asymmetry")), 1e-4)],
+    ids=["plant", "with laws"],
+)
+def test_the_energy_account_closes(more, tolerance):
+    """Laws that follow the motor are sampled: Simpson's rule at the step, 1e-4."""
+    motion = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
+    system = System(effects=(*PLANT, *more))
+    run = play_motions(system, [motion], settle=0.5, record_dt=system.physics_dt)
+    assert ledger(run.log(0)).relative < tolerance
+
+
+def test_feed_forward_goes_by_the_description():
+    motion = Motion.straight(np.zeros(3), Q, 1.0)
+    runs = [
+        play_motions(System(effects=k), [motion], servo=HIGH_GAINS, settle=0.1)
+        for k in ((), (PayloadMass(mass=5.0),))
+    ]
+    error = [np.abs(run.q - run.q_cmd).max() for run in runs]
+    assert error[1] > 1.5 * error[0]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_simulations_with_payloads_of_their_own(backend):
+    """Among neighbours as alone: bit for bit on the kernel, to rounding on MuJoCo."""
+
+    def loaded(mass, error):
+        effects = (PayloadMass(mass=mass, position=(0.1, 0.0, 0.0)), BaseStiffness(error=error))
+        return System(mode="emulated", effects=effects)
+
+    template, other = loaded(1.0, 0.1), loaded(3.0, -0.3)
+    sim = Simulator(template, 3, backend=backend, warn_at=None)
+    sim.assign([other], [1])
+    alone = Simulator(other, 2, backend=backend, warn_at=None)
+    for each in (sim, alone):
+        each.reset(q=Q)
+        for k in range(6):
+            each.step(each.servo_command(Q + 0.02 * k, 0 * Q))
+    for a, b in zip(sim.state, alone.state, strict=True):
+        if backend == "kernel":
+            assert a[1].tobytes() == b[1].tobytes()
+        else:
+            np.testing.assert_allclose(a[1], b[1], rtol=1e-7, atol=1e-9)
+    assert np.abs(sim.state.y[1] - sim.state.y[0]).max() > 1e-4
+
+
+# ------------------------------------------------------------------------- refused
+
+
+@pytest.mark.parametrize("cls", [BaseStiffness, BaseDamping])
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_a_satellite_has_no_spring_to_be_wrong(cls, mode):
+    with pytest.raises(ParameterError, match=r"would do nothing: it needs a vehicle with "):
+        System(mode=mode, vehicle=FREE_FLOATING, effects=(cls(error=0.1),))
+
+
+def test_an_undamped_vehicle_has_no_damping_to_be_wrong():
+    for vehicle in (replace(BENT, damping_ratio=0.0), undamped()):
+        with pytest.raises(ParameterError, match="it needs a vehicle with damping"):
+            System(vehicle=vehicle, effects=(BaseDamping(error=0.1),))
+
+
+def undamped():
+    eye = tuple(map(tuple, np.eye(6).tolist()))
+    none = tuple(map(tuple, np.zeros((6, 6)).tolist()))
+    return Matrices(M=eye, D=none, K=eye)
+
+
+def test_no_rotor_is_lighter_than_nothing():
+    with pytest.raises(
+        ParameterError, match=r"of joint 3 must be >= -0.5 kg m\^2, .* got -0.8"
+    ):
+        link = replace(PUMA_560.links[2], rotor_inertia=0.5)
+        arm = replace(PUMA_560, links=(*PUMA_560.links[:2], link))
+        System(arm=arm, effects=(JointRotorInertia(added=(0.0, 0.0, -0.8)),))
+
+
+def test_an_admittance_of_ones_own_leaves_no_vehicle_to_be_wrong():
+    def g(X, W):
+        return np.concatenate([X[:, 6:], W / 500 - 2 * X[:, :6]], axis=-1)
+
+    system = System(mode="emulated", effects=(BaseStiffness(error=0.1),))
+    with pytest.raises(
+        ParameterError, match="base/stiffness would do nothing: an `admittance`"
+    ):
+        Simulator(system, admittance=g)
+
+
+def test_a_number_the_kernel_left_out_is_named():
+    template = System(effects=(PayloadCom(offset=(0.1, 0.0, 0.0)),))
+    sim = Simulator(template, 1, backend="kernel")
+    with pytest.raises(ParameterError, match=r"link3.com2 is 0.1 but 0 in the simulator's own"):
+        sim.assign([System(effects=(PayloadCom(offset=(0.1, 0.1, 0.0)),))])

@@ -1,0 +1,30 @@
+"""Vehicle: damping other than described."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import BaseModel, has
+
+
+@register("base/damping")
+@dataclass(frozen=True, kw_only=True)
+class BaseDamping(Effect):
+    """The vehicle's damping is D (1 + `error`).
+
+    Of what the admittance integrates, in the laboratory (derived here).
+    """
+
+    modes = ("ideal", "emulated")
+    port = "admittance"
+    error: float = parameter("1", bounds=(-1.0, 10.0))
+
+    def check(self, system: System) -> None:
+        """A vehicle in free space has no damping."""
+        self._require(has(system.vehicle, "D"), "a vehicle with damping")
+
+    def base(self, base: BaseModel) -> BaseModel:
+        """D (1 + error)."""
+        return replace(base, D=base.D * (1 + self.error)) if self.error else base

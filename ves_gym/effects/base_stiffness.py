@@ -1,0 +1,31 @@
+"""Vehicle: stiffness other than described."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import BaseModel, has
+
+
+@register("base/stiffness")
+@dataclass(frozen=True, kw_only=True)
+class BaseStiffness(Effect):
+    """The vehicle's stiffness is K (1 + `error`), its damping as described.
+
+    In the laboratory the vehicle is virtual: it is what the admittance integrates, while
+    the payload compensation's arm stays as described (derived here).
+    """
+
+    modes = ("ideal", "emulated")
+    port = "admittance"
+    error: float = parameter("1", bounds=(-0.9, 3.0))
+
+    def check(self, system: System) -> None:
+        """A vehicle in free space has no stiffness."""
+        self._require(has(system.vehicle, "K"), "a vehicle with stiffness")
+
+    def base(self, base: BaseModel) -> BaseModel:
+        """K (1 + error)."""
+        return replace(base, K=base.K * (1 + self.error)) if self.error else base

@@ -1,0 +1,36 @@
+"""Vehicle: mass other than described."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ves_gym.core.arm import matrix
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.params import Array
+from ves_gym.core.vehicle import BaseModel
+
+
+@register("base/virtual_mass")
+@dataclass(frozen=True, kw_only=True)
+class BaseVirtualMass(Effect):
+    """The vehicle's mass matrix is M (1 + `error`), or its body that much heavier.
+
+    Stiffness and damping as described; in the laboratory it is the mass that the admittance
+    integrates (derived here).
+    """
+
+    modes = ("ideal", "emulated")
+    port = "admittance"
+    error: float = parameter("1", bounds=(-0.9, 3.0))
+
+    def base(self, base: BaseModel) -> BaseModel:
+        """M (1 + error), and the same for a satellite's mass and inertia."""
+        if not self.error:
+            return base
+        factor, body = 1 + self.error, base.body
+        if body is not None:
+            moments: Array = np.array(body.inertia) * factor
+            body = replace(body, mass=body.mass * factor, inertia=matrix(moments))
+        return replace(base, M=base.M * factor, body=body)

@@ -1,0 +1,45 @@
+"""Joint drive: rotor inertia other than described."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ves_gym.core.arm import Arm
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.params import ParameterError, Vector
+from ves_gym.core.system import System
+
+
+@register("joint/rotor_inertia")
+@dataclass(frozen=True, kw_only=True)
+class JointRotorInertia(Effect):
+    """The rotors, seen through their gears, have `added` more inertia than described.
+
+    Felt by the joint and not by the base, other than a link's (Armstrong, Khatib, Burdick
+    1986); of a single link on a resting base the two look alike.
+    """
+
+    modes = ("ideal", "emulated")
+    port = "joint"
+    added: Vector = parameter("kg m^2", bounds=(-0.8, 20.0), shape=(None,))
+
+    def check(self, system: System) -> None:
+        """One number per joint, on motors, and none that leaves less than no rotor."""
+        self._require_per_joint(system, "added")
+        self._require_motor(system)
+        for i, (link, more) in enumerate(zip(system.arm.links, self.added, strict=True)):
+            if link.rotor_inertia + more < 0:
+                raise ParameterError(
+                    f"{self.kind}.added of joint {i + 1} must be >= -{link.rotor_inertia:g}"
+                    f" kg m^2, the rotor's own, got {more:g}"
+                )
+
+    def arm(self, arm: Arm) -> Arm:
+        """Rotor inertia + added."""
+        if self.is_null:
+            return arm
+        links = (
+            replace(link, rotor_inertia=link.rotor_inertia + more)
+            for link, more in zip(arm.links, self.added, strict=True)
+        )
+        return replace(arm, links=tuple(links))

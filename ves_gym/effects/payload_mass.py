@@ -1,0 +1,45 @@
+"""Payload: a mass that is not described."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ves_gym.core.arm import Arm, matrix
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.params import Vector
+
+
+@register("payload/mass")
+@dataclass(frozen=True, kw_only=True)
+class PayloadMass(Effect):
+    """A point mass rides on the tool, `position` away from it in the last link's axes.
+
+    Joints, base and force sensor feel it; gravity estimate and compensation know nothing of
+    it (parallel axes: derived here).
+    """
+
+    modes = ("ideal", "emulated")
+    port = "joint"
+    mass: float = parameter("kg", bounds=(0.0, 20.0))
+    position: Vector = parameter(
+        "m", bounds=(-1.0, 1.0), null=None, shape=(3,), default=(0.0, 0.0, 0.0)
+    )
+
+    def arm(self, arm: Arm) -> Arm:
+        """The last link with the mass on it."""
+        if not self.mass:
+            return arm
+        last = arm.links[-1]
+        old, more = last.inertial, self.mass
+        com, place = np.array(old.com), np.array(self.position)
+        whole, d = old.mass + more, place - com
+        spread = np.eye(3) * (d @ d) - np.outer(d, d)
+        inertial = replace(
+            old,
+            mass=whole,
+            com=tuple(((old.mass * com + more * place) / whole).tolist()),
+            inertia=matrix(np.array(old.inertia) + old.mass * more / whole * spread),
+        )
+        return replace(arm, links=(*arm.links[:-1], replace(last, inertial=inertial)))
