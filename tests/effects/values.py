@@ -12,9 +12,11 @@ from ves_gym.core.effect import EFFECTS, Effect
 CROSS = 0.02 * np.random.default_rng(0).normal(size=(6, 6))
 
 VALUES = {
+    "base/amplitude_damping": {"coefficient": (1e3, 1e3, 1e3, 1e4, 1e4, 1e4)},
     "base/damping": {"error": 0.5},
     "base/stiffness": {"error": -0.2},
     "base/virtual_mass": {"error": 0.2},
+    "command/delay": {"delay": 0.007},
     "gravity/delay": {"delay": 0.03},
     "gravity/mass": {"error": 0.5},
     "gravity/moment": {"error": tuple((0.1 * np.arange(1.0, 10.0)).tolist())},
@@ -24,6 +26,7 @@ VALUES = {
     "joint/coulomb": {"torque": (1.0, 2.0, 0.5)},
     "joint/drive_gain": {"error": (0.05, -0.05, 0.1)},
     "joint/load_friction": {"coefficient": (0.05, 0.1, 0.05)},
+    "joint/measurement_delay": {"delay": 0.004},
     "joint/ripple": {
         "amplitude": (1.0, 1.0, 0.5),
         "cycles": (62.6, 107.8, 53.7),
@@ -39,6 +42,8 @@ VALUES = {
     "payload/mass": {"mass": 2.0, "position": (0.05, 0.0, 0.1)},
     "platform/bandwidth": {"error": -0.2},
     "platform/damping": {"error": 0.3},
+    "platform/delay": {"delay": 0.02},
+    "platform/stroke": {"travel": 0.995, "speed": 0.99},
     "sensor/bias": {"force": (1.0, -2.0, 3.0), "moment": (0.5, 0.0, -0.5)},
     "sensor/calibration": {"error": matrix(CROSS)},
     "sensor/drift": {"force": (1.0, 1.0, 1.0), "moment": (0.3,) * 3, "time": 2.0},

@@ -141,6 +141,7 @@ class Bodies:
     M: Array  # (n, 6, 6) of the vehicle
     D: Array
     K: Array
+    drag: Array  # (n, 6)
     body: Array  # (n, 6, 6) spatial inertia of a satellite, zero without one
     phi: Array  # (n, 12, 12) admittance, zero where the vehicle is nonlinear
     gamma: Array  # (n, 12, 6)
@@ -157,7 +158,8 @@ class Bodies:
             form = system.laboratory.admittance_form
             phi, gamma = admittance_matrices(base, system.control_dt, form)
         body = np.zeros((6, 6)) if base.body is None else base.body.spatial()
-        row = (base.M, base.D, base.K, body, phi, gamma, weight.mass, weight.P)
+        drag = np.zeros(6) if base.drag is None else base.drag
+        row = (base.M, base.D, base.K, drag, body, phi, gamma, weight.mass, weight.P)
         return Bodies(*(np.array([k]) for k in (*row, numbers)))
 
     def parts(self) -> list[Array]:

@@ -16,12 +16,13 @@ from ves_gym.core.params import Array, ParameterError, to_plain, unit
 
 if TYPE_CHECKING:
     from ves_gym.core.arm import Arm
+    from ves_gym.core.joint_line import Delays
     from ves_gym.core.laboratory import Parameters
     from ves_gym.core.system import System
     from ves_gym.core.vehicle import BaseModel
 
 EFFECTS: dict[str, type[Effect]] = {}
-WAYS = ("edit", "law", "arm", "base")  # methods by which an effect acts
+WAYS = ("edit", "law", "arm", "base", "wire")  # methods by which an effect acts
 # Balance of torques at the joints; force sensor; estimate of the arm's weight; vehicle, real
 # or emulated; from the platform's command to its pose.
 PORTS = ("joint", "wrench", "gravity", "admittance", "platform")
@@ -36,7 +37,8 @@ class Effect:
     of arrays written against a small namespace `xp` (tanh, exp, fabs, ...), so that one text
     runs in NumPy and is compiled into the kernel and its derivatives. `arm` and `base` say
     what arm and vehicle really are, while all that is computed about them - gravity
-    estimate, payload compensation, feed-forward, plans - goes by the description.
+    estimate, payload compensation, feed-forward, plans - goes by the description. `wire`
+    adds to the delays between joint controller and drives.
 
     `port` says at which component of the loop it enters, for whoever looks for it there.
     """
@@ -93,6 +95,14 @@ class Effect:
     def base(self, base: BaseModel) -> BaseModel:
         """The vehicle that is really there (or emulated), from the described one."""
         return base
+
+    def wire(self, delays: Delays) -> None:
+        """Add to the delays between joint controller and drives."""
+
+    @property
+    def is_on_line(self) -> bool:
+        """Whether this effect is between joint controller and drives."""
+        return type(self).wire is not Effect.wire
 
     @property
     def is_plant(self) -> bool:

@@ -93,7 +93,10 @@ def _port_energy(system: System, y: Array, yd: Array) -> tuple[Array, Array]:
     stored = quadratic(base.M, yd) + quadratic(base.K, y)
     if base.body is not None:
         stored = stored + quadratic(base.body.spatial(), twist(y, yd))
-    return stored, 2 * quadratic(base.D, yd)
+    power = 2 * quadratic(base.D, yd)
+    if base.drag is not None:
+        power = power + np.sum(base.drag * np.abs(yd) ** 3, axis=-1)
+    return stored, power
 
 
 def energies(

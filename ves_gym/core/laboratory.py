@@ -34,6 +34,7 @@ from ves_gym.core.platform import Follower, PoseFollower, PoseServo
 from ves_gym.core.spatial import matvec, rate_matrix
 from ves_gym.core.system import System
 
+_REFINE = 3  # rounds of scaling a pose to the legs' reach
 _STEP = 1e-6  # of the differences that linearise a vehicle [m, rad] and their rates
 
 
@@ -50,6 +51,9 @@ class Parameters:
     bandwidth: Array  # (n,) relative change of the platform's bandwidth
     damping: Array  # (n,) relative change of its damping ratio
     payload_scale: Array  # (n,) relative error of the compensated arm inertia
+    platform_delay: Array  # (n,) of the command on its way to the platform [s]
+    platform_travel: Array  # (n,) share of the legs' stroke that is missing
+    platform_speed: Array  # (n,) share of the legs' speed that is missing
 
     @staticmethod
     def nominal(arm: Arm, emulator: Emulator, n: int) -> Parameters:
@@ -65,6 +69,17 @@ class Parameters:
             bandwidth=np.zeros(n),
             damping=np.zeros(n),
             payload_scale=np.zeros(n),
+            platform_delay=np.zeros(n),
+            platform_travel=np.zeros(n),
+            platform_speed=np.zeros(n),
+        )
+
+    @property
+    def as_stated(self) -> bool:
+        """Whether every platform is as described."""
+        parts = (self.bandwidth, self.damping, self.platform_delay)
+        return not any(
+            part.any() for part in (*parts, self.platform_travel, self.platform_speed)
         )
 
     def edited(self, system: System) -> Parameters:
@@ -130,6 +145,8 @@ class _State:
     X: Array  # (n, 12) admittance: Y, Y' (thesis eq. 2.4)
     sent: Array  # (n, 12) command the platform follows
     queue: Array  # (n, delay, 12) commands on their way
+    late: Array  # (n, m, 12) earlier `sent`, newest first, where the platform hears late
+    told: Array  # (n, 12) what the platform heard last, where it cannot follow all
     reading: Array  # (n, 6)
     estimate: Array  # (n, 6) gravity wrench in use
     past: Array  # (n, m, 6) earlier estimates, newest first
@@ -171,15 +188,15 @@ class Laboratory:
         if self._nonlinear is None:
             self._linear = admittance_matrices(base, self.dt, emulator.admittance_form)
         # a machine as stated is its own model: one of them does for both
-        as_stated = not (p.bandwidth.any() or p.damping.any())
         nominal = Parameters.nominal(arm, emulator, n)
-        self.model = self.follower if as_stated else self._follower(nominal)
+        self.model = self.follower if p.as_stated else self._follower(nominal)
         self._model_filter = LowPass(np.full(n, emulator.sensor.cutoff), self.nodes)
         self._weight = (1 + p.payload_scale)[:, None, None]
         self._lag = emulator.lag(self.dt)
         self._inertia = InertiaMap(system, n) if self.compensating else None
         self._moving = arm.n if system.drive == "motor" else 0  # joints that give way
         self._ages = self._oldest()
+        self._short = self._falling_short()
         self._systems = [system] * n
         self._bodies: Bodies | None = None  # where arms or vehicles differ
         self._inertias: Inertias | None = None
@@ -192,6 +209,8 @@ class Laboratory:
             X=zero((n, 12)),
             sent=zero((n, 12)),
             queue=zero((n, emulator.delay, 12)),
+            late=zero((n, self._oldest_command(), 12)),
+            told=zero((n, 12)),
             reading=zero((n, 6)),
             estimate=zero((n, 6)),
             past=zero((n, self._ages + 1, 6)),
@@ -217,6 +236,16 @@ class Laboratory:
     def _oldest(self) -> int:
         """Number of estimates to look back over, in control periods."""
         return int(np.ceil(self.parameters.gravity_delay.max() / self.dt - 1e-9)) + 1
+
+    def _oldest_command(self) -> int:
+        """Number of commands to look back over: none where platforms hear at once."""
+        delay = float(self.parameters.platform_delay.max())
+        return int(np.ceil(delay / self.dt - 1e-9)) + 1 if delay > 0 else 0
+
+    def _falling_short(self) -> Index:
+        """Platforms whose legs cannot do all they should."""
+        p = self.parameters
+        return np.flatnonzero((p.platform_travel > 0) | (p.platform_speed > 0))
 
     # ------------------------------------------------------------- assignment
 
@@ -278,21 +307,24 @@ class Laboratory:
         self.sensor.put(ids, p.sensor)
         self._weight[ids] = (1 + p.payload_scale)[:, None, None]
         servo = self.spec.platform
-        if isinstance(self.follower, PoseFollower) and isinstance(servo, PoseServo):
-            as_stated = not (p.bandwidth.any() or p.damping.any())
-            if self.model is self.follower and not as_stated:  # the model stays as stated
-                nominal = Parameters.nominal(self.system.arm, self.spec, self.n)
-                self.model = self._follower(nominal)
-                self.model.set_state(self.follower.get_state())
-            if self.model is not self.follower:
-                w = servo.bandwidth * (1 + p.bandwidth)
-                self.follower.put(ids, w, servo.damping_ratio * (1 + p.damping))
-        self._ages = self._oldest()
-        past = self.state.past
-        missing = self._ages + 1 - past.shape[1]
+        if self.model is self.follower and not p.as_stated:  # the model stays as stated
+            nominal = Parameters.nominal(self.system.arm, self.spec, self.n)
+            self.model = self._follower(nominal)
+            self.model.set_state(self.follower.get_state())
+        apart = self.model is not self.follower
+        if apart and isinstance(self.follower, PoseFollower) and isinstance(servo, PoseServo):
+            w = servo.bandwidth * (1 + p.bandwidth)
+            self.follower.put(ids, w, servo.damping_ratio * (1 + p.damping))
+        self._ages, self._short = self._oldest(), self._falling_short()
+        s = self.state
+        missing = self._ages + 1 - s.past.shape[1]
         if missing > 0:
-            older = np.repeat(past[:, -1:], missing, axis=1)  # the oldest that is known
-            self.state.past = np.concatenate([past, older], axis=1)
+            older = np.repeat(s.past[:, -1:], missing, axis=1)  # the oldest that is known
+            s.past = np.concatenate([s.past, older], axis=1)
+        missing = self._oldest_command() - s.late.shape[1]
+        if missing > 0:
+            oldest = s.late[:, -1:] if s.late.shape[1] else s.sent[:, None]
+            s.late = np.concatenate([s.late, np.repeat(oldest, missing, axis=1)], axis=1)
 
     # ------------------------------------------------------------------ state
 
@@ -301,6 +333,7 @@ class Laboratory:
         s = self.state
         X = np.concatenate([y, yd], axis=-1)
         s.X[ids], s.sent[ids], s.queue[ids] = X, X, X[:, None]
+        s.late[ids], s.told[ids] = X[:, None], X
         s.sway[ids], s.felt[ids], s.payload[ids] = 0.0, 0.0, 0.0
         s.frozen[ids], s.time[ids] = False, 0.0
         self.events = [e for e in self.events if e.simulation not in set(ids.tolist())]
@@ -358,11 +391,58 @@ class Laboratory:
         held = np.concatenate([s.sent[:, :6], np.zeros_like(s.sent[:, 6:])], axis=-1)
         s.sent = np.where(s.frozen[:, None], held, wanted)
         s.X = np.where(s.frozen[:, None], held, s.X)
-        path = self.follower.advance(s.sent[:, :6], s.sent[:, 6:])
+        heard = self._heard()
+        path = self.follower.advance(heard[:, :6], heard[:, 6:])
         if self.compensating:
             same = self.model is self.follower
             self._predict(H, path if same else self.model.advance(s.sent[:, :6], s.sent[:, 6:]))
         return path
+
+    def _heard(self) -> Array:
+        """(n, 12) the command as it reaches the platforms: late, or as far as they can go."""
+        s, p = self.state, self.parameters
+        out = s.sent
+        if s.late.shape[1]:
+            nodes = np.concatenate([out[:, None], s.late], axis=1)
+            age = p.platform_delay / self.dt
+            low, rows = np.floor(age).astype(int), np.arange(self.n)
+            part = (age - low)[:, None]
+            late = (1 - part) * nodes[rows, low] + part * nodes[rows, low + 1]
+            out = np.where(age[:, None] > 0, late, out)
+            s.late = nodes[:, :-1]
+        if len(self._short):
+            out = out.copy()
+            out[self._short] = self._within_reach(out[self._short], self._short)
+        s.told = out
+        return out
+
+    def _within_reach(self, wanted: Array, ids: Index) -> Array:
+        """(m, 12) commands (m, 12) held back on their way, as far as the legs go."""
+        p, stewart, before = self.parameters, self.spec.stewart, self.state.told[ids]
+        travel, speed = p.platform_travel[ids], p.platform_speed[ids]
+        pose = wanted[:, :6]
+        beyond = (travel > 0) & (self._excess(pose, travel) > 1)
+        for _ in range(_REFINE):  # legs stretch almost in proportion
+            excess = np.where(beyond, self._excess(pose, travel), 1.0)
+            pose = pose / excess[:, None]
+        step = np.abs(stewart.leg_lengths(pose) - stewart.leg_lengths(before[:, :6])).max(
+            axis=1
+        )
+        haste = step / (self.dt * stewart.speed_max * (1 - speed))
+        slower = before[:, :6].T + (pose - before[:, :6]).T / haste.clip(1)
+        pose = np.where((speed > 0) & (haste > 1), slower, pose.T).T
+        held = (pose != wanted[:, :6]).any(axis=1)[:, None]
+        rate = np.where(held, (pose - before[:, :6]) / self.dt, wanted[:, 6:])
+        return np.concatenate([pose, rate], axis=-1)
+
+    def _excess(self, pose: Array, travel: Array) -> Array:
+        """(m,) how far poses stretch a leg, in units of what its short stroke allows."""
+        stewart = self.spec.stewart
+        home = stewart.home_lengths
+        stretch = stewart.leg_lengths(pose) - home
+        room = np.where(stretch > 0, stewart.length_max - home, home - stewart.length_min)
+        out: Array = (np.abs(stretch) / (room * (1 - travel[:, None]))).max(axis=1)
+        return out
 
     def sense(self, wrench: Array, q: Array) -> None:
         """Take in one period's true wrench (n, k + 1, 6) at its nodes; read the sensors."""
@@ -420,6 +500,14 @@ class Laboratory:
             return GravityModel.of(arm).wrench(arm, q, y)
         return gravity_wrench(arm, q, gravity_vector(y), own.mass[ids], own.P[ids])
 
+    def _drag(self, ids: Index) -> Array | None:
+        """Quadratic damping (m, 6) of the vehicles; None where no vehicle has any."""
+        own = self._bodies
+        if own is None:
+            drag = self.system.actual.base.drag
+            return None if drag is None else np.broadcast_to(drag, (len(ids), 6))
+        return own.drag[ids] if own.drag.any() else None
+
     def _vehicle(self, ids: Index) -> Nonlinear:
         """g(X, W) of nonlinear vehicles `ids` (m,)."""
         assert self._nonlinear is not None
@@ -459,6 +547,9 @@ class Laboratory:
             own = self._bodies
             phi, gamma = self._linear if own is None else (own.phi, own.gamma)
             force = matvec(turned, s.reading - s.estimate)
+            drag = self._drag(np.arange(self.n))
+            if drag is not None:
+                force = force - drag * np.abs(s.X[:, 6:]) * s.X[:, 6:]
             # row by row: one matrix product over the batch would round by its size
             s.X = matvec(phi, s.X) + matvec(gamma, force)
         else:
@@ -490,6 +581,9 @@ class Laboratory:
                 parts = (own.M[ids], own.D[ids], own.K[ids])
             M[:, :6, :6] += parts[0]
             D[:, :6, :6], K[:, :6, :6] = parts[1:]
+            drag = self._drag(ids)
+            if drag is not None:  # by its secant
+                D[:, range(6), range(6)] += drag * np.abs(X[:, 6:])
         else:  # linearised about this instant; a force held would feed energy into a spring
             mobility, rest, by_y, by_yd = _linearised(
                 self._vehicle(ids), X, stacked=self.custom is None

@@ -52,8 +52,19 @@ def build_spec(
         _set_inertial(platform.add_body(name="satellite"), base.body)
     for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
         _add_tendons(spec, what, values)
+    add_drag(spec, base)
     _add_links(spec, platform, arm)
     return spec
+
+
+def add_drag(spec: mujoco.MjSpec, base: BaseModel) -> None:
+    """Damping c |Y'| Y' of each axis: the second term of the engine's polynomial."""
+    if base.drag is None:
+        return
+    for name, drag in zip(BASE_JOINTS, base.drag[TO_Y], strict=True):
+        tendon = spec.add_tendon(name=f"drag_{name}")
+        tendon.wrap_joint(name, 1.0)
+        tendon.springlength, tendon.damping = [0.0, 0.0], [0.0, float(drag), 0.0]
 
 
 # The platform's: the arm's 1 kN then moves it by 1e-7 m/s^2.

@@ -151,7 +151,7 @@ def play_motions(
     for k in range(records):
         state = sim.state
         tau, ydd = sim.evaluate(commands[:, k * stride])
-        row = (state.q, state.v, tau, state.y, state.yd)
+        row = (*sim.measured, tau, state.y, state.yd)
         if emulated:
             now = sim.readings
             rows.append((*row, now.wrench, now.wrench - now.gravity, now.y_cmd))
@@ -300,6 +300,8 @@ def base_wrench(system: System, state: State, ydd: Array) -> Array:
     base, y, yd = system.actual.base, state.y, state.yd
     # run by run: one matrix product over the batch would round by its size
     force = matvec(base.M, ydd) + matvec(base.D, yd) + matvec(base.K, y)  # conjugate to Y
+    if base.drag is not None:
+        force = force + base.drag * np.abs(yd) * yd
     turn = np.swapaxes(rate_matrix(y), -1, -2)
     wrench = np.linalg.solve(turn, force[..., None])[..., 0]
     if base.body is not None:

@@ -14,6 +14,7 @@ from ves_gym.core.admittance import Nonlinear
 from ves_gym.core.assignment import bodies_of, require_alike, share_base
 from ves_gym.core.backends import MEANINGLESS, make_backend
 from ves_gym.core.dynamics import inertia
+from ves_gym.core.joint_line import line_of
 from ves_gym.core.laboratory import Event, Laboratory, Readings
 from ves_gym.core.params import Array, Index, Mask, ParameterError
 from ves_gym.core.servo import FREE, HIGH_GAINS, JointServo
@@ -51,6 +52,7 @@ class Snapshot:
     diverged: Mask
     laboratory: Any = None
     assigned: Mapping[int, System] = field(default_factory=dict)
+    line: Any = None
 
 
 class Simulator:
@@ -100,6 +102,7 @@ class Simulator:
         self.joints = system.arm.n
         self.backend = make_backend(backend, system.actual, self.n, threads)
         self._assigned: dict[int, System] = {}  # simulations with a system of their own
+        self.line = line_of(system, self.n)  # delays between joint controller and drives
         self.on_divergence = on_divergence
         self.generators: list[np.random.Generator] = []
         self.seed(seed)
@@ -181,6 +184,8 @@ class Simulator:
             np.hstack([full["y"], full["q"]]),
             np.hstack([full["yd"], full["v"]]),
         )
+        if self.line is not None:
+            self.line.reset(index, full["q"], full["v"])
         if self.laboratory is not None:
             self.laboratory.reset(index, full["q"], full["y"], full["yd"])
         self.diverged[index] = False
@@ -198,6 +203,7 @@ class Simulator:
             self.diverged.copy(),
             None if self.laboratory is None else self.laboratory.get_state(),
             dict(self._assigned),
+            None if self.line is None else self.line.get_state(),
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -222,6 +228,8 @@ class Simulator:
             generator.bit_generator.state = copy.deepcopy(state)
         if self.laboratory is not None:
             self.laboratory.set_state(snapshot.laboratory)
+        if self.line is not None:
+            self.line.set_state(snapshot.line)
         self.diverged = snapshot.diverged.copy()
         self.seen = self.state
 
@@ -275,6 +283,9 @@ class Simulator:
         self.backend.assign(index, [system.actual for system in systems])
         if install is not None:
             install()
+        if self.line is not None:
+            state = self.state
+            self.line.assign(index, systems, state.q, state.v)
         for i, system in zip(index.tolist(), systems, strict=True):
             self._assigned[i] = system
             if system is self.system:
@@ -322,19 +333,26 @@ class Simulator:
         if self.laboratory is not None:
             if base_wrench is not None:
                 raise ParameterError("base_wrench needs mode ideal, got mode emulated")
-            nodes = np.repeat(torque[:, None], self.system.substeps + 1, axis=1)
-            if end is not None:
-                share = np.arange(self.system.substeps + 1) / self.system.substeps
-                nodes += (end - torque)[:, None] * share[:, None]
-            self._ride(nodes, self._platform(platform, 1))
+            self._ride(self._nodes(torque, end), self._platform(platform, 1))
         else:
             if platform is not None:
                 raise ParameterError("platform needs mode emulated, got mode ideal")
             push = self._base_force(base_wrench)
-            self.backend.step(torque, end, push, self.system.substeps, self._running())
+            if self.line is not None and self.line.busy:
+                self._drive(self._nodes(torque, end), push)
+            else:
+                self.backend.step(torque, end, push, self.system.substeps, self._running())
         self._watch()
         self.seen = self.state
         return self.seen
+
+    def _nodes(self, command: Array, end: Array | None) -> Array:
+        """(n, k + 1, joints) at the physics steps of a period, held or linear to `end`."""
+        nodes = np.repeat(command[:, None], self.system.substeps + 1, axis=1)
+        if end is not None:
+            share = np.arange(self.system.substeps + 1) / self.system.substeps
+            nodes += (end - command)[:, None] * share[:, None]
+        return nodes
 
     def servo_command(self, q: Array, v: Array, tau: Array | float = 0.0) -> Array:
         """Command that makes the servo track q, v (n, ..., joints) with feed-forward tau."""
@@ -364,9 +382,63 @@ class Simulator:
                     f" {self.system.substeps} physics steps, got {nodes.shape[1] - 1} steps"
                 )
             self._ride(nodes, self._platform(platform, periods))
+        elif self.line is not None and self.line.busy:
+            self._drive(nodes, None)
         else:
             self.backend.play(nodes, self._running())
         self._watch()
+
+    def _drive(self, nodes: Array, push: Array | None) -> None:
+        """In space, with delays between joint controller and drives."""
+        assert self.line is not None
+        ids = self._running()
+        if self.line.late:
+            nodes = self.line.arriving(nodes)
+        for j in range(nodes.shape[1] - 1):
+            start, end = self._held_by(nodes[:, j], nodes[:, j + 1])
+            self.backend.step(start, end, push, 1, ids)
+
+    def _carry(self, nodes: Array, base: Array, ids: Index | None) -> Array:
+        """`Backend.ride`, with delays between joint controller and drives."""
+        line = self.line
+        if line is None or not line.busy:
+            return self.backend.ride(nodes, base, ids)
+        if line.late:
+            nodes = line.arriving(nodes)
+        if not line.old:
+            return self.backend.ride(nodes, base, ids)
+        out = []
+        for j in range(nodes.shape[1] - 1):
+            ends = self._held_by(nodes[:, j], nodes[:, j + 1])
+            felt = self.backend.ride(np.stack(ends, axis=1), base[:, j : j + 2], ids)
+            out.append(felt[:, :1])
+        return np.concatenate([*out, felt[:, 1:]], axis=1)
+
+    def _held_by(self, start: Array, end: Array) -> tuple[Array, Array]:
+        """Commands at both ends of the next physics step, by a servo that sees old joints."""
+        line = self.line
+        assert line is not None
+        if not line.old:
+            return start, end
+        _, z, zd = self.backend.read()
+        q, v = z[:, 6:], zd[:, 6:]
+        first, last = line.correction(q, v, self._kp, self._kd)
+        line.remember(q, v)
+        return start + first, end + last
+
+    def _seen(self, z: Array, zd: Array) -> Array:
+        """Joint angles (n, joints) as the laboratory sees them."""
+        if self.line is None:
+            return z[:, 6:]
+        return self.line.measured(z[:, 6:], zd[:, 6:])[0]
+
+    @property
+    def measured(self) -> tuple[Array, Array]:
+        """Joint angles and rates (n, joints) as controller and log see them."""
+        state = self.state
+        if self.line is None:
+            return state.q, state.v
+        return self.line.measured(state.q, state.v)
 
     def _ride(self, nodes: Array, platform: Array | None) -> None:
         """Control period by control period: laboratory -> engine -> laboratory."""
@@ -375,12 +447,13 @@ class Simulator:
         ids = self._running()
         for i in range((nodes.shape[1] - 1) // k):
             _, z, zd = self.backend.read()
+            seen = self._seen(z, zd)
             given = None if platform is None else (platform[:, i, :6], platform[:, i, 6:])
-            y, yd, ydd = lab.command(z[:, 6:], given)
+            y, yd, ydd = lab.command(seen, given)
             base = ydd + _catch_up(y, yd, ydd, z[:, :6], zd[:, :6], h)
-            wrench = self.backend.ride(nodes[:, i * k : (i + 1) * k + 1], base, ids)
-            _, z, _ = self.backend.read()
-            lab.sense(wrench, z[:, 6:])
+            wrench = self._carry(nodes[:, i * k : (i + 1) * k + 1], base, ids)
+            _, z, zd = self.backend.read()
+            lab.sense(wrench, self._seen(z, zd))
 
     def _platform(self, platform: npt.ArrayLike | None, periods: int) -> Array | None:
         assert self.laboratory is not None
@@ -441,11 +514,21 @@ class Simulator:
         self.laboratory.freeze(self._ids(ids), "panic button")
 
     def evaluate(self, command: npt.ArrayLike) -> tuple[Array, Array]:
-        """Drive torque (n, joints) [N m] and base acceleration Y'' (n, 6) at this state."""
-        torque, acceleration = self.backend.evaluate(
-            self._broadcast(command, "command", (self.n, self.joints))
-        )
-        return torque, acceleration[:, :6]
+        """Drive torque (n, joints) [N m] and base acceleration Y'' (n, 6) at this state.
+
+        The torque is what the drives are told, the acceleration what there really is.
+        """
+        given = self._broadcast(command, "command", (self.n, self.joints))
+        if self.line is None or not self.line.busy:
+            torque, acceleration = self.backend.evaluate(given)
+            return torque, acceleration[:, :6]
+        arrived = self.line.arrived(given)
+        if self.line.old:
+            state = self.state
+            more, _ = self.line.correction(state.q, state.v, self._kp, self._kd)
+            given, arrived = given + more, arrived + more
+        told, _ = self.backend.evaluate(given)
+        return told, self.backend.evaluate(arrived)[1][:, :6]
 
     # ----------------------------------------------------------------- helpers
 

@@ -195,6 +195,7 @@ class _Loop:
         if sim.laboratory.compensating:
             self.names += ["sway", "felt", "payload"]
         lab = sim.laboratory  # a model of its own, or the machine itself
+        self._ages = sim.line is not None and sim.line.old
         self._modelled = lab.compensating and lab.model is not lab.follower
         self.rest = [part.copy() for part in self._parts()]
         self.size = 2 * self.joints + sum(part[0].size for part in self.rest)
@@ -210,6 +211,10 @@ class _Loop:
         """Arrays of the laboratory that carry over to the next period."""
         for name in self.names:
             yield getattr(self.lab.state, name)
+        if self.lab.state.late.shape[1]:
+            yield self.lab.state.late
+        if self._ages:
+            yield self.sim.line.past
         yield self.lab.sensor.state.filter
         yield from self.lab.follower.get_state()
         if self._modelled:
@@ -232,6 +237,10 @@ class _Loop:
         s = lab.state
         for name in self.names:
             setattr(s, name, shifted.pop(0))
+        if s.late.shape[1]:
+            s.late = shifted.pop(0)
+        if self._ages:
+            sim.line.past = shifted.pop(0)
         lab.sensor.state.filter = shifted.pop(0)
         held = len(lab.follower.get_state())
         lab.follower.set_state(tuple(shifted[:held]))

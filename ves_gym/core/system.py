@@ -94,8 +94,9 @@ class System:
     def base(self) -> BaseModel:
         """M, D, K (and satellite body) of the vehicle; arrays read-only."""
         model = self.vehicle.base_model()
-        for array in (model.M, model.D, model.K):
-            array.flags.writeable = False
+        for array in (model.M, model.D, model.K, model.drag):
+            if array is not None:
+                array.flags.writeable = False
         return model
 
     @property

@@ -18,6 +18,7 @@ from ves_gym.core.params import (
     Array,
     Matrix,
     ParameterError,
+    Vector,
     finite,
     from_plain,
     read_table,
@@ -38,6 +39,7 @@ class BaseModel:
     D: Array  # (6, 6) damping [N s/m, N s, N m s]
     K: Array  # (6, 6) stiffness [N/m, N, N m]
     body: Inertial | None = None
+    drag: Array | None = None  # (6,) c of a damping force c |Y'| Y' [N s^2/m^2, N m s^2]
 
     @property
     def mass_matrix(self) -> Array:
@@ -235,21 +237,28 @@ def _carry(r: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Matrices:
-    """The user's own M, D, K in Y; each symmetric and positive semidefinite."""
+    """The user's own M, D, K in Y; each symmetric and positive semidefinite.
+
+    `drag`: damping that grows with speed, a force c |Y'| Y' along each axis.
+    """
 
     kind: ClassVar[str] = "matrices"
     M: Matrix = unit("kg, kg m, kg m^2")
     D: Matrix = unit("N s/m, N s, N m s")
     K: Matrix = unit("N/m, N, N m")
+    drag: Vector | None = unit("N s^2/m^2, N m s^2", default=None)
     source: str = "user"
 
     def __post_init__(self) -> None:
         for name in ("M", "D", "K"):
             symmetric(getattr(self, name), f"Matrices.{name}")
+        if self.drag is not None and (finite(self.drag, (6,), "Matrices.drag") < 0).any():
+            raise ParameterError(f"Matrices.drag must be >= 0, got {self.drag}")
 
     def base_model(self) -> BaseModel:
         """The matrices as given, symmetrised to rounding."""
-        return BaseModel(symmetric(self.M, "M"), symmetric(self.D, "D"), symmetric(self.K, "K"))
+        M, D, K = (symmetric(getattr(self, name), name) for name in "MDK")
+        return BaseModel(M, D, K, drag=None if self.drag is None else np.array(self.drag))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -327,7 +336,8 @@ def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
         thrusters = isinstance(vehicle, Satellite) and vehicle.thrusters
         return Satellite(body=base.body, thrusters=thrusters, source=vehicle.source)
     parts = {name: matrix(getattr(base, name)) for name in "MDK"}
-    return Matrices(**parts, source=vehicle.source)
+    drag = None if base.drag is None else tuple(base.drag.tolist())
+    return Matrices(**parts, drag=drag, source=vehicle.source)
 
 
 def vehicle_from_plain(plain: Any, where: str = "vehicle") -> Vehicle:

@@ -6,10 +6,12 @@ Importing this package files them all under their names in `EFFECTS`.
 from __future__ import annotations
 
 from ves_gym.core.effect import EFFECTS, Effect
+from ves_gym.effects.base_amplitude_damping import BaseAmplitudeDamping
 from ves_gym.effects.base_damping import BaseDamping
 from ves_gym.effects.base_stiffness import BaseStiffness
 from ves_gym.effects.base_virtual_mass import BaseVirtualMass
 from ves_gym.effects.budget import LABORATORY_ERRORS
+from ves_gym.effects.command_delay import CommandDelay
 from ves_gym.effects.gravity_delay import GravityDelay
 from ves_gym.effects.gravity_mass import GravityMass
 from ves_gym.effects.gravity_moment import GravityMoment
@@ -19,6 +21,7 @@ from ves_gym.effects.joint_asymmetry import JointAsymmetry
 from ves_gym.effects.joint_coulomb import JointCoulomb
 from ves_gym.effects.joint_drive_gain import JointDriveGain
 from ves_gym.effects.joint_load_friction import JointLoadFriction
+from ves_gym.effects.joint_measurement_delay import JointMeasurementDelay
 from ves_gym.effects.joint_ripple import JointRipple
 from ves_gym.effects.joint_rotor_inertia import JointRotorInertia
 from ves_gym.effects.joint_stribeck import JointStribeck
@@ -30,6 +33,8 @@ from ves_gym.effects.payload_inertia import PayloadInertia
 from ves_gym.effects.payload_mass import PayloadMass
 from ves_gym.effects.platform_bandwidth import PlatformBandwidth
 from ves_gym.effects.platform_damping import PlatformDamping
+from ves_gym.effects.platform_delay import PlatformDelay
+from ves_gym.effects.platform_stroke import PlatformStroke
 from ves_gym.effects.sensor_bias import SensorBias
 from ves_gym.effects.sensor_calibration import SensorCalibration
 from ves_gym.effects.sensor_drift import SensorDrift
@@ -40,9 +45,11 @@ from ves_gym.effects.sensor_rotation import SensorRotation
 __all__ = [
     "EFFECTS",
     "LABORATORY_ERRORS",
+    "BaseAmplitudeDamping",
     "BaseDamping",
     "BaseStiffness",
     "BaseVirtualMass",
+    "CommandDelay",
     "Effect",
     "GravityDelay",
     "GravityMass",
@@ -53,6 +60,7 @@ __all__ = [
     "JointCoulomb",
     "JointDriveGain",
     "JointLoadFriction",
+    "JointMeasurementDelay",
     "JointRipple",
     "JointRotorInertia",
     "JointStribeck",
@@ -64,6 +72,8 @@ __all__ = [
     "PayloadMass",
     "PlatformBandwidth",
     "PlatformDamping",
+    "PlatformDelay",
+    "PlatformStroke",
     "SensorBias",
     "SensorCalibration",
     "SensorDrift",

@@ -18,6 +18,7 @@ from ves_gym.core.gravity import GRAVITY
 from ves_gym.core.model import (
     BASE_JOINTS,
     TO_Y,
+    add_drag,
     build_laboratory_spec,
     build_spec,
 )
@@ -61,6 +62,7 @@ def compile_model(system: System, whole: bool = False) -> mujoco.MjModel:
         )
         if whole:
             _add_whole_tendons(spec, base)
+            add_drag(spec, base)
     if system.drive == "prescribed":
         for i in range(system.arm.n):
             spec.joint(f"q_{i + 1}").armature += PRESCRIBED_INERTIA

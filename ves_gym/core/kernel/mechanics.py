@@ -28,6 +28,7 @@ class Model:
     M: list[list[Expression]]
     D: list[list[Expression]]
     K: list[list[Expression]]
+    drag: list[Expression]
     kp: list[Expression]
     kd: list[Expression]
     limit: list[Expression]
@@ -160,6 +161,9 @@ def residual(
     terms = ((model.M, zdd[:6]), (model.D, zd[:6]), (model.K, z[:6]))
     passive = [times(matrix, vector) for matrix, vector in terms]
     out = [k + sum(part[i] for part in passive) - jets[i] for i, k in enumerate(out)]
+    for i, (c, rate) in enumerate(zip(model.drag, zd[:6], strict=True)):
+        if not is_zero(c):
+            out[i] = out[i] + c * xp.fabs(rate) * rate
     return out + [t - given for t, given in zip(torque, tau, strict=True)]
 
 

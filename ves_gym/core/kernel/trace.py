@@ -112,6 +112,7 @@ def _model(system: System, read: _Numbers) -> Model:
     body = read.inertial("base", arm.base)
     ideal = system.mode == "ideal"
     zero = np.zeros((6, 6))
+    drag = base.drag if ideal and base.drag is not None else np.zeros(6)
     if ideal and base.body is not None:
         body = (body, read.inertial("satellite", base.body))
     every = range(arm.n)
@@ -120,6 +121,7 @@ def _model(system: System, read: _Numbers) -> Model:
         M=read.matrix("M", base.M if ideal else zero),
         D=read.matrix("D", base.D if ideal else zero),
         K=read.matrix("K", base.K if ideal else zero),
+        drag=[read(f"drag{i + 1}", c) for i, c in enumerate(drag)],
         # gains may be set at any time and are never structural zeros
         kp=[read.make(f"kp{i + 1}", 0.0) for i in every],
         kd=[read.make(f"kd{i + 1}", 0.0) for i in every],

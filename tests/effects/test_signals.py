@@ -1,0 +1,276 @@
+"""Effects on signals: commands and measurements that are late, legs that end too soon."""
+
+import numpy as np
+import pytest
+
+from ves_gym.core.emulator import Emulator
+from ves_gym.core.energy import ledger
+from ves_gym.core.motion import Motion
+from ves_gym.core.params import ParameterError
+from ves_gym.core.platform import PoseServo
+from ves_gym.core.playback import play_motions
+from ves_gym.core.simulator import Simulator
+from ves_gym.core.stability import linearise, spectral_radius
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import DECOUPLED, FREE_FLOATING
+from ves_gym.effects import (
+    BaseAmplitudeDamping,
+    CommandDelay,
+    JointMeasurementDelay,
+    PlatformDelay,
+    PlatformStroke,
+)
+
+BACKENDS = ("kernel", "mujoco")
+POSITION = Emulator(operation="position", platform=PoseServo(bandwidth=8.0))
+H = System().physics_dt
+LIMIT = System().arm.column("tau_max")
+
+
+def angles(system, commands, backend):
+    """Joint angles at the control period under bare torques (k + 1, 3)."""
+    sim = Simulator(system, servo=None, backend=backend)
+    per, out = system.substeps, [sim.state.q[0]]
+    for j in range((len(commands) - 1) // per):
+        sim.play(commands[None, j * per : (j + 1) * per + 1])
+        out.append(sim.state.q[0])
+    return np.array(out)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("delay", [10 * H, 3 * H, 3.5 * H])
+def test_a_late_command_is_the_same_command_later(delay, backend):
+    """The run is that of a command shifted by hand, whole steps or not."""
+    t = np.arange(81) * H
+
+    def torque(t):
+        return np.stack([5 * t, -8 * t, 3 * t], axis=-1) * (t > 0)[:, None]
+
+    late = System(drive="motor", effects=(CommandDelay(delay=delay),))
+    shifted = torque(np.maximum(t - delay, 0.0))
+    if delay == 3.5 * H:  # linear between two steps: the kink at the start is smoothed
+        shifted = (torque(np.maximum(t - 3 * H, 0)) + torque(np.maximum(t - 4 * H, 0))) / 2
+        tolerance = 1e-9
+    else:
+        tolerance = 1e-13
+    got, want = angles(late, torque(t), backend), angles(System(), shifted, backend)
+    np.testing.assert_allclose(got, want, atol=tolerance)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_held_command_arrives_a_period_later(backend):
+    """One control period: the response to torque steps, one period on."""
+    pushes = np.random.default_rng(0).uniform(-5, 5, (6, 3))
+    plain = Simulator(System(), servo=None, backend=backend)
+    late = Simulator(
+        System(effects=(CommandDelay(delay=System().control_dt),)), servo=None, backend=backend
+    )
+    for k in range(6):
+        plain.step(pushes[max(k - 1, 0)])
+        late.step(pushes[k])
+        np.testing.assert_allclose(late.state.q, plain.state.q, atol=1e-14)
+
+
+def test_the_log_shows_the_command_sent_and_the_motion_there_is():
+    motion = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
+    system = System(effects=(CommandDelay(delay=0.01),))
+    run = play_motions(system, [motion], settle=0.3, record_dt=H)
+    sent = run.tau[0] + np.array(run.servo.kp) * run.q[0] + np.array(run.servo.kd) * run.v[0]
+    wanted = np.array(run.servo.kp) * run.q_cmd[0] + np.array(run.servo.kd) * run.v_cmd[0]
+    plain = play_motions(System(), [motion], settle=0.3, record_dt=H)
+    ff = plain.tau[0] + np.array(run.servo.kp) * plain.q[0]
+    ff = ff + np.array(run.servo.kd) * plain.v[0]
+    np.testing.assert_allclose(sent, ff, atol=1e-9)
+    assert np.abs(sent - wanted).max() > 1  # feed-forward
+    # the wrench recorded is that of the motion: momentum of the base follows from it
+    assert np.abs(run.w - plain.w).max() > 1.0
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_an_old_measurement_is_that_of_then(backend):
+    delay = 4.5 * H
+    system = System(effects=(JointMeasurementDelay(delay=delay),))
+    sim = Simulator(system, backend=backend)
+    seen, true = [], []
+    for k in range(40):
+        sim.play(np.full((1, 2, 3), 30.0 * np.sin(0.1 * k)))
+        seen.append(sim.measured[0][0])
+        true.append(sim.state.q[0])
+    seen, true = np.array(seen), np.array(true)
+    np.testing.assert_allclose(
+        seen[5:], (true[1:-4] + true[:-5])[: len(seen) - 5] / 2, atol=1e-15
+    )
+
+
+def test_the_servo_acts_on_what_it_sees():
+    """tau = command - kp q(t - d) - kd v(t - d), exactly, at every step."""
+    sim = Simulator(System(effects=(JointMeasurementDelay(delay=3.3 * H),)))
+    sim.reset(q=[0.0, 0.05, 0.1])
+    for _ in range(30):
+        sim.play(np.zeros((1, 2, 3)))
+        q, v = sim.measured
+        told = np.clip(-sim.servo_command(q, v), -LIMIT, LIMIT)
+        np.testing.assert_allclose(sim.evaluate(0.0)[0], told, rtol=1e-12, atol=1e-12)
+    assert np.abs(sim.measured[0] - sim.state.q).max() > 1e-4
+
+
+def test_what_is_foreseen_costs_second_order():
+    """The end of a step is foreseen: a quarter of the error at half the step."""
+    ends = []
+    for parts in (1, 2, 8):
+        system = System(physics_dt=H / parts, effects=(JointMeasurementDelay(delay=5.3e-3),))
+        sim = Simulator(system)
+        sim.reset(q=[0.0, 0.005, 0.01])
+        for _ in range(8):
+            sim.step(0.0)
+        ends.append(sim.state.q)
+    coarse, fine = (np.abs(end - ends[2]).max() for end in ends[:2])
+    assert coarse < 5e-6
+    assert fine < 0.35 * coarse
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_simulations_with_delays_of_their_own(mode):
+    """Bit for bit as alone; the others as they were."""
+
+    def late(a, b):
+        effects = (CommandDelay(delay=a), JointMeasurementDelay(delay=b))
+        return System(mode=mode, vehicle=DECOUPLED, effects=effects)
+
+    own, other = late(0.0, 0.0), late(0.011, 0.0031)
+    sim, plain = (Simulator(own, 3, backend="kernel", warn_at=None) for _ in range(2))
+    sim.assign([other], [1])
+    alone = Simulator(other, 1, backend="kernel", warn_at=None)
+    for each in (sim, plain, alone):
+        each.reset(q=0.1)
+        for k in range(8):
+            each.step(each.servo_command(np.full((each.n, 3), 0.1 + 0.02 * k), np.zeros(3)))
+    for a, b, c in zip(sim.state, plain.state, alone.state, strict=True):
+        assert a[1].tobytes() == c[0].tobytes()
+        assert a[[0, 2]].tobytes() == b[[0, 2]].tobytes()
+
+
+def test_a_snapshot_remembers_what_is_under_way():
+    system = System(effects=(CommandDelay(delay=0.02), JointMeasurementDelay(delay=0.005)))
+    sim = Simulator(system)
+    for k in range(5):
+        sim.step(float(k))
+    kept, ends = sim.snapshot(), []
+    for _ in range(2):
+        sim.restore(kept)
+        for k in range(5):
+            sim.step(-float(k))
+        ends.append(sim.state)
+    assert all(a.tobytes() == b.tobytes() for a, b in zip(*ends, strict=True))
+
+
+def test_a_joint_that_follows_exactly_needs_no_measurement():
+    with pytest.raises(
+        ParameterError, match="measurement_delay would do nothing: it needs dri"
+    ):
+        System(drive="prescribed", effects=(JointMeasurementDelay(delay=0.01),))
+
+
+# ------------------------------------------------------------------------ platform
+
+
+def ride(effects, rate, periods=60):
+    """Pose along x of a platform told to move at a steady rate [m/s], from rest at home."""
+    system = System(mode="emulated", emulator=POSITION, effects=effects)
+    sim = Simulator(system, warn_at=None)
+    out = []
+    for k in range(periods):
+        pose = np.zeros((1, 12))
+        pose[0, 0], pose[0, 6] = rate * k * system.control_dt, rate
+        sim.step(sim.servo_command(np.zeros((1, 3)), np.zeros((1, 3))), platform=pose)
+        out.append(sim.readings.y[0, 0])
+    return np.array(out)
+
+
+@pytest.mark.parametrize("delay", [0.0125, 0.03])
+def test_a_late_platform_lags_by_rate_times_delay(delay):
+    """Steady motion is followed without lag (rate feed-forward), but for the delay."""
+    plain, late = (ride(k, 0.05) for k in ((), (PlatformDelay(delay=delay),)))
+    assert plain[-1] - late[-1] == pytest.approx(0.05 * delay, rel=1e-6)
+
+
+def test_a_short_stroke_stops_the_platform_silently():
+    """Along x a leg stretches by the cosine it makes with it; here 0.4 m * 2 % of stroke."""
+    effects = (PlatformStroke(travel=0.98),)
+    system = System(mode="emulated", emulator=POSITION, effects=effects)
+    stewart = system.laboratory.stewart
+    x = ride(effects, 0.05, 120)[-1]
+    pose = np.array([x, 0, 0, 0, 0, 0])
+    stretch = np.abs(stewart.leg_lengths(pose) - stewart.home_lengths).max()
+    assert stretch == pytest.approx(0.02 * 0.4, rel=0.02)
+    assert x < 0.05 * 119 * system.control_dt / 2
+
+
+def test_slow_legs_limit_the_rate():
+    """The fastest leg moves at 2 % of what it should, once the platform has set off."""
+    x = ride((PlatformStroke(speed=0.98),), 0.05, 120)
+    system = System(mode="emulated", emulator=POSITION)
+    stewart, poses = system.laboratory.stewart, np.zeros((120, 6))
+    poses[:, 0] = x
+    rate = np.abs(np.diff(stewart.leg_lengths(poses), axis=0)).max(axis=1) / system.control_dt
+    np.testing.assert_allclose(rate[60:], 0.02 * stewart.speed_max, rtol=0.01)
+
+
+def test_within_reach_nothing_happens():
+    want = ride((), 0.05)
+    np.testing.assert_array_equal(ride((PlatformStroke(travel=0.2, speed=0.2),), 0.05), want)
+
+
+def test_delays_are_in_the_loop_that_is_judged():
+    """The linearised loop answers a wrench as late, or as badly held, as the machine."""
+    plain, push = System(mode="emulated", vehicle=DECOUPLED), [50.0, 0, 0, 0, 0, 20.0]
+    want = linearise(plain).step(push, 25)
+    for effect in (PlatformDelay(delay=0.0125), JointMeasurementDelay(delay=0.003)):
+        got = linearise(plain.replace(effects=(effect,))).step(push, 25)
+        assert np.abs(got - want).max() > 1e-5 * np.abs(want).max()
+    null = (PlatformDelay(), PlatformStroke(), JointMeasurementDelay(), CommandDelay())
+    assert spectral_radius(plain.replace(effects=null)) == spectral_radius(plain)
+
+
+# ------------------------------------------------------------- amplitude-dependent damping
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_damping_grows_with_the_amplitude(mode, backend):
+    """The drag's logarithmic decrement is 8/3 c A / m: twice at twice the amplitude.
+
+    One free mode, x of the decoupled vehicle with the arm on it. The linear damper beside it
+    lets the amplitude fall within the cycle, by one factor whatever the amplitude.
+    """
+    c, A = 100.0, 0.05
+    lost = []
+    for amplitude in (A, A / 2):
+        ends = []
+        for effects in ((), (BaseAmplitudeDamping(coefficient=(c, 0, 0, 0, 0, 0)),)):
+            system = System(mode=mode, vehicle=DECOUPLED, drive="prescribed", effects=effects)
+            sim = Simulator(system, backend=backend, warn_at=None)
+            y = np.zeros(6)
+            y[0] = amplitude
+            sim.reset(y=y)
+            path = [amplitude]
+            for _ in range(400):
+                sim.step(0.0)
+                path.append(sim.state.y[0, 0])
+            ends.append(np.array(path))
+        peaks = [path[200:].max() for path in ends]  # after a full cycle of 3.9 s
+        lost.append(np.log(peaks[0]) - np.log(peaks[1]))
+    assert lost[0] / lost[1] == pytest.approx(2.0, rel=0.15)
+
+
+def test_drag_is_in_the_energy_account():
+    effects = (BaseAmplitudeDamping(coefficient=(1e4,) * 6),)
+    motion = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
+    system = System(effects=effects)
+    run = play_motions(system, [motion], settle=0.5, record_dt=H)
+    assert ledger(run.log(0)).relative < 1e-5
+
+
+def test_nothing_holds_a_satellite():
+    with pytest.raises(ParameterError, match="needs a vehicle of M, D, K, got a satellite"):
+        System(vehicle=FREE_FLOATING, effects=(BaseAmplitudeDamping(coefficient=(1.0,) * 6),))

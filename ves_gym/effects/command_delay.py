@@ -1,0 +1,26 @@
+"""Joint commands: late."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.joint_line import Delays
+
+
+@register("command/delay")
+@dataclass(frozen=True, kw_only=True)
+class CommandDelay(Effect):
+    """The drives get the joint commands `delay` later than they are sent.
+
+    Between two physics steps commands are linear; before the first one they are that one.
+    The log shows the command sent (derived here).
+    """
+
+    modes = ("ideal", "emulated")
+    port = "joint"
+    delay: float = parameter("s", bounds=(0.0, 0.1))
+
+    def wire(self, delays: Delays) -> None:
+        """Add to the delay of all simulations."""
+        delays.command = delays.command + self.delay

@@ -1,0 +1,25 @@
+"""Platform: hears its command late."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.laboratory import Parameters
+
+
+@register("platform/delay")
+@dataclass(frozen=True, kw_only=True)
+class PlatformDelay(Effect):
+    """The platform gets the computer's command `delay` later than the loop assumes.
+
+    Linear between two commands; the payload compensation does not know (thesis 2.4.1 has one
+    period of it, `Emulator.delay`).
+    """
+
+    port = "platform"
+    delay: float = parameter("s", bounds=(0.0, 0.2))
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+        p.platform_delay = p.platform_delay + self.delay
