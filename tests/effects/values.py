@@ -14,6 +14,12 @@ CROSS = 0.02 * np.random.default_rng(0).normal(size=(6, 6))
 VALUES = {
     "base/amplitude_damping": {"coefficient": (1e3, 1e3, 1e3, 1e4, 1e4, 1e4)},
     "base/damping": {"error": 0.5},
+    "base/extra_mode": {
+        "mass": 40.0,
+        "frequency": 3.0,
+        "damping_ratio": 0.02,
+        "direction": (1.0, 0.0, 0.5),
+    },
     "base/stiffness": {"error": -0.2},
     "base/virtual_mass": {"error": 0.2},
     "command/delay": {"delay": 0.007},
@@ -23,8 +29,10 @@ VALUES = {
     "gravity/scale": {"error": 0.01},
     "gravity/tilt": {"angles": (0.01, -0.02, 0.0)},
     "joint/asymmetry": {"coulomb": (1.0, -2.0, 0.5), "viscous": (0.5, 0.5, -0.2)},
+    "joint/backlash": {"gap": (0.01, 0.005, 0.01), "compliance": 2e-5, "damping": 5.0},
     "joint/coulomb": {"torque": (1.0, 2.0, 0.5)},
     "joint/drive_gain": {"error": (0.05, -0.05, 0.1)},
+    "joint/elasticity": {"compliance": (3e-5, 2e-5, 1e-4), "damping": (5.0, 5.0, 2.0)},
     "joint/load_friction": {"coefficient": (0.05, 0.1, 0.05)},
     "joint/measurement_delay": {"delay": 0.004},
     "joint/ripple": {

@@ -72,11 +72,19 @@ def admittance_matrices(
 
     `coupled` treats all axes at once, `beam` each set of coupled axes, `decoupled` each
     axis alone (thesis 2.4.2: cheaper cycles for sparser models). The results agree; the
-    decoupled form refuses a vehicle whose axes are coupled.
+    decoupled form refuses a vehicle whose axes are coupled. A vehicle that carries m
+    oscillators is taken as a whole, whatever the form: Phi (12 + 2m, 12 + 2m), Gamma (12 +
+    2m, 6) of (Y, u, Y', u').
     """
     if form not in FORMS:
         raise ParameterError(f"admittance form must be one of {', '.join(FORMS)}, got {form!r}")
     M, D, K = base.mass_matrix, base.D, base.K
+    if base.extra:
+        wide = base.widened()
+        for own, more in zip((M, D, K), wide, strict=True):
+            more[:6, :6] += own
+        whole, driven = discretise(*wide, dt)
+        return whole, driven[:, :6]
     if form == "coupled":
         return discretise(M, D, K, dt)
     sets = coupled_axes(M, D, K)

@@ -61,10 +61,35 @@ class Inertial:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Gear:
+    """What lies between a rotor and its link: a spring with play, a damper beside it.
+
+    Torque at a deflection d of the link against the rotor: -(d less the play) / compliance
+    - damping d', the play being what of d lies within half the gap on either side.
+    """
+
+    compliance: float = unit("rad/(N m)")
+    damping: float = unit("N m s/rad", default=0.0)
+    gap: float = unit("rad", default=0.0)
+
+    def __post_init__(self) -> None:
+        require_positive(self, "compliance")
+        require_positive(self, "damping", "gap", zero=True)
+
+    @property
+    def stiffness(self) -> float:
+        """1 / compliance [N m/rad]."""
+        return 1 / self.compliance
+
+
+@dataclass(frozen=True, kw_only=True)
 class Link:
     """One revolute joint and the link it moves; the frame sits at the link's far end.
 
     Standard DH: frame i-1 -> i is Rot_z(q + offset) Trans_z(d) Trans_x(a) Rot_x(alpha).
+    With a `gear` that gives way q is the rotor's angle and the link turns further by the
+    gear's deflection, a coordinate of its own (Spong, J. Dyn. Sys. 109, 1987); without one
+    rotor and link are rigidly one.
     """
 
     d: float = unit("m")
@@ -78,11 +103,16 @@ class Link:
     v_max: float = unit("rad/s")
     a_max: float = unit("rad/s^2")
     tau_max: float = unit("N m")
+    gear: Gear | None = None
 
     def __post_init__(self) -> None:
         finite((self.d, self.a, self.alpha, self.offset, self.q_min, self.q_max), (6,), "Link")
         require_positive(self, "v_max", "a_max", "tau_max")
         require_positive(self, "rotor_inertia", zero=True)
+        if self.gear is not None and self.rotor_inertia == 0:
+            raise ParameterError(
+                "a Link with a gear needs rotor_inertia > 0 kg m^2: the gear turns against it"
+            )
         if not self.q_min < self.q_max:
             raise ParameterError(f"Link needs q_min < q_max, got {self.q_min} and {self.q_max}")
 
@@ -121,6 +151,11 @@ class Arm:
     def n(self) -> int:
         """Number of joints."""
         return len(self.links)
+
+    @property
+    def geared(self) -> tuple[int, ...]:
+        """Joints (from 0) whose gears give way."""
+        return tuple(i for i, link in enumerate(self.links) if link.gear is not None)
 
     def column(self, name: str) -> Array:
         """One number of every link, e.g. `column("tau_max")`: (n,)."""

@@ -47,6 +47,12 @@ def require_alike(own: System, other: System, which: str) -> None:
             for name in _GEOMETRY:
                 if getattr(a, name) != getattr(b, name):
                     refuse(f"{name} of link {i}", getattr(a, name), getattr(b, name))
+    if own.actual.arm.geared != other.actual.arm.geared:
+        mine, given = ([i + 1 for i in s.actual.arm.geared] for s in (own, other))
+        refuse("joints whose gears give way", mine or "none", given or "none")
+    carried = tuple(len(s.actual.base.extra) for s in (own, other))
+    if carried[0] != carried[1]:
+        refuse("the number of oscillators on the vehicle", *carried)
     if other.vehicle is not own.vehicle:
         bodies = tuple("a body" if s.base.body else "no body" for s in (own, other))
         if bodies[0] != bodies[1]:
@@ -142,6 +148,7 @@ class Bodies:
     D: Array
     K: Array
     drag: Array  # (n, 6)
+    wide: Array  # (n, 3, 6 + m, 6 + m) what m oscillators add to M, D, K
     body: Array  # (n, 6, 6) spatial inertia of a satellite, zero without one
     phi: Array  # (n, 12, 12) admittance, zero where the vehicle is nonlinear
     gamma: Array  # (n, 12, 6)
@@ -159,7 +166,8 @@ class Bodies:
             phi, gamma = admittance_matrices(base, system.control_dt, form)
         body = np.zeros((6, 6)) if base.body is None else base.body.spatial()
         drag = np.zeros(6) if base.drag is None else base.drag
-        row = (base.M, base.D, base.K, drag, body, phi, gamma, weight.mass, weight.P)
+        wide = np.array(base.widened())
+        row = (base.M, base.D, base.K, drag, wide, body, phi, gamma, weight.mass, weight.P)
         return Bodies(*(np.array([k]) for k in (*row, numbers)))
 
     def parts(self) -> list[Array]:

@@ -209,6 +209,10 @@ def ledger(log: RunLog) -> Ledger:
         missing = [k for k in ("tau", "v", "yd") if getattr(log, k) is None]
         raise ParameterError(f"the energy ledger needs the columns {', '.join(missing)}")
     system = _system(log).actual
+    if system.arm.geared or system.base.extra:
+        raise ParameterError(
+            "the energy ledger knows no gears that give way and no oscillators of the vehicle"
+        )
     rates = np.concatenate([twist(log.y, log.yd), log.v], axis=-1)
     body = inertia(system.arm, log.q)
     if system.base.body is not None:

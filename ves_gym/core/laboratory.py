@@ -150,7 +150,8 @@ class _State:
     reading: Array  # (n, 6)
     estimate: Array  # (n, 6) gravity wrench in use
     past: Array  # (n, m, 6) earlier estimates, newest first
-    sway: Array  # (n, 2 joints) the joints' answer to the base's motion, in the admittance
+    sway: Array  # (n, 2 (joints + m)) the joints' answer to the base's motion, in the
+    #              admittance, and the m oscillators that the vehicle carries
     felt: Array  # (n, 2 joints) the same by the model of the platform
     payload: Array  # (n, 6, 2) predicted inertia wrench of the arm, as the sensor shows it
     frozen: Mask  # (n,)
@@ -195,6 +196,8 @@ class Laboratory:
         self._lag = emulator.lag(self.dt)
         self._inertia = InertiaMap(system, n) if self.compensating else None
         self._moving = arm.n if system.drive == "motor" else 0  # joints that give way
+        self._carried = len(base.extra)
+        self._wide = np.array(base.widened())
         self._ages = self._oldest()
         self._short = self._falling_short()
         self._systems = [system] * n
@@ -214,7 +217,7 @@ class Laboratory:
             reading=zero((n, 6)),
             estimate=zero((n, 6)),
             past=zero((n, self._ages + 1, 6)),
-            sway=zero((n, 2 * self._moving)),
+            sway=zero((n, 2 * (self._moving + self._carried))),
             felt=zero((n, 2 * self._moving)),
             payload=zero((n, 6, 2)),
             frozen=zero(n, bool),
@@ -335,6 +338,11 @@ class Laboratory:
         s.X[ids], s.sent[ids], s.queue[ids] = X, X, X[:, None]
         s.late[ids], s.told[ids] = X[:, None], X
         s.sway[ids], s.felt[ids], s.payload[ids] = 0.0, 0.0, 0.0
+        if self._carried:
+            at, moving = self._carrying
+            for i, row, rate in zip(ids.tolist(), y, yd, strict=True):
+                carried = self._systems[i].actual.base
+                s.sway[i, at], s.sway[i, moving] = carried.attached(row), carried.attached(rate)
         s.frozen[ids], s.time[ids] = False, 0.0
         self.events = [e for e in self.events if e.simulation not in set(ids.tolist())]
         self.follower.reset(ids, y, yd)
@@ -471,6 +479,18 @@ class Laboratory:
         y = self.follower.measured()
         return Readings(s.reading.copy(), s.estimate.copy(), y.copy(), s.sent[:, :6].copy())
 
+    @property
+    def _carrying(self) -> tuple[slice, slice]:
+        """Where coordinates and rates of the vehicle's oscillators are in `sway`."""
+        m, e = self._moving, self._carried
+        return slice(m, m + e), slice(2 * m + e, 2 * (m + e))
+
+    @property
+    def carried(self) -> tuple[Array, Array]:
+        """Coordinates and rates (n, m) of the oscillators that the vehicle carries."""
+        at, moving = self._carrying
+        return self.state.sway[:, at].copy(), self.state.sway[:, moving].copy()
+
     def zero(self, ids: Index) -> None:
         """Set the sensors' zero from the gravity estimate (App. E step 9)."""
         wrench = self.state.estimate[ids]
@@ -551,7 +571,16 @@ class Laboratory:
             if drag is not None:
                 force = force - drag * np.abs(s.X[:, 6:]) * s.X[:, 6:]
             # row by row: one matrix product over the batch would round by its size
-            s.X = matvec(phi, s.X) + matvec(gamma, force)
+            if self._carried:
+                at, moving = self._carrying
+                parts = (s.X[:, :6], s.sway[:, at], s.X[:, 6:], s.sway[:, moving])
+                whole = matvec(phi, np.concatenate(parts, axis=-1)) + matvec(gamma, force)
+                y, s.sway[:, at], yd, s.sway[:, moving] = np.split(
+                    whole, np.cumsum([6, self._carried, 6]), axis=-1
+                )
+                s.X = np.concatenate([y, yd], axis=-1)
+            else:
+                s.X = matvec(phi, s.X) + matvec(gamma, force)
         else:
             force = matvec(turned, s.reading - s.estimate)
             s.X = integrate(self._vehicle(np.arange(self.n)), s.X, force, self.dt)
@@ -571,10 +600,11 @@ class Laboratory:
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Matrices, state and force of vehicle and servo-held joints as one linear system."""
         base, own, m = self.system.actual.base, self._bodies, self._moving
-        M, D, K = np.zeros((3, len(ids), 6 + m, 6 + m))
-        turn = np.broadcast_to(np.eye(6 + m), M.shape).copy()
+        k = m + self._carried
+        M, D, K = np.zeros((3, len(ids), 6 + k, 6 + k))
+        turn = np.broadcast_to(np.eye(6 + m), H.shape).copy()
         turn[:, :6, :6] = rate_matrix(X[:, :6])
-        M[:] = np.swapaxes(turn, -1, -2) @ H @ turn
+        M[:, : 6 + m, : 6 + m] = np.swapaxes(turn, -1, -2) @ H @ turn
         if self._nonlinear is None:
             parts = (base.M, base.D, base.K)
             if own is not None:
@@ -595,12 +625,17 @@ class Laboratory:
             force = np.add(force, matvec(body, rest))
         joints = np.arange(6, 6 + m)
         D[:, joints, joints], K[:, joints, joints] = self.kd[ids, :m], self.kp[ids, :m]
-        whole = np.concatenate([X[:, :6], sway[:, :m], X[:, 6:], sway[:, m:]], axis=-1)
-        return M, D, K, whole, np.concatenate([force, np.zeros((len(ids), m))], axis=-1)
+        if self._carried:
+            at = np.r_[:6, 6 + m : 6 + k]
+            wide = self._wide[:, None] if own is None else np.swapaxes(own.wide[ids], 0, 1)
+            for part, more in zip((M, D, K), wide, strict=True):
+                part[:, at[:, None], at] += more
+        whole = np.concatenate([X[:, :6], sway[:, :k], X[:, 6:], sway[:, k:]], axis=-1)
+        return M, D, K, whole, np.concatenate([force, np.zeros((len(ids), k))], axis=-1)
 
     def _apart(self, X: Array) -> tuple[Array, Array]:
-        """State of the vehicle (n, 12) and of the joints (n, 2m) from that of both."""
-        m = self._moving
+        """State of the vehicle (n, 12) and of all else (n, 2m) from that of both."""
+        m = self._moving + self._carried
         base = np.concatenate([X[:, :6], X[:, 6 + m : 12 + m]], axis=-1)
         return base, np.concatenate([X[:, 6 : 6 + m], X[:, 12 + m :]], axis=-1)
 

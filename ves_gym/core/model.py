@@ -52,9 +52,32 @@ def build_spec(
         _set_inertial(platform.add_body(name="satellite"), base.body)
     for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
         _add_tendons(spec, what, values)
-    add_drag(spec, base)
     _add_links(spec, platform, arm)
     return spec
+
+
+def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
+    """Springs of the gears; drag and oscillators of a vehicle. The last tendons and joints."""
+    if base is not None:
+        add_drag(spec, base)
+        for i, one in enumerate(base.extra, start=1):
+            body = spec.worldbody.add_body(name=f"extra_{i}")
+            body.mass, body.ipos, body.inertia = one.mass, [0, 0, 0], [one.mass] * 3
+            body.explicitinertial = True
+            body.add_joint(name=f"u_{i}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
+            tendon = spec.add_tendon(name=f"extra_{i}")
+            tendon.wrap_joint(f"u_{i}", 1.0)
+            for axis, part in zip("xyz", one.direction, strict=True):
+                tendon.wrap_joint(axis, -part)
+            tendon.springlength = [0.0, 0.0]
+            tendon.stiffness, tendon.damping = [one.stiffness, 0, 0], [one.damping, 0, 0]
+    for i in arm.geared:
+        gear = arm.links[i].gear
+        assert gear is not None
+        tendon = spec.add_tendon(name=f"gear_{i + 1}")
+        tendon.wrap_joint(f"d_{i + 1}", 1.0)
+        tendon.springlength = [-gear.gap / 2, gear.gap / 2]  # none within
+        tendon.stiffness, tendon.damping = [gear.stiffness, 0, 0], [gear.damping, 0, 0]
 
 
 def add_drag(spec: mujoco.MjSpec, base: BaseModel) -> None:
@@ -151,6 +174,8 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
             axis=[0, 0, 1],
             armature=link.rotor_inertia,
         )
+        if link.gear is not None:  # the link turns on, the rotor does not
+            body.add_joint(name=f"d_{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
         _set_inertial(body, link.inertial_at_joint)
         rotation, position = link.far_end
         _add_drive(spec, f"drive_{i}", f"q_{i}", 1.0, link.tau_max)

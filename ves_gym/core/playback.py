@@ -158,7 +158,7 @@ def play_motions(
             if len(sim.events) >= n:
                 break
         else:
-            rows.append((*row, base_wrench(system, state, ydd)))
+            rows.append((*row, base_wrench(system, state, ydd, sim.hidden)))
         if k + 1 < records:
             part = slice(k * periods, (k + 1) * periods)
             if table is not None:
@@ -295,13 +295,25 @@ def _commands(sim: Simulator, s: Samples) -> Array:
     return sim.servo_command(s.q, s.v, tau)
 
 
-def base_wrench(system: System, state: State, ydd: Array) -> Array:
-    """(n, 6) wrench of the arm on the base, platform axes: what the vehicle's motion takes."""
+def base_wrench(
+    system: System, state: State, ydd: Array, hidden: tuple[Array, Array] | None = None
+) -> Array:
+    """(n, 6) wrench of the arm on the base, platform axes: what the vehicle's motion takes.
+
+    `hidden`: `Simulator.hidden`, where the vehicle carries oscillators.
+    """
     base, y, yd = system.actual.base, state.y, state.yd
     # run by run: one matrix product over the batch would round by its size
     force = matvec(base.M, ydd) + matvec(base.D, yd) + matvec(base.K, y)  # conjugate to Y
     if base.drag is not None:
         force = force + base.drag * np.abs(yd) * yd
+    if base.extra:
+        if hidden is None:
+            raise ParameterError("a vehicle that carries oscillators needs their state")
+        _, D, K = base.widened()
+        for matrix, part, rest in ((K, y, hidden[0]), (D, yd, hidden[1])):
+            whole = np.concatenate([part, rest[:, -len(base.extra) :]], axis=-1)
+            force = force + matvec(matrix[:6], whole)
     turn = np.swapaxes(rate_matrix(y), -1, -2)
     wrench = np.linalg.solve(turn, force[..., None])[..., 0]
     if base.body is not None:

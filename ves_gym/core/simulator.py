@@ -94,10 +94,10 @@ class Simulator:
             raise ParameterError(f"n must be a whole number >= 1, got {n!r}")
         if on_divergence not in ("raise", "mark"):
             raise ParameterError(f"on_divergence must be raise or mark, got {on_divergence!r}")
-        if system.mode == "ideal":
+        if system.mode == "ideal" or system.actual.arm.geared:
             _require_stable_step(system.actual)
-            if admittance is not None:
-                raise ParameterError("an admittance needs mode emulated, got mode ideal")
+        if system.mode == "ideal" and admittance is not None:
+            raise ParameterError("an admittance needs mode emulated, got mode ideal")
         self.system, self.n = system, int(n)
         self.joints = system.arm.n
         self.backend = make_backend(backend, system.actual, self.n, threads)
@@ -273,7 +273,8 @@ class Simulator:
                 raise ParameterError(f"systems must hold Systems, got {system!r}")
             share_base(self.system, system)
             require_alike(self.system, system, f"system of simulation {i}")
-            if system.mode == "ideal" and bodies_of(system.actual) not in stable:
+            judged = system.mode == "ideal" or bool(system.actual.arm.geared)
+            if judged and bodies_of(system.actual) not in stable:
                 _require_stable_step(system.actual)
                 stable.add(bodies_of(system.actual))
         if not len(index):
@@ -431,6 +432,19 @@ class Simulator:
         if self.line is None:
             return z[:, 6:]
         return self.line.measured(z[:, 6:], zd[:, 6:])[0]
+
+    @property
+    def hidden(self) -> tuple[Array, Array]:
+        """Coordinates and rates (n, g + m) that no log shows.
+
+        Deflections of the gears that give way [rad], then the oscillators that the vehicle
+        carries [m] (`arm.Gear`, `vehicle.Oscillator`).
+        """
+        at, rate = self.backend.hidden()
+        if self.laboratory is None:
+            return at, rate
+        u, ud = self.laboratory.carried
+        return np.concatenate([at, u], axis=1), np.concatenate([rate, ud], axis=1)
 
     @property
     def measured(self) -> tuple[Array, Array]:
@@ -645,11 +659,13 @@ def _catch_up(y: Array, yd: Array, ydd: Array, now: Array, rate: Array, h: float
 
 
 def _require_stable_step(system: System) -> None:
-    """Refuse a physics step the integrator cannot take, judged at q = 0, joints locked."""
-    base = system.base
-    Mt = base.mass_matrix + inertia(system.arm, np.zeros(system.arm.n))[:6, :6]
-    K, D = np.linalg.solve(Mt, base.K), np.linalg.solve(Mt, base.D)
-    eye, none = np.eye(6), np.zeros((6, 6))
+    """Refuse a physics step the integrator cannot take, judged at q = 0.
+
+    Joints locked, or free behind gears that give way.
+    """
+    M, damping, stiffness = _passive(system)
+    K, D = np.linalg.solve(M, stiffness), np.linalg.solve(M, damping)
+    eye, none = np.eye(len(M)), np.zeros(M.shape)
     poles = np.linalg.eigvals(np.block([[none, eye], [-K, -D]]))
 
     def stable(dt: float) -> bool:
@@ -672,7 +688,40 @@ def _require_stable_step(system: System) -> None:
     for _ in range(30):
         middle = (low + high) / 2
         low, high = (middle, high) if stable(middle) else (low, middle)
+    what = "arm's or vehicle's" if system.arm.geared else "vehicle's"
     raise ParameterError(
-        f"physics_dt must be <= {low:.3g} s for the vehicle's fastest mode of"
+        f"physics_dt must be <= {low:.3g} s for the {what} fastest mode of"
         f" {np.abs(poles).max() / 2 / np.pi:.3g} Hz, got {system.physics_dt:g} s"
     )
+
+
+def _passive(system: System) -> tuple[Array, Array, Array]:
+    """M, D, K of what swings by itself, at q = 0."""
+    base, arm = system.base, system.arm
+    H = inertia(arm, np.zeros(arm.n))
+    if not (arm.geared or base.extra):
+        return base.mass_matrix + H[:6, :6], base.D, base.K
+    n, g, m = arm.n, len(arm.geared), len(base.extra)
+    # coordinates: Y, rotors, deflections of the gears, oscillators
+    link = np.zeros((6 + n, 6 + n + g))  # velocities of base and links from theirs
+    link[:, : 6 + n] = np.eye(6 + n)
+    link[[6 + i for i in arm.geared], 6 + n + np.arange(g)] = 1.0
+    rotors = np.diag(np.r_[np.zeros(6), arm.column("rotor_inertia")])
+    M, D, K = np.zeros((3, 6 + n + g + m, 6 + n + g + m))
+    M[: 6 + n + g, : 6 + n + g] = link.T @ (H - rotors) @ link
+    M[: 6 + n, : 6 + n] += rotors
+    for k, i in enumerate(arm.geared, start=6 + n):
+        gear = arm.links[i].gear
+        assert gear is not None
+        D[k, k], K[k, k] = gear.damping, gear.stiffness
+    kept = np.arange(6, 6 + n + g)  # a platform goes where it is told
+    if system.mode == "ideal":
+        kept = np.arange(len(M))
+        at = np.r_[:6, 6 + n + g : len(M)]
+        for part, own, more in zip(
+            (M, D, K), (base.mass_matrix, base.D, base.K), base.widened(), strict=True
+        ):
+            part[at[:, None], at] += more
+            part[:6, :6] += own
+    some = kept[:, None], kept
+    return M[some], D[some], K[some]

@@ -194,6 +194,8 @@ class _Loop:
         self.names = ["X", "sent", "queue", "reading", "estimate", "past"]
         if sim.laboratory.compensating:
             self.names += ["sway", "felt", "payload"]
+        elif sim.laboratory.carried[0].size:
+            self.names += ["sway"]
         lab = sim.laboratory  # a model of its own, or the machine itself
         self._ages = sim.line is not None and sim.line.old
         self._modelled = lab.compensating and lab.model is not lab.follower

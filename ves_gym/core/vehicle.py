@@ -31,6 +31,29 @@ from ves_gym.core.params import (
 _GAUSS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; the beam needs 6
 
 
+@dataclass(frozen=True, kw_only=True)
+class Oscillator:
+    """A mass on a spring that the vehicle carries, free along one fixed direction.
+
+    In its own coordinate u, its way along `direction`: mass u'' = -f, and f along the
+    direction on the vehicle, f = stiffness (u - direction . Y) + damping (u - direction . Y)'.
+    """
+
+    mass: float = unit("kg")
+    stiffness: float = unit("N/m")
+    damping: float = unit("N s/m", default=0.0)
+    direction: Vector = unit("1")  # (3,) unit vector
+
+    def __post_init__(self) -> None:
+        require_positive(self, "mass", "stiffness")
+        require_positive(self, "damping", zero=True)
+        length = float(np.linalg.norm(finite(self.direction, (3,), "Oscillator.direction")))
+        if abs(length - 1) > 1e-9:
+            raise ParameterError(
+                f"Oscillator.direction must have length 1, got {self.direction}"
+            )
+
+
 @dataclass(frozen=True)
 class BaseModel:
     """Linear base dynamics in Y, SI units, plus an optional rigid body at the base."""
@@ -40,11 +63,31 @@ class BaseModel:
     K: Array  # (6, 6) stiffness [N/m, N, N m]
     body: Inertial | None = None
     drag: Array | None = None  # (6,) c of a damping force c |Y'| Y' [N s^2/m^2, N m s^2]
+    extra: tuple[Oscillator, ...] = ()  # masses on springs that it carries
 
     @property
     def mass_matrix(self) -> Array:
         """(6, 6) mass matrix at Y = 0: M plus the rigid body's inertia."""
         return self.M if self.body is None else self.M + self.body.spatial()
+
+    def widened(self) -> tuple[Array, Array, Array]:
+        """What the oscillators add to M, D, K in (Y, u): three (6 + m, 6 + m)."""
+        m = len(self.extra)
+        M, D, K = np.zeros((3, 6 + m, 6 + m))
+        for i, one in enumerate(self.extra):
+            M[6 + i, 6 + i] = one.mass
+            way = np.zeros(6 + m)
+            way[:3], way[6 + i] = one.direction, -1.0
+            D += one.damping * np.outer(way, way)
+            K += one.stiffness * np.outer(way, way)
+        return M, D, K
+
+    def attached(self, y: Array) -> Array:
+        """(..., m) coordinates of the oscillators at rest on a vehicle at (..., 6)."""
+        out = np.zeros((*y.shape[:-1], len(self.extra)))
+        for i, one in enumerate(self.extra):
+            out[..., i] = sum(c * y[..., k] for k, c in enumerate(one.direction))
+        return out
 
 
 def modal_damping(M: Array, K: Array, ratio: float) -> Array:
@@ -239,7 +282,8 @@ def _carry(r: Array) -> Array:
 class Matrices:
     """The user's own M, D, K in Y; each symmetric and positive semidefinite.
 
-    `drag`: damping that grows with speed, a force c |Y'| Y' along each axis.
+    `drag`: damping that grows with speed, a force c |Y'| Y' along each axis. `extra`:
+    masses on springs that it carries.
     """
 
     kind: ClassVar[str] = "matrices"
@@ -247,6 +291,7 @@ class Matrices:
     D: Matrix = unit("N s/m, N s, N m s")
     K: Matrix = unit("N/m, N, N m")
     drag: Vector | None = unit("N s^2/m^2, N m s^2", default=None)
+    extra: tuple[Oscillator, ...] | None = None
     source: str = "user"
 
     def __post_init__(self) -> None:
@@ -258,7 +303,8 @@ class Matrices:
     def base_model(self) -> BaseModel:
         """The matrices as given, symmetrised to rounding."""
         M, D, K = (symmetric(getattr(self, name), name) for name in "MDK")
-        return BaseModel(M, D, K, drag=None if self.drag is None else np.array(self.drag))
+        drag = None if self.drag is None else np.array(self.drag)
+        return BaseModel(M, D, K, drag=drag, extra=self.extra or ())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -337,7 +383,7 @@ def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
         return Satellite(body=base.body, thrusters=thrusters, source=vehicle.source)
     parts = {name: matrix(getattr(base, name)) for name in "MDK"}
     drag = None if base.drag is None else tuple(base.drag.tolist())
-    return Matrices(**parts, drag=drag, source=vehicle.source)
+    return Matrices(**parts, drag=drag, extra=base.extra or None, source=vehicle.source)
 
 
 def vehicle_from_plain(plain: Any, where: str = "vehicle") -> Vehicle:

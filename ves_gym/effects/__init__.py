@@ -8,6 +8,7 @@ from __future__ import annotations
 from ves_gym.core.effect import EFFECTS, Effect
 from ves_gym.effects.base_amplitude_damping import BaseAmplitudeDamping
 from ves_gym.effects.base_damping import BaseDamping
+from ves_gym.effects.base_extra_mode import BaseExtraMode
 from ves_gym.effects.base_stiffness import BaseStiffness
 from ves_gym.effects.base_virtual_mass import BaseVirtualMass
 from ves_gym.effects.budget import LABORATORY_ERRORS
@@ -18,8 +19,10 @@ from ves_gym.effects.gravity_moment import GravityMoment
 from ves_gym.effects.gravity_scale import GravityScale
 from ves_gym.effects.gravity_tilt import GravityTilt
 from ves_gym.effects.joint_asymmetry import JointAsymmetry
+from ves_gym.effects.joint_backlash import JointBacklash
 from ves_gym.effects.joint_coulomb import JointCoulomb
 from ves_gym.effects.joint_drive_gain import JointDriveGain
+from ves_gym.effects.joint_elasticity import JointElasticity
 from ves_gym.effects.joint_load_friction import JointLoadFriction
 from ves_gym.effects.joint_measurement_delay import JointMeasurementDelay
 from ves_gym.effects.joint_ripple import JointRipple
@@ -47,6 +50,7 @@ __all__ = [
     "LABORATORY_ERRORS",
     "BaseAmplitudeDamping",
     "BaseDamping",
+    "BaseExtraMode",
     "BaseStiffness",
     "BaseVirtualMass",
     "CommandDelay",
@@ -57,8 +61,10 @@ __all__ = [
     "GravityScale",
     "GravityTilt",
     "JointAsymmetry",
+    "JointBacklash",
     "JointCoulomb",
     "JointDriveGain",
+    "JointElasticity",
     "JointLoadFriction",
     "JointMeasurementDelay",
     "JointRipple",

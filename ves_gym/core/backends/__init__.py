@@ -65,6 +65,9 @@ class Backend(Protocol):
             commands.
         """
 
+    def hidden(self) -> tuple[Array, Array]:
+        """Coordinates and rates (n, g + m): gears' deflections; in space, oscillators."""
+
     def evaluate(self, command: Array) -> tuple[Array, Array]:
         """Drive torque (n, joints) and acceleration zdd (n, 6 + joints) at this state."""
 

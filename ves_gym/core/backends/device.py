@@ -27,6 +27,11 @@ class DeviceBackend(Remembering):
             raise ParameterError(
                 f"backend {self.name} has no torque laws of effects: use kernel or mujoco"
             )
+        if system.arm.geared or system.base.extra or system.base.drag is not None:
+            raise ParameterError(
+                f"backend {self.name} has no gears that give way, drag or oscillators of the"
+                " vehicle: use kernel or mujoco"
+            )
         if system.integrator == "implicitfast":
             raise ParameterError(
                 f"backend {self.name} has the integrators rk4 and euler, got implicitfast"
@@ -102,6 +107,9 @@ class DeviceBackend(Remembering):
         out[:, :-1] = -self._play(np.diff(nodes, axis=1) / self.dt, ids)
         out[:, -1] = -self._forward()[2]
         return out
+
+    def hidden(self) -> tuple[Array, Array]:
+        return np.zeros((self.n, 0)), np.zeros((self.n, 0))
 
     def evaluate(self, command: Array) -> tuple[Array, Array]:
         self._act[:, self._drives :] = command

@@ -33,7 +33,8 @@ def compiled(system: System) -> Library:
 
         def make() -> str:
             graphs = equations(system)
-            return emit_module(graphs.motion, graphs.observe, system.integrator, 6 + graphs.n)
+            order = 6 + graphs.n + graphs.hidden
+            return emit_module(graphs.motion, graphs.observe, system.integrator, order)
 
         _LIBRARIES[key] = cached(key, make)
     return _LIBRARIES[key]
@@ -61,7 +62,10 @@ class KernelBackend(Remembering):
         self._systems = [system] * n
         self._blocks = -(-n // LANES)
         size = 6 + self.joints
-        self._nx, self._nu = 2 * size, size
+        self._extras = 0 if self.emulated else len(system.base.extra)
+        self._gears = len(system.arm.geared)
+        self._order = size + self._gears + self._extras  # coordinates: (Y, q), what is hidden
+        self._nx, self._nu = 2 * self._order, size
         self._ny = size + self.joints + (6 if self.emulated else 0)
         self._x = aligned(self._blocks, self._nx, LANES)
         self._p = aligned(self._blocks, len(values), LANES)
@@ -138,11 +142,28 @@ class KernelBackend(Remembering):
 
     def read(self) -> tuple[Array, Array, Array]:
         x = unlane(self._x, self.n)
-        size = 6 + self.joints
-        return self._start + self._ticks * self.dt, x[:, :size], x[:, size:]
+        size, order = 6 + self.joints, self._order
+        time = self._start + self._ticks * self.dt
+        return time, x[:, :size], x[:, order : order + size]
+
+    def hidden(self) -> tuple[Array, Array]:
+        x, first, order = unlane(self._x, self.n), 6 + self.joints, self._order
+        return x[:, first:order], x[:, order + first :]
 
     def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
-        self._x[ids // LANES, :, ids % LANES] = np.hstack([z, zd])
+        if self._order == 6 + self.joints:
+            rows = np.hstack([z, zd])
+        else:
+            parts = []
+            for part in (z, zd):  # gears relaxed, oscillators at rest on the vehicle
+                bases = [self._systems[i].base for i in ids.tolist()]
+                held = [b.attached(y) for b, y in zip(bases, part[:, :6], strict=True)]
+                hidden = np.zeros((len(ids), self._gears + self._extras))
+                if self._extras:
+                    hidden[:, self._gears :] = held
+                parts += [part, hidden]
+            rows = np.hstack(parts)
+        self._x[ids // LANES, :, ids % LANES] = rows
         self._u[ids // LANES, :, ids % LANES] = 0.0  # no acceleration of a platform either
         self._start[ids], self._ticks[ids], self._fault[ids] = time, 0, False
 

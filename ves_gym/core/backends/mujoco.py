@@ -18,7 +18,7 @@ from ves_gym.core.gravity import GRAVITY
 from ves_gym.core.model import (
     BASE_JOINTS,
     TO_Y,
-    add_drag,
+    add_hidden,
     build_laboratory_spec,
     build_spec,
 )
@@ -62,7 +62,7 @@ def compile_model(system: System, whole: bool = False) -> mujoco.MjModel:
         )
         if whole:
             _add_whole_tendons(spec, base)
-            add_drag(spec, base)
+    add_hidden(spec, system.arm, system.base if system.mode == "ideal" else None)
     if system.drive == "prescribed":
         for i in range(system.arm.n):
             spec.joint(f"q_{i + 1}").armature += PRESCRIBED_INERTIA
@@ -113,7 +113,15 @@ class MujocoBackend:
         self.joints = system.arm.n
         self.prescribed = system.drive == "prescribed"
         self.system, self._nthread = system, threads
-        self._order = np.r_[TO_Y, 6 + np.arange(self.joints)]
+        # coordinates of the motors; those of gears lie between them
+        self._motors: Any = slice(6, 6 + self.joints)
+        geared = np.array(system.arm.geared, int)
+        if len(geared):
+            before = [int((geared < i).sum()) for i in range(self.joints)]
+            self._motors = 6 + np.arange(self.joints) + np.array(before)
+        where = np.arange(6 + self.joints + len(geared))
+        self._order = np.r_[TO_Y, where[self._motors]]
+        self._carried = len(system.base.extra) if system.mode == "ideal" else 0
         self._laws = [effect for effect in system.effects if effect.has_law]
         self._own_laws: Laws | None = None
         self._whole = False  # the layout of `compile_model`
@@ -146,6 +154,10 @@ class MujocoBackend:
         self._time[ids] = time
         self._qpos[np.ix_(ids, self._order)] = z
         self._qvel[np.ix_(ids, self._order)] = zd
+        for row, i in enumerate(ids.tolist() if self._carried else []):
+            base, m = self._systems[i].base, self._carried  # at rest on the vehicle
+            self._qpos[i, -m:] = base.attached(z[row, :6])
+            self._qvel[i, -m:] = base.attached(zd[row, :6])
 
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
         if self._bias is None:
@@ -182,6 +194,11 @@ class MujocoBackend:
                 self._varied |= change.keys()
             self._systems[i] = system
 
+    def hidden(self) -> tuple[Array, Array]:
+        seen = set(self._order.tolist())
+        rest = [k for k in range(self.model.nv) if k not in seen]
+        return self._qpos[:, rest], self._qvel[:, rest]
+
     def step(
         self,
         command: Array,
@@ -203,13 +220,13 @@ class MujocoBackend:
     def _push(self) -> None:
         """Set the torque of the effects' laws, held until the next physics step."""
         if self._laws:
-            q, v = self._qpos[:, 6:], self._qvel[:, 6:]
+            q, v = self._qpos[:, self._motors], self._qvel[:, self._motors]
             own, tau = self._own_laws, self._motor_torque(q, v)
             if own is None:
                 torque = joint_torque(self._laws, q, v, tau, self._limits[0])
             else:
                 torque = own.torque(q, v, tau)
-            self._applied[:, 6:] = torque
+            self._applied[:, self._motors] = torque
 
     def _motor_torque(self, q: Array, v: Array) -> Array:
         """(n, joints) what the motors are told now, within their limits [N m]."""

@@ -34,6 +34,13 @@ class Model:
     limit: list[Expression]
     gain: list[Expression]
     laws: list[tuple[Effect, dict[str, Any]]]  # with their numbers
+    gears: dict[int, Any]  # of the joints that have one: stiffness, damping, gap
+    extra: list[Any]  # oscillators on the vehicle: mass, stiffness, damping, direction
+
+    @property
+    def hidden(self) -> int:
+        """Coordinates beside (Y, q): deflections of the gears, then the oscillators."""
+        return len(self.gears) + len(self.extra)
 
     def push(self, q: list[Any], v: list[Any], tau: list[Any], xp: Any) -> list[Any]:
         """Torque of the effects' laws at the joints, under motor torques tau."""
@@ -72,6 +79,68 @@ def drive_torque(
         )
     ]
     return ask, [xp.fmin(xp.fmax(f, -m), m) for f, m in zip(ask, model.limit, strict=True)]
+
+
+def unfolded(model: Model) -> Model:
+    """The model with each gear as a joint of its own: rotor first, then the link."""
+    links: list[Any] = []
+    zero = [[0.0] * 3 for _ in range(3)]
+    for i, link in enumerate(model.arm.links):
+        if i in model.gears:
+            nothing = SimpleNamespace(mass=0.0, com=(0.0, 0.0, 0.0), inertia=zero)
+            shape = {"d": 0.0, "a": 0.0, "alpha": 0.0, "offset": 0.0}
+            rotor = link.rotor_inertia
+            links.append(SimpleNamespace(**shape, inertial=nothing, rotor_inertia=rotor))
+            link = SimpleNamespace(**{**vars(link), "rotor_inertia": 0.0})
+        links.append(link)
+    arm = SimpleNamespace(n=len(links), links=links, base=model.arm.base)
+    return dataclasses.replace(model, arm=arm)
+
+
+def interleaved(model: Model, joints: list[Any], gears: list[Any]) -> list[Any]:
+    """Quantities of joints (n) and gears in the order of the unfolded joints."""
+    rest, out = list(gears), []
+    for i, value in enumerate(joints):
+        out += [value, rest.pop(0)] if i in model.gears else [value]
+    return out
+
+
+def separated(model: Model, values: list[Any]) -> tuple[list[Any], list[Any]]:
+    """The inverse of `interleaved`."""
+    joints, gears, rest = [], [], list(values)
+    for i in range(model.arm.n):
+        joints.append(rest.pop(0))
+        if i in model.gears:
+            gears.append(rest.pop(0))
+    return joints, gears
+
+
+def gear_torque(model: Model, d: list[Any], rate: list[Any], xp: Any) -> list[Any]:
+    """What the gears do to their links at deflections d [N m]."""
+    out = []
+    for gear, bend, bending in zip(model.gears.values(), d, rate, strict=True):
+        if not is_zero(gear.gap):
+            half = gear.gap / 2
+            bend = bend - xp.fmin(xp.fmax(bend, -half), half)
+        out.append(-gear.stiffness * bend - gear.damping * bending)
+    return out
+
+
+def oscillator_forces(
+    model: Model, y: list[Any], yd: list[Any], u: list[Any], ud: list[Any]
+) -> tuple[list[Any], list[Any]]:
+    """Generalised force on Y (6), and u'' of the oscillators."""
+    push: list[Any] = [0.0] * 6
+    out = []
+    for one, at, moving in zip(model.extra, u, ud, strict=True):
+        stretch = at - sum(c * k for c, k in pairs(list(one.direction), y[:3]))
+        speed = moving - sum(c * k for c, k in pairs(list(one.direction), yd[:3]))
+        force = one.stiffness * stretch + one.damping * speed
+        for i, c in enumerate(one.direction):
+            if not is_zero(c):
+                push[i] = push[i] + c * force
+        out.append(-force / one.mass)
+    return push, out
 
 
 def _rates(y: list[Expression], xp: Any) -> tuple[list[list[Expression]], list[Expression]]:

@@ -25,17 +25,22 @@ from ves_gym.core.kernel.mechanics import (
     balance_of_forces,
     base_energy,
     drive_torque,
+    gear_torque,
     in_space,
+    interleaved,
     is_zero,
     on_platform,
     one_base,
+    oscillator_forces,
     pairs,
     residual,
+    separated,
     solve,
     sum_of,
     times,
+    unfolded,
 )
-from ves_gym.core.params import Array
+from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.system import PRESCRIBED_INERTIA
 
 if TYPE_CHECKING:
@@ -55,8 +60,9 @@ class Equations:
 
     n: int  # joints
     names: tuple[str, ...]  # of p
-    motion: casadi.Function  # (x, u, p) -> x'
+    motion: casadi.Function  # (x, u, p) -> x'; x with what is hidden: (z, h, z', h')
     observe: casadi.Function  # (x, u, p) -> x', (z'', drive torque, wrench if emulated)
+    hidden: int = 0  # coordinates h: deflections of gears, oscillators of the vehicle
 
 
 class _Numbers:
@@ -85,6 +91,23 @@ class _Numbers:
             else:
                 out[field.name] = self(label, value)
         return out
+
+    def gear(self, name: str, gear: Any) -> Any:
+        return SimpleNamespace(
+            stiffness=self(f"{name}.stiffness", gear.stiffness),
+            damping=self(f"{name}.damping", gear.damping),
+            gap=self(f"{name}.gap", gear.gap),
+        )
+
+    def oscillator(self, name: str, one: Any) -> Any:
+        return SimpleNamespace(
+            mass=self(f"{name}.mass", one.mass),
+            stiffness=self(f"{name}.stiffness", one.stiffness),
+            damping=self(f"{name}.damping", one.damping),
+            direction=[
+                self(f"{name}.direction{k + 1}", c) for k, c in enumerate(one.direction)
+            ],
+        )
 
     def inertial(self, name: str, body: Any) -> Any:
         return SimpleNamespace(
@@ -136,6 +159,11 @@ def _model(system: System, read: _Numbers) -> Model:
             (effect, read.effect(f"{effect.kind}#{i + 1}", effect))
             for i, effect in enumerate(system.effects)
             if effect.has_law
+        ],
+        gears={i: read.gear(f"gear{i + 1}", arm.links[i].gear) for i in arm.geared},
+        extra=[
+            read.oscillator(f"extra{i + 1}", one)
+            for i, one in enumerate(base.extra if ideal else ())
         ],
     )
 
@@ -211,6 +239,8 @@ def equations(system: System) -> Equations:
     n = system.arm.n
     model, symbols = _symbols(system)
     names = [str(k) for k in symbols]
+    if model.hidden:
+        return _with_hidden(system, model, symbols)
     x, u, p = ca.SX.sym("x", 2 * (6 + n)), ca.SX.sym("u", 6 + n), ca.vertcat(*symbols)
     z, zd = list(ca.vertsplit(x))[: 6 + n], list(ca.vertsplit(x))[6 + n :]
     base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
@@ -234,6 +264,53 @@ def equations(system: System) -> Equations:
         tuple(names),
         ca.Function("motion", [x, u, p], [ca.cse(slope)]),
         ca.Function("observe", [x, u, p], ca.cse([slope, out])),
+    )
+
+
+def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
+    """The same with gears that give way, and oscillators that the vehicle carries."""
+    import casadi as ca
+
+    if system.integrator == "implicitfast":
+        raise ParameterError(
+            "backend kernel integrates gears and oscillators by rk4 or euler, got implicitfast:"
+            " use backend mujoco"
+        )
+    n, h, g = system.arm.n, model.hidden, len(model.gears)
+    size = 6 + n
+    whole = size + h
+    x, u, p = ca.SX.sym("x", 2 * whole), ca.SX.sym("u", size), ca.vertcat(*symbols)
+    at, rate = list(ca.vertsplit(x))[:whole], list(ca.vertsplit(x))[whole:]
+    base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
+    (z, d, s), (zd, dd, sd) = (
+        (k[:size], k[size : size + g], k[size + g :]) for k in (at, rate)
+    )
+    _, tau = drive_torque(model, z, zd, command, ca)
+    laws = model.push(z[6:], zd[6:], tau, ca)
+    given = [a + b for a, b in zip(tau, laws, strict=True)]
+    inner = unfolded(model)
+    joints = interleaved(model, given, gear_torque(model, d, dd, ca))
+    pose = [*z[:6], *interleaved(model, z[6:], d)]
+    moving = [*zd[:6], *interleaved(model, zd[6:], dd)]
+    push, sdd = oscillator_forces(model, z, zd, s, sd)
+    loose = [[0.0] * len(pose) for _ in pose]
+    wrench: list[Any] = []
+    if system.mode == "emulated":
+        balance = system.laboratory.joint_balance
+        found, wrench = on_platform(inner, pose, moving, base, joints, loose, balance, ca)
+    else:
+        jets = [a + b for a, b in zip(base, push, strict=True)]
+        found = in_space(inner, pose, moving, jets, joints, loose, ca)
+    qdd, ddd = separated(model, found[6:])
+    zdd = [*found[:6], *qdd]
+    slope = ca.vertcat(*rate, *zdd, *ddd, *sdd)
+    out = ca.vertcat(*zdd, *tau, *wrench)
+    return Equations(
+        n,
+        tuple(str(k) for k in symbols),
+        ca.Function("motion", [x, u, p], [ca.cse(slope)]),
+        ca.Function("observe", [x, u, p], ca.cse([slope, out])),
+        h,
     )
 
 
@@ -286,6 +363,11 @@ def _balance(system: System) -> _Balance:
     import casadi as ca
 
     model, symbols = _symbols(system)
+    if model.hidden:
+        raise ParameterError(
+            "derivatives know no gears that give way and no oscillators of the vehicle: use"
+            " differences of Simulator runs"
+        )
     size = 6 + system.arm.n
     x, u, a = (ca.SX.sym(name, k) for name, k in (("x", 2 * size), ("u", size), ("a", size)))
     z, zd = list(ca.vertsplit(x))[:size], list(ca.vertsplit(x))[size:]

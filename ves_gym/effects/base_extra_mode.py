@@ -1,0 +1,57 @@
+"""Vehicle: a mode that is not described."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.params import Array, ParameterError, Vector
+from ves_gym.core.system import System
+from ves_gym.core.vehicle import BaseModel, Oscillator, Satellite
+
+
+@register("base/extra_mode")
+@dataclass(frozen=True, kw_only=True)
+class BaseExtraMode(Effect):
+    """The vehicle carries a `mass` on a spring along `direction`, of which nobody knows.
+
+    `frequency` and `damping_ratio` are those of the mass on a vehicle at rest. In the
+    laboratory the admittance integrates it (tuned mass: Den Hartog, Mechanical
+    Vibrations).
+    """
+
+    modes = ("ideal", "emulated")
+    port = "admittance"
+    mass: float = parameter("kg", bounds=(0.0, 500.0))
+    frequency: float = parameter("Hz", bounds=(0.1, 30.0), null=None, default=3.0)
+    damping_ratio: float = parameter("1", bounds=(0.0, 1.0), null=None, default=0.02)
+    direction: Vector = parameter(
+        "1", bounds=(-1.0, 1.0), null=None, shape=(3,), default=(1.0, 0.0, 0.0)
+    )
+
+    def check(self, system: System) -> None:
+        """A direction fixed in space is none of a satellite's."""
+        if isinstance(system.vehicle, Satellite):
+            raise ParameterError(
+                f"effect {self.kind} needs a vehicle of M, D, K, got a satellite"
+            )
+        if not any(self.direction):
+            raise ParameterError(
+                f"{self.kind}.direction must not be zero, got {self.direction}"
+            )
+
+    def base(self, base: BaseModel) -> BaseModel:
+        """One oscillator more."""
+        if not self.mass:
+            return base
+        rate = 2 * np.pi * self.frequency
+        way: Array = np.array(self.direction) / np.linalg.norm(self.direction)
+        more = Oscillator(
+            mass=self.mass,
+            stiffness=self.mass * rate**2,
+            damping=2 * self.damping_ratio * self.mass * rate,
+            direction=tuple(way.tolist()),
+        )
+        return replace(base, extra=(*base.extra, more))

@@ -1,0 +1,46 @@
+"""Joint drive: play in the gear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ves_gym.core.arm import Arm, Gear
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.params import Vector
+from ves_gym.core.system import System
+
+
+@register("joint/backlash")
+@dataclass(frozen=True, kw_only=True)
+class JointBacklash(Effect):
+    """Rotor and link may turn by `gap` against each other before the teeth touch.
+
+    Teeth are a spring of `compliance`; the oil between them, `damping`, acts in the gap too
+    (dead zone: Nordin and Gutman, Automatica 38, 2002). Servo and log are on the rotor's
+    side. A joint of gap 0 stays as it is.
+    """
+
+    modes = ("ideal", "emulated")
+    port = "joint"
+    gap: Vector = parameter("rad", bounds=(0.0, 0.1), shape=(None,))
+    compliance: float = parameter("rad/(N m)", bounds=(1e-6, 1e-3), null=None, default=2e-5)
+    damping: float = parameter("N m s/rad", bounds=(0.0, 500.0), null=None, default=5.0)
+
+    def check(self, system: System) -> None:
+        """One number per joint."""
+        self._require_per_joint(system, "gap")
+
+    def arm(self, arm: Arm) -> Arm:
+        """Gears with the gap added; teeth in series with what is elastic already."""
+        links = list(arm.links)
+        for i, play in enumerate(self.gap):
+            if play:
+                gear = links[i].gear
+                if gear is None:
+                    gear = Gear(compliance=self.compliance, damping=self.damping, gap=play)
+                else:
+                    soft, loss = gear.compliance + self.compliance, gear.damping + self.damping
+                    wide = gear.gap + play
+                    gear = replace(gear, compliance=soft, damping=loss, gap=wide)
+                links[i] = replace(links[i], gear=gear)
+        return replace(arm, links=tuple(links)) if any(self.gap) else arm

@@ -1,0 +1,43 @@
+"""Joint drive: an elastic gear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ves_gym.core.arm import Arm, Gear
+from ves_gym.core.effect import Effect, parameter, register
+from ves_gym.core.params import Vector
+from ves_gym.core.system import System
+
+
+@register("joint/elasticity")
+@dataclass(frozen=True, kw_only=True)
+class JointElasticity(Effect):
+    """A spring of `compliance`, with a damper beside it, between rotor and link.
+
+    Servo and log are on the rotor's side. A joint of compliance 0 stays rigid, its damping
+    without meaning (Spong, J. Dyn. Sys. 109, 1987).
+    """
+
+    modes = ("ideal", "emulated")
+    port = "joint"
+    compliance: Vector = parameter("rad/(N m)", bounds=(0.0, 1e-3), shape=(None,))
+    damping: Vector = parameter("N m s/rad", bounds=(0.0, 500.0), null=None, shape=(None,))
+
+    def check(self, system: System) -> None:
+        """One number per joint."""
+        self._require_per_joint(system, "compliance", "damping")
+
+    def arm(self, arm: Arm) -> Arm:
+        """Gears with the compliance and damping added."""
+        links = list(arm.links)
+        for i, (soft, loss) in enumerate(zip(self.compliance, self.damping, strict=True)):
+            if soft:
+                gear = links[i].gear
+                if gear is None:
+                    gear = Gear(compliance=soft, damping=loss)
+                else:
+                    soft, loss = gear.compliance + soft, gear.damping + loss
+                    gear = replace(gear, compliance=soft, damping=loss)
+                links[i] = replace(links[i], gear=gear)
+        return replace(arm, links=tuple(links)) if any(self.compliance) else arm
