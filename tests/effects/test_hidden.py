@@ -17,6 +17,7 @@ from ves_gym.core.params import ParameterError
 from ves_gym.core.playback import play_motions
 from ves_gym.core.puma import PUMA_560
 from ves_gym.core.simulator import Simulator
+from ves_gym.core.stability import transition
 from ves_gym.core.system import System
 from ves_gym.core.vehicle import DECOUPLED, FREE_FLOATING, Oscillator
 from ves_gym.effects import BaseExtraMode, JointBacklash, JointElasticity
@@ -237,6 +238,21 @@ def test_it_is_felt_without_compensation_too():
             sim.step(0.0)
         ends.append(sim.state.y)
     assert np.abs(ends[0] - ends[1]).max() > 1e-4
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_the_gears_are_in_the_loop_that_is_judged(backend):
+    """The linearised loop has the link's swing on its gear, at the frequency it has."""
+    c = 3e-4
+    system = System(mode="emulated", vehicle=DECOUPLED, drive="prescribed", effects=(soft(c),))
+    z = np.linalg.eigvals(transition(system))
+    link = inertia(PUMA_560, np.zeros(3))[8, 8] - PUMA_560.links[2].rotor_inertia
+    want = np.sqrt(1 / c / link)
+    rates = np.abs(np.log(z[np.abs(z) > 0.5])) / system.control_dt
+    assert np.abs(rates / want - 1).min() < 0.02
+    sim = Simulator(system, 2, backend=backend, warn_at=None)
+    sim.backend.bend(np.array([[0.01], [0.02]]), np.array([[0.3], [0.4]]))
+    np.testing.assert_array_equal(np.hstack(sim.hidden), [[0.01, 0.3], [0.02, 0.4]])
 
 
 # ------------------------------------------------------------------------------ refused

@@ -5,6 +5,7 @@ import pytest
 
 from ves_gym.core.emulator import Emulator
 from ves_gym.core.energy import ledger
+from ves_gym.core.legs import LOW_GAINS, leg_clock
 from ves_gym.core.motion import Motion
 from ves_gym.core.params import ParameterError
 from ves_gym.core.platform import PoseServo
@@ -219,6 +220,31 @@ def test_slow_legs_limit_the_rate():
 def test_within_reach_nothing_happens():
     want = ride((), 0.05)
     np.testing.assert_array_equal(ride((PlatformStroke(travel=0.2, speed=0.2),), 0.05), want)
+
+
+def test_legs_hear_late_and_end_too_soon():
+    """On leg servos, and in one simulation of a batch whose own machine is as stated."""
+    control, physics = leg_clock(LOW_GAINS)
+    emulator = Emulator(operation="position", platform=LOW_GAINS)
+    null = (PlatformDelay(), PlatformStroke())
+    plain = System(mode="emulated", emulator=emulator, effects=null)
+    plain = plain.replace(control_dt=control, physics_dt=physics)
+    other = plain.replace(
+        effects=(PlatformDelay(delay=2 * control), PlatformStroke(travel=0.99))
+    )
+    sim = Simulator(plain, 3, warn_at=None)
+    sim.assign([other], [1])
+    sim.reset()
+    path = []
+    for k in range(60):
+        pose = np.zeros((3, 12))
+        pose[:, 0] = 0.05 * k * control
+        sim.step(sim.servo_command(np.zeros((3, 3)), np.zeros((3, 3))), platform=pose)
+        path.append(sim.readings.y[:, 0])
+    path = np.array(path)
+    np.testing.assert_array_equal(path[:, 0], path[:, 2])
+    np.testing.assert_allclose(path[2:15, 1], path[:13, 0], atol=1e-9)  # two periods late
+    assert path[-1, 1] < 0.7 * path[-1, 0]  # and held back in the end
 
 
 def test_delays_are_in_the_loop_that_is_judged():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -13,7 +14,7 @@ import numpy.typing as npt
 from ves_gym.core.admittance import Nonlinear
 from ves_gym.core.assignment import bodies_of, require_alike, share_base
 from ves_gym.core.backends import MEANINGLESS, make_backend
-from ves_gym.core.dynamics import inertia
+from ves_gym.core.dynamics import inertia_entries
 from ves_gym.core.joint_line import line_of
 from ves_gym.core.laboratory import Event, Laboratory, Readings
 from ves_gym.core.params import Array, Index, Mask, ParameterError
@@ -698,7 +699,9 @@ def _require_stable_step(system: System) -> None:
 def _passive(system: System) -> tuple[Array, Array, Array]:
     """M, D, K of what swings by itself, at q = 0."""
     base, arm = system.base, system.arm
-    H = inertia(arm, np.zeros(arm.n))
+    parts = inertia_entries(arm, [0.0] * arm.n, math)
+    across: Array = np.array(parts.across).T
+    H = np.block([[np.array(parts.base), across], [across.T, np.array(parts.joints)]])
     if not (arm.geared or base.extra):
         return base.mass_matrix + H[:6, :6], base.D, base.K
     n, g, m = arm.n, len(arm.geared), len(base.extra)

@@ -197,6 +197,7 @@ class _Loop:
         elif sim.laboratory.carried[0].size:
             self.names += ["sway"]
         lab = sim.laboratory  # a model of its own, or the machine itself
+        self._gears = bool(sim.system.actual.arm.geared)
         self._ages = sim.line is not None and sim.line.old
         self._modelled = lab.compensating and lab.model is not lab.follower
         self.rest = [part.copy() for part in self._parts()]
@@ -217,6 +218,8 @@ class _Loop:
             yield self.lab.state.late
         if self._ages:
             yield self.sim.line.past
+        if self._gears:
+            yield np.stack(self.sim.backend.hidden(), axis=1)
         yield self.lab.sensor.state.filter
         yield from self.lab.follower.get_state()
         if self._modelled:
@@ -243,6 +246,7 @@ class _Loop:
             s.late = shifted.pop(0)
         if self._ages:
             sim.line.past = shifted.pop(0)
+        bent = shifted.pop(0) if self._gears else None
         lab.sensor.state.filter = shifted.pop(0)
         held = len(lab.follower.get_state())
         lab.follower.set_state(tuple(shifted[:held]))
@@ -258,6 +262,8 @@ class _Loop:
         sim.backend.write(
             np.arange(n), np.zeros(n), np.hstack([y[:, 0], q]), np.hstack([yd[:, 0], v])
         )
+        if bent is not None:
+            sim.backend.bend(bent[:, 0], bent[:, 1])
         sim.step(self.hold)
         return np.hstack([self._vector(), lab.follower.measured()])
 

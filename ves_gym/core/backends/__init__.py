@@ -25,7 +25,13 @@ class Backend(Protocol):
         """Time (n,) [s], z (n, 6 + joints), zd (n, 6 + joints)."""
 
     def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
-        """Set the state of some simulations and clear their fault."""
+        """Set the state of some simulations and clear their fault.
+
+        Gears are relaxed then, and oscillators at rest on the vehicle.
+        """
+
+    def bend(self, d: Array, rate: Array) -> None:
+        """Set the gears' deflections and their rates (n, g) of all simulations."""
 
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
         """Servo gains (k, joints) of some simulations, active at every physics step."""

@@ -108,6 +108,9 @@ class DeviceBackend(Remembering):
         out[:, -1] = -self._forward()[2]
         return out
 
+    def bend(self, d: Array, rate: Array) -> None:
+        raise ParameterError(f"backend {self.name} has no gears that give way")
+
     def hidden(self) -> tuple[Array, Array]:
         return np.zeros((self.n, 0)), np.zeros((self.n, 0))
 

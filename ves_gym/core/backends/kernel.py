@@ -146,6 +146,11 @@ class KernelBackend(Remembering):
         time = self._start + self._ticks * self.dt
         return time, x[:, :size], x[:, order : order + size]
 
+    def bend(self, d: Array, rate: Array) -> None:
+        first, order = 6 + self.joints, self._order
+        fill(self._x[:, first : first + self._gears], d)
+        fill(self._x[:, order + first : order + first + self._gears], rate)
+
     def hidden(self) -> tuple[Array, Array]:
         x, first, order = unlane(self._x, self.n), 6 + self.joints, self._order
         return x[:, first:order], x[:, order + first :]

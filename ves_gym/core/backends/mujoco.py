@@ -113,6 +113,7 @@ class MujocoBackend:
         self.joints = system.arm.n
         self.prescribed = system.drive == "prescribed"
         self.system, self._nthread = system, threads
+        self._carried = len(system.base.extra) if system.mode == "ideal" else 0
         # coordinates of the motors; those of gears lie between them
         self._motors: Any = slice(6, 6 + self.joints)
         geared = np.array(system.arm.geared, int)
@@ -121,7 +122,8 @@ class MujocoBackend:
             self._motors = 6 + np.arange(self.joints) + np.array(before)
         where = np.arange(6 + self.joints + len(geared))
         self._order = np.r_[TO_Y, where[self._motors]]
-        self._carried = len(system.base.extra) if system.mode == "ideal" else 0
+        carried = len(where) + np.arange(self._carried)
+        self._rest = np.r_[np.setdiff1d(where, self._order), carried]
         self._laws = [effect for effect in system.effects if effect.has_law]
         self._own_laws: Laws | None = None
         self._whole = False  # the layout of `compile_model`
@@ -194,10 +196,12 @@ class MujocoBackend:
                 self._varied |= change.keys()
             self._systems[i] = system
 
+    def bend(self, d: Array, rate: Array) -> None:
+        gears = self._rest[: d.shape[1]]
+        self._qpos[:, gears], self._qvel[:, gears] = d, rate
+
     def hidden(self) -> tuple[Array, Array]:
-        seen = set(self._order.tolist())
-        rest = [k for k in range(self.model.nv) if k not in seen]
-        return self._qpos[:, rest], self._qvel[:, rest]
+        return self._qpos[:, self._rest], self._qvel[:, self._rest]
 
     def step(
         self,
