@@ -27,7 +27,8 @@ class DeviceBackend(Remembering):
             raise ParameterError(
                 f"backend {self.name} has no torque laws of effects: use kernel or mujoco"
             )
-        if system.arm.geared or system.base.extra or system.base.drag is not None:
+        carried = system.base.extra or system.base.drag is not None
+        if system.arm.geared or (carried and system.mode == "ideal"):
             raise ParameterError(
                 f"backend {self.name} has no gears that give way, drag or oscillators of the"
                 " vehicle: use kernel or mujoco"
