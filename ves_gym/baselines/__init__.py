@@ -1,1 +1,1 @@
-"""Baseline policies and training. None is shipped yet; see CHANGELOG.md."""
+"""Baselines: controllers, training, evaluation, and the policies that come with the package."""

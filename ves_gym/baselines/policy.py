@@ -197,9 +197,14 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
 
 
 def released(id: str) -> dict[str, Path]:
-    """Policies that come with the package for an environment, by name."""
-    folder = RELEASED / id.rpartition("/")[2].rpartition("-v")[0]
-    return {path.stem: path for path in sorted(folder.glob("*.json"))}
+    """Policies that come with the package for an environment, by name.
+
+    An ...Emulated id without its own has those of its ideal twin.
+    """
+    name = id.rpartition("/")[2].rpartition("-v")[0]
+    found = sorted((RELEASED / name).glob("*.json"))
+    found = found or sorted((RELEASED / name.removesuffix("Emulated")).glob("*.json"))
+    return {path.stem: path for path in found}
 
 
 def _json(path: str | os.PathLike[str]) -> Path:

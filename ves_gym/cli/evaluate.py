@@ -28,8 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         action="append",
         default=[],
-        help="a policy's .json, a folder that `ves-gym train` made (its seeds as one), or the"
-        " name of a released policy; repeatable",
+        help="a policy's .json, a folder that `ves-gym train` made (its seeds as one), the name"
+        " of a released policy (`ves-gym list policies`), or `released` for all of them;"
+        " repeatable",
     )
     parser.add_argument("--episodes", type=int, default=100, metavar="N", help="default 100")
     parser.add_argument("--n-envs", type=int, metavar="N", help="at once; changes no result")
@@ -67,13 +68,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _chosen(args: argparse.Namespace, id: str) -> list[tuple[str, Sequence[Controller]]]:
     """Label and controllers (one, or a policy per training seed) of each column."""
-    out: list[tuple[str, Sequence[Controller]]] = []
-    names = args.controller.split(",") if args.controller else []
-    if not names and not args.policy:
-        names = ["zero", "random"]
-        out += [(name, [load_policy(path)]) for name, path in released(id).items()]
-    out = [(n, [get_controller(n.strip(), args.seed)]) for n in names] + out
-    for text in args.policy:
+    out: list[tuple[str, Sequence[Controller]]]
+    names, texts = args.controller.split(",") if args.controller else [], list(args.policy)
+    if not names and not texts:
+        names, texts = ["zero", "random"], list(released(id))
+    if "released" in texts:
+        at = texts.index("released")
+        texts[at : at + 1] = released(id) or ["released"]  # the latter is refused
+    out = [(n, [get_controller(n.strip(), args.seed)]) for n in names]
+    for text in texts:
         files = _files(text, id)
         policies = [load_policy(file) for file in files]
         label = str(policies[0].about.get("algorithm", policies[0].name))

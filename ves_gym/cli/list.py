@@ -120,6 +120,26 @@ def _backends() -> Rows:
     return [{"name": name} for name in BACKENDS]
 
 
+def _policies() -> Rows:
+    from ves_gym.baselines.policy import RELEASED
+    from ves_gym.core.params import read_table
+
+    out = []
+    for path in sorted(RELEASED.glob("*/*.json")):
+        plain = read_table(path)
+        about = plain["about"]
+        out.append(
+            {
+                "environment": about["env"],
+                "name": path.stem,
+                "seed": about["seed"],
+                "steps": about["steps"],
+                "layers": plain["network"]["sizes"],
+            }
+        )
+    return out
+
+
 def _commands() -> Rows:
     from ves_gym.cli.main import COMMANDS
 
@@ -133,6 +153,7 @@ KINDS: dict[str, Callable[[], Rows]] = {
     "effects": _effects,
     "platforms": _platforms,
     "backends": _backends,
+    "policies": _policies,
     "commands": _commands,
 }
 

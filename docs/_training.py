@@ -1,0 +1,301 @@
+"""Release what `make policies` trained, and write docs/training.md from it.
+
+`python docs/_training.py RUNS [NAME ...]` takes the runs in RUNS (all configurations, or those
+named): learning curves to docs/training, the best policy of each to the package, their
+figures on the test episodes to docs/training/NAME.json, an animation to docs/pictures.
+Without arguments the page and the figure of the curves are written again from what is there.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from ves_gym.baselines.config import CONFIGS, TrainConfig, read_config
+from ves_gym.baselines.controllers import CONTROLLERS, Controller, get_controller
+from ves_gym.baselines.evaluate import evaluate, pool, report
+from ves_gym.baselines.policy import RELEASED, Policy, load_policy, released
+from ves_gym.core.params import ParameterError, write_bytes, write_text
+from ves_gym.envs.registration import IDS
+
+DOCS = Path(__file__).parent
+PLACE, PICTURES = DOCS / "training", DOCS / "pictures"
+EPISODES = 200  # seeds 0, 1, ...: none of them is trained on or chosen by
+
+# What a policy is compared with; energies are told over those of the first.
+RIVALS: dict[str, tuple[str, ...]] = {
+    "PumaRestToRest": ("zero", "random", "hotspot", "direct"),
+    "PumaReach": ("zero", "random", "resolved"),
+    "PumaReachGoal": ("zero", "random", "resolved"),
+    "PumaTrack": ("zero", "random", "resolved"),
+    "PumaDamp": ("high", "zero", "random", "pped"),
+    "FreeFlyerReach": ("zero", "random"),
+    "BeamLQR": ("zero", "random", "lqr"),
+}
+FPS, WIDTH, COLOURS = 10, 480, 48  # of the animations
+EPISODE = 3  # that they show
+
+
+def configs() -> list[TrainConfig]:
+    """Configurations of the package, in the order of the environments."""
+    order = list(IDS)
+    found = [read_config(path) for path in CONFIGS.glob("*.toml")]
+    return sorted(found, key=lambda c: (order.index(task(c)), c.label))
+
+
+def task(config: TrainConfig) -> str:
+    """Such as PumaDamp."""
+    return config.env.rpartition("/")[2].rpartition("-v")[0]
+
+
+# ------------------------------------------------------------------------- release
+
+
+def release(config: TrainConfig, runs: Path) -> None:
+    """Curves and the best policy of a finished run."""
+    curves = {}
+    for seed in config.seeds:
+        path = runs / config.name / f"seed-{seed}" / "curve.jsonl"
+        curves[seed] = rows = read_curve(path)
+        if rows[-1]["steps"] < config.total_timesteps:
+            raise ParameterError(f"{path}: {rows[-1]['steps']} steps: not finished")
+        target = PLACE / config.name / f"seed-{seed}.jsonl"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_text(target, "".join(json.dumps(_short(row)) + "\n" for row in rows))
+    best = max(curves, key=lambda seed: max(row["return"] for row in curves[seed]))
+    folder = RELEASED / task(config)
+    folder.mkdir(parents=True, exist_ok=True)
+    for suffix in (".json", ".safetensors"):
+        source = runs / config.name / f"seed-{best}" / f"best{suffix}"
+        shutil.copyfile(source, folder / f"{config.label}{suffix}")
+
+
+def read_curve(path: Path) -> list[dict[str, Any]]:
+    """Rows of a curve.jsonl."""
+    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+
+
+def _short(value: Any) -> Any:
+    """Numbers to six digits."""
+    if isinstance(value, dict):
+        return {k: _short(v) for k, v in value.items()}
+    return float(f"{value:.6g}") if isinstance(value, float) else value
+
+
+def measure(config: TrainConfig, runs: Path) -> None:
+    """Policies and their rivals on the test episodes, in the policy's control."""
+    best = load_policy(released(config.env)[config.label])
+    seeds = [
+        load_policy(runs / config.name / f"seed-{seed}" / "best.json") for seed in config.seeds
+    ]
+    settings = best.settings(gym.spec(config.env))
+    columns: list[tuple[str, Sequence[Controller]]] = [
+        (name, [get_controller(name)]) for name in RIVALS[task(config)]
+    ]
+    columns += [(config.label, [best]), (f"{config.label}, {len(seeds)} seeds", seeds)]
+    found = []
+    for name, some in columns:
+        given = settings if name in CONTROLLERS else {}
+        each = [evaluate(c, config.env, episodes=EPISODES, threads=1, **given) for c in some]
+        found.append(pool(each, name))
+    result = report(found)
+    for one in result["controllers"]:
+        one.pop("rows")
+        one.pop("about")
+    result["machine"] = f"{platform.machine()}, {os.cpu_count()} cores, one used"
+    write_text(PLACE / f"{config.name}.json", json.dumps(_short(result), indent=1) + "\n")
+
+
+# ------------------------------------------------------------------------ pictures
+
+
+def animate(config: TrainConfig) -> None:
+    """The released policy through one episode, as a GIF."""
+    from PIL import Image
+
+    policy = load_policy(released(config.env)[config.label])
+    settings = policy.settings(gym.spec(config.env))
+    env: Any = gym.make(config.env, render_mode="rgb_array", **settings)
+    every = round(1 / FPS / env.unwrapped.task.system.control_dt)
+    frames = [
+        Image.fromarray(frame).resize((WIDTH, WIDTH * frame.shape[0] // frame.shape[1]))
+        for frame in _episode(env, policy, every)
+    ]
+    env.close()
+    palette = frames[len(frames) // 2].quantize(COLOURS)
+    first, *others = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
+    held = [round(1000 / FPS)] * len(others) + [1500]  # ms; the end is seen for longer
+    buffer = io.BytesIO()
+    first.save(buffer, "GIF", save_all=True, append_images=others, duration=held, loop=0)
+    write_bytes(PICTURES / f"{task(config)}.gif", buffer.getvalue())
+
+
+def _episode(env: Any, policy: Policy, every: int) -> Iterable[Any]:
+    """Frames of an episode, one per so many control periods, and of its end."""
+    observation, _ = env.reset(seed=EPISODE)
+    action, step, over = None, 0, False
+    while not over:
+        if step % every == 0:
+            yield env.render()
+        if step % policy.network.hold == 0:
+            rows = observation
+            rows = {k: v[None] for k, v in rows.items()} if env.unwrapped.goal else rows[None]
+            action = policy(rows)[0]
+        observation, _, terminated, truncated, _ = env.step(action)
+        step, over = step + 1, terminated or truncated
+    yield env.render()
+
+
+def draw_curves(found: Sequence[TrainConfig]) -> None:
+    """Return on the validation episodes against decisions, a panel per task."""
+    from matplotlib.figure import Figure
+
+    from ves_gym.report.figures import write_figure
+
+    rows = -(-len(found) // 4)
+    figure = Figure(figsize=(11, 2.5 * rows), layout="constrained")
+    for axes in figure.subplots(rows, 4).flat[len(found) :]:
+        axes.axis("off")
+    for axes, config in zip(figure.axes, found, strict=False):
+        for seed, curve in curves(config).items():
+            steps = [row["steps"] / 1e6 for row in curve]
+            axes.plot(steps, [row["return"] for row in curve], linewidth=1.1, label=str(seed))
+        for name, style in zip(("zero", "random"), ("--", ":"), strict=True):
+            value = _summary(config)[name]["return"]["mean"]["value"]
+            if value > axes.get_ylim()[0] - 2 * np.ptp(axes.get_ylim()):  # else out of sight
+                axes.axhline(value, color="0.4", linewidth=1, linestyle=style)
+        axes.set_title(f"{task(config)}, {config.label}", fontsize=9)
+        axes.tick_params(labelsize=7)
+        axes.grid(alpha=0.3)
+    figure.supxlabel("decisions, millions", fontsize=9)
+    figure.supylabel("return", fontsize=9)
+    write_figure(figure, PICTURES / "training.png")
+
+
+# ---------------------------------------------------------------------------- page
+
+
+def curves(config: TrainConfig) -> dict[int, list[dict[str, Any]]]:
+    """Committed learning curves by seed."""
+    folder = PLACE / config.name
+    return {seed: read_curve(folder / f"seed-{seed}.jsonl") for seed in config.seeds}
+
+
+def results(config: TrainConfig) -> dict[str, Any]:
+    """Committed figures on the test episodes."""
+    plain: dict[str, Any] = json.loads((PLACE / f"{config.name}.json").read_text("utf-8"))
+    return plain
+
+
+def _summary(config: TrainConfig) -> dict[str, Any]:
+    return {one["name"]: one["summary"] for one in results(config)["controllers"]}
+
+
+def page() -> str:
+    """Text of docs/training.md."""
+    done = [c for c in configs() if (PLACE / f"{c.name}.json").exists()]
+    head, tail = (DOCS / "training.md").read_text("utf-8").split("<!-- tables -->")[::2]
+    return f"{head}<!-- tables -->\n{_runs(done)}\n\n{_figures(done)}\n<!-- tables -->{tail}"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
+
+
+def _runs(found: Sequence[TrainConfig]) -> str:
+    rows = []
+    for config in found:
+        last = [curve[-1] for curve in curves(config).values()]
+        steps = last[0]["steps"]
+        seconds = float(np.median([row["seconds"] for row in last]))
+        inside = float(np.median([row["seconds_stepping"] / row["seconds"] for row in last]))
+        best = [max(row["return"] for row in c) for c in curves(config).values()]
+        rows.append(
+            (
+                f"[{task(config)}](environments/{task(config)}.md)",
+                config.label,
+                f"{steps:,}",
+                f"{config.hold}",
+                f"{seconds:.0f}",
+                f"{steps / seconds:,.0f}",
+                f"{steps * config.hold / seconds:,.0f}",
+                f"{inside:.0%}",
+                f"{min(best):.3f} to {max(best):.3f}",
+            )
+        )
+    head = (
+        "task",
+        "algorithm",
+        "decisions",
+        "periods each",
+        "s per seed",
+        "decisions/s",
+        "env steps/s",
+        "in env.step",
+        "best return, 5 seeds",
+    )
+    return _table(head, rows)
+
+
+def _figures(found: Sequence[TrainConfig]) -> str:
+    rows = []
+    for config in found:
+        result = results(config)
+        for one in result["controllers"]:
+            name, s = one["name"], one["summary"]
+            ratios = result["ratios"][name]
+            worse = [b for a, b in result["beats"] if a == name]
+            is_policy = name == config.label
+            rows.append(
+                (
+                    task(config) if one is result["controllers"][0] else "",
+                    f"**{name}**" if is_policy else name,
+                    _estimate(s["return"]["iqm"], ".3f"),
+                    _estimate(s["success"], ".0%"),
+                    _estimate(ratios["E_mean"], ".3f"),
+                    _value(ratios["E_peak"]),
+                    _value(ratios["E_int"]),
+                    ", ".join(worse) or "-",
+                )
+            )
+    head = ("task", "controller", "return", "success", "E_mean", "E_peak", "E_int", "beats")
+    return _table(head, rows)
+
+
+def _estimate(e: dict[str, Any] | None, form: str) -> str:
+    if e is None or e["value"] is None:
+        return "-"
+    low, high = ("inf" if e[k] is None else format(e[k], form) for k in ("low", "high"))
+    return f"{e['value']:{form}} ({low} to {high})"
+
+
+def _value(e: dict[str, Any] | None) -> str:
+    return "-" if e is None or e["value"] is None else f"{e['value']:.3f}"
+
+
+def main(words: Sequence[str]) -> None:
+    """See the module's docstring."""
+    for config in configs() if words else ():
+        if words[1:] and config.name not in words[1:]:
+            continue
+        runs = Path(words[0])
+        release(config, runs)
+        measure(config, runs)
+        animate(config)
+    draw_curves([c for c in configs() if (PLACE / f"{c.name}.json").exists()])
+    write_text(DOCS / "training.md", page())
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
