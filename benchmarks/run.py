@@ -9,7 +9,7 @@ import platform
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks import environments, kernel
+from benchmarks import environments, kernel, training
 from benchmarks.coupling import COUNT, coupling_against_loop
 from benchmarks.laboratory import SYSTEMS, emulated_against_ideal
 from benchmarks.simulator import simulator_against_batch, steps_per_second
@@ -86,6 +86,7 @@ def main() -> None:
         f" ({pair.low:.1f}-{pair.high:.1f}), {COUNT / pair.ours:,.0f} Q/s"
     )
     results["environments"] = environments.report()
+    results["training"] = training.report()
     if args.json:
         args.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 

@@ -34,7 +34,7 @@ EPISODES = 200  # seeds 0, 1, ...: none of them is trained on or chosen by
 
 # What a policy is compared with; energies are told over those of the first.
 RIVALS: dict[str, tuple[str, ...]] = {
-    "PumaRestToRest": ("zero", "random", "hotspot", "direct"),
+    "PumaRestToRest": ("zero", "random", "direct"),
     "PumaReach": ("zero", "random", "resolved"),
     "PumaReachGoal": ("zero", "random", "resolved"),
     "PumaTrack": ("zero", "random", "resolved"),
@@ -89,6 +89,8 @@ def _short(value: Any) -> Any:
     """Numbers to six digits."""
     if isinstance(value, dict):
         return {k: _short(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_short(item) for item in value]
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 

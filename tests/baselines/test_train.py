@@ -235,6 +235,7 @@ def test_an_emulated_id_is_trained_as_its_twin():
         ({"rate": 1}, "unknown key 'rate'"),
         ({"seeds": []}, "seeds must be numbers"),
         ({"her": {}}, "her needs SAC"),
+        ({"algorithm": "SAC", "her": {}, "smooth": 0.1}, "smooth must be"),
         ({"hyperparameters": {"use_sde": True}}, "cannot set use_sde"),
         ({"final_rate": 2.0}, "final_rate <= 1"),
     ],

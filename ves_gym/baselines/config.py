@@ -49,6 +49,7 @@ class TrainConfig:
     final_rate: float = 0.0  # of the learning rate
     endless: bool = False  # learn as if no deadline came, see `Sb3VecEnv`
     reward_scale: float = 1.0  # constant factor of the rewards that the algorithm sees
+    smooth: float = 0.0  # m; of a goal variant: learn from smoothed rewards, see `Sb3VecEnv`
     eval_every: int = 0  # steps; 0: a twentieth of the run
     eval_episodes: int = 100
     checkpoint_every: int = 0  # steps; 0: as often as it is evaluated
@@ -75,6 +76,11 @@ class TrainConfig:
             )
         if self.her is not None and self.algorithm != "SAC":
             raise ParameterError(f"TrainConfig.her needs SAC, got {self.algorithm}")
+        if not self.smooth >= 0 or (self.smooth and self.her is not None):
+            raise ParameterError(
+                "TrainConfig.smooth must be >= 0, and 0 with hindsight replay, whose rewards"
+                f" are those of the task; got {self.smooth}"
+            )
         ours = {"policy", "env", "seed", "device", "verbose", "policy_kwargs", "use_sde"}
         taken = ours & set(self.hyperparameters)
         if taken:

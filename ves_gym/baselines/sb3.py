@@ -32,6 +32,9 @@ class Sb3VecEnv(VecEnv):
         reward_scale: constant factor of the rewards; returns in `episode` are without it.
         endless: tell a deadline as a time limit, whatever the task calls it: values are then
             learned as if the episode went on.
+        smooth: of a goal variant, instead of 0 at the goal and -1 elsewhere: -d/(d + smooth),
+            d the distance of what is achieved from what is desired, in the units of the
+            observation. 0: the task's own reward. `episode` has the task's return either way.
     """
 
     def __init__(
@@ -41,6 +44,7 @@ class Sb3VecEnv(VecEnv):
         hold: int = 1,
         reward_scale: float = 1.0,
         endless: bool = False,
+        smooth: float = 0.0,
     ) -> None:
         if not isinstance(env, VesVectorEnv):
             raise ParameterError(f"Sb3VecEnv needs a VesVectorEnv, got {type(env).__name__}")
@@ -48,8 +52,12 @@ class Sb3VecEnv(VecEnv):
             raise ParameterError(
                 f"Sb3VecEnv needs hold >= 1 and reward_scale > 0, got {hold} and {reward_scale}"
             )
+        if not smooth >= 0 or (smooth and not env.goal):
+            raise ParameterError(
+                f"Sb3VecEnv: smooth must be >= 0, and 0 but for a goal variant, got {smooth}"
+            )
         self.env, self.hold, self.reward_scale = env, hold, reward_scale
-        self.endless = endless
+        self.endless, self.smooth = endless, smooth
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self.stepping = 0.0
         self._begin = time.perf_counter()
@@ -83,6 +91,8 @@ class Sb3VecEnv(VecEnv):
             gained, terminated, truncated, info = batch.step(
                 actions, done if done.any() else None
             )
+            if self.smooth:
+                gained = self._smoothed()
             reward = (
                 np.where(done, reward, self.hold * gained) if self.env.goal else reward + gained
             )
@@ -115,6 +125,12 @@ class Sb3VecEnv(VecEnv):
                 "energy": {k: float(v[i]) for k, v in info["energy"].items()},
             }
         return out
+
+    def _smoothed(self) -> Array:
+        seen = self._observe()
+        gap = seen["achieved_goal"].astype(float) - seen["desired_goal"]
+        d = np.linalg.norm(gap, axis=1)
+        return -d / (d + self.smooth)
 
     def _observe(self) -> Any:
         rows = self.env.batch.observe()

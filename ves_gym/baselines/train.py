@@ -126,6 +126,7 @@ class _Run:
             hold=config.hold,
             reward_scale=config.reward_scale,
             endless=config.endless,
+            smooth=config.smooth,
         )
         self.model = _model(config, seed, self.venv)
         self.venv.seed(TRAINING + seed)

@@ -1,0 +1,56 @@
+"""Claim: every task can be learned, and what was learned pays.
+
+200 test episodes (seeds 0, 1, ...), on none of which a policy was trained or chosen.
+Intervals are 95 % percentile bootstraps of the interquartile mean.
+"""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from ves_gym.baselines.config import CONFIGS, read_config
+from ves_gym.baselines.controllers import get_controller
+from ves_gym.baselines.evaluate import beats, evaluate, ratio
+from ves_gym.baselines.policy import load_policy, released
+
+pytestmark = pytest.mark.slow
+pytest.importorskip("safetensors")
+
+EVERY = [read_config(path) for path in sorted(CONFIGS.glob("*.toml"))]
+EPISODES = 200
+
+
+def run(name, id, **settings):
+    """A built-in controller, or the released policy, on the test episodes."""
+    known = released(id)
+    controller = load_policy(known[name]) if name in known else get_controller(name)
+    return evaluate(controller, id, episodes=EPISODES, **settings)
+
+
+@pytest.mark.parametrize("config", EVERY, ids=lambda c: c.name)
+def test_the_policy_beats_nothing_and_chance(config):
+    """Also where these act through the control that the policy has chosen."""
+    learned = run(config.label, config.env)
+    policy = load_policy(released(config.env)[config.label])
+    for settings in ({}, policy.settings(gym.spec(config.env))):
+        for name in ("zero", "random"):
+            assert beats(learned, run(name, config.env, **settings))
+
+
+def test_rest_to_rest_takes_less_energy_than_the_straight_line():
+    id = "ves/PumaRestToRest-v0"
+    learned, straight = run("ppo", id), run("zero", id)  # no action is the straight line
+    success = learned.summary()["success"].value
+    E_mean, E_peak = (ratio(learned, straight, name).value for name in ("E_mean", "E_peak"))
+    print(f"success {success:.3f}, E_mean {E_mean:.3f}, E_peak {E_peak:.3f} of the straight")
+    assert success >= 0.95
+    assert E_mean <= 0.7 and E_peak <= 1.0
+
+
+def test_damping_takes_less_than_high_gains():
+    id = "ves/PumaDamp-v0"
+    learned, high = run("ppo", id), run("high", id)
+    share = ratio(learned, high, "E_int").value
+    sums = [np.concatenate(e.values("E_int")).sum() for e in (learned, high)]
+    print(f"E_int {share:.3f} of the high gains' in the median, {sums[0] / sums[1]:.3f} summed")
+    assert share <= 0.8 and sums[0] <= 0.8 * sums[1]
