@@ -1,7 +1,7 @@
 """PPO on the native vector environment against PPO on one MuJoCo simulation per environment.
 
 Both sides train the same network with the same hyper-parameters on the same task: 64
-environments, rollouts and batches of 4096 decisions. What differs is who steps the environments.
+environments, rollouts and batches of 4096 decisions. What differs is who steps them.
 """
 
 from __future__ import annotations

@@ -192,6 +192,7 @@ def test_list_names_everything(call):
     assert {"reach100", "thesis"} <= names["suites"]
     assert names["backends"] == {"auto", "kernel", "mujoco", "mjx", "warp"}
     assert names["commands"] == set(COMMANDS)
+    assert "ves/PumaDamp-v0" in {row["environment"] for row in result["policies"]}
     assert "[Hz]" in out  # a unit in a heading is not markup
 
 

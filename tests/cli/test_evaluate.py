@@ -51,6 +51,19 @@ def test_a_policy_stands_beside_controllers(call, policy, tmp_path):
     assert zero["rows"][0]["seed"] == 9 and "best x 2" in out
 
 
+def test_a_released_policy_is_taken_by_name(call):
+    pytest.importorskip("safetensors")
+    words = ("evaluate", "PumaDamp-v0", "--episodes", 2)
+    _, _, _, default = call(*words)
+    assert [c["name"] for c in default["controllers"]] == ["zero", "random", "ppo"]
+    _, out, err, result = call(*words, "--controller", "high", "--policy", "released")
+    assert [c["name"] for c in result["controllers"]] == ["high", "ppo"] and err == ""
+    assert result["controllers"][1]["rows"] == default["controllers"][2]["rows"]
+    assert result["ratios"]["ppo"]["E_int"]["value"] < 0.8
+    _, _, _, named = call(*words, "--policy", "ppo")
+    assert named["controllers"][0]["rows"] == default["controllers"][2]["rows"]
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
