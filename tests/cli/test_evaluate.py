@@ -56,7 +56,7 @@ def test_a_released_policy_is_taken_by_name(call):
     words = ("evaluate", "PumaDamp-v0", "--episodes", 2)
     _, _, _, default = call(*words)
     assert [c["name"] for c in default["controllers"]] == ["zero", "random", "ppo"]
-    _, out, err, result = call(*words, "--controller", "high", "--policy", "released")
+    _, _, err, result = call(*words, "--controller", "high", "--policy", "released")
     assert [c["name"] for c in result["controllers"]] == ["high", "ppo"] and err == ""
     assert result["controllers"][1]["rows"] == default["controllers"][2]["rows"]
     assert result["ratios"]["ppo"]["E_int"]["value"] < 0.8
