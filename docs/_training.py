@@ -42,7 +42,7 @@ RIVALS: dict[str, tuple[str, ...]] = {
     "FreeFlyerReach": ("zero", "random"),
     "BeamLQR": ("zero", "random", "lqr"),
 }
-FPS, WIDTH, COLOURS = 10, 480, 48  # of the animations
+FPS, WIDTH, COLOURS = 10, 480, 64  # of the animations
 EPISODE = 3  # that they show
 
 
@@ -134,7 +134,7 @@ def animate(config: TrainConfig) -> None:
         for frame in _episode(env, policy, every)
     ]
     env.close()
-    palette = frames[len(frames) // 2].quantize(COLOURS)
+    palette = frames[len(frames) // 2].quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
     first, *others = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
     held = [round(1000 / FPS)] * len(others) + [1500]  # ms; the end is seen for longer
     buffer = io.BytesIO()

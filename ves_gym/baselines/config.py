@@ -50,6 +50,7 @@ class TrainConfig:
     endless: bool = False  # learn as if no deadline came, see `Sb3VecEnv`
     reward_scale: float = 1.0  # constant factor of the rewards that the algorithm sees
     smooth: float = 0.0  # m; of a goal variant: learn from smoothed rewards, see `Sb3VecEnv`
+    relative: float = 0.0  # m from the target that count as one at first, see `_lean`
     eval_every: int = 0  # steps; 0: a twentieth of the run
     eval_episodes: int = 100
     checkpoint_every: int = 0  # steps; 0: as often as it is evaluated
@@ -80,6 +81,10 @@ class TrainConfig:
             raise ParameterError(
                 "TrainConfig.smooth must be >= 0, and 0 with hindsight replay, whose rewards"
                 f" are those of the task; got {self.smooth}"
+            )
+        if not self.relative >= 0 or (self.relative and self.algorithm != "PPO"):
+            raise ParameterError(
+                f"TrainConfig.relative must be >= 0, and 0 but for PPO, got {self.relative}"
             )
         ours = {"policy", "env", "seed", "device", "verbose", "policy_kwargs", "use_sde"}
         taken = ours & set(self.hyperparameters)

@@ -9,6 +9,7 @@ weights, to the last bit, as one that was left alone (same machine, same version
 from __future__ import annotations
 
 import inspect
+import itertools
 import json
 import random
 import time
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 from ves_gym.baselines.checkpoint import load_state, save_state
@@ -34,6 +36,7 @@ from ves_gym.baselines.evaluate import (
 )
 from ves_gym.baselines.policy import Policy, from_sb3, save_policy, versions
 from ves_gym.core.params import ParameterError, content_hash, write_text
+from ves_gym.envs.task import Task
 
 CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.jsonl"
 SCHEMA = "ves-checkpoint/1"
@@ -365,7 +368,42 @@ def _model(config: TrainConfig, seed: int, venv: Any) -> Any:
     except (TypeError, AssertionError) as error:
         raise ParameterError(f"{config.algorithm}: {error}") from error
     model.set_logger(Logger(folder=None, output_formats=[]))
+    if config.relative:
+        _lean(model, venv.env.task, config.relative)
     return model
+
+
+def _lean(model: Any, task: Task, length: float) -> None:
+    """Begin with first layers that look at the way to the target, in lengths [m].
+
+    Otherwise a network must learn first how much the last centimetres matter and, where it is
+    given two places, that their difference alone does.
+    """
+    import torch
+
+    space = model.observation_space
+    parts: dict[str, int]
+    if isinstance(space, spaces.Dict):
+        parts = {name: spaces.flatdim(box) for name, box in space.spaces.items()}
+    else:
+        parts = {field.name: field.size for field in task.fields()}
+    ends = np.cumsum([0, *parts.values()]).tolist()
+    at = {name: slice(*ab) for name, ab in zip(parts, itertools.pairwise(ends), strict=True)}
+    extractor = model.policy.mlp_extractor
+    with torch.no_grad():
+        for net in (extractor.policy_net, extractor.value_net):
+            W = net[0].weight
+            if "achieved_goal" in at:
+                extra = torch.randn(len(W), parts["achieved_goal"]) * W.std() / length
+                W[:, at["achieved_goal"]] -= extra
+                W[:, at["desired_goal"]] += extra
+            elif "to_target" in at:
+                scale = next(f.scale for f in task.fields() if f.name == "to_target")
+                W[:, at["to_target"]] *= torch.as_tensor(scale / length, dtype=W.dtype)
+            else:
+                raise ParameterError(
+                    f"TrainConfig.relative needs a task with a target, got {task.kind}"
+                )
 
 
 def _callback(run: _Run) -> Any:
