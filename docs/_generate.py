@@ -220,7 +220,8 @@ def _page(name: str) -> str:
     doc = inspect.cleandoc(type(task).__doc__ or "")
     title, _, rest = doc.partition("\n\n")
     picture = (
-        f"\n![{name}](../pictures/{name}.gif)\n"
+        f"\n![{name}](../pictures/{name}.gif)\n\n"
+        "*What [a policy that comes with the package](../training.md) has learned.*\n"
         if ((DOCS / "pictures" / f"{name}.gif").exists())
         else ""
     )
