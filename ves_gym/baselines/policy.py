@@ -108,13 +108,14 @@ class Policy:
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """Actions (n, a) of observations (n, o); of the environment only its clock is read."""
-        out = self(observation)
-        if self.network.hold > 1:
-            due = env.batch.episodes.steps % self.network.hold == 0
-            if self._held is not None and len(self._held) == len(out):
-                out = np.where(due[:, None], out, self._held)
-            self._held = out
-        return out
+        due = env.batch.episodes.steps % self.network.hold == 0
+        held = self._held
+        if held is None or len(held) != len(due) or due.all():
+            held = self(observation)
+        elif due.any():
+            held = np.where(due[:, None], self(observation), held)
+        self._held = held
+        return held.copy()
 
     def __call__(self, observation: Any) -> Array:
         """Actions (n, a) of observations (n, o), in [-1, 1]."""
