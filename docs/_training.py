@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 
 from ves_gym.baselines.config import CONFIGS, TrainConfig, read_config
 from ves_gym.baselines.controllers import CONTROLLERS, Controller, get_controller
@@ -183,10 +182,13 @@ def draw_curves(found: Sequence[TrainConfig]) -> None:
         for seed, curve in curves(config).items():
             steps = [row["steps"] / 1e6 for row in curve]
             axes.plot(steps, [row["return"] for row in curve], linewidth=1.1, label=str(seed))
-        for name, style in zip(("zero", "random"), ("--", ":"), strict=True):
-            value = _summary(config)[name]["return"]["mean"]["value"]
-            if value > axes.get_ylim()[0] - 2 * np.ptp(axes.get_ylim()):  # else out of sight
-                axes.axhline(value, color="0.4", linewidth=1, linestyle=style)
+        zero, random = (
+            _summary(config)[name]["return"]["mean"]["value"] for name in ("zero", "random")
+        )
+        best = max(row["return"] for curve in curves(config).values() for row in curve)
+        axes.axhline(zero, color="0.4", linewidth=1, linestyle="--")
+        axes.axhline(random, color="0.4", linewidth=1, linestyle=":")
+        axes.set_ylim(zero - 0.5 * (best - zero), best + 0.1 * (best - zero))
         axes.set_title(f"{task(config)}, {config.label}", fontsize=9)
         axes.tick_params(labelsize=7)
         axes.grid(alpha=0.3)
