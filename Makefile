@@ -29,7 +29,7 @@ benchmark: ARGS ?= --quick
 benchmark: $(STAMP) ## run the planning benchmark; the whole of it: make benchmark ARGS=
 	$(BIN)/ves-gym benchmark $(ARGS)
 
-policies: $(STAMP) ## train every released policy again, going on where it stopped (two hours)
+policies: $(STAMP) ## train every released policy again, going on where it stopped (90 min)
 	for config in ves_gym/baselines/configs/*.toml; do $(BIN)/ves-gym train $$config --resume $(ARGS) || exit 1; done
 	$(BIN)/python docs/_training.py out/train
 
