@@ -1,6 +1,7 @@
 """The policies that come with the package: safe to read, better than nothing, documented."""
 
 import importlib.util
+import pickle
 import zipfile
 from pathlib import Path
 
@@ -40,8 +41,14 @@ def test_nothing_but_numbers_and_json_is_shipped():
 
 
 @pytest.mark.parametrize("config", EVERY, ids=lambda c: c.name)
-def test_a_policy_is_what_its_configuration_makes(config, training):
+def test_a_policy_is_what_its_configuration_makes(config, training, monkeypatch):
     pytest.importorskip("safetensors")
+
+    def refuse(*arguments, **more):
+        raise AssertionError("a policy was unpickled")
+
+    for name in ("load", "loads", "Unpickler"):
+        monkeypatch.setattr(pickle, name, refuse)
     policy = load_policy(released(config.env)[config.label])
     about = policy.about
     assert (about["env"], about["algorithm"]) == (config.env, config.label)
