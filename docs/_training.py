@@ -293,7 +293,10 @@ def _laboratory(found: Sequence[TrainConfig]) -> str:
     for config in found:
         result = results(config)["laboratory"]
         other, policy = result["controllers"]
-        ratios = result["ratios"][policy["name"]]
+        space = results(config)["ratios"][policy["name"]]
+        ratios = {  # none over a base that the laboratory's noise alone moves
+            k: v if space[k] else None for k, v in result["ratios"][policy["name"]].items()
+        }
         both = (one["summary"]["return"]["iqm"] for one in (policy, other))
         success = (one["summary"]["success"] for one in (policy, other))
         rows.append(
