@@ -1,0 +1,1 @@
+"""Find where simulation and data disagree, name what is missing, add it, verify it."""

@@ -1,0 +1,340 @@
+"""The machine in motion: joints, platform, force sensor and control loop, stepped in time.
+
+One state vector, classical Runge-Kutta, a control tick per sample. What a healthy machine
+has none of (elasticity, friction, backlash, ...) is a number that is zero.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ves_gym.core.params import Array
+from ves_gym.discrepancy.blind.compiled import compiled
+from ves_gym.discrepancy.blind.mechanics import (
+    Bodies,
+    conjugate,
+    fill_trig,
+    joint_inertia,
+    newton_euler,
+    platform_motion,
+    solve3,
+)
+
+# state: link angle, rate; motor angle, rate; bristle; age of rest; platform pose, rate;
+# filtered wrench, its rate
+Q, V, TH, OM, BR, AGE, Y, YD, FILT, FILTD, SIZE = 0, 3, 6, 9, 12, 15, 18, 24, 30, 36, 42
+# columns of `Plant.friction`
+COULOMB, STICTION, FADE, VISCOUS, ONE_WAY, LOAD, RESTING, BRISTLE = range(8)
+
+
+class Plant(NamedTuple):
+    """Numbers of one machine; joints n = 3."""
+
+    bodies: Bodies
+    rotor: Array  # (3,) kg m^2, reflected
+    kp: Array  # (3,) N m/rad
+    kd: Array  # (3,) N m s/rad
+    gain: Array  # (3,) torque per stated torque
+    limit: Array  # (3,) N m, of the drive's command
+    ceiling: Array  # (3,) N m, what the motor gives at most
+    stiffness: Array  # (3,) N m/rad of the gear; 0: rigid
+    loss: Array  # (3,) N m s/rad of the gear
+    gap: Array  # (3,) rad, half the backlash; 0: none
+    friction: Array  # (3, 8) N m, ...; columns above
+    ripple: Array  # (3, 3) N m, periods per turn, phase
+    hose: Array  # (6,) N m/rad, share of each joint, slack angle and softness [rad]
+    filter: float  # rad/s, Butterworth of the force sensor
+    to_signal: Array  # (6, 6) wrench -> sensor signals
+    to_wrench: Array  # (6, 6) signals -> wrench as calibrated
+    offset: Array  # (6,) of the signals
+    creep: Array  # (6,) of the signals, reached in the long run
+    creep_time: float  # s
+    pickup: Array  # (6,) amplitude of mains in the signals
+    mains: Array  # (2,) rad/s, phase
+    resolution: Array  # (6,) of the signals; 0: not quantised
+    encoder: Array  # (3,) rad, resolution
+    zero: Array  # (3,) rad, error of the encoders' zero
+    age: float  # s, of the joint readings
+    servo: Array  # (3,) platform: rad/s, damping ratio, rate feed-forward (0 or 1)
+    late: float  # s, the platform's extra delay
+    legs: Array  # (6, 6) leg lengths per pose
+    poses: Array  # (6, 6) its inverse
+    stroke: Array  # (6,) m, of each leg about home
+    floor: Array  # (k, 5) m/s^2, rad/s, phase, direction x, direction z
+    rock: Array  # (3,) rad about x, rad/s, phase
+    estimate: Bodies  # what the gravity compensation believes
+    surplus: float  # kg too much in its force
+    tilt: Array  # (3,) rad, error of the pose it is given
+    scale: float  # of the whole estimate
+    phi: Array  # (2z, 2z) admittance, one period
+    gamma: Array  # (2z, 6)
+    delay: int  # periods from reading to command
+
+
+class Inputs(NamedTuple):
+    """What happens to it in one run of N samples."""
+
+    q: Array  # (M, 3) commanded angle at half steps, warm-up included [rad]
+    v: Array
+    ff: Array  # feed-forward torque [N m]
+    warm: int  # periods before the record
+    substeps: int  # per period
+    dt: float  # control period [s]
+    noise_q: Array  # (N, 3)
+    noise_v: Array
+    noise_tau: Array
+    noise_y: Array  # (N, 6)
+    noise_w: Array  # (N, 6) of the signals
+    lost: Array  # (N,) 1 where a wrench packet is lost
+
+
+class Scratch(NamedTuple):
+    """Room for intermediate results."""
+
+    work: Array
+    trig: Array
+    tau: Array
+    wrench: Array
+    zero: Array
+    zero6: Array
+    unit: Array
+    H: Array
+    rhs: Array
+    acc: Array
+    spin: Array
+    turn: Array
+    pull: Array
+    pose: Array
+    rate: Array
+    sway: Array
+    motor: Array
+    passed: Array
+
+
+def scratch() -> Scratch:
+    """Fresh room for three joints."""
+    z = np.zeros
+    return Scratch(
+        z((4, 12)), z((3, 4)), z(3), z(6), z(3), z(6), z(3), z((3, 3)), z(3), z(3),
+        z(3), z(3), z(3), z(6), z(6), z(6), z(3), z(3),
+    )  # fmt: skip
+
+
+@compiled
+def servo_torque(p, x, q, v, ff, j):  # type: ignore[no-untyped-def]
+    """Torque the drive asks its motor for, within the limit [N m]."""
+    asked = p.kp[j] * (q[j] - x[TH + j]) + p.kd[j] * (v[j] - x[OM + j]) + ff[j]
+    return min(max(asked, -p.limit[j]), p.limit[j])
+
+
+@compiled
+def rates(p, x, q, v, ff, goal, speed, t, dx, s):  # type: ignore[no-untyped-def]
+    """dx/dt of the machine under its commands; `s.wrench` is the arm's wrench."""
+    w, zeta = p.servo[0], p.servo[1]
+    for i in range(6):
+        dx[Y + i] = x[YD + i]
+        error = x[Y + i] - goal[i]
+        dx[YD + i] = -(w * w) * error - 2 * zeta * w * (x[YD + i] - p.servo[2] * speed[i])
+        s.pose[i], s.rate[i], s.sway[i] = x[Y + i], x[YD + i], dx[YD + i]
+    for k in range(len(p.floor)):
+        shake = p.floor[k, 0] * math.sin(p.floor[k, 1] * t + p.floor[k, 2])
+        s.sway[0] += shake * p.floor[k, 3]
+        s.sway[2] += shake * p.floor[k, 4]
+    if p.rock[0] != 0.0:
+        arg = p.rock[1] * t + p.rock[2]
+        s.pose[3] += p.rock[0] * (math.sin(arg) - math.sin(p.rock[2]))
+        s.rate[3] += p.rock[0] * p.rock[1] * math.cos(arg)
+        s.sway[3] -= p.rock[0] * p.rock[1] ** 2 * math.sin(arg)
+    platform_motion(s.pose, s.rate, s.sway, s.spin, s.turn, s.pull)
+    rate = x[V : V + 3]
+    fill_trig(p.bodies, x[Q : Q + 3], s.trig)
+    joint_inertia(p.bodies, s.trig, s.zero, s.unit, s.work, s.tau, s.wrench, s.H)
+    newton_euler(
+        p.bodies, s.trig, rate, s.zero, s.spin, s.turn, s.pull, s.work, s.tau, s.wrench
+    )
+    along = 0.0
+    for j in range(3):
+        along += p.hose[1 + j] * x[Q + j]
+    stretch = along - p.hose[4]
+    tension = p.hose[0] * 0.5 * (stretch + math.sqrt(stretch * stretch + p.hose[5] ** 2))
+    for j in range(3):
+        om, f = x[OM + j], p.friction[j]
+        drive = p.gain[j] * servo_torque(p, x, q, v, ff, j)
+        drive = min(max(drive, -p.ceiling[j]), p.ceiling[j])
+        drive += p.ripple[j, 0] * math.sin(p.ripple[j, 1] * x[TH + j] + p.ripple[j, 2])
+        z = x[BR + j]
+        level = f[COULOMB] + f[STICTION] * math.exp(-((om / f[FADE]) ** 2))
+        level += f[RESTING] * x[AGE + j]
+        drive -= level * z + f[VISCOUS] * om + f[ONE_WAY] * z * z
+        dx[BR + j] = (om - abs(om) * z) / f[BRISTLE]
+        dx[AGE + j] = (1 - x[AGE + j]) / 1.5 - abs(om) / 0.01 * x[AGE + j]
+        s.rhs[j] = -s.tau[j] - tension * p.hose[1 + j]
+        if p.stiffness[j] > 0:
+            wind, slide, give = x[TH + j] - x[Q + j], om - x[V + j], 1.0
+            if p.gap[j] > 0:
+                bend = math.tanh(wind / p.gap[j])
+                wind -= p.gap[j] * bend
+                give = bend * bend
+            s.passed[j] = p.stiffness[j] * wind + p.loss[j] * give * slide
+            s.rhs[j] += s.passed[j]
+        else:
+            s.H[j, j] += p.rotor[j]
+            s.rhs[j] += drive
+        s.motor[j] = drive
+    solve3(s.H, s.rhs, s.acc)
+    loaded = False
+    for j in range(3):
+        if p.friction[j, LOAD] > 0:
+            loaded = True
+            through = s.passed[j]
+            if p.stiffness[j] <= 0:
+                through = s.motor[j] - p.rotor[j] * s.acc[j]
+            drag = p.friction[j, LOAD] * abs(through) * x[BR + j]
+            s.motor[j] -= drag
+            if p.stiffness[j] <= 0:
+                s.rhs[j] -= drag
+    if loaded:
+        solve3(s.H, s.rhs, s.acc)
+    for j in range(3):
+        dx[Q + j], dx[V + j] = x[V + j], s.acc[j]
+        dx[TH + j], dx[OM + j] = x[OM + j], s.acc[j]
+        if p.stiffness[j] > 0:
+            dx[OM + j] = (s.motor[j] - s.passed[j]) / p.rotor[j]
+    newton_euler(
+        p.bodies, s.trig, rate, s.acc, s.spin, s.turn, s.pull, s.work, s.tau, s.wrench
+    )
+    b = p.filter
+    for i in range(6):
+        dx[FILT + i] = x[FILTD + i]
+        dx[FILTD + i] = b * b * (s.wrench[i] - x[FILT + i]) - math.sqrt(2.0) * b * x[FILTD + i]
+
+
+@compiled
+def told(p, sent, k, dt, t, goal, speed):  # type: ignore[no-untyped-def]
+    """Pose and rate the platform's servo follows at time t of period k, delay and stroke in."""
+    when = (t - p.late) / dt
+    row = min(int(math.floor(when)), k)
+    if row < 0:
+        for i in range(6):
+            goal[i], speed[i] = 0.0, 0.0
+        return
+    ahead = (when - row) * dt * p.servo[2]
+    for i in range(6):
+        goal[i], speed[i] = sent[row, i] + ahead * sent[row, 6 + i], sent[row, 6 + i]
+    for i in range(6):
+        length, pace = 0.0, 0.0
+        for j in range(6):
+            length += p.legs[i, j] * goal[j]
+            pace += p.legs[i, j] * speed[j]
+        over = abs(length) - p.stroke[i]
+        if over > 0:
+            for j in range(6):
+                goal[j] -= p.poses[j, i] * math.copysign(over, length)
+                speed[j] -= p.poses[j, i] * pace
+
+
+@compiled
+def remembered(path, tick, age, dt, j):  # type: ignore[no-untyped-def]
+    """Angle and rate of motor j `age` ticks ago: Hermite's cubic between ticks."""
+    if age <= 0.0:
+        return path[tick, j], path[tick, 3 + j]
+    if age >= tick:
+        return path[0, j], 0.0
+    row = int(math.floor(tick - age))
+    s = tick - age - row
+    a, b = path[row, j], path[row + 1, j]
+    c, d = dt * path[row, 3 + j], dt * path[row + 1, 3 + j]
+    k2, k3 = 3 * (b - a) - 2 * c - d, 2 * (a - b) + c + d
+    return a + s * (c + s * (k2 + s * k3)), (c + s * (2 * k2 + 3 * s * k3)) / dt
+
+
+@compiled
+def run_plant(p, u, x, s, out):  # type: ignore[no-untyped-def]
+    """Play a run. `out` (N, 33): q 3, v 3, tau 3, y 6, y_cmd 6, w 6, wg 6."""
+    samples, h = len(out), u.dt / u.substeps
+    k1, k2, k3, k4 = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE)
+    mid, goal, speed = np.zeros(SIZE), np.zeros(6), np.zeros(6)
+    z = np.zeros(len(p.phi))
+    sent, queue = np.zeros((samples + 1, 12)), np.zeros((p.delay + 1, 12))
+    reading, static, net, force = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
+    signal, seen, pose = np.zeros(6), np.zeros(3), np.zeros(6)
+    turning, torque = np.zeros(3), np.zeros(3)
+    path = np.zeros((samples, 6))  # motor angles and rates at the ticks
+    half = 0  # index of the half step reached
+    for tick in range(-u.warm, samples):
+        t = tick * u.dt
+        if tick >= 0:
+            for j in range(3):
+                path[tick, j], path[tick, 3 + j] = x[TH + j], x[OM + j]
+            for j in range(3):
+                angle, pace = remembered(path, tick, p.age / u.dt, u.dt, j)
+                angle += p.zero[j] + u.noise_q[tick, j]
+                if p.encoder[j] > 0:
+                    angle = round(angle / p.encoder[j]) * p.encoder[j]
+                seen[j] = angle
+                asked = servo_torque(p, x, u.q[half], u.v[half], u.ff[half], j)
+                out[tick, j] = angle
+                out[tick, 3 + j] = pace + u.noise_v[tick, j]
+                out[tick, 6 + j] = asked + u.noise_tau[tick, j]
+            for i in range(6):
+                out[tick, 9 + i] = x[Y + i] + u.noise_y[tick, i]
+                out[tick, 15 + i] = sent[max(tick - 1, 0), i]
+                pose[i] = out[tick, 9 + i] + (p.tilt[i - 3] if i > 2 else 0.0)
+            if u.lost[tick] == 0.0:
+                mains = math.sin(p.mains[0] * t + p.mains[1])
+                for i in range(6):
+                    value = 0.0
+                    for j in range(6):
+                        value += p.to_signal[i, j] * x[FILT + j]
+                    value += p.offset[i] + p.creep[i] * (1 - math.exp(-t / p.creep_time))
+                    value += p.pickup[i] * mains + u.noise_w[tick, i]
+                    if p.resolution[i] > 0:
+                        value = round(value / p.resolution[i]) * p.resolution[i]
+                    signal[i] = value
+                for i in range(6):
+                    value = 0.0
+                    for j in range(6):
+                        value += p.to_wrench[i, j] * signal[j]
+                    reading[i] = value
+            platform_motion(pose, s.zero6, s.zero6, s.spin, turning, s.pull)
+            fill_trig(p.estimate, seen, s.trig)
+            newton_euler(
+                p.estimate, s.trig, s.zero, s.zero, s.zero, s.zero, s.pull, s.work, torque, static
+            )
+            for i in range(6):
+                extra = -p.surplus * s.pull[i] if i < 3 else 0.0
+                net[i] = reading[i] - p.scale * static[i] - extra
+                out[tick, 21 + i], out[tick, 27 + i] = reading[i], net[i]
+            conjugate(z, net, force)
+            z = p.phi @ z + p.gamma @ force
+            size = len(z) // 2
+            for i in range(6):
+                queue[p.delay, i], queue[p.delay, 6 + i] = z[i], z[size + i]
+            for i in range(12):
+                sent[tick, i] = queue[0, i]
+                for k in range(p.delay):
+                    queue[k, i] = queue[k + 1, i]
+        period = max(tick, 0)
+        for step in range(u.substeps):
+            start = t + step * h
+            told(p, sent, period, u.dt, start + 1e-9, goal, speed)
+            rates(p, x, u.q[half], u.v[half], u.ff[half], goal, speed, start, k1, s)
+            for i in range(SIZE):
+                mid[i] = x[i] + h / 2 * k1[i]
+            told(p, sent, period, u.dt, start + h / 2, goal, speed)
+            a, b, c = u.q[half + 1], u.v[half + 1], u.ff[half + 1]
+            rates(p, mid, a, b, c, goal, speed, start + h / 2, k2, s)
+            for i in range(SIZE):
+                mid[i] = x[i] + h / 2 * k2[i]
+            rates(p, mid, a, b, c, goal, speed, start + h / 2, k3, s)
+            for i in range(SIZE):
+                mid[i] = x[i] + h * k3[i]
+            told(p, sent, period, u.dt, start + h - 1e-9, goal, speed)
+            a, b, c = u.q[half + 2], u.v[half + 2], u.ff[half + 2]
+            rates(p, mid, a, b, c, goal, speed, start + h, k4, s)
+            for i in range(SIZE):
+                x[i] += h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i])
+            half += 2
