@@ -80,9 +80,7 @@ def axes(along: Array) -> Array:
     return np.stack([along, second, np.cross(along, second)])
 
 
-def element(
-    length: float, EA: float, EI: float, GJ: float, line: float
-) -> tuple[Array, Array]:
+def element(length: float, EA: float, EI: float, GJ: float, line: float) -> tuple[Array, Array]:
     """Stiffness and mass (12, 12) of a frame element in its own axes, twist inertia aside.
 
     Rows: displacement and rotation (6) of either end. `line`: mass per length [kg/m].

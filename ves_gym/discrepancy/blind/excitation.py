@@ -87,11 +87,14 @@ def _waves(t: Array, waves: Array) -> tuple[Array, Array, Array]:
     rise = np.clip(t, 0.0, 1.0), np.clip(DURATION - t, 0.0, 1.0)
     window, slope, bend = np.ones((3, len(t))) * [[1.0], [0.0], [0.0]]
     for u, sign in zip(rise, (1.0, -1.0), strict=True):
-        s, ds, dds = u**3 * (10 - 15 * u + 6 * u * u), 30 * u**2 * (1 - u) ** 2, 60 * u * (
-            1 - u
-        ) * (1 - 2 * u)
-        slope, bend = slope * s + sign * window * ds, bend * s + 2 * sign * slope * ds + (
-            window * dds
+        s, ds, dds = (
+            u**3 * (10 - 15 * u + 6 * u * u),
+            30 * u**2 * (1 - u) ** 2,
+            60 * u * (1 - u) * (1 - 2 * u),
+        )
+        slope, bend = (
+            slope * s + sign * window * ds,
+            bend * s + 2 * sign * slope * ds + (window * dds),
         )
         window = window * s
     q, v, a = np.zeros((3, len(t)))

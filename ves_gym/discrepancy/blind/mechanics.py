@@ -179,12 +179,8 @@ def platform_motion(pose, rate, acc, spin, turn, pull):  # type: ignore[no-untyp
     turn[2] = -sx * ey + cx * cy * ez - cx * dx * dy - (sx * cy * dx + cx * sy * dy) * dz
     ux, uy, uz = acc[0], acc[1], acc[2] + GRAVITY
     pull[0] = cz * cy * ux + sz * cy * uy - sy * uz
-    pull[1] = (
-        (cz * sy * sx - sz * cx) * ux + (sz * sy * sx + cz * cx) * uy + cy * sx * uz
-    )
-    pull[2] = (
-        (cz * sy * cx + sz * sx) * ux + (sz * sy * cx - cz * sx) * uy + cy * cx * uz
-    )
+    pull[1] = (cz * sy * sx - sz * cx) * ux + (sz * sy * sx + cz * cx) * uy + cy * sx * uz
+    pull[2] = (cz * sy * cx + sz * sx) * ux + (sz * sy * cx - cz * sx) * uy + cy * cx * uz
 
 
 @compiled

@@ -203,9 +203,7 @@ def rates(p, x, q, v, ff, goal, speed, t, dx, s):  # type: ignore[no-untyped-def
         dx[TH + j], dx[OM + j] = x[OM + j], s.acc[j]
         if p.stiffness[j] > 0:
             dx[OM + j] = (s.motor[j] - s.passed[j]) / p.rotor[j]
-    newton_euler(
-        p.bodies, s.trig, rate, s.acc, s.spin, s.turn, s.pull, s.work, s.tau, s.wrench
-    )
+    newton_euler(p.bodies, s.trig, rate, s.acc, s.spin, s.turn, s.pull, s.work, s.tau, s.wrench)
     b = p.filter
     for i in range(6):
         dx[FILT + i] = x[FILTD + i]
@@ -302,7 +300,16 @@ def run_plant(p, u, x, s, out):  # type: ignore[no-untyped-def]
             platform_motion(pose, s.zero6, s.zero6, s.spin, turning, s.pull)
             fill_trig(p.estimate, seen, s.trig)
             newton_euler(
-                p.estimate, s.trig, s.zero, s.zero, s.zero, s.zero, s.pull, s.work, torque, static
+                p.estimate,
+                s.trig,
+                s.zero,
+                s.zero,
+                s.zero,
+                s.zero,
+                s.pull,
+                s.work,
+                torque,
+                static,
             )
             for i in range(6):
                 extra = -p.surplus * s.pull[i] if i < 3 else 0.0

@@ -8,7 +8,13 @@ import numpy as np
 
 from ves_gym.core.params import Array
 from ves_gym.discrepancy.blind.excitation import DURATION, Motion
-from ves_gym.discrepancy.blind.mechanics import GRAVITY, Bodies, fill_trig, inverse_dynamics, newton_euler
+from ves_gym.discrepancy.blind.mechanics import (
+    GRAVITY,
+    Bodies,
+    fill_trig,
+    inverse_dynamics,
+    newton_euler,
+)
 from ves_gym.discrepancy.blind.plant import SIZE, Inputs, Plant, Scratch, run_plant, scratch
 
 CHANNELS = {  # columns of a record
