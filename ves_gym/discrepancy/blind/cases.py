@@ -18,7 +18,7 @@ from ves_gym.discrepancy.blind.description import leg_lengths
 from ves_gym.discrepancy.blind.effects import LIBRARY, OUTSIDE, TRUTHS, Effect, drawn
 from ves_gym.discrepancy.blind.excitation import KINDS, Motion
 from ves_gym.discrepancy.blind.magnitude import gap, search
-from ves_gym.discrepancy.blind.noise import digital, draw_noise, stamps
+from ves_gym.discrepancy.blind.noise import converted, digital, draw_noise, stamps
 from ves_gym.discrepancy.blind.setup import LARGE, Setup, nominal_setup, with_nuisance
 from ves_gym.discrepancy.blind.simulate import (
     SEARCH_STEP,
@@ -153,7 +153,7 @@ class Runner:
             broken = effect.applied(broken)
         share = sum(e.magnitude for e in effects if e.kind == "outside/packet_loss")
         noises = [draw_noise(self.samples, disturb, share) for _ in motions]
-        records = self.records(broken, motions, noises)
+        records = [converted(r) for r in self.records(broken, motions, noises)]
         t = [stamps(self.samples, setup.dt, setup.clock, clock) for _ in motions]
         return Case(index, plan, effects, reached, t, records, motions)
 

@@ -127,7 +127,8 @@ def sampled(base: Base, dt: float) -> tuple[Array, Array]:
 def leg_matrix(stewart: dict[str, Any]) -> Array:
     """(6, 6) change of leg lengths per small pose about home."""
     top = np.asarray(stewart["top"], float)
-    legs = top + [0.0, 0.0, stewart["home_height"]] - np.asarray(stewart["base"], float)
+    home = np.array([0.0, 0.0, stewart["home_height"]])
+    legs = top + home - np.asarray(stewart["base"], float)
     along = legs / np.linalg.norm(legs, axis=1)[:, None]
     return np.hstack([along, np.cross(top, along)])
 
@@ -137,9 +138,8 @@ def leg_lengths(stewart: dict[str, Any], y: Array) -> Array:
     top, base = np.asarray(stewart["top"], float), np.asarray(stewart["base"], float)
     turn = scipy.spatial.transform.Rotation.from_euler("xyz", y[:, 3:]).as_matrix()
     joints = np.einsum("nij,kj->nki", turn, top) + y[:, None, :3]
-    return np.asarray(
-        np.linalg.norm(joints + [0.0, 0.0, stewart["home_height"]] - base, axis=-1)
-    )
+    home = np.array([0.0, 0.0, stewart["home_height"]])
+    return np.asarray(np.linalg.norm(joints + home - base, axis=-1))
 
 
 def sensor_frame(offset: Array) -> Array:

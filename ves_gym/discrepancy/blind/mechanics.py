@@ -133,15 +133,49 @@ def newton_euler(bodies, trig, v, a, spin, turn, pull, work, tau, wrench):  # ty
 
 
 @compiled
-def joint_inertia(bodies, trig, zero, unit, work, tau, wrench, H):  # type: ignore[no-untyped-def]
-    """(n, n) inertia matrix of the links: one pass of Newton-Euler per joint."""
-    n = len(zero)
-    for j in range(n):
-        for k in range(n):
-            unit[k] = 1.0 if k == j else 0.0
-        newton_euler(bodies, trig, zero, unit, zero, zero, zero, work, tau, wrench)
-        for k in range(n):
-            H[k, j] = tau[k]
+def unit_column(bodies, trig, j, work, column):  # type: ignore[no-untyped-def]
+    """What accelerating joint j alone takes, from rest: torques (n,) and wrench (6,).
+
+    Newton-Euler without velocities; links before the joint stay at rest.
+    """
+    n = len(trig)
+    bx = by = ax = ay = az = 0.0
+    bz = 1.0
+    for i in range(j + 1, n + 1):
+        c, s, ca, sa = trig[i - 1, 0], trig[i - 1, 1], trig[i - 1, 2], trig[i - 1, 3]
+        bx, by, bz = turn_in(c, s, ca, sa, bx, by, bz)
+        ax, ay, az = turn_in(c, s, ca, sa, ax, ay, az)
+        px, py, pz = bodies.dh[i - 1, 1], bodies.dh[i - 1, 0] * sa, bodies.dh[i - 1, 0] * ca
+        ax += by * pz - bz * py
+        ay += bz * px - bx * pz
+        az += bx * py - by * px
+        x, y, z, m = bodies.com[i, 0], bodies.com[i, 1], bodies.com[i, 2], bodies.mass[i]
+        inertia = bodies.inertia[i]
+        work[i, 0] = m * (ax + by * z - bz * y)
+        work[i, 1] = m * (ay + bz * x - bx * z)
+        work[i, 2] = m * (az + bx * y - by * x)
+        work[i, 3] = inertia[0, 0] * bx + inertia[0, 1] * by + inertia[0, 2] * bz
+        work[i, 4] = inertia[1, 0] * bx + inertia[1, 1] * by + inertia[1, 2] * bz
+        work[i, 5] = inertia[2, 0] * bx + inertia[2, 1] * by + inertia[2, 2] * bz
+    fx = fy = fz = nx = ny = nz = 0.0
+    for i in range(n, 0, -1):
+        c, s, ca, sa = trig[i - 1, 0], trig[i - 1, 1], trig[i - 1, 2], trig[i - 1, 3]
+        px, py, pz = bodies.dh[i - 1, 1], bodies.dh[i - 1, 0] * sa, bodies.dh[i - 1, 0] * ca
+        nx += py * fz - pz * fy
+        ny += pz * fx - px * fz
+        nz += px * fy - py * fx
+        if i > j:
+            gx, gy, gz = work[i, 0], work[i, 1], work[i, 2]
+            rx, ry, rz = px + bodies.com[i, 0], py + bodies.com[i, 1], pz + bodies.com[i, 2]
+            nx += work[i, 3] + ry * gz - rz * gy
+            ny += work[i, 4] + rz * gx - rx * gz
+            nz += work[i, 5] + rx * gy - ry * gx
+            fx, fy, fz = fx + gx, fy + gy, fz + gz
+        fx, fy, fz = turn_out(c, s, ca, sa, fx, fy, fz)
+        nx, ny, nz = turn_out(c, s, ca, sa, nx, ny, nz)
+        column[i - 1] = nz
+    column[n], column[n + 1], column[n + 2] = -fx, -fy, -fz
+    column[n + 3], column[n + 4], column[n + 5] = -nx, -ny, -nz
 
 
 @compiled

@@ -7,7 +7,7 @@ import scipy
 
 from ves_gym.core.params import Array
 from ves_gym.discrepancy.blind.setup import Setup
-from ves_gym.discrepancy.blind.simulate import Noise
+from ves_gym.discrepancy.blind.simulate import CHANNELS, Noise
 
 # standard deviation per channel [rad, rad/s, N m, m and rad, N and N m]
 STD: dict[str, Array] = {
@@ -20,6 +20,8 @@ STD: dict[str, Array] = {
 COLOUR = {"q": 0.3, "v": 0.6, "tau": 0.5, "y": 0.7, "w": 0.4}  # of an AR(1) process
 ENCODER = 2e-4  # rad, resolution; its share of the angle's noise is 2e-4 / sqrt(12)
 FORCE_STEP, MOMENT_STEP = 0.1, 0.05  # N, N m, resolution of the sensor's signals
+# of the record: 10 um and 5 urad transducers, tachometer and current converters
+STEPS = {"v": 5e-4, "tau": 0.05, "y": np.array([1e-5] * 3 + [5e-6] * 3)}
 JITTER = 0.03  # of a sample, standard deviation of a time stamp
 BURST = 6  # samples, a lost link stays lost
 
@@ -48,6 +50,15 @@ def losses(samples: int, share: float, rng: np.random.Generator) -> Array:
     return out
 
 
+def converted(record: Array) -> Array:
+    """A record as its converters show it."""
+    out = record.copy()
+    for name, step in STEPS.items():
+        columns = CHANNELS[name]
+        out[:, columns] = np.round(out[:, columns] / step) * step
+    return out
+
+
 def digital(setup: Setup) -> Setup:
     """The machine with encoders and converters of finite resolution."""
     return setup.edit(
@@ -60,4 +71,5 @@ def stamps(samples: int, dt: float, clock: float, rng: np.random.Generator) -> A
     """(samples,) strictly increasing time stamps of a clock that runs off and jitters [s]."""
     shake = np.clip(JITTER * rng.standard_normal(samples), -0.2, 0.2)
     shake[0] = 0.0
-    return np.asarray((np.arange(samples) * (1 + clock) + shake) * dt)
+    late = (np.arange(samples) * (1 + clock) + shake) * dt
+    return np.asarray(np.round(late, 6))  # the clock counts microseconds

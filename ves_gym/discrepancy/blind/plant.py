@@ -17,10 +17,10 @@ from ves_gym.discrepancy.blind.mechanics import (
     Bodies,
     conjugate,
     fill_trig,
-    joint_inertia,
     newton_euler,
     platform_motion,
     solve3,
+    unit_column,
 )
 
 # state: link angle, rate; motor angle, rate; bristle; age of rest; platform pose, rate;
@@ -100,7 +100,7 @@ class Scratch(NamedTuple):
     wrench: Array
     zero: Array
     zero6: Array
-    unit: Array
+    columns: Array
     H: Array
     rhs: Array
     acc: Array
@@ -118,7 +118,7 @@ def scratch() -> Scratch:
     """Fresh room for three joints."""
     z = np.zeros
     return Scratch(
-        z((4, 12)), z((3, 4)), z(3), z(6), z(3), z(6), z(3), z((3, 3)), z(3), z(3),
+        z((4, 12)), z((3, 4)), z(3), z(6), z(3), z(6), z((3, 9)), z((3, 3)), z(3), z(3),
         z(3), z(3), z(3), z(6), z(6), z(6), z(3), z(3),
     )  # fmt: skip
 
@@ -151,7 +151,10 @@ def rates(p, x, q, v, ff, goal, speed, t, dx, s):  # type: ignore[no-untyped-def
     platform_motion(s.pose, s.rate, s.sway, s.spin, s.turn, s.pull)
     rate = x[V : V + 3]
     fill_trig(p.bodies, x[Q : Q + 3], s.trig)
-    joint_inertia(p.bodies, s.trig, s.zero, s.unit, s.work, s.tau, s.wrench, s.H)
+    for j in range(3):
+        unit_column(p.bodies, s.trig, j, s.work, s.columns[j])
+        for i in range(3):
+            s.H[i, j] = s.columns[j, i]
     newton_euler(
         p.bodies, s.trig, rate, s.zero, s.spin, s.turn, s.pull, s.work, s.tau, s.wrench
     )
@@ -169,7 +172,8 @@ def rates(p, x, q, v, ff, goal, speed, t, dx, s):  # type: ignore[no-untyped-def
         level = f[COULOMB] + f[STICTION] * math.exp(-((om / f[FADE]) ** 2))
         level += f[RESTING] * x[AGE + j]
         drive -= level * z + f[VISCOUS] * om + f[ONE_WAY] * z * z
-        dx[BR + j] = (om - abs(om) * z) / f[BRISTLE]
+        # at high speed over a time, not a length, that the integrator can follow
+        dx[BR + j] = (om - abs(om) * z) / max(f[BRISTLE], abs(om) * 1e-3)
         dx[AGE + j] = (1 - x[AGE + j]) / 1.5 - abs(om) / 0.01 * x[AGE + j]
         s.rhs[j] = -s.tau[j] - tension * p.hose[1 + j]
         if p.stiffness[j] > 0:
@@ -203,7 +207,9 @@ def rates(p, x, q, v, ff, goal, speed, t, dx, s):  # type: ignore[no-untyped-def
         dx[TH + j], dx[OM + j] = x[OM + j], s.acc[j]
         if p.stiffness[j] > 0:
             dx[OM + j] = (s.motor[j] - s.passed[j]) / p.rotor[j]
-    newton_euler(p.bodies, s.trig, rate, s.acc, s.spin, s.turn, s.pull, s.work, s.tau, s.wrench)
+    for i in range(6):
+        for j in range(3):
+            s.wrench[i] += s.columns[j, 3 + i] * s.acc[j]
     b = p.filter
     for i in range(6):
         dx[FILT + i] = x[FILTD + i]
@@ -214,7 +220,7 @@ def rates(p, x, q, v, ff, goal, speed, t, dx, s):  # type: ignore[no-untyped-def
 def told(p, sent, k, dt, t, goal, speed):  # type: ignore[no-untyped-def]
     """Pose and rate the platform's servo follows at time t of period k, delay and stroke in."""
     when = (t - p.late) / dt
-    row = min(int(math.floor(when)), k)
+    row = min(math.floor(when), k)
     if row < 0:
         for i in range(6):
             goal[i], speed[i] = 0.0, 0.0
@@ -241,7 +247,7 @@ def remembered(path, tick, age, dt, j):  # type: ignore[no-untyped-def]
         return path[tick, j], path[tick, 3 + j]
     if age >= tick:
         return path[0, j], 0.0
-    row = int(math.floor(tick - age))
+    row = math.floor(tick - age)
     s = tick - age - row
     a, b = path[row, j], path[row + 1, j]
     c, d = dt * path[row, 3 + j], dt * path[row + 1, 3 + j]

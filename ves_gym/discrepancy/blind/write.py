@@ -89,7 +89,7 @@ def write_set(
     runner: Runner,
     controller: dict[str, Any],
 ) -> None:
-    """Write cases that are not there yet, logs to `folder` and labels to the folder `labels`."""
+    """Write cases that are not there yet, logs to one folder and labels to another."""
     for index in indices:
         label = Path(labels) / f"{case_name(index)}.json"
         if label.exists():

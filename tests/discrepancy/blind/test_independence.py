@@ -1,0 +1,50 @@
+"""The generator shares no physics with what it is used to judge."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import ves_gym.discrepancy.blind
+
+PACKAGE = Path(ves_gym.discrepancy.blind.__file__).parent
+ROOT = PACKAGE.parents[1]
+SHARED = {"ves_gym.core.params", "ves_gym.core.runlog", "ves_gym.core.runlog_files"}
+OUTSIDE = {"numpy", "scipy", "numba"}
+STANDARD = set("__future__ collections hashlib math os pathlib secrets typing".split())
+
+
+def imported(path):
+    """Dotted names that one file imports."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name}: say ves_gym, not a relative import"
+            yield node.module
+            if node.module in ("ves_gym", "ves_gym.core", "ves_gym.discrepancy"):
+                yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.glob("*.py")), ids=lambda p: p.name)
+def test_file_imports_nothing_of_simulator_or_selector(path):
+    for name in imported(path):
+        top = name.partition(".")[0]
+        own = name.startswith("ves_gym.discrepancy.blind") or name == "ves_gym.discrepancy"
+        nominal = path.name == "machine.py" and name.startswith("ves_gym.core.")
+        fine = top in OUTSIDE | STANDARD or name in SHARED or own or nominal
+        assert fine, f"{path.name} imports {name}"
+
+
+def test_what_is_shared_brings_no_physics_along():
+    for name in SHARED:
+        path = ROOT / Path(*name.split(".")[1:]).with_suffix(".py")
+        for other in imported(path):
+            if other.startswith("ves_gym"):
+                assert other in SHARED, f"{name} imports {other}"
+
+
+def test_only_machine_knows_systems():
+    for path in PACKAGE.glob("*.py"):
+        if path.name != "machine.py":
+            assert "ves_gym.discrepancy.blind.machine" not in set(imported(path)), path.name
