@@ -11,7 +11,16 @@ PACKAGE = Path(ves_gym.discrepancy.blind.__file__).parent
 ROOT = PACKAGE.parents[1]
 SHARED = {"ves_gym.core.params", "ves_gym.core.runlog", "ves_gym.core.runlog_files"}
 OUTSIDE = {"numpy", "scipy", "numba"}
-STANDARD = set("__future__ collections hashlib math os pathlib secrets typing".split())
+STANDARD = {
+    "__future__",
+    "collections",
+    "hashlib",
+    "math",
+    "os",
+    "pathlib",
+    "secrets",
+    "typing",
+}
 
 
 def imported(path):

@@ -35,6 +35,7 @@ SEEDS = 4
 # two and three library kinds that stand for one effect of the published table
 SHARED = {
     "delay": ("command/delay", "joint/measurement_delay"),
+    "damping": ("base/damping", "base/amplitude_damping"),
     "gravity": ("gravity/mass", "gravity/tilt", "gravity/scale"),
 }
 WEAK_KINDS = ("joint/viscous", "joint/coulomb", "joint/rotor_inertia", "joint/ripple")

@@ -97,6 +97,7 @@ def plant_of(description: dict[str, Any], controller: dict[str, Any]) -> tuple[P
         legs=legs,
         poses=np.linalg.inv(legs),
         stroke=np.full(6, NEVER),
+        drag=np.zeros(6),
         floor=np.zeros((0, 5)),
         rock=np.zeros(3),
         estimate=bodies,

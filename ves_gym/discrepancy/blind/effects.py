@@ -302,7 +302,7 @@ def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
     return s.edit(creep=_put(s.plant.creep, j, m), creep_time=c["time"])
 
 
-@truth("sensor/lag", WHOLE, 0.2, 0.85, lambda m, c: {"relative": -m})
+@truth("sensor/lag", WHOLE, 0.2, 0.85, lambda m, c: {"error": -m})
 def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
     return s.edit(filter=s.plant.filter * (1 - m))
 
@@ -336,15 +336,12 @@ def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
     return s.edit(servo=_put(s.plant.servo, 0, w))
 
 
-@truth(
-    "platform/stroke",
-    tuple(f"leg {i + 1}" for i in range(6)),
-    0.96,
-    0.9995,
-    lambda m, c: {"stroke": (1 - m) * 0.4},
-)
+HALF_STROKE = 0.4  # m, of the legs about home; a fraction of it is lacking
+
+
+@truth("platform/stroke", WHOLE, 0.96, 0.9995, "travel")
 def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
-    return s.edit(stroke=_put(s.plant.stroke, j, (1 - m) * 0.4))
+    return s.edit(stroke=np.full(6, (1 - m) * HALF_STROKE))
 
 
 @truth("base/virtual_mass", WHOLE, 0.05, 0.6, "error", _sign)
@@ -361,6 +358,11 @@ def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
 def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
     change = 1 + (m if c["sign"] > 0 else -min(m, 0.98))
     return s._replace(base=s.base._replace(D=s.base.D * change))
+
+
+@truth("base/amplitude_damping", AXES[:3], 300.0, 1e5, "coefficient")
+def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+    return s.edit(drag=_put(s.plant.drag, j, m))
 
 
 def _mode(rng: np.random.Generator) -> Constants:

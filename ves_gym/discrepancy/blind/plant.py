@@ -57,12 +57,13 @@ class Plant(NamedTuple):
     resolution: Array  # (6,) of the signals; 0: not quantised
     encoder: Array  # (3,) rad, resolution
     zero: Array  # (3,) rad, error of the encoders' zero
-    age: float  # s, of the joint readings
+    age: float  # s, of the joint readings that servo, gravity estimate and log get
     servo: Array  # (3,) platform: rad/s, damping ratio, rate feed-forward (0 or 1)
     late: float  # s, the platform's extra delay
     legs: Array  # (6, 6) leg lengths per pose
     poses: Array  # (6, 6) its inverse
     stroke: Array  # (6,) m, of each leg about home
+    drag: Array  # (6,) against the base's speed squared [N s^2/m^2, N m s^2]
     floor: Array  # (k, 5) m/s^2, rad/s, phase, direction x, direction z
     rock: Array  # (3,) rad about x, rad/s, phase
     estimate: Bodies  # what the gravity compensation believes
@@ -110,6 +111,8 @@ class Scratch(NamedTuple):
     pose: Array
     rate: Array
     sway: Array
+    angle: Array
+    pace: Array
     motor: Array
     passed: Array
 
@@ -119,14 +122,14 @@ def scratch() -> Scratch:
     z = np.zeros
     return Scratch(
         z((4, 12)), z((3, 4)), z(3), z(6), z(3), z(6), z((3, 9)), z((3, 3)), z(3), z(3),
-        z(3), z(3), z(3), z(6), z(6), z(6), z(3), z(3),
+        z(3), z(3), z(3), z(6), z(6), z(6), z(3), z(3), z(3), z(3),
     )  # fmt: skip
 
 
 @compiled
-def servo_torque(p, x, q, v, ff, j):  # type: ignore[no-untyped-def]
+def servo_torque(p, s, q, v, ff, j):  # type: ignore[no-untyped-def]
     """Torque the drive asks its motor for, within the limit [N m]."""
-    asked = p.kp[j] * (q[j] - x[TH + j]) + p.kd[j] * (v[j] - x[OM + j]) + ff[j]
+    asked = p.kp[j] * (q[j] - s.angle[j]) + p.kd[j] * (v[j] - s.pace[j]) + ff[j]
     return min(max(asked, -p.limit[j]), p.limit[j])
 
 
@@ -165,7 +168,7 @@ def rates(p, x, q, v, ff, goal, speed, t, dx, s):  # type: ignore[no-untyped-def
     tension = p.hose[0] * 0.5 * (stretch + math.sqrt(stretch * stretch + p.hose[5] ** 2))
     for j in range(3):
         om, f = x[OM + j], p.friction[j]
-        drive = p.gain[j] * servo_torque(p, x, q, v, ff, j)
+        drive = p.gain[j] * servo_torque(p, s, q, v, ff, j)
         drive = min(max(drive, -p.ceiling[j]), p.ceiling[j])
         drive += p.ripple[j, 0] * math.sin(p.ripple[j, 1] * x[TH + j] + p.ripple[j, 2])
         z = x[BR + j]
@@ -241,18 +244,31 @@ def told(p, sent, k, dt, t, goal, speed):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def remembered(path, tick, age, dt, j):  # type: ignore[no-untyped-def]
-    """Angle and rate of motor j `age` ticks ago: Hermite's cubic between ticks."""
-    if age <= 0.0:
-        return path[tick, j], path[tick, 3 + j]
-    if age >= tick:
-        return path[0, j], 0.0
-    row = math.floor(tick - age)
-    s = tick - age - row
-    a, b = path[row, j], path[row + 1, j]
-    c, d = dt * path[row, 3 + j], dt * path[row + 1, 3 + j]
-    k2, k3 = 3 * (b - a) - 2 * c - d, 2 * (a - b) + c + d
-    return a + s * (c + s * (k2 + s * k3)), (c + s * (2 * k2 + 3 * s * k3)) / dt
+def observe(p, x, past, row, within, h, s):  # type: ignore[no-untyped-def]
+    """Motor angles and rates as their readings show them, into `s.angle`, `s.pace`.
+
+    Args:
+        past: angles, rates and accelerations (rows, 9) at the steps so far, `row` the last.
+        within: time since that step [s].
+    """
+    back = (within - p.age) / h
+    for j in range(3):
+        if p.age <= 0.0:
+            s.angle[j], s.pace[j] = x[TH + j], x[OM + j]
+        elif row + back <= 0.0:
+            s.angle[j], s.pace[j] = past[0, j], 0.0
+        elif back > 0.0:
+            t = back * h
+            s.pace[j] = past[row, 3 + j] + t * past[row, 6 + j]
+            s.angle[j] = past[row, j] + t * (past[row, 3 + j] + t / 2 * past[row, 6 + j])
+        else:  # Hermite's cubic between two steps
+            k = min(math.floor(row + back), row - 1)
+            u = row + back - k
+            a, b = past[k, j], past[k + 1, j]
+            c, d = h * past[k, 3 + j], h * past[k + 1, 3 + j]
+            k2, k3 = 3 * (b - a) - 2 * c - d, 2 * (a - b) + c + d
+            s.angle[j] = a + u * (c + u * (k2 + u * k3))
+            s.pace[j] = (c + u * (2 * k2 + 3 * u * k3)) / h
 
 
 @compiled
@@ -266,22 +282,22 @@ def run_plant(p, u, x, s, out):  # type: ignore[no-untyped-def]
     reading, static, net, force = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
     signal, seen, pose = np.zeros(6), np.zeros(3), np.zeros(6)
     turning, torque = np.zeros(3), np.zeros(3)
-    path = np.zeros((samples, 6))  # motor angles and rates at the ticks
-    half = 0  # index of the half step reached
+    past = np.zeros(((samples + u.warm) * u.substeps + 1, 9))
+    row, half = 0, 0  # index of the step, of the half step reached
+    for j in range(3):
+        past[0, j] = x[TH + j]
     for tick in range(-u.warm, samples):
         t = tick * u.dt
         if tick >= 0:
+            observe(p, x, past, row, 0.0, h, s)
             for j in range(3):
-                path[tick, j], path[tick, 3 + j] = x[TH + j], x[OM + j]
-            for j in range(3):
-                angle, pace = remembered(path, tick, p.age / u.dt, u.dt, j)
-                angle += p.zero[j] + u.noise_q[tick, j]
+                angle = s.angle[j] + p.zero[j] + u.noise_q[tick, j]
                 if p.encoder[j] > 0:
                     angle = round(angle / p.encoder[j]) * p.encoder[j]
                 seen[j] = angle
-                asked = servo_torque(p, x, u.q[half], u.v[half], u.ff[half], j)
+                asked = servo_torque(p, s, u.q[half], u.v[half], u.ff[half], j)
                 out[tick, j] = angle
-                out[tick, 3 + j] = pace + u.noise_v[tick, j]
+                out[tick, 3 + j] = s.pace[j] + u.noise_v[tick, j]
                 out[tick, 6 + j] = asked + u.noise_tau[tick, j]
             for i in range(6):
                 out[tick, 9 + i] = x[Y + i] + u.noise_y[tick, i]
@@ -322,6 +338,9 @@ def run_plant(p, u, x, s, out):  # type: ignore[no-untyped-def]
                 net[i] = reading[i] - p.scale * static[i] - extra
                 out[tick, 21 + i], out[tick, 27 + i] = reading[i], net[i]
             conjugate(z, net, force)
+            for i in range(6):
+                speed_i = z[len(z) // 2 + i]
+                force[i] -= p.drag[i] * abs(speed_i) * speed_i
             z = p.phi @ z + p.gamma @ force
             size = len(z) // 2
             for i in range(6):
@@ -334,20 +353,28 @@ def run_plant(p, u, x, s, out):  # type: ignore[no-untyped-def]
         for step in range(u.substeps):
             start = t + step * h
             told(p, sent, period, u.dt, start + 1e-9, goal, speed)
+            observe(p, x, past, row, 0.0, h, s)
             rates(p, x, u.q[half], u.v[half], u.ff[half], goal, speed, start, k1, s)
+            for j in range(3):
+                past[row, 6 + j] = k1[OM + j]
             for i in range(SIZE):
                 mid[i] = x[i] + h / 2 * k1[i]
             told(p, sent, period, u.dt, start + h / 2, goal, speed)
             a, b, c = u.q[half + 1], u.v[half + 1], u.ff[half + 1]
+            observe(p, mid, past, row, h / 2, h, s)
             rates(p, mid, a, b, c, goal, speed, start + h / 2, k2, s)
             for i in range(SIZE):
                 mid[i] = x[i] + h / 2 * k2[i]
+            observe(p, mid, past, row, h / 2, h, s)
             rates(p, mid, a, b, c, goal, speed, start + h / 2, k3, s)
             for i in range(SIZE):
                 mid[i] = x[i] + h * k3[i]
             told(p, sent, period, u.dt, start + h - 1e-9, goal, speed)
             a, b, c = u.q[half + 2], u.v[half + 2], u.ff[half + 2]
+            observe(p, mid, past, row, h, h, s)
             rates(p, mid, a, b, c, goal, speed, start + h, k4, s)
             for i in range(SIZE):
                 x[i] += h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i])
-            half += 2
+            half, row = half + 2, row + 1
+            for j in range(3):
+                past[row, j], past[row, 3 + j] = x[TH + j], x[OM + j]
