@@ -49,7 +49,7 @@ class Setup(NamedTuple):
         """The plant with the admittance of its base."""
         phi, gamma = sampled(self.base, self.dt)
         plant = self.plant._replace(phi=phi, gamma=gamma)
-        solid = {  # one memory layout, so that the loop is compiled once
+        solid: dict[str, Any] = {  # one memory layout, so that the loop is compiled once
             k: np.ascontiguousarray(v)
             for k, v in plant._asdict().items()
             if isinstance(v, np.ndarray)

@@ -45,12 +45,8 @@ class Noise(NamedTuple):
 
 def silent(samples: int) -> Noise:
     """No noise at all."""
-    z = np.zeros
-    return Noise(
-        *(z((samples, k)) for k in (3, 3, 3)),
-        *(z((samples, k)) for k in (6, 6)),
-        z(samples),
-    )
+    three, six = np.zeros((samples, 3)), np.zeros((samples, 6))
+    return Noise(q=three, v=three, tau=three, y=six, w=six, lost=np.zeros(samples))
 
 
 class Drive(NamedTuple):
