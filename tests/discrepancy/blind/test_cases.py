@@ -69,11 +69,11 @@ def test_index_out_of_range_is_named():
 
 
 def test_case_is_the_same_every_time(runner, single):
-    again = runner.case(single.index, ROOT)
+    again = runner.case(single.number, ROOT)
     for a, b in zip(single.records + single.t, again.records + again.t, strict=True):
         assert np.array_equal(a, b)
     assert write.label_of(single) == write.label_of(again)
-    other = runner.case(single.index, cases.root_seed("sealed", "0123456789abcdef"))
+    other = runner.case(single.number, cases.root_seed("sealed", "0123456789abcdef"))
     assert not np.array_equal(single.records[0], other.records[0])
 
 
@@ -151,7 +151,7 @@ def test_logs_are_complete_and_say_nothing(tmp_path, single, description, gains)
     assert [f.name for f in files if f.is_file()] == [f"run-{k}.parquet" for k in range(1, 7)]
     label = write.label_of(single)["effects"][0]
     for k in range(1, 7):
-        log = RunLog.load(tmp_path / write.case_name(single.index) / f"run-{k}.parquet")
+        log = RunLog.load(tmp_path / write.case_name(single.number) / f"run-{k}.parquet")
         assert all(getattr(log, k) is not None for k in ("v", "tau", "y_cmd", "w", "wg"))
         assert np.std(np.diff(log.t)) > 1e-5 and log.meta["held_back"] == (k > 4)
         assert set(log.meta) == {

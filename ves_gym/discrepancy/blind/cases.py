@@ -55,7 +55,7 @@ class Plan(NamedTuple):
 class Case(NamedTuple):
     """A machine and its runs, and the truth about it."""
 
-    index: int
+    number: int  # its index in the set
     plan: Plan
     effects: tuple[Effect, ...]
     reached: tuple[float, ...]  # gap over noise of each effect alone

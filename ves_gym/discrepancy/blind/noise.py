@@ -21,7 +21,11 @@ COLOUR = {"q": 0.3, "v": 0.6, "tau": 0.5, "y": 0.7, "w": 0.4}  # of an AR(1) pro
 ENCODER = 2e-4  # rad, resolution; its share of the angle's noise is 2e-4 / sqrt(12)
 FORCE_STEP, MOMENT_STEP = 0.1, 0.05  # N, N m, resolution of the sensor's signals
 # of the record: 10 um and 5 urad transducers, tachometer and current converters
-STEPS = {"v": 5e-4, "tau": 0.05, "y": np.array([1e-5] * 3 + [5e-6] * 3)}
+STEPS: dict[str, Array] = {
+    "v": np.full(3, 5e-4),
+    "tau": np.full(3, 0.05),
+    "y": np.array([1e-5] * 3 + [5e-6] * 3),
+}
 JITTER = 0.03  # of a sample, standard deviation of a time stamp
 BURST = 6  # samples, a lost link stays lost
 

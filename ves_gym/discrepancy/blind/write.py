@@ -52,7 +52,7 @@ def _log(case: Case, k: int, description: dict[str, Any], controller: dict[str, 
 def label_of(case: Case) -> dict[str, Any]:
     """The truth about a case, plain data."""
     return {
-        "index": case.index,
+        "index": case.number,
         "category": case.plan.category,
         "variant": case.plan.variant,
         "effects": [
@@ -76,7 +76,7 @@ def write_case(
     controller: dict[str, Any],
 ) -> None:
     """Write `case-NNN/run-1.parquet` and on; the label is not among them."""
-    place = Path(folder) / case_name(case.index)
+    place = Path(folder) / case_name(case.number)
     for k, log in enumerate(logs_of(case, description, controller)):
         log.save(place / f"run-{k + 1}.parquet")
 
