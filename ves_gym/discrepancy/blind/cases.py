@@ -40,6 +40,7 @@ SHARED = {
 }
 WEAK_KINDS = ("joint/viscous", "joint/coulomb", "joint/rotor_inertia", "joint/ripple")
 BARELY = 5e-4  # of a motion's size, left to a joint that barely moves
+RUNAWAY = 200.0  # gap over noise of effects that together upset the loop
 DEVELOPMENT = "development"
 
 
@@ -236,7 +237,23 @@ class Runner:
             assert best is not None
             found.append(best[1])
             reached.append(best[2])
+        while len(found) > 1 and not self._stands(found, setup, motions, plain):
+            found = [e._replace(magnitude=0.7 * e.magnitude) for e in found]
+            reached = [self._gap(e, setup, motions, plain, 0) for e in found]
         return tuple(found), tuple(reached)
+
+    def _stands(
+        self,
+        effects: Sequence[Effect],
+        setup: Setup,
+        motions: Sequence[Motion],
+        plain: Sequence[Array],
+    ) -> bool:
+        """Whether the loop stays stable with all effects at once."""
+        for effect in effects:
+            setup = effect.applied(setup)
+        quiet = [silent(self.samples) for _ in motions]
+        return gap(self.records(setup, motions, quiet, SEARCH_STEP), plain) < RUNAWAY
 
     def _gap(
         self,

@@ -155,7 +155,7 @@ def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
     return s.edit(friction=_put(s.plant.friction, (j, cols.LOAD), m))
 
 
-@truth("joint/elasticity", JOINTS, 3e-5, 6e-4, lambda m, c: {"stiffness": 1 / m})
+@truth("joint/elasticity", JOINTS, 3e-5, 6e-4, "compliance")
 def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
     k = 1 / m
     return s.edit(
