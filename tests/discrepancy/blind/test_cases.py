@@ -68,6 +68,7 @@ def test_index_out_of_range_is_named():
         cases.plan_of(600, ROOT)
 
 
+@pytest.mark.slow
 def test_case_is_the_same_every_time(runner, single):
     again = runner.case(single.number, ROOT)
     for a, b in zip(single.records + single.t, again.records + again.t, strict=True):
@@ -130,6 +131,7 @@ def test_noise_has_its_standard_deviation_and_colour():
         assert (lag > 0.3).all()
 
 
+@pytest.mark.slow
 def test_weak_case_leaves_its_joint_almost_still(runner):
     index = next(i for i in range(600) if cases.plan_of(i, ROOT).category == "weak")
     case = runner.case(index, ROOT)

@@ -14,6 +14,7 @@ OUTSIDE = {"numpy", "scipy", "numba"}
 STANDARD = {
     "__future__",
     "collections",
+    "functools",
     "hashlib",
     "math",
     "os",

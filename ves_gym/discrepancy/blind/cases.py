@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,7 +77,8 @@ def table_effects() -> list[tuple[str, ...]]:
     return lines
 
 
-def mix() -> list[Plan]:
+@lru_cache(maxsize=1)
+def mix() -> tuple[Plan, ...]:
     """All 600 plans in order: 324 single, 120 null, 60 outside, 84 pairs, 12 weak."""
     plans = []
     for line in table_effects():
@@ -88,7 +90,7 @@ def mix() -> list[Plan]:
     plans += _pairs(84)
     for k in range(12):
         plans.append(Plan("weak", (WEAK_KINDS[k % 4],), (3.0,)))
-    return plans
+    return tuple(plans)
 
 
 def _pairs(count: int) -> list[Plan]:

@@ -95,7 +95,6 @@ def plant_of(description: dict[str, Any], controller: dict[str, Any]) -> tuple[P
         ),
         late=0.0,
         legs=legs,
-        poses=np.asarray(np.linalg.inv(legs), float),
         stroke=np.full(6, NEVER),
         drag=np.zeros(6),
         floor=np.zeros((0, 5)),

@@ -61,7 +61,6 @@ class Plant(NamedTuple):
     servo: Array  # (3,) platform: rad/s, damping ratio, rate feed-forward (0 or 1)
     late: float  # s, the platform's extra delay
     legs: Array  # (6, 6) leg lengths per pose
-    poses: Array  # (6, 6) its inverse
     stroke: Array  # (6,) m, of each leg about home
     drag: Array  # (6,) against the base's speed squared [N s^2/m^2, N m s^2]
     floor: Array  # (k, 5) m/s^2, rad/s, phase, direction x, direction z
@@ -231,16 +230,18 @@ def told(p, sent, k, dt, t, goal, speed):  # type: ignore[no-untyped-def]
     ahead = (when - row) * dt * p.servo[2]
     for i in range(6):
         goal[i], speed[i] = sent[row, i] + ahead * sent[row, 6 + i], sent[row, 6 + i]
+    most, length, pace = 1.0, 0.0, 0.0
     for i in range(6):
-        length, pace = 0.0, 0.0
+        reach, change = 0.0, 0.0
         for j in range(6):
-            length += p.legs[i, j] * goal[j]
-            pace += p.legs[i, j] * speed[j]
-        over = abs(length) - p.stroke[i]
-        if over > 0:
-            for j in range(6):
-                goal[j] -= p.poses[j, i] * math.copysign(over, length)
-                speed[j] -= p.poses[j, i] * pace
+            reach += p.legs[i, j] * goal[j]
+            change += p.legs[i, j] * speed[j]
+        if abs(reach) > most * p.stroke[i]:
+            most, length, pace = abs(reach) / p.stroke[i], reach, change
+    if most > 1.0:  # held back on its way from home, sliding along the tightest leg's end
+        for i in range(6):
+            speed[i] = (speed[i] - goal[i] * pace / length) / most
+            goal[i] /= most
 
 
 @compiled
