@@ -16,7 +16,7 @@ import numpy as np
 from ves_gym.core.params import Array, ParameterError
 from ves_gym.discrepancy.blind import excitation
 from ves_gym.discrepancy.blind.description import leg_lengths
-from ves_gym.discrepancy.blind.effects import LIBRARY, OUTSIDE, TRUTHS, Effect, drawn
+from ves_gym.discrepancy.blind.effects import LIBRARY, OUTSIDE, TRIES, TRUTHS, Effect, drawn
 from ves_gym.discrepancy.blind.excitation import KINDS, Motion
 from ves_gym.discrepancy.blind.magnitude import gap, search
 from ves_gym.discrepancy.blind.noise import converted, digital, draw_noise, stamps
@@ -224,7 +224,7 @@ class Runner:
             plain = self.records(setup, motions, quiet, SEARCH_STEP)
         for kind, wanted in zip(plan.kinds, plan.ratios, strict=True):
             best: tuple[float, Effect, float] | None = None
-            for effect in drawn(kind, rng)[:3]:  # a slot may be out of the runs' reach
+            for effect in drawn(kind, rng)[:TRIES]:
                 drawing = int(rng.integers(2**63))
 
                 def measure(m: float, e: Effect = effect, seed: int = drawing) -> float:

@@ -25,6 +25,7 @@ JOINTS = ("joint 1", "joint 2", "joint 3")
 AXES = ("x", "y", "z", "phi_x", "phi_y", "phi_z")
 SIGNALS = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 WHOLE = ("",)
+TRIES = 4  # at least, of an effect that may be out of the excitation's reach
 CONTACT = 2e5  # N m/rad, gear teeth in contact
 
 
@@ -466,9 +467,13 @@ OUTSIDE = tuple(k for k in TRUTHS if k not in LIBRARY)
 
 
 def drawn(kind: str, rng: np.random.Generator) -> list[Effect]:
-    """An effect of a kind in its slots in random order, as large as the search starts."""
+    """Tries of a kind, as large as the search starts: its slots in random order.
+
+    Kinds with few slots have each of them again, with other constants (and signs).
+    """
     if kind not in TRUTHS:
         raise ParameterError(f"effect must be one of {', '.join(TRUTHS)}, got {kind!r}")
     t = TRUTHS[kind]
     order = rng.permutation(len(t.slots)).tolist()
+    order *= -(-TRIES // len(order))
     return [Effect(kind, slot, t.start, t.draw(rng)) for slot in order]

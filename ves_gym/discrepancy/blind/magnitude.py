@@ -11,7 +11,7 @@ from ves_gym.discrepancy.blind.noise import STD
 from ves_gym.discrepancy.blind.simulate import CHANNELS
 
 TOLERANCE = 0.05  # relative, of the gap reached
-ROUNDS = 14
+ROUNDS = 24
 # standard deviations the gap is measured in; what has no noise of its own counts in that of
 # the quantity it stands for
 SCALE = {**STD, "y_cmd": STD["y"], "wg": STD["w"]}
