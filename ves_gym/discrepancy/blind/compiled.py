@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from numba import njit  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
@@ -12,5 +12,4 @@ F = TypeVar("F", bound=Callable[..., object])
 
 def compiled(function: F) -> F:
     """Compile for the argument types it is called with; errors divide as NumPy's do."""
-    fast: F = njit(cache=True, error_model="numpy")(function)
-    return fast
+    return cast("F", njit(cache=True, error_model="numpy")(function))
