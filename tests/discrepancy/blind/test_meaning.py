@@ -13,7 +13,7 @@ pytest.importorskip("numba")
 from ves_gym.core.effect import Effect
 from ves_gym.core.params import from_plain
 from ves_gym.discrepancy.blind.beam import base_of
-from ves_gym.discrepancy.blind.effects import LIBRARY, drawn
+from ves_gym.discrepancy.blind.effects import CONTACT, LIBRARY, drawn
 from ves_gym.discrepancy.blind.excitation import draw
 from ves_gym.discrepancy.blind.magnitude import SCALE
 from ves_gym.discrepancy.blind.simulate import CHANNELS, silent
@@ -27,12 +27,13 @@ LOOSE = {
     "joint/stribeck": 0.65,
     "joint/asymmetry": 0.4,
     "joint/load_friction": 0.55,
-    "joint/elasticity": 0.3,
-    "joint/backlash": 0.6,
+    "joint/elasticity": 0.05,
+    "joint/backlash": 1.2,  # q 0.2; w rings with the contact
     "platform/stroke": 0.8,
 }
 # what `library_record` reads from the simulator's state, where the effect is not seen
 UNSEEN = {"joint/measurement_delay": ("q", "v"), "command/delay": ("tau",)}
+GEARS = ("joint/elasticity", "joint/backlash")  # joint 1: no weight winds it up at the start
 STRONG = {"platform/stroke": 0.985}  # so that it acts on this motion
 
 
@@ -62,8 +63,8 @@ def library_effect(effect):
         p = {k: value if k == "fade_speed" else at(3, value) for k, value in p.items()}
     if kind == "joint/asymmetry":
         p["viscous"] = [0.0] * 3
-    if kind == "joint/elasticity":
-        p["damping"] = [5.0] * 3
+    if kind == "joint/backlash":
+        p |= {"compliance": 1 / CONTACT}
     if kind == "platform/stroke":
         p["speed"] = 0.0
     return from_plain(Effect, {"kind": kind, **p})
@@ -83,6 +84,8 @@ def healthy(runner, description, library_record):
 def test_effect_does_what_the_library_says(runner, healthy, library_record, kind):
     motion, setup, ours, theirs = healthy
     effect = drawn(kind, np.random.default_rng(2))[0]
+    if kind in GEARS:
+        effect = effect._replace(slot=0)
     effect = effect._replace(magnitude=STRONG.get(kind, effect.magnitude))
     changed = runner.records(effect.applied(setup), [motion], [silent(SAMPLES)])[0]
     said = library_record(motion, changed[0], SAMPLES, [library_effect(effect)])

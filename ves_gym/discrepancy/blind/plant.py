@@ -180,10 +180,12 @@ def rates(p, x, q, v, ff, goal, speed, t, dx, s):  # type: ignore[no-untyped-def
         s.rhs[j] = -s.tau[j] - tension * p.hose[1 + j]
         if p.stiffness[j] > 0:
             wind, slide, give = x[TH + j] - x[Q + j], om - x[V + j], 1.0
-            if p.gap[j] > 0:
-                bend = math.tanh(wind / p.gap[j])
-                wind -= p.gap[j] * bend
-                give = bend * bend
+            if p.gap[j] > 0:  # teeth meet softly over a tenth of the half gap
+                edge, soft = p.gap[j], 0.1 * p.gap[j]
+                above, below = wind - edge, -wind - edge
+                high, low = math.sqrt(above**2 + soft**2), math.sqrt(below**2 + soft**2)
+                wind = 0.5 * (above + high - below - low)
+                give = 0.5 * (2.0 + above / high + below / low)
             s.passed[j] = p.stiffness[j] * wind + p.loss[j] * give * slide
             s.rhs[j] += s.passed[j]
         else:
