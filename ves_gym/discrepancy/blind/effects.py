@@ -26,7 +26,7 @@ AXES = ("x", "y", "z", "phi_x", "phi_y", "phi_z")
 SIGNALS = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 WHOLE = ("",)
 TRIES = 4  # at least, of an effect that may be out of the excitation's reach
-CONTACT = 1e5  # N m/rad, gear teeth in contact
+CONTACT = 2e5  # N m/rad, gear teeth in contact
 
 
 class Truth(NamedTuple):
