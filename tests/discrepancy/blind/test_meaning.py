@@ -28,11 +28,15 @@ LOOSE = {
     "joint/asymmetry": 0.4,
     "joint/load_friction": 0.55,
     "joint/elasticity": 0.05,
-    "joint/backlash": 1.2,  # q 0.2; w rings with the contact
+    "joint/backlash": 0.4,
     "platform/stroke": 0.8,
 }
 # what `library_record` reads from the simulator's state, where the effect is not seen
-UNSEEN = {"joint/measurement_delay": ("q", "v"), "command/delay": ("tau",)}
+UNSEEN = {
+    "joint/measurement_delay": ("q", "v"),
+    "command/delay": ("tau",),
+    "joint/backlash": ("v", "tau", "w", "wg"),  # they ring with the contact, ours is softer
+}
 GEARS = ("joint/elasticity", "joint/backlash")  # joint 1: no weight winds it up at the start
 STRONG = {"platform/stroke": 0.985}  # so that it acts on this motion
 
