@@ -420,11 +420,11 @@ class Laboratory:
             s.late = nodes[:, :-1]
         if len(self._short):
             out = out.copy()
-            out[self._short] = self._within_reach(out[self._short], self._short)
+            out[self._short] = self.within_reach(out[self._short], self._short)
         s.told = out
         return out
 
-    def _within_reach(self, wanted: Array, ids: Index) -> Array:
+    def within_reach(self, wanted: Array, ids: Index) -> Array:
         """(m, 12) commands (m, 12) held back on their way, as far as the legs go."""
         p, stewart, before = self.parameters, self.spec.stewart, self.state.told[ids]
         travel, speed = p.platform_travel[ids], p.platform_speed[ids]

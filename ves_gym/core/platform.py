@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
+import scipy
 
 from ves_gym.core.params import Array, Index, require_positive, unit
 
@@ -100,6 +101,28 @@ class PoseFollower:
         yd = rate[:, None] + path[:, :, 1]
         self.y, self.yd = y[:, -1], yd[:, -1]
         return y, yd, path[:, :, 2]
+
+    def poses(self, y_cmd: Array, yd_cmd: Array) -> Array:
+        """(n, N, 6) poses at the ends of N periods under commands (n, N, 6).
+
+        As N times `advance`, at once; the state stays as it is. The error's two-number
+        recursion z+ = A z + d is, for its first number, one of second order.
+        """
+        rate = yd_cmd if self.feedforward else np.zeros_like(yd_cmd)
+        A = self._answer[:, -1, :2]  # (n, 2, 2) of the error over a period
+        ahead = np.stack([y_cmd + rate * self.nodes[-1], rate], axis=2)  # (n, N, 2, 6)
+        drive = ahead - np.einsum("nij,nkjc->nkic", A, np.stack([y_cmd, rate], axis=2))
+        forced = drive[:, :, 0].copy()
+        forced[:, 1:] += A[:, 0, 1, None, None] * drive[:, :-1, 1]
+        forced[:, 1:] -= A[:, 1, 1, None, None] * drive[:, :-1, 0]
+        det = np.linalg.det(A)
+        forced[:, 0] += A[:, 0, 0, None] * self.y + A[:, 0, 1, None] * self.yd
+        forced[:, 1:2] -= (det[:, None] * self.y)[:, None]
+        out = np.empty_like(forced)
+        for i, a in enumerate(A):
+            poles = [1.0, -a[0, 0] - a[1, 1], det[i]]
+            out[i] = scipy.signal.lfilter([1.0], poles, forced[i], axis=0)
+        return out
 
     def measured(self) -> Array:
         return self.y
