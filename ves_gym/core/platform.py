@@ -115,10 +115,10 @@ class PoseFollower:
         forced = drive[:, :, 0].copy()
         forced[:, 1:] += A[:, 0, 1, None, None] * drive[:, :-1, 1]
         forced[:, 1:] -= A[:, 1, 1, None, None] * drive[:, :-1, 0]
-        det = np.linalg.det(A)
+        det: Array = np.linalg.det(A)
         forced[:, 0] += A[:, 0, 0, None] * self.y + A[:, 0, 1, None] * self.yd
         forced[:, 1:2] -= (det[:, None] * self.y)[:, None]
-        out = np.empty_like(forced)
+        out: Array = np.empty(forced.shape)
         for i, a in enumerate(A):
             poles = [1.0, -a[0, 0] - a[1, 1], det[i]]
             out[i] = scipy.signal.lfilter([1.0], poles, forced[i], axis=0)

@@ -1,1 +1,1 @@
-"""Find where simulation and data disagree, name what is missing, add it, verify it."""
+"""Discrepancy workflow: where simulation and data disagree, what is missing, how to add it."""

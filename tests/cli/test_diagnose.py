@@ -1,0 +1,103 @@
+"""`ves-gym diagnose`: a verdict and a better description, or one line."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ves_gym.core.emulator import Emulator
+from ves_gym.core.force_sensor import ForceSensor
+from ves_gym.core.motion import Motion
+from ves_gym.core.platform import PoseServo
+from ves_gym.core.playback import play_motions
+from ves_gym.core.runlog import RunLog
+from ves_gym.core.system import System
+from ves_gym.effects import JointCoulomb, SensorNoise
+
+SYSTEM = System(
+    mode="emulated",
+    control_dt=5e-3,
+    emulator=Emulator(
+        platform=PoseServo(bandwidth=10.0),
+        sensor=ForceSensor(cutoff=40.0),
+        payload_compensation=False,
+    ),
+)
+ENDS = (
+    ([0.0, -0.2, 0.1], [0.8, 0.5, -0.6]),
+    ([0.5, 0.3, -0.5], [-0.6, -0.4, 0.4]),
+    ([-0.4, 0.2, 0.6], [0.5, -0.3, -0.2]),
+)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Three runs of a machine whose second joint rubs, which its description does not say."""
+    noise = SensorNoise(force=(0.3,) * 3, moment=(0.1,) * 3)
+    true = SYSTEM.replace(effects=(JointCoulomb(torque=(0.0, 3.0, 0.0)), noise))
+    motions = [Motion.straight(np.array(a), b, duration=1.5) for a, b in ENDS]
+    recording = play_motions(true, motions, settle=2.0)
+    folder, rng = tmp_path_factory.mktemp("logs"), np.random.default_rng(0)
+    for i in range(len(ENDS)):
+        log = recording.log(i)
+        noisy = {
+            k: getattr(log, k) + s * rng.standard_normal(getattr(log, k).shape)
+            for k, s in (("q", 2e-5), ("tau", 0.1), ("y", 1e-5))
+        }
+        meta = {**log.meta, "system": SYSTEM.to_dict()}
+        dataclasses.replace(log, **noisy, meta=meta).save(folder / f"run-{i + 1}.parquet")
+    return folder
+
+
+def test_the_friction_is_named_and_written_down(call, logs, tmp_path):
+    status, out, err, result = call("diagnose", logs)
+    assert (status, err) == (0, "")
+    assert result["schema"] == "ves-diagnose/1"
+    assert [(e["kind"], e["slot"]) for e in result["effects"]] == [("joint/coulomb", "joint 2")]
+    assert result["effects"][0]["value"]["torque"] == pytest.approx(3.0, rel=0.05)
+    assert result["held_back"] == ["run-3.parquet"]
+    before, after = (result[k]["joint/tau_2"] for k in ("final_before", "final_after"))
+    assert before > 5 > 2 > after
+    assert "joint/coulomb at joint 2" in out
+    better = System.load(tmp_path / "out" / "system.toml")
+    assert better.to_dict() == result["system"]
+    again = call("diagnose", logs, "--system", tmp_path / "out" / "system.toml")[3]
+    assert again["effects"] == []
+
+
+def test_logs_of_two_machines_are_refused(call, logs, tmp_path):
+    log = RunLog.load(logs / "run-1.parquet")
+    meta = {**log.meta, "system": System(control_dt=5e-3).to_dict()}
+    dataclasses.replace(log, meta=meta).save(tmp_path / "other.parquet")
+    status, out, err, _ = call("diagnose", logs, tmp_path / "other.parquet")
+    assert (status, out) == (2, "")
+    assert "is of another system" in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--final", "3"], "--final must leave a log to fit: 0 to 2, got 3"),
+        (["--without", "joint/magic"], "no candidate 'joint/magic'; known: "),
+        (["--band", "80"], "sampled at 200 Hz, comparing up to 80 Hz needs at least 320 Hz"),
+        (["nowhere.csv"], "nowhere.csv"),
+    ],
+)
+def test_bad_arguments_are_one_line(call, logs, words, said):
+    status, out, err, result = call("diagnose", logs, *words)
+    assert (status, out, result) == (2, "", None)
+    assert said in err and err.count("\n") == 1
+
+
+def test_an_empty_folder_and_a_log_given_twice_are_refused(call, logs, tmp_path):
+    (tmp_path / "empty").mkdir()
+    assert "no run log" in call("diagnose", tmp_path / "empty")[2]
+    assert "given more than once" in call("diagnose", logs, logs / "run-1.parquet")[2]
+
+
+def test_a_log_that_names_no_system_asks_for_one(call, logs, tmp_path):
+    log = RunLog.load(logs / "run-1.parquet")
+    meta = {k: v for k, v in log.meta.items() if k != "system"}
+    dataclasses.replace(log, meta=meta).save(tmp_path / "bare.parquet")
+    said = call("diagnose", tmp_path / "bare.parquet")[2]
+    assert "names no system; give --system FILE" in said

@@ -1,0 +1,255 @@
+"""`diagnose`: from logs to a verdict.
+
+locate (where do description and data disagree) -> name (what is missing there) -> add (a
+description with it) -> verify (on runs that nothing before has touched).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ves_gym.core.params import Array
+from ves_gym.discrepancy.bank import Bank
+from ves_gym.discrepancy.candidates import Candidate
+from ves_gym.discrepancy.evidence import Evidence
+from ves_gym.discrepancy.fit import Fit, residuals_of
+from ves_gym.discrepancy.machine import Machine, untestable
+from ves_gym.discrepancy.runs import Run
+from ves_gym.discrepancy.select import Rival, Selection, Thresholds, select, unexplained
+
+NOTHING, NAMED, ONE_OF = "nothing missing", "named", "one of"
+MORE, UNKNOWN, WEAK = "named, more remains", "not in the library", "excitation too weak"
+VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK)
+
+# What any motion of a joint that is worth the name shows; where it does not, others may hide.
+_BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_inertia")
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect that the data ask for, and what could stand in its place."""
+
+    candidate: Candidate
+    values: Array  # (k,)
+    std: Array  # (k,)
+    probability: float
+    rivals: tuple[Rival, ...]  # those that do about as well, itself first
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds that these data cannot tell apart here."""
+        return tuple(dict.fromkeys(r.candidate.kind for r in self.rivals))
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Disagreement of a channel, in standard deviations of the noise (root mean square)."""
+
+    port: str
+    channel: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The answer."""
+
+    verdict: str
+    found: tuple[Found, ...]
+    gaps: tuple[Gap, ...]  # on the runs that were fitted
+    final: tuple[Gap, ...]  # on the runs held back
+    untestable: dict[str, tuple[str, ...]]
+    weak: tuple[str, ...]  # candidates that these data could not show
+    remaining: float  # deviance above that of noise, after
+    selection: Selection
+    evidence: Evidence
+    bank: Bank
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one sentence."""
+        names = " and ".join(_named(f) for f in self.found)
+        if self.verdict == NOTHING:
+            return "Nothing is missing: description and data agree within noise and tolerances."
+        if self.verdict == WEAK:
+            return (
+                "No disagreement, but these runs could not have shown"
+                f" {_some(self.weak)}: the excitation is too weak."
+            )
+        if self.verdict == UNKNOWN:
+            return "Something is missing, and it is not in the library."
+        if self.verdict == MORE:
+            return f"Missing: {names}; more remains that is not in the library."
+        return f"Missing: {names}."
+
+
+def _named(found: Found) -> str:
+    if len(found.kinds) > 1:
+        names = ", ".join(dict.fromkeys(r.candidate.name for r in found.rivals))
+        return f"one of {{{names}}}"
+    values = ", ".join(
+        f"{name} {value:.4g} {unit}".replace(" 1", "")
+        if unit == "1"
+        else f"{name} {value:.4g} {unit}"
+        for name, value, unit in zip(
+            found.candidate.names, found.values, found.candidate.units, strict=True
+        )
+    )
+    return f"{found.candidate.name} ({values})"
+
+
+def _some(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:3])
+    return shown + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def diagnose(
+    machine: Machine,
+    runs: Sequence[Run],
+    final: Sequence[Run] = (),
+    *,
+    candidates: Sequence[Candidate],
+    limits: Thresholds | None = None,
+    progress: Progress = lambda done, what: None,
+    seed: int = 0,
+) -> Diagnosis:
+    """Find where machine and runs disagree and name what is missing.
+
+    Args:
+        final: runs held back; they are opened once, after everything is decided.
+        candidates: the library.
+        progress: called with the fraction done and a few words.
+        seed: of the noise draws.
+    """
+    limits = limits or Thresholds()
+    clock = [time.perf_counter()]
+    seconds: dict[str, float] = {}
+
+    def lap(name: str) -> None:
+        clock.append(time.perf_counter())
+        seconds[name] = clock[-1] - clock[-2]
+
+    progress(0.0, "residuals")
+    evidence = Evidence(machine, runs, seed)
+    lap("locate")
+    bank = Bank(evidence, candidates, lambda done: progress(0.1 + 0.5 * done, "signatures"))
+    lap("screen")
+    selection = select(evidence, bank, limits, lambda text: progress(0.7, text))
+    lap("name")
+    found = tuple(_found(selection, i, limits) for i in range(len(selection.rivals)))
+    remaining = unexplained(selection.fit, evidence, limits.imperfect)
+    weak = tuple(
+        c.name
+        for i, c in enumerate(bank.candidates)
+        if c.kind in _BASIC and bank.visible(i) < limits.power
+    )
+    first = unexplained(selection.null, evidence, limits.imperfect)
+    verdict = _verdict(found, remaining, remaining / max(first, 1e-9), weak, limits)
+    progress(0.9, "runs held back")
+    gaps = _gaps(evidence, selection.fit, selection.fit.nuisances, selection.null.nuisances)
+    after: tuple[Gap, ...] = ()
+    if final:
+        last = Evidence(machine, final, seed + 1)
+        after = _gaps(last, selection.fit, selection.fit.nuisances, selection.null.nuisances)
+    lap("verify")
+    return Diagnosis(
+        verdict=verdict,
+        found=found,
+        gaps=gaps,
+        final=after,
+        untestable=untestable(machine, runs),
+        weak=weak,
+        remaining=remaining,
+        selection=selection,
+        evidence=evidence,
+        bank=bank,
+        seconds=seconds,
+    )
+
+
+def _found(selection: Selection, i: int, limits: Thresholds) -> Found:
+    rivals = selection.rivals[i]
+    near = tuple(r for r in rivals if r.cost - rivals[0].cost < limits.alike)
+    first = rivals[0]
+    fitted = selection.fit.candidates[i]
+    std = (
+        selection.fit.std[i]
+        if first.candidate is fitted
+        else np.full(len(first.values), np.nan)
+    )
+    p = sum(r.probability for r in rivals if r.candidate.kind == first.candidate.kind)
+    return Found(first.candidate, first.values, std, p, near)
+
+
+def _verdict(
+    found: Sequence[Found],
+    remaining: float,
+    share: float,
+    weak: Sequence[str],
+    limits: Thresholds,
+) -> str:
+    if remaining > limits.remains:
+        return MORE if found and share < limits.explained else UNKNOWN
+    if not found:
+        return WEAK if weak else NOTHING
+    return ONE_OF if any(len(f.kinds) > 1 for f in found) else NAMED
+
+
+def _gaps(evidence: Evidence, fit: Fit, eta: Array, eta0: Array) -> tuple[Gap, ...]:
+    """Before and after per channel, effects and nuisances as they were found."""
+    z = residuals_of(evidence, fit.candidates, [fit.values])[0]
+    before = evidence.null + evidence.slopes @ eta0
+    after = z + evidence.slopes @ eta
+    out = []
+    for port in evidence.ports:
+        for i, channel in enumerate(port.channels):
+            parts = [g.part for g in evidence.groups if (g.port, g.channel) == (port.name, i)]
+            rms = [
+                float(np.sqrt(np.mean(np.concatenate([x[p] for p in parts]) ** 2)))
+                for x in (before, after)
+            ]
+            out.append(Gap(port.name, channel, *rms))
+    return tuple(out)
+
+
+def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
+    """The effects that a better description has."""
+    return diagnosis.selection.fit.effects
+
+
+def plain(diagnosis: Diagnosis) -> dict[str, Any]:
+    """As data for JSON."""
+    return {
+        "verdict": diagnosis.verdict,
+        "sentence": diagnosis.sentence,
+        "effects": [
+            {
+                "kind": f.candidate.kind,
+                "slot": f.candidate.slot,
+                "value": dict(zip(f.candidate.names, f.values.tolist(), strict=True)),
+                "std": dict(zip(f.candidate.names, f.std.tolist(), strict=True)),
+                "unit": dict(zip(f.candidate.names, f.candidate.units, strict=True)),
+                "probability": f.probability,
+                "class": [r.candidate.name for r in f.rivals],
+            }
+            for f in diagnosis.found
+        ],
+        "remaining": diagnosis.remaining,
+        "gap_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.gaps},
+        "gap_after": {f"{g.port}/{g.channel}": g.after for g in diagnosis.gaps},
+        "final_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.final},
+        "final_after": {f"{g.port}/{g.channel}": g.after for g in diagnosis.final},
+        "untestable": {k: list(v) for k, v in diagnosis.untestable.items()},
+        "weak": list(diagnosis.weak),
+        "steps": diagnosis.selection.steps,
+        "seconds": diagnosis.seconds,
+    }
