@@ -21,6 +21,7 @@ from ves_gym.discrepancy.fit import Fit, residuals_of
 from ves_gym.discrepancy.machine import Machine, untestable
 from ves_gym.discrepancy.runs import Run
 from ves_gym.discrepancy.select import Rival, Selection, Thresholds, select, unexplained
+from ves_gym.discrepancy.system_machine import SlowPath
 
 NOTHING, NAMED, ONE_OF = "nothing missing", "named", "one of"
 MORE, UNKNOWN, WEAK = "named, more remains", "not in the library", "excitation too weak"
@@ -96,15 +97,12 @@ def _named(found: Found) -> str:
     if len(found.kinds) > 1:
         names = ", ".join(dict.fromkeys(r.candidate.name for r in found.rivals))
         return f"one of {{{names}}}"
+    c = found.candidate
     values = ", ".join(
-        f"{name} {value:.4g} {unit}".replace(" 1", "")
-        if unit == "1"
-        else f"{name} {value:.4g} {unit}"
-        for name, value, unit in zip(
-            found.candidate.names, found.values, found.candidate.units, strict=True
-        )
+        f"{name} {value:.4g}{'' if unit == '1' else ' ' + unit}"
+        for name, value, unit in zip(c.names, found.values, c.units, strict=True)
     )
-    return f"{found.candidate.name} ({values})"
+    return f"{c.name} ({values})"
 
 
 def _some(names: Sequence[str]) -> str:
@@ -180,14 +178,8 @@ def _found(selection: Selection, i: int, limits: Thresholds) -> Found:
     rivals = selection.rivals[i]
     near = tuple(r for r in rivals if r.cost - rivals[0].cost < limits.alike)
     first = rivals[0]
-    fitted = selection.fit.candidates[i]
-    std = (
-        selection.fit.std[i]
-        if first.candidate is fitted
-        else np.full(len(first.values), np.nan)
-    )
     p = sum(r.probability for r in rivals if r.candidate.kind == first.candidate.kind)
-    return Found(first.candidate, first.values, std, p, near)
+    return Found(first.candidate, first.values, selection.fit.std[i], p, near)
 
 
 def _verdict(
@@ -222,8 +214,10 @@ def _gaps(evidence: Evidence, fit: Fit, eta: Array, eta0: Array) -> tuple[Gap, .
 
 
 def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
-    """The effects that a better description has."""
-    return diagnosis.selection.fit.effects
+    """The effects that a better description has; the course of a drift becomes its size."""
+    return tuple(
+        e.effect if isinstance(e, SlowPath) else e for e in diagnosis.selection.fit.effects
+    )
 
 
 def plain(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -53,7 +53,7 @@ class Run:
     noise: Mapping[str, Noise]
     meta: Mapping[str, Any]
     band: float = BAND  # Hz
-    memory: dict[Any, Any] = field(default_factory=dict)  # what a machine derives from it
+    memory: dict[Any, Any] = field(default_factory=dict)  # what machines derive from it
 
     @property
     def length(self) -> int:

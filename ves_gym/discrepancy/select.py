@@ -20,6 +20,7 @@ from ves_gym.discrepancy.evidence import Evidence
 from ves_gym.discrepancy.fit import Fit, fit
 
 FINALISTS = 6
+_OTHERS, _EXCHANGES = 3, 4  # tried in a place on the way; exchanges at the end
 _HOPELESS = 30.0  # cost by which a screen's runner-up is not worth a full fit
 Tell = Callable[[str], None]
 
@@ -84,8 +85,11 @@ def select(
         tell(steps[-1])
         if gained < needed:
             break
-        now = _refined(evidence, bank, best)
-    rivals = tuple(_rivals(evidence, bank, now, i, limits) for i in range(len(now.candidates)))
+        now = best
+        for i in range(len(now.candidates) - 1):  # what came in before may now be another
+            now = _in_place(evidence, bank, now, i, _OTHERS)[0]
+    now, places = _weighed(evidence, bank, now)
+    rivals = tuple(_rivals(fits, i, evidence, limits) for i, fits in enumerate(places))
     return Selection(null, now, rivals, steps)
 
 
@@ -116,20 +120,30 @@ def _finalists(evidence: Evidence, bank: Bank, now: Fit) -> list[Fit]:
     return out
 
 
-def _refined(evidence: Evidence, bank: Bank, now: Fit) -> Fit:
-    """Exchange members while that lowers the cost."""
-    for _ in range(2):
-        if len(now.candidates) < 2:
-            return now
-        before = now
+def _weighed(evidence: Evidence, bank: Bank, now: Fit) -> tuple[Fit, list[list[Fit]]]:
+    """The cheapest fit that exchanging single members leads to, and all that was tried."""
+    places: list[list[Fit]] = []
+    for _ in range(_EXCHANGES):
+        places = []
         for i in range(len(now.candidates)):
-            fits = _replacements(evidence, bank, now, i, 3)
-            best = min(fits, key=lambda f: cost(f, evidence))
-            if cost(best, evidence) < cost(now, evidence) - 1e-6:
-                now = best
-        if now is before:
+            places.append(_in_place(evidence, bank, now, i, FINALISTS))
+            if places[-1][0] is not now:
+                now = places[-1][0]
+                break
+        else:
             break
-    return now
+    else:  # it still changes: weigh what there is
+        places = [
+            [now, *_replacements(evidence, bank, now, i, FINALISTS)]
+            for i in range(len(now.candidates))
+        ]
+    return now, places
+
+
+def _in_place(evidence: Evidence, bank: Bank, now: Fit, i: int, count: int) -> list[Fit]:
+    """The fit and those with another candidate in place i, cheapest first."""
+    fits = [now, *_replacements(evidence, bank, now, i, count)]
+    return sorted(fits, key=lambda f: cost(f, evidence))
 
 
 def _replacements(evidence: Evidence, bank: Bank, now: Fit, i: int, count: int) -> list[Fit]:
@@ -158,15 +172,13 @@ def _replacements(evidence: Evidence, bank: Bank, now: Fit, i: int, count: int) 
 
 
 def _rivals(
-    evidence: Evidence, bank: Bank, now: Fit, i: int, limits: Thresholds
+    fits: list[Fit], i: int, evidence: Evidence, limits: Thresholds
 ) -> tuple[Rival, ...]:
-    """Everything that could stand in place i, most probable first."""
-    fits = [now, *_replacements(evidence, bank, now, i, FINALISTS)]
+    """What could stand in place i, most probable first."""
     costs = np.array([cost(f, evidence) for f in fits])
     weight = np.exp(-(costs - costs.min()) / (2 * limits.temperature))
     weight /= weight.sum()
-    order = np.argsort(costs, kind="stable")
     return tuple(
-        Rival(fits[j].candidates[i], fits[j].values[i], float(costs[j]), float(weight[j]))
-        for j in order
+        Rival(f.candidates[i], f.values[i], float(c), float(w))
+        for f, c, w in zip(fits, costs, weight, strict=True)
     )

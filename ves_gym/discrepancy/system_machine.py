@@ -43,6 +43,7 @@ from ves_gym.effects import (
     PlatformDamping,
     SensorBias,
     SensorCalibration,
+    SensorDrift,
     SensorLag,
 )
 
@@ -75,6 +76,14 @@ class SlowPath:
         t = (np.arange(run.length) + 0.5) / run.length
         waves = (w * np.cos(np.pi * (k + 1) * t) for k, w in enumerate(weights))
         return np.asarray(sum(waves, np.zeros(run.length)))
+
+    @property
+    def effect(self) -> SensorDrift:
+        """A drift of this size (root mean square over the runs)."""
+        power = [sum(w * w for w in each) / 2 for _, each in self.weights]
+        signal = np.zeros(6)
+        signal[self.channel] = np.sqrt(np.mean(power))
+        return SensorDrift(force=tuple(signal[:3].tolist()), moment=tuple(signal[3:].tolist()))
 
 
 @dataclass(frozen=True)
@@ -228,8 +237,8 @@ class SystemMachine:
         arm = system.actual.arm
         old = _total(system, "joint/measurement_delay", "delay")
         plain = arm is self.system.actual.arm and not old
-        if plain and "load" in run.memory:
-            return run.memory["load"]  # type: ignore[no-any-return]
+        if plain and self in run.memory:
+            return run.memory[self]  # type: ignore[no-any-return]
         q, v, a = run.joints
         if old:
             q, v, a = differentiated(run["q"], run.dt, run.band, ahead=old)
@@ -246,7 +255,7 @@ class SystemMachine:
         if weighty and system.laboratory.joint_balance:
             tau = tau - _weight(self.system.arm, Kinematics(q, v, a), run.base)
         if plain:
-            run.memory["load"] = tau, wrench
+            run.memory[self] = tau, wrench
         return tau, wrench
 
     def _servo(self, run: Run, system: System) -> Array:
