@@ -7,6 +7,7 @@ have a unit, bounds and a null value at which the system is exactly the nominal 
 from __future__ import annotations
 
 import dataclasses
+from collections import UserDict
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -21,7 +22,27 @@ if TYPE_CHECKING:
     from ves_gym.core.system import System
     from ves_gym.core.vehicle import BaseModel
 
-EFFECTS: dict[str, type[Effect]] = {}
+
+class Registry(UserDict[str, "type[Effect]"]):
+    """Effects by kind. `fill` is called once, before the first question: their modules take
+    longer to load than a nominal simulation takes to begin."""
+
+    fill: Callable[[], object] | None = None
+
+    @property
+    def data(self) -> dict[str, type[Effect]]:
+        """All kinds."""
+        if self.fill is not None:
+            fill, self.fill = self.fill, None
+            fill()
+        return self._kinds
+
+    @data.setter
+    def data(self, kinds: dict[str, type[Effect]]) -> None:
+        self._kinds = kinds
+
+
+EFFECTS = Registry()
 WAYS = ("edit", "law", "arm", "base", "wire")  # methods by which an effect acts
 # Balance of torques at the joints; force sensor; estimate of the arm's weight; vehicle, real
 # or emulated; from the platform's command to its pose.
@@ -43,7 +64,7 @@ class Effect:
     `port` says at which component of the loop it enters, for whoever looks for it there.
     """
 
-    REGISTRY: ClassVar[dict[str, type[Effect]]] = EFFECTS
+    REGISTRY: ClassVar[Registry] = EFFECTS
     kind: ClassVar[str]  # "place/name"; set by `register`
     modes: ClassVar[tuple[str, ...]] = ("emulated",)
     port: ClassVar[str]  # one of PORTS

@@ -13,7 +13,6 @@ from ves_gym.core.effect import Effect
 from ves_gym.core.params import ParameterError, from_plain
 from ves_gym.core.system import System
 from ves_gym.core.vehicle import get_vehicle, vehicle_from_plain
-from ves_gym.effects.budget import LABORATORY_ERRORS
 from ves_gym.envs.control import Control, get_control
 from ves_gym.envs.randomize import Range
 from ves_gym.envs.task import TASKS, Task
@@ -131,6 +130,8 @@ def _effects(given: Any) -> tuple[Effect, ...]:
     if isinstance(given, str):
         if given != "laboratory":
             raise ParameterError(f"effects must be a list or 'laboratory', got {given!r}")
+        from ves_gym.effects.budget import LABORATORY_ERRORS  # the laboratory's modules
+
         return LABORATORY_ERRORS
     out = []
     for i, effect in enumerate(given):

@@ -81,7 +81,9 @@ class Reach(Task):
     def _least(self) -> float:
         """J, the smallest energy that counts as one."""
         ends = self._ends(np.random.default_rng(0).random((_SAMPLE, self.draws)))
-        return _LEAST * float(np.median(self._straight(*ends)))
+        ordered = np.sort(self._straight(*ends))  # np.median would load masked arrays
+        n = len(ordered)
+        return _LEAST * float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2
 
     # ------------------------------------------------------------------ episodes
 
