@@ -86,6 +86,12 @@ def test_n_is_a_whole_number(n):
         Simulator(System(), n)
 
 
+@pytest.mark.parametrize("threads", [-1, 1.5, True, "two"])
+def test_threads_are_a_whole_number(threads):
+    with pytest.raises(ParameterError, match="threads must be a whole number >= 0, got"):
+        Simulator(System(), threads=threads)
+
+
 def test_other_bad_arguments():
     assert Simulator(System(), np.int64(2)).n == 2
     with pytest.raises(ParameterError, match="mujoco, mjx, warp, got 'bullet'"):

@@ -93,6 +93,12 @@ class Simulator:
     ) -> None:
         if not isinstance(n, (int, np.integer)) or isinstance(n, bool) or n < 1:
             raise ParameterError(f"n must be a whole number >= 1, got {n!r}")
+        if (
+            not isinstance(threads, (int, np.integer))
+            or isinstance(threads, bool)
+            or threads < 0
+        ):
+            raise ParameterError(f"threads must be a whole number >= 0, got {threads!r}")
         if on_divergence not in ("raise", "mark"):
             raise ParameterError(f"on_divergence must be raise or mark, got {on_divergence!r}")
         if system.mode == "ideal" or system.actual.arm.geared:
