@@ -59,10 +59,17 @@ def test_the_friction_is_named_and_written_down(call, logs, tmp_path):
     before, after = (result[k]["joint/tau_2"] for k in ("final_before", "final_after"))
     assert before > 5 > 2 > after
     assert "joint/coulomb at joint 2" in out
+    assert [r["name"] for r in result["ranking"] if r["chosen"]] == ["joint/coulomb at joint 2"]
+    assert result["described"] == SYSTEM.hash != result["better"]
     better = System.load(tmp_path / "out" / "system.toml")
     assert better.to_dict() == result["system"]
-    again = call("diagnose", logs, "--system", tmp_path / "out" / "system.toml")[3]
-    assert again["effects"] == []
+    page = tmp_path / "out" / "diagnosis.html"
+    assert result["sentence"] in page.read_text(encoding="utf-8")
+    page.unlink()
+    repaired = tmp_path / "out" / "system.toml"
+    again = call("diagnose", logs, "--system", repaired, "--no-figures")[3]
+    assert again["effects"] == [] and again["experiments"] == []
+    assert not page.exists()
 
 
 def test_logs_of_two_machines_are_refused(call, logs, tmp_path):

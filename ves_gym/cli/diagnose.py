@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import difflib
+import importlib.util
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -41,10 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--band", metavar="HZ", type=float, default=12.0, help="compare up to (default 12)"
     )
+    parser.add_argument("--no-figures", action="store_true", help="skip the HTML report")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Diagnose, print the verdict, write the better description."""
+    """Diagnose, print the verdict, write the better description and the report."""
+    from ves_gym import __version__
     from ves_gym.discrepancy import diagnosis as d
     from ves_gym.discrepancy.candidates import library, without
     from ves_gym.discrepancy.runs import require_plausible, run_of
@@ -79,14 +84,21 @@ def run(args: argparse.Namespace) -> int:
         **d.plain(found),
         "logs": {p.name: log.digest for p, log in zip(paths, logs, strict=True)},
         "held_back": [paths[i].name for i in final],
+        "machine": machine.name,
         "described": system.hash,
+        "better": better.hash,
         "system": better.to_dict(),
         "seed": args.seed,
+        "version": __version__,
+        "command": shlex.join(["ves-gym", *sys.argv[1:]]),
     }
-    _print(found, [paths[i].name for i in final], folder / "system.toml")
+    _print(found, result)
+    print(folder / "system.toml")
     write_json(args.json, result)
     write_json(str(folder / "diagnosis.json"), result)
     write_text(folder / "verdict.txt", found.sentence + "\n")
+    if not args.no_figures:
+        _report({**result, "diff": _diff(system, better)}, found, folder / "diagnosis.html")
     return 1 if found.verdict in (d.UNKNOWN, d.MORE, d.WEAK) else 0
 
 
@@ -143,12 +155,37 @@ def _split(logs: list[RunLog], final: int | None) -> tuple[list[int], list[int]]
     return fitted, held
 
 
-def _print(found: Any, held: list[str], path: Path) -> None:
+def _report(result: dict[str, Any], found: Any, path: Path) -> None:
+    """Write the HTML report; a machine without the extra gets everything else."""
+    if importlib.util.find_spec("matplotlib") is None:
+        print("no HTML report: it needs matplotlib; pip install 'ves-gym[report]'")
+        return
+    from ves_gym.discrepancy.findings import overlays
+    from ves_gym.report.diagnosis import write_page
+
+    write_page({**result, "overlays": overlays(found.selection, found.evidence)}, path)
+    print(path)
+
+
+def _diff(system: System, better: System) -> str:
+    """What changed in the description, as a unified diff of the TOML files."""
+    import tomli_w
+
+    old, new = (tomli_w.dumps(s.to_dict()).splitlines() for s in (system, better))
+    lines = difflib.unified_diff(old, new, "described", "system.toml", n=2, lineterm="")
+    return "\n".join(lines)
+
+
+def _print(found: Any, result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from ves_gym.discrepancy.diagnosis import UNKNOWN
+
     console = Console(width=None if sys.stdout.isatty() else 110, markup=False)
     console.print(found.sentence, style="bold")
+    if found.verdict == UNKNOWN and found.found:
+        console.print("the best that the library can do, not a name:")
     for f in found.found:
         numbers = ", ".join(
             f"{name} = {value:.4g} +- {1.645 * std:.2g} {unit}"
@@ -160,13 +197,12 @@ def _print(found: Any, held: list[str], path: Path) -> None:
     gaps = found.final or found.gaps
     table = Table(
         title="gap in standard deviations of noise, "
-        + (f"held back: {', '.join(held)}" if found.final else "the runs fitted")
+        + (f"held back: {', '.join(result['held_back'])}" if found.final else "the runs fitted")
     )
     for name in ("port", "channel", "before", "after"):
         table.add_column(name, justify="left" if name in ("port", "channel") else "right")
     for gap in sorted(gaps, key=lambda g: -g.before)[:_SHOWN]:
         table.add_row(gap.port, gap.channel, f"{gap.before:.2f}", f"{gap.after:.2f}")
     console.print(table)
-    for port, lacks in found.untestable.items():
+    for port, lacks in result["untestable"].items():
         console.print(f"not tested: {port}, the logs lack {', '.join(lacks)}", style="dim")
-    print(path)

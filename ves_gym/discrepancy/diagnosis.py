@@ -6,6 +6,7 @@ description with it) -> verify (on runs that nothing before has touched).
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,14 @@ from ves_gym.core.params import Array
 from ves_gym.discrepancy.bank import Bank
 from ves_gym.discrepancy.candidates import Candidate
 from ves_gym.discrepancy.evidence import Evidence
+from ves_gym.discrepancy.findings import (
+    Experiment,
+    Ranked,
+    classes,
+    experiments,
+    likeness,
+    ranked,
+)
 from ves_gym.discrepancy.fit import Fit, residuals_of
 from ves_gym.discrepancy.machine import Machine, untestable
 from ves_gym.discrepancy.runs import Run
@@ -29,6 +38,8 @@ VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK)
 
 # What any motion of a joint that is worth the name shows; where it does not, others may hide.
 _BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_inertia")
+_LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
+_COMPARED = 10  # candidates whose likeness is told
 
 Progress = Callable[[float, str], None]
 
@@ -73,6 +84,7 @@ class Diagnosis:
     selection: Selection
     evidence: Evidence
     bank: Bank
+    limits: Thresholds = field(default_factory=Thresholds)
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -170,6 +182,7 @@ def diagnose(
         selection=selection,
         evidence=evidence,
         bank=bank,
+        limits=limits,
         seconds=seconds,
     )
 
@@ -221,7 +234,19 @@ def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
 
 
 def plain(diagnosis: Diagnosis) -> dict[str, Any]:
-    """As data for JSON."""
+    """As data for JSON; a number that is not known is None."""
+    ranking = ranked(
+        diagnosis.bank, diagnosis.selection.null, [f.candidate.name for f in diagnosis.found]
+    )
+    some = ranking[:_COMPARED]
+    names = [r.candidate.name for r in some]
+    alike = likeness(diagnosis.bank, [r.index for r in some])
+    tried = experiments(
+        diagnosis.bank,
+        diagnosis.selection,
+        diagnosis.limits.alike,
+        list(diagnosis.untestable),
+    )
     return {
         "verdict": diagnosis.verdict,
         "sentence": diagnosis.sentence,
@@ -229,21 +254,79 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
             {
                 "kind": f.candidate.kind,
                 "slot": f.candidate.slot,
+                "name": f.candidate.name,
                 "value": dict(zip(f.candidate.names, f.values.tolist(), strict=True)),
-                "std": dict(zip(f.candidate.names, f.std.tolist(), strict=True)),
+                "std": dict(zip(f.candidate.names, map(_finite, f.std), strict=True)),
                 "unit": dict(zip(f.candidate.names, f.candidate.units, strict=True)),
                 "probability": f.probability,
                 "class": [r.candidate.name for r in f.rivals],
             }
             for f in diagnosis.found
         ],
+        "ranking": [_ranked(r, diagnosis) for r in ranking],
+        "likeness": {
+            "names": names,
+            "matrix": alike.tolist(),
+            "classes": classes(names, alike),
+        },
+        "experiments": [_experiment(e) for e in tried],
+        "where": _where(diagnosis),
         "remaining": diagnosis.remaining,
+        "remaining_allowed": diagnosis.limits.remains,
         "gap_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.gaps},
         "gap_after": {f"{g.port}/{g.channel}": g.after for g in diagnosis.gaps},
         "final_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.final},
         "final_after": {f"{g.port}/{g.channel}": g.after for g in diagnosis.final},
-        "untestable": {k: list(v) for k, v in diagnosis.untestable.items()},
+        "untestable": {
+            port: [_LOGGED.get(k, k) for k in lacks]
+            for port, lacks in diagnosis.untestable.items()
+        },
         "weak": list(diagnosis.weak),
         "steps": diagnosis.selection.steps,
         "seconds": diagnosis.seconds,
     }
+
+
+def _finite(x: float) -> float | None:
+    return float(x) if np.isfinite(x) else None
+
+
+def _ranked(r: Ranked, diagnosis: Diagnosis) -> dict[str, Any]:
+    every = [k for rivals in diagnosis.selection.rivals for k in rivals]
+    return {
+        "name": r.candidate.name,
+        "value": dict(zip(r.candidate.names, r.values.tolist(), strict=True)),
+        "unit": dict(zip(r.candidate.names, r.candidate.units, strict=True)),
+        "gain": r.gain,
+        "gain_error": r.error,
+        "p": r.chance,
+        "probability": next((k.probability for k in every if k.candidate is r.candidate), None),
+        "chosen": any(f.candidate is r.candidate for f in diagnosis.found),
+    }
+
+
+def _experiment(e: Experiment) -> dict[str, Any]:
+    return {
+        "between": list(e.between),
+        "sentence": e.sentence,
+        "runs": [dataclasses.asdict(a) for a in e.runs],
+        "ports": [dataclasses.asdict(a) for a in e.ports],
+        "untested": list(e.untested),
+    }
+
+
+def _where(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Mean square of every group, in variances of noise, before and after."""
+    ports = {p.name: p for p in diagnosis.evidence.ports}
+    null, fit = diagnosis.selection.null.size, diagnosis.selection.fit.size
+    return [
+        {
+            "port": g.port,
+            "channel": ports[g.port].channels[g.channel],
+            "low": g.low,
+            "high": g.high,
+            "before": float(before),
+            "after": float(after),
+        }
+        for g, before, after in zip(diagnosis.evidence.groups, null, fit, strict=True)
+    ]

@@ -1,0 +1,187 @@
+"""The page of a diagnosis: everything in one file, and says what was and was not found."""
+
+import html.parser
+import json
+import re
+
+import pytest
+
+from ves_gym.core.params import ParameterError
+from ves_gym.report.diagnosis import render_page, write_page
+
+pytest.importorskip("matplotlib")
+HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>"
+NAMES = ("joint/coulomb at joint 2", "joint/stribeck at joint 2")
+
+
+class Elements(html.parser.HTMLParser):
+    """Start tags with attributes, and all text."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.tags, self.text = [], ""
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def apart(where, likeness, sigma):
+    return {"where": where, "likeness": likeness, "sigma": sigma}
+
+
+@pytest.fixture
+def result():
+    """Friction of the second joint, one of two laws; made up, no simulation behind it."""
+    channels = [("joint", "tau_1"), ("joint", "tau_2"), ("platform", "phi_x")]
+    line = {"t": [0.0, 0.5, 1.0], "f": [0.0, 1.0, 2.0]}
+    return {
+        "schema": "ves-diagnose/1",
+        "verdict": "one of",
+        "sentence": f"Missing: one of {{{', '.join(NAMES)}}}.",
+        "effects": [
+            {
+                "name": NAMES[0],
+                "value": {"torque": 3.0},
+                "std": {"torque": 0.1},
+                "unit": {"torque": "N m"},
+                "probability": 0.625,
+                "class": list(NAMES),
+            }
+        ],
+        "ranking": [
+            {
+                "name": name,
+                "value": {"torque": 3.0},
+                "unit": {"torque": "N m"},
+                "gain": gain,
+                "gain_error": error,
+                "p": 1e-9,
+                "probability": p,
+                "chosen": p is not None,
+            }
+            for name, gain, error, p in (
+                (NAMES[0], 812.4, 31.0, 0.625), (NAMES[1], 44.0, None, None)
+            )
+        ],
+        "likeness": {
+            "names": list(NAMES),
+            "matrix": [[1.0, 0.99], [0.97, 1.0]],
+            "classes": [list(NAMES)],
+        },
+        "experiments": [
+            {
+                "between": list(NAMES),
+                "sentence": "run-2 tells them apart best.",
+                "runs": [apart("run-1", 0.99, 0.4), apart("run-2", 0.9, 2.5)],
+                "ports": [apart("joint", 0.9, 2.5), apart("platform", 0.0, 0.0)],
+                "untested": [],
+            }
+        ],
+        "where": [
+            {"port": p, "channel": c, "low": a, "high": b, "before": 30.0, "after": 1.1}
+            for p, c in channels
+            for a, b in ((0.0, 1.2), (1.2, 12.0))
+        ],
+        "remaining": 12.0,
+        "remaining_allowed": 1000.0,
+        "gap_before": {f"{p}/{c}": 5.0 for p, c in channels},
+        "gap_after": {f"{p}/{c}": 1.0 for p, c in channels},
+        "final_before": {"joint/tau_2": 7.0, "joint/tau_1": 1.05},
+        "final_after": {"joint/tau_2": 1.0, "joint/tau_1": 1.04},
+        "untestable": {"wrench": ["w"]},
+        "weak": ["joint/viscous at joint 3"],
+        "steps": ["joint/coulomb at joint 2: gain 812.4 of 17.0 needed"],
+        "seconds": {"locate": 1.0, "screen": 2.5},
+        "logs": {"run-1": "aa11", "run-2": "bb22"},
+        "held_back": ["run-2"],
+        "machine": "puma560 on beam, emulated",
+        "described": "cc33",
+        "better": "dd44",
+        "seed": 7,
+        "version": "0.1.0",
+        "command": "ves-gym diagnose run-1 run-2",
+        "diff": "--- described\n+++ system.toml\n+[[effects]]",
+        "overlays": [
+            {
+                "port": "joint",
+                "channel": "tau_2",
+                "unit": "N m",
+                "run": "run-1",
+                "top": 3.6,
+                **line,
+                **{k: [1.0, -1.0, 2.0] for k in ("before", "after")},
+                **{k: [30.0, 2.0, 1.0] for k in ("noise_before", "noise_after")},
+            }
+        ],
+    }  # fmt: skip
+
+
+def test_the_page_needs_nothing_beside_it(result, tmp_path):
+    path = tmp_path / "diagnosis.html"
+    write_page(result, path)
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r"//\w", re.sub(r"base64,[\w+/=]+", "", text))
+    tags = Elements(text).tags
+    pictures = [attrs for tag, attrs in tags if tag == "img"]
+    assert len(pictures) == 3
+    assert all(
+        a["src"].startswith("data:image/png;base64,iVBOR") and a["alt"] for a in pictures
+    )
+    assert not {tag for tag, _ in tags} & {"script", "link", "iframe", "object"}
+
+
+def test_the_verdict_is_on_top_and_what_it_rests_on_below(result):
+    text = Elements(render_page(result)).text
+    said = [
+        result["sentence"],
+        "2.8355 to 3.1645",  # 3.0 +- 1.645 x 0.1
+        "812 ± 31",
+        "44.0",
+        "< 0.0001",
+        "0.625",
+        "run-2 tells them apart best.",
+        "the runs held back (run-2)",
+        "100.0%",  # of tau_2's gap above noise
+        "port wrench: the logs lack w",
+        "joint/viscous at joint 3: the runs move too little",
+        "+[[effects]]",
+        "cc33",
+        "3.5",  # seconds in all
+    ]
+    at = [text.find(words) for words in said]
+    assert -1 not in at, said[at.index(-1)]
+    assert at[0] == min(at)
+
+
+def test_a_gap_without_a_name_is_not_given_one(result):
+    result |= {"verdict": "not in the library", "sentence": "Something is missing."}
+    text = Elements(render_page(result)).text
+    assert "No name is given." in text and "one of 2" not in text
+
+
+def test_a_description_that_is_right_has_a_page_too(result):
+    nothing = {"effects": [], "ranking": [], "experiments": [], "steps": [], "diff": ""}
+    likeness = {"names": [], "matrix": [], "classes": []}
+    result |= {**nothing, "likeness": likeness, "verdict": "nothing missing"}
+    text = Elements(render_page(result)).text
+    assert "Nothing of the library is needed" in text
+    assert "the description stays as it is" in text
+
+
+def test_names_cannot_become_markup(result):
+    plain = json.loads(json.dumps(result).replace("run-1", "RUN"))
+    hostile = json.loads(json.dumps(result).replace("run-1", HOSTILE))
+    del plain["overlays"], hostile["overlays"]
+    one, other = (Elements(render_page(r)).tags for r in (plain, hostile))
+    assert [tag for tag, _ in one] == [tag for tag, _ in other]
+
+
+def test_a_result_of_another_kind_is_refused(result):
+    result["schema"] = "ves-benchmark/1"
+    with pytest.raises(ParameterError, match=r"must be 'ves-diagnose/1', got 'ves-bench"):
+        render_page(result)
