@@ -162,6 +162,8 @@ def test_a_gap_without_a_name_is_not_given_one(result):
     result |= {"verdict": "not in the library", "sentence": "Something is missing."}
     text = Elements(render_page(result)).text
     assert "No name is given." in text and "one of 2" not in text
+    shown = text.split("What is missing")[1].split("Where")[0]
+    assert "3.1645" in shown and "0.625" not in shown
 
 
 def test_a_description_that_is_right_has_a_page_too(result):

@@ -260,7 +260,7 @@ def _tiles(result: Result) -> str:
 def _missing(result: Result) -> str:
     if not result["effects"]:
         return f"<p>{_NO_EFFECT[_has_name(result)]}</p>"
-    rows = []
+    named, rows = _has_name(result), []
     for effect in result["effects"]:
         for k, (name, value) in enumerate(effect["value"].items()):
             std = effect["std"][name]
@@ -271,11 +271,11 @@ def _missing(result: Result) -> str:
                     f"{value:.5g}",
                     _interval(value, std),
                     _unit(effect["unit"][name]),
-                    _probability(effect["probability"]) if k == 0 else "",
+                    _probability(effect["probability"]) if named and k == 0 else "",
                 ]
             )
     head = ("effect", "number", "value", "90 % interval", "unit", "probability")
-    return ("" if _has_name(result) else f"<p>{_NO_NAME}</p>") + (
+    return ("" if named else f"<p>{_NO_NAME}</p>") + (
         _table(head, rows, numbers=(2, 3, 5))
         + '<p class="note">Intervals are of the fit with tolerances carried along. The'
         " probability is that of the kind among everything that could stand in its place.</p>"
@@ -320,7 +320,10 @@ _SHOWN = {
     True: "The channel in which the gap falls most and, of the others, that with the largest",
     False: "The channels with the largest gap",
 }
-_LEFT_BY = {True: "the description and the better one leave", False: "the description leaves"}
+_LEFT_BY = {
+    True: "the description and the one with the effects above leave",
+    False: "the description leaves",
+}
 
 
 def _candidates(result: Result) -> str:
