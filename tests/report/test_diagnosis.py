@@ -58,6 +58,7 @@ def result():
                 "name": name,
                 "value": {"torque": 3.0},
                 "unit": {"torque": "N m"},
+                "screen": gain + 10,
                 "gain": gain,
                 "gain_error": error,
                 "p": 1e-9,
@@ -140,6 +141,7 @@ def test_the_verdict_is_on_top_and_what_it_rests_on_below(result):
     said = [
         result["sentence"],
         "2.8355 to 3.1645",  # 3.0 +- 1.645 x 0.1
+        "822",
         "812 ± 31",
         "44.0",
         "< 0.0001",

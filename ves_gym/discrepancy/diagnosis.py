@@ -297,6 +297,7 @@ def _ranked(r: Ranked, diagnosis: Diagnosis) -> dict[str, Any]:
         "name": r.candidate.name,
         "value": dict(zip(r.candidate.names, r.values.tolist(), strict=True)),
         "unit": dict(zip(r.candidate.names, r.candidate.units, strict=True)),
+        "screen": r.screen,
         "gain": r.gain,
         "gain_error": r.error,
         "p": r.chance,

@@ -13,11 +13,11 @@ import numpy as np
 import scipy
 
 from ves_gym.core.params import Array, Index
-from ves_gym.discrepancy.bank import Bank, Score
+from ves_gym.discrepancy.bank import Bank
 from ves_gym.discrepancy.candidates import Candidate
 from ves_gym.discrepancy.evidence import Evidence, Group
-from ves_gym.discrepancy.fit import Fit
-from ves_gym.discrepancy.groups import Solution, products, solve
+from ves_gym.discrepancy.fit import Fit, residuals_of
+from ves_gym.discrepancy.groups import products, solve
 from ves_gym.discrepancy.select import Selection
 
 ALIKE = 0.95  # likeness above which two candidates are one class on these runs
@@ -30,12 +30,14 @@ _FILTER = 4  # order of the low-pass that overlays go through
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate alone, by its linear score on the residual of the description."""
+    """A candidate alone on the residual of the description, with the numbers of its linear
+    score."""
 
     index: int  # in the bank
     candidate: Candidate
     values: Array  # (k,)
-    gain: float  # in deviance
+    screen: float  # gain in deviance by the linear score
+    gain: float  # by the model itself with these numbers
     error: float | None  # standard error of the gain, from run to run; None for a single run
     chance: float  # that the best of the library gains as much from noise
 
@@ -84,7 +86,7 @@ class Experiment:
 
 
 def ranked(bank: Bank, null: Fit, chosen: Sequence[str] = (), most: int = 12) -> list[Ranked]:
-    """The candidates that gain most alone, less what their numbers cost; those chosen too."""
+    """The candidates that score best alone, less what their numbers cost; those chosen too."""
     evidence = bank.evidence
     scores = bank.scores(null.residual, null.tangents, null.size)
     known = [s for s in scores if np.isfinite(s.deviance)]
@@ -96,34 +98,30 @@ def ranked(bank: Bank, null: Fit, chosen: Sequence[str] = (), most: int = 12) ->
         if (rank < most and null.deviance - s.deviance > _LEAST)
         or bank.candidates[s.candidate].name in chosen
     ]
+    none = np.zeros((evidence.size, 0))
     left = null.residual + evidence.slopes @ null.nuisances
     base = _by_run(evidence, left, null.size)
     out = []
     for s in some:
         candidate = bank.candidates[s.candidate]
-        gain = null.deviance - s.deviance
-        by_run = base - _by_run(evidence, *_left(bank, s, null.residual))
+        z = residuals_of(evidence, [candidate], [[s.values]])[0]
+        now = solve(products(evidence, z, none), len(evidence.nuisances))
+        gain = null.deviance - now.deviance
+        by_run = base - _by_run(evidence, z + evidence.slopes @ now.x, now.size)
         error = float(np.sqrt(len(by_run)) * by_run.std(ddof=1)) if len(by_run) > 1 else None
         chance = len(bank.candidates) * float(scipy.stats.chi2.sf(max(gain, 0), candidate.k))
-        out.append(Ranked(s.candidate, candidate, s.values, gain, error, min(1.0, chance)))
+        out.append(
+            Ranked(
+                index=s.candidate,
+                candidate=candidate,
+                values=s.values,
+                screen=null.deviance - s.deviance,
+                gain=gain,
+                error=error,
+                chance=min(1.0, chance),
+            )
+        )
     return out
-
-
-def _left(bank: Bank, score: Score, z: Array) -> tuple[Array, Array]:
-    """What a scored candidate leaves of z (N,), nuisances refitted, and the groups' sizes."""
-    evidence = bank.evidence
-    none = np.zeros((evidence.size, 0))
-    best: tuple[Solution, Array] | None = None
-    for shape in (s for s in bank.shapes if s.candidate == score.candidate):
-        held = [k for k in range(len(score.values)) if k not in shape.free]
-        if not np.array_equal(np.array(shape.values)[held], score.values[held]):
-            continue
-        moved = z + bank.columns[:, list(shape.columns)] @ score.values[list(shape.free)]
-        found = solve(products(evidence, moved, none), evidence.slopes.shape[1])
-        if best is None or found.deviance < best[0].deviance:
-            best = found, moved
-    assert best is not None  # a score is of a shape
-    return best[1] + evidence.slopes @ best[0].x, best[0].size
 
 
 def _by_run(evidence: Evidence, z: Array, size: Array) -> Array:

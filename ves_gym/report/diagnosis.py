@@ -329,7 +329,7 @@ _LEFT_BY = {
 def _candidates(result: Result) -> str:
     rows, marks = [], []
     for r in result["ranking"]:
-        digits = 0 if r["gain"] > _ROUND else 1
+        digits = 0 if abs(r["gain"]) > _ROUND else 1
         gain = f"{r['gain']:.{digits}f}"
         if r["gain_error"] is not None:
             gain += f" ± {r['gain_error']:.{digits}f}"
@@ -338,21 +338,23 @@ def _candidates(result: Result) -> str:
             [
                 r["name"],
                 ", ".join(_value(k, v, r["unit"][k]) for k, v in r["value"].items()),
+                f"{r['screen']:.{digits}f}",
                 gain,
                 f"< {_LEAST:g}" if r["p"] < _LEAST else f"{r['p']:.2g}",
                 "" if r["probability"] is None else _probability(r["probability"]),
             ]
         )
-    head = ("candidate", "numbers, by the screen", "gain ± SE", "p", "probability")
+    head = ("candidate", "numbers", "score", "gain ± SE", "p", "probability")
     steps = "".join(f"<li>{_text(step)}</li>" for step in result["steps"])
     return (
-        _table(head, rows, numbers=(2, 3, 4), wrap=(1,), marks=marks)
-        + '<p class="note">Each alone on the residual of the description, by a linear score:'
-        " gain is the fall in deviance, its standard error is from run to run, p the chance"
-        " that the best of the whole library gains as much from noise. Ranked by gain less"
-        " what the numbers cost. The probability is of the full fits, among all that could"
-        " stand in the same place; empty where a candidate was not among those."
-        " <strong>Bold</strong>: in the answer.</p>"
+        _table(head, rows, numbers=(2, 3, 4, 5), wrap=(1,), marks=marks)
+        + '<p class="note">Each alone on the residual of the description, ranked by a linear'
+        " score less what the numbers cost. Gain is the fall in deviance: by the linear score,"
+        " and by the model itself with these numbers, where much less or less than nothing"
+        " means that the score does not hold. The standard error is from run to run; p is the"
+        " chance that the best of the whole library gains as much from noise. The probability"
+        " is of the full fits, among all that could stand in the same place; empty where a"
+        " candidate was not among those. <strong>Bold</strong>: in the answer.</p>"
         + (f"<p>Taken one by one, in full fits:</p><ol>{steps}</ol>" if steps else "")
     )
 
