@@ -22,6 +22,7 @@ COMMANDS = {  # name -> what it does; the module of the same name is loaded when
     "evaluate": "controllers and policies side by side on the same episodes",
     "pped": "joint gains that take vibration out of the base (thesis 4.3)",
     "diagnose": "where logs and description disagree, and what is missing",
+    "diagnose-benchmark": "blind benchmark of diagnose: machines with something hidden",
     "calibrate": "gravity parameters and sensor matrix from a log of poses",
     "emulation-check": "is an emulation stable, and how true, before it runs",
     "list": "what exists: vehicles, planners, suites, effects",

@@ -1,0 +1,87 @@
+"""`ves-gym diagnose-benchmark`: the blind benchmark of `diagnose`."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+from ves_gym import __version__
+from ves_gym.cli.common import out_dir, progress, write_json
+from ves_gym.core.params import ParameterError, read_table, write_text
+
+SCHEMA = "ves-diagnose-benchmark/1"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "--set", metavar="NAME", default="development", help="development (default) or sealed"
+    )
+    parser.add_argument("--salt", metavar="FILE", help="the sealed set's secret")
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--cases",
+        metavar="N",
+        help="N cases in the proportions of the whole, or A:B, those from A to B - 1"
+        " (default: all 600)",
+    )
+    group.add_argument("--quick", action="store_true", help="30 cases")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (1)")
+    parser.add_argument("--docs", metavar="FILE", help="write the scores as Markdown")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make cases, diagnose them, score the answers; go on where it was interrupted."""
+    from ves_gym.discrepancy import trial as t
+    from ves_gym.discrepancy.score import score
+    from ves_gym.discrepancy.score_page import markdown
+    from ves_gym.discrepancy.select import Thresholds
+
+    if args.workers < 1:
+        raise ParameterError(f"--workers must be >= 1, got {args.workers}")
+    cases = t.QUICK if args.quick else _cases(args.cases)
+    salt = Path(args.salt) if args.salt else None
+    folder = Path(args.out or f"out/diagnose-benchmark-{args.set}")
+    trial = t.trial_of(folder, args.set, salt, cases)
+    out_dir(args, str(folder))
+    with progress() as tell:
+        t.run_trial(trial, args.workers, tell)
+    result: dict[str, Any] = {
+        "schema": SCHEMA,
+        "set": args.set,
+        "cases": list(trial.cases),
+        "command": shlex.join(["ves-gym", *sys.argv[1:]]),
+        "version": __version__,
+        "thresholds": t.thresholds_hash(Thresholds()),
+        "seal": None,
+        "score": score(t.read_truth(trial), t.read_answers(trial)),
+    }
+    if trial.sealed:
+        digest = read_table(folder / "seal.json")["digest"]
+        nonce = read_table(trial.labels / "nonce.json")["nonce"]
+        result["seal"] = {"digest": digest, "nonce": nonce}
+    page = markdown(result)
+    print(page, end="")
+    for path in (folder / "scores.md", *([Path(args.docs)] if args.docs else [])):
+        write_text(path, page)
+    write_json(str(folder / "scores.json"), result)
+    write_json(args.json, result)
+    return 0
+
+
+def _cases(text: str | None) -> range | int | None:
+    if text is None:
+        return None
+    parts = text.split(":")
+    try:
+        numbers = [int(p) for p in parts]
+    except ValueError:
+        numbers = []
+    if len(numbers) == 1:
+        return numbers[0]
+    if len(numbers) == 2 and 0 <= numbers[0] < numbers[1]:
+        return range(*numbers)
+    raise ParameterError(f"--cases must be N or A:B with 0 <= A < B, got {text!r}")
