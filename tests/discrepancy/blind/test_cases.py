@@ -97,6 +97,17 @@ def test_gap_over_noise_is_as_wanted(runner, kind, wanted):
     assert reached == pytest.approx(wanted, rel=0.15)
 
 
+def test_runs_held_back_do_not_size_an_effect(runner):
+    motions = [draw(k, runner.limits, np.random.default_rng(3)) for k in KINDS[:2]]
+    plan = cases.Plan("single", ("joint/viscous",), (3.0,))
+
+    def sized(held_back):
+        rng = np.random.default_rng(0)
+        return runner.effects(plan, runner.nominal, motions[:1], rng, held_back)
+
+    assert sized(motions[1:]) == sized(())
+
+
 def test_runs_are_safe_and_within_limits(runner, single, description):
     lab = description["emulator"]
     for motion, record in zip(single.motions, single.records, strict=True):
