@@ -5,6 +5,7 @@ import pytest
 pytest.importorskip("numba")
 
 from ves_gym.discrepancy import trial
+from ves_gym.discrepancy.score import METHODS
 
 
 @pytest.mark.parametrize(
@@ -34,7 +35,7 @@ def test_scores_are_printed_and_written(call, tmp_path, monkeypatch):
         "effects": [],
         "final": [],
         "seconds": {"total": 3.0},
-        "baselines": {"stepwise": [], "smallest error": []},
+        "baselines": {key: [] for key in METHODS[1:]},
     }
     monkeypatch.setattr(trial, "run_trial", lambda *a: None)
     monkeypatch.setattr(trial, "read_truth", lambda t: [label])

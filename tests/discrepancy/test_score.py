@@ -39,7 +39,7 @@ def said(verdict, *effects, final=(("joint", "tau_1", 11.0, 1.1),), baselines=No
         "effects": list(effects),
         "final": [list(g) for g in final],
         "seconds": {"total": 12.0},
-        "baselines": baselines or {},
+        "baselines": {**dict.fromkeys(s.METHODS[1:], ()), **(baselines or {})},
     }
 
 

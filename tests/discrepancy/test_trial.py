@@ -142,6 +142,7 @@ def test_two_development_cases_from_end_to_end(tmp_path):
         assert known["verdict"] != t.FAILED, known.get("why")
         assert known["final"] and known["seconds"]["total"] > 0
         assert len(known["baselines"]["smallest error"]) == 1
+        assert set(known["baselines"]) == set(METHODS[1:])
         assert len(known["baselines"]["stepwise"]) <= 3
     found = score(t.read_truth(trial), answers)
     assert set(found["methods"]) == set(METHODS) and not found["failed"]

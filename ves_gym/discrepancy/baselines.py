@@ -1,7 +1,7 @@
-"""What others would do with the same evidence: two baselines of the blind benchmark.
+"""What others would do with the same evidence: baselines of the blind benchmark.
 
-Both fit the signatures of a bank to the whitened residuals by plain least squares, without
-tolerances, sizes of groups or a threshold for the whole library.
+They fit the signatures of a bank to the whitened residuals by plain least squares, without
+sizes of groups or a threshold for the whole library.
 """
 
 from __future__ import annotations
@@ -29,14 +29,24 @@ class Named:
 
 
 class Baselines:
-    """Least squares of the residual under the nominal description."""
+    """Least squares of the residual under the nominal description.
 
-    def __init__(self, evidence: Evidence, bank: Bank) -> None:
+    With `tolerances`, small errors of the description are fitted along, at a unit prior each.
+    """
+
+    def __init__(self, evidence: Evidence, bank: Bank, tolerances: bool = False) -> None:
         self._bank, self._n = bank, evidence.size
         z, X = evidence.null, bank.columns
         self._zz = float(z @ z)
         self._xz = np.asarray(X.T @ z.astype(X.dtype), float)
         self._xx = np.asarray(X.T @ X, float)
+        if tolerances:
+            J = evidence.slopes
+            xj = np.asarray(X.T @ J.astype(X.dtype), float)
+            inside, jz = J.T @ J + np.eye(J.shape[1]), J.T @ z
+            self._zz -= float(jz @ np.linalg.solve(inside, jz))
+            self._xz -= xj @ np.linalg.solve(inside, jz)
+            self._xx -= xj @ np.linalg.solve(inside, xj.T)
 
     def smallest_error(self) -> tuple[Named, ...]:
         """The one candidate that leaves the least error; there always is one."""

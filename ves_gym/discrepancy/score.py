@@ -18,7 +18,7 @@ from ves_gym.discrepancy.diagnosis import MORE, NAMED, NOTHING, ONE_OF, UNKNOWN,
 from ves_gym.discrepancy.labels import INTERVAL, Name, given_name, numbers, true_name
 
 OWN = "ves-gym"
-METHODS = (OWN, "stepwise", "smallest error")
+METHODS = (OWN, "stepwise", "stepwise, tolerances", "smallest error")
 VISIBLE = 3.0  # gap over noise from which a name is owed
 LARGE = 10.0
 CONFIDENCE = 0.95
@@ -116,8 +116,10 @@ def cases_of(
         if method == OWN:
             verdict = answer["verdict"]
             effects = answer["effects"] if verdict in _SPEAKS else []
+        elif "why" in answer:  # failed before a baseline had its evidence
+            verdict, effects = answer["verdict"], []
         else:
-            effects = answer["baselines"].get(method, [])
+            effects = answer["baselines"][method]
             verdict = NAMED if effects else NOTHING
         out.append(Case(label, verdict, effects, answer))
     return out

@@ -58,8 +58,9 @@ def _targets(methods: Mapping[str, Plain]) -> str:
     said = f"Not met: {'; '.join(wrong)}." if wrong else "No target is missed."
     return (
         "## Targets\n\n" + _table(head, lines) + "\n\nBounds are one-sided (Clopper-Pearson)."
-        " Baselines: forward selection by the plain Bayesian information criterion, and always"
-        f" the one candidate of least error, on the same residuals. {said}"
+        " Baselines, on the same residuals: forward selection by the plain Bayesian information"
+        " criterion, without and with the description's tolerances fitted along, and always the"
+        f" one candidate of least error. {said}"
     )
 
 

@@ -307,7 +307,13 @@ def diagnosed(folder: Path, limits: Thresholds) -> dict[str, Any]:
         limits=limits,
     )
     seconds = {**found.seconds, "total": time.perf_counter() - begin}
-    others = Baselines(found.evidence, found.bank)
+    plain = Baselines(found.evidence, found.bank)
+    tolerant = Baselines(found.evidence, found.bank, tolerances=True)
+    others = {
+        "stepwise": plain.stepwise(),
+        "stepwise, tolerances": tolerant.stepwise(),
+        "smallest error": plain.smallest_error(),
+    }
     return {
         "verdict": found.verdict,
         "sentence": found.sentence,
@@ -319,8 +325,7 @@ def diagnosed(folder: Path, limits: Thresholds) -> dict[str, Any]:
         "gaps": [[g.port, g.channel, g.before, g.after] for g in found.gaps],
         "seconds": seconds,
         "baselines": {
-            "stepwise": [_named(n.candidate, n.values) for n in others.stepwise()],
-            "smallest error": [_named(n.candidate, n.values) for n in others.smallest_error()],
+            name: [_named(n.candidate, n.values) for n in some] for name, some in others.items()
         },
     }
 
