@@ -44,5 +44,6 @@ def test_scores_are_printed_and_written(call, tmp_path, monkeypatch):
     status, out, err, result = call("diagnose-benchmark", "--cases", "0:1", "--docs", page)
     assert (status, err) == (0, "")
     assert result["schema"] == "ves-diagnose-benchmark/1" and result["cases"] == [0]
+    assert result["command"] == "ves-gym diagnose-benchmark --set development --cases 0:1"
     assert page.read_text() == out == (tmp_path / "out" / "scores.md").read_text()
     assert "| null: false alarm | 0.0 % | 0.0 % to 95.0 % | 1 | <= 0.8 % | yes |" in out
