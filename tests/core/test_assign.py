@@ -248,7 +248,8 @@ def test_every_registered_effect_at_random_values(mode, backend, reach):
 
 # what a motor at its limit does not show, and what a small command does not reach
 SOFT = JointServo(kp=(20.0,) * 3, kd=(5.0,) * 3)
-OPTIONS = {k: {"servo": SOFT} for k in ("command/delay", "joint/measurement_delay")}
+LATE = ("command/delay", "joint/measurement_delay", "joint/velocity_lag")
+OPTIONS = {k: {"servo": SOFT} for k in LATE}
 DRAWN = {"platform/stroke": [PlatformStroke(travel=k, speed=k) for k in (0.99, 0.999)]}
 
 

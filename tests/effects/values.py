@@ -44,6 +44,7 @@ VALUES = {
     "joint/stribeck": {"coulomb": (1.0,) * 3, "stiction": (2.0,) * 3, "fade_speed": 0.1},
     "joint/torque_limit": {"fraction": (0.9, 0.8, 0.9)},
     "joint/torque_offset": {"torque": (1.0, -2.0, 0.5)},
+    "joint/velocity_lag": {"time_constant": (0.003, 0.002, 0.005)},
     "joint/viscous": {"damping": (2.0, 2.0, 1.0)},
     "payload/com": {"offset": (0.05, -0.02, 0.03)},
     "payload/inertia": {"error": 0.1},

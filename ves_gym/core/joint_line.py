@@ -1,4 +1,4 @@
-"""The line between joint controller and drives: commands that arrive late, old measurements.
+"""The line between joint controller and drives: late commands, old and lagging measurements.
 
 Everything here is per simulation (leading axis n) and in physics steps: between two steps
 command, angles and rates are linear.
@@ -25,11 +25,12 @@ class Delays:
 
     command: Array  # from the controller's command to the drive
     measurement: Array  # age of the angles and rates that controller and log see
+    lag: Array  # (n, joints) time constant of the low-pass through which they see rates
 
     @staticmethod
     def of(system: System, n: int = 1) -> Delays:
         """Those of a system, n times."""
-        out = Delays(np.zeros(n), np.zeros(n))
+        out = Delays(np.zeros(n), np.zeros(n), np.zeros((n, system.arm.n)))
         for effect in system.effects:
             effect.wire(out)
         return out
@@ -48,7 +49,8 @@ class JointLine:
         self.delays = Delays.of(system, n)
         self._fresh = np.ones(n, bool)  # no command since the reset
         self._sent = np.zeros((n, 0, 2, self.joints))  # commands at both ends of past steps
-        self.past = np.zeros((n, 0, 2, self.joints))  # angles and rates at past nodes
+        # angles, rates as seen through the low-pass, and rates, at past nodes
+        self.past = np.zeros((n, 0, 3, self.joints))
         self._fit()
 
     def _apart(self, delay: Array) -> tuple[Index, Array]:
@@ -71,17 +73,20 @@ class JointLine:
 
     @property
     def old(self) -> bool:
-        """Whether a measurement is old anywhere."""
-        return bool(self.delays.measurement.any())
+        """Whether a measurement is old anywhere, or a rate behind."""
+        return bool(self.delays.measurement.any() or self.delays.lag.any())
 
     def _fit(self) -> None:
         """As much memory as the longest delays need; what is older was as the oldest known."""
-        for name, delay in (("_sent", self.delays.command), ("past", self.delays.measurement)):
+        for name, delay, used in (
+            ("_sent", self.delays.command, self.late),
+            ("past", self.delays.measurement, self.old),
+        ):
             kept: Array = getattr(self, name)
-            need = int(self._apart(delay)[0].max()) + 2 if delay.any() else 0
+            need = int(self._apart(delay)[0].max()) + 2 if used else 0
             missing = need - kept.shape[1]
             if missing > 0:
-                shape = (self.n, missing, 2, self.joints)
+                shape = (self.n, missing, *kept.shape[2:])
                 older = np.broadcast_to(kept[:, :1], shape) if kept.size else np.zeros(shape)
                 setattr(self, name, np.concatenate([older, kept], axis=1))
 
@@ -94,12 +99,12 @@ class JointLine:
         if first[0]:
             self._fresh[:] = True
         if first[1]:
-            self.past[:] = np.stack([q, v], axis=1)[:, None]
+            self.past[:] = np.stack([q, v, v], axis=1)[:, None]
 
     def reset(self, ids: Index, q: Array, v: Array) -> None:
         """Joints (m, joints) were where they are, and are told what they will be told first."""
         self._fresh[ids] = True
-        self.past[ids] = np.stack([q, v], axis=1)[:, None]
+        self.past[ids] = np.stack([q, v, v], axis=1)[:, None]
 
     # ---------------------------------------------------------------- commands
 
@@ -140,12 +145,25 @@ class JointLine:
         """Angles and rates (n, joints) as they are seen, where they really are q and v."""
         if not self.old:
             return q, v
-        return self._seen(
-            np.concatenate([self.past, np.stack([q, v], axis=1)[:, None]], axis=1)
-        )
+        return self._seen(np.concatenate([self.past, self._node(q, v)], axis=1))
+
+    def _node(self, q: Array, v: Array) -> Array:
+        """(n, 1, 3, joints) a step after the last node remembered."""
+        return self._after(self.past[:, -1], q, v)[:, None]
+
+    def _after(self, before: Array, q: Array, v: Array) -> Array:
+        """The node (n, 3, joints) one step after another; exact for rates linear between."""
+        lag = self.delays.lag
+        if not lag.any():
+            return np.stack([q, v, v], axis=1)
+        x = self.dt / np.where(lag > 0, lag, 1.0)
+        share = -np.expm1(-x) / x  # mean weight of the step's start in what the filter forgets
+        follows = before[:, 1] * np.exp(-x) + before[:, 2] * (share - np.exp(-x))
+        seen = np.where(lag > 0, follows + v * (1 - share), v)
+        return np.stack([q, seen, v], axis=1)
 
     def _seen(self, nodes: Array) -> tuple[Array, Array]:
-        """One delay before the last of nodes (n, m, 2, joints)."""
+        """One delay before the last of nodes (n, m, 3, joints)."""
         whole, part = self._apart(self.delays.measurement)
         rows, now = np.arange(self.n), nodes.shape[1] - 1 - whole
         share = part[:, None, None]
@@ -159,24 +177,23 @@ class JointLine:
         makes it one that does not. The end of the step is foreseen with the present
         acceleration, which costs an error of second order in the step.
         """
-        now = np.stack([q, v], axis=1)
-        before = self.past[:, -1]
-        rate = 2 * v - before[:, 1]
-        ahead = np.stack([q + self.dt / 2 * (v + rate), rate], axis=1)
-        nodes = np.concatenate([self.past, now[:, None]], axis=1)
-        whole = np.concatenate([nodes, ahead[:, None]], axis=1)
+        rate = 2 * v - self.past[:, -1, 2]
+        further = q + self.dt / 2 * (v + rate)
+        now = self._node(q, v)
+        ahead = self._after(now[:, 0], further, rate)[:, None]
+        nodes = np.concatenate([self.past, now], axis=1)
+        whole = np.concatenate([nodes, ahead], axis=1)
         out = []
         for (q_there, v_there), seen in (
             ((q, v), self._seen(nodes)),
-            ((ahead[:, 0], ahead[:, 1]), self._seen(whole)),
+            ((further, rate), self._seen(whole)),
         ):
             out.append(kp * (q_there - seen[0]) + kd * (v_there - seen[1]))
         return out[0], out[1]
 
     def remember(self, q: Array, v: Array) -> None:
         """Angles and rates (n, joints) at the start of a step that is over."""
-        now = np.stack([q, v], axis=1)[:, None]
-        self.past = np.concatenate([self.past[:, 1:], now], axis=1)
+        self.past = np.concatenate([self.past[:, 1:], self._node(q, v)], axis=1)
 
     # ------------------------------------------------------------------- state
 

@@ -107,8 +107,24 @@ def run_of(log: RunLog, name: str, band: float = BAND) -> Run:
     given = {k: getattr(log, k) for k in names if getattr(log, k) is not None}
     if log.w is not None and log.wg is not None:  # both contain the same noise
         given["weight"] = log.w - log.wg
+    return run_of_signals(log.t, given, name, band, log.meta)
+
+
+def run_of_signals(
+    t: Array,
+    given: Mapping[str, Array],
+    name: str,
+    band: float = BAND,
+    meta: Mapping[str, Any] | None = None,
+) -> Run:
+    """Signals (T, c) stamped at t (T,) [s] on an even clock; as `run_of` otherwise.
+
+    Raises:
+        ParameterError: too short, or sampled too slowly for the band.
+    """
+    meta = {} if meta is None else meta
     whole = np.concatenate(list(given.values()), axis=1)
-    dt, even = on_uniform_clock(log.t, whole)
+    dt, even = on_uniform_clock(t, whole)
     if 1 / dt < _PER_BAND * band:
         raise ParameterError(
             f"{name}: sampled at {1 / dt:.4g} Hz, comparing up to {band:g} Hz needs at least"
@@ -116,10 +132,10 @@ def run_of(log: RunLog, name: str, band: float = BAND) -> Run:
         )
     if len(even) < 4 * margin(dt, band):
         raise ParameterError(
-            f"{name}: {log.duration:.3g} s is too short, need {4 * margin(dt, band) * dt:.3g} s"
+            f"{name}: {t[-1] - t[0]:.3g} s is too short, need {4 * margin(dt, band) * dt:.3g} s"
         )
     signals, noise, at = {}, {}, 0
-    stated = log.meta.get("noise_std", {})
+    stated = meta.get("noise_std", {})
     for key, x in given.items():
         signals[key] = even[:, at : at + x.shape[1]]
         at += x.shape[1]
@@ -128,7 +144,7 @@ def run_of(log: RunLog, name: str, band: float = BAND) -> Run:
             std = np.broadcast_to(np.asarray(stated[key], float), (x.shape[1],))
             seen = Noise(std.copy(), seen.correlation)
         noise[key] = seen
-    return Run(name, dt, signals, noise, log.meta, band)
+    return Run(name, dt, signals, noise, meta, band)
 
 
 def require_plausible(log: RunLog, system: System, name: str) -> None:
@@ -142,14 +158,7 @@ def require_plausible(log: RunLog, system: System, name: str) -> None:
         raise ParameterError(
             f"{name}: has {log.n_joints} joints, {system.arm.name} has {system.arm.n}"
         )
-    steps = np.diff(log.t)
-    usual = float(np.median(steps))
-    late = int(np.argmax(steps))
-    if steps[late] > _GAP * usual:
-        raise ParameterError(
-            f"{name}: row {late + 2}: {steps[late]:.4g} s after the row before, usually"
-            f" {usual:.4g} s: cut the log at the gap"
-        )
+    require_steady(log.t, name)
     for key, most, here, there in _UNITS:
         x = getattr(log, key)
         if x is None:
@@ -161,3 +170,21 @@ def require_plausible(log: RunLog, system: System, name: str) -> None:
             raise ParameterError(
                 f"{name}: {key} reaches {far:.4g}; is it in {there}? {here} is expected"
             )
+
+
+def require_steady(t: Array, name: str) -> None:
+    """Refuse a clock (T,) that does not run forward or has gaps, naming the row.
+
+    Raises:
+        ParameterError: a step that is not positive, or far longer than the usual one.
+    """
+    steps = np.diff(t)
+    usual = float(np.median(steps))
+    back, late = int(np.argmin(steps)), int(np.argmax(steps))
+    if not steps[back] > 0:
+        raise ParameterError(f"{name}: row {back + 2}: the clock does not run forward")
+    if steps[late] > _GAP * usual:
+        raise ParameterError(
+            f"{name}: row {late + 2}: {steps[late]:.4g} s after the row before, usually"
+            f" {usual:.4g} s: cut the log at the gap"
+        )

@@ -30,6 +30,7 @@ from ves_gym.effects.joint_rotor_inertia import JointRotorInertia
 from ves_gym.effects.joint_stribeck import JointStribeck
 from ves_gym.effects.joint_torque_limit import JointTorqueLimit
 from ves_gym.effects.joint_torque_offset import JointTorqueOffset
+from ves_gym.effects.joint_velocity_lag import JointVelocityLag
 from ves_gym.effects.joint_viscous import JointViscous
 from ves_gym.effects.payload_com import PayloadCom
 from ves_gym.effects.payload_inertia import PayloadInertia
@@ -72,6 +73,7 @@ __all__ = [
     "JointStribeck",
     "JointTorqueLimit",
     "JointTorqueOffset",
+    "JointVelocityLag",
     "JointViscous",
     "PayloadCom",
     "PayloadInertia",
