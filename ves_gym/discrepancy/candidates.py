@@ -245,7 +245,7 @@ def _joint(shelf: _Shelf, j: int, n: int) -> None:
             "phase": at(np.arctan2(x[1], x[0])),
             "cycles": at(x[2], elsewhere=1.0),
         },
-        limits={"sine": (-20.0, 20.0, "N m"), "cosine": (-20.0, 20.0, "N m")},
+        limits={"sine": (-14.0, 14.0, "N m"), "cosine": (-14.0, 14.0, "N m")},
         sine=1.0,
         cosine=1.0,
         cycles=_CYCLES,
@@ -253,6 +253,7 @@ def _joint(shelf: _Shelf, j: int, n: int) -> None:
     add("rotor_inertia", each("added"), added=0.3)
     add("drive_gain", each("error"), error=0.05)
     add("torque_limit", each("fraction"), fraction=(0.5, 0.8))
+    add("velocity_lag", each("time_constant"), "velocity", time_constant=(0.02, 0.005, 0.2))
 
 
 def _sensor(shelf: _Shelf) -> None:

@@ -1,0 +1,53 @@
+"""What does a 95 kg carriage without friction lack of the EMPS axis?
+
+    python examples/emps/diagnose.py DATA_EMPS.mat DATA_EMPS_PULSES.mat
+
+Fits the first file, opens the second once, and says by how much the force is wrong there.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from ves_gym.discrepancy.diagnosis import added, diagnose
+from ves_gym.discrepancy.mapping import read_machine
+from ves_gym.discrepancy.mjcf_machine import MjcfMachine, Variant
+from ves_gym.discrepancy.runs import Run
+from ves_gym.discrepancy.select import Thresholds
+
+MAPPING = Path(__file__).with_name("emps.toml")
+
+
+def force_error(machine: MjcfMachine, run: Run, variant: Variant) -> float:
+    """Size of the force that is not explained over that of the force, up to the run's band."""
+    left = machine.residuals(run, [variant], ["joint"])["joint"][0]
+    spectra = (run.window.spectrum(x) for x in (left, run["tau"]))
+    wrong, whole = (float(np.linalg.norm(x)) for x in spectra)
+    return wrong / whole
+
+
+def main() -> None:
+    """Read, diagnose, print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("fitted", help="DATA_EMPS.mat")
+    parser.add_argument("final", help="DATA_EMPS_PULSES.mat, held back")
+    args = parser.parse_args()
+    machine, load = read_machine(MAPPING)
+    fitted, final = load(args.fitted), load(args.final)
+    found = diagnose(
+        machine,
+        [fitted],
+        [final],
+        candidates=machine.candidates(),
+        limits=Thresholds(most=5),
+    )
+    print(found.sentence)
+    better = machine.model(added(found))
+    for run in (fitted, final):
+        before, after = (force_error(machine, run, m) for m in (machine.nominal, better))
+        print(f"{run.name}: force error {100 * before:.2f} % -> {100 * after:.2f} %")
+
+
+if __name__ == "__main__":
+    main()
