@@ -6,15 +6,17 @@ Fits the first file, opens the second once, and says by how much the force is wr
 """
 
 import argparse
+import itertools
 from pathlib import Path
 
 import numpy as np
 
 from ves_gym.discrepancy.diagnosis import added, diagnose
-from ves_gym.discrepancy.mapping import read_machine
+from ves_gym.discrepancy.mapping import load_emps, read_machine
 from ves_gym.discrepancy.mjcf_machine import MjcfMachine, Variant
 from ves_gym.discrepancy.runs import Run
 from ves_gym.discrepancy.select import Thresholds
+from ves_gym.effects import JointCoulomb, JointTorqueOffset, JointViscous
 
 MAPPING = Path(__file__).with_name("emps.toml")
 
@@ -44,9 +46,19 @@ def main() -> None:
     )
     print(found.sentence)
     better = machine.model(added(found))
-    for run in (fitted, final):
-        before, after = (force_error(machine, run, m) for m in (machine.nominal, better))
-        print(f"{run.name}: force error {100 * before:.2f} % -> {100 * after:.2f} %")
+    r = machine.joints[0].radius
+    published = machine.model(
+        [
+            JointCoulomb(torque=(20.39 * r,)),
+            JointViscous(damping=(203.5 * r**2,)),
+            JointTorqueOffset(torque=(3.165 * r,)),
+        ]
+    )
+    print("force error, up to: described, published, found")
+    for path, band in itertools.product((args.fitted, args.final), (12.0, 20.0, 30.0, 40.0)):
+        run = load_emps(path, band)
+        errors = [force_error(machine, run, m) for m in (machine.nominal, published, better)]
+        print(f"{run.name} {band:g} Hz:", ", ".join(f"{100 * e:.2f} %" for e in errors))
 
 
 if __name__ == "__main__":
