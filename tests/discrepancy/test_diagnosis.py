@@ -58,6 +58,7 @@ def test_what_is_not_in_the_library_gets_no_wrong_name(hidden):
     own = ("base/stiffness", "base/virtual_mass", "base/extra_mode", "base/damping")
     _, found = diagnosed(logs, leave_out=(*own, "base/amplitude_damping"))
     assert found.verdict == d.UNKNOWN
+    assert d.added(found) == ()
     assert "not in the library" in found.sentence
 
 

@@ -227,7 +227,12 @@ def _gaps(evidence: Evidence, fit: Fit, eta: Array, eta0: Array) -> tuple[Gap, .
 
 
 def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
-    """The effects that a better description has; the course of a drift becomes its size."""
+    """The effects that a better description has; the course of a drift becomes its size.
+
+    What has no name is not added: the best the library can do would only hide it.
+    """
+    if diagnosis.verdict == UNKNOWN:
+        return ()
     return tuple(
         e.effect if isinstance(e, SlowPath) else e for e in diagnosis.selection.fit.effects
     )

@@ -203,10 +203,9 @@ def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
     return s.edit(ripple=_put(s.plant.ripple, j, [m, c["cycles"], c["phase"]]))
 
 
-@truth("joint/rotor_inertia", JOINTS, 0.3, 4.0, "added", _sign)
+@truth("joint/rotor_inertia", JOINTS, 0.3, 4.0, "added")
 def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
-    more = max(c["sign"] * m, -0.8 * s.plant.rotor[j])
-    return s.edit(rotor=_put(s.plant.rotor, j, s.plant.rotor[j] + more))
+    return s.edit(rotor=_put(s.plant.rotor, j, s.plant.rotor[j] + m))
 
 
 @truth("joint/drive_gain", JOINTS, 0.05, 0.45, "error", _sign)
@@ -365,10 +364,14 @@ def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
     return s._replace(base=s.base._replace(K=s.base.K * (1 + c["sign"] * m)))
 
 
-@truth("base/damping", WHOLE, 0.3, 5.0, "error", _sign)
+def _loss(m: float, c: Constants) -> float:
+    """Relative change of the damping, which stays positive."""
+    return max(c["sign"] * m, -0.98)
+
+
+@truth("base/damping", WHOLE, 0.3, 5.0, lambda m, c: {"error": _loss(m, c)}, _sign)
 def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
-    change = 1 + (m if c["sign"] > 0 else -min(m, 0.98))
-    return s._replace(base=s.base._replace(D=s.base.D * change))
+    return s._replace(base=s.base._replace(D=s.base.D * (1 + _loss(m, c))))
 
 
 @truth("base/amplitude_damping", AXES[:3], 300.0, 1e5, "coefficient")
