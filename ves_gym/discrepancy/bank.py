@@ -64,7 +64,10 @@ class Bank:
                 columns = tuple(range(at, at + len(factors)))
                 self.shapes.append(Shape(i, columns, start, factors))
                 at += len(factors)
-        self.columns = np.zeros((evidence.size, at), np.float32)
+        p = self._p = evidence.slopes.shape[1]
+        self._whole = np.zeros((evidence.size, p + at), np.float32)
+        self._whole[:, :p] = evidence.slopes
+        self.columns = self._whole[:, p:]
         done = 0
         for ports, mine in jobs.items():
             for some in (mine[k : k + _CHUNK] for k in range(0, len(mine), _CHUNK)):
@@ -75,14 +78,12 @@ class Bank:
                 done += len(some)
                 if progress is not None:
                     progress(done / at)
-        self._whole = np.concatenate([evidence.slopes.astype(np.float32), self.columns], axis=1)
         parts = [self._whole[g.part] for g in evidence.groups]
         self._xx = np.stack([x.T @ x for x in parts])
         self._n = np.array([g.n for g in evidence.groups], float)
-        self._p = evidence.slopes.shape[1]
         everything = self._xx.sum(axis=0).astype(float)
-        J, S = slice(None, self._p), slice(self._p, None)
-        inside = everything[J, J] + np.eye(self._p)
+        J, S = slice(None, p), slice(p, None)
+        inside = everything[J, J] + np.eye(p)
         self.inner = everything[S, S] - everything[S, J] @ np.linalg.solve(
             inside, everything[J, S]
         )
@@ -115,6 +116,7 @@ class Bank:
             k = len(at)
             xx = np.empty((len(groups), k + r, k + r))
             xx[:, :k, :k] = self._xx[:, at][:, :, at]
+            xx[:, :p, :p] = self.evidence.gram  # as exact as in a full fit
             xx[:, k:, k:] = bb
             xx[:, k:, :k] = bx[:, :, at]
             xx[:, :k, k:] = bx[:, :, at].swapaxes(1, 2)

@@ -15,11 +15,11 @@ import numpy as np
 
 from ves_gym.core.effect import EFFECTS
 from ves_gym.core.params import Array, ParameterError
-from ves_gym.discrepancy.system_machine import SlowPath
+from ves_gym.core.spatial import AXES
+from ves_gym.discrepancy.drift import SlowPath
+from ves_gym.discrepancy.machine import WRENCH
 
-WRENCH = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
 _XYZ = ("x", "y", "z")
-_POSE = (*_XYZ, "phi_x", "phi_y", "phi_z")
 _WAVES = 3  # slow cosines of a drift
 _FREQUENCIES = tuple(np.geomspace(0.5, 6.0, 20).tolist())  # of an extra mode [Hz]
 _CYCLES = tuple(np.arange(2.0, 130.0, 2.5).tolist())  # of a ripple, per turn
@@ -79,8 +79,6 @@ class _Shelf:
         **free: Starts,
     ) -> None:
         """`free`: name -> starts; `limits` of names that are no field of the effect."""
-        if kind not in EFFECTS:
-            return
         cls = EFFECTS[kind]
         here = tuple(p for p in ports.split() if p in self.ports)
         if not here or (self.mode is not None and self.mode not in cls.modes):
@@ -153,7 +151,7 @@ def library(
     shelf.add("base/virtual_mass", "admittance base", "", _same("error"), error=0.1)
     shelf.add("base/stiffness", "admittance base", "", _same("error"), error=0.1)
     shelf.add("base/damping", "admittance base", "", _same("error"), error=1.0)
-    for i, axis in enumerate(_POSE):
+    for i, axis in enumerate(AXES):
 
         def drag(x: Array, i: int = i) -> dict[str, Any]:
             return {"coefficient": tuple(float(x[0]) * (k == i) for k in range(6))}

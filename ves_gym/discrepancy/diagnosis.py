@@ -17,6 +17,7 @@ import numpy as np
 from ves_gym.core.params import Array
 from ves_gym.discrepancy.bank import Bank
 from ves_gym.discrepancy.candidates import Candidate
+from ves_gym.discrepancy.drift import SlowPath
 from ves_gym.discrepancy.evidence import Evidence
 from ves_gym.discrepancy.findings import (
     Experiment,
@@ -30,7 +31,6 @@ from ves_gym.discrepancy.fit import Fit, residuals_of
 from ves_gym.discrepancy.machine import Machine, untestable
 from ves_gym.discrepancy.runs import Run
 from ves_gym.discrepancy.select import Rival, Selection, Thresholds, select, unexplained
-from ves_gym.discrepancy.system_machine import SlowPath
 
 NOTHING, NAMED, ONE_OF = "nothing missing", "named", "one of"
 MORE, UNKNOWN, WEAK = "named, more remains", "not in the library", "excitation too weak"

@@ -36,9 +36,7 @@ def deflection(
 
 
 @njit(cache=True)
-def _deflection(
-    own: Array, load: Array, k: float, d: float, half: float, h: float
-) -> Array:  # pragma: no cover
+def _deflection(own: Array, load: Array, k: float, d: float, half: float, h: float) -> Array:
     out = np.empty_like(load)
     for row in range(load.shape[0]):
         first = load[row, 0]

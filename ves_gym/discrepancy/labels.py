@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from ves_gym.discrepancy.candidates import WRENCH
+from ves_gym.discrepancy.machine import WRENCH
 
 Name = tuple[str, str]  # kind and slot
 Plain = Mapping[str, Any]

@@ -15,6 +15,8 @@ from ves_gym.core.effect import Effect
 from ves_gym.core.params import Array
 from ves_gym.discrepancy.runs import Run
 
+WRENCH = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")  # of a force sensor
+
 
 @dataclass(frozen=True)
 class Port:

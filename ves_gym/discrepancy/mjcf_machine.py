@@ -20,6 +20,7 @@ import scipy
 
 from ves_gym.core.effect import Effect, joint_torque
 from ves_gym.core.params import Array, ParameterError, require_positive, unit
+from ves_gym.discrepancy.balance import torque_residual
 from ves_gym.discrepancy.candidates import Candidate, library
 from ves_gym.discrepancy.machine import Nuisance, Port
 from ves_gym.discrepancy.runs import Kinematics, Run
@@ -53,8 +54,6 @@ _ON_RACK = {  # unit of a turning joint -> unit of a slide, power of the radius 
     "rad/s": ("m/s", 1),
     "rad": ("m", 1),
 }
-_OF_FORCE = ("joint/drive_gain", "joint/load_friction")  # laws that multiply it
-_PUSH = 1e-6  # relative, of a difference
 _LAGS = (0.02, 0.005, 0.2)  # s, where fits of a low-pass begin
 _FADED = 0.1  # rad/s: what fades later is not of standstill but Coulomb's by another name
 _LEAST = 1e-3  # of a channel's own movement: no description is better
@@ -237,15 +236,11 @@ class MjcfMachine:
             load = differentiated(load, run.dt, run.band, ahead=late)[0]
         q, v, a = motion
         needed = load + _total(variant, "joint/rotor_inertia", "added") / r**2 * a
-        laws = _laws(variant, q / r, v / r, tau * r) / r
-        balance = tau + laws - needed
-        if not any(e.kind in _OF_FORCE for e in variant.effects):
-            return np.asarray(balance)
-        # In the force logged, not the force that acts: else a drive that gives less would
-        # seem to explain the residual by making everything smaller.
-        push = _PUSH * np.maximum(np.abs(tau), 1.0)
-        more = _laws(variant, q / r, v / r, (tau + push) * r) / r
-        return np.asarray(balance / (1 + (more - laws) / push))
+
+        def laws(force: Array) -> Array:
+            return _laws(variant, q / r, v / r, force * r) / r
+
+        return torque_residual(tau, needed, variant.effects, laws)
 
     def _load(self, run: Run, heavier: tuple[tuple[int, float], ...]) -> Array:
         """Force at the joints (..., T, n) that the model's motion takes."""

@@ -27,7 +27,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Thresholds:
-    """What it takes; frozen on the development set of the blind benchmark."""
+    """What it takes. To be frozen on the development set before a sealed one is opened."""
 
     chance: float = 0.005  # that anything of the library is named where nothing is missing
     gain: float = 12.0  # least gain in deviance beyond the numbers it costs
@@ -71,26 +71,37 @@ def select(
     """Effects named one by one."""
     null = now = fit(evidence, (), ())
     steps: list[str] = []
-    while len(now.candidates) < limits.most:
-        tried = _finalists(evidence, bank, now)
+    while (at := len(now.candidates)) < limits.most:
+        tried = _tried(evidence, bank, now, at, {c.name for c in now.candidates}, FINALISTS)
         if not tried:
             break
         best = min(tried, key=lambda f: cost(f, evidence))
-        gained = now.deviance - best.deviance
-        k = best.k - now.k
-        needed = float(scipy.stats.chi2.isf(limits.chance / len(bank.candidates), k))
-        needed = max(needed, limits.gain + k * float(np.log(evidence.size)) / 2)
-        new = best.candidates[-1]
-        steps.append(f"{new.name}: gain {gained:.1f} of {needed:.1f} needed")
+        gained, needed = now.deviance - best.deviance, _needed(evidence, bank, limits, best, at)
+        new = best.candidates[at].name
+        steps.append(f"{new}: gain {gained:.1f} of {needed:.1f} needed")
         tell(steps[-1])
         if gained < needed:
             break
         now = best
-        for i in range(len(now.candidates) - 1):  # what came in before may now be another
+        for i in range(at):  # what came in before may now be another
             now = _in_place(evidence, bank, now, i, _OTHERS)[0]
+    for i in reversed(range(len(now.candidates))):  # or none at all
+        rest = _without(evidence, now, i)
+        lost, needed = rest.deviance - now.deviance, _needed(evidence, bank, limits, now, i)
+        if lost < needed:
+            steps.append(f"{now.candidates[i].name}: worth {lost:.1f} of {needed:.1f}, dropped")
+            tell(steps[-1])
+            now = rest
     now, places = _weighed(evidence, bank, now)
     rivals = tuple(_rivals(fits, i, evidence, limits) for i, fits in enumerate(places))
     return Selection(null, now, rivals, steps)
+
+
+def _needed(evidence: Evidence, bank: Bank, limits: Thresholds, f: Fit, i: int) -> float:
+    """Gain in deviance for which the effect in place i is worth its numbers."""
+    k = f.candidates[i].k
+    by_chance = float(scipy.stats.chi2.isf(limits.chance / len(bank.candidates), k))
+    return max(by_chance, limits.gain + k * float(np.log(evidence.size)) / 2)
 
 
 def unexplained(f: Fit, evidence: Evidence, imperfect: float = 1.0) -> float:
@@ -99,24 +110,31 @@ def unexplained(f: Fit, evidence: Evidence, imperfect: float = 1.0) -> float:
     return float((n * np.log(np.maximum(f.size / imperfect, 1.0))).sum())
 
 
-def _finalists(evidence: Evidence, bank: Bank, now: Fit) -> list[Fit]:
-    """Full fits of the candidates that score best beside what has been found."""
-    scores = bank.scores(now.residual, now.tangents, now.size)
-    taken = {c.name for c in now.candidates}
-    costs = [
-        s.deviance + bank.candidates[s.candidate].k * np.log(evidence.size) for s in scores
-    ]
+def _without(evidence: Evidence, now: Fit, i: int) -> Fit:
+    """The fit of all but the effect in place i."""
+    others = [c for j, c in enumerate(now.candidates) if j != i]
+    return fit(evidence, others, [v for j, v in enumerate(now.values) if j != i])
+
+
+def _tried(
+    evidence: Evidence, bank: Bank, rest: Fit, i: int, taken: set[str], count: int
+) -> list[Fit]:
+    """Full fits of what scores best beside `rest`, put in place i, best first by score."""
+    price = float(np.log(evidence.size))
+    scores = bank.scores(rest.residual, rest.tangents, rest.size)
+    costs = [s.deviance + bank.candidates[s.candidate].k * price for s in scores]
     out: list[Fit] = []
-    for i in np.argsort(costs):
-        candidate = bank.candidates[int(i)]
+    for j in np.argsort(costs).tolist():
+        candidate = bank.candidates[j]
         if candidate.name in taken:
             continue
-        some = (*now.candidates, candidate)
-        if out and costs[int(i)] > min(cost(f, evidence) for f in out) + _HOPELESS:
+        if len(out) == count or (
+            out and costs[j] > min(cost(f, evidence) for f in out) + _HOPELESS
+        ):
             break
-        out.append(fit(evidence, some, (*now.values, scores[int(i)].values)))
-        if len(out) == FINALISTS:
-            break
+        some = (*rest.candidates[:i], candidate, *rest.candidates[i:])
+        start = (*rest.values[:i], scores[j].values, *rest.values[i:])
+        out.append(fit(evidence, some, start))
     return out
 
 
@@ -148,27 +166,8 @@ def _in_place(evidence: Evidence, bank: Bank, now: Fit, i: int, count: int) -> l
 
 def _replacements(evidence: Evidence, bank: Bank, now: Fit, i: int, count: int) -> list[Fit]:
     """Fits with another candidate in place i, best first by score."""
-    others = [c for j, c in enumerate(now.candidates) if j != i]
-    values = [v for j, v in enumerate(now.values) if j != i]
-    rest = fit(evidence, others, values)
-    scores = bank.scores(rest.residual, rest.tangents, rest.size)
-    costs = [
-        s.deviance + bank.candidates[s.candidate].k * np.log(evidence.size) for s in scores
-    ]
-    out: list[Fit] = []
-    taken = {c.name for c in now.candidates}
-    for j in np.argsort(costs):
-        candidate = bank.candidates[int(j)]
-        if candidate.name in taken:
-            continue
-        if out and costs[int(j)] > min(cost(f, evidence) for f in out) + _HOPELESS:
-            break
-        some = (*others[:i], candidate, *others[i:])
-        start = (*values[:i], scores[int(j)].values, *values[i:])
-        out.append(fit(evidence, some, start))
-        if len(out) == count:
-            break
-    return out
+    rest = _without(evidence, now, i)
+    return _tried(evidence, bank, rest, i, {c.name for c in now.candidates}, count)
 
 
 def _rivals(

@@ -196,6 +196,19 @@ class CouplingMap:
         return _trace_lines(self.axes, self.direction, spacing, step)
 
 
+def require_section(
+    system: System, joints: tuple[int, int], fixed: npt.ArrayLike, points: int, *, least: int
+) -> Array:
+    """The configuration (n,) through which a cross-section of joint space is laid, checked."""
+    n = system.arm.n
+    i, j = joints
+    if not (0 <= i < n and 0 <= j < n and i != j):
+        raise ParameterError(f"joints must be two different numbers in [0, {n}), got {joints}")
+    if points < least:
+        raise ParameterError(f"points must be >= {least}, got {points}")
+    return system.arm.require_within_limits(fixed, "fixed")
+
+
 def coupling_map(
     system: System,
     joints: tuple[int, int],
@@ -212,13 +225,8 @@ def coupling_map(
     """
     if disturbance and duration is not None:
         raise ParameterError(f"a disturbance map has no duration, got {duration!r}")
-    n = system.arm.n
     i, j = joints
-    if not (0 <= i < n and 0 <= j < n and i != j):
-        raise ParameterError(f"joints must be two different numbers in [0, {n}), got {joints}")
-    if points < 4:
-        raise ParameterError(f"points must be >= 4, got {points}")
-    at = system.arm.require_within_limits(fixed, "fixed")
+    at = require_section(system, joints, fixed, points, least=4)
     ranges = limits or tuple(
         (system.arm.links[k].q_min, system.arm.links[k].q_max) for k in joints
     )
@@ -226,7 +234,7 @@ def coupling_map(
         if not (np.isfinite([low, high]).all() and low < high):
             raise ParameterError(f"limits must be (low, high) in rad, got ({low}, {high})")
     axes = tuple(np.linspace(*r, points) for r in ranges)
-    q = np.broadcast_to(at, (points, points, n)).copy()
+    q = np.broadcast_to(at, (points, points, len(at))).copy()
     q[..., i], q[..., j] = np.meshgrid(*axes, indexing="ij")
     full = disturbance_matrix(system, q) if disturbance else metric(system, q, duration)
     block = full[..., [i, j], :][..., :, [i, j]]

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ves_gym.core.params import Array, ParameterError, finite
 from ves_gym.core.system import System
-from ves_gym.planners.coupling import blocks, coupling_matrix, modes
+from ves_gym.planners.coupling import blocks, coupling_matrix, modes, require_section
 from ves_gym.planners.pped import THESIS_RELEASE, WIDE, Bounds, Tuned, plants, tune
 
 _STARTS = 3  # random starts at each configuration
@@ -121,18 +121,13 @@ def damping_map(
     progress: Callable[[float], None] | None = None,
 ) -> DampingMap:
     """Tune gains all over a cross-section of joint space, beside what the coupling says."""
-    n = system.arm.n
     i, j = joints
-    if not (0 <= i < n and 0 <= j < n and i != j):
-        raise ParameterError(f"joints must be two different numbers in [0, {n}), got {joints}")
-    if points < 2:
-        raise ParameterError(f"points must be >= 2, got {points}")
-    at = system.arm.require_within_limits(fixed, "fixed")
+    at = require_section(system, joints, fixed, points, least=2)
     links = system.arm.links
     axes = tuple(np.linspace(links[k].q_min, links[k].q_max, points) for k in joints)
-    q = np.broadcast_to(at, (points, points, n)).copy()
+    q = np.broadcast_to(at, (points, points, len(at))).copy()
     q[..., i], q[..., j] = np.meshgrid(*axes, indexing="ij")
-    flat = q.reshape(-1, n)
+    flat = q.reshape(-1, len(at))
     left: list[float] = []
     near = None  # gains of the neighbour
     for plant in plants(system, flat):

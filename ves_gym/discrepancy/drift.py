@@ -1,0 +1,34 @@
+"""Drift as a diagnosis sees it: the course that a sensor signal took in each run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ves_gym.core.params import Array
+from ves_gym.discrepancy.runs import Run
+from ves_gym.effects import SensorDrift
+
+
+@dataclass(frozen=True)
+class SlowPath:
+    """One course that a drifting sensor signal took: per run, weights of slow cosines."""
+
+    channel: int
+    weights: tuple[tuple[str, tuple[float, ...]], ...]  # run -> weight of each
+
+    def of(self, run: Run) -> Array:
+        """(T,) in this run; none in one it does not know."""
+        weights = dict(self.weights).get(run.name, ())
+        t = (np.arange(run.length) + 0.5) / run.length
+        waves = (w * np.cos(np.pi * (k + 1) * t) for k, w in enumerate(weights))
+        return np.asarray(sum(waves, np.zeros(run.length)))
+
+    @property
+    def effect(self) -> SensorDrift:
+        """A drift of this size (root mean square over the runs)."""
+        power = [sum(w * w for w in each) / 2 for _, each in self.weights]
+        signal = np.zeros(6)
+        signal[self.channel] = np.sqrt(np.mean(power))
+        return SensorDrift(force=tuple(signal[:3].tolist()), moment=tuple(signal[3:].tolist()))
