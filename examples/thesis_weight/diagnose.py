@@ -48,7 +48,7 @@ MEASURED = GravityModel(
     source="thesis C.3, physically measured; sign of P5 restored (docs/errata.md)",
 )
 POSES, RUNS, TILT = 47, 3, np.deg2rad(5.0)
-PER_POSE, CHECK = 40.0, 320.0  # s; the arm's motion is worth less than 0.05 N
+PER_POSE, CHECK = 40.0, 320.0  # s; the motion's own wrench is below 0.05 N, N m rms
 STEP, BAND = 0.4, 0.25  # s, Hz
 NOISE = next(e for e in LABORATORY_ERRORS if isinstance(e, SensorNoise))
 
