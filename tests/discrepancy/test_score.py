@@ -207,8 +207,8 @@ def test_every_label_can_be_named_by_some_candidate():
         ),
         (
             ("joint/stribeck", "joint 1", {"coulomb": 1.0, "stiction": 3.0, "fade_speed": 0.1}),
-            {"coulomb": 1.5, "breakaway": 1.0, "fade_speed": 0.2},
-            [(1.0, 1.5), (3.0, 2.5), (0.1, 0.2)],
+            {"coulomb": 1.25, "breakaway": 1.0, "fade_speed": 0.2},
+            [(1.0, 1.25), (3.0, 2.5), (0.1, 0.2)],
         ),
         (
             ("sensor/calibration", "m_z", {"error": 0.1, "from": 1}),

@@ -428,11 +428,7 @@ class Laboratory:
         """(m, 12) commands (m, 12) held back on their way, as far as the legs go."""
         p, stewart, before = self.parameters, self.spec.stewart, self.state.told[ids]
         travel, speed = p.platform_travel[ids], p.platform_speed[ids]
-        pose = wanted[:, :6]
-        beyond = (travel > 0) & (self._excess(pose, travel) > 1)
-        for _ in range(_REFINE):  # legs stretch almost in proportion
-            excess = np.where(beyond, self._excess(pose, travel), 1.0)
-            pose = pose / excess[:, None]
+        pose = self.shortened(wanted[:, :6], travel)
         step = np.abs(stewart.leg_lengths(pose) - stewart.leg_lengths(before[:, :6])).max(
             axis=1
         )
@@ -442,6 +438,14 @@ class Laboratory:
         held = (pose != wanted[:, :6]).any(axis=1)[:, None]
         rate = np.where(held, (pose - before[:, :6]) / self.dt, wanted[:, 6:])
         return np.concatenate([pose, rate], axis=-1)
+
+    def shortened(self, pose: Array, travel: Array) -> Array:
+        """(m, 6) poses (m, 6) on their way from home, where legs lack a part `travel` (m,)."""
+        beyond = (travel > 0) & (self._excess(pose, travel) > 1)
+        for _ in range(_REFINE):  # legs stretch almost in proportion
+            excess = np.where(beyond, self._excess(pose, travel), 1.0)
+            pose = pose / excess[:, None]
+        return pose
 
     def _excess(self, pose: Array, travel: Array) -> Array:
         """(m,) how far poses stretch a leg, in units of what its short stroke allows."""

@@ -122,12 +122,15 @@ class Bank:
             xx[:, :k, k:] = bx[:, :, at].swapaxes(1, 2)
             low = np.array([candidate.low[i] for i in shape.free] + [-np.inf] * r)
             high = np.array([candidate.high[i] for i in shape.free] + [np.inf] * r)
+            if candidate.sets_in:  # as much as the start has, or twice that
+                low[0], high[0] = 0.0, 2 * shape.values[0]
             both = Products(self._n, zz, np.concatenate([xz[:, at], bz], axis=1), xx)
             found = solve(both, p, low, high)
             now = best.get(shape.candidate)
             if now is None or found.deviance < now.deviance:
                 values = np.array(shape.values)
-                values[list(shape.free)] = found.x[p : p + len(shape.free)]
+                if not candidate.sets_in:
+                    values[list(shape.free)] = found.x[p : p + len(shape.free)]
                 best[shape.candidate] = Score(shape.candidate, found.deviance, values)
         return [best[i] for i in range(len(self.candidates))]
 

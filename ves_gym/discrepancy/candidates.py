@@ -17,11 +17,17 @@ from ves_gym.core.effect import EFFECTS
 from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.spatial import AXES
 from ves_gym.discrepancy.drift import SlowPath
+from ves_gym.discrepancy.friction import Presliding
 from ves_gym.discrepancy.machine import WRENCH
 
 _XYZ = ("x", "y", "z")
-_WAVES = 3  # slow cosines of a drift
+_FILTERS = ("joint/elasticity", "joint/backlash")
+_WAVES = 8  # slow cosines of a drift
 _FREQUENCIES = tuple(np.geomspace(0.5, 6.0, 20).tolist())  # of an extra mode [Hz]
+_REACH = 0.03  # m, about which a payload sits otherwise than thought
+_GAPS = (2e-3, *np.geomspace(1e-3, 3e-2, 7).tolist())  # rad
+_STROKES = tuple((1 - np.geomspace(0.25, 0.01, 18)).tolist())  # parts that are lacking
+_CEILINGS = tuple((1 - np.geomspace(0.6, 0.06, 12)).tolist())
 _CYCLES = tuple(np.arange(2.0, 130.0, 2.5).tolist())  # of a ripple, per turn
 
 Starts = float | tuple[float, ...]
@@ -46,6 +52,10 @@ class Candidate:
     high: tuple[float, ...]
     make: Callable[[Array], Any]  # numbers (k,) -> the effect
     factors: tuple[int, ...]  # which of the numbers multiply what the effect does
+    sets_in: bool = False  # nothing is proportional to its number: starts are tried as they are
+    filters: bool = False  # it passes what was measured on, and changes the noise in it
+    blurs: tuple[Callable[[Any], Any], ...] = ()  # effect -> another form that it may have
+    counts: int | None = None  # numbers it costs, where that is not k
 
     @property
     def name(self) -> str:
@@ -56,6 +66,11 @@ class Candidate:
     def k(self) -> int:
         """How many numbers are free."""
         return len(self.names)
+
+    @property
+    def price(self) -> int:
+        """How many numbers it counts as."""
+        return self.k if self.counts is None else self.counts
 
     def effect(self, values: Array) -> Any:
         """The effect with these numbers (k,), kept within their ranges."""
@@ -76,9 +91,15 @@ class _Shelf:
         slot: str,
         fields: Fields,
         limits: Mapping[str, tuple[float, float, str]] | None = None,
+        fixed: Sequence[str] = (),
+        sets_in: bool = False,
+        blurs: Sequence[Callable[[Any], Any]] = (),
         **free: Starts,
     ) -> None:
-        """`free`: name -> starts; `limits` of names that are no field of the effect."""
+        """`free`: name -> starts; `limits` of names that are no field of the effect.
+
+        `fixed`: those that give a shape, not a size, as numbers without a null do.
+        """
         cls = EFFECTS[kind]
         here = tuple(p for p in ports.split() if p in self.ports)
         if not here or (self.mode is not None and self.mode not in cls.modes):
@@ -106,8 +127,12 @@ class _Shelf:
                 factors=tuple(
                     k
                     for k, name in enumerate(free)
-                    if name not in meta or meta[name]["null"] is not None
+                    if name not in fixed
+                    and (name not in meta or meta[name]["null"] is not None)
                 ),
+                sets_in=sets_in,
+                filters=cls.kind in _FILTERS,
+                blurs=tuple(blurs),
             )
         )
 
@@ -126,14 +151,14 @@ def library(
         _joint(shelf, j, n)
     shelf.add("joint/measurement_delay", "joint wrench", "", _same("delay"), delay=5e-3)
     shelf.add("command/delay", "servo", "", _same("delay"), delay=5e-3)
-    shelf.add("payload/mass", "joint wrench", "", _same("mass"), mass=1.0)
+    shelf.add("payload/mass", "joint wrench", "", _same("mass"), blurs=_PLACES, mass=1.0)
     shelf.add(
         "payload/com",
         "joint wrench",
         "",
         _vector("offset"),
         _three("m", 0.2),
-        **dict.fromkeys(_XYZ, 0.02),
+        **_equal(_XYZ, 0.02),
     )
     _sensor(shelf)
     if "wrench" in shelf.ports and runs:
@@ -146,7 +171,7 @@ def library(
         "",
         _vector("angles"),
         _three("rad", 0.3),
-        **dict.fromkeys(_XYZ, 0.01),
+        **_equal(_XYZ, 0.01),
     )
     shelf.add("base/virtual_mass", "admittance base", "", _same("error"), error=0.1)
     shelf.add("base/stiffness", "admittance base", "", _same("error"), error=0.1)
@@ -183,7 +208,7 @@ def library(
     shelf.add("platform/bandwidth", "platform", "", _same("error"), error=0.2)
     shelf.add("platform/damping", "platform", "", _same("error"), error=0.2)
     shelf.add("platform/delay", "platform", "", _same("delay"), delay=5e-3)
-    shelf.add("platform/stroke", "platform", "", _same("travel"), travel=(0.8, 0.9, 0.95, 0.98))
+    shelf.add("platform/stroke", "platform", "", _same("travel"), sets_in=True, travel=_STROKES)
     return tuple(shelf.found)
 
 
@@ -216,26 +241,34 @@ def _joint(shelf: _Shelf, j: int, n: int) -> None:
     def add(kind: str, fields: Fields, ports: str = "joint", **more: Any) -> None:
         shelf.add(f"joint/{kind}", ports, slot, fields, **more)
 
-    add("coulomb", each("torque"), torque=2.0)
+    add("coulomb", each("torque"), blurs=[Presliding], torque=2.0)
     add("viscous", each("damping"), damping=3.0)
     add(
         "stribeck",
-        lambda x: {"coulomb": at(x[0]), "stiction": at(x[0] + x[1]), "fade_speed": float(x[2])},
-        limits={"breakaway": (0.0, 30.0, "N m")},
+        lambda x: {
+            "coulomb": at(x[0]),
+            "stiction": at(x[0] * (1 + x[1])),
+            "fade_speed": float(x[2]),
+        },
+        limits={"breakaway": (0.0, 3.0, "1")},  # of Coulomb's level, above it
+        fixed=("breakaway",),
+        blurs=[Presliding],
         coulomb=2.0,
-        breakaway=2.0,
+        breakaway=1.0,
         fade_speed=(0.05, 0.2),
     )
-    add("asymmetry", each("coulomb", "viscous"), coulomb=1.0, viscous=0.5)
+    add("asymmetry", each("coulomb", "viscous"), blurs=[Presliding], coulomb=1.0, viscous=0.5)
     add("torque_offset", each("torque"), torque=1.0)
-    add("load_friction", each("coefficient"), coefficient=0.1)
+    add("load_friction", each("coefficient"), blurs=[Presliding], coefficient=0.1)
     add(
         "elasticity",
-        lambda x: {"compliance": at(x[0]), "damping": at(5.0, elsewhere=5.0)},
+        lambda x: {"compliance": at(x[0]), "damping": at(x[1], elsewhere=5.0)},
         "joint wrench",
-        compliance=1e-4,
+        fixed=("damping",),
+        compliance=(1e-4, 3e-4, 3e-5),
+        damping=30.0,
     )
-    add("backlash", each("gap"), "joint wrench", gap=2e-3)
+    add("backlash", each("gap"), "joint wrench", sets_in=True, gap=_GAPS)
     add(  # sine and cosine in place of amplitude and phase: a fit has no corner at zero
         "ripple",
         lambda x: {
@@ -250,8 +283,18 @@ def _joint(shelf: _Shelf, j: int, n: int) -> None:
     )
     add("rotor_inertia", each("added"), added=0.3)
     add("drive_gain", each("error"), error=0.05)
-    add("torque_limit", each("fraction"), fraction=(0.5, 0.8))
+    add("torque_limit", each("fraction"), sets_in=True, fraction=_CEILINGS)
     add("velocity_lag", each("time_constant"), "velocity", time_constant=(0.02, 0.005, 0.2))
+
+
+def _elsewhere(i: int) -> Callable[[Any], Any]:
+    """A payload farther along an axis of its link."""
+    return lambda e: dataclasses.replace(
+        e, position=tuple(x + _REACH * (k == i) for k, x in enumerate(e.position))
+    )
+
+
+_PLACES = tuple(_elsewhere(i) for i in range(3))
 
 
 def _sensor(shelf: _Shelf) -> None:
@@ -272,16 +315,14 @@ def _sensor(shelf: _Shelf) -> None:
 
         shelf.add("sensor/bias", "wrench", axis, bias, {"bias": (-far, far, unit)}, bias=2.0)
         mixed = dict.fromkeys(WRENCH, (-0.5, 0.5, "1"))
-        shelf.add(
-            "sensor/calibration", "wrench", axis, row, mixed, **dict.fromkeys(WRENCH, 0.02)
-        )
+        shelf.add("sensor/calibration", "wrench", axis, row, mixed, **_equal(WRENCH, 0.02))
     shelf.add(
         "sensor/rotation",
         "wrench",
         "",
         _vector("angles"),
         _three("rad", 0.1),
-        **dict.fromkeys(_XYZ, 0.01),
+        **_equal(_XYZ, 0.01),
     )
     shelf.add("sensor/lag", "wrench", "", _same("error"), error=-0.3)
 
@@ -306,6 +347,7 @@ def _drift(i: int, runs: Sequence[str]) -> Candidate:
         high=(100.0,) * k,
         make=path,
         factors=tuple(range(k)),
+        counts=_WAVES,  # all runs drift by one law
     )
 
 
@@ -315,6 +357,11 @@ def _same(*names: str) -> Fields:
 
 def _vector(name: str) -> Fields:
     return lambda x: {name: tuple(x.tolist())}
+
+
+def _equal(names: Sequence[str], value: float) -> dict[str, Any]:
+    """The same start for several numbers."""
+    return dict.fromkeys(names, value)
 
 
 def _three(unit: str, far: float) -> dict[str, tuple[float, float, str]]:

@@ -19,6 +19,7 @@ from ves_gym.discrepancy.bank import Bank
 from ves_gym.discrepancy.candidates import Candidate
 from ves_gym.discrepancy.drift import SlowPath
 from ves_gym.discrepancy.evidence import Evidence
+from ves_gym.discrepancy.faults import Fault, faults
 from ves_gym.discrepancy.findings import (
     Experiment,
     Ranked,
@@ -34,6 +35,7 @@ from ves_gym.discrepancy.select import Rival, Selection, Thresholds, select, une
 
 NOTHING, NAMED, ONE_OF = "nothing missing", "named", "one of"
 MORE, UNKNOWN, WEAK = "named, more remains", "not in the library", "excitation too weak"
+SPEAKS = (NAMED, ONE_OF, MORE)  # verdicts that give names
 VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK)
 
 # What any motion of a joint that is worth the name shows; where it does not, others may hide.
@@ -80,6 +82,7 @@ class Diagnosis:
     final: tuple[Gap, ...]  # on the runs held back
     untestable: dict[str, tuple[str, ...]]
     weak: tuple[str, ...]  # candidates that these data could not show
+    faults: tuple[Fault, ...]  # of the recording
     remaining: float  # deviance above that of noise, after
     selection: Selection
     evidence: Evidence
@@ -91,17 +94,19 @@ class Diagnosis:
     def sentence(self) -> str:
         """The verdict in one sentence."""
         names = " and ".join(_named(f) for f in self.found)
+        why = "".join(f"; {f.sentence}" for f in self.faults)
         if self.verdict == NOTHING:
             return "Nothing is missing: description and data agree within noise and tolerances."
         if self.verdict == WEAK:
+            begin = "There is a disagreement" if self.found else "No disagreement"
             return (
-                "No disagreement, but these runs could not have shown"
-                f" {_some(self.weak)}: the excitation is too weak."
+                f"{begin}, but these runs cannot show {_some(self.weak)}: the excitation is"
+                " too weak."
             )
         if self.verdict == UNKNOWN:
-            return "Something is missing, and it is not in the library."
+            return f"Something is missing, and it is not in the library{why}."
         if self.verdict == MORE:
-            return f"Missing: {names}; more remains that is not in the library."
+            return f"Missing: {names}; more remains that is not in the library{why}."
         return f"Missing: {names}."
 
 
@@ -157,19 +162,24 @@ def diagnose(
     lap("name")
     found = tuple(_found(selection, i, limits) for i in range(len(selection.rivals)))
     remaining = unexplained(selection.fit, evidence, limits.imperfect)
+    tested = {p.name for p in evidence.ports}
     weak = tuple(
         c.name
         for i, c in enumerate(bank.candidates)
-        if c.kind in _BASIC and bank.visible(i) < limits.power
+        if c.kind in _BASIC and tested & set(c.ports) and bank.visible(i) < limits.power
     )
     first = unexplained(selection.null, evidence, limits.imperfect)
+    faulty = faults(runs)
     verdict = _verdict(found, remaining, remaining / max(first, 1e-9), weak, limits)
+    if faulty:
+        verdict = _despite(faulty, found, machine)
     progress(0.9, "runs held back")
-    gaps = _gaps(evidence, selection.fit, selection.fit.nuisances, selection.null.nuisances)
+    chosen = selection.fit if verdict in SPEAKS else selection.null
+    gaps = _gaps(evidence, chosen, chosen.nuisances, selection.null.nuisances)
     after: tuple[Gap, ...] = ()
     if final:
         last = Evidence(machine, final, seed + 1)
-        after = _gaps(last, selection.fit, selection.fit.nuisances, selection.null.nuisances)
+        after = _gaps(last, chosen, chosen.nuisances, selection.null.nuisances)
     lap("verify")
     return Diagnosis(
         verdict=verdict,
@@ -178,6 +188,7 @@ def diagnose(
         final=after,
         untestable=untestable(machine, runs),
         weak=weak,
+        faults=faulty,
         remaining=remaining,
         selection=selection,
         evidence=evidence,
@@ -206,7 +217,22 @@ def _verdict(
         return MORE if found and share < limits.explained else UNKNOWN
     if not found:
         return WEAK if weak else NOTHING
+    places = {name.partition(" at ")[2] for name in weak}
+    if any(f.candidate.slot in places for f in found):  # what hides there may be the cause
+        return WEAK
     return ONE_OF if any(len(f.kinds) > 1 for f in found) else NAMED
+
+
+def _despite(faulty: Sequence[Fault], found: Sequence[Found], machine: Machine) -> str:
+    """The verdict where the recording has faults: names, if what tells them is in order.
+
+    A tone beyond the band spoils nothing; samples that are lost do.
+    """
+    lost = {f.signal for f in faulty if f.kind == "repeats"}
+    spoilt = {p.name for p in machine.ports if lost & set(p.needs)}
+    if not found or any(spoilt & set(f.candidate.ports) for f in found):
+        return UNKNOWN
+    return MORE
 
 
 def _gaps(evidence: Evidence, fit: Fit, eta: Array, eta0: Array) -> tuple[Gap, ...]:
@@ -231,7 +257,7 @@ def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
 
     What has no name is not added: the best the library can do would only hide it.
     """
-    if diagnosis.verdict == UNKNOWN:
+    if diagnosis.verdict not in SPEAKS:
         return ()
     return tuple(
         e.effect if isinstance(e, SlowPath) else e for e in diagnosis.selection.fit.effects
@@ -287,6 +313,7 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
             for port, lacks in diagnosis.untestable.items()
         },
         "weak": list(diagnosis.weak),
+        "faults": [{**dataclasses.asdict(f), "sentence": f.sentence} for f in diagnosis.faults],
         "steps": diagnosis.selection.steps,
         "seconds": diagnosis.seconds,
     }

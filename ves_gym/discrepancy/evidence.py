@@ -14,12 +14,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ves_gym.core.params import Array, Index
 from ves_gym.discrepancy.machine import Machine, Port, testable
 from ves_gym.discrepancy.runs import Run
 
-_DRAWS = 12  # of the noise, to learn what it becomes at a port
+_DRAWS, _FEW = 12, 4  # of the noise, to learn what it becomes at a port
+_LEAST = 0.05  # of its size that a model may leave
 _POOL = 6  # neighbouring frequencies on either side that are taken together
 _EDGES = (0.0, 0.1, 0.3, 1.0)  # of the ranges of frequencies, in parts of the band
 
@@ -47,7 +49,8 @@ class Evidence:
     """Whitened residuals of several runs of one machine."""
 
     def __init__(self, machine: Machine, runs: Sequence[Run], seed: int = 0) -> None:
-        self.machine, self.runs = machine, list(runs)
+        self.machine, self.runs, self.seed = machine, list(runs), seed
+        self._usual: dict[str, Array] = {}  # port -> whitened noise under the description
         self.ports: tuple[Port, ...] = testable(machine, runs)
         names = [p.name for p in self.ports]
         self.groups, self._rows = self._layout()
@@ -130,6 +133,40 @@ class Evidence:
         for port in (p.name for p in self.ports if p.name in ports):
             out[:, self.part(port)] = self.residual_at(port, models)
         return out
+
+    def noise(self, model: Model, ports: Sequence[str]) -> Array:
+        """(N,) mean square that numbers would have under noise alone if this model were true.
+
+        1 where the model only subtracts something; else it may seem to explain a residual by
+        damping the noise in it.
+        """
+        out = np.ones(self.size)
+        for port in (p for p in self.ports if p.name in ports):
+            if port.name not in self._usual:
+                self._usual[port.name] = self._power(port, self.machine.nominal)
+            change = self._power(port, model) - self._usual[port.name]
+            out[self.part(port.name)] = np.maximum(1 + change, _LEAST)
+        return out
+
+    def _power(self, port: Port, model: Model) -> Array:
+        """(n,) of a port: mean square of whitened noise, the same draws under any model."""
+        drawn = []
+        for i, run in enumerate(self.runs):
+            copies = run.with_noise(np.random.default_rng([self.seed, i, 1]), _FEW, port.exact)
+            noisy, raw = (
+                self.machine.residuals(k, [model], [port.name])[port.name][0]
+                for k in (copies, run)
+            )
+            drawn.append(noisy - raw)
+        power = np.square(self._whitened(port.name, drawn)).mean(axis=0)
+        whole = self.part(port.name)
+        for rows in self._rows:
+            for take, part, _ in rows[port.name]:
+                at = slice(part.start - whole.start, part.stop - whole.start)
+                both = power[at].reshape(2, len(take)).mean(axis=0)
+                smooth = scipy.ndimage.uniform_filter1d(both, 2 * _POOL + 1, mode="nearest")
+                power[at] = np.tile(smooth, 2)
+        return power
 
     def _whitened(self, port: str, found: Sequence[Array]) -> Array:
         """(m, n) numbers of a port from residuals (m, T, c) of every run."""

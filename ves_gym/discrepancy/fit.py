@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -30,12 +31,12 @@ class Fit:
     size: Array  # (G,) mean square left in each group
     nuisances: Array  # (p,) in units of their usual size
     residual: Array  # (N,)
-    tangents: Array  # (N, sum of k)
+    tangents: Array  # (N, b + sum of k); other forms of the effects first
 
     @property
     def k(self) -> int:
-        """Free numbers in all."""
-        return sum(c.k for c in self.candidates)
+        """Numbers that count, in all."""
+        return sum(c.price for c in self.candidates)
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -58,6 +59,7 @@ def fit(evidence: Evidence, candidates: Sequence[Candidate], start: Sequence[Arr
         none = np.zeros((evidence.size, 0))
         found = solve(products(evidence, evidence.null, none), p)
         return Fit((), (), found.deviance, (), found.size, found.x, evidence.null, none)
+    forms = [(k, blur) for k, c in enumerate(candidates) for blur in c.blurs]
     low = np.concatenate([c.low for c in candidates])
     high = np.concatenate([c.high for c in candidates])
     usual = np.concatenate([np.abs(c.starts[0]) for c in candidates])
@@ -68,24 +70,45 @@ def fit(evidence: Evidence, candidates: Sequence[Candidate], start: Sequence[Arr
     def residuals(points: Sequence[Array]) -> Array:
         return residuals_of(evidence, candidates, [np.split(x, edges) for x in points])
 
-    def judged(z: Array) -> Solution:
-        return solve(products(evidence, z, np.zeros((len(z), 0))), p)
+    def blurs(x: Array, z: Array) -> Array:
+        """(N, b) what another form of each effect would change; each may be there in part."""
+        if not forms:
+            return np.zeros((len(z), 0))
+        values = np.split(x, edges)
+        others = [_reshaped(evidence, candidates, values, k, blur) for k, blur in forms]
+        return np.stack(others, axis=1) - z[:, None]
+
+    def noise(x: Array) -> Array | None:
+        """(N,) size of the noise with these numbers, where an effect changes it."""
+        if not any(c.filters for c in candidates):
+            return None
+        ports = {port for c in candidates if c.filters for port in c.ports}
+        made = zip(candidates, np.split(x, edges), strict=True)
+        model = evidence.machine.model([c.effect(v) for c, v in made if c.filters])
+        return np.sqrt(evidence.noise(model, sorted(ports)))
+
+    def judged(z: Array, B: Array) -> Solution:
+        return solve(products(evidence, z, B, scale), p + B.shape[1])
 
     z = residuals([x])[0]
-    now = judged(z)
-    for _ in range(_ROUNDS):
+    for turn in range(_ROUNDS):
+        if turn < 2:  # later x changes little
+            B, scale = blurs(x, z), noise(x)
+        now = judged(z, B)
         ways = np.where(x + step > high, -step, step)  # differences stay inside
         moved = residuals(
             [x + way * unit for way, unit in zip(ways, np.eye(len(x)), strict=True)]
         )
         S = ((moved - z) / ways[:, None]).T
-        found = solve(products(evidence, z, S), p, low - x, high - x)
-        toward = found.x[p:]
+        b = p + B.shape[1]
+        both = products(evidence, z, np.hstack([B, S]), scale)
+        found = solve(both, b, low - x, high - x)
+        toward = found.x[b:]
         better = None
         for halving in range(_HALVINGS):
             y = np.clip(x + toward / 2**halving, low, high)
             tried = residuals([y])[0]
-            then = judged(tried)
+            then = judged(tried, B)
             if then.deviance < now.deviance:
                 better = y, tried, then
                 break
@@ -95,17 +118,37 @@ def fit(evidence: Evidence, candidates: Sequence[Candidate], start: Sequence[Arr
         x, z, now = better
         if gained < _ENOUGH:
             break
-    deviation = np.sqrt(np.maximum(np.diag(found.covariance)[p:], 0.0))
+    deviation = np.sqrt(np.maximum(np.diag(found.covariance)[b:], 0.0))
     return Fit(
         candidates=tuple(candidates),
         values=tuple(np.split(x, edges)),
         deviance=now.deviance,
         std=tuple(np.split(deviation, edges)),
         size=now.size,
-        nuisances=now.x,
+        nuisances=now.x[:p],
         residual=z,
-        tangents=S,
+        tangents=np.hstack([B, S]),
     )
+
+
+def _reshaped(
+    evidence: Evidence,
+    candidates: Sequence[Candidate],
+    values: Sequence[Array],
+    k: int,
+    blur: Callable[[Any], Any],
+) -> Array:
+    """(N,) residual with the k-th effect in another form."""
+    made = [c.effect(v) for c, v in zip(candidates, values, strict=True)]
+    out = residuals_of(evidence, candidates, [values])[0]
+    for port in (p.name for p in evidence.ports if p.name in candidates[k].ports):
+        here = [
+            blur(e) if j == k else e
+            for j, (c, e) in enumerate(zip(candidates, made, strict=True))
+            if port in c.ports
+        ]
+        out[evidence.part(port)] = _residuals_at(evidence, port, [tuple(here)])[0]
+    return out
 
 
 def residuals_of(

@@ -17,6 +17,7 @@ from ves_gym.discrepancy.evidence import Evidence
 
 _PASSES = 6  # of reweighting
 _RIDGE = 1e-10
+_FARTHEST = 5.0  # standard deviations: farther off it is no tolerance any more
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,12 @@ class Solution:
     covariance: Array  # (c, c)
 
 
-def products(evidence: Evidence, z: Array, X: Array) -> Products:
-    """Products of a residual z (N,) and columns X (N, c), after those of the nuisances."""
+def products(evidence: Evidence, z: Array, X: Array, scale: Array | None = None) -> Products:
+    """Products of a residual z (N,) and columns X (N, c), after those of the nuisances.
+
+    Args:
+        scale: (N,) size of the noise, where it is not 1.
+    """
     p, c = evidence.slopes.shape[1], X.shape[1]
     groups = evidence.groups
     xz, xx = np.empty((len(groups), p + c)), np.empty((len(groups), p + c, p + c))
@@ -48,6 +53,10 @@ def products(evidence: Evidence, z: Array, X: Array) -> Products:
     zz = np.empty(len(groups))
     for k, g in enumerate(groups):
         a, J, x = z[g.part], evidence.slopes[g.part], X[g.part]
+        if scale is not None and (scale[g.part] != 1).any():
+            one = 1 / scale[g.part]
+            a, J, x = a * one, J * one[:, None], x * one[:, None]
+            xx[k, :p, :p] = J.T @ J
         zz[k] = a @ a
         xz[k, :p], xz[k, p:] = J.T @ a, x.T @ a
         xx[k, p:, :p] = x.T @ J
@@ -59,7 +68,7 @@ def products(evidence: Evidence, z: Array, X: Array) -> Products:
 def solve(
     p: Products, nuisances: int, low: Array | None = None, high: Array | None = None
 ) -> Solution:
-    """The most probable x; the first `nuisances` have a unit normal prior.
+    """The most probable x; the first `nuisances` have a unit normal prior, cut off far out.
 
     Args:
         low, high: (c - nuisances,) bounds of the others.
@@ -67,6 +76,11 @@ def solve(
     c = p.xz.shape[1]
     prior = np.zeros(c)
     prior[:nuisances] = 1.0
+    highs = np.full(c, np.inf)
+    highs[:nuisances] = _FARTHEST
+    lows = -highs
+    if low is not None and high is not None:
+        lows[nuisances:], highs[nuisances:] = low, high
     x = np.zeros(c)
     size = np.maximum(p.zz / p.n, 1e-12)
     A = np.eye(c)
@@ -75,9 +89,7 @@ def solve(
         A = np.einsum("g,gij->ij", weight, p.xx) + np.diag(prior)
         A = A + _RIDGE * np.diag(np.diag(A) + 1e-30)
         b = -weight @ p.xz
-        x = np.linalg.solve(A, b)
-        if low is not None and high is not None:
-            x = _within(A, b, x, nuisances, low, high)
+        x = _within(A, b, np.linalg.solve(A, b), lows, highs)
         left = p.zz + 2 * p.xz @ x + np.einsum("i,gij,j->g", x, p.xx, x)
         size = np.maximum(left / p.n, 1e-12)
     return Solution(
@@ -90,17 +102,15 @@ def deviance(n: Array, size: Array) -> float:
     return float((n * np.where(size > 1, 1 + np.log(np.maximum(size, 1.0)), size)).sum())
 
 
-def _within(A: Array, b: Array, x: Array, free: int, low: Array, high: Array) -> Array:
-    """Minimum of x^T A x / 2 - b x with x[free:] inside bounds, by active sets."""
+def _within(A: Array, b: Array, x: Array, low: Array, high: Array) -> Array:
+    """Minimum of x^T A x / 2 - b x inside bounds, from the one without them, by active sets."""
     fixed = np.zeros(len(x), bool)
     at = np.zeros(len(x))
-    lows = np.concatenate([np.full(free, -np.inf), low])
-    highs = np.concatenate([np.full(free, np.inf), high])
-    for _ in range(len(low) + 1):
-        out = (x < lows) | (x > highs)
+    for _ in range(len(x) + 1):
+        out = (x < low) | (x > high)
         if not (out & ~fixed).any():
             break
-        at = np.where(out & ~fixed, np.clip(x, lows, highs), at)
+        at = np.where(out & ~fixed, np.clip(x, low, high), at)
         fixed |= out
         x = at.copy()
         open_ = ~fixed

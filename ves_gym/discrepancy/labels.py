@@ -14,7 +14,7 @@ Plain = Mapping[str, Any]
 _SIGNALS = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 # slots that are called otherwise; all the rest have the same names on both sides
 SLOTS = dict(zip(_SIGNALS, WRENCH, strict=True))
-# one candidate with three numbers stands for three slots: the largest says which
+# one candidate with three numbers stands for three slots: the clearest says which
 BY_AXIS = ("payload/com", "sensor/rotation", "gravity/tilt")
 INTERVAL = 1.645  # standard deviations to either side, 90 %
 
@@ -26,10 +26,10 @@ def true_name(effect: Plain) -> Name:
 
 
 def given_name(effect: Plain) -> Name:
-    """Kind and slot of an effect in an answer, its axis told by the largest number."""
-    kind, value = str(effect["kind"]), effect["value"]
+    """Kind and slot of an effect in an answer, its axis told by the clearest number."""
+    kind, value, std = str(effect["kind"]), effect["value"], effect.get("std") or {}
     if kind in BY_AXIS:
-        return kind, max(value, key=lambda axis: abs(value[axis]))
+        return kind, max(value, key=lambda axis: abs(value[axis]) / (std.get(axis) or 1.0))
     return kind, str(effect["slot"])
 
 
@@ -52,7 +52,7 @@ def numbers(label: Plain, given: Plain) -> list[tuple[float, float, float | None
         elif kind == "sensor/bias":
             out.append((true, value["bias"], std.get("bias")))
         elif (kind, name) == ("joint/stribeck", "stiction"):
-            out.append((true, value["coulomb"] + value["breakaway"], None))
+            out.append((true, value["coulomb"] * (1 + value["breakaway"]), None))
         elif (kind, name) == ("joint/ripple", "amplitude"):
             out.append((true, *_amplitude(value, std)))
         elif name in value:

@@ -19,9 +19,11 @@ from ves_gym.discrepancy.signals import (
     margin,
     noise_of,
     on_uniform_clock,
+    repeats,
 )
 
 BAND = 12.0  # Hz: motion above it is below the noise of differentiated encoders
+MEASURED = ("q", "v", "tau", "y", "yd", "w")  # signals of the log that a sensor gives
 _GAP = 3.0  # usual steps of the clock: more is a gap
 _UNITS = (  # signal, what no such machine reaches, unit expected, unit it may be in
     ("q", 13.0, "rad", "degrees"),
@@ -53,6 +55,7 @@ class Run:
     noise: Mapping[str, Noise]
     meta: Mapping[str, Any]
     band: float = BAND  # Hz
+    repeats: Mapping[str, float] = field(default_factory=dict)  # share of samples that stay
     memory: dict[Any, Any] = field(default_factory=dict)  # what machines derive from it
 
     @property
@@ -144,7 +147,8 @@ def run_of_signals(
             std = np.broadcast_to(np.asarray(stated[key], float), (x.shape[1],))
             seen = Noise(std.copy(), seen.correlation)
         noise[key] = seen
-    return Run(name, dt, signals, noise, meta, band)
+    measured = {k: x for k, x in given.items() if k in MEASURED}
+    return Run(name, dt, signals, noise, meta, band, repeats(measured))
 
 
 def require_plausible(log: RunLog, system: System, name: str) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ves_gym.discrepancy.diagnosis import MORE, NAMED, NOTHING, ONE_OF, UNKNOWN, WEAK
+from ves_gym.discrepancy.diagnosis import MORE, NAMED, NOTHING, ONE_OF, SPEAKS, UNKNOWN, WEAK
 from ves_gym.discrepancy.labels import INTERVAL, Name, given_name, numbers, true_name
 
 OWN = "ves-gym"
@@ -25,7 +25,6 @@ CONFIDENCE = 0.95
 _BINS = 10  # of probability
 _CLEAR = 2.0  # times the noise: a gap before, of which a part removed means something
 _WORSE = 1.02
-_SPEAKS = (NAMED, ONE_OF, MORE)  # verdicts that give names
 _QUIET = (NOTHING, WEAK)
 NOTHING_COLUMN, UNKNOWN_COLUMN, AMBIGUOUS_COLUMN = "nothing", "unknown", "ambiguous"
 
@@ -115,7 +114,7 @@ def cases_of(
     for label, answer in zip(labels, answers, strict=True):
         if method == OWN:
             verdict = answer["verdict"]
-            effects = answer["effects"] if verdict in _SPEAKS else []
+            effects = answer["effects"] if verdict in SPEAKS else []
         elif "why" in answer:  # failed before a baseline had its evidence
             verdict, effects = answer["verdict"], []
         else:

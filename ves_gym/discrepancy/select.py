@@ -30,7 +30,7 @@ class Thresholds:
     """What it takes. To be frozen on the development set before a sealed one is opened."""
 
     chance: float = 0.005  # that anything of the library is named where nothing is missing
-    gain: float = 12.0  # least gain in deviance beyond the numbers it costs
+    gain: float = 30.0  # least gain in deviance beyond the numbers it costs
     most: int = 3  # effects
     alike: float = 6.0  # difference in cost below which two candidates are one class
     remains: float = 1000.0  # unexplained deviance that is more than noise
@@ -99,9 +99,9 @@ def select(
 
 def _needed(evidence: Evidence, bank: Bank, limits: Thresholds, f: Fit, i: int) -> float:
     """Gain in deviance for which the effect in place i is worth its numbers."""
-    k = f.candidates[i].k
-    by_chance = float(scipy.stats.chi2.isf(limits.chance / len(bank.candidates), k))
-    return max(by_chance, limits.gain + k * float(np.log(evidence.size)) / 2)
+    one = f.candidates[i]
+    by_chance = float(scipy.stats.chi2.isf(limits.chance / len(bank.candidates), one.k))
+    return max(by_chance, limits.gain + one.price * float(np.log(evidence.size)) / 2)
 
 
 def unexplained(f: Fit, evidence: Evidence, imperfect: float = 1.0) -> float:
@@ -122,7 +122,7 @@ def _tried(
     """Full fits of what scores best beside `rest`, put in place i, best first by score."""
     price = float(np.log(evidence.size))
     scores = bank.scores(rest.residual, rest.tangents, rest.size)
-    costs = [s.deviance + bank.candidates[s.candidate].k * price for s in scores]
+    costs = [s.deviance + bank.candidates[s.candidate].price * price for s in scores]
     out: list[Fit] = []
     for j in np.argsort(costs).tolist():
         candidate = bank.candidates[j]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -145,6 +145,22 @@ def noise_of(x: Array, quiet: float = _QUIET) -> Noise:
     misfit = np.log(variance) + np.log(shape).mean(axis=0)[:, None]
     best = np.argmin(misfit, axis=0)
     return Noise(np.sqrt(variance[best, np.arange(x.shape[1])]), grid[best])
+
+
+def repeats(signals: Mapping[str, Array]) -> dict[str, float]:
+    """Share of samples in which all of a signal (T, c) stays while every other one moves.
+
+    Less what chance has where coordinates stay one by one, as coarse ones do.
+    """
+    stays = {k: np.diff(x, axis=0) == 0 for k, x in signals.items()}
+    whole = {k: x.all(axis=1) for k, x in stays.items()}
+    out = {}
+    for name, same in whole.items():
+        others = [x for k, x in whole.items() if k != name]
+        alone = same & ~np.any(others, axis=0) if others else same
+        chance = float(np.prod(stays[name].mean(axis=0)))
+        out[name] = max(0.0, float(alone.mean()) - chance)
+    return out
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ Every port is the simulator's own component, run alone on measured input.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from ves_gym.core.arm import Arm
-from ves_gym.core.dynamics import inertia, inverse_dynamics, newton_euler
+from ves_gym.core.dynamics import inverse_dynamics, newton_euler
 from ves_gym.core.effect import Effect, joint_torque
 from ves_gym.core.gravity import gravity_vector, gravity_wrench
 from ves_gym.core.laboratory import Laboratory, Parameters
@@ -26,6 +26,7 @@ from ves_gym.core.system import System
 from ves_gym.core.vehicle import Oscillator
 from ves_gym.discrepancy.balance import torque_residual
 from ves_gym.discrepancy.drift import SlowPath
+from ves_gym.discrepancy.friction import Presliding
 from ves_gym.discrepancy.machine import WRENCH, Nuisance, Port
 from ves_gym.discrepancy.runs import Kinematics, Run
 from ves_gym.discrepancy.signals import differentiated, held
@@ -36,6 +37,7 @@ _N, _M = ("N",) * 3 + ("N m",) * 3, ("m",) * 3 + ("rad",) * 3
 # coordinates, and what the computer takes in and gives out is known to the last digit.
 _FLOOR = {"admittance": 8e-3}
 _LEAST = 1e-3
+_LOADS = 40  # remembered: both ports of an arm ask, with one law of friction after another
 _SEEN = {  # port -> the signal that its residual is a part of
     "joint": "tau",
     "servo": "tau",
@@ -49,10 +51,11 @@ _SEEN = {  # port -> the signal that its residual is a part of
 
 @dataclass(frozen=True)
 class Variant:
-    """A system, and what drift did to it in these runs."""
+    """A system, and what of it has no place in one: courses of drift, forms of friction."""
 
     system: System
     paths: tuple[SlowPath, ...] = ()
+    presliding: tuple[Presliding, ...] = ()
 
 
 class SystemMachine:
@@ -82,15 +85,18 @@ class SystemMachine:
             ),
             Port("wrench", "sensor reading less the arm's wrench", WRENCH, _N, ("q", "y", "w")),
         ]
-        if system.mode == "emulated":
-            ports += [
+        if system.mode == "emulated" and system.laboratory.operation == "microgravity":
+            ports.append(
                 Port(
                     "gravity",
                     "weight estimate subtracted less the stated one",
                     WRENCH,
                     _N,
                     ("q", "y", "weight"),
-                ),
+                )
+            )
+        if system.mode == "emulated":
+            ports += [
                 Port(
                     "admittance",
                     "wrench taken in less what moves the vehicle",
@@ -114,14 +120,15 @@ class SystemMachine:
             )
         self.ports = tuple(ports)
 
-    def model(self, effects: Sequence[Effect | SlowPath]) -> Variant:
+    def model(self, effects: Sequence[Effect | SlowPath | Presliding]) -> Variant:
         """The description with effects added."""
         paths = tuple(e for e in effects if isinstance(e, SlowPath))
-        more = tuple(e for e in effects if not isinstance(e, SlowPath))
+        grown = tuple(e for e in effects if isinstance(e, Presliding))
+        more = tuple(e for e in effects if isinstance(e, Effect))
         system = self.system
         if more:
             system = system.replace(effects=(*system.effects, *more))
-        return Variant(system, paths)
+        return Variant(system, paths, grown)
 
     def floor(self, run: Run, port: str) -> Array:
         """(c,) standard deviation below which a residual of the port means nothing."""
@@ -144,7 +151,6 @@ class SystemMachine:
         """(m, ..., T, c) per port: the residual under each of m models."""
         systems = [m.system for m in models]
         each = {
-            "joint": self._joint,
             "servo": self._servo,
             "wrench": self._wrench,
             "gravity": self._gravity,
@@ -156,6 +162,8 @@ class SystemMachine:
             for name in ports
             if name in each
         }
+        if "joint" in ports:
+            out["joint"] = np.stack([self._joint(run, model) for model in models])
         if "platform" in ports:
             out["platform"] = self._platform(run, systems)
         for k, model in enumerate(models):
@@ -165,15 +173,19 @@ class SystemMachine:
 
     # ------------------------------------------------------------------- arm
 
-    def _joint(self, run: Run, system: System) -> Array:
+    def _joint(self, run: Run, model: Variant) -> Array:
         """Motor torque less what the motion takes (..., T, n)."""
         q, v, _ = run.joints
-        effects, most = system.effects, self.system.arm.column("tau_max")
+        effects, most = model.system.effects, self.system.arm.column("tau_max")
 
         def laws(tau: Array) -> Array:
-            return joint_torque(effects, q, v, tau, most)
+            out = joint_torque(effects, q, v, tau, most)
+            for p in model.presliding:
+                out = out + p.built_up(joint_torque([p.effect], q, v, tau, most), v, run.dt)
+            return out
 
-        return torque_residual(run["tau"], self._load(run, system)[0], effects, laws)
+        every = (*effects, *(p.effect for p in model.presliding))
+        return torque_residual(run["tau"], self._load(run, model.system)[0], every, laws)
 
     def _wrench(self, run: Run, system: System) -> Array:
         """Sensor reading less the arm's wrench (..., T, 6)."""
@@ -186,26 +198,32 @@ class SystemMachine:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
         arm = system.actual.arm
         old = _total(system, "joint/measurement_delay", "delay")
-        plain = arm is self.system.actual.arm and not old
-        if plain and self in run.memory:
-            return run.memory[self]  # type: ignore[no-any-return]
+        known = _kept(run, "loads", dict)
+        if (arm, old) in known:
+            return known[arm, old]  # type: ignore[no-any-return]
         q, v, a = run.joints
         if old:
             q, v, a = differentiated(run["q"], run.dt, run.band, ahead=old)
         rotors = arm.column("rotor_inertia")
         weighty = system.mode == "emulated"
+        balanced = weighty and system.laboratory.joint_balance
         links = Kinematics(q, v, a)
-        tau, wrench = _dynamics(arm, links, run.base, weighty)
+        base = _kept(run, "base", lambda: _base_motion(run.base))
+        tau, wrench = _dynamics(arm, links, run.base.x, base, weighty)
         if any(link.gear is not None for link in arm.links):  # links lag their motors
-            bent = _deflections(arm, q, tau - rotors * a, run.dt)
+            through = run["tau"] - rotors * a
+            if balanced:
+                through = through + _weight(self.system.arm, q, run.base.x)
+            bent = _deflections(arm, through, run.dt)
             more = differentiated(bent, run.dt, run.band)
             links = Kinematics(*(x - d for x, d in zip(links, more, strict=True)))
-            tau, wrench = _dynamics(arm, links, run.base, weighty)
+            tau, wrench = _dynamics(arm, links, run.base.x, base, weighty)
             tau = tau + rotors * (a - links.a)  # rotors move with the motors
-        if weighty and system.laboratory.joint_balance:
-            tau = tau - _weight(self.system.arm, Kinematics(q, v, a), run.base)
-        if plain:
-            run.memory[self] = tau, wrench
+        if balanced:
+            tau = tau - _weight(self.system.arm, q, run.base.x)
+        known[arm, old] = tau, wrench
+        if len(known) > _LOADS:
+            del known[list(known)[1]]  # the first is the description's own
         return tau, wrench
 
     def _servo(self, run: Run, system: System) -> Array:
@@ -234,8 +252,6 @@ class SystemMachine:
     def _gravity(self, run: Run, system: System) -> Array:
         """Estimate subtracted by the machine less the stated estimate, (..., T, 6)."""
         spec, q, y = system.laboratory, run.joints.x, run.base.x
-        if spec.operation != "microgravity":
-            return np.asarray(run["weight"])
         p = Parameters.nominal(system.arm, spec, 1).edited(system)
         late = float(p.gravity_delay[0])
         if late:
@@ -252,17 +268,10 @@ class SystemMachine:
     def _vehicle(self, run: Run, system: System) -> Array:
         """Wrench taken in less what moves the vehicle (..., T, 6)."""
         base = system.actual.base
-        if system.mode == "ideal":
-            motion, force = run.base, run["w"]
-        else:
-            told = run["y_cmd"]
-            motion = Kinematics(*differentiated(told, run.dt, run.band))
-            force = run["w"] - run["weight"]
-        turn = np.swapaxes(rate_matrix(motion.x), -1, -2)
-        force = matvec(turn, force)
-        if system.mode == "emulated":  # a reading acts for one period, `delay` periods later
-            late = (system.laboratory.delay) * run.dt
-            force = held(force, run.dt, run.band, late)
+        late = system.laboratory.delay if system.mode == "emulated" else 0
+        motion, turn, force = _kept(
+            run, ("vehicle", system.mode, late), lambda: _moved(run, system.mode, late)
+        )
         y, yd, ydd = motion
         force = force - (ydd @ base.M.T + yd @ base.D.T + y @ base.K.T)
         if base.body is not None:
@@ -296,12 +305,7 @@ class SystemMachine:
         start = differentiated(y[:, : 4 * run.window.skip], run.dt, run.band)[1][:, 0]
         everyone = np.arange(lab.n)
         lab.reset(everyone, np.zeros((lab.n, self.system.arm.n)), y[:, 0], start)
-        short = np.flatnonzero(
-            (lab.parameters.platform_travel > 0) | (lab.parameters.platform_speed > 0)
-        )
-        for t in range(length) if len(short) else ():
-            command[short, t] = lab.within_reach(command[short, t], short)
-            lab.state.told[short] = command[short, t]
+        _hold_back(lab, command)
         lab.follower.reset(everyone, y[:, 0], start)
         out = np.zeros_like(y)
         if isinstance(lab.follower, PoseFollower):
@@ -314,9 +318,44 @@ class SystemMachine:
         return out.reshape(m, *copies, length, 6)
 
 
+def _hold_back(lab: Laboratory, command: Array) -> None:
+    """Keep commands (n, T, 12) within what the legs can do, in place."""
+    travel, speed = lab.parameters.platform_travel, lab.parameters.platform_speed
+    for i in np.flatnonzero((travel > 0) & (speed == 0)):  # each sample for itself
+        wanted = command[i, :, :6].copy()
+        command[i, :, :6] = lab.shortened(wanted, np.full(len(wanted), travel[i]))
+        late = np.flatnonzero((command[i, 1:, :6] != wanted[1:]).any(axis=1)) + 1
+        command[i, late, 6:] = (command[i, late, :6] - command[i, late - 1, :6]) / lab.dt
+    slow = np.flatnonzero(speed > 0)
+    for t in range(command.shape[1]) if len(slow) else ():
+        command[slow, t] = lab.within_reach(command[slow, t], slow)
+        lab.state.told[slow] = command[slow, t]
+
+
+def _kept(run: Run, key: Any, make: Callable[[], Any]) -> Any:
+    """What follows from a run's signals alone, worked out once."""
+    if key not in run.memory:
+        run.memory[key] = make()
+    return run.memory[key]
+
+
 def _total(system: System, kind: str, field: str) -> float:
     """Sum of a number over the effects of a kind."""
     return float(sum(getattr(e, field) for e in system.effects if e.kind == kind))
+
+
+def _moved(run: Run, mode: str, late: int) -> tuple[Kinematics, Array, Array]:
+    """How the vehicle moves; wrench along its rates that moves it (..., T, 6); their map."""
+    if mode == "ideal":
+        motion, force = run.base, run["w"]
+    else:
+        motion = Kinematics(*differentiated(run["y_cmd"], run.dt, run.band))
+        force = run["w"] - run["weight"]
+    turn = np.swapaxes(rate_matrix(motion.x), -1, -2)
+    force = matvec(turn, force)
+    if mode == "emulated":  # a reading acts for one period, `late` periods later
+        force = held(force, run.dt, run.band, late * run.dt)
+    return motion, turn, force
 
 
 def _base_motion(base: Kinematics) -> tuple[Array, Array, Array]:
@@ -331,11 +370,13 @@ def _columns(x: Array) -> Any:
     return tuple(np.moveaxis(x, -1, 0))
 
 
-def _dynamics(arm: Arm, joints: Kinematics, base: Kinematics, weighty: bool) -> Any:
+def _dynamics(
+    arm: Arm, joints: Kinematics, pose: Array, base: tuple[Array, ...], weighty: bool
+) -> Any:
     """Torque (..., T, n) and wrench on the base (..., T, 6) of a measured motion."""
-    spin, turn, accel = _base_motion(base)
+    spin, turn, accel = base
     if weighty:
-        accel = accel - gravity_vector(base.x)
+        accel = accel - gravity_vector(pose)
     tau, force, moment = newton_euler(
         arm,
         *(list(_columns(part)) for part in joints),
@@ -351,11 +392,11 @@ def _dynamics(arm: Arm, joints: Kinematics, base: Kinematics, weighty: bool) -> 
     return stack[0], -stack[1]
 
 
-def _weight(arm: Arm, joints: Kinematics, base: Kinematics) -> Array:
+def _weight(arm: Arm, q: Array, pose: Array) -> Array:
     """Joint torque (..., T, n) that carries the links."""
-    still = Kinematics(joints.x, np.zeros_like(joints.x), np.zeros_like(joints.x))
-    rest = Kinematics(base.x, np.zeros_like(base.x), np.zeros_like(base.x))
-    out: Array = _dynamics(arm, still, rest, True)[0]
+    still = Kinematics(q, np.zeros_like(q), np.zeros_like(q))
+    rest = np.zeros((*pose.shape[:-1], 3))
+    out: Array = _dynamics(arm, still, pose, (rest, rest, rest), True)[0]
     return out
 
 
@@ -367,23 +408,16 @@ def _carried(mass: Oscillator, shaken: Array, dt: float) -> Array:
     return -np.asarray(scipy.signal.lfilter(np.ravel(b), np.ravel(a), shaken, axis=-1))
 
 
-def _deflections(arm: Arm, q: Array, load: Array, dt: float) -> Array:
-    """Angle by which gears give (..., T, n) under the torque that rigid links would take."""
-    from ves_gym.discrepancy.gears import deflection  # numba takes a second to load
+def _deflections(arm: Arm, torque: Array, dt: float) -> Array:
+    """Angle by which gears give (..., T, n) under the torque through them."""
+    from ves_gym.discrepancy.recursions import deflection  # numba takes a second to load
 
-    out = np.zeros_like(load)
-    H = inertia(arm, q)
+    out = np.zeros_like(torque)
     for i, link in enumerate(arm.links):
         if link.gear is not None:
-            own = H[..., 6 + i, 6 + i] - link.rotor_inertia
             gear = link.gear
             out[..., i] = deflection(
-                np.ascontiguousarray(own),
-                np.ascontiguousarray(load[..., i]),
-                1 / gear.compliance,
-                gear.damping,
-                gear.gap / 2,
-                dt,
+                torque[..., i], 1 / gear.compliance, gear.damping, gear.gap / 2, dt
             )
     return out
 
