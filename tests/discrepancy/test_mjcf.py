@@ -1,15 +1,26 @@
 """A machine in MJCF: hidden friction is named, a complete model left alone, files are read."""
 
+import json
+
 import mujoco
 import numpy as np
 import pytest
 
+from ves_gym.cli.main import main
 from ves_gym.core.params import ParameterError
 from ves_gym.discrepancy import diagnosis as d
 from ves_gym.discrepancy.mapping import read_machine
+from ves_gym.discrepancy.mjcf_file import write_machine
 from ves_gym.discrepancy.mjcf_machine import MjcfJoint, MjcfMachine
 from ves_gym.discrepancy.runs import run_of_signals
-from ves_gym.effects import JointCoulomb, JointDriveGain
+from ves_gym.effects import (
+    JointCoulomb,
+    JointDriveGain,
+    JointMeasurementDelay,
+    JointRotorInertia,
+    JointViscous,
+    SensorBias,
+)
 
 ARM = """<mujoco>
   <option timestep="0.001" integrator="RK4"/>
@@ -30,6 +41,11 @@ PLAIN = {"shoulder": "", "reach": ""}
 
 def moved(seed, **hidden):
     """A run of the arm under control, with what is hidden in its joints."""
+    t, signals = recorded(seed, **hidden)
+    return run_of_signals(t, signals, f"run {seed}")
+
+
+def recorded(seed, **hidden):
     model = mujoco.MjModel.from_xml_string(ARM.format(**{**PLAIN, **hidden}))
     data, rng = mujoco.MjData(model), np.random.default_rng(seed)
     waves, phase = rng.uniform(0.2, 1.2, (3, 2)), rng.uniform(0, 6, (3, 2))
@@ -51,7 +67,7 @@ def moved(seed, **hidden):
     noise = [1e-6, 1e-6] * rng.standard_normal(q.shape)
     force = np.array([0.02, 0.05]) * rng.standard_normal(q.shape)
     signals = {"q": q + noise, "v": v, "tau": tau + force}
-    return run_of_signals(t[:, 0], signals, f"run {seed}")
+    return t[:, 0], signals
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +103,114 @@ def test_friction_hidden_in_the_joints_is_named_in_their_units(machine):
         assert f.candidate.units == (symbol,)
     gaps = [g for g in found.final if g.port == "joint"]
     assert all(g.after < min(1.2, g.before / 2) for g in gaps), gaps
+
+
+COMMAND = """
+schema = "ves-machine/1"
+name = "arm"
+model = "arm.xml"
+time = { column = "t" }
+noise = { position = 1e-6 }
+[[joint]]
+name = "shoulder"
+position = { column = "q1" }
+force = [{ column = "i1" }]
+[[joint]]
+name = "reach"
+type = "slide"
+radius = 0.1
+position = { column = "q2" }
+force = [{ column = "i2" }]
+"""
+
+
+def test_a_machine_in_mjcf_goes_from_command_to_files_that_play_the_same(tmp_path, capsys):
+    """What MJCF holds is in the model, the rest in the mapping; both are found right again."""
+    motor = '<actuator><motor joint="shoulder" gear="50"/></actuator></mujoco>'
+    xml = ARM.format(shoulder='damping="1"', reach="").replace("</mujoco>", motor)
+    (tmp_path / "arm.xml").write_text(xml)
+    (tmp_path / "arm.toml").write_text(COMMAND)
+    for seed in (2, 3):
+        t, x = recorded(seed, shoulder='damping="3"', reach='damping="30"')
+        x["tau"][:, 0] /= 0.9  # the drive gives a tenth less than it says
+        table = np.column_stack([t, x["q"], x["tau"]])
+        path = tmp_path / f"run-{seed}.csv"
+        np.savetxt(path, table, "%.12g", ",", header="t,q1,q2,i1,i2", comments="")
+    words = ["diagnose", str(tmp_path / "run-2.csv"), str(tmp_path / "run-3.csv"), "--final"]
+    words += ["1", "--most", "4", "--no-figures", "--machine"]
+    out = tmp_path / "out"
+    assert main([*words, str(tmp_path / "arm.toml"), "--out", str(out)]) == 0
+    found = json.loads((out / "diagnosis.json").read_text())
+    named = {(e["kind"], e["slot"]): e["value"] for e in found["effects"]}
+    assert set(named) == {
+        ("joint/viscous", "shoulder"),
+        ("joint/viscous", "reach"),
+        ("joint/drive_gain", "shoulder"),
+    }
+    assert found["replay_difference"] <= 1e-9 and found["held_back"] == ["run-3.csv"]
+    model = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
+    gain = named["joint/drive_gain", "shoulder"]["error"]
+    assert gain == pytest.approx(-0.1, abs=0.01)
+    assert model.dof_damping == pytest.approx([3.0, 30.0], rel=0.05)
+    assert model.actuator_gear[0, 0] == pytest.approx(50 * (1 + gain))
+    machine, load = read_machine(out / "machine.toml")
+    assert [e.kind for e in machine.nominal.effects] == ["joint/drive_gain"]
+    again = d.diagnose(machine, [load(tmp_path / "run-3.csv")], candidates=only_force(machine))
+    assert again.found == (), again.sentence
+    assert main([*words, str(out / "machine.toml"), "--out", str(out)]) == 2
+    assert "would overwrite" in capsys.readouterr().err
+
+
+def test_friction_and_rotor_of_a_model_are_those_of_the_library(machine):
+    """The same numbers in the model and as effects leave the same residual."""
+    run = moved(4)
+    own = {"shoulder": 'frictionloss="2" armature="0.1"', "reach": 'damping="7"'}
+    model = mujoco.MjModel.from_xml_string(ARM.format(**own))
+    stated = MjcfMachine("arm", JOINTS, model)
+    effects = (
+        JointCoulomb(torque=(2.0, 0.0)),
+        JointRotorInertia(added=(0.1, 0.0)),
+        JointViscous(damping=(0.0, 0.07)),  # 7 N s/m on a pinion of 0.1 m
+        JointMeasurementDelay(delay=2e-3),
+    )
+    late = stated.model([effects[-1]])
+    one = stated.residuals(run, [late], ["joint"])["joint"]
+    other = machine.residuals(run, [machine.model(effects)], ["joint"])["joint"]
+    assert np.abs(one - other).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("effects", "match"),
+    [
+        ([JointCoulomb(torque=(1.0,))], "torque must have 2 numbers, got 1"),
+        ([SensorBias(force=(1.0, 0.0, 0.0))], "sensor/bias is not computed for MJCF"),
+    ],
+)
+def test_effects_that_a_machine_cannot_have_are_refused(effects, match):
+    model = mujoco.MjModel.from_xml_string(ARM.format(**PLAIN))
+    with pytest.raises(ParameterError, match=match):
+        MjcfMachine("arm", JOINTS, model, effects=effects)
+
+
+def test_a_model_whose_files_lie_elsewhere_still_finds_them(tmp_path, machine):
+    """Meshes are named from the model's folder; the better model lies in another."""
+    corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    faces = ["1 3 2", "1 2 4", "1 4 3", "2 3 4"]
+    text = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {f}" for f in faces]
+    (tmp_path / "in" / "parts").mkdir(parents=True)
+    (tmp_path / "in" / "parts" / "wedge.obj").write_text("\n".join(text))
+    asset = '<compiler meshdir="parts"/><asset><mesh name="w" file="wedge.obj"/></asset>'
+    body = '<geom type="mesh" mesh="w" mass="0.1" contype="0"/>'
+    xml = ARM.format(**PLAIN).replace("<option", asset + "<option")
+    xml = xml.replace('<body name="fore"', body + '<body name="fore"')
+    (tmp_path / "in" / "arm.xml").write_text(xml)
+    (tmp_path / "in" / "arm.toml").write_text(COMMAND)
+    own, _ = read_machine(tmp_path / "in" / "arm.toml")
+    effects, out = [JointViscous(damping=(2.0, 0.0))], tmp_path / "deep" / "out"
+    out.mkdir(parents=True)
+    written = write_machine(tmp_path / "in" / "arm.toml", own, effects, out, [moved(4)])
+    assert written.difference <= 1e-9 and "+" in written.diff
+    read_machine(out / "machine.toml")
 
 
 def test_laws_see_a_slide_on_its_pinion(machine):

@@ -88,12 +88,30 @@ def result():
             for p, c in channels
             for a, b in ((0.0, 1.2), (1.2, 12.0))
         ],
+        "closest": [],
+        "when": [
+            {"port": p, "channel": c, "run": r, "step": 1.0,
+             "before": [9.0, 30.0], "after": [1.0, 1.2]}
+            for p, c in channels for r in ("run-1", "run-3")
+        ],
         "remaining": 12.0,
         "remaining_allowed": 1000.0,
         "gap_before": {f"{p}/{c}": 5.0 for p, c in channels},
         "gap_after": {f"{p}/{c}": 1.0 for p, c in channels},
         "final_before": {"joint/tau_2": 7.0, "joint/tau_1": 1.05},
         "final_after": {"joint/tau_2": 1.0, "joint/tau_1": 1.04},
+        "gap_intervals": {},
+        "final_intervals": {
+            f"joint/tau_{k}": {"before": (6.5, 7.5), "after": (0.9, 1.1), "ratio": (0.1, 0.2)}
+            for k in (1, 2)
+        },
+        "worse": [],
+        "free": {
+            "runs": ["run-2"], "why_not": "", "difference": 1e-14,
+            "gaps": [{"signal": "tau", "channel": "tau_2", "unit": "N m", "before": 3.1,
+                      "after": 0.25, "noise": 0.24}],
+        },
+        "replay_difference": 0.0,
         "untestable": {"wrench": ["w"]},
         "weak": ["joint/viscous at joint 3"],
         "steps": ["joint/coulomb at joint 2: gain 812.4 of 17.0 needed"],
@@ -129,7 +147,7 @@ def test_the_page_needs_nothing_beside_it(result, tmp_path):
     assert not re.search(r"//\w", re.sub(r"base64,[\w+/=]+", "", text))
     tags = Elements(text).tags
     pictures = [attrs for tag, attrs in tags if tag == "img"]
-    assert len(pictures) == 3
+    assert len(pictures) == 4
     assert all(
         a["src"].startswith("data:image/png;base64,iVBOR") and a["alt"] for a in pictures
     )
@@ -148,7 +166,11 @@ def test_the_verdict_is_on_top_and_what_it_rests_on_below(result):
         "0.625",
         "run-2 tells them apart best.",
         "the runs held back (run-2)",
+        "No channel is worse by more than 2 %",
+        "7.00 (6.50 to 7.50)",
         "100.0%",  # of tau_2's gap above noise
+        "0.25",  # N m, in free run
+        "within 1e-14",
         "port wrench: the logs lack w",
         "joint/viscous at joint 3: the runs move too little",
         "+[[effects]]",
@@ -162,6 +184,7 @@ def test_the_verdict_is_on_top_and_what_it_rests_on_below(result):
 
 def test_a_gap_without_a_name_is_not_given_one(result):
     result |= {"verdict": "not in the library", "sentence": "Something is missing."}
+    result |= {"effects": [], "closest": result["effects"]}
     text = Elements(render_page(result)).text
     assert "No name is given." in text and "one of 2" not in text
     shown = text.split("What is missing")[1].split("Where")[0]

@@ -3,29 +3,40 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import importlib.util
 import shlex
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ves_gym.cli.common import out_dir, progress, write_json
 from ves_gym.core.params import ParameterError, write_text
-from ves_gym.core.runlog import RunLog
 from ves_gym.core.system import System
+
+if TYPE_CHECKING:
+    from ves_gym.discrepancy.job import Job
 
 SCHEMA = "ves-diagnose/1"
 _SHOWN = 12  # channels in the table
+_MOST = 8  # effects that --most may ask for
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
-        "logs", metavar="LOG", nargs="+", help="run logs of one machine, or folders of them"
+        "logs",
+        metavar="LOG",
+        nargs="+",
+        help="run logs of one machine, or folders of them; with --machine data files (.mat,"
+        " .csv), or folders of .csv files that belong together",
     )
     parser.add_argument(
         "--system", metavar="FILE", help="the machine as described (default: that of the logs)"
+    )
+    parser.add_argument(
+        "--machine",
+        metavar="FILE",
+        help="a machine in MJCF: mapping file that says which columns of the data are what",
     )
     parser.add_argument(
         "--final",
@@ -42,7 +53,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="leave out of the library",
     )
     parser.add_argument(
-        "--band", metavar="HZ", type=float, default=12.0, help="compare up to (default 12)"
+        "--band", metavar="HZ", type=float, help="compare up to (default 12, or the mapping's)"
+    )
+    parser.add_argument(
+        "--most", metavar="N", type=int, default=3, help="effects to name at most (default 3)"
+    )
+    parser.add_argument(
+        "--no-free-run", action="store_true", help="skip the simulation of the whole loop"
     )
     parser.add_argument("--no-figures", action="store_true", help="skip the HTML report")
 
@@ -51,108 +68,60 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose, print the verdict, write the better description and the report."""
     from ves_gym import __version__
     from ves_gym.discrepancy import diagnosis as d
-    from ves_gym.discrepancy.candidates import library, without
-    from ves_gym.discrepancy.runs import require_plausible, run_of
-    from ves_gym.discrepancy.system_machine import SystemMachine
+    from ves_gym.discrepancy.select import Thresholds
 
-    paths = _paths(args.logs)
-    logs = [RunLog.load(path) for path in paths]
-    system = System.load(args.system) if args.system else _system_of(logs, paths)
-    for log, path in zip(logs, paths, strict=True):
-        require_plausible(log, system, path.name)
-    machine = SystemMachine(system)
-    fitted, final = _split(logs, args.final)
-    runs = {i: run_of(logs[i], paths[i].name, args.band) for i in (*fitted, *final)}
-    some = [runs[i] for i in fitted]
-    candidates = library(
-        system.arm.n, [p.name for p in machine.ports], system.mode, [r.name for r in some]
-    )
+    job = _job(args)
+    if not 1 <= args.most <= _MOST:
+        raise ParameterError(f"--most must be 1 to {_MOST}, got {args.most}")
+    folder = out_dir(args, "out/diagnose")
     with progress() as tell:
         found = d.diagnose(
-            machine,
-            some,
-            [runs[i] for i in final],
-            candidates=without(candidates, args.without),
+            job.machine,
+            job.runs,
+            job.final,
+            candidates=job.candidates,
+            limits=Thresholds(most=args.most),
             progress=lambda done, what: tell("diagnose", done),
             seed=args.seed,
         )
-    folder = out_dir(args, "out/diagnose")
-    better = machine.model(d.added(found)).system
-    better.save(folder / "system.toml")
+    written = job.write(d.added(found), folder, not args.no_free_run)
     result = {
         "schema": SCHEMA,
         **d.plain(found),
-        "logs": {p.name: log.digest for p, log in zip(paths, logs, strict=True)},
-        "held_back": [paths[i].name for i in final],
-        "machine": machine.name,
-        "described": system.hash,
-        "better": better.hash,
-        "system": better.to_dict(),
+        "logs": job.digests,
+        "held_back": [run.name for run in job.final],
+        "machine": job.machine.name,
+        "described": job.described,
+        "better": written.digest,
+        **written.plain,
+        "files": [path.name for path in written.files],
+        "notes": list(written.notes),
+        "replay_difference": written.difference,
+        "free": written.free,
         "seed": args.seed,
         "version": __version__,
         "command": shlex.join(["ves-gym", *sys.argv[1:]]),
     }
     _print(found, result)
-    print(folder / "system.toml")
+    for path in written.files:
+        print(path)
     write_json(args.json, result)
     write_json(str(folder / "diagnosis.json"), result)
     write_text(folder / "verdict.txt", found.sentence + "\n")
     if not args.no_figures:
-        _report({**result, "diff": _diff(system, better)}, found, folder / "diagnosis.html")
+        _report({**result, "diff": written.diff}, found, folder / "diagnosis.html")
     return 1 if found.verdict in (d.UNKNOWN, d.MORE, d.WEAK) else 0
 
 
-def _paths(given: list[str]) -> list[Path]:
-    out: list[Path] = []
-    for text in given:
-        path = Path(text)
-        if path.is_dir():
-            inside = sorted([*path.glob("*.parquet"), *path.glob("*.csv")])
-            if not inside:
-                raise ParameterError(f"{path}: no run log (.parquet, .csv) in this folder")
-            out += inside
-        else:
-            out.append(path)
-    names = [p.name for p in out]
-    twice = sorted({n for n in names if names.count(n) > 1})
-    if twice:
-        raise ParameterError(f"{twice[0]} is given more than once")
-    return out
+def _job(args: argparse.Namespace) -> Job:
+    from ves_gym.discrepancy.job import mjcf_job, system_job
 
-
-def _system_of(logs: list[RunLog], paths: list[Path]) -> System:
-    """The one system that all logs name."""
-    systems = []
-    for log, path in zip(logs, paths, strict=True):
-        if "system" not in log.meta:
-            raise ParameterError(f"{path}: names no system; give --system FILE")
-        systems.append(System.from_dict(log.meta["system"], str(path)))
-    for system, path in zip(systems, paths, strict=True):
-        if system.hash != systems[0].hash:
-            raise ParameterError(
-                f"{path}: is of another system than {paths[0]} ({system.hash[:12]},"
-                f" {systems[0].hash[:12]}): one machine at a time"
-            )
-    return systems[0]
-
-
-def _split(logs: list[RunLog], final: int | None) -> tuple[list[int], list[int]]:
-    """Logs to fit, and logs to hold back."""
-    every = range(len(logs))
-    if final is None:
-        held = [i for i in every if logs[i].meta.get("held_back")]
-        if not held:
-            held = list(every)[len(logs) - len(logs) // 3 :]
-    else:
-        if not 0 <= final < len(logs):
-            raise ParameterError(
-                f"--final must leave a log to fit: 0 to {len(logs) - 1}, got {final}"
-            )
-        held = list(every)[len(logs) - final :]
-    fitted = [i for i in every if i not in held]
-    if not fitted:
-        raise ParameterError("every log is held back: none is left to fit")
-    return fitted, held
+    how: dict[str, Any] = {"final": args.final, "leave_out": args.without, "band": args.band}
+    if args.machine is None:
+        return system_job(args.logs, System.load(args.system) if args.system else None, **how)
+    if args.system is not None:
+        raise ParameterError("--system and --machine are two machines: give one of them")
+    return mjcf_job(args.logs, args.machine, **how)
 
 
 def _report(result: dict[str, Any], found: Any, path: Path) -> None:
@@ -167,23 +136,16 @@ def _report(result: dict[str, Any], found: Any, path: Path) -> None:
     print(path)
 
 
-def _diff(system: System, better: System) -> str:
-    """What changed in the description, as a unified diff of the TOML files."""
-    import tomli_w
-
-    old, new = (tomli_w.dumps(s.to_dict()).splitlines() for s in (system, better))
-    lines = difflib.unified_diff(old, new, "described", "system.toml", n=2, lineterm="")
-    return "\n".join(lines)
-
-
 def _print(found: Any, result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from ves_gym.discrepancy.diagnosis import UNKNOWN
+    from ves_gym.discrepancy.diagnosis import ONE_OF, UNKNOWN
 
     console = Console(width=None if sys.stdout.isatty() else 110, markup=False)
     console.print(found.sentence, style="bold")
+    for experiment in result["experiments"] if found.verdict == ONE_OF else ():
+        console.print(f"next experiment: {experiment['sentence']}")
     if found.verdict == UNKNOWN and found.found:
         console.print("the best that the library can do, not a name:")
     for f in found.found:
@@ -199,10 +161,17 @@ def _print(found: Any, result: dict[str, Any]) -> None:
         title="gap in standard deviations of noise, "
         + (f"held back: {', '.join(result['held_back'])}" if found.final else "the runs fitted")
     )
-    for name in ("port", "channel", "before", "after"):
+    for name in ("port", "channel", "before", "95 %", "after", "95 %"):
         table.add_column(name, justify="left" if name in ("port", "channel") else "right")
     for gap in sorted(gaps, key=lambda g: -g.before)[:_SHOWN]:
-        table.add_row(gap.port, gap.channel, f"{gap.before:.2f}", f"{gap.after:.2f}")
+        sure = [f"{a:.2f} to {b:.2f}" for a, b in (gap.before_interval, gap.after_interval)]
+        table.add_row(
+            gap.port, gap.channel, f"{gap.before:.2f}", sure[0], f"{gap.after:.2f}", sure[1]
+        )
     console.print(table)
+    if result["worse"]:
+        console.print(f"worse by more than 2 %: {', '.join(result['worse'])}")
+    for note in result["notes"]:
+        console.print(note, style="dim")
     for port, lacks in result["untestable"].items():
         console.print(f"not tested: {port}, the logs lack {', '.join(lacks)}", style="dim")

@@ -9,7 +9,7 @@ import numpy as np
 from ves_gym.core.effect import Effect
 from ves_gym.core.params import Array
 
-_SCALING = ("joint/drive_gain", "joint/load_friction")  # laws that multiply the torque
+SCALING = ("joint/drive_gain", "joint/load_friction")  # laws that multiply the torque
 _PUSH = 1e-6  # relative, of a difference
 
 
@@ -27,7 +27,7 @@ def torque_residual(
     """
     own = laws(tau)
     balance = tau + own - needed
-    if not any(e.kind in _SCALING for e in effects):
+    if not any(e.kind in SCALING for e in effects):
         return balance
     push = _PUSH * np.maximum(np.abs(tau), 1.0)
     return np.asarray(balance / (1 + (laws(tau + push) - own) / push))

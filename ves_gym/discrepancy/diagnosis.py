@@ -27,8 +27,10 @@ from ves_gym.discrepancy.findings import (
     experiments,
     likeness,
     ranked,
+    when,
 )
 from ves_gym.discrepancy.fit import Fit, residuals_of
+from ves_gym.discrepancy.intervals import intervals, stretches
 from ves_gym.discrepancy.machine import Machine, untestable
 from ves_gym.discrepancy.runs import Run
 from ves_gym.discrepancy.select import Rival, Selection, Thresholds, select, unexplained
@@ -41,6 +43,7 @@ VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK)
 # What any motion of a joint that is worth the name shows; where it does not, others may hide.
 _BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_inertia")
 _LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
+WORSE = 1.02  # of its gap before, or of noise: a channel that is worse
 _COMPARED = 10  # candidates whose likeness is told
 
 Progress = Callable[[float, str], None]
@@ -70,6 +73,19 @@ class Gap:
     channel: str
     before: float
     after: float
+    before_interval: tuple[float, float] = (0.0, np.inf)  # 95 %
+    after_interval: tuple[float, float] = (0.0, np.inf)
+    ratio_interval: tuple[float, float] = (0.0, np.inf)  # of after over before, or over noise
+
+    @property
+    def ratio(self) -> float:
+        """After over before, or over noise where that is more."""
+        return self.after / max(self.before, 1.0)
+
+    @property
+    def worse(self) -> bool:
+        """Whether what is added spoils this channel."""
+        return self.ratio > WORSE
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,12 +259,11 @@ def _gaps(evidence: Evidence, fit: Fit, eta: Array, eta0: Array) -> tuple[Gap, .
     out = []
     for port in evidence.ports:
         for i, channel in enumerate(port.channels):
-            parts = [g.part for g in evidence.groups if (g.port, g.channel) == (port.name, i)]
-            rms = [
-                float(np.sqrt(np.mean(np.concatenate([x[p] for p in parts]) ** 2)))
-                for x in (before, after)
-            ]
-            out.append(Gap(port.name, channel, *rms))
+            groups = [g for g in evidence.groups if (g.port, g.channel) == (port.name, i)]
+            count = sum(g.n for g in groups)
+            sums = [np.concatenate(stretches(evidence, groups, x)) for x in (before, after)]
+            rms = [float(np.sqrt(s.sum() / count)) for s in sums]
+            out.append(Gap(port.name, channel, rms[0], rms[1], *intervals(count, sums)))
     return tuple(out)
 
 
@@ -278,22 +293,13 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
         diagnosis.limits.alike,
         list(diagnosis.untestable),
     )
+    effects = [_effect(f) for f in diagnosis.found]
+    unknown = diagnosis.verdict == UNKNOWN
     return {
         "verdict": diagnosis.verdict,
         "sentence": diagnosis.sentence,
-        "effects": [
-            {
-                "kind": f.candidate.kind,
-                "slot": f.candidate.slot,
-                "name": f.candidate.name,
-                "value": dict(zip(f.candidate.names, f.values.tolist(), strict=True)),
-                "std": dict(zip(f.candidate.names, map(_finite, f.std), strict=True)),
-                "unit": dict(zip(f.candidate.names, f.candidate.units, strict=True)),
-                "probability": f.probability,
-                "class": [r.candidate.name for r in f.rivals],
-            }
-            for f in diagnosis.found
-        ],
+        "effects": [] if unknown else effects,
+        "closest": effects if unknown else [],  # the best the library can do: no names
         "ranking": [_ranked(r, diagnosis) for r in ranking],
         "likeness": {
             "names": names,
@@ -302,10 +308,20 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
         },
         "experiments": [_experiment(e) for e in tried],
         "where": _where(diagnosis),
+        "when": when(
+            diagnosis.evidence,
+            diagnosis.selection.null,
+            None if unknown else diagnosis.selection.fit,
+        ),
         "remaining": diagnosis.remaining,
         "remaining_allowed": diagnosis.limits.remains,
         "gap_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.gaps},
         "gap_after": {f"{g.port}/{g.channel}": g.after for g in diagnosis.gaps},
+        "gap_intervals": _intervals(diagnosis.gaps),
+        "final_intervals": _intervals(diagnosis.final),
+        "worse": [
+            f"{g.port}/{g.channel}" for g in diagnosis.final or diagnosis.gaps if g.worse
+        ],
         "final_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.final},
         "final_after": {f"{g.port}/{g.channel}": g.after for g in diagnosis.final},
         "untestable": {
@@ -316,6 +332,32 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
         "faults": [{**dataclasses.asdict(f), "sentence": f.sentence} for f in diagnosis.faults],
         "steps": diagnosis.selection.steps,
         "seconds": diagnosis.seconds,
+    }
+
+
+def _intervals(gaps: Sequence[Gap]) -> dict[str, dict[str, tuple[float, float]]]:
+    """95 % of each gap before, after, and of their ratio."""
+    return {
+        f"{g.port}/{g.channel}": {
+            "before": g.before_interval,
+            "after": g.after_interval,
+            "ratio": g.ratio_interval,
+        }
+        for g in gaps
+    }
+
+
+def _effect(f: Found) -> dict[str, Any]:
+    c = f.candidate
+    return {
+        "kind": c.kind,
+        "slot": c.slot,
+        "name": c.name,
+        "value": dict(zip(c.names, f.values.tolist(), strict=True)),
+        "std": dict(zip(c.names, map(_finite, f.std), strict=True)),
+        "unit": dict(zip(c.names, c.units, strict=True)),
+        "probability": f.probability,
+        "class": [r.candidate.name for r in f.rivals],
     }
 
 
@@ -351,7 +393,9 @@ def _experiment(e: Experiment) -> dict[str, Any]:
 def _where(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Mean square of every group, in variances of noise, before and after."""
     ports = {p.name: p for p in diagnosis.evidence.ports}
-    null, fit = diagnosis.selection.null.size, diagnosis.selection.fit.size
+    null = fit = diagnosis.selection.null.size
+    if diagnosis.verdict != UNKNOWN:
+        fit = diagnosis.selection.fit.size
     return [
         {
             "port": g.port,

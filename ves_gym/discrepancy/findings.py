@@ -18,6 +18,7 @@ from ves_gym.discrepancy.candidates import Candidate
 from ves_gym.discrepancy.evidence import Evidence, Group
 from ves_gym.discrepancy.fit import Fit, residuals_of
 from ves_gym.discrepancy.groups import products, solve
+from ves_gym.discrepancy.intervals import stretches
 from ves_gym.discrepancy.select import Selection
 
 ALIKE = 0.95  # likeness above which two candidates are one class on these runs
@@ -258,6 +259,38 @@ def overlays(selection: Selection, evidence: Evidence) -> list[dict[str, Any]]:
                 "noise_after": np.sqrt(some[1]).tolist(),
             }
         )
+    return out
+
+
+def when(evidence: Evidence, null: Fit, fit: Fit | None) -> list[dict[str, Any]]:
+    """Every channel of every run over the time elapsed.
+
+    Args:
+        fit: of the better description; None where there is none.
+
+    Returns:
+        Per channel and run: port, channel, run; step [s] of the stretches; before, after: mean
+        square in each, in variances of noise, tolerances taken off.
+    """
+    left = [f.residual + evidence.slopes @ f.nuisances for f in (null, fit or null)]
+    out = []
+    for port in evidence.ports:
+        for i, channel in enumerate(port.channels):
+            groups = [g for g in evidence.groups if (g.port, g.channel) == (port.name, i)]
+            before, after = (stretches(evidence, groups, z) for z in left)
+            for k, run in enumerate(evidence.runs):
+                a, b = before[k], after[k]
+                n = sum(g.runs[k].stop - g.runs[k].start for g in groups) / len(a)
+                out.append(
+                    {
+                        "port": port.name,
+                        "channel": channel,
+                        "run": run.name,
+                        "step": (run.length - 2 * run.window.skip) * run.dt / len(a),
+                        "before": (a / n).tolist(),
+                        "after": (b / n).tolist(),
+                    }
+                )
     return out
 
 

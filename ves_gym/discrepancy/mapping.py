@@ -9,10 +9,12 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
+from ves_gym.core.effect import Effect
 from ves_gym.core.params import (
     Array,
     ParameterError,
@@ -21,7 +23,7 @@ from ves_gym.core.params import (
     require_positive,
     unit,
 )
-from ves_gym.discrepancy.mjcf_machine import MjcfJoint, MjcfMachine, Tolerance
+from ves_gym.discrepancy.mjcf_machine import MjcfJoint, MjcfMachine, RateError, Tolerance
 from ves_gym.discrepancy.recordings import column_of, read_columns
 from ves_gym.discrepancy.runs import BAND, Run, require_steady, run_of_signals
 
@@ -92,6 +94,8 @@ class MachineFile:
     band: float = unit("Hz", default=BAND)
     noise: NoiseLevel = field(default_factory=NoiseLevel)
     tolerance: Tolerance = field(default_factory=Tolerance)
+    effect: tuple[Effect, ...] = ()  # of the machine, beside the model; a slide on its pinion
+    rate: tuple[RateError, ...] = ()  # of the log
 
     def __post_init__(self) -> None:
         if self.schema != SCHEMA:
@@ -106,7 +110,7 @@ class MachineFile:
     def machine(self, model: mujoco.MjModel | None) -> MjcfMachine:
         """The machine."""
         joints = [j.joint for j in self.joint]
-        return MjcfMachine(self.name, joints, model, self.tolerance)
+        return MjcfMachine(self.name, joints, model, self.tolerance, self.effect, self.rate)
 
     def run(self, columns: dict[str, Array], name: str) -> Run:
         """A run from the columns of a file.
@@ -139,23 +143,20 @@ def sum_of(parts: tuple[Column, ...], columns: dict[str, Array], where: str) -> 
     )
 
 
-def read_machine(path: str | os.PathLike[str]) -> tuple[MjcfMachine, Loader]:
+def read_machine(
+    path: str | os.PathLike[str], band: float | None = None
+) -> tuple[MjcfMachine, Loader]:
     """Machine and loader of its data files from a mapping file (.toml, .json).
+
+    Args:
+        band: Hz, in place of the file's.
 
     Raises:
         ParameterError: naming file and key.
     """
     path = Path(path)
-    table = read_table(path)
-    try:
-        file: MachineFile = from_plain(MachineFile, table, str(path))
-        model = None if file.model is None else _model(path.parent / file.model)
-        machine = file.machine(model)
-    except ParameterError as error:
-        text = str(error)
-        raise ParameterError(
-            text if text.startswith(str(path)) else f"{path}: {text}"
-        ) from None
+    table = read_table(path) if band is None else {**read_table(path), "band": band}
+    file, machine = machine_of(table, path)
 
     def load(data: str | os.PathLike[str]) -> Run:
         return file.run(read_columns(data), Path(data).name)
@@ -163,7 +164,29 @@ def read_machine(path: str | os.PathLike[str]) -> tuple[MjcfMachine, Loader]:
     return machine, load
 
 
-def _model(path: Path) -> mujoco.MjModel:
+def machine_of(table: dict[str, Any], path: Path) -> tuple[MachineFile, MjcfMachine]:
+    """What a mapping file holds that is, or would be, at `path`, and its machine.
+
+    Raises:
+        ParameterError: naming file and key.
+    """
+    try:
+        file: MachineFile = from_plain(MachineFile, table, str(path))
+        model = None if file.model is None else read_model(path.parent / file.model)
+        return file, file.machine(model)
+    except ParameterError as error:
+        text = str(error)
+        raise ParameterError(
+            text if text.startswith(str(path)) else f"{path}: {text}"
+        ) from None
+
+
+def read_model(path: Path) -> mujoco.MjModel:
+    """A compiled MJCF file.
+
+    Raises:
+        ParameterError: naming the file.
+    """
     try:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:

@@ -20,7 +20,7 @@ import scipy
 
 from ves_gym.core.effect import Effect, joint_torque
 from ves_gym.core.params import Array, ParameterError, require_positive, unit
-from ves_gym.discrepancy.balance import torque_residual
+from ves_gym.discrepancy.balance import SCALING, torque_residual
 from ves_gym.discrepancy.candidates import Candidate, library
 from ves_gym.discrepancy.machine import Nuisance, Port
 from ves_gym.discrepancy.runs import Kinematics, Run
@@ -53,6 +53,14 @@ _ON_RACK = {  # unit of a turning joint -> unit of a slide, power of the radius 
     "kg m^2": ("kg", -2),
     "rad/s": ("m/s", 1),
     "rad": ("m", 1),
+}
+HELD = ("damping", "frictionloss", "armature")  # what laws of the library say of a model, too
+_OFF = {  # flags that take it away
+    "damping": (mujoco.mjtDisableBit.mjDSBL_DAMPER,),
+    "frictionloss": (
+        mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS,
+        mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
+    ),
 }
 _LAGS = (0.02, 0.005, 0.2)  # s, where fits of a low-pass begin
 _FADED = 0.1  # rad/s: what fades later is not of standstill but Coulomb's by another name
@@ -117,10 +125,14 @@ class MjcfMachine:
 
     Args:
         joints: in the order of the columns of runs (n,).
-        model: of exactly these joints; without one there is no port `joint`.
+        model: of exactly these joints; without one there is no port `joint`. Its `damping`,
+            `frictionloss` and `armature` are taken by the laws of the library: friction as
+            MuJoCo's solver has it depends on the step.
+        effects, rates: what the description has besides the model.
 
     Raises:
-        ParameterError: joints that the model lacks, has besides, or has of another type.
+        ParameterError: joints that the model lacks, has besides, or has of another type;
+            effects that this machine cannot compute, or for another number of joints.
     """
 
     def __init__(
@@ -129,10 +141,13 @@ class MjcfMachine:
         joints: Sequence[MjcfJoint],
         model: mujoco.MjModel | None = None,
         tolerance: Tolerance | None = None,
+        effects: Sequence[Effect] = (),
+        rates: Sequence[RateError] = (),
     ) -> None:
         self.name, self.joints, self.mjcf = name, tuple(joints), model
         self.tolerance = tolerance or Tolerance()
-        self.nominal = Variant()
+        _require_computed(effects, rates, len(self.joints))
+        self.nominal = Variant(tuple(effects), rates=tuple(rates))
         self._radius = np.array([j.radius for j in self.joints])
         names = tuple(j.name for j in self.joints)
         if len(set(names)) < len(names) or not names:
@@ -140,7 +155,8 @@ class MjcfMachine:
         slides = [j.type == "slide" for j in self.joints]
         ports = []
         if model is not None:
-            self._qpos, self._dof = _addresses(model, self.joints)
+            self._qpos, self.dof = _addresses(model, self.joints)
+            self.held = {name: held_by(model, name)[self.dof] for name in HELD}
             ports.append(
                 Port(
                     "joint",
@@ -162,9 +178,11 @@ class MjcfMachine:
         self.ports = tuple(ports)
 
     def model(self, effects: Sequence[Effect | RateError]) -> Variant:
-        """The description with effects."""
+        """The description with effects added."""
         rates = tuple(e for e in effects if isinstance(e, RateError))
-        return Variant(tuple(e for e in effects if not isinstance(e, RateError)), rates=rates)
+        more = tuple(e for e in effects if not isinstance(e, RateError))
+        own = self.nominal
+        return Variant((*own.effects, *more), rates=(*own.rates, *rates))
 
     def floor(self, run: Run, port: str) -> Array:
         """(n,) standard deviation below which a residual of the port means nothing."""
@@ -196,7 +214,7 @@ class MjcfMachine:
         if self.mjcf is not None:
             moving = np.flatnonzero((self.mjcf.body_weldid > 0) & (self.mjcf.body_mass > 0))
             for body in moving.tolist():
-                model = Variant(heavier=((body, 1.01),))
+                model = dataclasses.replace(self.nominal, heavier=((body, 1.01),))
                 name = f"inertia of {self.mjcf.body(body).name or f'body {body}'}"
                 out.append(Nuisance(name, ("joint",), model, 0.01, allowed.inertia))
         for i, joint in enumerate(self.joints):
@@ -235,28 +253,36 @@ class MjcfMachine:
             motion = Kinematics(*differentiated(run["q"], run.dt, run.band, ahead=late))
             load = differentiated(load, run.dt, run.band, ahead=late)[0]
         q, v, a = motion
-        needed = load + _total(variant, "joint/rotor_inertia", "added") / r**2 * a
+        rotor = _total(variant, "joint/rotor_inertia", "added") / r**2
+        dry = JointCoulomb(torque=(0.0,) * len(r)).bound({"torque": self.held["frictionloss"]})
+        needed = load + (self.held["armature"] + rotor) * a + self.held["damping"] * v
+        needed = needed - dry.law(np, q / r, v / r, 0.0)
+        # what the force does not scale stays out of differences by the force
+        steady = [e for e in variant.effects if e.kind not in SCALING]
+        needed = needed - _laws(steady, q / r, v / r, tau * r) / r
+        scaling = [e for e in variant.effects if e.kind in SCALING]
 
         def laws(force: Array) -> Array:
-            return _laws(variant, q / r, v / r, force * r) / r
+            return _laws(scaling, q / r, v / r, force * r) / r
 
-        return torque_residual(tau, needed, variant.effects, laws)
+        return torque_residual(tau, needed, scaling, laws)
 
     def _load(self, run: Run, heavier: tuple[tuple[int, float], ...]) -> Array:
-        """Force at the joints (..., T, n) that the model's motion takes."""
+        """Force at the joints (..., T, n) that the model's motion takes without `HELD`."""
         key = ("load", heavier)
         if key in run.memory:
             return np.asarray(run.memory[key])
-        model = self.mjcf
-        assert model is not None
+        assert self.mjcf is not None
+        model = copy.copy(self.mjcf)
+        for body, factor in heavier:
+            model.body_mass[body] *= factor
+            model.body_inertia[body] *= factor
         if heavier:
-            model = copy.copy(model)
-            for body, factor in heavier:
-                model.body_mass[body] *= factor
-                model.body_inertia[body] *= factor
             mujoco.mj_setConst(model, mujoco.MjData(model))
+        for name in HELD:
+            getattr(model, f"dof_{name}")[held_by(model, name) != 0] = 0.0
         data = mujoco.MjData(model)
-        n, qpos, dof = len(self.joints), self._qpos, self._dof
+        n, qpos, dof = len(self.joints), self._qpos, self.dof
         q, v, a = (x.reshape(-1, n) for x in run.joints)
         out = np.empty_like(q)
         at, rate, rise, needed = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
@@ -289,6 +315,16 @@ class MjcfMachine:
         return np.asarray(logged - seen)
 
 
+def held_by(model: mujoco.MjModel, name: str) -> Array:
+    """(nv,) damping, frictionloss or armature as far as it acts and is one number per joint."""
+    value = np.array(getattr(model, f"dof_{name}"))
+    if any(model.opt.disableflags & int(flag) for flag in _OFF.get(name, ())):
+        value[:] = 0.0
+    if name == "damping" and hasattr(model, "dof_dampingpoly"):  # a law of its own
+        value[(model.dof_dampingpoly != 0).any(axis=-1)] = 0.0
+    return value
+
+
 def _addresses(model: mujoco.MjModel, joints: Sequence[MjcfJoint]) -> tuple[Any, Any]:
     """Where each joint is in qpos and qvel, (n,) each."""
     known = {model.joint(i).name: i for i in range(model.njnt)}
@@ -315,9 +351,27 @@ def _addresses(model: mujoco.MjModel, joints: Sequence[MjcfJoint]) -> tuple[Any,
     return model.jnt_qposadr[ids].copy(), model.jnt_dofadr[ids].copy()
 
 
-def _laws(variant: Variant, q: Array, v: Array, tau: Array) -> Array:
+def _require_computed(
+    effects: Sequence[Effect], rates: Sequence[RateError], joints: int
+) -> None:
+    for effect in effects:
+        if effect.kind not in KINDS:
+            raise ParameterError(
+                f"effect {effect.kind} is not computed for MJCF; these are: {', '.join(KINDS)}"
+            )
+    for each in (*effects, *rates):
+        for field in dataclasses.fields(each):  # type: ignore[arg-type]
+            value = getattr(each, field.name)
+            if isinstance(value, tuple) and len(value) != joints:
+                kind = getattr(each, "kind", "rate")
+                raise ParameterError(
+                    f"effect {kind}.{field.name} must have {joints} numbers, got {len(value)}"
+                )
+
+
+def _laws(effects: Sequence[Effect], q: Array, v: Array, tau: Array) -> Array:
     """(..., n) torque of the effects at the pinions [N m]."""
-    return joint_torque(variant.effects, q, v, tau, np.full(q.shape[-1], np.inf))
+    return joint_torque(effects, q, v, tau, np.full(q.shape[-1], np.inf))
 
 
 def _excess(candidate: Candidate, joint: int, n: int) -> Candidate:

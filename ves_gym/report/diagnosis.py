@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
+import itertools
 import os
 from collections.abc import Callable, Iterable, Sequence
 from importlib.resources import files
@@ -28,6 +29,7 @@ _TOLD = 2.0  # mean square from which a cell of the map says its number
 _WIDE = 1.645  # standard deviations to either side of a 90 % interval
 _VISIBLE = 0.05  # standard deviations
 _LEAST = 1e-4  # p below which it is not told apart
+_LINES = 12  # channels in the map over time
 _ROUND = 100.0  # gain above which tenths do not matter
 _STYLE = """
 figure { margin: 0 0 1rem; }
@@ -68,10 +70,12 @@ def render_page(result: Result) -> str:
     sections = (
         ("What is missing", _missing(result)),
         ("Where", _where(result)),
+        ("When", _when(result)),
         ("Before and after", _overlays(result)),
         ("Candidates", _candidates(result)),
         ("What these runs can tell apart", _confusable(result)),
         ("Gap and noise floor", _gaps(result)),
+        ("The whole loop, left to itself", _free(result)),
         ("Not tested", _untested(result)),
         ("Change of the description", _change(result)),
         ("How this was found", _provenance(result)),
@@ -110,16 +114,18 @@ def render_page(result: Result) -> str:
 # ---------------------------------------------------------------------------- figures
 
 
-def where_figure(where: Sequence[Result]) -> Figure:
-    """Mean square of the residual, channels by ranges of frequency, before and after."""
+def where_figure(where: Sequence[Result], better: bool = True) -> Figure:
+    """Mean square of the residual, channels by ranges of frequency; `better`: there is an
+    after."""
     from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
     channels = list(dict.fromkeys((g["port"], g["channel"]) for g in where))
     ranges = list(dict.fromkeys((g["low"], g["high"]) for g in where))
     heat = LinearSegmentedColormap.from_list("heat", ("white", "#f7c9a5", _BEFORE, "#4a1500"))
-    figure, panels = _panels(2, max(11.0, 2.5 + 0.36 * len(channels)), 2.1, columns=1)
+    width = max(11.0, 2.5 + 0.36 * len(channels))
+    figure, panels = _panels(1 + better, width, 2.1 if better else 2.6, columns=1)
     top = max([_MOST, *(g["before"] for g in where), *(g["after"] for g in where)])
-    for axes, key in zip(panels, ("before", "after"), strict=True):
+    for axes, key in zip(panels, ("before", "after"), strict=False):
         size = np.full((len(ranges), len(channels)), np.nan)
         for g in where:
             at = ranges.index((g["low"], g["high"])), channels.index((g["port"], g["channel"]))
@@ -150,6 +156,49 @@ def where_figure(where: Sequence[Result]) -> Figure:
             (begin + end - 1) / 2, len(ranges) - 0.4, channels[begin][0], ha="center",
             va="bottom", fontweight="bold", fontsize="small",
         )  # fmt: skip
+    figure.colorbar(image, ax=panels, label="mean square / noise", pad=0.01, aspect=30)
+    return figure
+
+
+def when_figure(when: Sequence[Result], better: bool) -> Figure:
+    """Mean square of the residual over the time elapsed, the channels that show most."""
+    from matplotlib.colors import LinearSegmentedColormap, LogNorm
+
+    loudest: dict[tuple[str, str], float] = {}
+    for one in when:
+        key = one["port"], one["channel"]
+        loudest[key] = max(loudest.get(key, 0.0), *one["before"], *one["after"])
+    channels = sorted(loudest, key=lambda k: -loudest[k])[:_LINES]
+    runs = list(dict.fromkeys(one["run"] for one in when))
+    heat = LinearSegmentedColormap.from_list("heat", ("white", "#f7c9a5", _BEFORE, "#4a1500"))
+    top = max(_MOST, *loudest.values())
+    figure, panels = _panels(1 + better, 11.0, 0.8 + 0.2 * len(channels), columns=1)
+    for axes, side in zip(panels, ("before", "after"), strict=False):
+        rows, ends, steps = [], [0.0], []
+        for key in channels:
+            own = {o["run"]: o for o in when if (o["port"], o["channel"]) == key}
+            rows.append(np.concatenate([own[run][side] for run in runs]))
+        for run in runs:
+            one = next(o for o in when if o["run"] == run)
+            ends.append(ends[-1] + len(one["before"]))
+            steps.append(one["step"])
+        image = axes.imshow(
+            np.maximum(rows, 1.0), cmap=heat, norm=LogNorm(1, top), aspect="auto",
+            interpolation="nearest", extent=(0, ends[-1], len(channels) - 0.5, -0.5),
+        )  # fmt: skip
+        axes.set_yticks(
+            range(len(channels)), [f"{port}, {_symbol(name)}" for port, name in channels]
+        )
+        axes.set_ylabel(side)
+        for end in ends[1:-1]:
+            axes.axvline(end, color="0.3", linewidth=1)
+        middle = [(a + b) / 2 for a, b in itertools.pairwise(ends)]
+        names = [
+            f"{run}: {(b - a) * step:.3g} s"
+            for run, a, b, step in zip(runs, ends, ends[1:], steps, strict=False)
+        ]
+        axes.set_xticks(middle, names)
+        axes.tick_params(length=0)
     figure.colorbar(image, ax=panels, label="mean square / noise", pad=0.01, aspect=30)
     return figure
 
@@ -232,7 +281,7 @@ def _eyebrow(result: Result) -> str:
 
 def _tiles(result: Result) -> str:
     tiles = []
-    for effect in result["effects"] if _has_name(result) else ():
+    for effect in result["effects"]:
         rivals = effect["class"]
         big = f"one of {len(rivals)}" if len(rivals) > 1 else _share(effect["probability"])
         small = "; ".join(rivals) if len(rivals) > 1 else "probability of this kind"
@@ -258,10 +307,11 @@ def _tiles(result: Result) -> str:
 
 
 def _missing(result: Result) -> str:
-    if not result["effects"]:
+    shown = result["effects"] or result["closest"]
+    if not shown:
         return f"<p>{_NO_EFFECT[_has_name(result)]}</p>"
     named, rows = _has_name(result), []
-    for effect in result["effects"]:
+    for effect in shown:
         for k, (name, value) in enumerate(effect["value"].items()):
             std = effect["std"][name]
             rows.append(
@@ -279,7 +329,13 @@ def _missing(result: Result) -> str:
         _table(head, rows, numbers=(2, 3, 5))
         + '<p class="note">Intervals are of the fit with tolerances carried along. The'
         " probability is that of the kind among everything that could stand in its place.</p>"
+        + "".join(f"<p><b>Next experiment.</b> {_text(k)}</p>" for k in _next(result))
     )
+
+
+def _next(result: Result) -> list[str]:
+    """What to measure to tell rivals apart."""
+    return [e["sentence"] for e in result["experiments"]] if result["effects"] else []
 
 
 _NO_EFFECT = {
@@ -294,12 +350,22 @@ _NO_NAME = (
 
 def _where(result: Result) -> str:
     return _picture(
-        where_figure(result["where"]),
+        where_figure(result["where"], bool(result["effects"])),
         "map of the mean square residual by channel and frequency, before and after",
         "Mean square of the residual of each port in units of the noise there, on the runs that"
         " were fitted: 1 (white) is noise. Tolerances of the description are taken off in both."
         " Each port is a part of the machine run alone on its measured input, so a gap shows"
         " where it arises.",
+    )
+
+
+def _when(result: Result) -> str:
+    return _picture(
+        when_figure(result["when"], bool(result["effects"])),
+        "map of the mean square residual by channel and elapsed time",
+        "Mean square of the residual over the time elapsed, stretch by stretch, run after run,"
+        " in units of noise: what drifts grows, what belongs to a motion comes with it. The"
+        " channels that show most; tolerances taken off.",
     )
 
 
@@ -389,11 +455,12 @@ def _confusable(result: Result) -> str:
 
 def _gaps(result: Result) -> str:
     before, after, held = _chosen_gaps(result)
+    sure = result["final_intervals" if held else "gap_intervals"]
     rows = [
         [
             *name.split("/", 1),
-            f"{before[name]:.2f}",
-            f"{after[name]:.2f}",
+            f"{before[name]:.2f} ({_range(sure[name]['before'])})",
+            f"{after[name]:.2f} ({_range(sure[name]['after'])})",
             _removed(before[name], after[name]),
         ]
         for name in sorted(before, key=lambda k: -before[k])
@@ -407,8 +474,42 @@ def _gaps(result: Result) -> str:
         "<p>Root mean square in standard deviations of noise (noise alone: 1), on the runs"
         f" {_text(where)}. What no name explains is worth {result['remaining']:.0f} in deviance"
         f" on the runs that were fitted: {within} the {result['remaining_allowed']:.0f} of a"
-        " good description.</p>" + _table(head, rows, numbers=(2, 3, 4), kind="narrow")
+        " good description. In brackets: 95 % intervals from a bootstrap over stretches of a"
+        f" second.</p><p>{_text(_spoiled(result))}</p>"
+        + _table(head, rows, numbers=(2, 3, 4), kind="narrow")
     )
+
+
+def _spoiled(result: Result) -> str:
+    """Whether what is added does harm elsewhere."""
+    if not result["effects"]:
+        return "Nothing is added to the description."
+    if not result["worse"]:
+        return "No channel is worse by more than 2 % of its gap, or of noise."
+    sure = result["final_intervals"] or result["gap_intervals"]
+    each = (f"{k} (after / before: {_range(sure[k]['ratio'])})" for k in result["worse"])
+    return f"Worse by more than 2 %: {', '.join(each)}."
+
+
+def _free(result: Result) -> str:
+    free = result.get("free")
+    if free is None:
+        return "<p>Not simulated.</p>"
+    if not free["gaps"]:
+        return f"<p>Not simulated: {_text(free['why_not'])}.</p>"
+    rows = [
+        [g["channel"], g["unit"], *(f"{g[k]:.3g}" for k in ("before", "after", "noise"))]
+        for g in free["gaps"]
+    ]
+    return (
+        "<p>Measured less simulated, root mean square up to the band, when the loop as a whole"
+        " is simulated from the log's start state with the references logged, no measured"
+        f" signal fed in: {_text(', '.join(free['runs']))}. A controller hides here what the"
+        " ports show. The file written, read back, plays the same within"
+        f" {max(free['difference'], result['replay_difference']):.0e}.</p>"
+        + _table(("channel", "unit", "before", "after", "noise"), rows, numbers=(2, 3, 4),
+                 kind="narrow")
+    )  # fmt: skip
 
 
 def _untested(result: Result) -> str:
@@ -433,7 +534,8 @@ def _change(result: Result) -> str:
         "-": lambda line: f"<del>{line}</del>",
     }
     lines = [tags.get(line[:1], lambda text: text)(_text(line)) for line in diff.splitlines()]
-    return f"<pre>{chr(10).join(lines)}</pre>"
+    notes = "".join(f"<li>{_text(note)}</li>" for note in result.get("notes", ()))
+    return (f"<ul>{notes}</ul>" if notes else "") + f"<pre>{chr(10).join(lines)}</pre>"
 
 
 def _provenance(result: Result) -> str:
@@ -514,6 +616,10 @@ def _interval(value: float, std: float | None) -> str:
 
 def _value(name: str, value: float, unit: str) -> str:
     return f"{name} {value:.3g} {_unit(unit)}".rstrip()
+
+
+def _range(ends: Sequence[float]) -> str:
+    return f"{ends[0]:.2f} to {ends[1]:.2f}"
 
 
 def _share(p: float) -> str:
