@@ -63,6 +63,12 @@ def test_the_friction_is_named_and_written_down(call, logs, tmp_path):
     assert result["described"] == SYSTEM.hash != result["better"]
     better = System.load(tmp_path / "out" / "system.toml")
     assert better.to_dict() == result["system"]
+    assert result["replay_difference"] <= 1e-9 and result["worse"] == []
+    low, high = result["final_intervals"]["joint/tau_2"]["before"]
+    assert low < before < high and result["closest"] == []
+    free = {g["channel"]: g for g in result["free"]["gaps"]}
+    assert result["free"]["difference"] <= 1e-9 and result["free"]["runs"] == ["run-3.parquet"]
+    assert free["tau_2"]["before"] > 5 * free["tau_2"]["after"]
     page = tmp_path / "out" / "diagnosis.html"
     assert result["sentence"] in page.read_text(encoding="utf-8")
     page.unlink()
@@ -70,6 +76,16 @@ def test_the_friction_is_named_and_written_down(call, logs, tmp_path):
     again = call("diagnose", logs, "--system", repaired, "--no-figures")[3]
     assert again["effects"] == [] and again["experiments"] == []
     assert not page.exists()
+
+
+def test_exchanged_channels_are_a_question(call, logs, tmp_path):
+    log = RunLog.load(logs / "run-1.parquet")
+    tau = log.tau[:, [1, 0, 2]]
+    dataclasses.replace(log, tau=tau).save(tmp_path / "mixed.parquet")
+    status, out, err, result = call("diagnose", tmp_path / "mixed.parquet")
+    assert (status, out, result) == (2, "", None)
+    assert "mixed.parquet: is tau_1 exchanged with tau_2?" in err and err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_logs_of_two_machines_are_refused(call, logs, tmp_path):
@@ -86,6 +102,8 @@ def test_logs_of_two_machines_are_refused(call, logs, tmp_path):
     [
         (["--final", "3"], "--final must leave a log to fit: 0 to 2, got 3"),
         (["--without", "joint/magic"], "no candidate 'joint/magic'; known: "),
+        (["--most", "0"], "--most must be 1 to 8, got 0"),
+        (["--machine", "arm.toml", "--system", "s.toml"], "describe two machines"),
         (["--band", "80"], "sampled at 200 Hz, comparing up to 80 Hz needs at least 320 Hz"),
         (["nowhere.csv"], "nowhere.csv"),
     ],

@@ -61,6 +61,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-free-run", action="store_true", help="skip the simulation of the whole loop"
     )
+    parser.add_argument(
+        "--as-logged",
+        action="store_true",
+        help="ask no questions about units, signs and exchanged channels",
+    )
     parser.add_argument("--no-figures", action="store_true", help="skip the HTML report")
 
 
@@ -69,10 +74,13 @@ def run(args: argparse.Namespace) -> int:
     from ves_gym import __version__
     from ves_gym.discrepancy import diagnosis as d
     from ves_gym.discrepancy.select import Thresholds
+    from ves_gym.discrepancy.suspicion import doubt, require_as_logged
 
     job = _job(args)
     if not 1 <= args.most <= _MOST:
         raise ParameterError(f"--most must be 1 to {_MOST}, got {args.most}")
+    if not args.as_logged:
+        require_as_logged(job.machine, job.runs, job.mistakes)
     folder = out_dir(args, "out/diagnose")
     with progress() as tell:
         found = d.diagnose(
@@ -84,6 +92,8 @@ def run(args: argparse.Namespace) -> int:
             progress=lambda done, what: tell("diagnose", done),
             seed=args.seed,
         )
+    late = () if args.as_logged else job.final
+    doubts = [doubt(job.machine, run, job.mistakes) for run in late]
     written = job.write(d.added(found), folder, not args.no_free_run)
     result = {
         "schema": SCHEMA,
@@ -96,6 +106,7 @@ def run(args: argparse.Namespace) -> int:
         **written.plain,
         "files": [path.name for path in written.files],
         "notes": list(written.notes),
+        "doubts": [question.sentence for question in doubts if question is not None],
         "replay_difference": written.difference,
         "free": written.free,
         "seed": args.seed,
@@ -120,7 +131,7 @@ def _job(args: argparse.Namespace) -> Job:
     if args.machine is None:
         return system_job(args.logs, System.load(args.system) if args.system else None, **how)
     if args.system is not None:
-        raise ParameterError("--system and --machine are two machines: give one of them")
+        raise ParameterError("--system and --machine describe two machines: give one of them")
     return mjcf_job(args.logs, args.machine, **how)
 
 
@@ -171,6 +182,8 @@ def _print(found: Any, result: dict[str, Any]) -> None:
     console.print(table)
     if result["worse"]:
         console.print(f"worse by more than 2 %: {', '.join(result['worse'])}")
+    for question in result["doubts"]:
+        console.print(f"held back, so opened last: {question}")
     for note in result["notes"]:
         console.print(note, style="dim")
     for port, lacks in result["untestable"].items():

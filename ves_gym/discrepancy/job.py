@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ves_gym.core.arm import Arm, Inertial
 from ves_gym.core.params import ParameterError
 from ves_gym.core.runlog import RunLog
 from ves_gym.core.system import System
@@ -20,6 +21,11 @@ from ves_gym.discrepancy.runs import BAND, Run, require_plausible, run_of
 from ves_gym.discrepancy.system_file import write_system
 from ves_gym.discrepancy.system_machine import SystemMachine
 from ves_gym.discrepancy.written import Written
+
+_MASSES = (  # what may be wrong with the masses described, factor that puts it right
+    ("are masses and inertias described in g, not kg", 1e-3),
+    ("are masses and inertias described in t, not kg", 1e3),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +39,7 @@ class Job:
     digests: dict[str, str]  # of the logs, SHA-256
     described: str  # SHA-256 of the description
     write: Callable[[Sequence[Any], Path, bool], Written]  # effects, folder, free runs too
+    mistakes: tuple[tuple[str, Machine], ...] = ()  # usual ones in a description
 
 
 def system_job(
@@ -56,6 +63,7 @@ def system_job(
     """
     paths = _logs(given)
     logs = [RunLog.load(path) for path in paths]
+    _require_one_system(logs, paths)
     machine = SystemMachine(system or _system_of(logs, paths))
     for log, path in zip(logs, paths, strict=True):
         require_plausible(log, machine.system, path.name)
@@ -81,6 +89,10 @@ def system_job(
         digests={p.name: log.digest for p, log in zip(paths, logs, strict=True)},
         described=own.hash,
         write=write,
+        mistakes=tuple(
+            (text, SystemMachine(own.replace(arm=_heavier(own.arm, factor))))
+            for text, factor in _MASSES
+        ),
     )
 
 
@@ -114,6 +126,7 @@ def mjcf_job(
         digests={run.name: _digest(run) for run in runs},
         described=described(Path(mapping)),
         write=write,
+        mistakes=tuple((text, machine.heavier(factor)) for text, factor in _MASSES),
     )
 
 
@@ -141,18 +154,36 @@ def _require_distinct(paths: Sequence[Path]) -> None:
 
 def _system_of(logs: Sequence[RunLog], paths: Sequence[Path]) -> System:
     """The one system that all logs name."""
-    systems = []
     for log, path in zip(logs, paths, strict=True):
         if "system" not in log.meta:
             raise ParameterError(f"{path}: names no system; give --system FILE")
-        systems.append(System.from_dict(log.meta["system"], str(path)))
-    for system, path in zip(systems, paths, strict=True):
-        if system.hash != systems[0].hash:
+    return System.from_dict(logs[0].meta["system"], str(paths[0]))
+
+
+def _require_one_system(logs: Sequence[RunLog], paths: Sequence[Path]) -> None:
+    """Refuse logs that name different systems, whatever they are to be compared with."""
+    named = [
+        (path, System.from_dict(log.meta["system"], str(path)).hash)
+        for log, path in zip(logs, paths, strict=True)
+        if "system" in log.meta
+    ]
+    for path, own in named:
+        if own != named[0][1]:
             raise ParameterError(
-                f"{path}: is of another system than {paths[0]} ({system.hash[:12]},"
-                f" {systems[0].hash[:12]}): one machine at a time"
+                f"{path}: is of another system than {named[0][0]} ({own[:12]},"
+                f" {named[0][1][:12]}): one machine at a time"
             )
-    return systems[0]
+
+
+def _heavier(arm: Arm, factor: float) -> Arm:
+    """The arm with all masses and inertias by a factor."""
+
+    def scaled(body: Inertial) -> Inertial:
+        moments = tuple(tuple(factor * x for x in row) for row in body.inertia)
+        return replace(body, mass=factor * body.mass, inertia=moments)
+
+    links = tuple(replace(link, inertial=scaled(link.inertial)) for link in arm.links)
+    return replace(arm, links=links, base=scaled(arm.base))
 
 
 def _split(count: int, marked: Sequence[int], final: int | None) -> tuple[list[int], list[int]]:

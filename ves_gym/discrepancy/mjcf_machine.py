@@ -184,6 +184,15 @@ class MjcfMachine:
         own = self.nominal
         return Variant((*own.effects, *more), rates=(*own.rates, *rates))
 
+    def heavier(self, factor: float) -> MjcfMachine:
+        """The machine with all masses and inertias by a factor."""
+        out = copy.copy(self)
+        bodies = range(1, self.mjcf.nbody if self.mjcf is not None else 0)
+        out.nominal = dataclasses.replace(
+            self.nominal, heavier=tuple((body, factor) for body in bodies)
+        )
+        return out
+
     def floor(self, run: Run, port: str) -> Array:
         """(n,) standard deviation below which a residual of the port means nothing."""
         seen = run["tau" if port == "joint" else "v"]

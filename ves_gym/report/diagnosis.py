@@ -518,6 +518,7 @@ def _untested(result: Result) -> str:
         for port, lacks in result["untestable"].items()
     ]
     lines += [f"{name}: the runs move too little to show it" for name in result["weak"]]
+    lines += [f"held back, so opened last: {text}" for text in result.get("doubts", ())]
     if not lines:
         return (
             "<p>All ports could be tested, and the runs move enough to show what joints do.</p>"
