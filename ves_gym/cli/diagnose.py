@@ -73,6 +73,7 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose, print the verdict, write the better description and the report."""
     from ves_gym import __version__
     from ves_gym.discrepancy import diagnosis as d
+    from ves_gym.discrepancy.kept import Kept
     from ves_gym.discrepancy.select import Thresholds
     from ves_gym.discrepancy.suspicion import doubt, require_as_logged
 
@@ -82,16 +83,24 @@ def run(args: argparse.Namespace) -> int:
     if not args.as_logged:
         require_as_logged(job.machine, job.runs, job.mistakes)
     folder = out_dir(args, "out/diagnose")
-    with progress() as tell:
-        found = d.diagnose(
-            job.machine,
-            job.runs,
-            job.final,
-            candidates=job.candidates,
-            limits=Thresholds(most=args.most),
-            progress=lambda done, what: tell("diagnose", done),
-            seed=args.seed,
-        )
+    kept = Kept(folder, [job.described, job.digests])
+    if kept.known:
+        print(f"going on: {kept.known} answers are known from before", file=sys.stderr)
+    try:
+        with progress() as tell:
+            found = d.diagnose(
+                job.machine,
+                job.runs,
+                job.final,
+                candidates=job.candidates,
+                limits=Thresholds(most=args.most),
+                progress=lambda done, what: tell("diagnose", done),
+                seed=args.seed,
+                kept=kept,
+            )
+    except KeyboardInterrupt:
+        print("ves-gym: what is done is kept: run the command again", file=sys.stderr)
+        raise
     late = () if args.as_logged else job.final
     doubts = [doubt(job.machine, run, job.mistakes) for run in late]
     written = job.write(d.added(found), folder, not args.no_free_run)
@@ -113,14 +122,16 @@ def run(args: argparse.Namespace) -> int:
         "version": __version__,
         "command": shlex.join(["ves-gym", *sys.argv[1:]]),
     }
-    _print(found, result)
-    for path in written.files:
-        print(path)
     write_json(args.json, result)
     write_json(str(folder / "diagnosis.json"), result)
     write_text(folder / "verdict.txt", found.sentence + "\n")
+    shown = list(written.files)
     if not args.no_figures:
-        _report({**result, "diff": written.diff}, found, folder / "diagnosis.html")
+        shown += _report({**result, "diff": written.diff}, found, folder / "diagnosis.html")
+    kept.done()
+    _print(found, result)
+    for path in shown:
+        print(path)
     return 1 if found.verdict in (d.UNKNOWN, d.MORE, d.WEAK) else 0
 
 
@@ -135,16 +146,16 @@ def _job(args: argparse.Namespace) -> Job:
     return mjcf_job(args.logs, args.machine, **how)
 
 
-def _report(result: dict[str, Any], found: Any, path: Path) -> None:
+def _report(result: dict[str, Any], found: Any, path: Path) -> list[Path]:
     """Write the HTML report; a machine without the extra gets everything else."""
     if importlib.util.find_spec("matplotlib") is None:
         print("no HTML report: it needs matplotlib; pip install 'ves-gym[report]'")
-        return
+        return []
     from ves_gym.discrepancy.findings import overlays
     from ves_gym.report.diagnosis import write_page
 
     write_page({**result, "overlays": overlays(found.selection, found.evidence)}, path)
-    print(path)
+    return [path]
 
 
 def _print(found: Any, result: dict[str, Any]) -> None:

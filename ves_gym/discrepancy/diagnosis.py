@@ -31,6 +31,7 @@ from ves_gym.discrepancy.findings import (
 )
 from ves_gym.discrepancy.fit import Fit, residuals_of
 from ves_gym.discrepancy.intervals import intervals, stretches
+from ves_gym.discrepancy.kept import Kept, KeptEvidence
 from ves_gym.discrepancy.machine import Machine, untestable
 from ves_gym.discrepancy.runs import Run
 from ves_gym.discrepancy.select import Rival, Selection, Thresholds, select, unexplained
@@ -152,6 +153,7 @@ def diagnose(
     limits: Thresholds | None = None,
     progress: Progress = lambda done, what: None,
     seed: int = 0,
+    kept: Kept | None = None,
 ) -> Diagnosis:
     """Find where machine and runs disagree and name what is missing.
 
@@ -160,6 +162,7 @@ def diagnose(
         candidates: the library.
         progress: called with the fraction done and a few words.
         seed: of the noise draws.
+        kept: where answers of the machine are kept until all is done.
     """
     limits = limits or Thresholds()
     clock = [time.perf_counter()]
@@ -170,7 +173,10 @@ def diagnose(
         seconds[name] = clock[-1] - clock[-2]
 
     progress(0.0, "residuals")
-    evidence = Evidence(machine, runs, seed)
+    if kept is None:
+        evidence = Evidence(machine, runs, seed)
+    else:
+        evidence = KeptEvidence(machine, runs, seed, kept)
     lap("locate")
     bank = Bank(evidence, candidates, lambda done: progress(0.1 + 0.5 * done, "signatures"))
     lap("screen")

@@ -3,7 +3,6 @@ is written. For run logs of a `System` and for data of any machine in MJCF."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from ves_gym.core.params import ParameterError
 from ves_gym.core.runlog import RunLog
 from ves_gym.core.system import System
 from ves_gym.discrepancy.candidates import Candidate, library, without
+from ves_gym.discrepancy.kept import digest_of
 from ves_gym.discrepancy.machine import Machine
 from ves_gym.discrepancy.mapping import read_machine
 from ves_gym.discrepancy.mjcf_file import described, write_machine
@@ -123,7 +123,7 @@ def mjcf_job(
         runs=tuple(runs[i] for i in fitted),
         final=tuple(runs[i] for i in held),
         candidates=tuple(without(machine.candidates(), leave_out)),
-        digests={run.name: _digest(run) for run in runs},
+        digests={run.name: digest_of(run) for run in runs},
         described=described(Path(mapping)),
         write=write,
         mistakes=tuple((text, machine.heavier(factor)) for text, factor in _MASSES),
@@ -201,11 +201,3 @@ def _split(count: int, marked: Sequence[int], final: int | None) -> tuple[list[i
     if not fitted:
         raise ParameterError("every log is held back: none is left to fit")
     return fitted, held
-
-
-def _digest(run: Run) -> str:
-    """SHA-256 of a run's signals."""
-    sha = hashlib.sha256(repr(run.dt).encode())
-    for name, x in run.signals.items():
-        sha.update(name.encode() + x.astype("<f8").tobytes())
-    return sha.hexdigest()
