@@ -9,6 +9,7 @@ import pytest
 from ves_gym.cli.main import main
 from ves_gym.core.params import ParameterError
 from ves_gym.discrepancy import diagnosis as d
+from ves_gym.discrepancy.kept import Kept
 from ves_gym.discrepancy.mapping import read_machine
 from ves_gym.discrepancy.mjcf_file import write_machine
 from ves_gym.discrepancy.mjcf_machine import MjcfJoint, MjcfMachine
@@ -211,6 +212,40 @@ def test_a_model_whose_files_lie_elsewhere_still_finds_them(tmp_path, machine):
     written = write_machine(tmp_path / "in" / "arm.toml", own, effects, out, [moved(4)])
     assert written.difference <= 1e-9 and "+" in written.diff
     read_machine(out / "machine.toml")
+
+
+def test_a_diagnosis_that_is_interrupted_goes_on(machine, tmp_path):
+    """Nothing is computed twice, a damaged file is computed again, the answer is the same."""
+    run = moved(2, shoulder='damping="2.0"')
+
+    def answer(interrupted=False):
+        asked = []
+        kept = Kept(tmp_path, "arm")
+
+        def put(key, x):
+            asked.append(key)
+            Kept.put(kept, key, x)
+            if interrupted and len(asked) == 9:
+                raise KeyboardInterrupt
+
+        kept.put = put
+        found = d.diagnose(machine, [run], candidates=only_force(machine), kept=kept)
+        return kept, asked, found
+
+    with pytest.raises(KeyboardInterrupt):
+        answer(interrupted=True)
+    files = sorted((tmp_path / "unfinished").rglob("*.bin"))
+    assert len(files) == 9
+    files[0].write_bytes(files[0].read_bytes()[:-8])
+    kept, asked, found = answer()
+    assert kept.known == 9 and files[0].stem in asked
+    assert not {f.stem for f in files[1:]} & set(asked)
+    plain = d.diagnose(machine, [run], candidates=only_force(machine))
+    assert found.sentence == plain.sentence
+    assert found.selection.fit.deviance == plain.selection.fit.deviance
+    assert answer()[1] == []
+    kept.done()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_laws_see_a_slide_on_its_pinion(machine):
