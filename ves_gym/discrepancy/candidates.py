@@ -22,7 +22,7 @@ from ves_gym.discrepancy.machine import WRENCH
 
 _XYZ = ("x", "y", "z")
 _FILTERS = ("joint/elasticity", "joint/backlash")
-_WAVES = 8  # slow cosines of a drift
+_WAVES = 8  # a level and slow cosines of a drift
 _FREQUENCIES = tuple(np.geomspace(0.5, 6.0, 20).tolist())  # of an extra mode [Hz]
 _REACH = 0.03  # m, about which a payload sits otherwise than thought
 _GAPS = (2e-3, *np.geomspace(1e-3, 3e-2, 7).tolist())  # rad
@@ -268,7 +268,14 @@ def _joint(shelf: _Shelf, j: int, n: int) -> None:
         compliance=(1e-4, 3e-4, 3e-5),
         damping=30.0,
     )
-    add("backlash", each("gap"), "joint wrench", sets_in=True, gap=_GAPS)
+    add(
+        "backlash",
+        each("gap"),
+        "joint wrench",
+        limits={"gap": (2e-4, 0.1, "rad")},  # less is the teeth's own compliance
+        sets_in=True,
+        gap=_GAPS,
+    )
     add(  # sine and cosine in place of amplitude and phase: a fit has no corner at zero
         "ripple",
         lambda x: {
@@ -328,7 +335,7 @@ def _sensor(shelf: _Shelf) -> None:
 
 
 def _drift(i: int, runs: Sequence[str]) -> Candidate:
-    """Drift of one signal: slow cosines in each run, each with a weight of its own."""
+    """Drift of one signal: a level and slow cosines in each run, each with its own weight."""
     k = _WAVES * len(runs)
     unit = "N" if i < 3 else "N m"
 
@@ -340,7 +347,7 @@ def _drift(i: int, runs: Sequence[str]) -> Candidate:
         kind="sensor/drift",
         slot=WRENCH[i],
         ports=("wrench",),
-        names=tuple(f"{r} {j + 1}" for r in runs for j in range(_WAVES)),
+        names=tuple(f"{r} {j}" for r in runs for j in range(_WAVES)),
         units=(unit,) * k,
         starts=((1.0,) * k,),
         low=(-100.0,) * k,

@@ -13,7 +13,7 @@ from ves_gym.effects import SensorDrift
 
 @dataclass(frozen=True)
 class SlowPath:
-    """One course that a drifting sensor signal took: per run, weights of slow cosines."""
+    """One course that a drifting sensor signal took: per run, a level and slow cosines."""
 
     channel: int
     weights: tuple[tuple[str, tuple[float, ...]], ...]  # run -> weight of each
@@ -22,13 +22,13 @@ class SlowPath:
         """(T,) in this run; none in one it does not know."""
         weights = dict(self.weights).get(run.name, ())
         t = (np.arange(run.length) + 0.5) / run.length
-        waves = (w * np.cos(np.pi * (k + 1) * t) for k, w in enumerate(weights))
+        waves = (w * np.cos(np.pi * k * t) for k, w in enumerate(weights))
         return np.asarray(sum(waves, np.zeros(run.length)))
 
     @property
     def effect(self) -> SensorDrift:
         """A drift of this size (root mean square over the runs)."""
-        power = [sum(w * w for w in each) / 2 for _, each in self.weights]
+        power = [each[0] ** 2 + sum(w * w for w in each[1:]) / 2 for _, each in self.weights]
         signal = np.zeros(6)
         signal[self.channel] = np.sqrt(np.mean(power))
         return SensorDrift(force=tuple(signal[:3].tolist()), moment=tuple(signal[3:].tolist()))

@@ -43,13 +43,11 @@ class Fit:
         """The effects."""
         return tuple(c.effect(v) for c, v in zip(self.candidates, self.values, strict=True))
 
-    @property
-    def on_bound(self) -> bool:
-        """Whether a number ended at the edge of its range."""
-        return any(
-            bool(((v <= np.array(c.low)) | (v >= np.array(c.high))).any())
-            for c, v in zip(self.candidates, self.values, strict=True)
-        )
+    def on_bound(self, i: int) -> bool:
+        """Whether a size of the effect in place i ended at the edge of its range."""
+        c, at = self.candidates[i], list(self.candidates[i].factors)
+        v, low, high = self.values[i][at], np.array(c.low)[at], np.array(c.high)[at]
+        return bool(((v <= low) | (v >= high)).any())
 
 
 def fit(evidence: Evidence, candidates: Sequence[Candidate], start: Sequence[Array]) -> Fit:
@@ -118,6 +116,9 @@ def fit(evidence: Evidence, candidates: Sequence[Candidate], start: Sequence[Arr
         x, z, now = better
         if gained < _ENOUGH:
             break
+    if scale is not None:  # x has moved on since
+        scale = noise(x)
+        now = judged(z, B)
     deviation = np.sqrt(np.maximum(np.diag(found.covariance)[b:], 0.0))
     return Fit(
         candidates=tuple(candidates),

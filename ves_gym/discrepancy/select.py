@@ -124,17 +124,16 @@ def _tried(
     scores = bank.scores(rest.residual, rest.tangents, rest.size)
     costs = [s.deviance + bank.candidates[s.candidate].price * price for s in scores]
     out: list[Fit] = []
-    for j in np.argsort(costs).tolist():
+    free = [j for j in np.argsort(costs).tolist() if bank.candidates[j].name not in taken]
+    for j in free[:count]:
         candidate = bank.candidates[j]
-        if candidate.name in taken:
-            continue
-        if len(out) == count or (
-            out and costs[j] > min(cost(f, evidence) for f in out) + _HOPELESS
-        ):
+        if out and costs[j] > min(cost(f, evidence) for f in out) + _HOPELESS:
             break
         some = (*rest.candidates[:i], candidate, *rest.candidates[i:])
         start = (*rest.values[:i], scores[j].values, *rest.values[i:])
-        out.append(fit(evidence, some, start))
+        tried = fit(evidence, some, start)
+        if not tried.on_bound(i):
+            out.append(tried)
     return out
 
 
