@@ -132,6 +132,9 @@ def _named(found: Found) -> str:
         names = ", ".join(dict.fromkeys(r.candidate.name for r in found.rivals))
         return f"one of {{{names}}}"
     c = found.candidate
+    path = c.effect(found.values)
+    if isinstance(path, SlowPath):
+        return f"{c.name} (root mean square {path.size:.3g} {c.units[0]})"
     values = ", ".join(
         f"{name} {value:.4g}{'' if unit == '1' else ' ' + unit}"
         for name, value, unit in zip(c.names, found.values, c.units, strict=True)
@@ -194,7 +197,7 @@ def diagnose(
     faulty = faults(runs)
     verdict = _verdict(found, remaining, remaining / max(first, 1e-9), weak, limits)
     if faulty:
-        verdict = _despite(faulty, found, machine)
+        verdict = _despite(verdict, faulty, found, machine)
     progress(0.9, "runs held back")
     chosen = selection.fit if verdict in SPEAKS else selection.null
     gaps = _gaps(evidence, chosen, chosen.nuisances, selection.null.nuisances)
@@ -245,16 +248,19 @@ def _verdict(
     return ONE_OF if any(len(f.kinds) > 1 for f in found) else NAMED
 
 
-def _despite(faulty: Sequence[Fault], found: Sequence[Found], machine: Machine) -> str:
+def _despite(
+    verdict: str, faulty: Sequence[Fault], found: Sequence[Found], machine: Machine
+) -> str:
     """The verdict where the recording has faults: names, if what tells them is in order.
 
-    A tone beyond the band spoils nothing; samples that are lost do.
+    A tone beyond the band spoils nothing; samples that are lost do. An effect that is named
+    may be what makes a loop ring.
     """
     lost = {f.signal for f in faulty if f.kind == "repeats"}
     spoilt = {p.name for p in machine.ports if lost & set(p.needs)}
     if not found or any(spoilt & set(f.candidate.ports) for f in found):
         return UNKNOWN
-    return MORE
+    return MORE if verdict in SPEAKS and not all(f.shared for f in faulty) else verdict
 
 
 def _gaps(evidence: Evidence, fit: Fit, eta: Array, eta0: Array) -> tuple[Gap, ...]:

@@ -31,6 +31,9 @@ class Thresholds:
 
     chance: float = 0.005  # that anything of the library is named where nothing is missing
     gain: float = 30.0  # least gain in deviance beyond the numbers it costs
+    echo: float = (
+        0.1  # of what another effect of the same joint or axis gains: least gain beside
+    )
     most: int = 3  # effects
     alike: float = 6.0  # difference in cost below which two candidates are one class
     remains: float = 1000.0  # unexplained deviance that is more than noise
@@ -101,7 +104,14 @@ def _needed(evidence: Evidence, bank: Bank, limits: Thresholds, f: Fit, i: int) 
     """Gain in deviance for which the effect in place i is worth its numbers."""
     one = f.candidates[i]
     by_chance = float(scipy.stats.chi2.isf(limits.chance / len(bank.candidates), one.k))
-    return max(by_chance, limits.gain + one.price * float(np.log(evidence.size)) / 2)
+    # No law is quite the machine's: what one leaves behind is not another effect.
+    gains = (
+        _without(evidence, f, j).deviance - f.deviance
+        for j, c in enumerate(f.candidates)
+        if j != i and c.slot and c.slot == one.slot
+    )
+    echo = limits.echo * max(gains, default=0.0)
+    return max(by_chance, echo, limits.gain + one.price * float(np.log(evidence.size)) / 2)
 
 
 def unexplained(f: Fit, evidence: Evidence, imperfect: float = 1.0) -> float:
