@@ -80,7 +80,7 @@ class SystemMachine:
                 "motor torque less what the controller asks",
                 joints,
                 ("N m",) * n,
-                ("q_cmd", "v_cmd", "q", "tau"),
+                ("q_cmd", "v_cmd", "q", "tau", "controller"),
                 ("q_cmd", "v_cmd"),
             ),
             Port("wrench", "sensor reading less the arm's wrench", WRENCH, _N, ("q", "y", "w")),

@@ -536,7 +536,12 @@ def _change(result: Result) -> str:
     }
     lines = [tags.get(line[:1], lambda text: text)(_text(line)) for line in diff.splitlines()]
     notes = "".join(f"<li>{_text(note)}</li>" for note in result.get("notes", ()))
-    return (f"<ul>{notes}</ul>" if notes else "") + f"<pre>{chr(10).join(lines)}</pre>"
+    return (
+        "<p>Read back and played again at every port, it leaves the same residuals within"
+        f" {result['replay_difference']:.0e} of a channel's size.</p>"
+        + (f"<ul>{notes}</ul>" if notes else "")
+        + f"<pre>{chr(10).join(lines)}</pre>"
+    )
 
 
 def _provenance(result: Result) -> str:
