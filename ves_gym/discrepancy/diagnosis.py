@@ -45,6 +45,7 @@ VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK)
 _BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_inertia")
 _LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
 WORSE = 1.02  # of its gap before, or of noise: a channel that is worse
+WIDE = 1.645  # standard deviations to either side of a 90 % interval
 _COMPARED = 10  # candidates whose likeness is told
 
 Progress = Callable[[float, str], None]
@@ -367,10 +368,22 @@ def _effect(f: Found) -> dict[str, Any]:
         "name": c.name,
         "value": dict(zip(c.names, f.values.tolist(), strict=True)),
         "std": dict(zip(c.names, map(_finite, f.std), strict=True)),
+        "interval": dict(zip(c.names, _likely(f), strict=True)),  # 90 %
         "unit": dict(zip(c.names, c.units, strict=True)),
         "probability": f.probability,
         "class": [r.candidate.name for r in f.rivals],
     }
+
+
+def _likely(f: Found) -> list[tuple[float, float] | None]:
+    """90 % interval of each number, inside what it may be; None where nothing is known."""
+    out: list[tuple[float, float] | None] = []
+    for x, std, low, high in zip(
+        f.values.tolist(), f.std.tolist(), f.candidate.low, f.candidate.high, strict=True
+    ):
+        known = np.isfinite(std)
+        out.append((max(low, x - WIDE * std), min(high, x + WIDE * std)) if known else None)
+    return out
 
 
 def _finite(x: float) -> float | None:

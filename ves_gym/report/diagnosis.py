@@ -26,7 +26,6 @@ Result = dict[str, Any]
 _BEFORE, _AFTER = _COLOURS[1], _COLOURS[3]
 _MOST = 1e3  # mean square at which the colour of the map ends, if nothing is above it
 _TOLD = 2.0  # mean square from which a cell of the map says its number
-_WIDE = 1.645  # standard deviations to either side of a 90 % interval
 _VISIBLE = 0.05  # standard deviations
 _LEAST = 1e-4  # p below which it is not told apart
 _LINES = 12  # channels in the map over time
@@ -313,13 +312,12 @@ def _missing(result: Result) -> str:
     named, rows = _has_name(result), []
     for effect in shown:
         for k, (name, value) in enumerate(effect["value"].items()):
-            std = effect["std"][name]
             rows.append(
                 [
                     effect["name"] if k == 0 else "",
                     name,
                     f"{value:.5g}",
-                    _interval(value, std),
+                    _interval(effect["interval"][name]),
                     _unit(effect["unit"][name]),
                     _probability(effect["probability"]) if named and k == 0 else "",
                 ]
@@ -614,10 +612,8 @@ def _table(
     )
 
 
-def _interval(value: float, std: float | None) -> str:
-    if std is None:
-        return "not known"
-    return f"{value - _WIDE * std:.5g} to {value + _WIDE * std:.5g}"
+def _interval(ends: Sequence[float] | None) -> str:
+    return "not known" if ends is None else f"{ends[0]:.5g} to {ends[1]:.5g}"
 
 
 def _value(name: str, value: float, unit: str) -> str:
