@@ -402,7 +402,7 @@ def _candidates(result: Result) -> str:
             [
                 r["name"],
                 ", ".join(_value(k, v, r["unit"][k]) for k, v in r["value"].items()),
-                f"{r['screen']:.{digits}f}",
+                "low" if r["screen"] is None else f"{r['screen']:.{digits}f}",
                 gain,
                 f"< {_LEAST:g}" if r["p"] < _LEAST else f"{r['p']:.2g}",
                 "" if r["probability"] is None else _probability(r["probability"]),
