@@ -31,9 +31,7 @@ class Thresholds:
 
     chance: float = 0.005  # that anything of the library is named where nothing is missing
     gain: float = 30.0  # least gain in deviance beyond the numbers it costs
-    echo: float = (
-        0.1  # of what another effect of the same joint or axis gains: least gain beside
-    )
+    echo: float = 0.1  # least gain beside another effect of the same joint, in parts of its own
     most: int = 3  # effects
     alike: float = 6.0  # difference in cost below which two candidates are one class
     remains: float = 1000.0  # unexplained deviance that is more than noise
