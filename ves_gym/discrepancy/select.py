@@ -103,12 +103,12 @@ def _needed(evidence: Evidence, bank: Bank, limits: Thresholds, f: Fit, i: int) 
     one = f.candidates[i]
     by_chance = float(scipy.stats.chi2.isf(limits.chance / len(bank.candidates), one.k))
     # No law is quite the machine's: what one leaves behind is not another effect.
-    gains = (
-        _without(evidence, f, j).deviance - f.deviance
-        for j, c in enumerate(f.candidates)
-        if j != i and c.slot and c.slot == one.slot
-    )
-    echo = limits.echo * max(gains, default=0.0)
+    near = [j for j, c in enumerate(f.candidates) if j != i and c.slot == one.slot != ""]
+    echo = 0.0
+    if near:
+        rest = _without(evidence, f, i)
+        alone = [_without(evidence, rest, j - (j > i)).deviance for j in near]
+        echo = limits.echo * (max(alone) - rest.deviance)
     return max(by_chance, echo, limits.gain + one.price * float(np.log(evidence.size)) / 2)
 
 
