@@ -189,14 +189,17 @@ def diagnose(
     found = tuple(_found(selection, i, limits) for i in range(len(selection.rivals)))
     remaining = unexplained(selection.fit, evidence, limits.imperfect)
     tested = {p.name for p in evidence.ports}
-    weak = tuple(
-        c.name
+    faint = [
+        c
         for i, c in enumerate(bank.candidates)
         if c.kind in _BASIC and tested & set(c.ports) and bank.visible(i) < limits.power
-    )
-    first = unexplained(selection.null, evidence, limits.imperfect)
+    ]
+    weak = tuple(c.name for c in faint)
+    hidden = any(f.candidate.slot in _still(faint) for f in found)
     faulty = faults(runs)
-    verdict = _verdict(found, remaining, remaining / max(first, 1e-9), weak, limits)
+    gained = selection.null.deviance - selection.fit.deviance
+    share = remaining / max(remaining + gained, 1e-9)
+    verdict = _verdict(found, remaining, share, bool(weak), hidden, limits)
     if faulty:
         verdict = _despite(verdict, faulty, found, machine)
     progress(0.9, "runs held back")
@@ -236,17 +239,25 @@ def _verdict(
     found: Sequence[Found],
     remaining: float,
     share: float,
-    weak: Sequence[str],
+    weak: bool,
+    hidden: bool,
     limits: Thresholds,
 ) -> str:
-    if remaining > limits.remains:
-        return MORE if found and share < limits.explained else UNKNOWN
+    if hidden:
+        return WEAK
+    if remaining > limits.remains and (not found or share > limits.explained):
+        return UNKNOWN
     if not found:
         return WEAK if weak else NOTHING
-    places = {name.partition(" at ")[2] for name in weak}
-    if any(f.candidate.slot in places for f in found):  # what hides there may be the cause
-        return WEAK
+    if remaining > limits.more:
+        return MORE
     return ONE_OF if any(len(f.kinds) > 1 for f in found) else NAMED
+
+
+def _still(faint: Sequence[Candidate]) -> set[str]:
+    """Joints that barely move: more than one of the basic effects could not be seen there."""
+    places = [c.slot for c in faint]
+    return {place for place in places if places.count(place) > 1}
 
 
 def _despite(

@@ -206,6 +206,7 @@ class MjcfMachine:
         slots = {f"joint {i + 1}": i for i in range(n)}
         out = []
         for candidate in (c for c in every if c.kind in KINDS):
+            candidate = dataclasses.replace(candidate, blurs=())  # one form of every law here
             if candidate.kind == "joint/stribeck":
                 candidate = _excess(candidate, slots[candidate.slot], n)
             at = slots.get(candidate.slot)
