@@ -37,8 +37,6 @@ class Thresholds:
     remains: float = 400.0  # unexplained deviance that is more than noise
     more: float = 1000.0  # and beside a name
     explained: float = 0.6  # share left of what was unexplained: more, and no name is given
-        0.7  # likeness from which a candidate that cannot be told from null may be it
-    )
     imperfect: float = 1.7  # mean square that residuals of a good description may have
     power: float = 5.0  # standard deviations at which an effect of its usual size must show
     temperature: float = 4.0  # of the probabilities
