@@ -232,7 +232,8 @@ def _found(selection: Selection, i: int, limits: Thresholds) -> Found:
     near = tuple(r for r in rivals if r.cost - rivals[0].cost < limits.alike)
     first = rivals[0]
     p = sum(r.probability for r in rivals if r.candidate.kind == first.candidate.kind)
-    return Found(first.candidate, first.values, selection.fit.std[i], p, near)
+    std = limits.spread * selection.fit.std[i]
+    return Found(first.candidate, first.values, std, p, near)
 
 
 def _verdict(
