@@ -209,6 +209,10 @@ def diagnose(
     if final:
         last = Evidence(machine, final, seed + 1)
         after = _gaps(last, chosen, chosen.nuisances, selection.null.nuisances)
+        if verdict == MORE and _left(after) > limits.held_back:  # names that do not hold
+            verdict, without = UNKNOWN, selection.null
+            gaps = _gaps(evidence, without, without.nuisances, without.nuisances)
+            after = _gaps(last, without, without.nuisances, without.nuisances)
     lap("verify")
     return Diagnosis(
         verdict=verdict,
@@ -274,6 +278,14 @@ def _despite(
     if not found or any(spoilt & set(f.candidate.ports) for f in found):
         return UNKNOWN
     return MORE if verdict in SPEAKS and not all(f.shared for f in faulty) else verdict
+
+
+def _left(gaps: Sequence[Gap]) -> float:
+    """Part of the gap above noise that is left, all channels together."""
+    before, after = (
+        sum(max(getattr(g, side) ** 2 - 1, 0.0) for g in gaps) for side in ("before", "after")
+    )
+    return after / before if before else 0.0
 
 
 def _gaps(evidence: Evidence, fit: Fit, eta: Array, eta0: Array) -> tuple[Gap, ...]:

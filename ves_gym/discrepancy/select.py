@@ -36,6 +36,7 @@ class Thresholds:
     alike: float = 6.0  # difference in cost below which two candidates are one class
     remains: float = 400.0  # unexplained deviance that is more than noise
     more: float = 1000.0  # and beside a name
+    held_back: float = 0.5  # of the gap on runs held back, its mean square, that names leave
     explained: float = 0.6  # share left of what was unexplained: more, and no name is given
     imperfect: float = 1.7  # mean square that residuals of a good description may have
     power: float = 5.0  # standard deviations at which an effect of its usual size must show

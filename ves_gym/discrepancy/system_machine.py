@@ -212,10 +212,12 @@ class SystemMachine:
         base = _kept(run, "base", lambda: _base_motion(run.base))
         tau, wrench = _dynamics(arm, links, run.base.x, base, weighty)
         if any(link.gear is not None for link in arm.links):  # links lag their motors
-            through = run["tau"] - rotors * a
-            if balanced:
-                through = through + _weight(self.system.arm, q, run.base.x)
-            bent = _deflections(arm, through, run.dt)
+            given = tau  # what rigid links would take, where no torque is logged
+            if "tau" in run:
+                given = run["tau"]
+                if balanced:
+                    given = given + _weight(self.system.arm, q, run.base.x)
+            bent = _deflections(arm, given - rotors * a, run.dt)
             more = differentiated(bent, run.dt, run.band)
             links = Kinematics(*(x - d for x, d in zip(links, more, strict=True)))
             tau, wrench = _dynamics(arm, links, run.base.x, base, weighty)
