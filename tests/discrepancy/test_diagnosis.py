@@ -7,8 +7,10 @@ from ves_gym.core.params import ParameterError
 from ves_gym.core.system import System
 from ves_gym.discrepancy import diagnosis as d
 from ves_gym.discrepancy.candidates import library, without
+from ves_gym.discrepancy.evidence import Evidence
 from ves_gym.discrepancy.runs import require_plausible, run_of
 from ves_gym.discrepancy.system_machine import SystemMachine
+from ves_gym.effects import JointElasticity
 
 
 def diagnosed(logs, leave_out=()):
@@ -51,6 +53,35 @@ def test_two_effects_at_two_ports_are_both_named(hidden):
     logs = hidden(("sensor/lag", 0, 0.3, {"sign": -1.0}), ("joint/viscous", 0, 2.0, {}), seed=3)
     _, found = diagnosed(logs)
     assert names(found) == {("sensor/lag", ""), ("joint/viscous", "joint 1")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "hidden_one",
+    [("joint/coulomb", 0, 3.6, {}), ("joint/asymmetry", 1, 4.2, {"sign": 1.0})],
+)
+def test_a_friction_of_another_form_gets_one_name(hidden, hidden_one):
+    """The generator's friction builds up over a distance, which no law of the library does."""
+    _, found = diagnosed(hidden(hidden_one, seed=6))
+    assert names(found) == {(hidden_one[0], f"joint {hidden_one[1] + 1}")}
+    assert found.found[0].values[0] == pytest.approx(hidden_one[2], rel=0.15)
+
+
+def test_a_gear_gains_nothing_by_damping_noise(hidden):
+    machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
+    runs = [run_of(log, f"run-{i}") for i, log in enumerate(hidden(seed=1)[:2])]
+    evidence = Evidence(machine, runs)
+    soft = JointElasticity(compliance=(0.0, 2e-5, 0.0), damping=(0.0, 30.0, 0.0))
+    model = machine.model([soft])
+    noise = evidence.noise(model, ["joint", "wrench"])
+    highest = ("joint", 1, runs[0].band)  # of the ranges of frequency
+    group = next(g for g in evidence.groups if (g.port, g.channel, g.high) == highest)
+    moved = evidence.residual([model], ["joint", "wrench"])[0][group.part]
+    plain = np.mean(evidence.null[group.part] ** 2)
+    assert np.mean(moved**2) < 0.85 * plain  # the gear is not there, and yet
+    assert np.mean(moved**2 / noise[group.part]) > 0.95 * plain
+    untouched = evidence.part("platform")
+    assert (noise[untouched] == 1).all()
 
 
 def test_what_is_not_in_the_library_gets_no_wrong_name(hidden):
