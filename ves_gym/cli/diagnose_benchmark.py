@@ -8,7 +8,7 @@ from typing import Any
 
 from ves_gym import __version__
 from ves_gym.cli.common import out_dir, progress, write_json
-from ves_gym.core.params import ParameterError, read_table, write_text
+from ves_gym.core.params import ParameterError, canonical_json, read_table, write_text
 
 SCHEMA = "ves-diagnose-benchmark/1"
 
@@ -28,7 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--quick", action="store_true", help="30 cases")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (1)")
-    parser.add_argument("--docs", metavar="FILE", help="write the scores as Markdown")
+    parser.add_argument(
+        "--docs",
+        metavar="FILE",
+        help="write the scores as Markdown; and FILE.json: labels, answers",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
     out_dir(args, str(folder))
     with progress() as tell:
         t.run_trial(trial, args.workers, tell)
+    truth, answers = t.read_truth(trial), [t.short(a) for a in t.read_answers(trial)]
     result: dict[str, Any] = {
         "schema": SCHEMA,
         "set": args.set,
@@ -55,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         "version": __version__,
         "thresholds": t.thresholds_hash(Thresholds()),
         "seal": None,
-        "score": score(t.read_truth(trial), t.read_answers(trial)),
+        "score": score(truth, answers),
     }
     if trial.sealed:
         digest = read_table(folder / "seal.json")["digest"]
@@ -65,6 +70,10 @@ def run(args: argparse.Namespace) -> int:
     print(page, end="")
     for path in (folder / "scores.md", *([Path(args.docs)] if args.docs else [])):
         write_text(path, page)
+    if args.docs:  # all that the page is computed from
+        about = {k: v for k, v in result.items() if k != "score"}
+        whole = {**about, "labels": truth, "answers": answers}
+        write_text(Path(args.docs).with_suffix(".json"), canonical_json(whole) + "\n")
     write_json(str(folder / "scores.json"), result)
     write_json(args.json, result)
     return 0

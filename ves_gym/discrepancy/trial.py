@@ -44,6 +44,7 @@ from ves_gym.discrepancy.system_machine import SystemMachine
 
 FAILED = "failed"
 QUICK = 30
+_SCORED = ("index", "thresholds", "verdict", "why", "effects", "final", "baselines")
 SETS = ("development", "sealed")
 _GOLDEN = (math.sqrt(5) - 1) / 2
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -210,6 +211,22 @@ def read_truth(trial: Trial) -> list[dict[str, Any]]:
 def read_answers(trial: Trial) -> list[dict[str, Any]]:
     """The answers to the trial's cases, in order."""
     return [read_table(trial.answer(i)) for i in trial.cases]
+
+
+def short(answer: dict[str, Any]) -> dict[str, Any]:
+    """What of an answer is scored, numbers to six digits."""
+    kept = {k: answer[k] for k in _SCORED if k in answer}
+    kept["seconds"] = {"total": answer["seconds"]["total"]}
+    out: dict[str, Any] = _rounded(kept)
+    return out
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {k: _rounded(v) for k, v in value.items()}
+    return [_rounded(v) for v in value] if isinstance(value, list) else value
 
 
 def thresholds_hash(limits: Thresholds) -> str:

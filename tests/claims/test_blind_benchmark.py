@@ -1,0 +1,56 @@
+"""The discrepancy workflow on sealed cases: what is published is what was sealed and answered.
+
+Scores come from the answers, labels from the seal, which was committed before any diagnosis;
+thresholds are still those under which the set was answered. `ves-gym diagnose-benchmark --set
+sealed --salt docs/discrepancy-salt.txt --cases 240` answers it again (an hour).
+"""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ves_gym.discrepancy.blind.cases import mix, order_of, root_seed
+from ves_gym.discrepancy.blind.write import seal
+from ves_gym.discrepancy.score import score
+from ves_gym.discrepancy.score_page import markdown
+from ves_gym.discrepancy.select import Thresholds
+from ves_gym.discrepancy.trial import short, stratified, thresholds_hash
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+@pytest.fixture(scope="module")
+def published():
+    return json.loads((DOCS / "discrepancy-results.json").read_text("utf-8"))
+
+
+def test_labels_are_those_that_were_sealed(published):
+    sealed = json.loads((DOCS / "discrepancy-seal.json").read_text("utf-8"))
+    assert published["seal"]["digest"] == sealed["digest"]
+    assert published["cases"] == sealed["cases"]
+    labels, nonce = published["labels"], published["seal"]["nonce"]
+    assert seal(labels, nonce)[0] == sealed["digest"]
+    labels[0]["index"] += 1000
+    assert seal(labels, nonce)[0] != sealed["digest"]
+    labels[0]["index"] -= 1000
+
+
+def test_cases_are_the_stated_share_of_all_kinds(published):
+    root = root_seed("sealed", (DOCS / "discrepancy-salt.txt").read_text("utf-8").strip())
+    assert published["cases"] == stratified(240, root)
+    order, plans = order_of(root), mix()
+    for label in published["labels"]:
+        plan = plans[order[label["index"]]]
+        assert [e["kind"] for e in label["effects"]] == list(plan.kinds)
+
+
+def test_the_page_is_what_the_answers_score(published):
+    result = {**published, "score": score(published["labels"], published["answers"])}
+    assert markdown(result) == (DOCS / "discrepancy-results.md").read_text("utf-8")
+    assert [short(a) for a in published["answers"]] == published["answers"]
+
+
+def test_thresholds_are_still_those_of_the_answers(published):
+    assert published["thresholds"] == thresholds_hash(Thresholds())
+    assert {a["thresholds"] for a in published["answers"]} == {published["thresholds"]}
