@@ -29,6 +29,7 @@ from ves_gym.core.energy import TAIL, Energies, energies
 from ves_gym.core.legs import LEG_SERVOS, LegServo
 from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.playback import Recording, play_motions
+from ves_gym.core.statistics import STATISTICS, bootstrap
 from ves_gym.core.system import System
 from ves_gym.planners.best_known import near_best, scored
 from ves_gym.planners.query import Plan, Query, solve
@@ -41,7 +42,6 @@ BASELINE = "straight"
 _RECORD = 12.5e-3  # s between records, or near it
 _BATCH = 250  # motions played at once: bounds the memory of their records
 _NOTHING = 1e-4  # of the run's own peak energy: below it there is no ratio to speak of
-_RESAMPLES = 2000  # of the bootstrap
 
 Progress = Callable[[str, float], None]
 
@@ -518,12 +518,11 @@ def _median(values: Sequence[float]) -> float | None:
 
 
 def _interval(values: Sequence[float]) -> tuple[float | None, float | None]:
-    """95 % percentile bootstrap interval of the median; the same draws every time."""
+    """95 % percentile bootstrap interval of the median."""
     if not values:
         return None, None
-    draws = np.random.default_rng(0).integers(len(values), size=(_RESAMPLES, len(values)))
-    low, high = np.percentile(np.median(np.array(values)[draws], axis=1), [2.5, 97.5])
-    return float(low), float(high)
+    found = bootstrap([np.array(values)], STATISTICS["median"])
+    return found.low, found.high
 
 
 def _versions() -> dict[str, str]:
