@@ -1,0 +1,1 @@
+"""The leaderboard: entries that anybody can check, their statistics and their page."""
