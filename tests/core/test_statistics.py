@@ -44,6 +44,22 @@ def test_the_interval_holds_the_truth_as_often_as_it_says(name):
     assert 0.907 <= held <= 0.983
 
 
+def test_what_belongs_together_is_drawn_together():
+    """Five policies on the same 100 episodes, which differ more than the policies do.
+
+    Reference: the mean's standard error is that of 100 episodes, not of 500 values, as the
+    interval would have it that draws the policies' values one by one.
+    """
+    rng = np.random.default_rng(3)
+    episodes = rng.normal(size=(100, 1))
+    scores = episodes + 0.1 * rng.normal(size=(100, 5))
+    together = bootstrap([scores], STATISTICS["mean"])
+    half = 1.96 * scores.mean(axis=1).std() / np.sqrt(100)
+    assert together.high - together.low == pytest.approx(2 * half, rel=0.06)
+    apart = bootstrap(list(scores.T), STATISTICS["mean"])
+    assert apart.high - apart.low < 0.5 * (together.high - together.low)
+
+
 def test_interquartile_mean_is_that_of_the_middle_half():
     assert iqm(np.array([100.0, 1, 2, 3, 4, 5, 6, -100])) == 3.5
 
@@ -63,3 +79,5 @@ def test_wilson_interval():
     e = rate(np.array([True] * 8 + [False] * 2))
     assert e.low == pytest.approx(0.490, abs=5e-4) and e.high == pytest.approx(0.943, abs=5e-4)
     assert rate(np.ones(100, bool)).low == pytest.approx(0.963, abs=1e-3)
+    five = np.repeat(np.array([True] * 8 + [False] * 2)[:, None], 5, axis=1)
+    assert rate(five) == rate(five.mean(axis=1)) == e

@@ -43,14 +43,28 @@ STATISTICS: dict[str, Statistic] = {
 
 
 def bootstrap(strata: Sequence[Array], statistic: Statistic) -> Estimate:
-    """Percentile interval of a statistic of all values; every stratum keeps its size."""
-    rng = np.random.Generator(np.random.PCG64(0))
-    drawn = [g[rng.integers(len(g), size=(RESAMPLES, len(g)))] for g in strata]
+    """Percentile interval of a statistic of all values; every stratum keeps its size.
+
+    Args:
+        strata: each (n,), or (n, m): m values that belong together and are drawn together,
+            such as the same episode under m policies.
+        statistic: of the last axis.
+    """
+    whole = np.concatenate([g.ravel() for g in strata])
     with np.errstate(invalid="ignore"):  # inf - inf inside a median
-        spread = statistic(np.concatenate(drawn, axis=1))
-        value = float(statistic(np.concatenate(strata)))
-    low, high = interval(spread)
+        value = float(statistic(whole))
+    low, high = interval(resample(strata, statistic))
     return Estimate(value, float(low), float(high))
+
+
+def resample(strata: Sequence[Array], statistic: Statistic) -> Array:
+    """The statistic of every draw, (RESAMPLES,); strata of equal sizes are drawn alike."""
+    rng = np.random.Generator(np.random.PCG64(0))
+    drawn = [
+        g[rng.integers(len(g), size=(RESAMPLES, len(g)))].reshape(RESAMPLES, -1) for g in strata
+    ]
+    with np.errstate(invalid="ignore"):
+        return np.asarray(statistic(np.concatenate(drawn, axis=1)))
 
 
 def interval(spread: Array) -> tuple[Array, Array]:
@@ -62,8 +76,12 @@ def interval(spread: Array) -> tuple[Array, Array]:
     return ordered[int(0.025 * n)], ordered[int(0.975 * n) - 1]
 
 
-def rate(hits: Mask) -> Estimate:
-    """Share of hits with its Wilson interval: a bootstrap of all or none has no width."""
+def rate(hits: Array | Mask) -> Estimate:
+    """Share of hits with its Wilson interval: a bootstrap of all or none has no width.
+
+    Hits (n,) or (n, m), or shares of hits (n,): what belongs together counts once for the
+    width, as if the m always agreed.
+    """
     n, p = len(hits), float(hits.mean())
     middle = (p + _Z**2 / (2 * n)) / (1 + _Z**2 / n)
     half = _Z * np.sqrt(p * (1 - p) / n + (_Z / (2 * n)) ** 2) / (1 + _Z**2 / n)
