@@ -51,6 +51,18 @@ def test_training_seeds_are_columns(make_entry):
     assert s.by_training_seed(entry) == [2.5, 12.5]
 
 
+def test_a_share_is_a_mean_and_its_worst_is_one(make_entry):
+    """Ten of a hundred wrong, five failed: 0.15. The middle half alone would say 0."""
+    scores = [1.0] * 10 + [None] * 5 + [0.0] * 85
+    entry = make_entry(scores=scores, track="discrepancy")
+    found = s.score([entry])
+    assert found.value == pytest.approx(0.15)
+    half = 1.96 * np.sqrt(0.15 * 0.85 / 100)  # binomial
+    assert found.low == pytest.approx(0.15 - half, abs=0.011)
+    assert found.high == pytest.approx(0.15 + half, abs=0.011)
+    assert s.standings([[entry]])[0].score == found
+
+
 def test_problems_are_strata(make_entry):
     """Within each problem all scores are the same: nothing is left to chance.
 

@@ -69,7 +69,7 @@ def test_seeds_are_not_mixed(journal):
     assert only["lines"] == [6] and only["rank"] == [1, 1, 1]
 
 
-def test_all_problems_are_one_table_where_they_share_a_score(journal):
+def test_all_problems_are_one_table_where_scores_are_relative(journal):
     whole = group(make_board(journal), "paths", ALL)
     assert [e["name"] for e in whole["entries"]] == ["refined", "straight"]
     assert whole["entries"][0]["episodes"] == 60 and whole["entries"][0]["lines"] == [1, 5]
@@ -84,6 +84,22 @@ def test_what_cannot_be_compared_is_named_not_ranked(journal):
     assert more["line"] == 8 and more["why"] == "other episodes than the rest"
     names = {e["name"] for t in board["tracks"] for g in t["groups"] for e in g["entries"]}
     assert names == {"refined", "straight", "ppo"}
+
+
+def test_scores_of_different_scales_are_not_pooled(tmp_path, make_entry, noisy_scores):
+    path = tmp_path / "board.jsonl"
+    for problem in ("ves/PumaReach-v0", "ves/BeamLQR-v0"):
+        append(path, make_entry(scores=noisy_scores(1.0), problem=problem, track="policies"))
+    (track,) = make_board(read(path))["tracks"]
+    assert [g["problem"] for g in track["groups"]] == ["ves/BeamLQR-v0", "ves/PumaReach-v0"]
+
+
+def test_a_share_has_no_profile(tmp_path, make_entry):
+    entry = make_entry(scores=[0.0, 1.0] * 60, track="discrepancy", problem="blind-development")
+    append(tmp_path / "board.jsonl", entry)
+    (only,) = make_board(read(tmp_path / "board.jsonl"))["tracks"][0]["groups"]
+    assert (only["statistic"], only["profiles"]) == ("mean", None)
+    assert only["entries"][0]["score"][0] == 0.5
 
 
 def test_an_older_protocol_does_not_count(tmp_path, make_entry, noisy_scores):

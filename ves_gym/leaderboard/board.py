@@ -25,6 +25,7 @@ TRACKS = {  # in the order of the page
     "discrepancy": "Discrepancy",
 }
 ENERGIES = ("E_mean", "E_peak", "E_res")
+RELATIVE = ("paths",)  # tracks whose scores mean the same in every problem
 _COMPARED = 12  # entries in the matrix of improvements: the best
 _POINTS = 41  # of profiles and anytime curves
 _DIGITS = 6
@@ -95,7 +96,7 @@ def _cells(
         out[key] = [(r,) for r in _alike(some, unranked)]
     for track, seeds in sorted({(k[0], k[2]) for k in out}):
         problems = sorted(k for k in out if (k[0], k[2]) == (track, seeds))
-        whole = _over_all([out[k] for k in problems])
+        whole = _over_all([out[k] for k in problems]) if track in RELATIVE else []
         if whole:
             out[track, ALL, seeds] = whole
     return out
@@ -117,9 +118,8 @@ def _kind(entry: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def _over_all(problems: list[list[Candidate]]) -> list[Candidate]:
-    """Who has an entry in every problem of a track, where these share one score."""
-    first = problems[0][0][0].entry["score"]
-    if len(problems) < 2 or any(p[0][0].entry["score"] != first for p in problems):
+    """Who has an entry in every problem of a track."""
+    if len(problems) < 2:
         return []
     by_name = [
         {(c[0].entry["author"], c[0].entry["name"]): c[0] for c in some} for some in problems
@@ -131,6 +131,7 @@ def _over_all(problems: list[list[Candidate]]) -> list[Candidate]:
 
 def _why(record: Record, reason: str) -> Plain:
     e = record.entry
+    reason = reason.removeprefix(f"{e['name']} on {e['problem']}: ")
     return {"line": record.index + 1, "name": e["name"], "problem": e["problem"], "why": reason}
 
 
@@ -145,7 +146,6 @@ def _group(problem: str, seeds: str, candidates: list[Candidate]) -> Plain:
     candidates, entries, stand = (
         [some[k] for k in order] for some in (candidates, entries, stand)
     )
-    at = statistics.thresholds([e for some in entries for e in some], _POINTS)
     first = entries[0][0]
     return {
         "problem": problem,
@@ -161,10 +161,10 @@ def _group(problem: str, seeds: str, candidates: list[Candidate]) -> Plain:
             }
             for c, some, place in zip(candidates, entries, stand, strict=True)
         ],
-        "profiles": {
-            "at": _plain(at),
-            "curves": [[_plain(k, 4) for k in statistics.profile(e, at)[1:]] for e in entries],
-        },
+        "statistic": statistics.STATISTIC[first["track"]],
+        "profiles": _profiles(entries)
+        if statistics.STATISTIC[first["track"]] == "iqm"
+        else None,
         "improvement": [
             [_plain(statistics.improvement(a, b), 4) for b in entries[i + 1 : _COMPARED]]
             for i, a in enumerate(entries[:_COMPARED])
@@ -174,9 +174,12 @@ def _group(problem: str, seeds: str, candidates: list[Candidate]) -> Plain:
 
 
 def summary(entries: Sequence[Mapping[str, Any]]) -> Plain:
-    """Numbers of one candidate that need no others."""
+    """Numbers of one candidate that need no others; without those that no row has."""
     rows = [row for e in entries for row in e["rows"]]
     spread = [statistics.by_training_seed(e) for e in entries]
+    middles = {
+        key: statistics.middle(entries, key) for key in (*ENERGIES, "seconds", "evaluations")
+    }
     return {
         "success": _plain(statistics.success(entries)),
         "failed": sum(bool(row["failed"]) for row in rows),
@@ -185,10 +188,7 @@ def summary(entries: Sequence[Mapping[str, Any]]) -> Plain:
         "by_training_seed": _plain(spread[0])
         if len(spread) == 1 and len(spread[0]) > 1
         else [],
-        **{
-            key: _plain(statistics.middle(entries, key))
-            for key in (*ENERGIES, "seconds", "evaluations")
-        },
+        **{key: _plain(value) for key, value in middles.items() if value is not None},
     }
 
 
@@ -207,6 +207,12 @@ def _identity(candidate: Candidate) -> Plain:
 
 
 _LEVELS = ("replayed", "reproduced")  # the second says more
+
+
+def _profiles(entries: Sequence[Sequence[Mapping[str, Any]]]) -> Plain:
+    at = statistics.thresholds([e for some in entries for e in some], _POINTS)
+    curves = [[_plain(k, 4) for k in statistics.profile(some, at)[1:]] for some in entries]
+    return {"at": _plain(at), "curves": curves}
 
 
 def _anytime(entries: Sequence[Sequence[Mapping[str, Any]]]) -> Plain | None:

@@ -1,8 +1,8 @@
 """What the leaderboard says of an entry, and of two. Lower is better in every score.
 
 An episode (a query, a case) is what is drawn in the bootstrap: always with all training seeds
-that played it, and within its problem, so problems are strata. A failure scores infinity; it
-is never left out. See docs/leaderboard/statistics.md.
+that played it, and within its problem, so problems are strata. A failure is the worst score
+there is, mostly infinity; it is never left out. See docs/leaderboard/statistics.md.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ import scipy.stats
 from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.statistics import (
     RESAMPLES,
+    STATISTICS,
     Estimate,
+    Statistic,
     bootstrap,
     interval,
     iqm,
@@ -25,7 +27,9 @@ from ves_gym.core.statistics import (
 )
 
 Entry = Mapping[str, Any]  # plain data, as it stands in the journal
-MINIMUM = {"paths": 20, "policies": 50, "damping": 50, "discrepancy": 20}  # episodes
+MINIMUM = {"paths": 20, "policies": 50, "damping": 50, "discrepancy": 100}  # episodes
+STATISTIC = {"paths": "iqm", "policies": "iqm", "damping": "iqm", "discrepancy": "mean"}
+WORST = {"discrepancy": 1.0}  # what a failure scores where the scale has an end
 
 
 class Profile(NamedTuple):
@@ -38,7 +42,7 @@ class Profile(NamedTuple):
 
 
 class Standing(NamedTuple):
-    """Interquartile mean of the score, as `score` has it; rank by it, 1 the lowest.
+    """Score, as `score` has it; rank by it, 1 the lowest.
 
     The interval of the rank is where it lies when episodes are drawn anew.
     """
@@ -48,7 +52,7 @@ class Standing(NamedTuple):
 
 
 def values(entry: Entry, key: str = "score") -> Array:
-    """A number of every row, (episodes, training seeds); what is null is infinite.
+    """A number of every row, (episodes, training seeds); what is null is the worst there is.
 
     Episodes come in the order of their ids and seeds, whatever order the rows have.
 
@@ -58,12 +62,13 @@ def values(entry: Entry, key: str = "score") -> Array:
     groups = sorted({row["group"] for row in entry["rows"]})
     column = {g: k for k, g in enumerate(groups)}
     place = {episode: k for k, episode in enumerate(episodes(entry))}
+    worst = WORST.get(entry["track"], np.inf) if key == "score" else np.inf
     out = np.full((len(place), len(groups)), np.nan)
     for row in entry["rows"]:
         at = place[row["id"], row["seed"]], column[row["group"]]
         if not np.isnan(out[at]):
             raise ParameterError(f"{_name(entry)}: {_row(row)} is there twice")
-        out[at] = np.inf if row.get(key) is None else row[key]
+        out[at] = worst if row.get(key) is None else row[key]
     missing = np.argwhere(np.isnan(out))
     if len(missing):
         episode, group = list(place)[missing[0][0]], groups[missing[0][1]]
@@ -96,8 +101,13 @@ def require_enough(entry: Entry) -> None:
 
 
 def score(entries: Sequence[Entry]) -> Estimate:
-    """Interquartile mean of the score over one or several problems; lower is better."""
-    return bootstrap([values(e) for e in entries], iqm)
+    """The track's statistic of the score over one or several problems; lower is better."""
+    return bootstrap([values(e) for e in entries], statistic(entries[0]))
+
+
+def statistic(entry: Entry) -> Statistic:
+    """What makes one score of many: interquartile mean, or the mean of what is 0 or 1."""
+    return STATISTICS[STATISTIC[entry["track"]]]
 
 
 def success(entries: Sequence[Entry]) -> Estimate:
@@ -113,8 +123,8 @@ def middle(entries: Sequence[Entry], key: str) -> float | None:
 
 
 def by_training_seed(entry: Entry) -> list[float]:
-    """Interquartile mean of the score of every training seed."""
-    return [float(k) for k in iqm(values(entry).T)]
+    """The score of every training seed alone."""
+    return [float(k) for k in statistic(entry)(values(entry).T)]
 
 
 def thresholds(entries: Sequence[Entry], points: int = 61) -> Array:
@@ -203,9 +213,10 @@ def standings(candidates: Sequence[Sequence[Entry]]) -> list[Standing]:
                 f"{_name(entries[0])} and {_name(candidates[0][0])} did not play the same"
                 " episodes"
             )
+    of = statistic(candidates[0][0])
     strata = [[values(e) for e in entries] for entries in candidates]
-    value = [float(iqm(np.concatenate([g.ravel() for g in some]))) for some in strata]
-    drawn = np.array([resample(some, iqm) for some in strata])  # (candidates, draws)
+    value = [float(of(np.concatenate([g.ravel() for g in some]))) for some in strata]
+    drawn = np.array([resample(some, of) for some in strata])  # (candidates, draws)
     rank = scipy.stats.rankdata(value, "min")
     placed = scipy.stats.rankdata(drawn, "min", axis=0)
     ends = zip(*interval(drawn.T), *interval(placed.T), strict=True)
