@@ -1,0 +1,18 @@
+"""`ves-gym leaderboard ACTION`: what there is to do with entries and their journal."""
+
+from __future__ import annotations
+
+import argparse
+
+from ves_gym.cli.leaderboard_render import add_render
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Actions and their arguments."""
+    add_render(parser.add_subparsers(metavar="ACTION", required=True))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do what was asked for."""
+    status: int = args.action(args)
+    return status
