@@ -1,5 +1,8 @@
 """The leaderboard's numbers against cases worked by hand and closed forms."""
 
+import doctest
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -216,3 +219,9 @@ def test_rows_without_a_solution_hold_an_anytime_curve_up(make_entry):
     for row in entry["rows"]:
         row["anytime"] = [[1.0, 2.0]] if row["score"] is not None else []
     assert s.anytime(entry, np.array([2.0])).tolist() == [np.inf]
+
+
+def test_the_worked_example_is_what_comes_out():
+    page = Path(__file__).parents[2] / "docs" / "leaderboard" / "statistics.md"
+    found = doctest.testfile(str(page), module_relative=False)
+    assert found.attempted > 10 and found.failed == 0

@@ -143,9 +143,9 @@ def _group(problem: str, seeds: str, candidates: list[Candidate]) -> Plain:
     entries = [[r.entry for r in c] for c in candidates]
     stand = statistics.standings(entries)
     order = sorted(range(len(candidates)), key=lambda k: (stand[k].rank.value, k))
-    candidates, entries, stand = (
-        [some[k] for k in order] for some in (candidates, entries, stand)
-    )
+    candidates = [candidates[k] for k in order]
+    entries = [entries[k] for k in order]
+    stand = [stand[k] for k in order]
     first = entries[0][0]
     return {
         "problem": problem,

@@ -116,7 +116,7 @@ def append(path: Path_, entry: Mapping[str, Any]) -> Record:
         if journal.torn:
             write_bytes(_aside(path), journal.torn)
             file.truncate(end)
-        body = {
+        body: dict[str, Any] = {
             "index": len(journal.records),
             "previous": journal.head,
             "entry": dict(entry),
