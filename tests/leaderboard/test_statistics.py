@@ -113,13 +113,14 @@ def test_the_band_of_a_profile_is_binomial(make_entry):
     assert found.high[0] == pytest.approx(0.3 + half, abs=0.005)
 
 
-def test_thresholds_hold_every_score_between_them(make_entry):
+def test_thresholds_are_where_the_scores_are(make_entry):
     some = [make_entry(scores=[0.1, 0.7, None]), make_entry(scores=[3.0, 8.0])]
     at = s.thresholds(some)
-    assert (at[0], at[-1]) == (0.1, 8.0)
-    assert np.allclose(np.diff(np.log(at)), np.log(80) / 60)
-    assert np.allclose(np.diff(s.thresholds([make_entry(scores=[-1, 5])])), 0.1)
-    assert s.profile(some, at).share[-1] == pytest.approx(4 / 5)
+    assert at.tolist() == [0.1, 0.7, 3.0, 8.0]
+    assert s.profile(some, at).share.tolist() == pytest.approx([0.2, 0.4, 0.6, 0.8])
+    many = s.thresholds([make_entry(scores=[*np.linspace(-1, 1, 99), 1e6])], 11)
+    assert len(many) == 11 and (many[0], many[-1]) == (-1, 1e6)
+    assert (np.abs(many[:-1]) <= 1).all()
     for scores in ([2.0], [0.0], [None], [-3.0]):
         at = s.thresholds([make_entry(scores=scores)])
         assert (np.diff(at) > 0).all()

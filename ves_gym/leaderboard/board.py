@@ -25,6 +25,7 @@ TRACKS = {  # in the order of the page
     "discrepancy": "Discrepancy",
 }
 ENERGIES = ("E_mean", "E_peak", "E_res")
+RATIOS = ("paths", "damping")  # tracks whose scores are ratios to something that is done today
 RELATIVE = ("paths",)  # tracks whose scores mean the same in every problem
 _COMPARED = 12  # entries in the matrix of improvements: the best
 _POINTS = 41  # of profiles and anytime curves
@@ -161,6 +162,7 @@ def _group(problem: str, seeds: str, candidates: list[Candidate]) -> Plain:
             }
             for c, some, place in zip(candidates, entries, stand, strict=True)
         ],
+        "reference": 1.0 if first["track"] in RATIOS else None,
         "statistic": statistics.STATISTIC[first["track"]],
         "profiles": _profiles(entries)
         if statistics.STATISTIC[first["track"]] == "iqm"

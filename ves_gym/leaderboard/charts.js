@@ -79,7 +79,7 @@ function drawChart(node, chart, show) {
   };
 }
 
-const short = (value) => String(Number(value.toPrecision(3)));
+const short = (value) => String(Number(value.toPrecision(3))).replace("-", "−");
 
 /** Band, line and dots of one curve; a value that is missing breaks it. */
 function drawn(curve, at, x, y) {
@@ -110,9 +110,10 @@ function drawn(curve, at, x, y) {
 const BAR = { w: 150, h: 22, pad: 5 };
 
 /** The axis all bars of a group share: from 0 if scores are above it and of one size. */
-function barAxis({ entries, score }) {
-  const scores = entries.map((e) => e.score[0]).filter(finite);
-  const ends = entries.flatMap((e) => e.score).filter(finite);
+function barAxis({ entries, reference }) {
+  const some = entries.filter((e) => finite(e.score[0]));
+  const scores = some.map((e) => e.score[0]);
+  const ends = some.flatMap((e) => e.score).filter(finite);
   if (ends.length === 0) return null;
   const sorted = [...scores].sort((a, b) => a - b);
   const [low, high] = [Math.min(...ends), Math.max(...ends)];
@@ -121,7 +122,7 @@ function barAxis({ entries, score }) {
   const from = log ? low / 1.15 : low < 0 ? low - margin : 0;
   const to = high + margin;
   const pixels = axis(from, to, BAR.pad, BAR.w - BAR.pad, log, 3);
-  return { ...pixels, from, to, log, bars: from === 0, one: score.unit === "1" && from < 1 && to > 1 };
+  return { ...pixels, from, to, log, bars: from === 0, mark: reference > from && reference < to ? reference : null };
 }
 
 /** The score as a dot, with a bar where there is a 0 to begin from; its interval as a whisker. */
@@ -136,7 +137,9 @@ function scoreBar([value, low, high], scale) {
     picture.append(svg("rect", { class: "amount", x: x(0), y: 6, width: x(value) - x(0), height: 10, rx: 1.5 }));
   }
   picture.append(svg("path", { class: "track", d: `M${BAR.pad} ${middle}H${end}` }));
-  if (scale.one) picture.append(svg("path", { class: "one", d: `M${x(1)} 2V${BAR.h - 2}` }));
+  if (scale.mark !== null) {
+    picture.append(svg("path", { class: "one", d: `M${x(scale.mark)} 2V${BAR.h - 2}` }));
+  }
   const to = finite(high) ? x(high) : end;
   const from = finite(low) ? x(low) : x(value);
   picture.append(

@@ -108,7 +108,7 @@ function prepare(g) {
 function rowOf(e) {
   if (!shown.rows.has(e)) {
     const line = el("tr", { class: e.rank[0] === 1 ? "entry best" : "entry", "data-line": e.lines[0] });
-    for (const { key, css, cell } of COLUMNS) {
+    for (const { key, css, cell } of shown.columns) {
       line.append(key === "name" ? el("th", { scope: "row", class: css }, ...cell(e))
         : el("td", { class: css ?? null, "data-key": key }, ...cell(e)));
     }
@@ -156,7 +156,7 @@ function drawOrder() {
 }
 
 const barUnit = () => (shown.axis === null ? "\u00a0"
-  : `${short(shown.axis.from)} to ${number(shown.axis.to, 2)}${shown.axis.log ? ", log" : ""}`);
+  : `${number(shown.axis.from, 2)} to ${number(shown.axis.to, 2)}${shown.axis.log ? ", log" : ""}`);
 
 function sortBy(key) {
   go({ sort: state.sort === key ? `-${key}` : key }, () => { drawTable(); drawCharts(); });
@@ -361,6 +361,8 @@ function drawProblems() {
     });
     return button;
   }));
+  const here = $("problems").querySelector("[aria-pressed=true]");
+  $("problems").scrollLeft = here.offsetLeft - $("problems").offsetLeft - 16;
 }
 
 function drawChoices() {
@@ -384,10 +386,13 @@ function drawVerdict() {
   const [lead] = first;
   const unit = g.score.unit === "1" ? "" : ` ${g.score.unit}`;
   const others = g.entries.filter((e) => e.rank[0] > 1 && e.rank[1] === 1);
-  const rest = others.length ? `, not settled against ${others.length === 1 ? others[0].name : `${others.length} others`}` : "";
-  $("verdict").replaceChildren(el("em", {}, listed(first.map((e) => e.name))), finite(lead.score[0])
-    ? ` ${first.length > 1 ? "lead" : "leads"} ${state.problem}: ${number(lead.score[0])}${unit} (95 %: ${range(lead.score)})${rest}.`
-    : ` on ${state.problem}: nobody has a finite score.`);
+  const rest = others.length ? ` not settled against ${others.length === 1 ? others[0].name : `${others.length} others`}.` : "";
+  const whole = (text) => el("span", { class: "whole" }, text); // not broken where it fits a line
+  const problem = whole(`${state.problem}:`);
+  $("verdict").replaceChildren(...finite(lead.score[0]) ? [
+    el("em", {}, listed(first.map((e) => e.name))), first.length > 1 ? " lead " : " leads ", problem, " ",
+    whole(`${number(lead.score[0])}${unit}`), " ", whole(`(95 %: ${range(lead.score)})${rest ? "," : "."}`), rest,
+  ] : [problem, " nobody has a finite score."]);
   $("about").textContent = ABOUT[state.track];
   $("score-name").textContent = `Score: ${scoreName(g)}, ${g.statistic === "iqm" ? "interquartile mean" : "mean"}.`;
 }

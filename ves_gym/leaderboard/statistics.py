@@ -128,20 +128,14 @@ def by_training_seed(entry: Entry) -> list[float]:
 
 
 def thresholds(entries: Sequence[Entry], points: int = 61) -> Array:
-    """Scores at which profiles are taken: all that occur lie between the ends.
-
-    Spaced geometrically where all scores are above zero.
-    """
+    """Scores at which profiles are taken: quantiles of all that occur, ends included."""
     found = np.concatenate([values(e).ravel() for e in entries])
     found = found[np.isfinite(found)]
     if not len(found):
         return np.array([0.0, 1.0])
-    low, high = float(found.min()), float(found.max())
-    if low == high:
-        low, high = low - 0.5 * abs(low), high + 0.5 * abs(high) + float(high == 0)
-    space = np.geomspace if low > 0 else np.linspace
-    at = space(low, high, points)
-    at[[0, -1]] = low, high  # geomspace rounds
+    at = np.unique(np.quantile(found, np.linspace(0, 1, points), method="nearest"))
+    if len(at) == 1:  # some room to either side
+        at = at + np.array([-0.5, 0.0, 0.5]) * (abs(at[0]) or 1.0)
     return np.asarray(at)
 
 
