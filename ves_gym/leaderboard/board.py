@@ -28,7 +28,7 @@ ENERGIES = ("E_mean", "E_peak", "E_res")
 RATIOS = ("paths", "damping")  # tracks whose scores are ratios to something that is done today
 RELATIVE = ("paths",)  # tracks whose scores mean the same in every problem
 _COMPARED = 12  # entries in the matrix of improvements: the best
-_POINTS = 41  # of profiles and anytime curves
+_POINTS = 41  # of anytime curves
 _DIGITS = 6
 
 Plain = dict[str, Any]
@@ -212,7 +212,7 @@ _LEVELS = ("replayed", "reproduced")  # the second says more
 
 
 def _profiles(entries: Sequence[Sequence[Mapping[str, Any]]]) -> Plain:
-    at = statistics.thresholds([e for some in entries for e in some], _POINTS)
+    at = statistics.thresholds([e for some in entries for e in some])
     curves = [[_plain(k, 4) for k in statistics.profile(some, at)[1:]] for some in entries]
     return {"at": _plain(at), "curves": curves}
 

@@ -81,20 +81,21 @@ function drawChart(node, chart, show) {
 
 const short = (value) => String(Number(value.toPrecision(3))).replace("-", "−");
 
-/** Band, line and dots of one curve; a value that is missing breaks it. */
+/** Band, line and dot of one curve: a value holds until the next; where it is missing, a gap. */
 function drawn(curve, at, x, y) {
-  const point = (value, k) => `${x.at(at[k]).toFixed(1)} ${y.at(value).toFixed(1)}`;
+  const [h, v] = [(k) => `H${x.at(at[k]).toFixed(1)}`, (value) => `V${y.at(value).toFixed(1)}`];
+  const start = (value, k) => `M${x.at(at[k]).toFixed(1)} ${y.at(value).toFixed(1)}`;
   const parts = [];
   if (curve.low) {
-    const up = curve.high.map(point);
-    const down = curve.low.map(point).reverse();
-    parts.push(svg("path", { class: "band", style: `fill:${curve.colour}`, d: `M${[...up, ...down].join("L")}Z` }));
+    let d = start(curve.low[0], 0) + v(curve.high[0]);
+    for (let k = 1; k < at.length; k++) d += h(k) + v(curve.high[k]);
+    for (let k = at.length - 1; k > 0; k--) d += v(curve.low[k]) + v(curve.low[k - 1]) + h(k - 1);
+    parts.push(svg("path", { class: "band", style: `fill:${curve.colour}`, d: `${d}Z` }));
   }
   if (curve.value) {
     let d = "";
     curve.value.forEach((value, k) => {
-      if (!finite(value)) return;
-      d += (d && finite(curve.value[k - 1]) ? "L" : "M") + point(value, k);
+      if (finite(value)) d += d && finite(curve.value[k - 1]) ? h(k) + v(value) : start(value, k);
     });
     parts.push(svg("path", { class: "curve", style: `stroke:${curve.colour}`, "stroke-dasharray": curve.dash, d }));
   }

@@ -128,15 +128,22 @@ def by_training_seed(entry: Entry) -> list[float]:
 
 
 def thresholds(entries: Sequence[Entry], points: int = 61) -> Array:
-    """Scores at which profiles are taken: quantiles of all that occur, ends included."""
+    """Scores at which profiles are taken, ends included: evenly spaced, and where scores are.
+
+    One in three is spaced evenly (geometrically where all are above zero), the others are
+    quantiles of all scores.
+    """
     found = np.concatenate([values(e).ravel() for e in entries])
     found = found[np.isfinite(found)]
     if not len(found):
         return np.array([0.0, 1.0])
-    at = np.unique(np.quantile(found, np.linspace(0, 1, points), method="nearest"))
-    if len(at) == 1:  # some room to either side
-        at = at + np.array([-0.5, 0.0, 0.5]) * (abs(at[0]) or 1.0)
-    return np.asarray(at)
+    low, high = float(found.min()), float(found.max())
+    if low == high:  # some room to either side
+        return np.array([low - 0.5 * (abs(low) or 1.0), low, high + 0.5 * (abs(high) or 1.0)])
+    space = np.geomspace if low > 0 else np.linspace
+    even = space(low, high, points // 3)[1:-1]
+    dense = np.quantile(found, np.linspace(0, 1, points - len(even)), method="nearest")
+    return np.unique(np.concatenate([even, dense]))
 
 
 def profile(entries: Sequence[Entry], at: Array) -> Profile:
