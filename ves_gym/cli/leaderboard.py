@@ -9,7 +9,13 @@ from ves_gym.cli.leaderboard_render import add_render
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Actions and their arguments."""
-    add_render(parser.add_subparsers(metavar="ACTION", required=True))
+    actions = parser.add_subparsers(metavar="ACTION", required=True)
+    add_render(actions)
+    for action in actions.choices.values():  # what every command takes, after the action too
+        for option, name in (("--json", "FILE"), ("--out", "DIR")):
+            action.add_argument(
+                option, metavar=name, default=argparse.SUPPRESS, help=argparse.SUPPRESS
+            )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -20,10 +20,6 @@ def add_render(subparsers: Any) -> None:
     parser.add_argument("--head", metavar="HASH", help="hash that its last line must have")
     parser.add_argument("--parquet", action="store_true", help="write Parquet tables as well")
     parser.add_argument("--sqlite", action="store_true", help="write an SQLite file as well")
-    for name, what in (("--out", "folder of the page"), ("--json", "write the board as JSON")):
-        # given here or before the action: what is not given here leaves the other
-        metavar = "DIR" if name == "--out" else "FILE"
-        parser.add_argument(name, metavar=metavar, default=argparse.SUPPRESS, help=what)
     parser.set_defaults(action=render)
 
 
