@@ -33,15 +33,15 @@ def test_what_lies_between_strata_is_not_sampled():
 
 @pytest.mark.parametrize("name", ["mean", "median", "iqm"])
 def test_the_interval_holds_the_truth_as_often_as_it_says(name):
-    """400 samples of 100 from a normal distribution, whose centre is 0 for all three.
+    """200 samples of 100 from a normal distribution, whose centre is 0 for all three.
 
-    Reference: 95 %; tolerance: three standard errors of 400 trials (3.3 %) and the
+    Reference: 95 %; tolerance: three standard errors of 200 trials (4.6 %) and the
     percentile bootstrap's lack at 100 values (below 1 %).
     """
     rng = np.random.default_rng(7)
-    found = [bootstrap([rng.normal(size=100)], STATISTICS[name]) for _ in range(400)]
+    found = [bootstrap([rng.normal(size=100)], STATISTICS[name]) for _ in range(200)]
     held = np.mean([e.low <= 0.0 <= e.high for e in found])
-    assert 0.907 <= held <= 0.983
+    assert 0.894 <= held <= 0.996
 
 
 def test_what_belongs_together_is_drawn_together():

@@ -126,6 +126,18 @@ def test_a_line_that_is_none_is_named(board, line):
     assert journal.problems[0].startswith("line 6: ")
 
 
+def test_a_chained_line_that_is_no_entry_is_named(board):
+    """Written past `append`, with hashes that hold."""
+    body = {"index": 5, "previous": read(board).head, "entry": {"score": 0}}
+    line = json.dumps(
+        {**body, "hash": content_hash(body)}, sort_keys=True, separators=(",", ":")
+    )
+    with open(board, "a") as file:
+        file.write(line + "\n")
+    (problem,) = check(board).problems
+    assert problem.startswith("line 6: ") and "entry" in problem
+
+
 # --------------------------------------------------------------------------- faults
 
 

@@ -189,6 +189,10 @@ def _problem(record: Record, index: int, previous: str) -> str:
     body = {"index": record.index, "previous": record.previous, "entry": record.entry}
     if content_hash(body) != record.hash:
         return "changed: its content has another hash than it says"
+    try:
+        check_entry(record.entry)
+    except ParameterError as error:
+        return str(error)
     if previous and record.previous != previous:
         return "does not follow the line before: one was changed, removed or put in there"
     if record.index != index:
