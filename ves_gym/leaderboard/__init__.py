@@ -1,1 +1,1 @@
-"""The leaderboard: entries that anybody can check, their statistics and their page."""
+"""Reproducible leaderboard: entries, bundles that prove them, and their verification."""
