@@ -180,7 +180,7 @@ class Paths:
         told: Sequence[dict],
     ) -> list[Row]:
         queries = self.queries(problem, seeds)
-        straight = _played(queries, [q.straight for q in queries])
+        straight = _played(queries, [q.straight for q in queries], account=False)
         out: list[Row] = []
         for group in range(len(method.seeds)):
             part = slice(group * len(queries), (group + 1) * len(queries))
@@ -251,32 +251,45 @@ def _motion(query: Query, control: Array) -> Motion:
 
 
 def _played(
-    queries: Sequence[Query], motions: Sequence[Motion | None]
+    queries: Sequence[Query], motions: Sequence[Motion | None], account: bool = True
 ) -> list[Energies | None]:
-    """Energies of the motions that there are; their account must close."""
+    """Energies of the motions that there are; with `account`, theirs must close."""
     some = [k for k, m in enumerate(motions) if m is not None]
     out: list[Energies | None] = [None] * len(queries)
     for at in range(0, len(some), _AT_ONCE):
         part = some[at : at + _AT_ONCE]
-        for k, found in zip(part, _batch(queries, motions, part), strict=True):
+        for k, found in zip(part, _batch(queries, motions, part, account), strict=True):
             out[k] = found
     return out
 
 
 def _batch(
-    queries: Sequence[Query], motions: Sequence[Motion | None], which: Sequence[int]
+    queries: Sequence[Query],
+    motions: Sequence[Motion | None],
+    which: Sequence[int],
+    account: bool,
 ) -> list[Energies | None]:
     system, servo = queries[0].system, queries[0].servo
     some = [m for k in which if (m := motions[k]) is not None]
     try:
         run = play_motions(system, some, servo=servo, settle=TAIL, record_dt=_RECORD)
-        dense = play_motions(
-            system, some, servo=servo, settle=_SETTLE, record_dt=system.physics_dt
-        )
+        if account:
+            _require_account(queries, some, which)
     except Divergence:
         if len(which) == 1:
             return [None]
-        return [_batch(queries, motions, [k])[0] for k in which]
+        return [_batch(queries, motions, [k], account)[0] for k in which]
+    return list(energies(system, run.t, run.q, run.y, run.yd, duration=run.duration))
+
+
+def _require_account(
+    queries: Sequence[Query], motions: Sequence[Motion], which: Sequence[int]
+) -> None:
+    """Play the motions again with a record per physics step, as the ledger needs it."""
+    system, servo = queries[0].system, queries[0].servo
+    dense = play_motions(
+        system, motions, servo=servo, settle=_SETTLE, record_dt=system.physics_dt
+    )
     for i, k in enumerate(which):
         relative = ledger(dense.log(i)).relative
         if not relative <= LEDGER_PATHS:
@@ -285,7 +298,6 @@ def _batch(
                 f"{queries[k].name}: {relative:.3g} of the work through the base port is"
                 f" unaccounted for, at most {LEDGER_PATHS:g}",
             )
-    return list(energies(system, run.t, run.q, run.y, run.yd, duration=run.duration))
 
 
 def _alike(a: Row, b: Row) -> bool:

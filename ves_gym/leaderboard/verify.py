@@ -97,6 +97,14 @@ def verify(
     return _entry(manifest, found, level, own)
 
 
+def bundle_manifest(path: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes]:
+    """A bundle's manifest, checked by itself alone, and its bytes."""
+    members = read_members(path)
+    if MANIFEST not in members:
+        raise Rejection(Code.MISSING_MEMBER, f"there is no {MANIFEST}")
+    return read_manifest(members[MANIFEST]), members[MANIFEST]
+
+
 def _problem(manifest: Plain) -> Problem:
     name = manifest["track"]
     if name not in PROTOCOL:
