@@ -9,6 +9,7 @@ import importlib.util
 import statistics
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,9 @@ def _add_import(actions: Any) -> None:
         "--trust", action="store_true",
         help="you made the zip, or would run a program from where it comes",
     )  # fmt: skip
+    parser.add_argument(
+        "--hold", type=int, default=1, metavar="N", help="periods that an action is held (1)"
+    )
     parser.set_defaults(action=_import)
 
 
@@ -173,14 +177,10 @@ def _import(args: argparse.Namespace) -> int:
     except OSError as error:
         raise ParameterError(f"{args.zip}: cannot be read: {error.strerror}") from None
     policy = read_sb3_zip(args.zip, args.algorithm, trusted=args.trust)
-    print(
-        f"trusted {args.zip}: its pickles were run (SHA-256 {hashlib.sha256(data).hexdigest()})"
-    )
-    policy.about = {
-        **policy.about,
-        "algorithm": args.algorithm.lower(),
-        "source": hashlib.sha256(data).hexdigest(),
-    }
+    source = hashlib.sha256(data).hexdigest()
+    print(f"trusted {args.zip}: its pickles were run (SHA-256 {source})")
+    policy.network = replace(policy.network, hold=args.hold)
+    policy.about = {**policy.about, "algorithm": args.algorithm.lower(), "source": source}
     print(f"written {save_policy(policy, args.policy)}")
     return 0
 

@@ -144,6 +144,8 @@ def _check_method(plain: dict[str, Any]) -> None:
         len(method["weights"]) != (len(method["seeds"]) if policy else 0)
     ):
         raise ParameterError("a policy has an architecture and weights per seed, others none")
+    if policy and method["name"]:
+        raise ParameterError("method.name is of what is built in: none for a policy")
 
 
 def _list(value: Any, where: str, most: int, least: int = 0) -> list[Any]:
