@@ -97,11 +97,10 @@ def _read_file(path: Path, name: str) -> bytes:
         handle = os.open(path, flags | getattr(os, "O_BINARY", 0))
     except OSError as error:
         raise _unsafe(f"{name} cannot be opened as a file: {error.strerror}") from None
+    if not stat.S_ISREG(os.fstat(handle).st_mode) or path.is_symlink():
+        os.close(handle)
+        raise _unsafe(f"{name} is no regular file")
     with os.fdopen(handle, "rb") as file:
-        about = os.fstat(file.fileno())
-        if not stat.S_ISREG(about.st_mode) or path.is_symlink():
-            raise _unsafe(f"{name} is no regular file")
-        _require(name, about.st_size)
         data = file.read((limit(name) or 0) + 1)
     _require(name, len(data))
     return data

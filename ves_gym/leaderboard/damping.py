@@ -35,6 +35,7 @@ from ves_gym.planners.pped import OBJECTIVES, WIDE, Gains, plant_at, tune
 from ves_gym.planners.release import simulate_release
 
 TUNERS = ("high", "thesis", *OBJECTIVES, *(f"{k}-full" for k in OBJECTIVES))
+_ENERGY = Damp().energy  # J, of strain at the start
 _GAINS = "gains.npy"
 _EDGE = 1 + 1e-6  # of a bound, for rounding
 
@@ -101,6 +102,21 @@ class Damping(Episodes):
         groups = len(method.seeds)
         return self._released(problem, seeds, method, gains.reshape(groups, -1, 2, n, n))
 
+    def require_possible(self, problem: Problem, seeds: Seeds, rows: Sequence[Row]) -> None:
+        """See `Track`."""
+        system = self.system(problem).ideal()
+        for line in rows:
+            floor.require_energies(line)
+            if line["score"] is None or line["E_int"] is None or line["E_peak"] is None:
+                continue
+            least = floor.strain_floor(system, _ENERGY, line["E_peak"])
+            if line["E_int"] < least:
+                raise Rejection(
+                    Code.BELOW_FLOOR,
+                    f"{line['id']}: E_int {line['E_int']:.3g} J s, the base cannot give its"
+                    f" energy away faster than {least:.3g} J s",
+                )
+
     def again(
         self,
         problem: Problem,
@@ -138,20 +154,6 @@ class Damping(Episodes):
             for own, its in zip(found.rows, held.rows, strict=True)
         ]
 
-    def _require_possible(self, problem: Problem, line: Row) -> None:
-        floor.require_energies(line)
-        if line["score"] is None or line["E_int"] is None or line["E_peak"] is None:
-            return
-        system = self.system(problem).ideal()
-        energy = Damp(system=system.replace(physics_dt=2.5e-3)).energy
-        least = floor.strain_floor(system, energy, line["E_peak"])
-        if line["E_int"] < least:
-            raise Rejection(
-                Code.BELOW_FLOOR,
-                f"{line['id']}: E_int {line['E_int']:.3g} J s, the base cannot give its energy"
-                f" away faster than {least:.3g} J s",
-            )
-
     def _released(
         self, problem: Problem, seeds: Seeds, method: Method, found: Array
     ) -> list[Row]:
@@ -163,7 +165,6 @@ class Damping(Episodes):
                 asked, releases(problem, seeds), found[group], strict=True
             ):
                 line = _let_go(system, case, group, q, y, [high, Gains(K, B)])
-                self._require_possible(problem, line)
                 out.append(line)
         return out
 

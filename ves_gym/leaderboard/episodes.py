@@ -113,9 +113,14 @@ class Episodes:
                     raise _length(line["seed"] - seeds.root, len(parts[line["seed"]]), line)
             _require_ledger(again.account.residuals(), seeds)
             out += self._rows(problem, seeds, method, group, found)
-        for line in out:
-            self._require_possible(problem, line)
         return out
+
+    def require_possible(self, problem: Problem, seeds: Seeds, rows: Sequence[Row]) -> None:
+        """See `Track`. No term of these tasks' rewards is ever above zero."""
+        for line in rows:
+            floor.require_energies(line)
+            if line["score"] is not None and line["score"] < 0:
+                raise Rejection(Code.BELOW_FLOOR, f"{line['id']}: a return above zero")
 
     def again(
         self,
@@ -167,11 +172,6 @@ class Episodes:
     def _scores(self, problem: Problem, seeds: Seeds, found: Evaluation) -> list[float | None]:
         """Lower is better: the return turned round. Returns of these tasks are never > 0."""
         return [0.0 - line["return"] for line in found.rows]
-
-    def _require_possible(self, problem: Problem, line: Row) -> None:
-        floor.require_energies(line)
-        if line["score"] is not None and line["score"] < 0:
-            raise Rejection(Code.BELOW_FLOOR, f"{line['id']}: a return above zero")
 
 
 def controllers_of(method: Method, members: Mapping[str, bytes]) -> list[Controller]:

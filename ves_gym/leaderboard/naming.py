@@ -108,6 +108,12 @@ class Naming:
             line["seconds"] = told["seconds"]
         return out
 
+    def require_possible(self, problem: Problem, seeds: Seeds, rows: Sequence[Row]) -> None:
+        """See `Track`. There is no energy, and the best score is 0."""
+        for line in rows:
+            if line["score"] is not None and line["score"] < 0:
+                raise Rejection(Code.BELOW_FLOOR, f"{line['id']}: a score below 0")
+
     def again(
         self,
         problem: Problem,

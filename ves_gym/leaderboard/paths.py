@@ -115,6 +115,15 @@ class Paths:
         motions = self._motions(problem, seeds, method, rows, data)
         return self._rows(problem, seeds, method, motions, told)
 
+    def require_possible(self, problem: Problem, seeds: Seeds, rows: Sequence[Row]) -> None:
+        """See `Track`."""
+        queries = self.queries(problem, seeds)
+        for k, line in enumerate(rows):
+            query = queries[k % len(queries)]
+            floor.require_energies(line)
+            least = floor.path_floor(query.system, *query.ends, query.duration)
+            floor.require_path(line, least)
+
     def again(
         self,
         problem: Problem,
@@ -190,7 +199,7 @@ class Paths:
             ]
             played = _played(queries, good)
             cases = self.cases(problem, seeds, method, group)
-            for k, (case, query) in enumerate(zip(cases, queries, strict=True)):
+            for k, case in enumerate(cases):
                 motion, own, line = motions[part][k], played[k], straight[k]
                 score = None
                 if own is not None and line is not None and line.E_mean > 0:
@@ -204,10 +213,6 @@ class Paths:
                     energies={} if own is None else own.to_dict(),
                     length=0 if motion is None else len(motion.control),
                     **told[part][k],
-                )
-                floor.require_energies(found)
-                floor.require_path(
-                    found, floor.path_floor(query.system, *query.ends, query.duration)
                 )
                 out.append(found)
         return out

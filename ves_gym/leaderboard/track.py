@@ -75,7 +75,14 @@ class Track(Protocol):
             rows: as claimed; only id, seed, group and length are read.
 
         Raises:
-            Rejection: EPISODE_LENGTH, BAD_ACTION, LEDGER_RESIDUAL, BELOW_FLOOR.
+            Rejection: EPISODE_LENGTH, BAD_ACTION, LEDGER_RESIDUAL.
+        """
+
+    def require_possible(self, problem: Problem, seeds: Seeds, rows: Sequence[Row]) -> None:
+        """Raise a Rejection (BELOW_FLOOR) where rows are better than physics permits.
+
+        Args:
+            rows: as claimed or as replayed, all of the problem and in order.
         """
 
     def again(

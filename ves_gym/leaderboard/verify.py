@@ -17,7 +17,6 @@ from ves_gym.leaderboard.archive import MANIFEST, read_members
 from ves_gym.leaderboard.bundle import digest, read_manifest
 from ves_gym.leaderboard.entry import LEVELS, Entry, check_entry
 from ves_gym.leaderboard.episodes import policies_of, policy_names, require_settings
-from ves_gym.leaderboard.floor import require_energies
 from ves_gym.leaderboard.protocol import (
     ABSOLUTE,
     FLIPPED,
@@ -87,10 +86,10 @@ def verify(
     if method.kind == "policy":
         policies_of(method, members)
     same = fingerprint.same_machine(manifest["about"])
-    for row in manifest["rows"]:
-        require_energies(row)
+    rules.require_possible(problem, seeds, manifest["rows"])
     data = members[rules.payload(problem)]
     found = rules.replay(problem, seeds, method, manifest["rows"], data)
+    rules.require_possible(problem, seeds, found)
     _compare(manifest["rows"], found, same)
     if level == "reproduced":
         rules.again(problem, seeds, method, members, found, same)
