@@ -34,7 +34,7 @@ _LEAST_SALT = 16  # characters
 
 # Elsewhere than on the same engine and instruction sets (`fingerprint.same_machine`), where
 # every bit must agree:
-RELATIVE = 1e-6  # of an energy or a score; rounding moved them by up to 2e-9
+RELATIVE = 1e-6  # of an energy or a score; without FMA and AVX2 they moved by up to 7e-14
 ABSOLUTE = 1e-9
 ACTION = 1e-3  # of actions of a policy run again, full scale 1
 FLIPPED = 0.01  # share of rows that may differ: a threshold that rounding crosses
