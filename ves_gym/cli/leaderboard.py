@@ -53,6 +53,9 @@ def _add_run(actions: Any) -> None:
         help="a built-in planner, controller, tuner or selector, or policies: .json files, a"
         " folder of ves-gym train, or the name of a released one",
     )
+    parser.add_argument(
+        "--bundle", metavar="PATH", help="to write: a new folder or a .zip file (in --out)"
+    )
     parser.add_argument("--seeds", metavar="A,B", default="0", help="of the method (0)")
     parser.add_argument("--name", help="on the board; default the method's")
     parser.add_argument("--author", default="", help="on the board")
@@ -203,13 +206,13 @@ def _method(words: Sequence[str], id: str | None) -> Any:
 
 
 def _place(args: argparse.Namespace, method: Any) -> Path:
-    """The bundle's place: --out, a folder or a .zip file."""
-    if args.out is not None:
-        return Path(args.out)
+    """The bundle's place: --bundle, or a .zip file in the folder --out."""
+    if args.bundle is not None:
+        return Path(args.bundle)
     label = args.name or (method if isinstance(method, str) else Path(method[0]).stem)
     stem = "-".join([args.track, args.problem, label])
     safe = "".join(c if c.isalnum() or c in "-_." else "-" for c in stem)
-    return Path("out/leaderboard") / f"{safe}.zip"
+    return Path(args.out or "out/leaderboard") / f"{safe}.zip"
 
 
 def _seeds(text: str) -> tuple[int, ...]:
