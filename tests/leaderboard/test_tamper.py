@@ -600,3 +600,30 @@ def test_fuzzed_arrays(data, head):
     given_ = b"\x93NUMPY\x01\x00" + data if head else data
     with pytest.raises(Rejection):
         unpack(given_, "actions.npy", (None, 3))
+
+
+@pytest.mark.parametrize(
+    "control",
+    [
+        {"kind": "guided", "jerk": 1e300},
+        {"kind": "torque", "fraction": 1e300},
+        {"kind": "torque", "damping": [1e300] * 3},
+        {"kind": "torque", "damping": [1.0]},
+        {"kind": "pd_gains"},
+        {"kind": "magic"},
+        {"kind": []},
+        "module:Class",
+        7,
+    ],
+)
+def test_controls_out_of_all_proportion(control, policy, refused):
+    bundle = Bundle(policy)
+    bundle.manifest["method"]["settings"] = {"control": control}
+    assert refused(bundle) is not None
+
+
+def test_settings_that_are_not_the_methods_to_choose(policy, refused):
+    for given_ in ({"duration": 4.0}, {"system": {}}, {"goal": 1}, {"goal": True}):
+        bundle = Bundle(policy)
+        bundle.manifest["method"]["settings"] = given_
+        assert refused(bundle) is Code.MALFORMED_MANIFEST

@@ -17,6 +17,7 @@ from ves_gym.baselines.policy import Policy, load_policy
 from ves_gym.core.params import Array, Index, Mask, ParameterError, read_table
 from ves_gym.core.system import System
 from ves_gym.envs.build import build_task
+from ves_gym.envs.task import Task
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.leaderboard import floor
 from ves_gym.leaderboard.account import Account
@@ -60,8 +61,7 @@ class Episodes:
 
     def system(self, problem: Problem) -> System:
         """See `Track`."""
-        kwargs = {k: v for k, v in gym.spec(_id(problem)).kwargs.items() if k != "goal"}
-        return build_task(**kwargs).system
+        return _task(problem, {}).system
 
     def seed_list(self, problem: Problem, seeds: Seeds) -> list[int]:
         """See `Track`."""
@@ -305,6 +305,11 @@ def _evaluate(
     )
 
 
+def _task(problem: Problem, settings: Mapping[str, Any]) -> Task:
+    given = {**gym.spec(_id(problem)).kwargs, **settings}
+    return build_task(**{k: v for k, v in given.items() if k != "goal"})
+
+
 def _id(problem: Problem) -> str:
     assert problem.environment is not None
     return problem.environment
@@ -332,10 +337,8 @@ def require_settings(problem: Problem, settings: Mapping[str, Any]) -> None:
         )
     if "goal" in settings and not isinstance(settings["goal"], bool):
         raise Rejection(Code.MALFORMED_MANIFEST, "method.settings.goal must be a truth value")
-    given = {k: v for k, v in settings.items() if k != "goal"}
-    kwargs = {k: v for k, v in gym.spec(_id(problem)).kwargs.items() if k != "goal"}
     try:
-        task = build_task(**{**kwargs, **given})
+        task = _task(problem, settings)
         if settings.get("goal") and task.goal_fields is None:
             raise ParameterError(f"task {task.kind} has no goal-conditioned variant")
     except (ValueError, TypeError, OverflowError, ArithmeticError) as error:
@@ -344,10 +347,20 @@ def require_settings(problem: Problem, settings: Mapping[str, Any]) -> None:
 
 def width_of(problem: Problem, settings: Mapping[str, Any]) -> int:
     """Numbers in an action."""
-    kwargs = {k: v for k, v in gym.spec(_id(problem)).kwargs.items() if k != "goal"}
-    given = {k: v for k, v in settings.items() if k != "goal"}
-    task = build_task(**{**kwargs, **given})
+    task = _task(problem, settings)
     return task.control.width(task.system.arm)
+
+
+def require_fit(problem: Problem, method: Method, policies: Sequence[Policy]) -> None:
+    """Raise a Rejection (BAD_WEIGHTS) unless policies take what the environment shows."""
+    task = _task(problem, method.settings)
+    wanted = sum(f.size for f in task.fields()), task.control.width(task.system.arm)
+    for policy in policies:
+        have = policy.network.sizes[0], policy.network.sizes[-1]
+        if have != wanted:
+            raise Rejection(
+                Code.BAD_WEIGHTS, f"{have} inputs and actions, the environment has {wanted}"
+            )
 
 
 def _actions(data: bytes, problem: Problem, method: Method, total: int) -> Array:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from ves_gym.discrepancy import trial as trials
 from ves_gym.discrepancy.diagnosis import MORE, NAMED, NOTHING, ONE_OF, UNKNOWN, WEAK
 from ves_gym.discrepancy.score import METHODS, OWN, fine
 from ves_gym.discrepancy.score import Case as Answered
+from ves_gym.leaderboard import fingerprint
 from ves_gym.leaderboard.entry import number, text
 from ves_gym.leaderboard.protocol import PLANNED_SHARE, Problem, Seeds
 from ves_gym.leaderboard.rejection import Code, Rejection
@@ -53,10 +56,11 @@ class Naming:
         return nominal()
 
     def trial(self, problem: Problem, seeds: Seeds) -> trials.Trial:
-        """The cases, in a folder that is theirs alone."""
+        """The cases, in a folder that is theirs alone, and that of these sources."""
         from ves_gym.discrepancy.blind.cases import mix
 
-        name = hashlib.sha256(str(seeds.root).encode()).hexdigest()[:16]
+        what = f"{seeds.root} {fingerprint.sources(('discrepancy',))}"
+        name = hashlib.sha256(what.encode()).hexdigest()[:16]
         whole = len(mix())
         cases = (
             range(whole)
@@ -127,8 +131,10 @@ class Naming:
         if method.name not in METHODS:
             raise Rejection(Code.NOT_REPRODUCIBLE, f"no selector {method.name!r:.80}")
         asked = self.trial(problem, seeds)
-        trials.run_trial(asked, self.workers)
-        mine = [_short(a, method.name) for a in trials.read_answers(asked)]
+        with tempfile.TemporaryDirectory() as folder:  # nothing that was found before
+            fresh = replace(asked, folder=Path(folder))
+            trials.run_trial(fresh, self.workers)
+            mine = [_short(a, method.name) for a in trials.read_answers(fresh)]
         its = _read(members[self.payload(problem)], list(asked.cases))
         agree = [_said(a) == _said(b) for a, b in zip(mine, its, strict=True)]
         if sum(agree) < (1.0 if same else PLANNED_SHARE) * len(agree):

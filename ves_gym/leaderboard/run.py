@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from ves_gym.baselines.controllers import CONTROLLERS, Controller, get_controller
 from ves_gym.baselines.policy import load_policy
 from ves_gym.core.params import ParameterError, to_plain
@@ -70,7 +72,8 @@ def make_bundle(
     drawn = seeds_of(asked, salt)
     rules = get_track(track, folder, workers)
     begun = _now()
-    answers, told = _answered(rules, asked, drawn, method, tuple(seeds), progress)
+    with threadpool_limits(1, user_api="blas"):  # as `verify` does
+        answers, told = _answered(rules, asked, drawn, method, tuple(seeds), progress)
     manifest = {
         "schema": SCHEMA,
         "track": track,

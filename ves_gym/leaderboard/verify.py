@@ -7,16 +7,25 @@ no submitted code runs. *Reproduced*: the method, too, is run again and must do 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ves_gym.core.params import ParameterError
 from ves_gym.leaderboard import fingerprint
 from ves_gym.leaderboard.archive import MANIFEST, read_members
 from ves_gym.leaderboard.bundle import digest, read_manifest
 from ves_gym.leaderboard.entry import LEVELS, Entry, check_entry
-from ves_gym.leaderboard.episodes import policies_of, policy_names, require_settings
+from ves_gym.leaderboard.episodes import (
+    policies_of,
+    policy_names,
+    require_fit,
+    require_settings,
+)
 from ves_gym.leaderboard.protocol import (
     ABSOLUTE,
     FLIPPED,
@@ -84,16 +93,31 @@ def verify(
         raise Rejection(Code.MALFORMED_MANIFEST, "method.settings: there is no environment")
     _require_rows(manifest["rows"], problem, seeds, method, rules)
     if method.kind == "policy":
-        policies_of(method, members)
+        require_fit(problem, method, policies_of(method, members))
     same = fingerprint.same_machine(manifest["about"])
     rules.require_possible(problem, seeds, manifest["rows"])
     data = members[rules.payload(problem)]
-    found = rules.replay(problem, seeds, method, manifest["rows"], data)
+    with _careful(Code.BAD_ACTION):
+        found = rules.replay(problem, seeds, method, manifest["rows"], data)
     rules.require_possible(problem, seeds, found)
     _compare(manifest["rows"], found, same)
     if level == "reproduced":
-        rules.again(problem, seeds, method, members, found, same)
+        with _careful(Code.NOT_REPRODUCIBLE):
+            rules.again(problem, seeds, method, members, found, same)
     return _entry(manifest, found, level, own)
+
+
+@contextmanager
+def _careful(code: Code) -> Iterator[None]:
+    """Numbers that no simulation can carry on with are the bundle's fault.
+
+    One thread of linear algebra: a sum split over several would not have the same last bits.
+    """
+    try:
+        with threadpool_limits(1, user_api="blas"), np.errstate(all="ignore"):
+            yield
+    except (ValueError, ArithmeticError) as error:
+        raise Rejection(code, f"cannot be run: {str(error)[:200]}") from None
 
 
 def bundle_manifest(path: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes]:
