@@ -8,14 +8,11 @@ system plays them again, and the difference is the emulation error.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import platform
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -31,6 +28,7 @@ from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.playback import Recording, play_motions
 from ves_gym.core.statistics import STATISTICS, bootstrap
 from ves_gym.core.system import System
+from ves_gym.core.workers import WorkerDied, Workers
 from ves_gym.planners.best_known import near_best, scored
 from ves_gym.planners.query import Plan, Query, solve
 from ves_gym.planners.registry import get_planner
@@ -152,34 +150,13 @@ def _mapped(
     if workers == 1:
         yield from map(plan, work)
         return
-    done = 0
-    while done < len(work):
-        with _pool(workers) as pool:
+    with Workers(workers, deaths=2) as pool:
+        for job, future in zip(work, [pool.submit(plan, job) for job in work], strict=True):
             try:
-                for future in [pool.submit(plan, job) for job in work[done:]]:
-                    answer = future.result()
-                    yield answer
-                    done += 1
-                return
-            except BrokenProcessPool:  # by this job or one beside it
-                pass
-        yield _alone(work[done], plan)
-        done += 1
-
-
-def _alone(job: Work, plan: Callable[[Work], Plan]) -> Plan:
-    """The plan from a process of its own, or that the process crashed."""
-    begin = time.perf_counter()
-    with _pool(1) as pool:
-        try:
-            return pool.submit(plan, job).result()
-        except BrokenProcessPool:
-            why = "the planning process crashed"
-            return Plan(job[0], job[1], None, None, time.perf_counter() - begin, why)
-
-
-def _pool(workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+                yield future.result()
+            except WorkerDied as error:
+                why = "the planning process crashed"
+                yield Plan(job[0], job[1], None, None, error.seconds, why)
 
 
 # ----------------------------------------------------------------------- simulation
