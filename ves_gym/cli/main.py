@@ -21,6 +21,7 @@ COMMANDS = {  # name -> what it does; the module of the same name is loaded when
     "train": "learn policies for an environment with PPO or SAC",
     "evaluate": "controllers and policies side by side on the same episodes",
     "leaderboard": "bundles that prove a result, their verification, and the board",
+    "sweep": "many units of work, on this machine or a cluster; goes on where it stopped",
     "pped": "joint gains that take vibration out of the base (thesis 4.3)",
     "diagnose": "where logs and description disagree, and what is missing",
     "diagnose-benchmark": "blind benchmark of diagnose: machines with something hidden",

@@ -38,7 +38,8 @@ ONE_THREAD = dict.fromkeys(
     "1",
 )
 _START = 120.0  # s for a process to come up
-_STARTS = 3  # processes in a row that may fail to
+_STARTS = 10  # processes in a row that may fail to
+_PAUSE = 0.2  # s longer before each of them
 _END = 5.0  # s that an idle process may take to end by itself
 # One start at a time, since the environment is the whole process's, and no two threads that
 # ask at once how a process ended: only one of them is told.
@@ -225,18 +226,18 @@ class _Post:
         pipe, process = self._up()
         begin = time.monotonic()
         limit = self.workers.seconds
+        allowed = _START  # s until the job's function is loaded, then the limit
         try:
             pipe.send_bytes(job.call)
         except OSError:
             self.workers.lost(job, self._end(), 0.0)
             return
         while True:
-            left = None if limit is None else max(0.0, begin + limit - time.monotonic())
+            left = None if limit is None else max(0.0, begin + allowed - time.monotonic())
             if not wait([pipe, process.sentinel], left):
                 self._end(now=True)
-                job.future.set_exception(
-                    JobTimeout(f"took longer than {limit:g} s and was killed")
-                )
+                text = f"took longer than {allowed:g} s and was killed"
+                job.future.set_exception(JobTimeout(text))
                 return
             try:  # what was said before a death counts
                 said = pipe.recv_bytes() if pipe.poll() else b""
@@ -246,7 +247,9 @@ class _Post:
                 self.workers.lost(job, self._end(), time.monotonic() - begin)
                 return
             kind, what = pickle.loads(said)
-            if kind == "note":
+            if kind == "begun":
+                begin, allowed = time.monotonic(), limit or 0.0
+            elif kind == "note":
                 self.workers.tell(job, what)
             elif kind == "result":
                 job.future.set_result(what)
@@ -263,7 +266,8 @@ class _Post:
             if up:
                 return self.pipe, self.process
         how = self._end()
-        for _ in range(_STARTS):
+        for count in range(_STARTS):
+            time.sleep(count * _PAUSE)
             context = multiprocessing.get_context("spawn")
             self.pipe, there = context.Pipe()
             # daemons: none is left behind should this process end without `close`
@@ -286,9 +290,10 @@ class _Post:
         process, pipe = self.process, self.pipe
         if process is None or pipe is None:
             return ""
-        pipe.close()  # the worker ends when it would read the next job
-        if not now:
-            wait([process.sentinel], _END)
+        if now:
+            self.kill()
+        pipe.close()  # a worker ends when it would read the next job
+        wait([process.sentinel], _END)
         with _BUSY:
             if process.is_alive():
                 process.kill()
@@ -331,10 +336,14 @@ def _serve(pipe: Connection) -> None:
             return
         try:
             function, args = pickle.loads(call)
+            pipe.send_bytes(pickle.dumps(("begun", None)))
             answer = pickle.dumps(("result", function(*args)))
         except BaseException as error:  # `sys.exit` in a job is a failure like another
-            answer = pickle.dumps(("error", _portable(error)))
-        pipe.send_bytes(answer)
+            answer = pickle.dumps(("error", portable(error)))
+        try:
+            pipe.send_bytes(answer)
+        except OSError:  # nobody is there to hear it
+            return
 
 
 def _end_with_parent() -> None:
@@ -345,8 +354,8 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _portable(error: BaseException) -> BaseException:
-    """An exception that can be sent, with where it was raised as a note."""
+def portable(error: BaseException) -> BaseException:
+    """An exception that can be sent to another process, with where it was raised as a note."""
     trace = "".join(traceback.format_exception(error))
     error = error.with_traceback(None)
     error.__cause__ = error.__context__ = None

@@ -1,1 +1,1 @@
-"""Reproducible leaderboard: entries, bundles that prove them, and their verification."""
+"""Reproducible leaderboard: entries, the bundles that prove them, and runs that outgrow a machine."""

@@ -113,6 +113,19 @@ def run_benchmark(
     }
 
 
+def run_query(planner: str, vehicle: str, query: Query, seed: int = 0) -> dict[str, Any]:
+    """One planner's answer to one query, simulated: a row of `run_benchmark`.
+
+    Energies relative to the straight line's are not in it, for that is another row.
+
+    Args:
+        vehicle: its name, for the row.
+    """
+    plan = _plan_one((planner, replace(query, system=query.system.ideal()), seed))
+    runs = [_Run(planner, vehicle, plan, query.system)]
+    return _simulate_all(runs, seed, lambda stage, done: None)[0][0]
+
+
 # ------------------------------------------------------------------------- planning
 
 Job = tuple[str, str, Query]  # planner, vehicle, query
