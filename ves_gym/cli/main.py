@@ -22,6 +22,8 @@ COMMANDS = {  # name -> what it does; the module of the same name is loaded when
     "evaluate": "controllers and policies side by side on the same episodes",
     "leaderboard": "bundles that prove a result, their verification, and the board",
     "sweep": "many units of work, on this machine or a cluster; goes on where it stopped",
+    "search": "the settings of a sweep that do best, found with Optuna",
+    "merge": "one table of the results of sweeps",
     "pped": "joint gains that take vibration out of the base (thesis 4.3)",
     "diagnose": "where logs and description disagree, and what is missing",
     "diagnose-benchmark": "blind benchmark of diagnose: machines with something hidden",

@@ -116,10 +116,11 @@ def read_search(path: str | os.PathLike[str]) -> tuple[Search, dict[str, Any]]:
         raise ParameterError(f"{where}.space must be a table, got {space!r}")
     axes = {k: from_plain(Axis, v, f"{where}.space.{k}") for k, v in space.items()}
     search: Search = from_plain(_Plain, {**given, "space": space}, where).search(axes)
+    changed = table
     for name, axis in axes.items():  # every path leads somewhere
         some = axis.choices[0] if axis.choices else axis.low
-        _put(table, name, int(some) if axis.integer else some)  # type: ignore[arg-type]
-    spec_from_plain(table, str(path))
+        changed = _put(changed, name, int(some) if axis.integer else some)  # type: ignore[arg-type]
+    spec_from_plain(changed, str(path))
     return search, table
 
 
@@ -199,10 +200,11 @@ def search(
             **options,
         ) as pool,
     ):
-        while (left := wanted.trials - len(_ended(study))) > 0:
-            tell("search", 1.0 - left / wanted.trials)
-            study.sampler = _sampler(wanted, seed, len(_ended(study)))
-            asked = [study.ask() for _ in range(min(left, wanted.batch))]
+        while (ended := len(_ended(study))) < wanted.trials:
+            tell("search", ended / wanted.trials)
+            study.sampler = _sampler(wanted, seed, ended)
+            size = wanted.batch - ended % wanted.batch
+            asked = [_ask(study) for _ in range(min(size, wanted.trials - ended))]
             with beat(asked):
                 _batch(study, asked, wanted, plain, root, Path(path).parent, pool)
         tell("search", 1.0)
@@ -258,6 +260,13 @@ def _value(root: Path, units: list[Unit], objective: str) -> float | None:
     return None if None in values or not values else sum(values) / len(values)
 
 
+def _ask(study: Any) -> Any:
+    """A trial; that signs of life need `Study.optimize` is not so, see `_alive`."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Heartbeat of storage", UserWarning)
+        return study.ask()
+
+
 def _ended(study: Any) -> list[Any]:
     """Trials with a value, or that failed by themselves."""
     states = _optuna().trial.TrialState
@@ -305,11 +314,10 @@ def _study(root: Path, wanted: Search, storage: str | None) -> Iterator[tuple[An
     named = {"study_name": "search", "direction": wanted.direction, "load_if_exists": True}
     if storage is None:
         with _alone(root / ".search.lock"):
+            (root / f"{JOURNAL}.lock").unlink(missing_ok=True)  # whoever held it is dead
             kept = open_journal(root / JOURNAL)
             study = optuna.create_study(storage=kept, **named)
-            for trial in study.get_trials(deepcopy=False):
-                if trial.state == optuna.trial.TrialState.RUNNING:  # of a search that died
-                    study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
+            _take_over(study, wanted)
             yield study, lambda trials: contextlib.nullcontext()
         return
     with warnings.catch_warnings():
@@ -321,9 +329,26 @@ def _study(root: Path, wanted: Search, storage: str | None) -> Iterator[tuple[An
         except Exception as error:  # of any database's driver
             why = str(error).splitlines()[0]
             raise ParameterError(f"no database at {storage}: {why}") from None
-        study = optuna.create_study(storage=database, **named)
-        _fail_dead(study)
+    study = optuna.create_study(storage=database, **named)
+    _fail_dead(study)
     yield study, lambda trials: _alive(database, study, trials)
+
+
+def _take_over(study: Any, wanted: Search) -> None:
+    """Fail what is left running by a search that died, and ask for the same again.
+
+    Where it died while it asked, its next batch is drawn again, to the same trials.
+    """
+    state = _optuna().trial.TrialState
+    dead = [t for t in study.get_trials(deepcopy=False) if t.state == state.RUNNING]
+    for trial in dead:
+        study.tell(trial.number, state=state.FAIL)
+    whole = [t for t in dead if t.params.keys() == wanted.space.keys()]
+    ended = len(_ended(study))
+    told = ended % wanted.batch
+    if told + len(whole) == min(wanted.batch, told + wanted.trials - ended):
+        for trial in whole:
+            study.enqueue_trial(trial.params)
 
 
 def _fail_dead(study: Any) -> None:
@@ -331,7 +356,9 @@ def _fail_dead(study: Any) -> None:
     optuna = _optuna()
     state = optuna.trial.TrialState
     running = [t for t in study.get_trials(deepcopy=False) if t.state == state.RUNNING]
-    optuna.storages.fail_stale_trials(study)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        optuna.storages.fail_stale_trials(study)
     now = study.get_trials(deepcopy=False)
     for trial in running:
         if now[trial.number].state == state.FAIL:
@@ -357,9 +384,7 @@ def _alive(database: Any, study: Any, trials: list[Any]) -> Iterator[None]:
     finally:
         over.set()
         thread.join()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", _optuna().exceptions.ExperimentalWarning)
-        _fail_dead(study)
+    _fail_dead(study)
 
 
 @contextlib.contextmanager
