@@ -125,7 +125,7 @@ def test_killed_workers_of_a_cluster_cost_nothing(tmp_path):
 def test_a_running_cluster_is_used_by_its_address(tmp_path):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address=None
+        n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0"
     ) as cluster:
         options = {"executor": "dask", "address": cluster.scheduler_address}
         assert len(sweep(many(2), tmp_path, **options).done) == 2

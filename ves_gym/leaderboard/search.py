@@ -187,10 +187,8 @@ def search(
     wanted, plain = read_search(path)
     spec = spec_from_plain(plain, str(path))
     root = Path(folder)
-    root.mkdir(parents=True, exist_ok=True)
     tell = progress or (lambda stage, done: None)
     with (
-        _study(root, wanted, storage) as (study, beat),
         open_executor(
             executor,
             workers=workers or os.cpu_count() or 1,
@@ -199,6 +197,7 @@ def search(
             deaths=spec.deaths,
             **options,
         ) as pool,
+        _study(root, wanted, storage) as (study, beat),
     ):
         while (ended := len(_ended(study))) < wanted.trials:
             tell("search", ended / wanted.trials)
@@ -313,6 +312,7 @@ def _study(root: Path, wanted: Search, storage: str | None) -> Iterator[tuple[An
     optuna = _optuna()
     named = {"study_name": "search", "direction": wanted.direction, "load_if_exists": True}
     if storage is None:
+        root.mkdir(parents=True, exist_ok=True)
         with _alone(root / ".search.lock"):
             (root / f"{JOURNAL}.lock").unlink(missing_ok=True)  # whoever held it is dead
             kept = open_journal(root / JOURNAL)

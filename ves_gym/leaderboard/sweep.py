@@ -85,7 +85,6 @@ def sweep(
     if not todo:
         tell("sweep", 1.0)
         return report
-    root.mkdir(parents=True, exist_ok=True)
     with open_executor(
         executor,
         workers=min(workers or os.cpu_count() or 1, len(todo)),
