@@ -53,18 +53,20 @@ def children():
 
 
 class Killer:
-    """Kills a worker of this process now and then, until left."""
+    """Kills a worker of this process now and then, from the first result until left."""
 
-    def __init__(self, pause, times, pids=children):
-        self.pause, self.times, self.pids = pause, times, pids
+    def __init__(self, folder, pause, times):
+        self.folder, self.pause, self.times = Path(folder), pause, times
         self.killed = []
         self.over = threading.Event()
         self.thread = threading.Thread(target=self.run, daemon=True)
 
     def run(self):
         draw = random.Random(0)
+        while not list(self.folder.glob("results/*.json")) and not self.over.wait(0.01):
+            pass
         while len(self.killed) < self.times and not self.over.wait(self.pause):
-            pids = [pid for pid in self.pids() if pid not in self.killed]
+            pids = [pid for pid in children() if pid not in self.killed]
             if pids:
                 pid = draw.choice(pids)
                 self.killed.append(pid)

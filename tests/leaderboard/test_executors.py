@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.leaderboard.sweeps import Killer, children, files, many, spec
+from tests.leaderboard.sweeps import Killer, files, many, spec
 from ves_gym.core.params import ParameterError
 from ves_gym.core.workers import JobTimeout, WorkerDied
 from ves_gym.leaderboard.executors import open_executor
@@ -111,8 +111,8 @@ def test_a_job_that_takes_too_long_is_ended(name, tmp_path):
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="finds workers in /proc")
 def test_killed_workers_of_a_cluster_cost_nothing(tmp_path):
     pytest.importorskip("distributed")
-    wanted = many(60, deaths=10)
-    with Killer(pause=4.0, times=3, pids=children) as killer:
+    wanted = many(60)
+    with Killer(tmp_path / "killed", pause=2.0, times=3) as killer:
         report = sweep(wanted, tmp_path / "killed", executor="dask", workers=2)
     assert killer.killed and len(report.done) == 60 and not report.failed
     sweep(wanted, tmp_path / "quiet", workers=1)

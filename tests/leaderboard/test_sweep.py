@@ -181,7 +181,7 @@ def test_killed_workers_cost_nothing(tmp_path):
     """200 units, a worker killed every second: all done, none twice or missing."""
     wanted = many(200)
     sweep(wanted, tmp_path / "quiet", workers=2)
-    with Killer(pause=1.0, times=8) as killer:
+    with Killer(tmp_path / "killed", pause=1.0, times=8) as killer:
         report = sweep(wanted, tmp_path / "killed", workers=2)
     assert len(killer.killed) >= 5
     assert len(report.done) == len(set(report.done)) == 200 and not report.failed

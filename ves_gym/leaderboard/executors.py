@@ -15,7 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -25,6 +25,7 @@ from ves_gym.core.workers import JobTimeout, WorkerDied, Workers, one_thread, po
 EXECUTORS = ("local", "slurm", "submitit-local", "dask", "ray")
 _POLL = 0.2  # s between looks at submitit's jobs
 _FOREVER = 60 * 24 * 365  # minutes
+_ASK = 1.0  # s between questions how many threads a Dask cluster has
 _SLACK = 10.0  # s after a job's limit at which submitit ends it, if it has not ended itself
 
 
@@ -262,38 +263,86 @@ class _Jobs:
 
 
 class _Dask:
+    """As many jobs at a time as the cluster has threads.
+
+    When a worker dies, the scheduler blames every job it had sent there: so none waits there,
+    and on a cluster of our own a lost job comes back to us before it is sent anywhere else.
+    """
+
     shares_files = False  # workers may be on any machine
 
     def __init__(self, client: Any, seconds: float | None, deaths: int) -> None:
         self.client, self.seconds, self.deaths = client, seconds, deaths
+        self.waiting: deque[_Ticket] = deque()
+        self.running = self.threads = 0
+        self.asked = -math.inf  # when the number of threads was
+        self.change = threading.Lock()
+        self.over = threading.Event()
+        self.thread = threading.Thread(target=self._watch, daemon=True)
+        self.thread.start()
 
     def submit(self, function: Callable[..., Any], *args: Any) -> Future[Any]:
         """See `Executor`."""
-        inner = self.client.submit(answer, self.seconds, function, args, pure=False)
-        out: Future[Any] = Future()
-        out.set_running_or_notify_cancel()
-        inner.add_done_callback(lambda done: self._end(out, done))
-        return out
+        ticket = _Ticket(function, args)
+        self.waiting.append(ticket)
+        self._fill()
+        return ticket.future
 
-    def _end(self, out: Future[Any], done: Any) -> None:
+    def stop(self) -> None:
+        """Send no more jobs."""
+        self.over.set()
+        self.thread.join()
+        for ticket in self.waiting:
+            ticket.future.cancel()
+
+    def _watch(self) -> None:
+        while not self.over.wait(_ASK):  # for workers that have come, or come back
+            if self.waiting:
+                self._fill()
+
+    def _fill(self) -> None:
+        with self.change:
+            if time.monotonic() - self.asked > _ASK:
+                self.threads = sum(self.client.nthreads().values())
+                self.asked = time.monotonic()
+            while self.waiting and self.running < max(1, self.threads):
+                ticket = self.waiting.popleft()
+                if ticket.future.running() or ticket.future.set_running_or_notify_cancel():
+                    call = answer, self.seconds, ticket.function, ticket.args
+                    inner = self.client.submit(*call, pure=False)
+                    self.running += 1
+                    inner.add_done_callback(lambda done, own=ticket: self._end(own, done))
+
+    def _end(self, ticket: _Ticket, done: Any) -> None:
         from distributed import KilledWorker
 
+        with self.change:
+            self.running -= 1
         try:
             error = done.exception()
             if error is None:
-                _settle(out, done.result())
+                _settle(ticket.future, done.result())
             elif isinstance(error, KilledWorker):
-                out.set_exception(_lost(self.seconds))
+                self.asked = -math.inf
+                ticket.deaths += 1
+                if ticket.deaths < self.deaths:
+                    self.waiting.appendleft(ticket)
+                else:
+                    ticket.future.set_exception(_lost(self.seconds))
             else:
-                out.set_exception(error)
+                ticket.future.set_exception(error)
+            self._fill()
         except BaseException as lost:  # the scheduler is gone, or the job was cancelled
-            out.set_exception(WorkerDied(f"the cluster lost it: {lost or type(lost).__name__}"))
+            text = f"the cluster lost it: {lost or type(lost).__name__}"
+            for some in (ticket, *self.waiting):
+                if not some.future.done():
+                    some.future.set_exception(WorkerDied(text))
 
 
 def _lost(seconds: float | None) -> WorkerDied:
     """Of a cluster that tells only that a job ended its workers, not how."""
     more = "" if seconds is None else f", or it took longer than {seconds:g} s"
-    return WorkerDied(f"its worker died again and again{more}: given up")
+    return WorkerDied(f"its worker died as often as allowed{more}: given up")
 
 
 @contextmanager
@@ -305,30 +354,27 @@ def _dask(
         from distributed import Client, LocalCluster
     except ImportError:
         raise _missing("distributed", "dask") from None
-    if address is not None:
+    with ExitStack() as stack:
+        if address is None:
+            # a death is told at once; a running cluster tells it after some tries of its own
+            stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": 0}))
+            place: Any = stack.enter_context(
+                LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address="127.0.0.1:0",  # any free port
+                )
+            )
+        else:
+            place, deaths = address, 1
         try:
-            client = Client(address, timeout=30)
+            client = stack.enter_context(Client(place, timeout=30))
         except (OSError, ValueError) as error:
             raise ParameterError(f"no Dask scheduler at {address}: {error}") from None
-        with client:
-            yield _Dask(client, seconds, deaths)
-        return
-    # no more than one job is given to a worker, so that a death is one job's
-    settings = {
-        "distributed.scheduler.allowed-failures": deaths - 1,
-        "distributed.scheduler.worker-saturation": 1.0,
-    }
-    with (
-        dask.config.set(settings),
-        LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address="127.0.0.1:0",  # any free port
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        yield _Dask(client, seconds, deaths)
+        pool = _Dask(client, seconds, deaths)
+        stack.callback(pool.stop)
+        yield pool
 
 
 # ---------------------------------------------------------------------------------- ray
