@@ -19,13 +19,15 @@ from ves_gym.leaderboard.sweep import merge, sweep
 CLUSTERS = [
     pytest.param("submitit-local", marks=pytest.mark.slow),
     pytest.param("dask", marks=pytest.mark.slow),
+    pytest.param("ray", marks=pytest.mark.slow),
 ]
 
 
 @pytest.fixture(autouse=True)
 def installed(request):
-    for name, package in (("submitit-local", "submitit"), ("dask", "distributed")):
-        if name in request.node.name:
+    packages = {"submitit-local": "submitit", "dask": "distributed", "ray": "ray"}
+    for name, package in packages.items():
+        if f"[{name}]" in request.node.name:
             pytest.importorskip(package)
 
 

@@ -110,8 +110,8 @@ def run_units(
     """
     folder = str(report.folder.resolve()) if pool.shares_files else None
     running = {pool.submit(run_unit, unit, folder): unit for unit in units}
-    for count, future in enumerate(as_completed(running)):
-        unit = running[future]
+    for count, future in enumerate(as_completed(list(running))):
+        unit = running.pop(future)  # and the outcome it may hold
         failure = report.folder / "failed" / f"{unit.id}.json"
         why = _why(future)
         if why is None:
