@@ -1,1 +1,1 @@
-"""Reproducible leaderboard: entries, the bundles that prove them, and runs that outgrow a machine."""
+"""Reproducible leaderboard: entries, bundles that prove them, runs that outgrow a machine."""
