@@ -55,6 +55,8 @@ def test_the_friction_is_named_and_written_down(call, logs, tmp_path):
     assert result["schema"] == "ves-diagnose/1"
     assert [(e["kind"], e["slot"]) for e in result["effects"]] == [("joint/coulomb", "joint 2")]
     assert result["effects"][0]["value"]["torque"] == pytest.approx(3.0, rel=0.05)
+    low, high = result["effects"][0]["interval"]["torque"]
+    assert low < result["effects"][0]["value"]["torque"] < high
     assert result["held_back"] == ["run-3.parquet"]
     before, after = (result[k]["joint/tau_2"] for k in ("final_before", "final_after"))
     assert before > 5 > 2 > after

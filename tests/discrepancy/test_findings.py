@@ -1,5 +1,7 @@
 """What a report shows of a diagnosis, against full fits and against what is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,24 @@ def test_the_best_candidate_is_ranked_as_a_full_fit_has_it(found):
     assert best.gain <= best_gain + 0.1  # what a fit ends its rounds at
     assert 0 < best.error < best.gain
     assert best.chance < 1e-6
+
+
+def test_what_is_chosen_but_scores_too_low_alone_is_fitted_alone(found, monkeypatch):
+    """Effects that only show beside others have no score of their own."""
+    scores, name = found.bank.scores, "joint/drive_gain at joint 2"
+
+    def low(*args):
+        return [
+            replace(s, deviance=np.inf)
+            if found.bank.candidates[s.candidate].name == name
+            else s
+            for s in scores(*args)
+        ]
+
+    monkeypatch.setattr(found.bank, "scores", low)
+    last = ranked(found.bank, found.selection.null, [name])[-1]
+    assert (last.candidate.name, last.screen) == (name, None)
+    assert last.values[0] == pytest.approx(0.03, rel=0.1) and last.gain > 100
 
 
 def test_what_is_chosen_is_ranked_however_it_does(found):

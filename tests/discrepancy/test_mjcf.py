@@ -138,7 +138,7 @@ def test_a_machine_in_mjcf_goes_from_command_to_files_that_play_the_same(tmp_pat
         path = tmp_path / f"run-{seed}.csv"
         np.savetxt(path, table, "%.12g", ",", header="t,q1,q2,i1,i2", comments="")
     words = ["diagnose", str(tmp_path / "run-2.csv"), str(tmp_path / "run-3.csv"), "--final"]
-    words += ["1", "--most", "4", "--no-figures", "--machine"]
+    words += ["1", "--no-figures", "--machine"]
     out = tmp_path / "out"
     assert main([*words, str(tmp_path / "arm.toml"), "--out", str(out)]) == 0
     found = json.loads((out / "diagnosis.json").read_text())

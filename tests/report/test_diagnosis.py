@@ -48,6 +48,7 @@ def result():
                 "name": NAMES[0],
                 "value": {"torque": 3.0},
                 "std": {"torque": 0.1},
+                "interval": {"torque": (2.8355, 3.1645)},
                 "unit": {"torque": "N m"},
                 "probability": 0.625,
                 "class": list(NAMES),
@@ -158,7 +159,7 @@ def test_the_verdict_is_on_top_and_what_it_rests_on_below(result):
     text = Elements(render_page(result)).text
     said = [
         result["sentence"],
-        "2.8355 to 3.1645",  # 3.0 +- 1.645 x 0.1
+        "2.8355 to 3.1645",
         "822",
         "812 ± 31",
         "44.0",

@@ -162,7 +162,7 @@ def _print(found: Any, result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from ves_gym.discrepancy.diagnosis import ONE_OF, UNKNOWN
+    from ves_gym.discrepancy.diagnosis import ONE_OF, UNKNOWN, WIDE
 
     console = Console(width=None if sys.stdout.isatty() else 110, markup=False)
     console.print(found.sentence, style="bold")
@@ -172,7 +172,7 @@ def _print(found: Any, result: dict[str, Any]) -> None:
         console.print("the best that the library can do, not a name:")
     for f in found.found:
         numbers = ", ".join(
-            f"{name} = {value:.4g} +- {1.645 * std:.2g} {unit}"
+            f"{name} = {value:.4g} +- {WIDE * std:.2g} {unit}"
             for name, value, std, unit in zip(
                 f.candidate.names, f.values, f.std, f.candidate.units, strict=True
             )

@@ -27,7 +27,7 @@ _FREQUENCIES = tuple(np.geomspace(0.5, 6.0, 20).tolist())  # of an extra mode [H
 _REACH = 0.03  # m, about which a payload sits otherwise than thought
 _GAPS = (2e-3, *np.geomspace(1e-3, 3e-2, 7).tolist())  # rad
 _STROKES = tuple((1 - np.geomspace(0.25, 0.01, 18)).tolist())  # parts that are lacking
-_CEILINGS = tuple((1 - np.geomspace(0.6, 0.06, 12)).tolist())
+_CEILINGS = tuple((1 - np.geomspace(0.9, 0.05, 16)).tolist())
 _CYCLES = tuple(np.arange(2.0, 130.0, 2.5).tolist())  # of a ripple, per turn
 
 Starts = float | tuple[float, ...]
@@ -55,6 +55,7 @@ class Candidate:
     sets_in: bool = False  # nothing is proportional to its number: starts are tried as they are
     filters: bool = False  # it passes what was measured on, and changes the noise in it
     blurs: tuple[Callable[[Any], Any], ...] = ()  # effect -> another form that it may have
+    within: str = ""  # a simpler kind that is a case of this one
     counts: int | None = None  # numbers it costs, where that is not k
 
     @property
@@ -93,6 +94,7 @@ class _Shelf:
         limits: Mapping[str, tuple[float, float, str]] | None = None,
         fixed: Sequence[str] = (),
         sets_in: bool = False,
+        within: str = "",
         blurs: Sequence[Callable[[Any], Any]] = (),
         **free: Starts,
     ) -> None:
@@ -133,6 +135,7 @@ class _Shelf:
                 sets_in=sets_in,
                 filters=cls.kind in _FILTERS,
                 blurs=tuple(blurs),
+                within=within,
             )
         )
 
@@ -252,6 +255,7 @@ def _joint(shelf: _Shelf, j: int, n: int) -> None:
         },
         limits={"breakaway": (0.0, 3.0, "1")},  # of Coulomb's level, above it
         fixed=("breakaway",),
+        within="joint/coulomb",
         blurs=[Presliding],
         coulomb=2.0,
         breakaway=1.0,

@@ -45,6 +45,7 @@ VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK)
 _BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_inertia")
 _LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
 WORSE = 1.02  # of its gap before, or of noise: a channel that is worse
+WIDE = 1.645  # standard deviations to either side of a 90 % interval
 _COMPARED = 10  # candidates whose likeness is told
 
 Progress = Callable[[float, str], None]
@@ -132,6 +133,9 @@ def _named(found: Found) -> str:
         names = ", ".join(dict.fromkeys(r.candidate.name for r in found.rivals))
         return f"one of {{{names}}}"
     c = found.candidate
+    path = c.effect(found.values)
+    if isinstance(path, SlowPath):
+        return f"{c.name} (root mean square {path.size:.3g} {c.units[0]})"
     values = ", ".join(
         f"{name} {value:.4g}{'' if unit == '1' else ' ' + unit}"
         for name, value, unit in zip(c.names, found.values, c.units, strict=True)
@@ -185,16 +189,19 @@ def diagnose(
     found = tuple(_found(selection, i, limits) for i in range(len(selection.rivals)))
     remaining = unexplained(selection.fit, evidence, limits.imperfect)
     tested = {p.name for p in evidence.ports}
-    weak = tuple(
-        c.name
+    faint = [
+        c
         for i, c in enumerate(bank.candidates)
         if c.kind in _BASIC and tested & set(c.ports) and bank.visible(i) < limits.power
-    )
-    first = unexplained(selection.null, evidence, limits.imperfect)
+    ]
+    weak = tuple(c.name for c in faint)
+    hidden = any(f.candidate.slot in _still(faint) for f in found)
     faulty = faults(runs)
-    verdict = _verdict(found, remaining, remaining / max(first, 1e-9), weak, limits)
+    gained = selection.null.deviance - selection.fit.deviance
+    share = remaining / max(remaining + gained, 1e-9)
+    verdict = _verdict(found, remaining, share, bool(weak), hidden, limits)
     if faulty:
-        verdict = _despite(faulty, found, machine)
+        verdict = _despite(verdict, faulty, found, machine)
     progress(0.9, "runs held back")
     chosen = selection.fit if verdict in SPEAKS else selection.null
     gaps = _gaps(evidence, chosen, chosen.nuisances, selection.null.nuisances)
@@ -225,36 +232,48 @@ def _found(selection: Selection, i: int, limits: Thresholds) -> Found:
     near = tuple(r for r in rivals if r.cost - rivals[0].cost < limits.alike)
     first = rivals[0]
     p = sum(r.probability for r in rivals if r.candidate.kind == first.candidate.kind)
-    return Found(first.candidate, first.values, selection.fit.std[i], p, near)
+    std = limits.spread * selection.fit.std[i]
+    return Found(first.candidate, first.values, std, p, near)
 
 
 def _verdict(
     found: Sequence[Found],
     remaining: float,
     share: float,
-    weak: Sequence[str],
+    weak: bool,
+    hidden: bool,
     limits: Thresholds,
 ) -> str:
-    if remaining > limits.remains:
-        return MORE if found and share < limits.explained else UNKNOWN
+    if hidden:
+        return WEAK
+    if remaining > limits.remains and (not found or share > limits.explained):
+        return UNKNOWN
     if not found:
         return WEAK if weak else NOTHING
-    places = {name.partition(" at ")[2] for name in weak}
-    if any(f.candidate.slot in places for f in found):  # what hides there may be the cause
-        return WEAK
+    if remaining > limits.more:
+        return MORE
     return ONE_OF if any(len(f.kinds) > 1 for f in found) else NAMED
 
 
-def _despite(faulty: Sequence[Fault], found: Sequence[Found], machine: Machine) -> str:
+def _still(faint: Sequence[Candidate]) -> set[str]:
+    """Joints that barely move: more than one of the basic effects could not be seen there."""
+    places = [c.slot for c in faint]
+    return {place for place in places if places.count(place) > 1}
+
+
+def _despite(
+    verdict: str, faulty: Sequence[Fault], found: Sequence[Found], machine: Machine
+) -> str:
     """The verdict where the recording has faults: names, if what tells them is in order.
 
-    A tone beyond the band spoils nothing; samples that are lost do.
+    A tone beyond the band spoils nothing; samples that are lost do. An effect that is named
+    may be what makes a loop ring.
     """
     lost = {f.signal for f in faulty if f.kind == "repeats"}
     spoilt = {p.name for p in machine.ports if lost & set(p.needs)}
     if not found or any(spoilt & set(f.candidate.ports) for f in found):
         return UNKNOWN
-    return MORE
+    return MORE if verdict in SPEAKS and not all(f.shared for f in faulty) else verdict
 
 
 def _gaps(evidence: Evidence, fit: Fit, eta: Array, eta0: Array) -> tuple[Gap, ...]:
@@ -361,10 +380,22 @@ def _effect(f: Found) -> dict[str, Any]:
         "name": c.name,
         "value": dict(zip(c.names, f.values.tolist(), strict=True)),
         "std": dict(zip(c.names, map(_finite, f.std), strict=True)),
+        "interval": dict(zip(c.names, _likely(f), strict=True)),  # 90 %
         "unit": dict(zip(c.names, c.units, strict=True)),
         "probability": f.probability,
         "class": [r.candidate.name for r in f.rivals],
     }
+
+
+def _likely(f: Found) -> list[tuple[float, float] | None]:
+    """90 % interval of each number, inside what it may be; None where nothing is known."""
+    out: list[tuple[float, float] | None] = []
+    for x, std, low, high in zip(
+        f.values.tolist(), f.std.tolist(), f.candidate.low, f.candidate.high, strict=True
+    ):
+        known = np.isfinite(std)
+        out.append((max(low, x - WIDE * std), min(high, x + WIDE * std)) if known else None)
+    return out
 
 
 def _finite(x: float) -> float | None:

@@ -26,9 +26,14 @@ class SlowPath:
         return np.asarray(sum(waves, np.zeros(run.length)))
 
     @property
-    def effect(self) -> SensorDrift:
-        """A drift of this size (root mean square over the runs)."""
+    def size(self) -> float:
+        """Root mean square over the runs."""
         power = [each[0] ** 2 + sum(w * w for w in each[1:]) / 2 for _, each in self.weights]
+        return float(np.sqrt(np.mean(power)))
+
+    @property
+    def effect(self) -> SensorDrift:
+        """A drift of this size."""
         signal = np.zeros(6)
-        signal[self.channel] = np.sqrt(np.mean(power))
+        signal[self.channel] = self.size
         return SensorDrift(force=tuple(signal[:3].tolist()), moment=tuple(signal[3:].tolist()))

@@ -13,13 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ves_gym.core.params import Array
 from ves_gym.discrepancy.runs import MEASURED, Run
 
 _SHARE = 0.01  # of samples that repeat, above what chance has: lost
 _TONE = 30.0  # power over that of its neighbours; the highest of 10^5 in noise have 12
 _NEIGHBOURS = 61  # frequencies
-_LOW = 0.06  # of the sampling rate: below it there is motion
-_GRID = 2000  # frequencies at which runs are compared
+_SEEN = 8.0  # the same, of a tone that is known from another signal
+_GRID = np.linspace(0.06, 0.5, 2000)  # frequencies, of the sampling rate; below is motion
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class Fault:
     kind: str  # "repeats" or "tone"
     size: float  # share of samples; power over its neighbours
     frequency: float | None  # Hz
+    shared: bool = False  # other signals show the tone, too: the machine itself may oscillate
 
     @property
     def sentence(self) -> str:
@@ -39,7 +41,8 @@ class Fault:
                 f"{self.signal} repeats itself in {100 * self.size:.2g} % of its samples"
                 " (is a link losing packets?)"
             )
-        return f"{self.signal} holds a tone of {self.frequency:.4g} Hz"
+        cause = "does the loop ring" if self.shared else "is it picked up"
+        return f"{self.signal} holds a tone of {self.frequency:.4g} Hz ({cause}?)"
 
 
 def faults(runs: Sequence[Run]) -> tuple[Fault, ...]:
@@ -47,16 +50,18 @@ def faults(runs: Sequence[Run]) -> tuple[Fault, ...]:
     names = [k for k in MEASURED if all(k in run for run in runs)]
     lost = {k: max(run.repeats.get(k, 0.0) for run in runs) for k in names}
     out = [Fault(k, "repeats", share, None) for k, share in lost.items() if share > _SHARE]
-    for name in names:
-        height, frequency = _tone(runs, name)
-        if height > _TONE:
-            out.append(Fault(name, "tone", height, frequency))
+    spectra = {name: _tones(runs, name) for name in names}
+    for name, heights in spectra.items():
+        at = int(np.argmax(heights))
+        if heights[at] > _TONE:
+            seen = max((x[at] for k, x in spectra.items() if k != name), default=0.0)
+            hertz = float(_GRID[at] / runs[0].dt)
+            out.append(Fault(name, "tone", float(heights[at]), hertz, bool(seen > _SEEN)))
     return tuple(out)
 
 
-def _tone(runs: Sequence[Run], name: str) -> tuple[float, float]:
-    """The largest power over its neighbours that half of the runs show, and where [Hz]."""
-    grid = np.linspace(_LOW, 0.5, _GRID)
+def _tones(runs: Sequence[Run], name: str) -> Array:
+    """(F,) power over its neighbours that half of the runs show, the highest coordinate's."""
     heights = []
     for run in runs:
         x = run[name]
@@ -66,8 +71,6 @@ def _tone(runs: Sequence[Run], name: str) -> tuple[float, float]:
             power / np.maximum(around, 1e-30 + 1e-12 * power.max(axis=0)), size=(3, 1)
         )
         heights.append(
-            np.stack([np.interp(grid, f, ratio[:, i]) for i in range(x.shape[1])], axis=1)
+            np.stack([np.interp(_GRID, f, ratio[:, i]) for i in range(x.shape[1])], axis=1)
         )
-    common = np.median(heights, axis=0).max(axis=1)
-    at = int(np.argmax(common))
-    return float(common[at]), float(grid[at] / runs[0].dt)
+    return np.asarray(np.median(heights, axis=0).max(axis=1))

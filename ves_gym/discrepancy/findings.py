@@ -16,7 +16,7 @@ from ves_gym.core.params import Array, Index
 from ves_gym.discrepancy.bank import Bank
 from ves_gym.discrepancy.candidates import Candidate
 from ves_gym.discrepancy.evidence import Evidence, Group
-from ves_gym.discrepancy.fit import Fit, residuals_of
+from ves_gym.discrepancy.fit import Fit, fit, residuals_of
 from ves_gym.discrepancy.groups import products, solve
 from ves_gym.discrepancy.intervals import stretches
 from ves_gym.discrepancy.select import Selection
@@ -37,7 +37,7 @@ class Ranked:
     index: int  # in the bank
     candidate: Candidate
     values: Array  # (k,)
-    screen: float  # gain in deviance by the linear score
+    screen: float | None  # gain in deviance by the linear score; None if too low to be scored
     gain: float  # by the model itself with these numbers
     error: float | None  # standard error of the gain, from run to run; None for a single run
     chance: float  # that the best of the library gains as much from noise
@@ -99,13 +99,17 @@ def ranked(bank: Bank, null: Fit, chosen: Sequence[str] = (), most: int = 12) ->
         if (rank < most and null.deviance - s.deviance > _LEAST)
         or bank.candidates[s.candidate].name in chosen
     ]
+    unscored = [s for s in scores if not np.isfinite(s.deviance)]
+    some += [s for s in unscored if bank.candidates[s.candidate].name in chosen]
     none = np.zeros((evidence.size, 0))
     left = null.residual + evidence.slopes @ null.nuisances
     base = _by_run(evidence, left, null.size)
     out = []
     for s in some:
         candidate = bank.candidates[s.candidate]
-        z = residuals_of(evidence, [candidate], [[s.values]])[0]
+        scored = bool(np.isfinite(s.deviance))
+        values = s.values if scored else fit(evidence, [candidate], [s.values]).values[0]
+        z = residuals_of(evidence, [candidate], [[values]])[0]
         now = solve(products(evidence, z, none), len(evidence.nuisances))
         gain = null.deviance - now.deviance
         by_run = base - _by_run(evidence, z + evidence.slopes @ now.x, now.size)
@@ -115,8 +119,8 @@ def ranked(bank: Bank, null: Fit, chosen: Sequence[str] = (), most: int = 12) ->
             Ranked(
                 index=s.candidate,
                 candidate=candidate,
-                values=s.values,
-                screen=null.deviance - s.deviance,
+                values=values,
+                screen=null.deviance - s.deviance if scored else None,
                 gain=gain,
                 error=error,
                 chance=min(1.0, chance),

@@ -54,8 +54,8 @@ def why_not(system: System, runs: Sequence[Run]) -> str:
     """What free runs lack; empty where they can be made."""
     if system.drive != "motor":
         return f"the drive is {system.drive}"
-    told = [run.meta.get("controller") for run in runs]
-    if None in told or any(k != told[0] for k in told):
+    told = [run.meta["controller"] for run in runs if "controller" in run]
+    if len(told) < len(runs) or any(k != told[0] for k in told):
         return "the logs do not name one controller"
     posed = system.mode == "emulated" and system.laboratory.operation == "position"
     if posed and not all("y_cmd" in run for run in runs):

@@ -2,7 +2,8 @@
 
 What is left of a residual comes in bursts (reversals, contacts), so neighbouring samples are
 no independent witnesses. Runs are cut into stretches of a second; stretches are drawn with
-replacement (Kuensch, Ann. Statist. 17, 1989), the same for before and after.
+replacement (Kuensch, Ann. Statist. 17, 1989), the same for before and after. Intervals are
+Student's, of the logarithm: percentiles of so few stretches are too narrow.
 """
 
 from __future__ import annotations
@@ -10,13 +11,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 
-from ves_gym.core.params import Array
+from ves_gym.core.params import Array, Index
 from ves_gym.discrepancy.evidence import Evidence, Group
 
 _BLOCK = 1.0  # s
 _DRAWS = 1000
-_INTERVAL = (2.5, 97.5)  # per cent
+_SURE = 0.95
+_MOST = 30.0  # of the logarithm of an interval's end
 
 
 def stretches(evidence: Evidence, groups: Sequence[Group], z: Array) -> list[Array]:
@@ -53,7 +56,18 @@ def intervals(
     """
     b = len(sums[0])
     draws = np.random.default_rng(seed).integers(0, b, (_DRAWS, b))
-    sizes = [np.sqrt(s[draws].sum(axis=1) / count) for s in sums]
-    sizes.append(sizes[-1] / np.maximum(sizes[0], 1.0))
-    found = (np.percentile(s, _INTERVAL).tolist() for s in sizes)
-    return tuple((low, high) for low, high in found)
+    whole = np.arange(b)[None]
+    found, drawn = (_sizes(count, sums, rows) for rows in (whole, draws))
+    wide = scipy.stats.t.ppf((1 + _SURE) / 2, b - 1) * np.sqrt(b / (b - 1))
+    out = []
+    for size, some in zip(found, drawn, strict=True):
+        reach = wide * float(np.std(np.log(np.maximum(some, 1e-300))))
+        x = float(size[0])
+        out.append((x * float(np.exp(-reach)), x * float(np.exp(min(reach, _MOST)))))
+    return tuple(out)
+
+
+def _sizes(count: int, sums: Sequence[Array], rows: Index) -> list[Array]:
+    """(d,) root mean squares of stretches drawn (d, b), and the last over the first."""
+    sizes = [np.sqrt(s[rows].sum(axis=1) / count) for s in sums]
+    return [*sizes, sizes[-1] / np.maximum(sizes[0], 1.0)]

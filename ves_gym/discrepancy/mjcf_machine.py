@@ -63,6 +63,7 @@ _OFF = {  # flags that take it away
     ),
 }
 _LAGS = (0.02, 0.005, 0.2)  # s, where fits of a low-pass begin
+_BREAKAWAY, _STUCK = 2.0, 30.0  # N m above Coulomb's: where fits begin, and most
 _FADED = 0.1  # rad/s: what fades later is not of standstill but Coulomb's by another name
 _LEAST = 1e-3  # of a channel's own movement: no description is better
 _TYPES = {
@@ -205,6 +206,7 @@ class MjcfMachine:
         slots = {f"joint {i + 1}": i for i in range(n)}
         out = []
         for candidate in (c for c in every if c.kind in KINDS):
+            candidate = dataclasses.replace(candidate, blurs=())  # one form of every law here
             if candidate.kind == "joint/stribeck":
                 candidate = _excess(candidate, slots[candidate.slot], n)
             at = slots.get(candidate.slot)
@@ -393,11 +395,11 @@ def _excess(candidate: Candidate, joint: int, n: int) -> Candidate:
 
     return dataclasses.replace(
         candidate,
-        names=candidate.names[1:],
-        units=candidate.units[1:],
-        starts=((candidate.starts[0][1], _FADED / 2), (candidate.starts[0][1], _FADED)),
-        low=candidate.low[1:],
-        high=(candidate.high[1], _FADED),
+        names=("breakaway", "fade_speed"),
+        units=("N m", "rad/s"),
+        starts=((_BREAKAWAY, _FADED / 2), (_BREAKAWAY, _FADED)),
+        low=(0.0, candidate.low[-1]),
+        high=(_STUCK, _FADED),
         make=make,
         factors=(0,),
     )

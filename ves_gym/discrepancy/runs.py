@@ -72,6 +72,8 @@ class Run:
         return self.signals[name]
 
     def __contains__(self, name: str) -> bool:
+        if name == "controller":
+            return {"kp", "kd"} <= set(self.meta.get("controller", {}))
         return name in self.signals
 
     @cached_property

@@ -31,13 +31,16 @@ class Thresholds:
 
     chance: float = 0.005  # that anything of the library is named where nothing is missing
     gain: float = 30.0  # least gain in deviance beyond the numbers it costs
+    echo: float = 0.1  # least gain beside another effect of the same joint, in parts of its own
     most: int = 3  # effects
     alike: float = 6.0  # difference in cost below which two candidates are one class
-    remains: float = 1000.0  # unexplained deviance that is more than noise
-    explained: float = 0.5  # share left of what was unexplained: more, and no name is given
+    remains: float = 400.0  # unexplained deviance that is more than noise
+    more: float = 1000.0  # and beside a name
+    explained: float = 0.6  # share left of what was unexplained: more, and no name is given
     imperfect: float = 1.7  # mean square that residuals of a good description may have
     power: float = 5.0  # standard deviations at which an effect of its usual size must show
     temperature: float = 4.0  # of the probabilities
+    spread: float = 2.0  # standard deviations of numbers, over those of a perfect description
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,7 @@ def select(
             break
         now = best
         for i in range(at):  # what came in before may now be another
-            now = _in_place(evidence, bank, now, i, _OTHERS)[0]
+            now = _in_place(evidence, bank, limits, now, i, _OTHERS)[0]
     for i in reversed(range(len(now.candidates))):  # or none at all
         rest = _without(evidence, now, i)
         lost, needed = rest.deviance - now.deviance, _needed(evidence, bank, limits, now, i)
@@ -92,7 +95,7 @@ def select(
             steps.append(f"{now.candidates[i].name}: worth {lost:.1f} of {needed:.1f}, dropped")
             tell(steps[-1])
             now = rest
-    now, places = _weighed(evidence, bank, now)
+    now, places = _weighed(evidence, bank, limits, now)
     rivals = tuple(_rivals(fits, i, evidence, limits) for i, fits in enumerate(places))
     return Selection(null, now, rivals, steps)
 
@@ -101,7 +104,14 @@ def _needed(evidence: Evidence, bank: Bank, limits: Thresholds, f: Fit, i: int) 
     """Gain in deviance for which the effect in place i is worth its numbers."""
     one = f.candidates[i]
     by_chance = float(scipy.stats.chi2.isf(limits.chance / len(bank.candidates), one.k))
-    return max(by_chance, limits.gain + one.price * float(np.log(evidence.size)) / 2)
+    # No law is quite the machine's: what one leaves behind is not another effect.
+    near = [j for j, c in enumerate(f.candidates) if j != i and c.slot == one.slot != ""]
+    echo = 0.0
+    if near:
+        rest = _without(evidence, f, i)
+        alone = [_without(evidence, rest, j - (j > i)).deviance for j in near]
+        echo = limits.echo * (max(alone) - rest.deviance)
+    return max(by_chance, echo, limits.gain + one.price * float(np.log(evidence.size)) / 2)
 
 
 def unexplained(f: Fit, evidence: Evidence, imperfect: float = 1.0) -> float:
@@ -137,13 +147,15 @@ def _tried(
     return out
 
 
-def _weighed(evidence: Evidence, bank: Bank, now: Fit) -> tuple[Fit, list[list[Fit]]]:
+def _weighed(
+    evidence: Evidence, bank: Bank, limits: Thresholds, now: Fit
+) -> tuple[Fit, list[list[Fit]]]:
     """The cheapest fit that exchanging single members leads to, and all that was tried."""
     places: list[list[Fit]] = []
     for _ in range(_EXCHANGES):
         places = []
         for i in range(len(now.candidates)):
-            places.append(_in_place(evidence, bank, now, i, FINALISTS))
+            places.append(_in_place(evidence, bank, limits, now, i, FINALISTS))
             if places[-1][0] is not now:
                 now = places[-1][0]
                 break
@@ -151,22 +163,33 @@ def _weighed(evidence: Evidence, bank: Bank, now: Fit) -> tuple[Fit, list[list[F
             break
     else:  # it still changes: weigh what there is
         places = [
-            [now, *_replacements(evidence, bank, now, i, FINALISTS)]
+            [now, *(f for f in some if f is not now)]
             for i in range(len(now.candidates))
+            for some in [_in_place(evidence, bank, limits, now, i, FINALISTS)]
         ]
     return now, places
 
 
-def _in_place(evidence: Evidence, bank: Bank, now: Fit, i: int, count: int) -> list[Fit]:
+def _in_place(
+    evidence: Evidence, bank: Bank, limits: Thresholds, now: Fit, i: int, count: int
+) -> list[Fit]:
     """The fit and those with another candidate in place i, cheapest first."""
-    fits = [now, *_replacements(evidence, bank, now, i, count)]
-    return sorted(fits, key=lambda f: cost(f, evidence))
-
-
-def _replacements(evidence: Evidence, bank: Bank, now: Fit, i: int, count: int) -> list[Fit]:
-    """Fits with another candidate in place i, best first by score."""
     rest = _without(evidence, now, i)
-    return _tried(evidence, bank, rest, i, {c.name for c in now.candidates}, count)
+    tried = _tried(evidence, bank, rest, i, {c.name for c in now.candidates}, count)
+    fits = sorted([now, *tried], key=lambda f: cost(f, evidence))
+    return [f for f in fits if not _elaborate(f, fits, rest, i, limits)]
+
+
+def _elaborate(f: Fit, fits: list[Fit], rest: Fit, i: int, limits: Thresholds) -> bool:
+    """Whether a simpler kind in place i explains about as much as this one."""
+    own = f.candidates[i]
+    simpler = [
+        g.deviance
+        for g in fits
+        if own.within == g.candidates[i].kind and own.slot == g.candidates[i].slot
+    ]
+    least = 1 + limits.echo
+    return any(rest.deviance - f.deviance < least * (rest.deviance - d) for d in simpler)
 
 
 def _rivals(

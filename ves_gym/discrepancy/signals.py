@@ -150,7 +150,7 @@ def noise_of(x: Array, quiet: float = _QUIET) -> Noise:
 def repeats(signals: Mapping[str, Array]) -> dict[str, float]:
     """Share of samples in which all of a signal (T, c) stays while every other one moves.
 
-    Less what chance has where coordinates stay one by one, as coarse ones do.
+    Twice or more in a row: coarse readings repeat by chance. Less what chance has of that.
     """
     stays = {k: np.diff(x, axis=0) == 0 for k, x in signals.items()}
     whole = {k: x.all(axis=1) for k, x in stays.items()}
@@ -158,8 +158,10 @@ def repeats(signals: Mapping[str, Array]) -> dict[str, float]:
     for name, same in whole.items():
         others = [x for k, x in whole.items() if k != name]
         alone = same & ~np.any(others, axis=0) if others else same
+        twice = alone[1:] & alone[:-1]
+        lost = np.append(twice, False) | np.insert(twice, 0, False)
         chance = float(np.prod(stays[name].mean(axis=0)))
-        out[name] = max(0.0, float(alone.mean()) - chance)
+        out[name] = max(0.0, float(lost.mean()) - chance)
     return out
 
 

@@ -80,7 +80,7 @@ class SystemMachine:
                 "motor torque less what the controller asks",
                 joints,
                 ("N m",) * n,
-                ("q_cmd", "v_cmd", "q", "tau"),
+                ("q_cmd", "v_cmd", "q", "tau", "controller"),
                 ("q_cmd", "v_cmd"),
             ),
             Port("wrench", "sensor reading less the arm's wrench", WRENCH, _N, ("q", "y", "w")),
@@ -168,7 +168,8 @@ class SystemMachine:
             out["platform"] = self._platform(run, systems)
         for k, model in enumerate(models):
             for path in model.paths if "wrench" in ports else ():
-                out["wrench"][k, ..., path.channel] -= path.of(run)
+                felt = self._to_wrench[:, path.channel]
+                out["wrench"][k] -= path.of(run)[:, None] * felt
         return out
 
     # ------------------------------------------------------------------- arm
@@ -245,9 +246,16 @@ class SystemMachine:
         p = Parameters.nominal(system.arm, system.laboratory, 1).edited(system).sensor
         filtered = _butterworth(wrench, float(p.cutoff[0]), dt)
         to_signal = (np.eye(6) + p.matrix[0]) @ spec.frame
-        to_wrench = np.linalg.solve(spec.frame, np.array(spec.calibration))
         signal = filtered @ to_signal.T + p.bias[0] - np.array(spec.zero)
-        return np.asarray(signal @ to_wrench.T)
+        return np.asarray(signal @ self._to_wrench.T)
+
+    @cached_property
+    def _to_wrench(self) -> Array:
+        """(6, 6) from the sensor's signals to the wrench that is logged."""
+        if self.system.mode == "ideal":
+            return np.eye(6)
+        spec = self.system.laboratory.sensor
+        return np.asarray(np.linalg.solve(spec.frame, np.array(spec.calibration)))
 
     def _gravity(self, run: Run, system: System) -> Array:
         """Estimate subtracted by the machine less the stated estimate, (..., T, 6)."""

@@ -26,7 +26,6 @@ Result = dict[str, Any]
 _BEFORE, _AFTER = _COLOURS[1], _COLOURS[3]
 _MOST = 1e3  # mean square at which the colour of the map ends, if nothing is above it
 _TOLD = 2.0  # mean square from which a cell of the map says its number
-_WIDE = 1.645  # standard deviations to either side of a 90 % interval
 _VISIBLE = 0.05  # standard deviations
 _LEAST = 1e-4  # p below which it is not told apart
 _LINES = 12  # channels in the map over time
@@ -312,13 +311,12 @@ def _missing(result: Result) -> str:
     named, rows = _has_name(result), []
     for effect in shown:
         for k, (name, value) in enumerate(effect["value"].items()):
-            std = effect["std"][name]
             rows.append(
                 [
                     effect["name"] if k == 0 else "",
                     name,
                     f"{value:.5g}",
-                    _interval(value, std),
+                    _interval(effect["interval"][name]),
                     _unit(effect["unit"][name]),
                     _probability(effect["probability"]) if named and k == 0 else "",
                 ]
@@ -403,7 +401,7 @@ def _candidates(result: Result) -> str:
             [
                 r["name"],
                 ", ".join(_value(k, v, r["unit"][k]) for k, v in r["value"].items()),
-                f"{r['screen']:.{digits}f}",
+                "low" if r["screen"] is None else f"{r['screen']:.{digits}f}",
                 gain,
                 f"< {_LEAST:g}" if r["p"] < _LEAST else f"{r['p']:.2g}",
                 "" if r["probability"] is None else _probability(r["probability"]),
@@ -535,7 +533,12 @@ def _change(result: Result) -> str:
     }
     lines = [tags.get(line[:1], lambda text: text)(_text(line)) for line in diff.splitlines()]
     notes = "".join(f"<li>{_text(note)}</li>" for note in result.get("notes", ()))
-    return (f"<ul>{notes}</ul>" if notes else "") + f"<pre>{chr(10).join(lines)}</pre>"
+    return (
+        "<p>Read back and played again at every port, it leaves the same residuals within"
+        f" {result['replay_difference']:.0e} of a channel's size.</p>"
+        + (f"<ul>{notes}</ul>" if notes else "")
+        + f"<pre>{chr(10).join(lines)}</pre>"
+    )
 
 
 def _provenance(result: Result) -> str:
@@ -608,10 +611,8 @@ def _table(
     )
 
 
-def _interval(value: float, std: float | None) -> str:
-    if std is None:
-        return "not known"
-    return f"{value - _WIDE * std:.5g} to {value + _WIDE * std:.5g}"
+def _interval(ends: Sequence[float] | None) -> str:
+    return "not known" if ends is None else f"{ends[0]:.5g} to {ends[1]:.5g}"
 
 
 def _value(name: str, value: float, unit: str) -> str:
