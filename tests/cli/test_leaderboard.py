@@ -44,6 +44,16 @@ def test_a_rejection_is_one_line_and_status_1(call, tmp_path):
     assert status == 1 and err.startswith("ves-gym: rejected: hash-mismatch: ")
 
 
+def test_an_entry_goes_to_the_board(call, tmp_path):
+    journal = pytest.importorskip("ves_gym.leaderboard.journal")
+    call(*RUN, "zero", "--bundle", tmp_path / "b")
+    board = tmp_path / "board.jsonl"
+    status, _, _, entry = call("leaderboard", "verify", tmp_path / "b", "--board", board)
+    assert status == 0
+    (record,) = journal.check(board).records
+    assert record.entry == entry
+
+
 @pytest.mark.parametrize(
     ("words", "why"),
     [

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,7 @@ def test_a_controller_with_settings_of_its_own(folder):
     entry = verify(path, level="reproduced")
     assert entry.kind == "controller" and entry.name == "direct"
     assert entry.about["settings"]["control"] == {"kind": "guided", "jerk": 4000.0}
+    assert entry.about["settings"]["privileged"] is True
 
 
 def test_another_seed_is_not_reproduced(folder, tmp_path):
@@ -116,6 +118,24 @@ def test_another_seed_is_not_reproduced(folder, tmp_path):
     other = bundle.write(tmp_path / "b.zip")
     assert verify(other).level == "replayed"
     assert rejection(other, level="reproduced").code is Code.NOT_REPRODUCED
+
+
+def test_a_controller_of_ones_own_is_replayed(folder):
+    class Lean:
+        name, privileged = "lean", False
+
+        def reset(self, env, ids):
+            pass
+
+        def act(self, env, observation):
+            return np.full((env.num_envs, 3), 1.5)  # brought back to 1 by the environment
+
+    path = make_bundle(folder / "lean", *POLICY, Lean())
+    entry = verify(path)
+    assert entry.name == "lean" and entry.about["settings"] == {"privileged": False}
+    actions = unpack(Bundle(path).members["actions.npy"], "actions.npy", (None, 3))
+    assert (actions == 1.0).all()
+    assert rejection(path, level="reproduced").code is Code.NOT_REPRODUCIBLE
 
 
 @pytest.mark.slow
@@ -188,6 +208,25 @@ def test_planners(problem, tmp_path):
     entry = verify(path, level="reproduced")
     scores = [r["score"] for r in entry.rows if r["score"] is not None]
     assert len(entry.rows) == 20 and len(scores) >= 12 and np.median(scores) < 0.5
+
+
+@pytest.mark.slow
+def test_a_hundred_of_each_within_a_minute(tmp_path):
+    """100 episodes of a policy and 100 motions of a planner, simulated to the same bits."""
+    from ves_gym.baselines.policy import released
+
+    files = [released("ves/PumaRestToRest-v0")["ppo"]]
+    whole = (
+        make_bundle(tmp_path / "a.zip", "policies", "ves/PumaRestToRest-v0", files),
+        make_bundle(tmp_path / "b.zip", "paths", "reach100-2s", "direct", workers=2),
+    )
+    begin = time.perf_counter()
+    entries = [verify(path) for path in whole]
+    assert time.perf_counter() - begin <= 60.0
+    for entry, path in zip(entries, whole, strict=True):
+        assert len(entry.rows) == 100
+        for row, told in zip(entry.rows, Bundle(path).manifest["rows"], strict=True):
+            assert all(row[k] == told[k] for k in ("score", "E_mean", "E_peak", "E_res"))
 
 
 # ----------------------------------------------------------------------------- damping

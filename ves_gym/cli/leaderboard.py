@@ -102,10 +102,14 @@ def _add_import(actions: Any) -> None:
 
 
 def _add_blind(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--blind", metavar="DIR", help="logs and labels of track discrepancy")
     parser.add_argument(
-        "--blind", metavar="DIR", help="logs and labels of track discrepancy, kept there"
+        "--workers",
+        type=int,
+        default=1,
+        metavar="N",
+        help="processes of track paths or discrepancy (1)",
     )
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="its processes (1)")
 
 
 # ------------------------------------------------------------------------------ actions

@@ -21,7 +21,7 @@ from ves_gym.core.vehicle import get_vehicle
 from ves_gym.envs.damp import Damp
 from ves_gym.leaderboard import floor
 from ves_gym.leaderboard.arrays import pack, unpack
-from ves_gym.leaderboard.episodes import Episodes, _evaluate
+from ves_gym.leaderboard.episodes import Episodes, evaluated
 from ves_gym.leaderboard.protocol import (
     PLANNED,
     PPED_SECONDS,
@@ -148,7 +148,7 @@ class Damping(Episodes):
     # ---------------------------------------------------------------------- rows
 
     def _scores(self, problem: Problem, seeds: Seeds, found: Evaluation) -> list[float | None]:
-        held = _evaluate(get_controller("high"), problem, seeds, {})
+        held = evaluated(get_controller("high"), problem, seeds, {})
         return [
             own["E_int"] / its["E_int"] if np.isfinite(own["E_int"] / its["E_int"]) else None
             for own, its in zip(found.rows, held.rows, strict=True)

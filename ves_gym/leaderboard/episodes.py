@@ -85,7 +85,7 @@ class Episodes:
         actions, rows = [], []
         for group, controller in enumerate(controllers):
             kept = Recorded(controller)
-            found = _evaluate(
+            found = evaluated(
                 kept, problem, seeds, method.settings, lambda d: tell("episodes", d)
             )
             rows += self._rows(problem, seeds, method, group, found)
@@ -107,7 +107,7 @@ class Episodes:
                 for k in range(problem.count)
             }
             again = Replayed(parts)
-            found = _evaluate(again, problem, seeds, method.settings)
+            found = evaluated(again, problem, seeds, method.settings)
             for line in found.rows:
                 if line["length"] != len(parts[line["seed"]]):
                     raise _length(line["seed"] - seeds.root, len(parts[line["seed"]]), line)
@@ -136,7 +136,7 @@ class Episodes:
         found = []
         for controller in controllers_of(method, members):
             kept = Recorded(controller)
-            lines = _evaluate(kept, problem, seeds, method.settings).rows
+            lines = evaluated(kept, problem, seeds, method.settings).rows
             found += [kept.actions(line["seed"]) for line in lines]
         acted = np.concatenate(found)
         if acted.shape != recorded.shape:
@@ -288,13 +288,14 @@ def in_episode(env: VesVectorEnv) -> Mask:
     return np.asarray(env.batch.episodes.number == 0, dtype=bool)
 
 
-def _evaluate(
+def evaluated(
     controller: Controller,
     problem: Problem,
     seeds: Seeds,
     settings: Mapping[str, Any],
     tell: Any = None,
 ) -> Evaluation:
+    """The episodes of a problem by a controller."""
     return evaluate(
         controller,
         _id(problem),

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import multiprocessing
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 
 import numpy as np
 
@@ -41,6 +44,9 @@ class Paths:
 
     Score: E_mean over that of the straight line on the same query. A motion that breaks a
     limit or touches something is a failure, and is not played.
+
+    Args:
+        workers: processes that plan.
     """
 
     sources = (
@@ -53,6 +59,9 @@ class Paths:
         "leaderboard/floor.py",
         "leaderboard/protocol.py",
     )
+
+    def __init__(self, workers: int = 1) -> None:
+        self.workers = workers
 
     def payload(self, problem: Problem) -> str:
         """See `Track`."""
@@ -93,12 +102,7 @@ class Paths:
         tell: Progress = lambda stage, done: None,
     ) -> Answers:
         """Plan every query, with each of the method's seeds."""
-        queries = self.queries(problem, seeds)
-        plans: list[Plan] = []
-        for seed in method.seeds:
-            for query in queries:
-                plans.append(_planned(planner, query, seed))
-                tell("planning", len(plans) / len(queries) / len(method.seeds))
+        plans = self._plans(problem, seeds, planner, method, tell)
         motions = [plan.motion for plan in plans]
         told = [_told(plan) for plan in plans]
         rows = self._rows(problem, seeds, method, motions, told)
@@ -137,8 +141,7 @@ class Paths:
         a search that rounding leads into another valley is not what this is about."""
         if method.name not in PLANNERS:
             raise Rejection(Code.NOT_REPRODUCIBLE, f"no built-in planner {method.name!r:.80}")
-        planner, queries = get_planner(method.name), self.queries(problem, seeds)
-        plans = [_planned(planner, q, seed) for seed in method.seeds for q in queries]
+        plans = self._plans(problem, seeds, get_planner(method.name), method)
         given = self._motions(problem, seeds, method, rows, members[self.payload(problem)])
         if same:
             for plan, motion in zip(plans, given, strict=True):
@@ -156,6 +159,29 @@ class Paths:
                 Code.NOT_REPRODUCED,
                 f"{sum(agree)} of {len(agree)} queries agree within {PLANNED:g}",
             )
+
+    def _plans(
+        self,
+        problem: Problem,
+        seeds: Seeds,
+        planner: Planner,
+        method: Method,
+        tell: Progress = lambda stage, done: None,
+    ) -> list[Plan]:
+        """Plans of every query with every seed, in order, whoever made them."""
+        queries = self.queries(problem, seeds)
+        jobs = [(planner, query, seed) for seed in method.seeds for query in queries]
+        plans: list[Plan] = []
+        with ExitStack() as stack:
+            found: Iterator[Plan] = map(_planned, jobs)
+            if self.workers > 1:
+                context = multiprocessing.get_context("spawn")
+                pool = stack.enter_context(ProcessPoolExecutor(self.workers, context))
+                found = pool.map(_planned, jobs)
+            for plan in found:
+                plans.append(plan)
+                tell("planning", len(plans) / len(jobs))
+        return plans
 
     # ---------------------------------------------------------------------- rows
 
@@ -218,7 +244,8 @@ class Paths:
         return out
 
 
-def _planned(planner: Planner, query: Query, seed: int) -> Plan:
+def _planned(job: tuple[Planner, Query, int]) -> Plan:
+    planner, query, seed = job
     try:
         return solve(planner, query, seed)
     except ParameterError:

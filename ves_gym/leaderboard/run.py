@@ -11,7 +11,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from ves_gym.baselines.controllers import CONTROLLERS, Controller, get_controller
+from ves_gym.baselines.controllers import Controller, get_controller
 from ves_gym.baselines.policy import load_policy
 from ves_gym.core.params import ParameterError, to_plain
 from ves_gym.leaderboard import fingerprint
@@ -43,7 +43,7 @@ def make_bundle(
     path: str | os.PathLike[str],
     track: str,
     problem: str,
-    method: str | Planner | Sequence[str | os.PathLike[str]],
+    method: str | Planner | Controller | Sequence[str | os.PathLike[str]],
     *,
     name: str | None = None,
     author: str = "",
@@ -58,12 +58,13 @@ def make_bundle(
 
     Args:
         path: new or empty folder, or a .zip file.
-        method: name of a built-in planner, controller, tuner or selector, a planner of one's
-            own (its bundle can be replayed, not reproduced), or the files of policies.
+        method: name of a built-in planner, controller, tuner or selector; a planner or
+            controller of one's own (its bundle can be replayed, not reproduced); or the files
+            of policies.
         seeds: of the method: one group of rows each. Policies: one per file, as told by them.
         salt: of the official seeds; None for the public ones.
         training: what it took to make the method, plain data; default what policies tell.
-        folder, workers: see `Naming`.
+        folder, workers: see `Naming` and `Paths`.
 
     Returns:
         The path.
@@ -95,7 +96,7 @@ def make_bundle(
             "versions": fingerprint.package_versions(),
             "cpu": fingerprint.cpu_model(),
             "simd": fingerprint.simd(),
-            "settings": {},
+            "settings": told.get("settings", {}),
             "training": dict(training) if training is not None else told.get("training", {}),
             "begun": begun,
             "ended": _now(),
@@ -142,15 +143,17 @@ def _answered(
         found = Method(kind="gains", name=str(method), seeds=seeds)
         return rules.run_tuner(problem, drawn, found, tell), {}
     assert isinstance(rules, Episodes)
-    if isinstance(method, str):
-        if method not in CONTROLLERS:
-            raise ParameterError(
-                f"controller must be one of {', '.join(CONTROLLERS)}, got {method!r:.80}"
-            )
-        some = [get_controller(method, seed) for seed in seeds]
-        settings = chosen_settings(some[0], problem.environment)
-        found = Method(kind="controller", name=method, seeds=seeds, settings=settings)
-        return rules.run(problem, drawn, some, found, {}, tell), {}
+    own = hasattr(method, "act")
+    if own or isinstance(method, str):
+        some = [method] if own else [get_controller(method, seed) for seed in seeds]
+        found = Method(
+            kind="controller",
+            name=some[0].name,
+            seeds=seeds[: len(some)],
+            settings=chosen_settings(some[0], problem.environment),
+        )
+        told = {"settings": {"privileged": bool(some[0].privileged)}}
+        return rules.run(problem, drawn, some, found, {}, tell), told
     return _policies(rules, problem, drawn, [Path(p) for p in method], tell)
 
 

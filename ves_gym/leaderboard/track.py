@@ -141,11 +141,11 @@ def finite_or_none(value: float | None) -> float | None:
 
 
 def get_track(name: str, folder: Path | None = None, workers: int = 1) -> Track:
-    """A track by name; folder and workers: see `Naming`."""
+    """A track by name; see `Paths` and `Naming`."""
     if name == "paths":
         from ves_gym.leaderboard.paths import Paths
 
-        return Paths()
+        return Paths(workers)
     if name == "discrepancy":
         from ves_gym.leaderboard.naming import Naming
 

@@ -63,7 +63,7 @@ def verify(
         level: "replayed" or "reproduced".
         salt: the maintainer's secret, for a bundle of official seeds.
         expect: SHA-256 that the manifest must have, such as a board tells.
-        folder, workers: see `Naming`.
+        folder, workers: see `Naming` and `Paths`.
 
     Returns:
         The entry, its numbers those computed here.
