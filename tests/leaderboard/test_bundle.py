@@ -19,8 +19,8 @@ from ves_gym.leaderboard.archive import LIMITS, MANIFEST, limit, read_members, w
 from ves_gym.leaderboard.arrays import pack, unpack
 from ves_gym.leaderboard.bundle import KEYS, digest, read_manifest, sealed
 from ves_gym.leaderboard.entry import ABOUT, ROW, check_entry
-from ves_gym.leaderboard.episodes import policy_names
 from ves_gym.leaderboard.paths import Paths
+from ves_gym.leaderboard.policies import policy_names
 from ves_gym.leaderboard.protocol import Problem, get_problem, problems, read_salt, seeds_of
 from ves_gym.leaderboard.rejection import Code, Rejection
 from ves_gym.planners.suites import get_suite

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import tempfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -13,34 +10,27 @@ import numpy as np
 
 from ves_gym.baselines.controllers import Controller, get_controller
 from ves_gym.baselines.evaluate import Evaluation, evaluate
-from ves_gym.baselines.policy import Policy, load_policy
-from ves_gym.core.params import Array, Index, Mask, ParameterError, read_table
+from ves_gym.baselines.policy import Policy
+from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.system import System
 from ves_gym.envs.build import build_task
 from ves_gym.envs.task import Task
-from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.leaderboard import floor
-from ves_gym.leaderboard.account import Account
 from ves_gym.leaderboard.arrays import pack, unpack
+from ves_gym.leaderboard.policies import policies_of
 from ves_gym.leaderboard.protocol import (
     ACTION,
     LEDGER_EPISODES,
     Problem,
     Seeds,
 )
+from ves_gym.leaderboard.recorded import Recorded, Replayed
 from ves_gym.leaderboard.rejection import Code, Rejection
 from ves_gym.leaderboard.track import Answers, Case, Method, Progress, Row, row
 
-ARCHITECTURES = ("mlp",)  # of `baselines/policy.py`: dense layers, tanh or ReLU
 SETTINGS = ("control", "goal")  # of an environment, that a method may choose
 _ACTIONS = "actions.npy"
 _SLACK = 1e-12  # of an action's bound
-
-
-def policy_names(group: int) -> tuple[str, str]:
-    """Members that hold the policy of a group."""
-    stem = "policy" if group == 0 else f"policy-{group}"
-    return f"{stem}.json", f"{stem}.safetensors"
 
 
 class Episodes:
@@ -52,6 +42,7 @@ class Episodes:
         "envs",
         "baselines/evaluate.py",
         "leaderboard/episodes.py",
+        "leaderboard/recorded.py",
         "leaderboard/protocol.py",
     )
 
@@ -182,110 +173,6 @@ def controllers_of(method: Method, members: Mapping[str, bytes]) -> list[Control
         except ParameterError as error:
             raise Rejection(Code.NOT_REPRODUCIBLE, str(error)) from None
     return list(policies_of(method, members))
-
-
-def policies_of(method: Method, members: Mapping[str, bytes]) -> list[Policy]:
-    """The policies in a bundle's files.
-
-    Raises:
-        Rejection: UNKNOWN_ARCHITECTURE, HASH_MISMATCH, BAD_WEIGHTS.
-    """
-    if method.architecture not in ARCHITECTURES:
-        raise Rejection(
-            Code.UNKNOWN_ARCHITECTURE,
-            f"must be one of {', '.join(ARCHITECTURES)}, got {str(method.architecture)[:80]!r}",
-        )
-    out = []
-    with tempfile.TemporaryDirectory() as folder:
-        for group, digest in enumerate(method.weights):
-            named, weights = policy_names(group)
-            if hashlib.sha256(members[weights]).hexdigest() != digest:
-                raise Rejection(Code.HASH_MISMATCH, f"{weights}: not the weights of the method")
-            for name in (named, weights):
-                (Path(folder) / name).write_bytes(members[name])
-            out.append(_policy(Path(folder) / named))
-    return out
-
-
-def _policy(path: Path) -> Policy:
-    try:
-        table = read_table(path)
-        network = table.get("network")
-        kinds = {"activation": ("tanh", "relu"), "output": ("clip", "tanh")}
-        for key, known in kinds.items():
-            if isinstance(network, dict) and network.get(key, known[0]) not in known:
-                raise Rejection(
-                    Code.UNKNOWN_ARCHITECTURE,
-                    f"{key} must be one of {', '.join(known)}, got {str(network[key])[:80]!r}",
-                )
-        if table.get("schema") != "ves-policy/1":
-            raise Rejection(
-                Code.UNKNOWN_ARCHITECTURE, f"schema {str(table.get('schema'))[:80]!r}"
-            )
-        return load_policy(path)
-    except Rejection:
-        raise
-    except Exception as error:  # the parsers' own, whatever a file made them raise
-        why = f"{path.name}: {type(error).__name__}: {str(error).replace(str(path.parent), '')}"
-        raise Rejection(Code.BAD_WEIGHTS, why[:300]) from None
-
-
-# ------------------------------------------------------------------------ record, replay
-
-
-class Recorded:
-    """Acts as another controller does, and keeps its actions."""
-
-    def __init__(self, inner: Controller) -> None:
-        self.inner, self.name, self.privileged = inner, inner.name, inner.privileged
-        self._kept: dict[int, list[Array]] = {}
-
-    def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
-        self.inner.reset(env, ids)
-
-    def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`; out of bounds is brought back, as the environment would."""
-        actions = np.clip(env.batch.check(self.inner.act(env, observation)), -1.0, 1.0)
-        roots = env.batch.episodes.root
-        for i in np.flatnonzero(in_episode(env)).tolist():
-            self._kept.setdefault(int(roots[i]), []).append(actions[i].copy())
-        return actions
-
-    def actions(self, seed: int) -> Array:
-        """(steps, width) of the episode of a seed."""
-        return np.array(self._kept[seed])
-
-
-class Replayed:
-    """Acts as was recorded; an action too few is none at all."""
-
-    name = "replayed"
-    privileged = False
-
-    def __init__(self, actions: Mapping[int, Array]) -> None:
-        self._actions = actions
-        self.account = Account()
-
-    def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
-
-    def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
-        e, fresh = env.batch.episodes, in_episode(env)
-        out = np.zeros((env.num_envs, env.batch.width))
-        for i in np.flatnonzero(fresh).tolist():
-            known = self._actions[int(e.root[i])]
-            if e.steps[i] < len(known):
-                out[i] = known[e.steps[i]]
-        if env.task.system.mode == "ideal":
-            self.account.look(env, fresh)
-        return out
-
-
-def in_episode(env: VesVectorEnv) -> Mask:
-    """(n,) environments in an episode that counts: a seed's first."""
-    return np.asarray(env.batch.episodes.number == 0, dtype=bool)
 
 
 def evaluated(

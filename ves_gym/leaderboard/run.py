@@ -18,14 +18,10 @@ from ves_gym.leaderboard import fingerprint
 from ves_gym.leaderboard.archive import MANIFEST, write_members
 from ves_gym.leaderboard.bundle import SCHEMA, digest, sealed
 from ves_gym.leaderboard.damping import Damping
-from ves_gym.leaderboard.episodes import (
-    ARCHITECTURES,
-    Episodes,
-    chosen_settings,
-    policy_names,
-)
+from ves_gym.leaderboard.episodes import Episodes, chosen_settings
 from ves_gym.leaderboard.naming import Naming
 from ves_gym.leaderboard.paths import Paths
+from ves_gym.leaderboard.policies import ARCHITECTURES, policy_names
 from ves_gym.leaderboard.protocol import (
     MOST_GROUPS,
     PROTOCOL,

@@ -20,12 +20,8 @@ from ves_gym.leaderboard import fingerprint
 from ves_gym.leaderboard.archive import MANIFEST, read_members
 from ves_gym.leaderboard.bundle import digest, read_manifest
 from ves_gym.leaderboard.entry import LEVELS, Entry, check_entry
-from ves_gym.leaderboard.episodes import (
-    policies_of,
-    policy_names,
-    require_fit,
-    require_settings,
-)
+from ves_gym.leaderboard.episodes import require_fit, require_settings
+from ves_gym.leaderboard.policies import policies_of, policy_names
 from ves_gym.leaderboard.protocol import (
     ABSOLUTE,
     FLIPPED,
