@@ -210,9 +210,11 @@ def _method(words: Sequence[str], id: str | None) -> Any:
 
 
 def _place(args: argparse.Namespace, method: Any) -> Path:
-    """The bundle's place: --bundle, or a .zip file in the folder --out."""
+    """The bundle's place: --bundle, --out if it is a .zip file, or one in the folder --out."""
     if args.bundle is not None:
         return Path(args.bundle)
+    if args.out is not None and args.out.endswith(".zip"):
+        return Path(args.out)
     label = args.name or (method if isinstance(method, str) else Path(method[0]).stem)
     stem = "-".join([args.track, args.problem, label])
     safe = "".join(c if c.isalnum() or c in "-_." else "-" for c in stem)
