@@ -86,19 +86,36 @@ def test_a_folder_proves_what_a_zip_does(policy, folder):
 
 
 def test_several_policies_are_groups(folder, tmp_path):
-    """The same one twice, told as two trainings."""
+    """One, and one a little louder; the same one twice is refused."""
     from ves_gym.baselines.policy import load_policy, released, save_policy
 
     first = load_policy(released("ves/PumaRestToRest-v0")["ppo"])
     files = []
     for seed in (4, 7):
         first.about = {**first.about, "seed": seed}
+        first.weights = tuple((1.01 * W, b) for W, b in first.weights)
         files.append(save_policy(first, tmp_path / f"p{seed}.json"))
     path = make_bundle(folder / "two", *POLICY, files)
     entry = verify(path, level="reproduced")
     assert [r["group"] for r in entry.rows] == [0] * 10 + [1] * 10
-    assert [r["score"] for r in entry.rows[:10]] == [r["score"] for r in entry.rows[10:]]
+    assert [r["score"] for r in entry.rows[:10]] != [r["score"] for r in entry.rows[10:]]
     assert Bundle(path).manifest["method"]["seeds"] == [4, 7]
+    with pytest.raises(ParameterError, match="count twice"):
+        make_bundle(folder / "same", *POLICY, [files[0], files[0]])
+
+
+def test_a_group_told_twice(policy, tmp_path):
+    """The rows and actions of one training doubled, every digest brought up to date."""
+    bundle = Bundle(policy)
+    rows = bundle.manifest["rows"]
+    bundle.manifest["rows"] = [*rows, *({**row, "group": 1} for row in rows)]
+    actions = unpack(bundle.members["actions.npy"], "actions.npy", (None, 3))
+    bundle.members["actions.npy"] = pack(np.r_[actions, actions])
+    for kind in ("json", "safetensors"):
+        bundle.members[f"policy-1.{kind}"] = bundle.members[f"policy.{kind}"]
+    method = bundle.manifest["method"]
+    method |= {"seeds": [4, 5], "weights": 2 * method["weights"]}
+    assert rejection(bundle.write(tmp_path / "b.zip")).code is Code.REPEATED_GROUP
 
 
 @pytest.mark.slow
@@ -204,7 +221,7 @@ def test_a_motion_told_as_a_success_that_breaks_a_limit(paths, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("problem", ["reach100-2s-quick", "reach100-4s-obstacles-quick"])
 def test_planners(problem, tmp_path):
-    path = make_bundle(tmp_path / "b.zip", "paths", problem, "direct", seeds=(0, 1))
+    path = make_bundle(tmp_path / "b.zip", "paths", problem, "refined", seeds=(0, 1))
     entry = verify(path, level="reproduced")
     scores = [r["score"] for r in entry.rows if r["score"] is not None]
     assert len(entry.rows) == 20 and len(scores) >= 12 and np.median(scores) < 0.5

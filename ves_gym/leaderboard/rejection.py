@@ -21,6 +21,7 @@ class Code(Enum):
     EVALUATOR_MISMATCH = "made by other sources of the evaluation"
     WRONG_SEEDS = "not the seeds of the problem"
     MISSING_EPISODE = "an episode, query or case has no row"
+    REPEATED_GROUP = "two trainings or seeds are one: it would count twice"
     EXTRA_EPISODE = "a row is of no episode, query or case of the problem, or there twice"
     EPISODE_LENGTH = "actions, control points or answers are more or fewer than the rows need"
     BAD_ACTION = (

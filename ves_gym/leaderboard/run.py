@@ -30,7 +30,7 @@ from ves_gym.leaderboard.protocol import (
     get_problem,
     seeds_of,
 )
-from ves_gym.leaderboard.track import Answers, Method, Progress, Track, get_track
+from ves_gym.leaderboard.track import Answers, Method, Progress, Track, get_track, repeated
 from ves_gym.planners.query import Planner
 from ves_gym.planners.registry import get_planner
 
@@ -71,6 +71,11 @@ def make_bundle(
     begun = _now()
     with threadpool_limits(1, user_api="blas"):  # as `verify` does
         answers, told = _answered(rules, asked, drawn, method, tuple(seeds), progress)
+    if (twice := repeated(answers.rows, len(answers.method.seeds))) is not None:
+        raise ParameterError(
+            f"groups {twice[0]} and {twice[1]} are the same to the last bit, and one of them"
+            " would count twice: leave it out"
+        )
     manifest = {
         "schema": SCHEMA,
         "track": track,

@@ -135,6 +135,23 @@ def row(
     return out
 
 
+def repeated(rows: Sequence[Row], groups: int) -> tuple[int, int] | None:
+    """Two groups with the same results to the last bit, which would count one of them twice.
+
+    Groups without any energy or score do not count.
+    """
+    if len(rows) % groups:
+        return None
+    size, seen = len(rows) // groups, dict[tuple[Any, ...], int]()
+    for group in range(groups):
+        part = rows[group * size : (group + 1) * size]
+        key = tuple(r.get(k) for r in part for k in ("score", "E_mean", "E_peak", "E_res"))
+        if key in seen and any(value is not None for value in key):
+            return seen[key], group
+        seen[key] = group
+    return None
+
+
 def finite_or_none(value: float | None) -> float | None:
     """A number, or None for what is none."""
     return float(value) if value is not None and math.isfinite(value) else None

@@ -35,7 +35,7 @@ from ves_gym.leaderboard.protocol import (
 )
 from ves_gym.leaderboard.rejection import Code, Rejection
 from ves_gym.leaderboard.run import spec_of
-from ves_gym.leaderboard.track import Case, Method, Row, Track, get_track
+from ves_gym.leaderboard.track import Case, Method, Row, Track, get_track, repeated
 
 _EXACT = ("success", "failed")
 _NUMBERS = ("score", "E_mean", "E_peak", "E_res", "E_int")
@@ -97,6 +97,8 @@ def verify(
         found = rules.replay(problem, seeds, method, manifest["rows"], data)
     rules.require_possible(problem, seeds, found)
     _compare(manifest["rows"], found, same)
+    if (twice := repeated(found, len(method.seeds))) is not None:
+        raise Rejection(Code.REPEATED_GROUP, f"groups {twice[0]} and {twice[1]}")
     if level == "reproduced":
         with _careful(Code.NOT_REPRODUCIBLE):
             rules.again(problem, seeds, method, members, found, same)
