@@ -7,6 +7,7 @@ as was allowed, or `JobTimeout`.
 from __future__ import annotations
 
 import faulthandler
+import logging
 import math
 import os
 import sys
@@ -364,6 +365,7 @@ def _dask(
                     threads_per_worker=1,
                     processes=True,
                     dashboard_address="127.0.0.1:0",  # any free port
+                    silence_logs=logging.CRITICAL,  # a death is told by its job
                 )
             )
         else:
