@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from concurrent.futures import CancelledError
+from multiprocessing import resource_tracker
 from pathlib import Path
 
 import pytest
@@ -228,3 +229,14 @@ def test_bad_numbers_are_refused(options):
 def test_no_time_at_all_is_refused():
     with pytest.raises(ParameterError, match="must be > 0"):
         Workers(1, seconds=0.0)
+
+
+def test_workers_that_do_not_start_are_reported(monkeypatch):
+    """Not tried for ever: here every process ends before it is up."""
+    resource_tracker.ensure_running()  # a process of Python's own that has to start
+    monkeypatch.setattr("multiprocessing.spawn.get_executable", lambda: b"/bin/false")
+    monkeypatch.setattr("ves_gym.core.workers._PAUSE", 0.0)
+    with Workers(1, deaths=2) as workers:
+        lost = workers.submit(square, 1)
+        with pytest.raises(WorkerDied, match=r"2 times \(it does not start, exit status 1\)"):
+            lost.result()

@@ -38,7 +38,7 @@ ONE_THREAD = dict.fromkeys(
     "1",
 )
 _START = 120.0  # s for a process to come up
-_STARTS = 10  # processes in a row that may fail to
+_STARTS = 5  # processes in a row that may fail to, before that counts as a death
 _PAUSE = 0.2  # s longer before each of them
 _END = 5.0  # s that an idle process may take to end by itself
 # One start at a time, since the environment is the whole process's, and no two threads that
@@ -186,6 +186,10 @@ class Workers:
                 job.told(*words)
 
 
+class _NoStart(Exception):
+    """No process comes up; the message says how the last one ended."""
+
+
 class _Job:
     def __init__(self, call: bytes, told: Callable[..., None] | None) -> None:
         self.call, self.told = call, told
@@ -216,14 +220,17 @@ class _Post:
                 try:
                     self._run(job)
                 except BaseException as error:  # also of `told`: the job's, not the pool's
+                    job.future.set_exception(error)
                     self._end(now=True)
-                    if not job.future.done():
-                        job.future.set_exception(error)
         finally:
             self._end()
 
     def _run(self, job: _Job) -> None:
-        pipe, process = self._up()
+        try:
+            pipe, process = self._up()
+        except _NoStart as error:
+            self.workers.lost(job, str(error), 0.0)
+            return
         begin = time.monotonic()
         limit = self.workers.seconds
         allowed = _START  # s until the job's function is loaded, then the limit
@@ -268,22 +275,35 @@ class _Post:
         how = self._end()
         for count in range(_STARTS):
             time.sleep(count * _PAUSE)
-            context = multiprocessing.get_context("spawn")
-            self.pipe, there = context.Pipe()
-            # daemons: none is left behind should this process end without `close`
-            self.process = context.Process(target=_serve, args=(there,), daemon=True)
-            with _BUSY, one_thread():
-                self.process.start()
-            there.close()
+            try:
+                pipe, process = self._start()
+            except OSError as error:  # no memory, too many files
+                how = str(error)
+                continue
             if self.workers.killed:  # before there was a process to kill
-                self._end(now=True)
-                raise WorkerDied("the workers were stopped")
-            if wait([self.pipe, self.process.sentinel], _START) and self.pipe.poll():
+                raise _NoStart(self._end(now=True))
+            if wait([pipe, process.sentinel], _START) and pipe.poll():
                 with contextlib.suppress(EOFError, OSError):
-                    self.pipe.recv_bytes()
-                    return self.pipe, self.process
+                    pipe.recv_bytes()
+                    return pipe, process
             how = self._end(now=True)
-        raise WorkerDied(f"no worker process starts ({how})")
+        raise _NoStart(f"it does not start, {how}")
+
+    def _start(self) -> tuple[Connection, SpawnProcess]:
+        context = multiprocessing.get_context("spawn")
+        pipe, there = context.Pipe()
+        # daemons: none is left behind should this process end without `close`
+        process = context.Process(target=_serve, args=(there,), daemon=True)
+        try:
+            with _BUSY, one_thread():
+                process.start()
+        except BaseException:
+            pipe.close()
+            raise
+        finally:
+            there.close()
+        self.pipe, self.process = pipe, process
+        return pipe, process
 
     def _end(self, now: bool = False) -> str:
         """Let the process go, if there is one; how it ended."""
