@@ -49,11 +49,14 @@ class Evaluation:
     seconds: float = 0.0
 
     def values(self, measure: str) -> list[Array]:
-        """A measure's values, group by group."""
-        groups: dict[int, list[float]] = {}
+        """A measure's values: (episodes, groups) of the same episodes, else group by group."""
+        groups: dict[int, dict[int, float]] = {}
         for row in self.rows:
-            groups.setdefault(row["group"], []).append(float(row[measure]))
-        return [np.array(some) for some in groups.values()]
+            groups.setdefault(row["group"], {})[row["seed"]] = float(row[measure])
+        some = list(groups.values())
+        if len(some) > 1 and all(g.keys() == some[0].keys() for g in some):
+            return [np.array([[g[seed] for g in some] for seed in some[0]])]
+        return [np.array(list(g.values())) for g in some]
 
     def summary(self) -> dict[str, Any]:
         """Mean, median and interquartile mean of the measures, and the rates of success."""
@@ -203,7 +206,7 @@ def _rows(
 
 
 def pool(evaluations: Sequence[Evaluation], name: str) -> Evaluation:
-    """Several policies of one kind as one: each a group, resampled within itself."""
+    """Several policies of one kind as one, each a group; an episode is drawn with all of them."""
     first = evaluations[0]
     rows = [{**row, "group": g} for g, e in enumerate(evaluations) for row in e.rows]
     about = {"policies": [dict(e.about) for e in evaluations]}
