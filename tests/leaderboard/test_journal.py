@@ -70,7 +70,7 @@ def test_a_changed_byte_is_found_and_its_line_named(board):
 def test_a_line_with_a_new_hash_of_its_own_breaks_the_next(board):
     lines = lines_of(board)
     plain = json.loads(lines[1])
-    plain["entry"]["rows"][0]["score"] = 0.01
+    plain["entry"]["rows"]["columns"]["score"][0] = 0.01
     plain["hash"] = content_hash({k: plain[k] for k in ("index", "previous", "entry")})
     forged = json.dumps(plain, sort_keys=True, separators=(",", ":")).encode() + b"\n"
     board.write_bytes(b"".join([lines[0], forged, *lines[2:]]))

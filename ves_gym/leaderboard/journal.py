@@ -1,8 +1,9 @@
 """The truth of the leaderboard: a file that is only appended to, and whose lines are chained.
 
 A line is one JSON object: `index` (0, 1, ...), `previous` (the `hash` of the line before, 64
-zeros in the first), `entry`, and `hash`, the SHA-256 of the canonical JSON of the other three.
-A change, a removal or an insertion anywhere breaks the chain at a line that can be named.
+zeros in the first), `entry` with its rows as columns (`columns.py`), and `hash`, the SHA-256 of
+the canonical JSON of the other three. A change, a removal or an insertion anywhere breaks the
+chain at a line that can be named.
 
 The chain does not keep anybody from writing all of it anew, nor from cutting off its end: the
 hash of the last line, published elsewhere, does (`check(path, head=...)`).
@@ -19,12 +20,13 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import FileIO
 from pathlib import Path
 from typing import Any
 
 from ves_gym.core.params import ParameterError, canonical_json, content_hash, write_bytes
+from ves_gym.leaderboard.columns import from_columns, to_columns
 from ves_gym.leaderboard.entry import check_entry
 
 FIRST = "0" * 64  # what the first line follows
@@ -48,7 +50,8 @@ class Record:
 
     def to_line(self) -> bytes:
         """The line as it stands in the file, newline included."""
-        return (canonical_json(vars(self)) + "\n").encode("utf-8")
+        plain = {**_body(self.index, self.previous, self.entry), "hash": self.hash}
+        return (canonical_json(plain) + "\n").encode("utf-8")
 
 
 @dataclass(frozen=True)
@@ -116,12 +119,9 @@ def append(path: Path_, entry: Mapping[str, Any]) -> Record:
         if journal.torn:
             write_bytes(_aside(path), journal.torn)
             file.truncate(end)
-        body: dict[str, Any] = {
-            "index": len(journal.records),
-            "previous": journal.head,
-            "entry": dict(entry),
-        }
-        record = Record(**body, hash=content_hash(body))
+        index, previous = len(journal.records), journal.head
+        body = _body(index, previous, entry)
+        record = Record(index, previous, dict(entry), content_hash(body))
         try:
             _write(file, end, record.to_line())
         except BaseException:
@@ -129,6 +129,12 @@ def append(path: Path_, entry: Mapping[str, Any]) -> Record:
             raise
         _sync_folder(path.parent)
     return record
+
+
+def _body(index: int, previous: str, entry: Mapping[str, Any]) -> dict[str, Any]:
+    """A line without its hash."""
+    rows = {"rows": to_columns(entry["rows"])} if entry.get("rows") else {}
+    return {"index": index, "previous": previous, "entry": {**entry, **rows}}
 
 
 def _sound(path: Path_, journal: Journal) -> Journal:
@@ -177,6 +183,12 @@ def _parse(line: bytes) -> Record | str:
     if type(record.index) is not int or not strings or not isinstance(record.entry, dict):
         return "expected a whole index, text in previous and hash, an object in entry"
     try:
+        if "rows" in record.entry:
+            rows = from_columns(record.entry["rows"])
+            record = replace(record, entry={**record.entry, "rows": rows})
+    except ParameterError as error:
+        return str(error)
+    try:
         if record.to_line() != line + b"\n":
             return "changed: not in the form it was written in"
     except ValueError:  # NaN, or a lone surrogate
@@ -186,7 +198,7 @@ def _parse(line: bytes) -> Record | str:
 
 def _problem(record: Record, index: int, previous: str) -> str:
     """Why a record cannot stand at a place of the chain, or nothing."""
-    body = {"index": record.index, "previous": record.previous, "entry": record.entry}
+    body = _body(record.index, record.previous, record.entry)
     if content_hash(body) != record.hash:
         return "changed: its content has another hash than it says"
     try:
