@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import importlib
-import importlib.util
 import statistics
 import sys
 from collections.abc import Mapping, Sequence
@@ -14,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym.cli.common import progress, write_json
+from ves_gym.cli.leaderboard_render import add_render
 from ves_gym.core.params import ParameterError
 
 _NEGATIVE = 1
-_RENDER = "ves_gym.cli.leaderboard_render"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,8 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_run(actions)
     _add_verify(actions)
     _add_import(actions)
-    if importlib.util.find_spec(_RENDER) is not None:
-        importlib.import_module(_RENDER).add_render(actions)
+    add_render(actions)
     for action in actions.choices.values():  # what every command takes, after the action too
         for option, name in (("--json", "FILE"), ("--out", "DIR")):
             action.add_argument(
@@ -151,6 +148,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _verify(args: argparse.Namespace) -> int:
+    from ves_gym.leaderboard.journal import append
     from ves_gym.leaderboard.rejection import Rejection
     from ves_gym.leaderboard.verify import verify
 
@@ -169,8 +167,7 @@ def _verify(args: argparse.Namespace) -> int:
     plain = entry.to_dict()
     write_json(args.json, plain)
     if args.board is not None:
-        journal = importlib.import_module("ves_gym.leaderboard.journal")
-        journal.append(args.board, plain)
+        append(args.board, plain)
     print(f"{entry.level}: {entry.name} on {entry.problem}: {_summary(entry.rows)}")
     print(f"manifest {entry.bundle}")
     return 0
