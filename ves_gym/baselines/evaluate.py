@@ -206,7 +206,7 @@ def _rows(
 
 
 def pool(evaluations: Sequence[Evaluation], name: str) -> Evaluation:
-    """Several policies of one kind as one, each a group; an episode is drawn with all of them."""
+    """Several policies of one kind as one, a group each; their episodes are drawn together."""
     first = evaluations[0]
     rows = [{**row, "group": g} for g, e in enumerate(evaluations) for row in e.rows]
     about = {"policies": [dict(e.about) for e in evaluations]}
