@@ -57,6 +57,7 @@ BESIDE = {
     "FreeFlyerReach": ("zero", "random", "hold"),
     "BeamLQR": ("zero", "random", "hold", "pped", "lqr"),
 }
+_SLOWEST = "hotspot"  # a search per episode
 
 
 @dataclass(frozen=True)
@@ -100,14 +101,15 @@ def table(blind: bool) -> list[Wanted]:
             for duration in DURATIONS
         ]
 
-    return [
-        *(Wanted("damping", "pped-bent", name) for name in TUNERS),
+    whole = [
         *episodes(""),
         *(w for mode in MODES for w in paths(mode, PLANNERS)),
         *episodes("Emulated"),
+        *(Wanted("damping", "pped-bent", name) for name in TUNERS),
         *(w for mode in MODES for w in paths(mode, SEARCHES)),
         *(Wanted("discrepancy", "blind-development", k) for k in METHODS if blind),
     ]
+    return sorted(whole, key=lambda w: w.method == _SLOWEST)
 
 
 def prove(wanted: Wanted, blind: Path | None) -> Entry:
@@ -168,7 +170,7 @@ def fill(wanted: Sequence[Wanted], board: Path, workers: int, blind: Path | None
                 told = f"FAILED: {error}"
             else:
                 entry: Entry = job.result()
-                append(board, entry.to_dict())
+                append(board, entry.shortened())
                 told = entry.level
             seconds = time.monotonic() - begun
             print(f"{done}/{len(todo)} {seconds:.0f} s  {jobs[job]}: {told}", flush=True)
@@ -192,6 +194,8 @@ def main(words: Sequence[str]) -> int:
     ]
     try:
         return int(fill(wanted, args.board, args.workers, args.blind) > 0)
+    except KeyboardInterrupt:
+        return 130
     finally:  # of what is there, also when it was stopped
         page = args.board.with_name("index.html")
         journal = read(args.board)

@@ -139,6 +139,18 @@ def test_an_entry_is_plain_data_and_comes_back():
     assert check_entry(with_curve).rows[0]["E_int"] == 1.0
 
 
+def test_a_board_has_six_digits_of_every_number():
+    whole = entry()
+    whole["rows"][0] |= {"score": 0.12345678, "anytime": [[0.1, 3.2345678], [0.2, 2.0]]}
+    short = check_entry(whole).shortened()
+    assert short["rows"][0]["score"] == 0.123457
+    assert short["rows"][0]["anytime"] == [[0.1, 3.23457], [0.2, 2.0]]
+    assert check_entry(short).shortened() == short
+    assert {k: v for k, v in short.items() if k != "rows"} == {
+        k: v for k, v in whole.items() if k != "rows"
+    }
+
+
 @pytest.mark.parametrize(
     ("place", "value", "why"),
     [

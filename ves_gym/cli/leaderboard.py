@@ -164,10 +164,9 @@ def _verify(args: argparse.Namespace) -> int:
     except Rejection as refused:
         print(f"ves-gym: rejected: {refused}", file=sys.stderr)
         return _NEGATIVE
-    plain = entry.to_dict()
-    write_json(args.json, plain)
+    write_json(args.json, entry.to_dict())
     if args.board is not None:
-        append(args.board, plain)
+        append(args.board, entry.shortened())
     print(f"{entry.level}: {entry.name} on {entry.problem}: {_summary(entry.rows)}")
     print(f"manifest {entry.bundle}")
     return 0

@@ -24,6 +24,7 @@ MEASURES = ("E_mean", "E_peak", "E_res", "E_int")  # J; E_int J s
 TEXT = re.compile(r"[^\x00-\x1f\x7f\ud800-\udfff]{0,200}")
 DIGEST = re.compile(r"[0-9a-f]{64}")
 _MOST = 200_000  # rows
+_DIGITS = 6  # of a number on the board
 _DEPTH = 8  # of nested plain data
 
 Plain = Mapping[str, Any]
@@ -58,10 +59,22 @@ class Entry:
         plain: dict[str, Any] = to_plain(self)
         return plain
 
+    def shortened(self) -> dict[str, Any]:
+        """Plain data for the board, numbers of rows to six digits; a bundle holds them all."""
+        return {**self.to_dict(), "rows": [_shortened(dict(row)) for row in self.rows]}
+
     @property
     def hash(self) -> str:
         """SHA-256 of the canonical JSON."""
         return content_hash(self.to_dict())
+
+
+def _shortened(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _shortened(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_shortened(v) for v in value]
+    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 
 def check_entry(data: Any) -> Entry:

@@ -40,7 +40,6 @@ from ves_gym.leaderboard.track import Case, Method, Row, Track, get_track, repea
 _EXACT = ("success", "failed")
 _NUMBERS = ("score", "E_mean", "E_peak", "E_res", "E_int")
 _TOLD = ("seconds", "evaluations", "anytime")  # of the method's own run: only told
-_DIGITS = 6  # of a number on the board; the bundle holds all of them
 Plain = Mapping[str, Any]
 
 
@@ -299,7 +298,7 @@ def _entry(manifest: Plain, rows: Sequence[Row], level: str, bundle: str) -> Ent
             "seeds": manifest["seeds"]["which"],
             "bundle": bundle,
             "score": {"name": name, "unit": unit, "better": "lower"},
-            "rows": [{k: _rounded(v) for k, v in row.items() if k != "length"} for row in rows],
+            "rows": [{k: v for k, v in row.items() if k != "length"} for row in rows],
             "about": {
                 **about,
                 "model": spec["model"],
@@ -308,10 +307,3 @@ def _entry(manifest: Plain, rows: Sequence[Row], level: str, bundle: str) -> Ent
             },
         }
     )
-
-
-def _rounded(value: Any) -> Any:
-    """As the board shows it: what is told of a row is longer than anything it is good for."""
-    if isinstance(value, float):
-        return float(f"{value:.{_DIGITS}g}")
-    return [_rounded(k) for k in value] if isinstance(value, (list, tuple)) else value
