@@ -6,6 +6,7 @@ import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
+from functools import lru_cache
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from ves_gym.leaderboard.arrays import pack, unpack
 from ves_gym.leaderboard.protocol import (
     DURATIONS,
     LEDGER_PATHS,
+    MODES,
     PLANNED,
     PLANNED_SHARE,
     Problem,
@@ -215,7 +217,7 @@ class Paths:
         told: Sequence[dict],
     ) -> list[Row]:
         queries = self.queries(problem, seeds)
-        straight = _played(queries, [q.straight for q in queries], account=False)
+        straight = _lines(problem, seeds)
         out: list[Row] = []
         for group in range(len(method.seeds)):
             part = slice(group * len(queries), (group + 1) * len(queries))
@@ -242,6 +244,13 @@ class Paths:
                 )
                 out.append(found)
         return out
+
+
+@lru_cache(maxsize=len(DURATIONS) * len(MODES))
+def _lines(problem: Problem, seeds: Seeds) -> tuple[Energies | None, ...]:
+    """Energies of the straight lines, the same for whoever is compared with them."""
+    queries = Paths().queries(problem, seeds)
+    return tuple(_played(queries, [q.straight for q in queries], account=False))
 
 
 def _planned(job: tuple[Planner, Query, int]) -> Plan:
