@@ -6,7 +6,9 @@ on the board already by the present evaluator is left alone, so it can be stoppe
 and goes on where it was; without board.jsonl it begins with nothing.
 
     --track T       only entries of this track; repeatable
+    --problem P     only entries of this problem; repeatable
     --skip WORD     no method whose name begins so; repeatable
+    --quick         a tenth of every problem, to try it out on another --board
     --blind DIR     enter the track discrepancy too: its logs and labels, made there if need be
     --board FILE    another journal; the page is written beside it
 """
@@ -18,7 +20,7 @@ import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ves_gym.baselines.controllers import CONTROLLERS
@@ -32,7 +34,7 @@ from ves_gym.leaderboard.damping import TUNERS
 from ves_gym.leaderboard.entry import Entry
 from ves_gym.leaderboard.journal import append, read
 from ves_gym.leaderboard.page import write_page
-from ves_gym.leaderboard.protocol import DURATIONS, MODES
+from ves_gym.leaderboard.protocol import DURATIONS, MODES, QUICK
 from ves_gym.leaderboard.rejection import Rejection
 from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.track import get_track
@@ -117,7 +119,7 @@ def prove(wanted: Wanted, blind: Path | None) -> Entry:
     if not _current(wanted):
         wanted.bundle.unlink(missing_ok=True)
         id = wanted.problem
-        files = released(id) if id.startswith("ves/") else {}
+        files = released(id.removesuffix(QUICK)) if id.startswith("ves/") else {}
         built_in = wanted.method in CONTROLLERS or wanted.method not in files
         make_bundle(
             wanted.bundle,
@@ -182,14 +184,17 @@ def main(words: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(usage=__doc__)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--track", action="append")
+    parser.add_argument("--problem", action="append")
     parser.add_argument("--skip", action="append", default=[])
+    parser.add_argument("--quick", action="store_true")
     parser.add_argument("--blind", type=Path)
     parser.add_argument("--board", type=Path, default=PLACE / "board.jsonl")
     args = parser.parse_args(words)
     wanted = [
-        w
+        replace(w, problem=w.problem + QUICK) if args.quick else w
         for w in table(args.blind is not None)
         if (args.track is None or w.track in args.track)
+        and (args.problem is None or w.problem in args.problem)
         and not w.method.startswith(tuple(args.skip))
     ]
     try:
