@@ -98,8 +98,11 @@ const shown = { group: null, all: false, columns: [], axis: null, rows: new Map(
 function prepare(g) {
   if (shown.group === g) return;
   Object.assign(shown, { group: g, all: false, axis: barAxis(g), rows: new Map(), words: new Map() });
-  // energies of what moves nothing, times of what plans nothing: such columns are left out
-  shown.columns = COLUMNS.filter(({ by }) => !by || g.entries.some((e) => by(e) !== undefined));
+  // energies of what moves nothing, times of what plans nothing, a kind that all are of: such
+  // columns are left out
+  const kinds = new Set(g.entries.map((e) => e.kind)).size;
+  shown.columns = COLUMNS.filter(({ key, by }) => (key !== "kind" || kinds > 1)
+    && (!by || g.entries.some((e) => by(e) !== undefined)));
   for (const e of g.entries) {
     shown.words.set(e, [e.name, e.author, e.kind, e.level, e.bundle, versionsOf(e), e.about.cpu].join(" ").toLowerCase());
   }
