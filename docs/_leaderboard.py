@@ -45,7 +45,7 @@ BUNDLES = Path("out/leaderboard/bundles")
 AUTHOR = "ves_gym"
 
 PLANNERS = (
-    "straight", "smooth-jerk", "shaped-zv", "shaped-zvd", "reaction-null", "direct", "refined",
+    "straight", "direct", "refined", "shaped-zv", "shaped-zvd", "smooth-jerk", "reaction-null",
 )  # fmt: skip
 SEARCHES = ("hotspot-q", "hotspot-qt", "ompl-time", "ompl-q", "ompl-qt", "ompl-energy")
 # Beside the released policies: what can act on a task and is not the same as another there.
