@@ -8,7 +8,7 @@ STAMP = $(VENV)/.installed
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv benchmark policies test test-all test-oldest check format bench constraints clean
+.PHONY: help venv benchmark policies leaderboard test test-all test-oldest check format bench constraints clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -32,6 +32,9 @@ benchmark: $(STAMP) ## run the planning benchmark; the whole of it: make benchma
 policies: $(STAMP) ## train every released policy again, going on where it stopped (90 min)
 	for config in ves_gym/baselines/configs/*.toml; do $(BIN)/ves-gym train $$config --resume $(ARGS) || exit 1; done
 	$(BIN)/python docs/_training.py out/train
+
+leaderboard: $(STAMP) ## answer, verify and enter what the board lacks; write its page
+	$(BIN)/python docs/_leaderboard.py $(ARGS)
 
 # One thread per worker: two workers share the cores, and results do not depend on a BLAS pool.
 test test-all test-oldest: export OMP_NUM_THREADS = 1

@@ -13,6 +13,7 @@ from benchmarks import environments, kernel, training
 from benchmarks.coupling import COUNT, coupling_against_loop
 from benchmarks.laboratory import SYSTEMS, emulated_against_ideal
 from benchmarks.simulator import simulator_against_batch, steps_per_second
+from benchmarks.sweep import overhead
 
 
 def main() -> None:
@@ -87,6 +88,12 @@ def main() -> None:
     )
     results["environments"] = environments.report()
     results["training"] = training.report()
+    swept = overhead()
+    results["sweep"] = asdict(swept) | {"efficiency": swept.efficiency}
+    print(
+        f"sweep            {swept.efficiency:5.3f} of ideal: {swept.jobs} jobs of 1 s on"
+        f" {swept.workers} workers"
+    )
     if args.json:
         args.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 

@@ -26,7 +26,16 @@ def wheel(tmp_path_factory):
 def test_wheel_holds_only_the_package_and_its_data(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0] for name in names} == {"ves_gym", "ves_gym-0.1.0.dist-info"}
-    kept = {"py.typed", "report/page.html", "report/page.css", "report/page.js"}
+    kept = {
+        "py.typed",
+        "report/page.html",
+        "report/page.css",
+        "report/page.js",
+        "report/dom.js",
+    }
+    kept |= {
+        f"leaderboard/{name}" for name in ("page.html", "page.css", "page.js", "charts.js")
+    }
     kept |= {f"baselines/policies/PumaDamp/ppo.{end}" for end in ("json", "safetensors")}
     assert {f"ves_gym/{name}" for name in kept} <= set(names)
 

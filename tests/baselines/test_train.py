@@ -1,6 +1,7 @@
 """Training: it runs, it stores what it says, and a killed run ends as if it had not been."""
 
 import json
+import multiprocessing
 import os
 import random
 import signal
@@ -195,6 +196,25 @@ def test_a_killed_run_ends_as_if_it_had_not_been(run, kills, tmp_path):
     run(config, tmp_path / "parts" / "seed-0", resume=True)
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "parts" / "seed-0"))
     assert curve(tmp_path / "whole") == curve(tmp_path / "parts" / "seed-0")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
+def test_a_run_whose_worker_is_killed_goes_on_by_itself(run, tmp_path):
+    from ves_gym.baselines.train import train_seeds
+
+    config = replace(PPO, total_timesteps=1500)
+    run(config, tmp_path / "whole")
+    killed = []
+
+    def tell(seed, done, note):
+        if 0.3 < done < 0.9 and not killed:
+            killed.append(multiprocessing.active_children()[0].pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    found = train_seeds(config, [0, 1], tmp_path / "parts", workers=2, progress=tell)
+    assert len(killed) == 1 and set(found) == {0, 1}
+    assert same(weights(tmp_path / "whole"), weights(tmp_path / "parts" / "seed-0"))
 
 
 # ------------------------------------------------------------------- configuration

@@ -23,6 +23,7 @@ from ves_gym.planners.benchmark import (
     anytime,
     rank_correlation,
     run_benchmark,
+    run_query,
     summarise,
 )
 from ves_gym.planners.query import NoPlan, Plan, Query, solve
@@ -156,6 +157,21 @@ def test_two_processes_give_the_same_result(result):
         small_suite(), planners=["direct"], seed=3, workers=2, command="a test"
     )
     assert timeless(other) == timeless(result)
+
+
+def test_one_query_alone_gives_the_row(result):
+    vehicle, query = small_suite().queries[0]
+    row = run_query("direct", vehicle, query, 3)
+    (same,) = (
+        r for r in result["rows"] if (r["planner"], r["query"]) == ("direct", query.name)
+    )
+    del row["plan_seconds"]
+    assert row.keys() < same.keys()
+    energies = {name for name in row if name.startswith("E_")}
+    for name in row.keys() - energies - {"predicted", "prediction_error", "W_port", "t_5"}:
+        assert row[name] == same[name], name
+    for name in energies:  # of two motions played at once in the other
+        assert row[name] == pytest.approx(same[name], rel=1e-9)
 
 
 # -------------------------------------------------------------------------- planners

@@ -10,7 +10,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -20,25 +20,16 @@ from gymnasium.vector import AutoresetMode
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.policy import versions
 from ves_gym.core.params import Array, Mask, ParameterError
+from ves_gym.core.statistics import STATISTICS, Estimate, bootstrap, rate
 from ves_gym.envs.vector import VesVectorEnv
 
 SCHEMA = "ves-evaluate/1"
 ENERGIES = ("E_mean", "E_peak", "E_res", "E_int")
 MEASURES = ("return", *ENERGIES)
 RATES = ("success", "success_once")
-_RESAMPLES = 2000  # of the bootstrap
-_Z = 1.959964  # standard deviations of a two-sided 95 % interval
 _AT_ONCE = 128  # environments by default: more gain no speed
 
 Progress = Callable[[float], None]
-
-
-class Estimate(NamedTuple):
-    """A number and its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -58,11 +49,14 @@ class Evaluation:
     seconds: float = 0.0
 
     def values(self, measure: str) -> list[Array]:
-        """A measure's values, group by group."""
-        groups: dict[int, list[float]] = {}
+        """A measure's values: (episodes, groups) of the same episodes, else group by group."""
+        groups: dict[int, dict[int, float]] = {}
         for row in self.rows:
-            groups.setdefault(row["group"], []).append(float(row[measure]))
-        return [np.array(some) for some in groups.values()]
+            groups.setdefault(row["group"], {})[row["seed"]] = float(row[measure])
+        some = list(groups.values())
+        if len(some) > 1 and all(g.keys() == some[0].keys() for g in some):
+            return [np.array([[g[seed] for g in some] for seed in some[0]])]
+        return [np.array(list(g.values())) for g in some]
 
     def summary(self) -> dict[str, Any]:
         """Mean, median and interquartile mean of the measures, and the rates of success."""
@@ -212,7 +206,7 @@ def _rows(
 
 
 def pool(evaluations: Sequence[Evaluation], name: str) -> Evaluation:
-    """Several policies of one kind as one: each a group, resampled within itself."""
+    """Several policies of one kind as one, a group each; their episodes are drawn together."""
     first = evaluations[0]
     rows = [{**row, "group": g} for g, e in enumerate(evaluations) for row in e.rows]
     about = {"policies": [dict(e.about) for e in evaluations]}
@@ -220,44 +214,7 @@ def pool(evaluations: Sequence[Evaluation], name: str) -> Evaluation:
     return Evaluation(name, first.id, first.settings, rows, about, seconds)
 
 
-# ---------------------------------------------------------------------- statistics
-
-
-def _iqm(x: Array) -> Array:
-    """Mean of the middle half along the last axis."""
-    ordered = np.sort(x, axis=-1)
-    cut = x.shape[-1] // 4
-    out: Array = ordered[..., cut : x.shape[-1] - cut].mean(axis=-1)
-    return out
-
-
-STATISTICS: dict[str, Callable[[Array], Array]] = {
-    "mean": lambda x: x.mean(axis=-1),
-    "median": lambda x: np.median(x, axis=-1),
-    "iqm": _iqm,
-}
-
-
-def bootstrap(groups: Sequence[Array], statistic: Callable[[Array], Array]) -> Estimate:
-    """Percentile interval of a statistic of all values; groups keep their sizes.
-
-    The draws are the same every time.
-    """
-    rng = np.random.Generator(np.random.PCG64(0))
-    drawn = [g[rng.integers(len(g), size=(_RESAMPLES, len(g)))] for g in groups]
-    with np.errstate(invalid="ignore"):  # infinite energies of runs that diverged
-        spread = np.sort(statistic(np.concatenate(drawn, axis=1)))
-        value = float(statistic(np.concatenate(groups)))
-    low, high = spread[[int(0.025 * _RESAMPLES), int(0.975 * _RESAMPLES) - 1]]
-    return Estimate(value, float(low), float(high))
-
-
-def rate(hits: Mask) -> Estimate:
-    """Share of hits with its Wilson interval: a bootstrap of all or none has no width."""
-    n, p = len(hits), float(hits.mean())
-    middle = (p + _Z**2 / (2 * n)) / (1 + _Z**2 / n)
-    half = _Z * np.sqrt(p * (1 - p) / n + (_Z / (2 * n)) ** 2) / (1 + _Z**2 / n)
-    return Estimate(p, max(0.0, float(middle - half)), min(1.0, float(middle + half)))
+# --------------------------------------------------------------------- comparison
 
 
 def ratio(a: Evaluation, b: Evaluation, measure: str = "E_mean") -> Estimate:

@@ -25,17 +25,11 @@ from gymnasium.vector import AutoresetMode
 from ves_gym.baselines.checkpoint import load_state, save_state
 from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.controllers import Zero
-from ves_gym.baselines.evaluate import (
-    STATISTICS,
-    Evaluation,
-    bootstrap,
-    evaluate,
-    make_vector,
-    rate,
-    ratio,
-)
+from ves_gym.baselines.evaluate import Evaluation, evaluate, make_vector, ratio
 from ves_gym.baselines.policy import Policy, from_sb3, save_policy, versions
 from ves_gym.core.params import ParameterError, content_hash, write_text
+from ves_gym.core.statistics import STATISTICS, bootstrap, rate
+from ves_gym.core.workers import WorkerDied, Workers, note
 from ves_gym.envs.task import Task
 
 CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.jsonl"
@@ -483,7 +477,8 @@ def train_seeds(
     """Train a policy per seed in folder/seed-N; the curves by seed.
 
     Args:
-        workers: processes; each trains one seed at a time.
+        workers: processes; each trains one seed at a time. A run whose process is killed
+            goes on in another, from its checkpoint.
         progress: called with the seed, the fraction done and a few words.
     """
     tell = progress or (lambda seed, done, note: None)
@@ -501,48 +496,25 @@ def train_seeds(
             )
             for seed in seeds
         }
-    return _in_processes(config, seeds, folder, workers, resume, tell)
+    with Workers(min(workers, len(seeds))) as pool:
+        jobs = {
+            seed: pool.submit(_job, config, seed, folder / f"seed-{seed}", told=tell)
+            for seed in seeds
+        }
+        try:
+            return {seed: job.result() for seed, job in jobs.items()}
+        except WorkerDied as error:
+            raise ChildProcessError(
+                f"a training run was lost: {error}; resume to go on from its checkpoint"
+            ) from None
 
 
-def _in_processes(
-    config: TrainConfig,
-    seeds: Sequence[int],
-    folder: Path,
-    workers: int,
-    resume: bool,
-    tell: Callable[[int, float, str], None],
-) -> dict[int, list[dict[str, Any]]]:
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor, wait
-    from concurrent.futures.process import BrokenProcessPool
-
-    context = multiprocessing.get_context("spawn")
-    with context.Manager() as manager:
-        queue = manager.Queue()
-        with ProcessPoolExecutor(min(workers, len(seeds)), mp_context=context) as pool:
-            jobs = {
-                seed: pool.submit(_job, config, seed, folder, resume, queue) for seed in seeds
-            }
-            running = set(jobs.values())
-            while running:
-                running = wait(running, timeout=0.2).not_done
-                while not queue.empty():
-                    tell(*queue.get())
-            try:
-                return {seed: job.result() for seed, job in jobs.items()}
-            except BrokenProcessPool:
-                raise ChildProcessError(
-                    "a training process was killed; resume to go on from its checkpoint"
-                ) from None
-
-
-def _job(
-    config: TrainConfig, seed: int, folder: Path, resume: bool, queue: Any
-) -> list[dict[str, Any]]:
+def _job(config: TrainConfig, seed: int, folder: Path) -> list[dict[str, Any]]:
+    """A seed's run in a worker; if its process was killed, from its checkpoint."""
     return train(
         config,
         seed,
-        folder / f"seed-{seed}",
-        resume=resume,
-        progress=lambda done, note: queue.put((seed, done, note)),
+        folder,
+        resume=True,  # that the folder may be used was asked before
+        progress=lambda done, words: note(seed, done, words),
     )

@@ -77,7 +77,7 @@ def _chosen(args: argparse.Namespace, id: str) -> list[tuple[str, Sequence[Contr
         texts[at : at + 1] = released(id) or ["released"]  # the latter is refused
     out = [(n, [get_controller(n.strip(), args.seed)]) for n in names]
     for text in texts:
-        files = _files(text, id)
+        files = policy_files(text, id)
         policies = [load_policy(file) for file in files]
         label = str(policies[0].about.get("algorithm", policies[0].name))
         label += f" x {len(files)}" if len(files) > 1 else ""
@@ -88,7 +88,8 @@ def _chosen(args: argparse.Namespace, id: str) -> list[tuple[str, Sequence[Contr
     return out
 
 
-def _files(text: str, id: str) -> list[Path]:
+def policy_files(text: str, id: str) -> list[Path]:
+    """The .json files that a file, a folder of `train` or a released name stands for."""
     path = Path(text)
     if path.is_dir():
         files = sorted(path.glob("seed-*/best.json")) or sorted(path.glob("best.json"))

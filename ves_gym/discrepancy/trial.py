@@ -12,13 +12,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import multiprocessing
-import os
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -36,6 +32,7 @@ from ves_gym.core.params import (
 )
 from ves_gym.core.runlog import RunLog
 from ves_gym.core.system import System
+from ves_gym.core.workers import Workers
 from ves_gym.discrepancy.candidates import Candidate, library
 from ves_gym.discrepancy.diagnosis import Diagnosis, diagnose
 from ves_gym.discrepancy.runs import run_of
@@ -47,7 +44,6 @@ QUICK = 30
 _SCORED = ("index", "thresholds", "verdict", "why", "effects", "final", "baselines")
 SETS = ("development", "sealed")
 _GOLDEN = (math.sqrt(5) - 1) / 2
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 Progress = Callable[[str, float], None]
 
@@ -250,37 +246,11 @@ def _in_processes(
     """Call functions in processes with one thread each."""
     if not jobs:
         return
-    with _one_thread(), _pool(min(workers, len(jobs))) as pool:
+    with Workers(min(workers, len(jobs))) as pool:
         running: list[Future[None]] = [pool.submit(f, *rest) for f, *rest in jobs]
-        try:
-            for k, future in enumerate(as_completed(running)):
-                future.result()
-                tell((k + 1) / len(jobs))
-        except BrokenProcessPool:
-            raise ChildProcessError(
-                "a process was killed; what is finished is kept: run the command again"
-            ) from None
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _pool(workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes begun inside use one thread each: numerical libraries ask at their start."""
-    before = {k: os.environ.get(k) for k in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for key, value in before.items():
-            if value is None:
-                del os.environ[key]
-            else:
-                os.environ[key] = value
+        for k, future in enumerate(as_completed(running)):
+            future.result()
+            tell((k + 1) / len(jobs))
 
 
 # --------------------------------------------------------------------------- diagnosing

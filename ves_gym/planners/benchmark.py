@@ -8,14 +8,11 @@ system plays them again, and the difference is the emulation error.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import platform
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -29,7 +26,9 @@ from ves_gym.core.energy import TAIL, Energies, energies
 from ves_gym.core.legs import LEG_SERVOS, LegServo
 from ves_gym.core.params import Array, ParameterError
 from ves_gym.core.playback import Recording, play_motions
+from ves_gym.core.statistics import STATISTICS, bootstrap
 from ves_gym.core.system import System
+from ves_gym.core.workers import WorkerDied, Workers
 from ves_gym.planners.best_known import near_best, scored
 from ves_gym.planners.query import Plan, Query, solve
 from ves_gym.planners.registry import get_planner
@@ -41,7 +40,6 @@ BASELINE = "straight"
 _RECORD = 12.5e-3  # s between records, or near it
 _BATCH = 250  # motions played at once: bounds the memory of their records
 _NOTHING = 1e-4  # of the run's own peak energy: below it there is no ratio to speak of
-_RESAMPLES = 2000  # of the bootstrap
 
 Progress = Callable[[str, float], None]
 
@@ -115,6 +113,19 @@ def run_benchmark(
     }
 
 
+def run_query(planner: str, vehicle: str, query: Query, seed: int = 0) -> dict[str, Any]:
+    """One planner's answer to one query, simulated: a row of `run_benchmark`.
+
+    Energies relative to the straight line's are not in it, for that is another row.
+
+    Args:
+        vehicle: its name, for the row.
+    """
+    plan = _plan_one((planner, replace(query, system=query.system.ideal()), seed))
+    runs = [_Run(planner, vehicle, plan, query.system)]
+    return _simulate_all(runs, seed, lambda stage, done: None)[0][0]
+
+
 # ------------------------------------------------------------------------- planning
 
 Job = tuple[str, str, Query]  # planner, vehicle, query
@@ -152,34 +163,13 @@ def _mapped(
     if workers == 1:
         yield from map(plan, work)
         return
-    done = 0
-    while done < len(work):
-        with _pool(workers) as pool:
+    with Workers(workers, deaths=2) as pool:
+        for job, future in zip(work, [pool.submit(plan, job) for job in work], strict=True):
             try:
-                for future in [pool.submit(plan, job) for job in work[done:]]:
-                    answer = future.result()
-                    yield answer
-                    done += 1
-                return
-            except BrokenProcessPool:  # by this job or one beside it
-                pass
-        yield _alone(work[done], plan)
-        done += 1
-
-
-def _alone(job: Work, plan: Callable[[Work], Plan]) -> Plan:
-    """The plan from a process of its own, or that the process crashed."""
-    begin = time.perf_counter()
-    with _pool(1) as pool:
-        try:
-            return pool.submit(plan, job).result()
-        except BrokenProcessPool:
-            why = "the planning process crashed"
-            return Plan(job[0], job[1], None, None, time.perf_counter() - begin, why)
-
-
-def _pool(workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+                yield future.result()
+            except WorkerDied as error:
+                why = "the planning process crashed"
+                yield Plan(job[0], job[1], None, None, error.seconds, why)
 
 
 # ----------------------------------------------------------------------- simulation
@@ -518,12 +508,11 @@ def _median(values: Sequence[float]) -> float | None:
 
 
 def _interval(values: Sequence[float]) -> tuple[float | None, float | None]:
-    """95 % percentile bootstrap interval of the median; the same draws every time."""
+    """95 % percentile bootstrap interval of the median."""
     if not values:
         return None, None
-    draws = np.random.default_rng(0).integers(len(values), size=(_RESAMPLES, len(values)))
-    low, high = np.percentile(np.median(np.array(values)[draws], axis=1), [2.5, 97.5])
-    return float(low), float(high)
+    found = bootstrap([np.array(values)], STATISTICS["median"])
+    return found.low, found.high
 
 
 def _versions() -> dict[str, str]:

@@ -9,6 +9,7 @@ through the whole joint space, relaxes it into a smooth geodesic, and times it w
 from __future__ import annotations
 
 import itertools
+import math
 from functools import lru_cache
 from typing import Any, Protocol
 
@@ -178,7 +179,7 @@ class Roadmap:
         self.metric = Metric(system, "q" if duration is None else "qt", duration)
         halton = qmc.Halton(arm.n, scramble=False).random(_ROADMAP)
         self.points = qmc.scale(halton, low, high)
-        self.neighbours = int(np.ceil(np.e * (1 + 1 / arm.n) * np.log(_ROADMAP)))
+        self.neighbours = int(np.ceil(math.e * (1 + 1 / arm.n) * np.log(_ROADMAP)))
         self.tree = scipy.spatial.cKDTree(self.points)
         _, near = self.tree.query(self.points, self.neighbours + 1)
         a = np.repeat(np.arange(_ROADMAP), self.neighbours)

@@ -89,7 +89,15 @@ def is_compensated(system: System) -> bool:
     return system.mode == "ideal" or system.laboratory.operation == "microgravity"
 
 
-def reach100(system: System, vehicle: str, count: int, obstacles: str = "off") -> Suite:
+def reach100(
+    system: System,
+    vehicle: str,
+    count: int,
+    obstacles: str = "off",
+    *,
+    seed: int = REACH_SEED,
+    durations: tuple[float, ...] = REACH_DURATIONS,
+) -> Suite:
     """`count` seeded start and goal pairs per duration, uniform in the joint box.
 
     Kept when the straight quintic respects the speed limits. The first k of a larger
@@ -102,8 +110,8 @@ def reach100(system: System, vehicle: str, count: int, obstacles: str = "off") -
             f"reach100 asks a {len(REACH_RANGE)}-joint arm, got {ridden.arm.n} joints"
         )
     queries = []
-    for duration in REACH_DURATIONS:
-        rng = np.random.default_rng((REACH_SEED, round(1000 * duration)))
+    for duration in durations:
+        rng = np.random.default_rng((seed, round(1000 * duration)))
         found = 0
         while found < count:
             start, goal = rng.uniform(-1, 1, (2, len(REACH_RANGE))) * REACH_RANGE

@@ -8,13 +8,13 @@ import io
 import itertools
 import os
 from collections.abc import Callable, Iterable, Sequence
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ves_gym.core.params import ParameterError, write_text
 from ves_gym.report.figures import _COLOURS, _DPI, _panels
+from ves_gym.report.pages import part
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,7 +65,6 @@ def render_page(result: Result) -> str:
     """The text of the page."""
     if result.get("schema") != SCHEMA:
         raise ParameterError(f"result.schema must be {SCHEMA!r}, got {result.get('schema')!r}")
-    css = files("ves_gym.report").joinpath("page.css").read_text(encoding="utf-8")
     sections = (
         ("What is missing", _missing(result)),
         ("Where", _where(result)),
@@ -92,7 +91,7 @@ def render_page(result: Result) -> str:
   content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
 <title>{_text(f"Diagnosis: {result['verdict']}")}</title>
 <style>
-{css}{_STYLE}</style>
+{part("page.css")}{_STYLE}</style>
 </head>
 <body>
 <header class="top">

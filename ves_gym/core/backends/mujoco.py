@@ -38,7 +38,12 @@ _BAD = [
 
 
 def compile_model(system: System, whole: bool = False) -> mujoco.MjModel:
-    """The MuJoCo model of a system, as the backend runs it.
+    """The MuJoCo model of a system, as the backend runs it; `whole`: see `model_spec`."""
+    return model_spec(system, whole).compile()
+
+
+def model_spec(system: System, whole: bool = False) -> mujoco.MjSpec:
+    """The same before it is compiled.
 
     `whole`: M, D and K as six tendons each, all on all six axes, whatever their numbers are,
     so that every model of one structure has one layout.
@@ -69,7 +74,7 @@ def compile_model(system: System, whole: bool = False) -> mujoco.MjModel:
             drive = spec.actuator(f"drive_{i + 1}")
             drive.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
             drive.gainprm[0] = PRESCRIBED_INERTIA  # the command is an acceleration
-    return spec.compile()
+    return spec
 
 
 def _add_whole_tendons(spec: mujoco.MjSpec, base: BaseModel) -> None:

@@ -1,0 +1,212 @@
+"""Fill the board in docs/leaderboard: `python docs/_leaderboard.py [--workers N]`.
+
+Every entry of the table below is answered, bundled (in out/leaderboard/bundles), verified and
+appended to docs/leaderboard/board.jsonl; then docs/leaderboard/index.html is written. What is
+on the board already by the present evaluator is left alone, so it can be stopped at any moment
+and goes on where it was; without board.jsonl it begins with nothing.
+
+    --track T       only entries of this track; repeatable
+    --problem P     only entries of this problem; repeatable
+    --skip WORD     no method whose name begins so; repeatable
+    --quick         a tenth of every problem, to try it out on another --board
+    --blind DIR     enter the track discrepancy too: its logs and labels, made there if need be
+    --board FILE    another journal; the page is written beside it
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ves_gym.baselines.controllers import CONTROLLERS
+from ves_gym.baselines.policy import released
+from ves_gym.core.workers import Workers
+from ves_gym.discrepancy.score import METHODS
+from ves_gym.envs.registration import IDS
+from ves_gym.leaderboard import fingerprint
+from ves_gym.leaderboard.board import make_board
+from ves_gym.leaderboard.damping import TUNERS
+from ves_gym.leaderboard.entry import Entry
+from ves_gym.leaderboard.journal import append, read
+from ves_gym.leaderboard.page import write_page
+from ves_gym.leaderboard.protocol import DURATIONS, MODES, QUICK
+from ves_gym.leaderboard.rejection import Rejection
+from ves_gym.leaderboard.run import make_bundle
+from ves_gym.leaderboard.track import get_track
+from ves_gym.leaderboard.verify import bundle_manifest, verify
+
+PLACE = Path(__file__).parent / "leaderboard"
+BUNDLES = Path("out/leaderboard/bundles")
+AUTHOR = "ves_gym"
+
+PLANNERS = (
+    "straight", "direct", "refined", "shaped-zv", "shaped-zvd", "smooth-jerk", "reaction-null",
+)  # fmt: skip
+SEARCHES = ("hotspot-q", "hotspot-qt", "ompl-time", "ompl-q", "ompl-qt", "ompl-energy")
+# Beside the released policies: what can act on a task and is not the same as another there.
+BESIDE = {
+    "PumaRestToRest": ("zero", "random", "straight", "hotspot", "direct"),
+    "PumaReach": ("zero", "random", "hold", "resolved"),
+    "PumaReachGoal": ("zero", "random", "hold", "resolved"),
+    "PumaTrack": ("zero", "random", "hold", "resolved"),
+    "PumaDamp": ("zero", "random", "high", "pped"),
+    "FreeFlyerReach": ("zero", "random", "hold"),
+    "BeamLQR": ("zero", "random", "hold", "pped", "lqr"),
+}
+_SLOWEST = "hotspot"  # a search per episode
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """An entry that the board should have."""
+
+    track: str
+    problem: str
+    method: str
+    level: str = "reproduced"
+
+    @property
+    def bundle(self) -> Path:
+        """Where its bundle is kept."""
+        words = f"{self.track}-{self.problem.removeprefix('ves/')}-{self.method}"
+        return BUNDLES / f"{words}.zip"
+
+    def __str__(self) -> str:
+        return f"{self.track} {self.problem} {self.method}"
+
+
+def table(blind: bool) -> list[Wanted]:
+    """All of them, quick ones first."""
+    acting = {
+        mode: [
+            (f"ves/{task}{mode}-v0", name)
+            for task in IDS
+            for name in (*BESIDE[task], *released(f"ves/{task}-v0"))
+        ]
+        for mode in ("", "Emulated")
+    }
+
+    def episodes(mode: str) -> list[Wanted]:
+        damp = [Wanted("damping", id, k) for id, k in acting[mode] if "/PumaDamp" in id]
+        return damp + [Wanted("policies", id, name) for id, name in acting[mode]]
+
+    def paths(mode: str, planners: Sequence[str]) -> list[Wanted]:
+        return [
+            Wanted("paths", f"reach100-{duration}{mode}", name)
+            for name in planners
+            for duration in DURATIONS
+        ]
+
+    whole = [
+        *episodes(""),
+        *paths(MODES[0], PLANNERS),
+        *episodes("Emulated"),
+        *paths(MODES[1], PLANNERS),
+        *(Wanted("damping", "pped-bent", name) for name in TUNERS),
+        *(w for mode in MODES for w in paths(mode, SEARCHES)),
+        *(Wanted("discrepancy", "blind-development", k) for k in METHODS if blind),
+    ]
+    return sorted(whole, key=lambda w: w.method == _SLOWEST)
+
+
+def prove(wanted: Wanted, blind: Path | None) -> Entry:
+    """Answer, bundle and verify; a bundle that is there and of this evaluator is kept."""
+    if not _current(wanted):
+        wanted.bundle.unlink(missing_ok=True)
+        id = wanted.problem
+        files = released(id.removesuffix(QUICK)) if id.startswith("ves/") else {}
+        built_in = wanted.method in CONTROLLERS or wanted.method not in files
+        make_bundle(
+            wanted.bundle,
+            wanted.track,
+            wanted.problem,
+            wanted.method if built_in else [files[wanted.method]],
+            author=AUTHOR,
+            folder=blind,
+        )
+    return verify(wanted.bundle, level=wanted.level, folder=blind)
+
+
+def _current(wanted: Wanted) -> bool:
+    """Whether its bundle is there, whole, and made by the evaluator of today."""
+    if not wanted.bundle.exists():
+        return False
+    try:
+        manifest, _ = bundle_manifest(wanted.bundle)
+    except Rejection:
+        return False
+    evaluator: str = manifest["spec"]["evaluator"]
+    return evaluator == _evaluator(wanted.track)
+
+
+def _evaluator(track: str) -> str:
+    return fingerprint.sources(get_track(track).sources)
+
+
+def missing(wanted: Sequence[Wanted], board: Path) -> list[Wanted]:
+    """Those that are not on the board, or by another evaluator."""
+    there = {
+        (e["track"], e["problem"], e["name"], e["about"]["evaluator"])
+        for e in (record.entry for record in read(board).records)
+        if e["author"] == AUTHOR and e["seeds"] == "public"
+    }
+    return [
+        w for w in wanted if (w.track, w.problem, w.method, _evaluator(w.track)) not in there
+    ]
+
+
+def fill(wanted: Sequence[Wanted], board: Path, workers: int, blind: Path | None) -> int:
+    """Prove what is missing and append it, each as soon as it is there; how many failed."""
+    todo, failed, begun = missing(wanted, board), 0, time.monotonic()
+    print(f"{len(wanted) - len(todo)} of {len(wanted)} entries are on the board", flush=True)
+    with Workers(workers) as pool:
+        jobs = {pool.submit(prove, w, blind): w for w in todo}
+        for done, job in enumerate(as_completed(jobs), 1):
+            if error := job.exception():
+                failed += 1
+                told = f"FAILED: {error}"
+            else:
+                entry: Entry = job.result()
+                append(board, entry.shortened())
+                told = entry.level
+            seconds = time.monotonic() - begun
+            print(f"{done}/{len(todo)} {seconds:.0f} s  {jobs[job]}: {told}", flush=True)
+    return failed
+
+
+def main(words: Sequence[str]) -> int:
+    """See the module's docstring."""
+    parser = argparse.ArgumentParser(usage=__doc__)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--track", action="append")
+    parser.add_argument("--problem", action="append")
+    parser.add_argument("--skip", action="append", default=[])
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--blind", type=Path)
+    parser.add_argument("--board", type=Path, default=PLACE / "board.jsonl")
+    args = parser.parse_args(words)
+    wanted = [
+        replace(w, problem=w.problem + QUICK) if args.quick else w
+        for w in table(args.blind is not None)
+        if (args.track is None or w.track in args.track)
+        and (args.problem is None or w.problem in args.problem)
+        and not w.method.startswith(tuple(args.skip))
+    ]
+    try:
+        return int(fill(wanted, args.board, args.workers, args.blind) > 0)
+    except KeyboardInterrupt:
+        return 130
+    finally:  # of what is there, also when it was stopped
+        page = args.board.with_name("index.html")
+        journal = read(args.board)
+        write_page(make_board(journal), page)
+        print(f"{len(journal.records)} entries, last hash {journal.head}; written {page}")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

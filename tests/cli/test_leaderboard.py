@@ -1,0 +1,105 @@
+"""`ves-gym leaderboard`: bundles made, checked and refused from the shell."""
+
+import json
+
+import pytest
+
+from ves_gym.leaderboard.entry import check_entry
+from ves_gym.leaderboard.journal import check
+
+RUN = ("leaderboard", "run", "policies", "ves/PumaRestToRest-v0-quick")
+
+
+def test_run_and_verify(call, tmp_path):
+    status, out, err, result = call(*RUN, "zero", "--name", "nothing", "--author", "someone")
+    assert status == 0 and err == "" and "median score" in out
+    assert result["schema"] == "ves-leaderboard-run/1" and len(result["rows"]) == 10
+    bundle = tmp_path / "out/policies-ves-PumaRestToRest-v0-quick-nothing.zip"
+    assert result["bundle"] == str(bundle)
+
+    status, out, err, entry = call("leaderboard", "verify", bundle)
+    assert status == 0 and out.startswith("replayed: nothing on ves/PumaRestToRest-v0-quick")
+    assert entry["schema"] == "ves-entry/1" and entry["author"] == "someone"
+    assert entry["bundle"] == result["sha256"]
+
+    status, out, _, _ = call("leaderboard", "verify", bundle, "--level", "reproduced",
+                             "--digest", result["sha256"])  # fmt: skip
+    assert status == 0 and out.startswith("reproduced: ")
+
+
+def test_a_released_policy_in_a_zip(call, tmp_path):
+    place = tmp_path / "b.zip"
+    status, out, _, _ = call(*RUN, "ppo", "--training", "hours=3", "--bundle", place)
+    assert status == 0 and str(place) in out
+    _, _, _, entry = call("leaderboard", "verify", place)
+    assert entry["name"] == "ppo" and entry["about"]["training"] == {"hours": "3"}
+
+
+def test_a_rejection_is_one_line_and_status_1(call, tmp_path):
+    call(*RUN, "zero", "--bundle", tmp_path / "b")
+    (tmp_path / "result.json").unlink()
+    with open(tmp_path / "b/actions.npy", "ab") as file:
+        file.write(b"x")
+    status, out, err, result = call("leaderboard", "verify", tmp_path / "b")
+    assert status == 1 and out == "" and result is None
+    assert err.startswith("ves-gym: rejected: hash-mismatch: ") and err.count("\n") == 1
+    status, _, err, _ = call("leaderboard", "verify", tmp_path / "b", "--digest", "0" * 64)
+    assert status == 1 and err.startswith("ves-gym: rejected: hash-mismatch: ")
+
+
+def test_an_entry_goes_to_the_board(call, tmp_path):
+    call(*RUN, "zero", "--bundle", tmp_path / "b")
+    board = tmp_path / "board.jsonl"
+    status, _, _, entry = call("leaderboard", "verify", tmp_path / "b", "--board", board)
+    assert status == 0
+    (record,) = check(board).records
+    assert record.entry == check_entry(entry).shortened()
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("leaderboard",), "ACTION"),
+        (("leaderboard", "verify", "nothing.zip"), "expected a bundle"),
+        (("leaderboard", "run", "speed", "x", "y"), "track"),
+        (("leaderboard", "run", "paths", "reach100-9s", "direct"), "problem"),
+        (("leaderboard", "run", "paths", "reach100-1s-quick", "nonsense"), "planner"),
+        (("leaderboard", "run", "paths", "reach100-1s-quick", "direct", "refined"), "one"),
+        ((*RUN, "nonsense"), "policy"),
+        ((*RUN, "zero", "--seeds", "a"), "--seeds"),
+        ((*RUN, "zero", "--seeds", "1,1"), "different"),
+        ((*RUN, "zero", "--salt", "nothing"), "cannot be read"),
+        ((*RUN, "zero", "--training", "hours"), "KEY=VALUE"),
+        ((*RUN, "zero", "--workers", "0"), "--workers"),
+        (("leaderboard", "run", "damping", "pped-bent-quick", "nonsense"), "gains"),
+        (("leaderboard", "run", "discrepancy", "blind-sealed-quick", "ves-gym"), "salt"),
+        (("leaderboard", "import-sb3", "nothing.zip", "p.json"), "cannot be read"),
+    ],
+)
+def test_bad_usage(words, why, refused):
+    assert why in refused(*words)
+
+
+@pytest.mark.slow
+def test_import_sb3_says_what_it_trusts(call, refused, tmp_path):
+    pytest.importorskip("stable_baselines3")
+    import gymnasium as gym
+    from stable_baselines3 import PPO
+
+    import ves_gym  # noqa: F401  registers the environments
+    from ves_gym.baselines.sb3 import Sb3VecEnv
+
+    vector = gym.make_vec("ves/PumaRestToRest-v0", num_envs=1, autoreset_mode="SameStep")
+    model = PPO("MlpPolicy", Sb3VecEnv(vector), n_steps=8, batch_size=8, device="cpu")
+    model.save(tmp_path / "model.zip")
+    words = ("leaderboard", "import-sb3", tmp_path / "model.zip", tmp_path / "p.json")
+    assert "would run code" in refused(*words)
+    assert not (tmp_path / "p.json").exists()
+
+    status, out, _, _ = call(*words, "--trust", "--hold", "4")
+    assert status == 0 and "its pickles were run" in out
+    plain = json.loads((tmp_path / "p.json").read_text())
+    assert plain["schema"] == "ves-policy/1" and plain["network"]["hold"] == 4
+    status, _, _, _ = call(*RUN, tmp_path / "p.json", "--bundle", tmp_path / "b")
+    assert status == 0
+    assert call("leaderboard", "verify", tmp_path / "b", "--level", "reproduced")[0] == 0

@@ -1,0 +1,67 @@
+"""Made-up entries of the shape that `verify` hands to the journal."""
+
+import numpy as np
+import pytest
+
+
+def made_entry(name="refined", scores=(0.2, 0.3, 0.4, 0.5), groups=1, **more):
+    """An entry whose row k has score k in every group; None is a failure."""
+    rows = [
+        {
+            "id": f"reach-2s-{k:03d}",
+            "seed": k,
+            "group": g,
+            "score": None if score is None else float(score),
+            "success": score is not None,
+            "failed": score is None,
+            **dict.fromkeys(
+                ("E_mean", "E_peak", "E_res"), None if score is None else 2 * float(score)
+            ),
+            "seconds": 0.5,
+            "evaluations": 40,
+        }
+        for g in range(groups)
+        for k, score in enumerate(scores)
+    ]
+    return {
+        "schema": "ves-entry/1",
+        "track": "paths",
+        "protocol": 1,
+        "problem": "reach100-2s",
+        "name": name,
+        "author": "ves_gym",
+        "kind": "planner",
+        "level": "replayed",
+        "seeds": "public",
+        "bundle": "ab" * 32,
+        "score": {"name": "E_mean over the straight line's", "unit": "1", "better": "lower"},
+        "rows": rows,
+        "about": {
+            "versions": {"ves_gym": "0.1.0", "mujoco": "4.0.0", "numpy": "2.3.0"},
+            "cpu": "x86-64",
+            "simd": "avx2",
+            "model": "cd" * 32,
+            "evaluator": "ef" * 32,
+            "settings": {"budget": 10},
+            "training": {},
+            "begun": "2026-01-01T00:00:00+00:00",
+            "ended": "2026-01-01T00:10:00+00:00",
+        },
+        **more,
+    }
+
+
+@pytest.fixture
+def make_entry():
+    return made_entry
+
+
+@pytest.fixture
+def noisy_scores():
+    """n scores around a level, the same every time."""
+
+    def make(level, n=50, seed=0, failed=0):
+        values = level * np.exp(0.3 * np.random.default_rng(seed).normal(size=n))
+        return [None if k < failed else float(v) for k, v in enumerate(values)]
+
+    return make

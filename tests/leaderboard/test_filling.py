@@ -1,0 +1,68 @@
+"""`make leaderboard`: the table names what there is, and filling goes on where it stopped."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ves_gym.leaderboard.journal import read
+from ves_gym.leaderboard.protocol import get_problem, problems
+from ves_gym.planners.registry import PLANNERS
+
+ROOT = Path(__file__).parents[2]
+PROGRAM = ROOT / "docs/_leaderboard.py"
+
+
+@pytest.fixture(scope="module")
+def filling():
+    spec = importlib.util.spec_from_file_location("_leaderboard", PROGRAM)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look there
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def test_the_table_has_every_problem_and_nothing_twice(filling):
+    table = filling.table(blind=True)
+    assert len({str(w) for w in table}) == len({w.bundle for w in table}) == len(table)
+    for wanted in table:
+        assert get_problem(wanted.track, wanted.problem).name == wanted.problem
+    there = {(w.track, w.problem) for w in table}
+    known = {(t, p) for t in ("paths", "policies", "damping") for p in problems(t)}
+    assert there >= {(t, p) for t, p in known if not p.endswith(filling.QUICK)}
+    planners = {w.method for w in table if w.track == "paths"}
+    assert planners == set(PLANNERS) - {"bad-path", "refined-long"}
+
+
+@pytest.mark.slow
+def test_filling_goes_on_where_it_stopped(tmp_path):
+    board = tmp_path / "board.jsonl"
+
+    def fill(*skip):
+        words = [word for name in skip for word in ("--skip", name)]
+        done = subprocess.run(
+            [sys.executable, str(PROGRAM), "--quick", "--board", str(board), *words,
+             "--problem", "ves/PumaReach-v0"],
+            cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True,
+            capture_output=True, text=True,
+        )  # fmt: skip
+        return done.stdout
+
+    assert fill("random", "hold", "resolved").startswith("0 of 2 entries")
+    (bundle,) = (tmp_path / "out/leaderboard/bundles").glob("*-ppo.zip")
+    entries = [r.entry for r in read(board).records]
+    assert [e["name"] for e in entries] == ["zero", "ppo"]
+    assert {e["level"] for e in entries} == {"reproduced"}
+    first = board.read_bytes()
+
+    assert fill("random", "hold", "resolved").startswith("2 of 2 entries")
+    assert board.read_bytes() == first
+    board.write_bytes(first.splitlines(keepends=True)[0])  # its bundle is there still
+    bundle.write_bytes(bundle.read_bytes()[:-100])  # and damaged
+    assert fill("random", "resolved").startswith("1 of 3 entries")
+    assert [r.entry["name"] for r in read(board).records] == ["zero", "hold", "ppo"]
+    assert "ppo" in (tmp_path / "index.html").read_text("utf-8")

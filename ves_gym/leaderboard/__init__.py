@@ -1,0 +1,1 @@
+"""Reproducible leaderboard: entries, bundles that prove them, runs that outgrow a machine."""

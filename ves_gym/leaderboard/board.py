@@ -1,0 +1,249 @@
+"""From the journal to what the page shows: entries ranked, with all their statistics.
+
+The board is derived: the same journal gives the same board, to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ves_gym.core.params import Array, ParameterError
+from ves_gym.leaderboard import statistics
+from ves_gym.leaderboard.journal import Journal, Record
+
+SCHEMA = "ves-board/1"
+ALL = "all problems"
+TRACKS = {  # in the order of the page
+    "paths": "Paths",
+    "policies": "Policies",
+    "damping": "Damping",
+    "discrepancy": "Discrepancy",
+}
+ENERGIES = ("E_mean", "E_peak", "E_res")
+RATIOS = ("paths", "damping")  # tracks whose scores are ratios to something that is done today
+RELATIVE = ("paths",)  # tracks whose scores mean the same in every problem
+_COMPARED = 12  # entries in the matrix of improvements: the best
+_POINTS = 41  # of anytime curves
+_DIGITS = 6
+
+Plain = dict[str, Any]
+
+
+def make_board(journal: Journal) -> Plain:
+    """Plain data of schema ves-board/1.
+
+    Of an entry that came again (same track, problem, seeds, author and name) the latest
+    counts; of a track, the latest protocol. An entry that cannot be compared, for too few or
+    other episodes, is not ranked; `unranked` says why.
+    """
+    unranked: list[Plain] = []
+    cells = _cells(current(journal.records), unranked)
+    tracks = []
+    for track, title in TRACKS.items():
+        groups = [_group(*key[1:], some) for key, some in cells.items() if key[0] == track]
+        if groups:
+            protocol = next(iter(groups))["protocol"]
+            groups.sort(key=lambda g: (g["problem"] == ALL, g["problem"], g["seeds"]))
+            tracks.append(
+                {"track": track, "title": title, "protocol": protocol, "groups": groups}
+            )
+    return {
+        "schema": SCHEMA,
+        "head": journal.head,
+        "entries": len(journal.records),
+        "newest": max((r.entry["about"]["ended"] for r in journal.records), default=None),
+        "tracks": tracks,
+        "unranked": unranked,
+    }
+
+
+def current(records: Sequence[Record]) -> list[Record]:
+    """The records that count: the latest of each entry, of each track's latest protocol."""
+    newest: dict[str, int] = defaultdict(int)
+    latest: dict[tuple[str, ...], Record] = {}
+    for record in records:
+        e = record.entry
+        newest[e["track"]] = max(newest[e["track"]], e["protocol"])
+        key = (*(str(e[k]) for k in ("track", "problem", "seeds", "author", "name")),)
+        latest[key] = record
+    some = (r for r in latest.values() if r.entry["protocol"] == newest[r.entry["track"]])
+    return sorted(some, key=lambda r: r.index)
+
+
+Candidate = tuple[Record, ...]  # one record, or one per problem
+
+
+def _cells(
+    records: Sequence[Record], unranked: list[Plain]
+) -> dict[tuple[str, str, str], list[Candidate]]:
+    """By track, problem and seeds: the candidates that can be compared with each other."""
+    cells: dict[tuple[str, str, str], list[Record]] = defaultdict(list)
+    for record in records:
+        e = record.entry
+        try:
+            statistics.require_enough(e)
+            statistics.values(e)
+        except ParameterError as error:
+            unranked.append(_why(record, str(error)))
+        else:
+            cells[e["track"], e["problem"], e["seeds"]].append(record)
+    out: dict[tuple[str, str, str], list[Candidate]] = {}
+    for key, some in cells.items():
+        out[key] = [(r,) for r in _alike(some, unranked)]
+    for track, seeds in sorted({(k[0], k[2]) for k in out}):
+        problems = sorted(k for k in out if (k[0], k[2]) == (track, seeds))
+        whole = _over_all([out[k] for k in problems]) if track in RELATIVE else []
+        if whole:
+            out[track, ALL, seeds] = whole
+    return out
+
+
+def _alike(records: list[Record], unranked: list[Plain]) -> list[Record]:
+    """Those with the episodes and the score that most have."""
+    kinds = [_kind(r.entry) for r in records]
+    usual = Counter(kinds).most_common(1)[0][0]
+    for record, kind in zip(records, kinds, strict=True):
+        if kind != usual:
+            what = "other episodes" if kind[0] == usual[0] else "another score"
+            unranked.append(_why(record, f"{what} than the rest"))
+    return [r for r, kind in zip(records, kinds, strict=True) if kind == usual]
+
+
+def _kind(entry: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(sorted(entry["score"].items())), tuple(statistics.episodes(entry))
+
+
+def _over_all(problems: list[list[Candidate]]) -> list[Candidate]:
+    """Who has an entry in every problem of a track."""
+    if len(problems) < 2:
+        return []
+    by_name = [
+        {(c[0].entry["author"], c[0].entry["name"]): c[0] for c in some} for some in problems
+    ]
+    return [
+        tuple(p[who] for p in by_name) for who in by_name[0] if all(who in p for p in by_name)
+    ]
+
+
+def _why(record: Record, reason: str) -> Plain:
+    e = record.entry
+    reason = reason.removeprefix(f"{e['name']} on {e['problem']}: ")
+    return {"line": record.index + 1, "name": e["name"], "problem": e["problem"], "why": reason}
+
+
+# -------------------------------------------------------------------------- a group
+
+
+def _group(problem: str, seeds: str, candidates: list[Candidate]) -> Plain:
+    """Candidates ranked among each other, and what is drawn of them."""
+    entries = [[r.entry for r in c] for c in candidates]
+    stand = statistics.standings(entries)
+    order = sorted(range(len(candidates)), key=lambda k: (stand[k].rank.value, k))
+    candidates = [candidates[k] for k in order]
+    entries = [entries[k] for k in order]
+    stand = [stand[k] for k in order]
+    first = entries[0][0]
+    return {
+        "problem": problem,
+        "seeds": seeds,
+        "protocol": first["protocol"],
+        "score": dict(first["score"]),
+        "entries": [
+            {
+                "rank": _plain(place.rank),
+                "score": _plain(place.score),
+                **summary(some),
+                **_identity(c),
+            }
+            for c, some, place in zip(candidates, entries, stand, strict=True)
+        ],
+        "reference": 1.0 if first["track"] in RATIOS else None,
+        "statistic": statistics.STATISTIC[first["track"]],
+        "profiles": _profiles(entries)
+        if statistics.STATISTIC[first["track"]] == "iqm"
+        else None,
+        "improvement": [
+            [_plain(statistics.improvement(a, b), 4) for b in entries[i + 1 : _COMPARED]]
+            for i, a in enumerate(entries[:_COMPARED])
+        ],
+        "anytime": _anytime(entries),
+    }
+
+
+def summary(entries: Sequence[Mapping[str, Any]]) -> Plain:
+    """Numbers of one candidate that need no others; without those that no row has."""
+    rows = [row for e in entries for row in e["rows"]]
+    spread = [statistics.by_training_seed(e) for e in entries]
+    middles = {
+        key: statistics.middle(entries, key) for key in (*ENERGIES, "seconds", "evaluations")
+    }
+    return {
+        "success": _plain(statistics.success(entries)),
+        "failed": sum(bool(row["failed"]) for row in rows),
+        "episodes": sum(len(statistics.episodes(e)) for e in entries),
+        "training_seeds": min(map(len, spread)),
+        "by_training_seed": _plain(spread[0])
+        if len(spread) == 1 and len(spread[0]) > 1
+        else [],
+        **{key: _plain(value) for key, value in middles.items() if value is not None},
+    }
+
+
+def _identity(candidate: Candidate) -> Plain:
+    """Whose entry it is, and by what it can be checked."""
+    e = candidate[0].entry
+    alone = len(candidate) == 1
+    return {
+        **{key: e[key] for key in ("name", "author", "kind")},
+        # several problems are as well verified as the least verified of them
+        "level": min((r.entry["level"] for r in candidate), key=_LEVELS.index),
+        "lines": [r.index + 1 for r in candidate],
+        "bundle": e["bundle"] if alone else "",
+        "about": dict(e["about"]) if alone else {"versions": e["about"]["versions"]},
+    }
+
+
+_LEVELS = ("replayed", "reproduced")  # the second says more
+
+
+def _profiles(entries: Sequence[Sequence[Mapping[str, Any]]]) -> Plain:
+    at = statistics.thresholds([e for some in entries for e in some])
+    curves = [[_plain(k, 4) for k in statistics.profile(some, at)[1:]] for some in entries]
+    return {"at": _plain(at), "curves": curves}
+
+
+def _anytime(entries: Sequence[Sequence[Mapping[str, Any]]]) -> Plain | None:
+    """Curves of those that tell how they came to their score; None where nobody does."""
+    told = [
+        some[0] if len(some) == 1 and any(r.get("anytime") for r in some[0]["rows"]) else None
+        for some in entries
+    ]
+    steps = [
+        [s for s, _ in row["anytime"]]
+        for e in told
+        if e
+        for row in e["rows"]
+        if row.get("anytime")
+    ]
+    if not steps:
+        return None
+    low = max(min(min(s) for s in steps), 1e-3)
+    at = np.geomspace(low, max(max(s[-1] for s in steps), 2 * low), _POINTS)
+    return {
+        "at": _plain(at),
+        "curves": [None if e is None else _plain(statistics.anytime(e, at)) for e in told],
+    }
+
+
+def _plain(value: float | Iterable[float] | Array | None, digits: int = _DIGITS) -> Any:
+    """Numbers for JSON: rounded; what is infinite becomes null."""
+    if value is None:
+        return None
+    if isinstance(value, float):
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+    return [_plain(float(k), digits) for k in value]

@@ -1,0 +1,257 @@
+"""`Entry`: a row of the leaderboard with everything it rests on, plain data (ves-entry/1).
+
+Lower is better in every score. A score of None is a failure: it counts as worst and is never
+dropped. Every number is finite or None.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from ves_gym.core.params import ParameterError, canonical_json, content_hash, to_plain
+
+SCHEMA = "ves-entry/1"
+TRACKS = ("paths", "policies", "damping", "discrepancy")
+KINDS = ("planner", "policy", "controller", "gains", "selector")
+LEVELS = ("replayed", "reproduced")
+SEEDS = ("public", "official")
+MEASURES = ("E_mean", "E_peak", "E_res", "E_int")  # J; E_int J s
+TEXT = re.compile(r"[^\x00-\x1f\x7f\ud800-\udfff]{0,200}")
+DIGEST = re.compile(r"[0-9a-f]{64}")
+_MOST = 200_000  # rows
+_DIGITS = 6  # of a number on the board
+_DEPTH = 8  # of nested plain data
+
+Plain = Mapping[str, Any]
+
+ROW = ("id", "seed", "group", "score", "success", "failed", "E_mean", "E_peak", "E_res",
+       "seconds", "evaluations")  # fmt: skip
+OPTIONAL = ("anytime", "E_int")
+ABOUT = ("versions", "cpu", "simd", "model", "evaluator", "settings", "training", "begun",
+         "ended")  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """What `verify` hands to the journal. `rows` and `about` are plain data."""
+
+    schema: str = SCHEMA
+    track: str
+    protocol: int  # version of the track's rules
+    problem: str
+    name: str
+    author: str
+    kind: str
+    level: str  # how it was verified
+    seeds: str
+    bundle: str  # SHA-256 of the bundle's manifest
+    score: Plain  # name, unit, better
+    rows: tuple[Plain, ...]
+    about: Plain
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        plain: dict[str, Any] = to_plain(self)
+        return plain
+
+    def shortened(self) -> dict[str, Any]:
+        """Plain data for the board, numbers of rows to six digits; a bundle holds them all."""
+        return {**self.to_dict(), "rows": [_shortened(dict(row)) for row in self.rows]}
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the canonical JSON."""
+        return content_hash(self.to_dict())
+
+
+def _shortened(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _shortened(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_shortened(v) for v in value]
+    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+
+
+def check_entry(data: Any) -> Entry:
+    """An entry from plain data.
+
+    Raises:
+        ParameterError: what is missing, unknown, of the wrong kind or out of range.
+    """
+    names = tuple(Entry.__dataclass_fields__)
+    given = table_of(data, names, "entry")
+    if given["schema"] != SCHEMA:
+        raise ParameterError(f"entry.schema must be {SCHEMA!r}, got {given['schema']!r}")
+    for name, known in (
+        ("track", TRACKS),
+        ("kind", KINDS),
+        ("level", LEVELS),
+        ("seeds", SEEDS),
+    ):
+        if given[name] not in known:
+            raise ParameterError(
+                f"entry.{name} must be one of {', '.join(known)}, got {given[name]!r}"
+            )
+    whole(given["protocol"], "entry.protocol", least=1)
+    for name in ("problem", "name", "author"):
+        text(given[name], f"entry.{name}", empty=name == "author")
+    if not (isinstance(given["bundle"], str) and DIGEST.fullmatch(given["bundle"])):
+        raise ParameterError(f"entry.bundle must be a SHA-256, got {given['bundle']!r}")
+    score = table_of(given["score"], ("name", "unit", "better"), "entry.score")
+    text(score["name"], "entry.score.name")
+    text(score["unit"], "entry.score.unit")
+    if score["better"] != "lower":
+        raise ParameterError(f"entry.score.better must be 'lower', got {score['better']!r}")
+    rows = given["rows"]
+    if not isinstance(rows, (list, tuple)) or not 0 < len(rows) <= _MOST:
+        raise ParameterError(f"entry.rows must be a list of 1 to {_MOST} rows")
+    seen = set()
+    for k, row in enumerate(rows):
+        checked_row(row, f"entry.rows[{k}]")
+        key = (row["group"], row["id"])
+        if key in seen:
+            raise ParameterError(
+                f"entry.rows[{k}]: {row['id']} of group {key[0]} is there twice"
+            )
+        seen.add(key)
+    about = check_about(given["about"], ABOUT, "entry.about")
+    canonical_json(given)  # whatever else is in it
+    return Entry(**{**given, "score": score, "rows": tuple(rows), "about": about})
+
+
+def checked_row(row: Any, where: str, more: tuple[str, ...] = ()) -> dict[str, Any]:
+    """A row of an entry or, with `more` keys, of a manifest."""
+    plain = table_of(row, (*ROW, *more), where, OPTIONAL)
+    text(plain["id"], f"{where}.id")
+    for name in ("seed", "group"):
+        whole(plain[name], f"{where}.{name}")
+    for name in ("success", "failed"):
+        if not isinstance(plain[name], bool):
+            raise ParameterError(f"{where}.{name} must be a truth value, got {plain[name]!r}")
+    for name in ("score", *MEASURES, "seconds", "evaluations"):
+        value = plain.get(name)
+        if value is not None:
+            number(value, f"{where}.{name}")
+    for name in ("seconds", "evaluations"):
+        if plain[name] is not None and plain[name] < 0:
+            raise ParameterError(f"{where}.{name} must be >= 0, got {plain[name]!r}")
+    curve = plain.get("anytime")
+    if curve is not None:
+        _check_curve(curve, f"{where}.anytime")
+    return plain
+
+
+def _check_curve(curve: Any, where: str) -> None:
+    wanted = f"{where} must be [[seconds, cost], ...], times rising and costs falling"
+    if not isinstance(curve, (list, tuple)) or len(curve) > 10_000:
+        raise ParameterError(wanted)
+    before = (0.0, math.inf)
+    for point in curve:
+        if not isinstance(point, (list, tuple)) or len(point) != 2:
+            raise ParameterError(wanted)
+        now = number(point[0], where), number(point[1], where)
+        if now[0] < before[0] or now[1] > before[1] or now[1] < 0:
+            raise ParameterError(wanted)
+        before = now
+
+
+def check_about(about: Any, names: tuple[str, ...], where: str) -> dict[str, Any]:
+    """What is told of how a result came about."""
+    plain = table_of(about, names, where)
+    versions = plain["versions"]
+    if not isinstance(versions, Mapping):
+        raise ParameterError(f"{where}.versions must be a table, got {versions!r}")
+    for key, value in versions.items():
+        text(key, f"{where}.versions")
+        text(value, f"{where}.versions.{key}")
+    for name in ("cpu", "simd"):
+        text(plain[name], f"{where}.{name}", empty=True, most=4000)
+    for name in ("model", "evaluator"):
+        if name in names and not (
+            isinstance(plain[name], str) and DIGEST.fullmatch(plain[name])
+        ):
+            raise ParameterError(f"{where}.{name} must be a SHA-256, got {plain[name]!r}")
+    for name in ("settings", "training"):
+        if not isinstance(plain[name], Mapping):
+            raise ParameterError(f"{where}.{name} must be a table, got {plain[name]!r}")
+        plain_data(plain[name], f"{where}.{name}")
+    begun, ended = (instant(plain[name], f"{where}.{name}") for name in ("begun", "ended"))
+    if ended < begun:
+        raise ParameterError(f"{where}.ended must not be before begun, got {plain['ended']}")
+    return plain
+
+
+# ------------------------------------------------------------------------------ values
+
+
+def table_of(
+    value: Any, names: tuple[str, ...], where: str, optional: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ParameterError(f"{where} must be a table, got {type(value).__name__}")
+    missing = [k for k in names if k not in value]
+    unknown = [k for k in value if k not in names and k not in optional]
+    if missing or unknown:
+        what = f"missing {missing[0]!r}" if missing else f"unknown {str(unknown[0])[:80]!r}"
+        raise ParameterError(f"{where}: {what}; keys are {', '.join(names)}")
+    return dict(value)
+
+
+def text(value: Any, where: str, *, empty: bool = False, most: int = 200) -> str:
+    """A line of text."""
+    good = isinstance(value, str) and len(value) <= most and (value or empty)
+    if not good or not all(
+        TEXT.fullmatch(value[k : k + 200]) for k in range(0, len(value), 200)
+    ):
+        raise ParameterError(f"{where} must be a line of at most {most} characters")
+    return str(value)
+
+
+def number(value: Any, where: str) -> float:
+    """A finite number."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or abs(value) > 1e300:
+        raise ParameterError(f"{where} must be a finite number or null, got {value!r:.80}")
+    if not math.isfinite(value):
+        raise ParameterError(f"{where} must be a finite number or null, got {value}")
+    return float(value)
+
+
+def whole(value: Any, where: str, least: int = 0) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value < 2**63:
+        raise ParameterError(f"{where} must be a whole number >= {least}, got {value!r:.80}")
+    return value
+
+
+def instant(value: Any, where: str) -> datetime:
+    """A time with its zone, ISO 8601."""
+    try:
+        found = datetime.fromisoformat(value)
+    except (TypeError, ValueError):
+        found = None
+    if found is None or found.tzinfo is None:
+        raise ParameterError(f"{where} must be a time such as 2026-01-31T12:00:00+00:00")
+    return found
+
+
+def plain_data(value: Any, where: str, depth: int = _DEPTH) -> None:
+    """Nested tables and lists of texts, finite numbers, truth values and null."""
+    if depth == 0:
+        raise ParameterError(f"{where} is nested too deeply")
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            text(key, where)
+            plain_data(item, f"{where}.{key}", depth - 1)
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            plain_data(item, where, depth - 1)
+    elif isinstance(value, str):
+        text(value, where, empty=True, most=2000)
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        number(value, where)
+    elif not (value is None or isinstance(value, bool)):
+        raise ParameterError(f"{where} must be plain data, got {type(value).__name__}")

@@ -1,0 +1,106 @@
+"""What a result depends on, as hashes and words: environment, system, sources, machine."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+
+import ves_gym
+from ves_gym import __version__
+from ves_gym.core.params import content_hash
+from ves_gym.core.system import System
+from ves_gym.envs.build import build_task
+
+_ROOT = Path(ves_gym.__file__).parent
+_PACKAGES = ("numpy", "scipy", "mujoco", "llvmlite", "gymnasium", "ompl", "casadi")
+# on these the last bit depends, apart from the processor
+ENGINE = ("ves_gym", "numpy", "scipy", "mujoco", "llvmlite")
+
+
+@cache
+def sources(parts: tuple[str, ...]) -> str:
+    """SHA-256 of source files, line ends aside; a folder stands for every .py file in it."""
+    files: set[Path] = set()
+    for part in parts:
+        place = _ROOT / part
+        files |= {place} if place.suffix else set(place.rglob("*.py"))
+    whole = hashlib.sha256()
+    for file in sorted(files):
+        text = file.read_bytes().replace(b"\r\n", b"\n")
+        name = file.relative_to(_ROOT).as_posix()
+        whole.update(f"{name}\0{len(text)}\0".encode() + text)
+    return whole.hexdigest()
+
+
+@cache
+def model_xml(system: System) -> str:
+    """SHA-256 of the system's MuJoCo model as MJCF.
+
+    The text depends on MuJoCo's version as well as on the system.
+    """
+    from ves_gym.core.backends.mujoco import model_spec
+
+    spec = model_spec(system)
+    spec.compile()
+    return hashlib.sha256(spec.to_xml().encode()).hexdigest()
+
+
+def environment(id: str) -> dict[str, Any]:
+    """Id, version and content hash of a registered environment with its task and settings."""
+    spec = gym.spec(id)
+    settings = {k: v for k, v in spec.kwargs.items() if k != "goal"}
+    task = build_task(**settings)
+    told = {"task": task.to_dict(), "goal": bool(spec.kwargs.get("goal", False))}
+    return {"id": id, "version": spec.version, "spec": content_hash(told)}
+
+
+def package_versions() -> dict[str, str]:
+    """What is installed of what a result depends on."""
+    out = {"ves_gym": __version__, "python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            out[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return out
+
+
+@cache
+def cpu_model() -> str:
+    """The processor in words."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()[:200]
+    except (OSError, UnicodeDecodeError):
+        pass
+    return (platform.processor() or platform.machine())[:200]
+
+
+@cache
+def simd() -> str:
+    """The processor's instruction sets, as the engine is compiled for them."""
+    from ves_gym.core.kernel.build import machine
+
+    name, _, features = machine().partition(" ")[2].partition(" ")
+    have = sorted(k[1:] for k in features.split(",") if k.startswith("+"))
+    without = sorted(k[1:] for k in features.split(",") if k.startswith("-"))
+    vector = [k for k in have if k.startswith(("avx", "fma", "sse", "neon", "sve", "vsx"))]
+    vector = [k for k in vector if k not in without]
+    return f"{name} {' '.join(vector)}".strip()
+
+
+def same_machine(about: Mapping[str, Any], ignore: Sequence[str] = ()) -> bool:
+    """Whether bits must agree: the same engine, made for the same instruction sets."""
+    here = package_versions()
+    there = about["versions"]
+    return about["simd"] == simd() and all(
+        there.get(k) == here.get(k) for k in ENGINE if k not in ignore
+    )

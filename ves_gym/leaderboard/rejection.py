@@ -1,0 +1,49 @@
+"""Why a bundle is refused: one code per reason."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Code(Enum):
+    """What is wrong with a bundle; the text is its meaning (docs/leaderboard.md)."""
+
+    UNSAFE_ARCHIVE = "a link, a path, a name or a size that no bundle has, or no archive at all"
+    MISSING_MEMBER = "a file that the bundle needs is not in it"
+    EXTRA_MEMBER = "a file that does not belong to the bundle is in it"
+    MALFORMED_MANIFEST = "manifest.json is no canonical JSON of the schema"
+    HASH_MISMATCH = "a file or the manifest is not what its digest says"
+    OLD_PROTOCOL = "made for another version of the track's rules"
+    UNKNOWN_PROBLEM = "no such track, problem or kind of method"
+    OLD_ENVIRONMENT = "made for another version or other settings of the environment"
+    SYSTEM_MISMATCH = "made on another system: arm, vehicle, mode, effects or steps"
+    MODEL_MISMATCH = "made on another model of the engine"
+    EVALUATOR_MISMATCH = "made by other sources of the evaluation"
+    WRONG_SEEDS = "not the seeds of the problem"
+    MISSING_EPISODE = "an episode, query or case has no row"
+    REPEATED_GROUP = "two trainings or seeds are one: it would count twice"
+    EXTRA_EPISODE = "a row is of no episode, query or case of the problem, or there twice"
+    EPISODE_LENGTH = "actions, control points or answers are more or fewer than the rows need"
+    BAD_ACTION = (
+        "an action, motion, gain or answer is not finite, out of bounds or no such thing"
+    )
+    UNKNOWN_ARCHITECTURE = "a policy that is not of the closed list of architectures"
+    BAD_WEIGHTS = "weights that cannot be read, are not finite or do not fit"
+    BELOW_FLOOR = "better than physics permits"
+    LEDGER_RESIDUAL = "energy comes from nowhere: the simulation is not to be believed"
+    SCORE_DIFFERS = "a row is not what the replay gives"
+    NOT_REPRODUCED = "the method, run again, does something else"
+    NOT_REPRODUCIBLE = "there is nothing to run again: only replaying can prove it"
+
+    @property
+    def slug(self) -> str:
+        """The code as it is printed, such as `hash-mismatch`."""
+        return self.name.lower().replace("_", "-")
+
+
+class Rejection(Exception):
+    """A bundle that is refused."""
+
+    def __init__(self, code: Code, why: str) -> None:
+        super().__init__(f"{code.slug}: {' '.join(why.split())}")
+        self.code, self.why = code, why

@@ -1,0 +1,196 @@
+"""`leaderboard run`: answer a problem and write the bundle that proves it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from ves_gym.baselines.controllers import Controller, get_controller
+from ves_gym.baselines.policy import load_policy
+from ves_gym.core.params import ParameterError, to_plain
+from ves_gym.leaderboard import fingerprint
+from ves_gym.leaderboard.archive import MANIFEST, write_members
+from ves_gym.leaderboard.bundle import SCHEMA, digest, sealed
+from ves_gym.leaderboard.damping import Damping
+from ves_gym.leaderboard.episodes import Episodes, chosen_settings
+from ves_gym.leaderboard.naming import Naming
+from ves_gym.leaderboard.paths import Paths
+from ves_gym.leaderboard.policies import ARCHITECTURES, policy_names
+from ves_gym.leaderboard.protocol import (
+    MOST_GROUPS,
+    PROTOCOL,
+    Problem,
+    Seeds,
+    get_problem,
+    seeds_of,
+)
+from ves_gym.leaderboard.track import Answers, Method, Progress, Track, get_track, repeated
+from ves_gym.planners.query import Planner
+from ves_gym.planners.registry import get_planner
+
+
+def make_bundle(
+    path: str | os.PathLike[str],
+    track: str,
+    problem: str,
+    method: str | Planner | Controller | Sequence[str | os.PathLike[str]],
+    *,
+    name: str | None = None,
+    author: str = "",
+    seeds: Sequence[int] = (0,),
+    salt: str | None = None,
+    training: Mapping[str, Any] | None = None,
+    folder: Path | None = None,
+    workers: int = 1,
+    progress: Progress = lambda stage, done: None,
+) -> Path:
+    """Answer a problem and write the bundle.
+
+    Args:
+        path: new or empty folder, or a .zip file.
+        method: name of a built-in planner, controller, tuner or selector; a planner or
+            controller of one's own (its bundle can be replayed, not reproduced); or the files
+            of policies.
+        seeds: of the method: one group of rows each. Policies: one per file, as told by them.
+        salt: of the official seeds; None for the public ones.
+        training: what it took to make the method, plain data; default what policies tell.
+        folder, workers: see `Naming` and `Paths`.
+
+    Returns:
+        The path.
+    """
+    asked = get_problem(track, problem)
+    drawn = seeds_of(asked, salt)
+    rules = get_track(track, folder, workers)
+    begun = _now()
+    with threadpool_limits(1, user_api="blas"):  # as `verify` does
+        answers, told = _answered(rules, asked, drawn, method, tuple(seeds), progress)
+    if (twice := repeated(answers.rows, len(answers.method.seeds))) is not None:
+        raise ParameterError(
+            f"groups {twice[0]} and {twice[1]} are the same to the last bit, and one of them"
+            " would count twice: leave it out"
+        )
+    manifest = {
+        "schema": SCHEMA,
+        "track": track,
+        "protocol": PROTOCOL[track],
+        "problem": problem,
+        "name": name or answers.method.name or told.get("name", ""),
+        "author": author,
+        "kind": answers.method.kind,
+        "seeds": {
+            "which": drawn.which,
+            "mark": drawn.mark,
+            "list": rules.seed_list(asked, drawn),
+        },
+        "spec": spec_of(rules, asked),
+        "method": {k: v for k, v in to_plain(vars(answers.method)).items() if k != "kind"},
+        "members": {},
+        "rows": answers.rows,
+        "about": {
+            "versions": fingerprint.package_versions(),
+            "cpu": fingerprint.cpu_model(),
+            "simd": fingerprint.simd(),
+            "settings": told.get("settings", {}),
+            "training": dict(training) if training is not None else told.get("training", {}),
+            "begun": begun,
+            "ended": _now(),
+        },
+    }
+    members = {rules.payload(asked): answers.payload, **answers.members}
+    manifest["members"] = {
+        k: {"bytes": len(data), "sha256": digest(data)} for k, data in members.items()
+    }
+    return write_members(path, {**members, MANIFEST: sealed(manifest)})
+
+
+def spec_of(rules: Track, problem: Problem) -> dict[str, Any]:
+    """What an answer to a problem depends on, as hashes."""
+    system = rules.system(problem)
+    id = problem.environment
+    return {
+        "environment": None if id is None else fingerprint.environment(id),
+        "system": system.hash,
+        "model": fingerprint.model_xml(system),
+        "evaluator": fingerprint.sources(rules.sources),
+    }
+
+
+def _answered(
+    rules: Track,
+    problem: Problem,
+    drawn: Seeds,
+    method: Any,
+    seeds: tuple[int, ...],
+    tell: Progress,
+) -> tuple[Answers, dict[str, Any]]:
+    if not 1 <= len(seeds) <= MOST_GROUPS or len(set(seeds)) < len(seeds):
+        raise ParameterError(f"seeds must be 1 to {MOST_GROUPS} different ones, got {seeds}")
+    if isinstance(rules, Paths):
+        planner = get_planner(method) if isinstance(method, str) else method
+        found = Method(kind="planner", name=planner.name, seeds=seeds)
+        return rules.run(problem, drawn, planner, found, tell), {}
+    if isinstance(rules, Naming):
+        found = Method(kind="selector", name=str(method))
+        return rules.run(problem, drawn, found, tell), {}
+    if problem.environment is None:
+        assert isinstance(rules, Damping)
+        found = Method(kind="gains", name=str(method), seeds=seeds)
+        return rules.run_tuner(problem, drawn, found, tell), {}
+    assert isinstance(rules, Episodes)
+    own = hasattr(method, "act")
+    if own or isinstance(method, str):
+        some = [method] if own else [get_controller(method, seed) for seed in seeds]
+        found = Method(
+            kind="controller",
+            name=some[0].name,
+            seeds=seeds[: len(some)],
+            settings=chosen_settings(some[0], problem.environment),
+        )
+        told = {"settings": {"privileged": bool(some[0].privileged)}}
+        return rules.run(problem, drawn, some, found, {}, tell), told
+    return _policies(rules, problem, drawn, [Path(p) for p in method], tell)
+
+
+def _policies(
+    rules: Episodes, problem: Problem, drawn: Seeds, files: list[Path], tell: Progress
+) -> tuple[Answers, dict[str, Any]]:
+    if not 1 <= len(files) <= MOST_GROUPS:
+        raise ParameterError(f"a bundle holds 1 to {MOST_GROUPS} policies, got {len(files)}")
+    policies = [load_policy(file) for file in files]
+    assert problem.environment is not None
+    choices = [chosen_settings(p, problem.environment) for p in policies]
+    if any(c != choices[0] for c in choices):
+        raise ParameterError("policies of one bundle must ask for the same settings")
+    members: dict[str, bytes] = {}
+    weights = []
+    for group, file in enumerate(files):
+        named, data = policy_names(group)
+        members[named] = file.read_bytes()
+        members[data] = file.with_suffix(".safetensors").read_bytes()
+        weights.append(hashlib.sha256(members[data]).hexdigest())
+    told_seeds = [p.about.get("seed") for p in policies]
+    seeds = [k for k in told_seeds if isinstance(k, int) and k >= 0]
+    known = len(seeds) == len(files) and len(set(seeds)) == len(seeds)
+    method = Method(
+        kind="policy",
+        seeds=tuple(seeds) if known else tuple(range(len(files))),
+        architecture=ARCHITECTURES[0],
+        weights=tuple(weights),
+        settings=choices[0],
+    )
+    about = policies[0].about
+    training = {k: about[k] for k in ("algorithm", "steps", "env") if k in about}
+    told = {"name": str(about.get("algorithm", policies[0].name)), "training": training}
+    controllers: list[Controller] = list(policies)
+    return rules.run(problem, drawn, controllers, method, members, tell), told
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,0 +1,235 @@
+"""What the leaderboard says of an entry, and of two. Lower is better in every score.
+
+An episode (a query, a case) is what is drawn in the bootstrap: always with all training seeds
+that played it, and within its problem, so problems are strata. A failure is the worst score
+there is, mostly infinity; it is never left out. See docs/leaderboard/statistics.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.stats
+
+from ves_gym.core.params import Array, ParameterError
+from ves_gym.core.statistics import (
+    RESAMPLES,
+    STATISTICS,
+    Estimate,
+    Statistic,
+    bootstrap,
+    interval,
+    iqm,
+    rate,
+    resample,
+)
+
+Entry = Mapping[str, Any]  # plain data, as it stands in the journal
+MINIMUM = {"paths": 20, "policies": 50, "damping": 50, "discrepancy": 100}  # episodes
+STATISTIC = {"paths": "iqm", "policies": "iqm", "damping": "iqm", "discrepancy": "mean"}
+WORST = {"discrepancy": 1.0}  # what a failure scores where the scale has an end
+
+
+class Profile(NamedTuple):
+    """Share of episodes with a score of at most `at`, and its 95 % band; each (n,)."""
+
+    at: Array
+    share: Array
+    low: Array
+    high: Array
+
+
+class Standing(NamedTuple):
+    """Score, as `score` has it; rank by it, 1 the lowest.
+
+    The interval of the rank is where it lies when episodes are drawn anew.
+    """
+
+    score: Estimate
+    rank: Estimate
+
+
+def values(entry: Entry, key: str = "score") -> Array:
+    """A number of every row, (episodes, training seeds); what is null is the worst there is.
+
+    Episodes come in the order of their ids and seeds, whatever order the rows have.
+
+    Raises:
+        ParameterError: an episode is there twice, or not under every training seed.
+    """
+    groups = sorted({row["group"] for row in entry["rows"]})
+    column = {g: k for k, g in enumerate(groups)}
+    place = {episode: k for k, episode in enumerate(episodes(entry))}
+    worst = WORST.get(entry["track"], np.inf) if key == "score" else np.inf
+    out = np.full((len(place), len(groups)), np.nan)
+    for row in entry["rows"]:
+        at = place[row["id"], row["seed"]], column[row["group"]]
+        if not np.isnan(out[at]):
+            raise ParameterError(f"{_name(entry)}: {_row(row)} is there twice")
+        out[at] = worst if row.get(key) is None else row[key]
+    missing = np.argwhere(np.isnan(out))
+    if len(missing):
+        episode, group = list(place)[missing[0][0]], groups[missing[0][1]]
+        raise ParameterError(
+            f"{_name(entry)}: episode {episode[0]!r}, seed {episode[1]} is missing in group"
+            f" {group}; every training seed plays the same episodes"
+        )
+    return out
+
+
+def episodes(entry: Entry) -> list[tuple[str, int]]:
+    """Id and seed of every episode, in order."""
+    return sorted({(row["id"], row["seed"]) for row in entry["rows"]})
+
+
+def require_enough(entry: Entry) -> None:
+    """An entry on fewer episodes than its track demands is no evidence.
+
+    Raises:
+        ParameterError: names the track, the number of episodes and the least number.
+    """
+    least, n = MINIMUM[entry["track"]], len(episodes(entry))
+    if n < least:
+        raise ParameterError(
+            f"{_name(entry)}: track {entry['track']} needs at least {least} episodes, got {n}"
+        )
+
+
+# ----------------------------------------------------------------------- one entry
+
+
+def score(entries: Sequence[Entry]) -> Estimate:
+    """The track's statistic of the score over one or several problems; lower is better."""
+    return bootstrap([values(e) for e in entries], statistic(entries[0]))
+
+
+def statistic(entry: Entry) -> Statistic:
+    """What makes one score of many: interquartile mean, or the mean of what is 0 or 1."""
+    return STATISTICS[STATISTIC[entry["track"]]]
+
+
+def success(entries: Sequence[Entry]) -> Estimate:
+    """Share that succeeded, with the Wilson interval of so many episodes."""
+    return rate(np.concatenate([values(e, "success").mean(axis=1) for e in entries]))
+
+
+def middle(entries: Sequence[Entry], key: str) -> float | None:
+    """Interquartile mean of another number; None where no row has it."""
+    if all(row.get(key) is None for e in entries for row in e["rows"]):
+        return None
+    return float(iqm(np.concatenate([values(e, key).ravel() for e in entries])))
+
+
+def by_training_seed(entry: Entry) -> list[float]:
+    """The score of every training seed alone."""
+    return [float(k) for k in statistic(entry)(values(entry).T)]
+
+
+def thresholds(entries: Sequence[Entry], points: int = 61) -> Array:
+    """Scores at which profiles are taken, ends included: evenly spaced, and where scores are.
+
+    One in three is spaced evenly (geometrically where all are above zero), the others are
+    quantiles of all scores.
+    """
+    found = np.concatenate([values(e).ravel() for e in entries])
+    found = found[np.isfinite(found)]
+    if not len(found):
+        return np.array([0.0, 1.0])
+    low, high = float(found.min()), float(found.max())
+    if low == high:  # some room to either side
+        return np.array([low - 0.5 * (abs(low) or 1.0), low, high + 0.5 * (abs(high) or 1.0)])
+    space = np.geomspace if low > 0 else np.linspace
+    even = space(low, high, points // 3)[1:-1]
+    dense = np.quantile(found, np.linspace(0, 1, points - len(even)), method="nearest")
+    return np.unique(np.concatenate([even, dense]))
+
+
+def profile(entries: Sequence[Entry], at: Array) -> Profile:
+    """Performance profile: the higher, the better; failures are above every threshold."""
+    rng = np.random.Generator(np.random.PCG64(0))
+    below = [(values(e)[:, :, None] <= at).mean(axis=1) for e in entries]
+    n = sum(len(b) for b in below)
+    share = np.concatenate(below).sum(axis=0) / n
+    drawn = np.zeros((RESAMPLES, len(at)))
+    for b in below:  # drawing with replacement, as the number of times each is drawn
+        drawn += rng.multinomial(len(b), np.full(len(b), 1 / len(b)), size=RESAMPLES) @ b / n
+    return Profile(at, share, *interval(drawn))
+
+
+def anytime(entry: Entry, at: Array) -> Array:
+    """Interquartile mean of the score that stood after `at` seconds, (n,); inf before any.
+
+    The cost that a search tells of is its own; it is scaled to end in the score of the row.
+    """
+    stood = np.full((len(entry["rows"]), len(at)), np.inf)
+    for k, row in enumerate(entry["rows"]):
+        if row["score"] is None or not row.get("anytime"):
+            continue
+        seconds, cost = np.array(row["anytime"], float).T
+        found = np.searchsorted(seconds, at, side="right") - 1
+        scale = row["score"] / cost[-1] if cost[-1] > 0 else 1.0
+        stood[k, found >= 0] = scale * cost[found[found >= 0]]
+    return iqm(stood.T)
+
+
+# --------------------------------------------------------------------- two and more
+
+
+def improvement(a: Sequence[Entry], b: Sequence[Entry]) -> Estimate:
+    """Probability that a scores lower than b on the same episode; a tie counts half.
+
+    Args:
+        a, b: entries of the same problems in the same order.
+
+    Raises:
+        ParameterError: they did not play the same episodes.
+    """
+    wins = [_wins(x, y) for x, y in zip(a, b, strict=True)]
+    return bootstrap(wins, lambda x: np.asarray(x.mean(axis=-1)))
+
+
+def _wins(a: Entry, b: Entry) -> Array:
+    """By episode: share of pairs of training seeds in which a is lower."""
+    if a["problem"] != b["problem"] or episodes(a) != episodes(b):
+        raise ParameterError(f"{_name(a)} and {_name(b)} did not play the same episodes")
+    x, y = values(a)[:, :, None], values(b)[:, None, :]
+    return np.asarray(((x < y) + 0.5 * (x == y)).mean(axis=(1, 2)))
+
+
+def standings(candidates: Sequence[Sequence[Entry]]) -> list[Standing]:
+    """Where each candidate stands, on the same draws: what is hard for all moves none.
+
+    Args:
+        candidates: each its entries of the same problems in the same order.
+
+    Raises:
+        ParameterError: they did not play the same episodes.
+    """
+    played = [[(e["problem"], episodes(e)) for e in entries] for entries in candidates]
+    for entries, one in zip(candidates, played, strict=True):
+        if one != played[0]:
+            raise ParameterError(
+                f"{_name(entries[0])} and {_name(candidates[0][0])} did not play the same"
+                " episodes"
+            )
+    of = statistic(candidates[0][0])
+    strata = [[values(e) for e in entries] for entries in candidates]
+    value = [float(of(np.concatenate([g.ravel() for g in some]))) for some in strata]
+    drawn = np.array([resample(some, of) for some in strata])  # (candidates, draws)
+    rank = scipy.stats.rankdata(value, "min")
+    placed = scipy.stats.rankdata(drawn, "min", axis=0)
+    ends = zip(*interval(drawn.T), *interval(placed.T), strict=True)
+    return [
+        Standing(Estimate(v, *map(float, four[:2])), Estimate(float(r), *map(float, four[2:])))
+        for v, r, four in zip(value, rank, ends, strict=True)
+    ]
+
+
+def _name(entry: Entry) -> str:
+    return f"{entry['name']} on {entry['problem']}"
+
+
+def _row(row: Mapping[str, Any]) -> str:
+    return f"episode {row['id']!r}, seed {row['seed']}, group {row['group']}"

@@ -1,0 +1,37 @@
+"""What the HTML pages have in common: one file each, with nothing to load beside it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from importlib.resources import files
+from typing import Any
+
+from ves_gym.core.params import ParameterError, to_plain
+
+
+def part(name: str, package: str = "ves_gym.report") -> str:
+    """The text of a template, style sheet or script; `page.css` and `dom.js` are for all."""
+    return files(package).joinpath(name).read_text(encoding="utf-8")
+
+
+def assemble(template: str, parts: Mapping[str, str]) -> str:
+    """Put parts in the places of a template that say {{name}}.
+
+    In one pass: what looks like a place inside a part stays as it is.
+    """
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
+
+
+def embedded(data: Any) -> str:
+    """JSON that cannot end or disturb the script element it stands in.
+
+    Raises:
+        ParameterError: the data holds a number that JSON has not.
+    """
+    try:
+        text = json.dumps(to_plain(data), separators=(",", ":"), allow_nan=False)
+    except ValueError as error:
+        raise ParameterError(f"the result must be finite to become a page: {error}") from None
+    return text.replace("<", "\\u003c")  # thereby no `</` and no `<!--`
