@@ -1,7 +1,7 @@
 """Worker processes that survive their jobs: one thread each, and every death has a name.
 
 A worker runs one job at a time over a pipe of its own, so that when it dies it is known which
-job was lost. That job alone is tried again, after the others; after `deaths` deaths it is given
+job was lost. That job alone is tried again, on a new worker; after `deaths` deaths it is given
 up and its future raises `WorkerDied`. Processes are spawned, never forked: libraries with
 threads do not survive a fork.
 """
@@ -176,9 +176,7 @@ class Workers:
             job.future.set_exception(WorkerDied(text, seconds))
         else:
             with self._change:
-                # behind the others: next on a fresh worker, where a first job takes longest,
-                # it would be the likeliest to be lost again
-                self._jobs.append(job)
+                self._jobs.appendleft(job)
                 self._change.notify()
 
     def tell(self, job: _Job, words: tuple[Any, ...]) -> None:

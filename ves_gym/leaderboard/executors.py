@@ -252,7 +252,7 @@ class _Jobs:
             ticket.deaths += 1
             if ticket.deaths < self.deaths:
                 with self.change:
-                    self.waiting.append(ticket)
+                    self.waiting.appendleft(ticket)
                 return
             text = f"its job died {ticket.deaths} times: given up"
             ticket.future.set_exception(WorkerDied(text, took))
@@ -327,7 +327,7 @@ class _Dask:
                 self.asked = -math.inf
                 ticket.deaths += 1
                 if ticket.deaths < self.deaths:
-                    self.waiting.append(ticket)
+                    self.waiting.appendleft(ticket)
                 else:
                     ticket.future.set_exception(_lost(self.seconds))
             else:
