@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--docs",
         metavar="FILE",
-        help="write the scores as Markdown; and FILE.json: labels, answers",
+        help="write the scores as Markdown, and beside it all that they rest on as .json",
     )
 
 

@@ -30,14 +30,11 @@ from ves_gym.core.params import (
     read_table,
     write_text,
 )
-from ves_gym.core.runlog import RunLog
-from ves_gym.core.system import System
 from ves_gym.core.workers import Workers
-from ves_gym.discrepancy.candidates import Candidate, library
+from ves_gym.discrepancy.candidates import Candidate
 from ves_gym.discrepancy.diagnosis import Diagnosis, diagnose
-from ves_gym.discrepancy.runs import run_of
+from ves_gym.discrepancy.job import system_job
 from ves_gym.discrepancy.select import Thresholds
-from ves_gym.discrepancy.system_machine import SystemMachine
 
 FAILED = "failed"
 QUICK = 30
@@ -278,21 +275,8 @@ def diagnosed(folder: Path, limits: Thresholds) -> dict[str, Any]:
     from ves_gym.discrepancy.baselines import Baselines
 
     begin = time.perf_counter()
-    paths = sorted(folder.glob("run-*.parquet"))
-    logs = [RunLog.load(p) for p in paths]
-    system = System.from_dict(logs[0].meta["system"])
-    machine = SystemMachine(system)
-    runs = [run_of(log, p.name) for log, p in zip(logs, paths, strict=True)]
-    fitted = [r for r in runs if not r.meta["held_back"]]
-    final = [r for r in runs if r.meta["held_back"]]
-    ports = [p.name for p in machine.ports]
-    found = diagnose(
-        machine,
-        fitted,
-        final,
-        candidates=library(system.arm.n, ports, system.mode, [r.name for r in fitted]),
-        limits=limits,
-    )
+    job = system_job([str(folder)])
+    found = diagnose(job.machine, job.runs, job.final, candidates=job.candidates, limits=limits)
     seconds = {**found.seconds, "total": time.perf_counter() - begin}
     plain = Baselines(found.evidence, found.bank)
     tolerant = Baselines(found.evidence, found.bank, tolerances=True)
