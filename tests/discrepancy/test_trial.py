@@ -125,7 +125,7 @@ def test_a_diagnosis_that_fails_is_an_answer_and_is_tried_again(tmp_path):
     trial = t.trial_of(tmp_path, "development", cases=range(1))
     t.answer(str(tmp_path / "logs"), 0, str(trial.answer(0)))
     known = read_table(trial.answer(0))
-    assert known["verdict"] == t.FAILED and "IndexError" in known["why"]
+    assert known["verdict"] == t.FAILED and "RunLogError" in known["why"]
     assert not t._finished(trial, 0, known["thresholds"])
 
 
