@@ -7,6 +7,7 @@ episodes and releases, 95 % of searched paths, where rounding may lead elsewhere
 
 import json
 import re
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,13 @@ def test_the_chain_holds_and_everything_was_verified(journal):
     assert len(entries) >= 100
     assert {e["track"] for e in entries} >= {"paths", "policies", "damping"}
     assert all(e["level"] == "reproduced" for e in entries)
+
+
+def test_the_board_has_every_entry_that_make_leaderboard_fills(journal):
+    script = runpy.run_path(str(PLACE.parent / "_leaderboard.py"))
+    wanted = {(w.track, w.problem, w.method) for w in script["table"](blind=False)}
+    there = {(e["track"], e["problem"], e["name"]) for e in (r.entry for r in journal.records)}
+    assert len(wanted) == 168 and wanted <= there
 
 
 def test_the_page_is_that_of_the_journal(journal):
