@@ -1,5 +1,7 @@
 """From logs with something hidden to its name, on machines the simulator knows nothing of."""
 
+import types
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,9 @@ from ves_gym.core.system import System
 from ves_gym.discrepancy import diagnosis as d
 from ves_gym.discrepancy.candidates import library, without
 from ves_gym.discrepancy.evidence import Evidence
+from ves_gym.discrepancy.fit import Fit, _FilteredNoise
 from ves_gym.discrepancy.runs import require_plausible, run_of
+from ves_gym.discrepancy.select import Thresholds, _lasts, _needed
 from ves_gym.discrepancy.system_machine import SystemMachine
 from ves_gym.effects import JointElasticity
 
@@ -18,7 +22,9 @@ def diagnosed(logs, leave_out=()):
     machine = SystemMachine(system)
     runs = [run_of(log, f"run-{i}") for i, log in enumerate(logs)]
     ports = [p.name for p in machine.ports]
-    candidates = library(system.arm.n, ports, system.mode, [r.name for r in runs[:-1]])
+    names_of_runs = [r.name for r in runs[:-1]]
+    stretch = machine.stretch(runs[:-1])
+    candidates = library(system.arm.n, ports, system.mode, names_of_runs, stretch)
     found = d.diagnose(machine, runs[:-1], runs[-1:], candidates=without(candidates, leave_out))
     return machine, found
 
@@ -82,6 +88,97 @@ def test_a_gear_gains_nothing_by_damping_noise(hidden):
     assert np.mean(moved**2 / noise[group.part]) > 0.95 * plain
     untouched = evidence.part("platform")
     assert (noise[untouched] == 1).all()
+
+
+def test_a_fit_follows_the_noise_that_a_gear_passes_on(hidden):
+    machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
+    evidence = Evidence(machine, [run_of(log, "run") for log in hidden(seed=1)[:1]])
+    every = library(machine.system.arm.n, ["joint", "wrench"], "emulated", ["run"])
+    gear = next(c for c in every if c.name == "joint/elasticity at joint 2")
+    noise = _FilteredNoise(evidence, [gear])
+    noise.measure(np.array([2e-5, 30.0]))
+    softer = np.array([2.4e-5, 30.0])
+    fresh = np.sqrt(evidence.noise(machine.model([gear.effect(softer)]), gear.ports))
+    assert fresh.min() < 0.8
+    assert noise.scale(softer) == pytest.approx(fresh, abs=0.05)
+    left = np.ones(evidence.size)
+    less = (noise.scale(softer) - noise.scale(np.array([2e-5, 30.0]))) / noise.scale(softer)
+    slopes = noise.slopes(softer, left)
+    assert slopes[:, 0] * 0.4e-5 == pytest.approx(less, abs=0.05)
+    assert (slopes[:, 1] == 0).all()
+    plain = _FilteredNoise(evidence, [c for c in every if c.kind == "joint/viscous"])
+    plain.measure(np.ones(3))
+    assert plain.scale(np.ones(3)) is None
+
+
+def test_a_limit_must_act_longer_than_a_step_between_samples(hidden):
+    machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
+    run = run_of(hidden(seed=1)[0], "run")
+    evidence = Evidence(machine, [run])
+    every = library(machine.system.arm.n, ["joint"], "emulated")
+    limit = next(c for c in every if c.name == "joint/torque_limit at joint 2")
+    highest = np.sort(np.abs(run["tau"][:, 1]))[::-1]
+    most = machine.system.arm.column("tau_max")[1]
+    for samples, long_enough in ((4, False), (40, True)):
+        ceiling = 1 - 0.5 * (highest[samples - 1] + highest[samples]) / most
+        one = types.SimpleNamespace(candidates=[limit], values=[np.array([ceiling])])
+        model = machine.model([limit.effect(one.values[0])])
+        assert evidence.acts(model, limit.ports) == pytest.approx(samples * run.dt)
+        assert _lasts(evidence, one, 0) == long_enough
+
+
+@pytest.mark.slow
+def test_a_stroke_a_little_too_short_is_named(hidden):
+    logs = hidden(seed=7)
+    machine = SystemMachine(System.from_dict(logs[0].meta["system"]))
+    used = machine.stretch([run_of(log, f"run-{i}") for i, log in enumerate(logs[:-1])])
+    assert 0 < used < 1
+    travel = 1 - 0.9 * used
+    logs = hidden(("platform/stroke", 0, travel, {}), seed=7)
+    _, found = diagnosed(logs)
+    assert names(found) == {("platform/stroke", "")}
+    assert 1 - found.found[0].values[0] == pytest.approx(1 - travel, rel=0.03)
+
+
+def test_coordinates_about_zero_cost_nothing():
+    every = {c.name: c for c in library(3, ["wrench", "joint"], "emulated")}
+    none = np.zeros(0)
+
+    def price(name, values, std):
+        effects = ((every[name],), (np.array(values),))
+        return Fit(*effects, 0.0, (np.array(std),), none, none, none, none).price(0)
+
+    assert price("sensor/rotation", (1e-5, 2e-3, 1e-5), (1e-5, 1e-5, 1e-5)) == 1
+    assert price("sensor/rotation", (1e-3, 2e-3, 1e-5), (1e-5, 1e-5, 1e-5)) == 2
+    assert price("sensor/rotation", (0, 0, 0), (1e-5, 1e-5, 1e-5)) == 1
+    assert price("joint/elasticity at joint 1", (1e-4, 0), (1e-5, 1e-5)) == 2
+
+
+def test_an_error_of_the_vehicle_needs_no_guard_where_the_computer_moves_it():
+    limits = Thresholds()
+    evidence = types.SimpleNamespace(size=17000)
+
+    def needed(name, port, mode):
+        every = library(3, ["wrench", port], mode)
+        one = next(c for c in every if c.name == name)
+        bank = types.SimpleNamespace(candidates=every)
+        f = types.SimpleNamespace(candidates=(one,), price=lambda i: one.price)
+        return _needed(evidence, bank, limits, f, 0)
+
+    emulated = ("admittance", "emulated")
+    assert needed("payload/mass", *emulated) > limits.gain
+    assert needed("base/extra_mode at y", *emulated) > limits.gain
+    assert 12 < needed("base/stiffness", *emulated) < 20
+    assert needed("base/stiffness", "base", "ideal") > limits.gain  # by a measured wrench
+
+
+def test_a_drift_need_not_hold_on_runs_held_back():
+    def named(kind, slot):
+        return types.SimpleNamespace(candidate=types.SimpleNamespace(kind=kind, slot=slot))
+
+    gaps = [d.Gap("wrench", "M_x", 15.0, 15.0), d.Gap("platform", "y", 10.0, 1.0)]
+    assert d._left(gaps, [named("platform/delay", "")]) > 0.6
+    assert d._left(gaps, [named("platform/delay", ""), named("sensor/drift", "M_x")]) == 0
 
 
 def test_what_is_not_in_the_library_gets_no_wrong_name(hidden):

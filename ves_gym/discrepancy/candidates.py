@@ -26,7 +26,7 @@ _WAVES = 8  # a level and slow cosines of a drift
 _FREQUENCIES = tuple(np.geomspace(0.5, 6.0, 20).tolist())  # of an extra mode [Hz]
 _REACH = 0.03  # m, about which a payload sits otherwise than thought
 _GAPS = (2e-3, *np.geomspace(1e-3, 3e-2, 7).tolist())  # rad
-_STROKES = tuple((1 - np.geomspace(0.25, 0.01, 18)).tolist())  # parts that are lacking
+_SHORT = tuple(np.geomspace(0.005, 0.6, 16).tolist())  # parts of what legs stretch in the runs
 _CEILINGS = tuple((1 - np.geomspace(0.9, 0.05, 16)).tolist())
 _CYCLES = tuple(np.arange(2.0, 130.0, 2.5).tolist())  # of a ripple, per turn
 
@@ -57,6 +57,7 @@ class Candidate:
     blurs: tuple[Callable[[Any], Any], ...] = ()  # effect -> another form that it may have
     within: str = ""  # a simpler kind that is a case of this one
     counts: int | None = None  # numbers it costs, where that is not k
+    sparse: bool = False  # coordinates of a thing: those that are about zero cost nothing
 
     @property
     def name(self) -> str:
@@ -70,8 +71,8 @@ class Candidate:
 
     @property
     def price(self) -> int:
-        """How many numbers it counts as."""
-        return self.k if self.counts is None else self.counts
+        """How many numbers it counts as, at least."""
+        return 1 if self.sparse else self.k if self.counts is None else self.counts
 
     def effect(self, values: Array) -> Any:
         """The effect with these numbers (k,), kept within their ranges."""
@@ -96,6 +97,7 @@ class _Shelf:
         sets_in: bool = False,
         within: str = "",
         blurs: Sequence[Callable[[Any], Any]] = (),
+        sparse: bool = False,
         **free: Starts,
     ) -> None:
         """`free`: name -> starts; `limits` of names that are no field of the effect.
@@ -136,18 +138,24 @@ class _Shelf:
                 filters=cls.kind in _FILTERS,
                 blurs=tuple(blurs),
                 within=within,
+                sparse=sparse,
             )
         )
 
 
 def library(
-    n: int, ports: Sequence[str], mode: str | None = None, runs: Sequence[str] = ()
+    n: int,
+    ports: Sequence[str],
+    mode: str | None = None,
+    runs: Sequence[str] = (),
+    stretch: float = 0.25,
 ) -> tuple[Candidate, ...]:
     """All candidates of a machine with n joints and these ports.
 
     Args:
         mode: of a `System`; effects that do not act in it are left out.
         runs: names of the runs, each of which a drifting sensor goes through in its own way.
+        stretch: how far a leg of the platform is told to go in them, in parts of its stroke.
     """
     shelf = _Shelf(ports, mode)
     for j in range(n):
@@ -161,6 +169,7 @@ def library(
         "",
         _vector("offset"),
         _three("m", 0.2),
+        sparse=True,
         **_equal(_XYZ, 0.02),
     )
     _sensor(shelf)
@@ -174,6 +183,7 @@ def library(
         "",
         _vector("angles"),
         _three("rad", 0.3),
+        sparse=True,
         **_equal(_XYZ, 0.01),
     )
     shelf.add("base/virtual_mass", "admittance base", "", _same("error"), error=0.1)
@@ -211,7 +221,8 @@ def library(
     shelf.add("platform/bandwidth", "platform", "", _same("error"), error=0.2)
     shelf.add("platform/damping", "platform", "", _same("error"), error=0.2)
     shelf.add("platform/delay", "platform", "", _same("delay"), delay=5e-3)
-    shelf.add("platform/stroke", "platform", "", _same("travel"), sets_in=True, travel=_STROKES)
+    lacking = tuple(1 - stretch * (1 - part) for part in _SHORT)  # more shows in no run
+    shelf.add("platform/stroke", "platform", "", _same("travel"), sets_in=True, travel=lacking)
     return tuple(shelf.found)
 
 
@@ -326,13 +337,15 @@ def _sensor(shelf: _Shelf) -> None:
 
         shelf.add("sensor/bias", "wrench", axis, bias, {"bias": (-far, far, unit)}, bias=2.0)
         mixed = dict.fromkeys(WRENCH, (-0.5, 0.5, "1"))
-        shelf.add("sensor/calibration", "wrench", axis, row, mixed, **_equal(WRENCH, 0.02))
+        few = _equal(WRENCH, 0.02)
+        shelf.add("sensor/calibration", "wrench", axis, row, mixed, sparse=True, **few)
     shelf.add(
         "sensor/rotation",
         "wrench",
         "",
         _vector("angles"),
         _three("rad", 0.1),
+        sparse=True,
         **_equal(_XYZ, 0.01),
     )
     shelf.add("sensor/lag", "wrench", "", _same("error"), error=-0.3)

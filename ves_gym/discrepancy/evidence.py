@@ -51,11 +51,13 @@ class Evidence:
     def __init__(self, machine: Machine, runs: Sequence[Run], seed: int = 0) -> None:
         self.machine, self.runs, self.seed = machine, list(runs), seed
         self._usual: dict[str, Array] = {}  # port -> whitened noise under the description
+        self._copies: dict[Any, Run] = {}  # runs with noise to pass on
         self.ports: tuple[Port, ...] = testable(machine, runs)
         names = [p.name for p in self.ports]
         self.groups, self._rows = self._layout()
         self.size = self.groups[-1].part.stop
         self.memory: dict[Any, Array] = {}  # residuals already asked for, by port and effects
+        self.passed: dict[Any, Array] = {}  # change of the noise's mean square, by effect
         raw = [machine.residuals(run, [machine.nominal], names) for run in self.runs]
         self._whiten: list[dict[str, Array]] = []  # (K, c, c) of each run and port
         for i, run in enumerate(self.runs):
@@ -134,6 +136,16 @@ class Evidence:
             out[:, self.part(port)] = self.residual_at(port, models)
         return out
 
+    def acts(self, model: Model, ports: Sequence[str]) -> float:
+        """Seconds, over all runs, in which a model differs from the description at ports."""
+        out = 0.0
+        for run in self.runs:
+            here = [p.name for p in self.ports if p.name in ports]
+            found = self.machine.residuals(run, [model, self.machine.nominal], here)
+            apart = [(k[0] != k[1]).any(axis=-1) for k in found.values()]
+            out += run.dt * float(np.count_nonzero(np.any(apart, axis=0)))
+        return out
+
     def noise(self, model: Model, ports: Sequence[str]) -> Array:
         """(N,) mean square that numbers would have under noise alone if this model were true.
 
@@ -152,10 +164,12 @@ class Evidence:
         """(n,) of a port: mean square of whitened noise, the same draws under any model."""
         drawn = []
         for i, run in enumerate(self.runs):
-            copies = run.with_noise(np.random.default_rng([self.seed, i, 1]), _FEW, port.exact)
+            if (i, port.exact) not in self._copies:
+                rng = np.random.default_rng([self.seed, i, 1])
+                self._copies[i, port.exact] = run.with_noise(rng, _FEW, port.exact)
             noisy, raw = (
                 self.machine.residuals(k, [model], [port.name])[port.name][0]
-                for k in (copies, run)
+                for k in (self._copies[i, port.exact], run)
             )
             drawn.append(noisy - raw)
         power = np.square(self._whitened(port.name, drawn)).mean(axis=0)

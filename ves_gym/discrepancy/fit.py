@@ -17,6 +17,9 @@ from ves_gym.discrepancy.groups import Solution, products, solve
 _STEP = 1e-3  # of differences, in parts of a number's usual size
 _ROUNDS, _HALVINGS = 12, 4
 _REMEMBERED = 600  # residuals of a port
+_NEAR = 0.5  # change of a number, relative, that leaves the noise passed on as it was measured
+_QUIETEST = 0.05  # of the noise's mean square that effects may leave
+_CLEAR = 3.0  # standard deviations from zero
 _ENOUGH = 0.05  # gain in deviance that is not worth another round
 
 
@@ -36,7 +39,13 @@ class Fit:
     @property
     def k(self) -> int:
         """Numbers that count, in all."""
-        return sum(c.price for c in self.candidates)
+        return sum(self.price(i) for i in range(len(self.candidates)))
+
+    def price(self, i: int) -> int:
+        """Numbers that the effect in place i counts as."""
+        one = self.candidates[i]
+        clear = np.abs(self.values[i]) > _CLEAR * self.std[i]
+        return max(one.price, int(np.count_nonzero(clear))) if one.sparse else one.price
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -76,37 +85,32 @@ def fit(evidence: Evidence, candidates: Sequence[Candidate], start: Sequence[Arr
         others = [_reshaped(evidence, candidates, values, k, blur) for k, blur in forms]
         return np.stack(others, axis=1) - z[:, None]
 
-    def noise(x: Array) -> Array | None:
-        """(N,) size of the noise with these numbers, where an effect changes it."""
-        if not any(c.filters for c in candidates):
-            return None
-        ports = {port for c in candidates if c.filters for port in c.ports}
-        made = zip(candidates, np.split(x, edges), strict=True)
-        model = evidence.machine.model([c.effect(v) for c, v in made if c.filters])
-        return np.sqrt(evidence.noise(model, sorted(ports)))
+    noise = _FilteredNoise(evidence, candidates)
 
-    def judged(z: Array, B: Array) -> Solution:
-        return solve(products(evidence, z, B, scale), p + B.shape[1])
+    def judged(x: Array, z: Array, B: Array) -> Solution:
+        return solve(products(evidence, z, B, noise.scale(x)), p + B.shape[1])
 
     z = residuals([x])[0]
     for turn in range(_ROUNDS):
         if turn < 2:  # later x changes little
-            B, scale = blurs(x, z), noise(x)
-        now = judged(z, B)
+            B = blurs(x, z)
+        noise.measure(x, turn < 2)
+        now = judged(x, z, B)
         ways = np.where(x + step > high, -step, step)  # differences stay inside
         moved = residuals(
             [x + way * unit for way, unit in zip(ways, np.eye(len(x)), strict=True)]
         )
         S = ((moved - z) / ways[:, None]).T
         b = p + B.shape[1]
-        both = products(evidence, z, np.hstack([B, S]), scale)
+        left = z + evidence.slopes @ now.x[:p] + B @ now.x[p:]
+        both = products(evidence, z, np.hstack([B, S - noise.slopes(x, left)]), noise.scale(x))
         found = solve(both, b, low - x, high - x)
         toward = found.x[b:]
         better = None
         for halving in range(_HALVINGS):
             y = np.clip(x + toward / 2**halving, low, high)
             tried = residuals([y])[0]
-            then = judged(tried, B)
+            then = judged(y, tried, B)
             if then.deviance < now.deviance:
                 better = y, tried, then
                 break
@@ -116,9 +120,9 @@ def fit(evidence: Evidence, candidates: Sequence[Candidate], start: Sequence[Arr
         x, z, now = better
         if gained < _ENOUGH:
             break
-    if scale is not None:  # x has moved on since
-        scale = noise(x)
-        now = judged(z, B)
+    if noise.some:  # x has moved on since
+        noise.measure(x)
+        now = judged(x, z, B)
     deviation = np.sqrt(np.maximum(np.diag(found.covariance)[b:], 0.0))
     return Fit(
         candidates=tuple(candidates),
@@ -130,6 +134,55 @@ def fit(evidence: Evidence, candidates: Sequence[Candidate], start: Sequence[Arr
         residual=z,
         tangents=np.hstack([B, S]),
     )
+
+
+class _FilteredNoise:
+    """Size of the noise where effects pass it on changed, in proportion to their first number.
+
+    A fit that took it for constant would go on damping noise beyond what the effect is.
+    """
+
+    def __init__(self, evidence: Evidence, candidates: Sequence[Candidate]) -> None:
+        self._evidence, self._candidates = evidence, candidates
+        self._edges = np.cumsum([c.k for c in candidates])[:-1]
+        first = [0, *self._edges.tolist()]
+        self.some = [(k, first[k]) for k, c in enumerate(candidates) if c.filters]
+        self._at = np.zeros(0)
+        self._change: list[Array] = []  # (N,) of the mean square at `_at`
+
+    def measure(self, x: Array, anyway: bool = True) -> None:
+        """Draw noise through each of the effects, unless little has changed."""
+        at = np.array([x[i] for _, i in self.some])
+        if not anyway and (np.abs(at - self._at) <= _NEAR * np.abs(self._at)).all():
+            return
+        values, evidence = np.split(x, self._edges), self._evidence
+        self._at, self._change = at, []
+        for k, _ in self.some:
+            one = self._candidates[k]
+            effect = one.effect(values[k])
+            if effect not in evidence.passed:  # fits begin where others have ended
+                model = evidence.machine.model([effect])
+                evidence.passed[effect] = evidence.noise(model, sorted(one.ports)) - 1
+            self._change.append(evidence.passed[effect])
+
+    def scale(self, x: Array) -> Array | None:
+        """(N,) size of the noise; None where it is that of the description."""
+        return np.sqrt(self._square(x)) if self.some else None
+
+    def slopes(self, x: Array, left: Array) -> Array:
+        """(N, k) by which residuals `left` (N,) shrink because noise grows with x (k,)."""
+        out = np.zeros((len(left), len(x)))
+        for (_, i), at, change in zip(self.some, self._at, self._change, strict=True):
+            if at > 0:
+                out[:, i] = left * change / at / (2 * self._square(x))
+        return out
+
+    def _square(self, x: Array) -> Array:
+        out = np.ones(self._evidence.size)
+        for (_, i), at, change in zip(self.some, self._at, self._change, strict=True):
+            if at > 0:
+                out += change * (x[i] / at)
+        return np.maximum(out, _QUIETEST)
 
 
 def _reshaped(

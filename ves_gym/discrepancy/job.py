@@ -75,7 +75,8 @@ def system_job(
     ]
     own, ports = machine.system, [p.name for p in machine.ports]
     some = [runs[i] for i in fitted]
-    candidates = library(own.arm.n, ports, own.mode, [r.name for r in some])
+    names = [r.name for r in some]
+    candidates = library(own.arm.n, ports, own.mode, names, machine.stretch(some))
 
     def write(effects: Sequence[Any], folder: Path, free: bool) -> Written:
         better = machine.model(effects).system

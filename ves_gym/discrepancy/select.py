@@ -18,9 +18,12 @@ from ves_gym.discrepancy.bank import Bank
 from ves_gym.discrepancy.candidates import Candidate
 from ves_gym.discrepancy.evidence import Evidence
 from ves_gym.discrepancy.fit import Fit, fit
+from ves_gym.discrepancy.groups import products, solve
 
 FINALISTS = 6
 _OTHERS, _EXCHANGES = 3, 4  # tried in a place on the way; exchanges at the end
+# What the computer takes in and gives out is known to the last digit, and these have tolerances
+_COMPUTED = ("base/stiffness", "base/virtual_mass", "base/damping")
 _HOPELESS = 30.0  # cost by which a screen's runner-up is not worth a full fit
 Tell = Callable[[str], None]
 
@@ -112,7 +115,8 @@ def _needed(evidence: Evidence, bank: Bank, limits: Thresholds, f: Fit, i: int) 
         rest = _without(evidence, f, i)
         alone = [_without(evidence, rest, j - (j > i)).deviance for j in near]
         echo = limits.echo * (max(alone) - rest.deviance)
-    return max(by_chance, echo, limits.gain + one.price * float(np.log(evidence.size)) / 2)
+    guard = 0.0 if one.kind in _COMPUTED and "admittance" in one.ports else limits.gain
+    return max(by_chance, echo, guard + f.price(i) * float(np.log(evidence.size)) / 2)
 
 
 def unexplained(f: Fit, evidence: Evidence, imperfect: float = 1.0) -> float:
@@ -133,7 +137,8 @@ def _tried(
     """Full fits of what scores best beside `rest`, put in place i, best first by score."""
     price = float(np.log(evidence.size))
     scores = bank.scores(rest.residual, rest.tangents, rest.size)
-    costs = [s.deviance + bank.candidates[s.candidate].price * price for s in scores]
+    ahead = rest.deviance - _screened(evidence, rest)  # full fits know noise passed on
+    costs = [s.deviance + ahead + bank.candidates[s.candidate].price * price for s in scores]
     out: list[Fit] = []
     free = [j for j in np.argsort(costs).tolist() if bank.candidates[j].name not in taken]
     for j in free[:count]:
@@ -143,9 +148,29 @@ def _tried(
         some = (*rest.candidates[:i], candidate, *rest.candidates[i:])
         start = (*rest.values[:i], scores[j].values, *rest.values[i:])
         tried = fit(evidence, some, start)
-        if not tried.on_bound(i):
+        if not tried.on_bound(i) and _lasts(evidence, tried, i):
             out.append(tried)
     return out
+
+
+def _screened(evidence: Evidence, f: Fit) -> float:
+    """Deviance of a fit by the measure of the bank's scores."""
+    if not any(c.filters for c in f.candidates):
+        return f.deviance
+    some = products(evidence, f.residual, f.tangents)
+    return solve(some, len(evidence.nuisances)).deviance
+
+
+def _lasts(evidence: Evidence, f: Fit, i: int) -> bool:
+    """Whether the effect in place i acts for as long as the band resolves: half a period.
+
+    A step between two samples looks like a limit that cuts a few of them.
+    """
+    one = f.candidates[i]
+    if not one.sets_in:
+        return True
+    model = evidence.machine.model([one.effect(f.values[i])])
+    return evidence.acts(model, one.ports) > 0.5 / evidence.runs[0].band
 
 
 def _weighed(

@@ -138,6 +138,17 @@ class SystemMachine:
         share = _FLOOR.get(port, _LEAST)
         return share * np.concatenate([np.full(len(k), max(k.max(), 1e-12)) for k in kinds])
 
+    def stretch(self, runs: Sequence[Run]) -> float:
+        """How far a leg is told to go in the runs, in parts of its stroke; 0 without legs."""
+        told = [np.reshape(run["y_cmd"], (-1, 6)) for run in runs if "y_cmd" in run]
+        if self.system.mode != "emulated" or not told:
+            return 0.0
+        stewart = self.system.laboratory.stewart
+        home = stewart.home_lengths
+        change = stewart.leg_lengths(np.concatenate(told)) - home
+        room = np.where(change > 0, stewart.length_max - home, home - stewart.length_min)
+        return float((np.abs(change) / room).max())
+
     @cached_property
     def nuisances(self) -> tuple[Nuisance, ...]:
         """Small errors of any description of such a machine."""
