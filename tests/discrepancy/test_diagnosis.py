@@ -146,12 +146,16 @@ def test_coordinates_about_zero_cost_nothing():
 
     def price(name, values, std):
         effects = ((every[name],), (np.array(values),))
-        return Fit(*effects, 0.0, (np.array(std),), none, none, none, none).price(0)
+        return Fit(*effects, 0.0, (np.array(std),), none, none, none, none).price(0, 1000)
 
-    assert price("sensor/rotation", (1e-5, 2e-3, 1e-5), (1e-5, 1e-5, 1e-5)) == 1
-    assert price("sensor/rotation", (1e-3, 2e-3, 1e-5), (1e-5, 1e-5, 1e-5)) == 2
-    assert price("sensor/rotation", (0, 0, 0), (1e-5, 1e-5, 1e-5)) == 1
-    assert price("joint/elasticity at joint 1", (1e-4, 0), (1e-5, 1e-5)) == 2
+    one, choice = np.log(1000), 2 * np.log(3)  # of three coordinates
+    std = (1e-5, 1e-5, 1e-5)
+    assert price("sensor/rotation", (1e-5, 2e-3, 1e-5), std) == pytest.approx(one + choice)
+    assert price("sensor/rotation", (1e-3, 2e-3, 1e-5), std) == pytest.approx(2 * one + choice)
+    assert price("sensor/rotation", (1e-3, 2e-3, 1e-4), std) == pytest.approx(3 * one)
+    assert price("sensor/rotation", (0, 0, 0), std) == pytest.approx(one + choice)
+    gear = price("joint/elasticity at joint 1", (1e-4, 0), (1e-5, 1e-5))
+    assert gear == pytest.approx(2 * one)
 
 
 def test_an_error_of_the_vehicle_needs_no_guard_where_the_computer_moves_it():
@@ -162,7 +166,9 @@ def test_an_error_of_the_vehicle_needs_no_guard_where_the_computer_moves_it():
         every = library(3, ["wrench", port], mode)
         one = next(c for c in every if c.name == name)
         bank = types.SimpleNamespace(candidates=every)
-        f = types.SimpleNamespace(candidates=(one,), price=lambda i: one.price)
+        f = types.SimpleNamespace(
+            candidates=(one,), price=lambda i, size: one.price * np.log(size)
+        )
         return _needed(evidence, bank, limits, f, 0)
 
     emulated = ("admittance", "emulated")

@@ -92,7 +92,7 @@ def ranked(bank: Bank, null: Fit, chosen: Sequence[str] = (), most: int = 12) ->
     scores = bank.scores(null.residual, null.tangents, null.size)
     known = [s for s in scores if np.isfinite(s.deviance)]
     price = float(np.log(evidence.size))
-    known.sort(key=lambda s: s.deviance + bank.candidates[s.candidate].k * price)
+    known.sort(key=lambda s: s.deviance + bank.candidates[s.candidate].price * price)
     some = [
         s
         for rank, s in enumerate(known)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -36,16 +37,19 @@ class Fit:
     residual: Array  # (N,)
     tangents: Array  # (N, b + sum of k); other forms of the effects first
 
-    @property
-    def k(self) -> int:
-        """Numbers that count, in all."""
-        return sum(self.price(i) for i in range(len(self.candidates)))
+    def price(self, i: int, size: int) -> float:
+        """What the numbers of the effect in place i cost, of `size` numbers of evidence.
 
-    def price(self, i: int) -> int:
-        """Numbers that the effect in place i counts as."""
-        one = self.candidates[i]
-        clear = np.abs(self.values[i]) > _CLEAR * self.std[i]
-        return max(one.price, int(np.count_nonzero(clear))) if one.sparse else one.price
+        Bayesian information criterion; for the choice of some coordinates among several that
+        of Chen and Chen (Biometrika 95, 2008).
+        """
+        one, count = self.candidates[i], self.candidates[i].price
+        choice = 0.0
+        if one.sparse:
+            clear = np.abs(self.values[i]) > _CLEAR * self.std[i]
+            count = max(count, int(np.count_nonzero(clear)))
+            choice = 2 * float(np.log(math.comb(one.k, count)))
+        return count * float(np.log(size)) + choice
 
     @property
     def effects(self) -> tuple[Effect, ...]:

@@ -68,8 +68,8 @@ class Selection:
 
 
 def cost(f: Fit, evidence: Evidence) -> float:
-    """Deviance and what its numbers cost (Bayesian information criterion)."""
-    return f.deviance + f.k * float(np.log(evidence.size))
+    """Deviance and what its numbers cost."""
+    return f.deviance + sum(f.price(i, evidence.size) for i in range(len(f.candidates)))
 
 
 def select(
@@ -116,7 +116,7 @@ def _needed(evidence: Evidence, bank: Bank, limits: Thresholds, f: Fit, i: int) 
         alone = [_without(evidence, rest, j - (j > i)).deviance for j in near]
         echo = limits.echo * (max(alone) - rest.deviance)
     guard = 0.0 if one.kind in _COMPUTED and "admittance" in one.ports else limits.gain
-    return max(by_chance, echo, guard + f.price(i) * float(np.log(evidence.size)) / 2)
+    return max(by_chance, echo, guard + f.price(i, evidence.size) / 2)
 
 
 def unexplained(f: Fit, evidence: Evidence, imperfect: float = 1.0) -> float:
