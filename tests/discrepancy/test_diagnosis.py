@@ -178,15 +178,6 @@ def test_an_error_of_the_vehicle_needs_no_guard_where_the_computer_moves_it():
     assert needed("base/stiffness", "base", "ideal") > limits.gain  # by a measured wrench
 
 
-def test_a_drift_need_not_hold_on_runs_held_back():
-    def named(kind, slot):
-        return types.SimpleNamespace(candidate=types.SimpleNamespace(kind=kind, slot=slot))
-
-    gaps = [d.Gap("wrench", "M_x", 15.0, 15.0), d.Gap("platform", "y", 10.0, 1.0)]
-    assert d._left(gaps, [named("platform/delay", "")]) > 0.6
-    assert d._left(gaps, [named("platform/delay", ""), named("sensor/drift", "M_x")]) == 0
-
-
 def test_what_is_not_in_the_library_gets_no_wrong_name(hidden):
     logs = hidden(("base/stiffness", 0, 0.1, {"sign": 1.0}), seed=4)
     own = ("base/stiffness", "base/virtual_mass", "base/extra_mode", "base/damping")

@@ -43,7 +43,6 @@ VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK)
 
 # What any motion of a joint that is worth the name shows; where it does not, others may hide.
 _BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_inertia")
-_DRIFT = "sensor/drift"  # goes its own way in every run: none held back can confirm it
 _LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
 WORSE = 1.02  # of its gap before, or of noise: a channel that is worse
 WIDE = 1.645  # standard deviations to either side of a 90 % interval
@@ -210,7 +209,8 @@ def diagnose(
     if final:
         last = Evidence(machine, final, seed + 1)
         after = _gaps(last, chosen, chosen.nuisances, selection.null.nuisances)
-        if verdict == MORE and _left(after, found) > limits.held_back:  # names do not hold
+        much = verdict == MORE and remaining > limits.more  # not but a tone beside
+        if much and _left(after) > limits.held_back:  # names that do not hold
             verdict, without = UNKNOWN, selection.null
             gaps = _gaps(evidence, without, without.nuisances, without.nuisances)
             after = _gaps(last, without, without.nuisances, without.nuisances)
@@ -281,12 +281,10 @@ def _despite(
     return MORE if verdict in SPEAKS and not all(f.shared for f in faulty) else verdict
 
 
-def _left(gaps: Sequence[Gap], found: Sequence[Found]) -> float:
-    """Part of the gap above noise that is left, all channels together but those that drift."""
-    adrift = {("wrench", f.candidate.slot) for f in found if f.candidate.kind == _DRIFT}
-    told = [g for g in gaps if (g.port, g.channel) not in adrift]
+def _left(gaps: Sequence[Gap]) -> float:
+    """Part of the gap above noise that is left, all channels together."""
     before, after = (
-        sum(max(getattr(g, side) ** 2 - 1, 0.0) for g in told) for side in ("before", "after")
+        sum(max(getattr(g, side) ** 2 - 1, 0.0) for g in gaps) for side in ("before", "after")
     )
     return after / before if before else 0.0
 
