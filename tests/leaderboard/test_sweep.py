@@ -178,8 +178,12 @@ def test_parts_of_a_sweep_on_two_machines_are_one_by_copying(swept, tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="finds workers in /proc")
 def test_killed_workers_cost_nothing(tmp_path):
-    """200 units, a worker killed every second: all done, none twice or missing."""
-    wanted = many(200)
+    """200 units, a worker killed every second: all done, none twice or missing.
+
+    The killer is blind: on a busy machine it may meet one unit more often than the three times
+    after which a unit is taken for the cause.
+    """
+    wanted = many(200, deaths=9)
     sweep(wanted, tmp_path / "quiet", workers=2)
     with Killer(tmp_path / "killed", pause=1.0, times=8) as killer:
         report = sweep(wanted, tmp_path / "killed", workers=2)
