@@ -191,3 +191,15 @@ def test_in_the_laboratory_it_costs_more():
     real = controlled(get_controller("lqr"), 16, "lqr", **settings)[1].mean()
     print("return ideal, emulated", ideal, real)
     assert 1.2 * ideal < real < 1.02 * ideal
+
+
+def test_the_unit_of_the_reward_is_that_of_the_machine_as_described():
+    """Also where its optimum is not known: a vehicle with a mode more, a gear that gives."""
+    plain = gym.make("ves/BeamLQR-v0").unwrapped.task.unit_cost
+    mode = {"kind": "base/extra_mode", "mass": 2.0, "frequency": 3.0}
+    gear = {"kind": "joint/elasticity", "compliance": [1e-5, 0, 0], "damping": [30.0] * 3}
+    for effect in (mode, gear):
+        env = gym.make("ves/BeamLQR-v0", effects=[effect])
+        env.reset(seed=0)
+        assert np.isfinite(env.step(np.zeros(env.action_space.shape))[1])
+        assert env.unwrapped.task.unit_cost == plain

@@ -82,9 +82,13 @@ class Lqr(Task):
 
     @cached_property
     def plant(self) -> tuple[Array, Array]:
-        """A (2 s, 2 s), B (2 s, joints): x_{k+1} = A x_k + B u_k, exact for small motions."""
+        """A (2 s, 2 s), B (2 s, joints): x_{k+1} = A x_k + B u_k, exact for small motions.
+
+        Of the machine as described: its effects are what a controller does not know of.
+        """
         home = wide(self.home, self.system.arm)
-        linear = linearise_ideal(self.system.ideal(), home, servo=self.control.servo)
+        described = self.system.replace(effects=()).ideal()
+        linear = linearise_ideal(described, home, servo=self.control.servo)
         return linear.discretise(self.system.control_dt)
 
     @cached_property
