@@ -21,7 +21,7 @@ from ves_gym.discrepancy.machine import Machine, Port, testable
 from ves_gym.discrepancy.runs import Run
 
 _DRAWS, _FEW = 12, 4  # of the noise, to learn what it becomes at a port
-_LEAST = 0.05  # of its size that a model may leave
+QUIETEST = 0.05  # of the noise's mean square that a model may leave
 _POOL = 6  # neighbouring frequencies on either side that are taken together
 _EDGES = (0.0, 0.1, 0.3, 1.0)  # of the ranges of frequencies, in parts of the band
 
@@ -157,7 +157,7 @@ class Evidence:
             if port.name not in self._usual:
                 self._usual[port.name] = self._power(port, self.machine.nominal)
             change = self._power(port, model) - self._usual[port.name]
-            out[self.part(port.name)] = np.maximum(1 + change, _LEAST)
+            out[self.part(port.name)] = np.maximum(1 + change, QUIETEST)
         return out
 
     def _power(self, port: Port, model: Model) -> Array:

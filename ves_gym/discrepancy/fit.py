@@ -12,14 +12,13 @@ import numpy as np
 from ves_gym.core.effect import Effect
 from ves_gym.core.params import Array
 from ves_gym.discrepancy.candidates import Candidate
-from ves_gym.discrepancy.evidence import Evidence
+from ves_gym.discrepancy.evidence import QUIETEST, Evidence
 from ves_gym.discrepancy.groups import Solution, products, solve
 
 _STEP = 1e-3  # of differences, in parts of a number's usual size
 _ROUNDS, _HALVINGS = 12, 4
 _REMEMBERED = 600  # residuals of a port
 _NEAR = 0.5  # change of a number, relative, that leaves the noise passed on as it was measured
-_QUIETEST = 0.05  # of the noise's mean square that effects may leave
 _CLEAR = 3.0  # standard deviations from zero
 _ENOUGH = 0.05  # gain in deviance that is not worth another round
 
@@ -186,7 +185,7 @@ class _FilteredNoise:
         for (_, i), at, change in zip(self.some, self._at, self._change, strict=True):
             if at > 0:
                 out += change * (x[i] / at)
-        return np.maximum(out, _QUIETEST)
+        return np.maximum(out, QUIETEST)
 
 
 def _reshaped(
