@@ -12,11 +12,11 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from benchmarks.timing import Pair, side_by_side
-from ves_gym.core.backends.kernel import KernelBackend
-from ves_gym.core.backends.mujoco import MujocoBackend
-from ves_gym.core.kernel.sensitivity import rollout
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
+from ves_gym.engine.backends.kernel import KernelBackend
+from ves_gym.engine.backends.mujoco import MujocoBackend
+from ves_gym.engine.kernel.sensitivity import rollout
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.system import System
 
 PERIODS = 20
 RUNS = 15
@@ -88,8 +88,8 @@ def emulated(n: int) -> Pair:
 
 _FIRST = """
 import time
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.system import System
 begin = time.perf_counter()
 Simulator(System(), backend="mujoco")
 middle = time.perf_counter()

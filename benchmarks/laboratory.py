@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from benchmarks.timing import Pair, side_by_side
-from ves_gym.core.emulator import Emulator
-from ves_gym.core.legs import FILTERED, leg_clock
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
+from ves_gym.hardware.leg_servo import FILTERED, leg_clock
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.system import System
 
 PERIODS = 20
 CONTROL_DT, PHYSICS_DT = leg_clock(FILTERED)

@@ -6,9 +6,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from benchmarks.timing import Pair, side_by_side
-from ves_gym.core.backends.mujoco import compile_model
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
+from ves_gym.engine.backends.mujoco import compile_model
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.system import System
 
 PERIODS = 20
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ves_gym.core.params import canonical_json, write_text
-from ves_gym.leaderboard.executors import open_executor
+from ves_gym._util.params import canonical_json, write_text
+from ves_gym.experiments.executors import open_executor
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from ves_gym.core.params import ParameterError
-from ves_gym.core.vehicle import VEHICLES
+from ves_gym._util.params import ParameterError
 from ves_gym.envs.build import build_task
 from ves_gym.envs.control import CONTROLS, Control
 from ves_gym.envs.env import VesEnv
 from ves_gym.envs.registration import IDS
 from ves_gym.envs.task import Task
+from ves_gym.mechanics.vehicle import VEHICLES
 
 DOCS = Path(__file__).parent
 PLACE = DOCS / "environments"

@@ -8,14 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from ves_gym.core.calibration import calibration_poses, fit
-from ves_gym.core.energy import log_energies
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import play_motions, weigh_poses
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.stability import check_emulation
-from ves_gym.core.system import System
 from ves_gym.effects import LABORATORY_ERRORS, SensorBias, SensorCalibration
+from ves_gym.mechanics.motion import Motion
+from ves_gym.simulation.gravity_calibration import calibration_poses, fit
+from ves_gym.simulation.playback import play_motions, weigh_poses
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.simulation.stability import check_emulation
+from ves_gym.system.energy import log_energies
+from ves_gym.system.system import System
 
 # The machine as it is: noise, drift, a zero nobody set, and 1 % of cross-talk.
 cross_talk = np.random.default_rng(0).normal(0, 0.01, (6, 6)).tolist()

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ves_gym.core.energy import ledger, log_energies
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
+from ves_gym.mechanics.motion import Motion
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.energy import ledger, log_energies
+from ves_gym.system.system import System
 
 system = System()  # PUMA 560 on the thesis's bent beam, zero gravity
 motion = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), duration=2.0)

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from ves_gym.core.energy import energies
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
+from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import PLANNERS
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.energy import energies
+from ves_gym.system.system import System
 
 
 class Gentle:

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import get_vehicle
+from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.coupling import coupling_matrix, modes
+from ves_gym.system.system import System
 
 system = System(vehicle=get_vehicle(Path(__file__).with_name("truss.toml")))
 q = np.deg2rad([45.0, 0.0, 0.0])

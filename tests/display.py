@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from ves_gym.report.opengl import RenderError, choose_backend
+from ves_gym.rendering.opengl import RenderError, choose_backend
 
 
 def require_opengl() -> str:

@@ -4,7 +4,7 @@ from importlib import import_module
 from types import ModuleType
 
 from ves_gym import envs as envs  # files every environment with Gymnasium
-from ves_gym.core.effect import EFFECTS
+from ves_gym.system.effect import EFFECTS
 
 __version__ = "0.1.0"
 

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ves_gym.discrepancy.diagnosis import added, diagnose
-from ves_gym.discrepancy.mapping import load_emps, read_machine
-from ves_gym.discrepancy.mjcf_machine import MjcfMachine, Variant
-from ves_gym.discrepancy.runs import Run
-from ves_gym.discrepancy.select import Thresholds
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.diagnose import added, diagnose
+from ves_gym.diagnosis.inference.model_selection import Thresholds
+from ves_gym.diagnosis.machines.mjcf import MjcfMachine, Variant
+from ves_gym.diagnosis.machines.mjcf_mapping import load_emps, read_machine
 from ves_gym.effects import JointCoulomb, JointTorqueOffset, JointViscous
 
 MAPPING = Path(__file__).with_name("emps.toml")

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ves_gym.core.calibration import calibration_poses
-from ves_gym.core.params import Array
-from ves_gym.core.puma import PUMA_560
+from ves_gym._util.params import Array
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.simulation.gravity_calibration import calibration_poses
 
 # Thesis C.3: kg, kg m. Sign of the measured P5 restored (docs/errata.md).
 IDENTIFIED = np.array(

@@ -22,20 +22,20 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym.core.arm import Arm
-from ves_gym.core.calibration import calibration_poses
-from ves_gym.core.force_sensor import ForceSensor
-from ves_gym.core.gravity import GravityModel, minimal_model
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import Array
-from ves_gym.core.puma import PUMA_560
-from ves_gym.core.runlog import RunLog
-from ves_gym.core.system import System
-from ves_gym.discrepancy.candidates import Candidate, library
-from ves_gym.discrepancy.diagnosis import Diagnosis, diagnose
-from ves_gym.discrepancy.runs import Run, run_of
-from ves_gym.discrepancy.system_machine import SystemMachine
+from ves_gym._util.params import Array
+from ves_gym.diagnosis.data.measured_run import Run, run_of
+from ves_gym.diagnosis.diagnose import Diagnosis, diagnose
+from ves_gym.diagnosis.inference.candidates import Candidate, library
+from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.effects import LABORATORY_ERRORS, SensorNoise
+from ves_gym.hardware.force_sensor import ForceSensor
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.gravity import GravityModel, minimal_model
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.simulation.gravity_calibration import calibration_poses
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 IDENTIFIED = GravityModel(
     mass=95.065,

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from diagnose import IDENTIFIED, MEASURED, read_runs, reweighed, show, verdict, write_logs
 
-from ves_gym.core.arm import Arm
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.params import Array, Vector
-from ves_gym.discrepancy.candidates import Candidate
+from ves_gym._util.params import Array, Vector
+from ves_gym.diagnosis.inference.candidates import Candidate
+from ves_gym.mechanics.arm import Arm
+from ves_gym.system.effect import Effect, parameter, register
 
 NAMES = ("mass", *(f"P{k}" for k in range(1, 10)))
 

@@ -9,8 +9,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from ves_gym.core.params import ParameterError
-from ves_gym.core.system import System
+from ves_gym._util.params import ParameterError
+from ves_gym.system.system import System
 
 pytest.importorskip("safetensors")
 from ves_gym.baselines.checkpoint import load_state, save_state
@@ -96,8 +96,8 @@ def forged(tree):
     [
         "os:system",
         "subprocess:Popen",
-        "ves_gym.core.params:write_text",
-        "ves_gym.core.arm:Nobody",
+        "ves_gym._util.params:write_text",
+        "ves_gym.mechanics.arm:Nobody",
     ],
 )
 def test_a_file_cannot_name_what_to_build(tmp_path, name):

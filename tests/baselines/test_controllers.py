@@ -4,12 +4,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from ves_gym._util.params import ParameterError
 from ves_gym.baselines.controllers import CONTROLLERS, gains_action, get_controller
 from ves_gym.baselines.evaluate import evaluate, ratio
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import ParameterError
-from ves_gym.core.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.envs.control import Gains
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 
 REST = "ves/PumaRestToRest-v0"
 

@@ -6,9 +6,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from ves_gym._util.params import ParameterError
 from ves_gym.baselines.controllers import get_controller
 from ves_gym.baselines.evaluate import Evaluation, beats, evaluate, pool, ratio, report
-from ves_gym.core.params import ParameterError
 
 REST = "ves/PumaRestToRest-v0"
 

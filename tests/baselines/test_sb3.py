@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 
 pytest.importorskip("stable_baselines3")
 from ves_gym.baselines.sb3 import Sb3VecEnv

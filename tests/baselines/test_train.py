@@ -15,6 +15,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from ves_gym._util.params import ParameterError
 from ves_gym.baselines.config import (
     CONFIGS,
     TrainConfig,
@@ -24,7 +25,6 @@ from ves_gym.baselines.config import (
 )
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.policy import load_policy
-from ves_gym.core.params import ParameterError
 
 ROOT = Path(__file__).parents[2]
 SMALL = {"settings": {"duration": 0.5, "tail": 0.5}, "layers": [8, 8], "eval_episodes": 4}

@@ -9,12 +9,12 @@ import json
 
 import pytest
 
-from ves_gym.core.system import System
 from ves_gym.planners import ompl_search
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.ompl_search import Child, Ompl
 from ves_gym.planners.registry import PLANNERS
 from ves_gym.planners.suites import get_suite
+from ves_gym.system.system import System
 
 PROGRAM = """
 import os, time

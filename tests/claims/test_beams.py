@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from ves_gym.core.vehicle import (
+from ves_gym.mechanics.vehicle import (
     BENT,
     STRAIGHT_HORIZONTAL,
     STRAIGHT_VERTICAL,

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from ves_gym.discrepancy.blind.cases import mix, order_of, root_seed
-from ves_gym.discrepancy.blind.write import seal
-from ves_gym.discrepancy.score import score
-from ves_gym.discrepancy.score_page import markdown
-from ves_gym.discrepancy.select import Thresholds
-from ves_gym.discrepancy.trial import short, stratified, thresholds_hash
+from ves_gym.diagnosis.benchmark.blind.cases import mix, order_of, root_seed
+from ves_gym.diagnosis.benchmark.blind.write import seal
+from ves_gym.diagnosis.benchmark.run import short, stratified, thresholds_hash
+from ves_gym.diagnosis.benchmark.score import score
+from ves_gym.diagnosis.benchmark.score_page import markdown
+from ves_gym.diagnosis.inference.model_selection import Thresholds
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -11,11 +11,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym.core.energy import base_energy
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT, STRAIGHT_VERTICAL
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import BENT, STRAIGHT_VERTICAL
 from ves_gym.planners.coupling import (
     band_limited,
     blocks,
@@ -26,6 +23,9 @@ from ves_gym.planners.coupling import (
     quintic_spectrum,
 )
 from ves_gym.planners.prediction import spectral_energy
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.energy import base_energy
+from ves_gym.system.system import System
 
 GOAL = np.deg2rad([60.0, 40.0, -30.0])
 UNDAMPED = dataclasses.replace(BENT, damping_ratio=0.0)

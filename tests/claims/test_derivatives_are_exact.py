@@ -7,16 +7,16 @@ Reference: central differences of the same rollout with a relative step of 1e-4 
 import numpy as np
 import pytest
 
-from ves_gym.core.energy import energies
-from ves_gym.core.kernel.sensitivity import rollout
-from ves_gym.core.kernel.trace import parameters
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import ParameterError
-from ves_gym.core.playback import play_motions
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import FREE_FLOATING, STRAIGHT_VERTICAL
+from ves_gym._util.params import ParameterError
 from ves_gym.effects import JointStribeck
+from ves_gym.engine.kernel.sensitivity import rollout
+from ves_gym.engine.kernel.trace import parameters
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import FREE_FLOATING, STRAIGHT_VERTICAL
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.energy import energies
+from ves_gym.system.system import System
 
 MOTION = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
 CASES = {

@@ -7,12 +7,12 @@ Y = (.2, -.2, .1 m, 10, -10, 20 deg); the positioning error is commanded minus a
 import numpy as np
 import pytest
 
-from ves_gym.core.emulator import Emulator
-from ves_gym.core.legs import FILTERED, FILTERED_FEEDBACK, LOW_GAINS, Filter, leg_clock
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import DECOUPLED
+from ves_gym.hardware.leg_servo import FILTERED, FILTERED_FEEDBACK, LOW_GAINS, Filter, leg_clock
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import DECOUPLED
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.system import System
 
 RELEASE = np.r_[0.2, -0.2, 0.1, np.deg2rad([10, -10, 20])]
 STILL = Motion.straight(np.zeros(3), np.zeros(3), 1.0)

@@ -8,14 +8,14 @@ sample rate, the sensor's filter in proportion (20 Hz at 8 Hz). Tolerances: thos
 import numpy as np
 import pytest
 
-from ves_gym.core.emulator import Emulator
-from ves_gym.core.force_sensor import ForceSensor
-from ves_gym.core.motion import Motion
-from ves_gym.core.platform import PoseServo
-from ves_gym.core.playback import play_motions
-from ves_gym.core.stability import EmulationWarning
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import VEHICLES
+from ves_gym.hardware.force_sensor import ForceSensor
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import VEHICLES
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.stability import EmulationWarning
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.system import System
 
 LADDER = ((8.0, 80.0, 10), (20.0, 400.0, 2), (50.0, 2500.0, 1))  # Hz, Hz, steps a period
 PROMISED = (0.10, 0.04, 0.02)
@@ -70,7 +70,7 @@ def test_error_stays_small_for_ten_seconds(vehicle):
         assert error <= limit
 
 
-@pytest.mark.filterwarnings("ignore::ves_gym.core.stability.EmulationWarning")
+@pytest.mark.filterwarnings("ignore::ves_gym.simulation.stability.EmulationWarning")
 def test_plain_loop_beside_it():
     """Better with faster hardware on the bent beam, and behind the compensated loop."""
     plain = [base_error(laboratory("bent", k, compensated=False), 1.5) for k in (0, 1)]

@@ -14,15 +14,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym.core.energy import Ledger, ledger
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import play_motions
-from ves_gym.core.runlog import RunLog
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import VEHICLES
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import get_suite
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.energy import Ledger, ledger
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 MOTION = Motion.straight(np.deg2rad([-40, -20, 0]), np.deg2rad([60, 40, -30]), 2.0)
 PROMISED = 1e-3

@@ -7,11 +7,11 @@ Reference: the same emulation without the error. The arm turns its shoulder by 1
 import numpy as np
 import pytest
 
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT, STRAIGHT_HORIZONTAL
 from ves_gym.effects import GravityScale, SensorBias
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import BENT, STRAIGHT_HORIZONTAL
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.system import System
 
 TURN = Motion.straight(np.deg2rad([-90, 0, 0]), np.deg2rad([90, 0, 0]), 2.0)
 

@@ -17,17 +17,17 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym.core import model
-from ves_gym.core.arm import Arm, Inertial, Link, matrix
-from ves_gym.core.emulator import Emulator
-from ves_gym.core.energy import base_energy, energies
-from ves_gym.core.legs import FILTERED, leg_clock
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import play_motions
-from ves_gym.core.servo import JointServo
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import VEHICLES, Beam, Matrices, Satellite, Vehicle
+from ves_gym.engine import mjcf
+from ves_gym.hardware.leg_servo import FILTERED, leg_clock
+from ves_gym.mechanics.arm import Arm, Inertial, Link, matrix
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.servo import JointServo
+from ves_gym.mechanics.vehicle import VEHICLES, Beam, Matrices, Satellite, Vehicle
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.energy import base_energy, energies
+from ves_gym.system.system import System
 
 PER_STRUCTURE = 8  # systems that share geometry and structure, and so one compilation
 PERIODS = 80  # 1 s
@@ -317,7 +317,7 @@ def test_emulated(name, monkeypatch):
         assert reading_gap(ours, theirs) <= 10 * EMULATED
         assert gap(ours.ydd, theirs.ydd) <= 1e-5
         with monkeypatch.context() as patch:
-            patch.setattr(model, "PLATFORM_INERTIA", 1e13)
+            patch.setattr(mjcf, "PLATFORM_INERTIA", 1e13)
             firm = run(system, seed, "mujoco")
         assert state_gap(ours, firm) <= IDEAL
         assert reading_gap(ours, firm) <= IDEAL

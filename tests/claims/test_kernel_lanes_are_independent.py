@@ -11,10 +11,10 @@ import pickle
 import numpy as np
 import pytest
 
-from ves_gym.core.kernel.emit import LANES
-from ves_gym.core.simulator import Divergence, Simulator, State
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import DECOUPLED, FREE_FLYING
+from ves_gym.engine.kernel.emit import LANES
+from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLYING
+from ves_gym.simulation.simulator import Divergence, Simulator, State
+from ves_gym.system.system import System
 
 SYSTEMS = {
     "bent": System(),

@@ -8,12 +8,12 @@ Bounds: 1 mm and 0.001 rad within nine iterations (Fig. 3-4).
 import numpy as np
 import pytest
 
-from ves_gym.core.learning import learn_gravity
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import STRAIGHT_HORIZONTAL
 from ves_gym.effects import SensorBias, SensorCalibration, SensorNoise
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import STRAIGHT_HORIZONTAL
+from ves_gym.simulation.gravity_learning import learn_gravity
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.system import System
 
 TURN = Motion.straight(np.deg2rad([-90, 0, 0]), np.deg2rad([90, 0, 0]), 2.0)
 SETTLE = 3.0  # s

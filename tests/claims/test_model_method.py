@@ -10,12 +10,17 @@ y. Bounds: 0.5 N and 1.0 N m, the largest axes of the thesis's Table 3-1.
 import numpy as np
 import pytest
 
-from ves_gym.core.calibration import Errors, calibration_poses, fit, predict_errors
-from ves_gym.core.emulator import Emulator
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import play_motions, weigh_poses
-from ves_gym.core.system import System
 from ves_gym.effects import LABORATORY_ERRORS, SensorBias, SensorCalibration
+from ves_gym.mechanics.motion import Motion
+from ves_gym.simulation.gravity_calibration import (
+    Errors,
+    calibration_poses,
+    fit,
+    predict_errors,
+)
+from ves_gym.simulation.playback import play_motions, weigh_poses
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.system import System
 
 SLOWLY = 180.0  # s
 ARM = System().arm

@@ -13,12 +13,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from ves_gym.core.model import TO_Y, pinocchio_model
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import Recording, play_motions
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT, FREE_FLOATING, FREE_FLYING
+from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING, FREE_FLYING
+from ves_gym.simulation.playback import Recording, play_motions
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.system import System
 
 MOTION = Motion.straight(np.deg2rad([-40, -20, 0]), np.deg2rad([60, 40, -30]), 2.0)
 AT_REST = np.zeros(6)

@@ -11,13 +11,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym.core.dynamics import frames, joint_positions
-from ves_gym.core.spatial import rotation
-from ves_gym.core.system import System
+from ves_gym.mechanics.dynamics import frames, joint_positions
+from ves_gym.mechanics.spatial import rotation
 from ves_gym.planners.obstacles import RESOLUTION, Sphere, link_radius
 from ves_gym.planners.query import solve, spaced
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import REACH_OBSTACLES, get_suite
+from ves_gym.system.system import System
 
 PLANNERS = ("ompl-time", "ompl-qt", "refined")
 ARM = System().arm

@@ -17,12 +17,12 @@ import functools
 import numpy as np
 import pytest
 
-from ves_gym.core.energy import energies
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
 from ves_gym.planners.query import Plan, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import get_suite
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.energy import energies
+from ves_gym.system.system import System
 
 PROMISED = [
     pytest.param(

@@ -18,12 +18,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ves_gym.core.params import write_table
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT, STRAIGHT_HORIZONTAL
+from ves_gym._util.params import write_table
+from ves_gym.mechanics.vehicle import BENT, STRAIGHT_HORIZONTAL
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.best_known import near_best
 from ves_gym.planners.suites import get_suite
+from ves_gym.system.system import System
 
 HISTORY = ("hotspot-q", "hotspot-qt", "ompl-q", "ompl-qt", "ompl-energy")
 MOST = ("smooth-jerk", "shaped-zv", "shaped-zvd", *HISTORY, "direct", "refined")

@@ -7,9 +7,9 @@ planners' E_mean as emulated with theirs in space, query by query. Seen: 0.98, 1
 
 import dataclasses
 
-from ves_gym.core.system import System
 from ves_gym.planners.benchmark import rank_correlation, run_benchmark
 from ves_gym.planners.suites import get_suite
+from ves_gym.system.system import System
 
 PLANNERS = ("straight", "smooth-jerk", "shaped-zv", "bad-path", "hotspot-q", "direct")
 

@@ -14,10 +14,9 @@ import pytest
 from scipy.stats import spearmanr
 
 from tests.claims.test_the_history import printed_inertia
-from ves_gym.core.puma import PUMA_560
-from ves_gym.core.servo import HIGH_GAINS, PPED_GAINS
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
+from ves_gym.mechanics.vehicle import BENT
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.planners.damping_map import best_configurations, promised_integral
 from ves_gym.planners.pped import (
@@ -33,6 +32,7 @@ from ves_gym.planners.pped import (
 )
 from ves_gym.planners.release import simulate_release
 from ves_gym.planners.virtual_manipulator import tune_virtual
+from ves_gym.system.system import System
 
 Q45 = np.deg2rad([45.0, 0.0, 0.0])
 BEAMS = {

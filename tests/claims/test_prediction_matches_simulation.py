@@ -15,14 +15,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym.core.energy import base_energy, energies
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import BENT
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.planners.prediction import MeanEnergy, joint_momentum, predict, spectral_energy
 from ves_gym.planners.suites import REACH_DURATIONS, get_suite
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.energy import base_energy, energies
+from ves_gym.system.system import System
 
 START, GOAL = np.zeros(3), np.deg2rad([60.0, 40.0, -30.0])
 DURATIONS = (0.02, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)  # s, the table of THEORY 1.2

@@ -20,15 +20,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from ves_gym.core.arm import Inertial, matrix
-from ves_gym.core.backends.mujoco import compile_model
-from ves_gym.core.dynamics import inertia, inverse_dynamics, joint_positions
-from ves_gym.core.model import TO_Y, pinocchio_model
-from ves_gym.core.puma import PUMA_560
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.spatial import rate_matrix
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import VEHICLES, Matrices, Satellite
+from ves_gym.engine.backends.mujoco import compile_model
+from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.mechanics.arm import Inertial, matrix
+from ves_gym.mechanics.dynamics import inertia, inverse_dynamics, joint_positions
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.spatial import rate_matrix
+from ves_gym.mechanics.vehicle import VEHICLES, Matrices, Satellite
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.system import System
 
 STATES = 1000
 TOLERANCE = 1e-9

@@ -10,12 +10,12 @@ import pickle
 import numpy as np
 import pytest
 
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import ParameterError
-from ves_gym.core.playback import play_motions
-from ves_gym.core.simulator import Simulator, State
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import VEHICLES
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import VEHICLES
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.simulator import Simulator, State
+from ves_gym.system.system import System
 
 STEPS = 40
 SPREAD = {"q": 0.5, "v": 0.3, "y": 0.01, "yd": 0.02}

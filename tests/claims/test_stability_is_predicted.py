@@ -10,14 +10,19 @@ from itertools import product
 import numpy as np
 import pytest
 
-from ves_gym.core.arm import matrix
-from ves_gym.core.dynamics import inertia
-from ves_gym.core.emulator import Emulator
-from ves_gym.core.legs import FILTERED, FILTERED_FEEDBACK, leg_clock, payload_ratio_limit
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.stability import spectral_radius
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import Matrices
+from ves_gym.hardware.leg_servo import (
+    FILTERED,
+    FILTERED_FEEDBACK,
+    leg_clock,
+    payload_ratio_limit,
+)
+from ves_gym.mechanics.arm import matrix
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.vehicle import Matrices
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.simulation.stability import spectral_radius
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.system import System
 
 PLACES = {"error": FILTERED, "feedback": FILTERED_FEEDBACK}
 H_B = inertia(System().arm, np.zeros(3))[:6, :6]

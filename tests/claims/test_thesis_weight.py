@@ -23,10 +23,10 @@ from examples.thesis_weight.diagnose import (
     verdict,
     write_logs,
 )
-from ves_gym.core.calibration import calibration_poses
-from ves_gym.core.gravity import GravityModel, minimal_model
-from ves_gym.core.puma import PUMA_560
-from ves_gym.discrepancy.diagnosis import MORE, UNKNOWN, added
+from ves_gym.diagnosis.diagnose import MORE, UNKNOWN, added
+from ves_gym.mechanics.gravity import GravityModel, minimal_model
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.simulation.gravity_calibration import calibration_poses
 
 FOLDER = Path(by_hand.__file__).parent
 FOOT = "mass of the arm's foot"

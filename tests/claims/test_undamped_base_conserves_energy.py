@@ -16,12 +16,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym.core.energy import base_energy
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import Recording, play_motions
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import BENT
 from ves_gym.planners.coupling import blocks, modes
+from ves_gym.simulation.playback import Recording, play_motions
+from ves_gym.system.energy import base_energy
+from ves_gym.system.system import System
 
 POSE = np.deg2rad([45.0, -20.0, 60.0])
 HOLD = Motion.straight(POSE, POSE, 1.0)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ves_gym.cli.main import main
-from ves_gym.core.motion import Motion
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
+from ves_gym.mechanics.motion import Motion
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.system import System
 
 
 @pytest.fixture(scope="session")

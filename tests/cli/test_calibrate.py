@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from ves_gym.core.calibration import calibration_poses, read_calibration
-from ves_gym.core.gravity import GravityModel
-from ves_gym.core.params import write_table
-from ves_gym.core.puma import PUMA_560
-from ves_gym.core.runlog import RunLog
-from ves_gym.core.system import System
+from ves_gym._util.params import write_table
+from ves_gym.mechanics.gravity import GravityModel
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.simulation.gravity_calibration import calibration_poses, read_calibration
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 EXACT = GravityModel.of(PUMA_560)
 MATRIX = np.eye(6) + 0.02 * np.random.default_rng(1).standard_normal((6, 6))

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ves_gym.cli.main import COMMANDS, main
-from ves_gym.core.energy import log_energies
-from ves_gym.core.runlog import RunLog
-from ves_gym.core.system import System
+from ves_gym.system.energy import log_energies
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 ROOT = Path(__file__).parents[2]
 SHORT = ("--duration", "0.4", "--settle", "0.2")

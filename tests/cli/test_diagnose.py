@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym.core.emulator import Emulator
-from ves_gym.core.force_sensor import ForceSensor
-from ves_gym.core.motion import Motion
-from ves_gym.core.platform import PoseServo
-from ves_gym.core.playback import play_motions
-from ves_gym.core.runlog import RunLog
-from ves_gym.core.system import System
 from ves_gym.effects import JointCoulomb, SensorNoise
+from ves_gym.hardware.force_sensor import ForceSensor
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.motion import Motion
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 SYSTEM = System(
     mode="emulated",

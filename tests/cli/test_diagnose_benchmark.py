@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("numba")
 
-from ves_gym.discrepancy import trial
-from ves_gym.discrepancy.score import METHODS
+from ves_gym.diagnosis.benchmark import run
+from ves_gym.diagnosis.benchmark.score import METHODS
 
 
 @pytest.mark.parametrize(
@@ -37,9 +37,9 @@ def test_scores_are_printed_and_written(call, tmp_path, monkeypatch):
         "seconds": {"total": 3.0},
         "baselines": {key: [] for key in METHODS[1:]},
     }
-    monkeypatch.setattr(trial, "run_trial", lambda *a: None)
-    monkeypatch.setattr(trial, "read_truth", lambda t: [label])
-    monkeypatch.setattr(trial, "read_answers", lambda t: [known])
+    monkeypatch.setattr(run, "run_trial", lambda *a: None)
+    monkeypatch.setattr(run, "read_truth", lambda t: [label])
+    monkeypatch.setattr(run, "read_answers", lambda t: [known])
     page = tmp_path / "results.md"
     status, out, err, result = call("diagnose-benchmark", "--cases", "0:1", "--docs", page)
     assert (status, err) == (0, "")

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ves_gym._util.params import to_plain
 from ves_gym.cli.main import main
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import to_plain
-from ves_gym.core.runlog import RunLog
-from ves_gym.core.system import System
+from ves_gym.mechanics.motion import Motion
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 LAB = ("--mode", "emulated")
 SHORT = ("--duration", "0.4", "--settle", "0.2")

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from ves_gym.core.params import write_table
-from ves_gym.core.system import System
+from ves_gym._util.params import write_table
 from ves_gym.planners.best_known import read_best
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
+from ves_gym.system.system import System
 
 ROOM = Surroundings(obstacles=(Box(centre=(0.75, 0.0, 0.7), size=(0.2, 0.2, 0.8)),))
 ACROSS = ("--start", "-57,6,11", "--goal", "57,6,11", "--duration", "4")

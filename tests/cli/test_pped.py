@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from tests.core.arms import six_joint_arm
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import DECOUPLED
+from tests.arms import six_joint_arm
+from ves_gym.mechanics.vehicle import DECOUPLED
 from ves_gym.planners.pped import Gains, analyse, plant_at
+from ves_gym.system.system import System
 
 QUICK = ("pped", "--objective", "strain", "--no-figures")
 

@@ -8,8 +8,8 @@ import time
 import pytest
 
 from tests.display import type_keys, virtual_display
-from ves_gym.core.runlog import RunLog
-from ves_gym.report import opengl as gl
+from ves_gym.rendering import opengl as gl
+from ves_gym.system.runlog import RunLog
 
 SCRIPT = "0.1 q 0.5\n0.7 escape\n"
 

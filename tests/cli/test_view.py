@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ves_gym.core.runlog import RunLog
-from ves_gym.report import opengl as gl
-from ves_gym.report import render
-from ves_gym.report.opengl import Probe, RenderError
+from ves_gym.rendering import opengl as gl
+from ves_gym.rendering import render
+from ves_gym.rendering.opengl import Probe, RenderError
+from ves_gym.system.runlog import RunLog
 
 TINY = ("--size", "128x64", "--fps", "5")
 

@@ -5,22 +5,22 @@ import pytest
 import scipy
 
 from tests.effects.values import effect
-from ves_gym.core.admittance import admittance_matrices
-from ves_gym.core.arm import Gear
-from ves_gym.core.dynamics import inertia, inverse_dynamics
-from ves_gym.core.emulator import Emulator
-from ves_gym.core.energy import ledger
-from ves_gym.core.gravity import GRAVITY
-from ves_gym.core.linear import linearise_ideal
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import ParameterError
-from ves_gym.core.playback import play_motions
-from ves_gym.core.puma import PUMA_560
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.stability import transition
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import DECOUPLED, FREE_FLOATING, Oscillator
+from ves_gym._util.params import ParameterError
 from ves_gym.effects import BaseExtraMode, JointBacklash, JointElasticity
+from ves_gym.engine.linear import linearise_ideal
+from ves_gym.hardware.admittance import admittance_matrices
+from ves_gym.mechanics.arm import Gear
+from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
+from ves_gym.mechanics.gravity import GRAVITY
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING, Oscillator
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.simulation.stability import transition
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.energy import ledger
+from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")
 STILL = Emulator(operation="position", joint_balance=False)

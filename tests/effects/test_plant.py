@@ -6,19 +6,7 @@ import numpy as np
 import pytest
 
 from tests.effects.values import effect
-from ves_gym.core.dynamics import joint_positions
-from ves_gym.core.emulator import Emulator
-from ves_gym.core.energy import ledger
-from ves_gym.core.gravity import GRAVITY
-from ves_gym.core.linear import linearise_ideal
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import ParameterError
-from ves_gym.core.playback import play_motions
-from ves_gym.core.puma import PUMA_560
-from ves_gym.core.servo import HIGH_GAINS
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT, DECOUPLED, FREE_FLOATING, Matrices
+from ves_gym._util.params import ParameterError
 from ves_gym.effects import (
     BaseDamping,
     BaseStiffness,
@@ -27,6 +15,18 @@ from ves_gym.effects import (
     PayloadCom,
     PayloadMass,
 )
+from ves_gym.engine.linear import linearise_ideal
+from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.gravity import GRAVITY
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.servo import HIGH_GAINS
+from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, Matrices
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.energy import ledger
+from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")
 Q = np.array([0.3, -0.4, 0.7])

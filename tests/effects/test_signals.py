@@ -3,17 +3,7 @@
 import numpy as np
 import pytest
 
-from ves_gym.core.emulator import Emulator
-from ves_gym.core.energy import ledger
-from ves_gym.core.legs import LOW_GAINS, leg_clock
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import ParameterError
-from ves_gym.core.platform import PoseServo
-from ves_gym.core.playback import play_motions
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.stability import linearise, spectral_radius
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import DECOUPLED, FREE_FLOATING
+from ves_gym._util.params import ParameterError
 from ves_gym.effects import (
     BaseAmplitudeDamping,
     CommandDelay,
@@ -21,6 +11,16 @@ from ves_gym.effects import (
     PlatformDelay,
     PlatformStroke,
 )
+from ves_gym.hardware.leg_servo import LOW_GAINS, leg_clock
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.simulation.stability import linearise, spectral_radius
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.energy import ledger
+from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")
 POSITION = Emulator(operation="position", platform=PoseServo(bandwidth=8.0))

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.effects.values import VALUES, effect, null
-from ves_gym.core.effect import EFFECTS, PORTS
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import DECOUPLED
+from ves_gym.mechanics.vehicle import DECOUPLED
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.effect import EFFECTS, PORTS
+from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")
 CASES = [(kind, mode) for kind in sorted(EFFECTS) for mode in EFFECTS[kind].modes]

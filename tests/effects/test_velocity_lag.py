@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import scipy
 
-from ves_gym.core.params import ParameterError
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
+from ves_gym._util.params import ParameterError
 from ves_gym.effects import JointVelocityLag
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.system import System
 
 TIMES = np.array([0.02, 0.0, 0.05])
 

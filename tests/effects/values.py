@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from ves_gym.core.arm import matrix
-from ves_gym.core.effect import EFFECTS, Effect
+from ves_gym.mechanics.arm import matrix
+from ves_gym.system.effect import EFFECTS, Effect
 
 CROSS = 0.02 * np.random.default_rng(0).normal(size=(6, 6))
 

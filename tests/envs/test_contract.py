@@ -9,7 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.envs.walks import IDS, SHORT, actions, episode, flat, same, walk
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym.envs.batch import ActionError
 
 each_id = pytest.mark.parametrize("name", IDS)

@@ -8,17 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import ParameterError
-from ves_gym.core.puma import PUMA_560
-from ves_gym.core.servo import HIGH_GAINS, PPED_GAINS
-from ves_gym.core.system import System
+from ves_gym._util.params import ParameterError
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.control import Acceleration, Gains, Guided, Target, Torque, get_control
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.query import Query
 from ves_gym.planners.suites import Suite
+from ves_gym.system.system import System
 
 PRESCRIBED = System(drive="prescribed", physics_dt=2.5e-3)
 DT = PRESCRIBED.control_dt

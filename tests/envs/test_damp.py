@@ -7,13 +7,13 @@ from gymnasium.utils.env_checker import check_env
 from scipy.linalg import solve_discrete_are
 
 from tests.envs.runs import EMULATED, controlled, unscaled
+from ves_gym._util.params import ParameterError
 from ves_gym.baselines.controllers import get_controller
-from ves_gym.core.linear import linearise_ideal
-from ves_gym.core.params import ParameterError
-from ves_gym.core.spatial import quadratic
-from ves_gym.core.vehicle import DECOUPLED
+from ves_gym.engine.linear import linearise_ideal
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.spatial import quadratic
+from ves_gym.mechanics.vehicle import DECOUPLED
 
 CONTROLS = ("torque", "pd_gains", "acceleration")
 

@@ -11,9 +11,9 @@ from tests.display import require_opengl
 from tests.envs.test_divergence import derail
 from tests.envs.walks import same, walk
 from ves_gym.cli.main import main
-from ves_gym.core.energy import base_energy
-from ves_gym.core.runlog import RunLog
-from ves_gym.core.system import System
+from ves_gym.system.energy import base_energy
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 IDEAL, EMULATED = "ves/PumaRestToRest-v0", "ves/PumaRestToRestEmulated-v0"
 each = pytest.mark.parametrize("name", [IDEAL, EMULATED])

@@ -6,13 +6,13 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.envs.runs import EMULATED, controlled, unscaled
+from ves_gym._util.params import ParameterError
 from ves_gym.baselines.controllers import get_controller
-from ves_gym.core.dynamics import inertia, joint_positions
-from ves_gym.core.params import ParameterError
-from ves_gym.core.spatial import matvec, rotation, twist
-from ves_gym.core.tool import tool_jacobian
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.dynamics import inertia, joint_positions
+from ves_gym.mechanics.kinematics import tool_jacobian
+from ves_gym.mechanics.spatial import matvec, rotation, twist
 
 
 class Pull:

@@ -6,7 +6,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from tests.envs.walks import IDS, SHORT, actions, flat, same, walk
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym.effects import JointViscous
 from ves_gym.effects.budget import LABORATORY_ERRORS
 from ves_gym.envs.batch import Batch

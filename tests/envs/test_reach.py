@@ -7,13 +7,13 @@ from gymnasium.utils.env_checker import check_env
 
 from tests.envs.runs import EMULATED, Blind, controlled, unscaled
 from tests.envs.walks import walk
+from ves_gym._util.params import ParameterError
 from ves_gym.baselines.resolved import Resolved
-from ves_gym.core.dynamics import joint_positions
-from ves_gym.core.motion import QUINTIC_PEAK_SPEED
-from ves_gym.core.params import ParameterError
-from ves_gym.core.tool import dexterity, joints_for
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.kinematics import dexterity, joints_for
+from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 
 IDS = ("ves/PumaReach-v0", "ves/PumaReachGoal-v0")
 

@@ -15,8 +15,8 @@ from gymnasium.utils.env_checker import check_env
 from tests.display import require_opengl, virtual_display
 from tests.envs.walks import same, walk
 from ves_gym.envs.rendering import Renderer
-from ves_gym.report import opengl as gl
-from ves_gym.report.opengl import Probe, RenderError
+from ves_gym.rendering import opengl as gl
+from ves_gym.rendering.opengl import Probe, RenderError
 
 IDEAL, EMULATED = "ves/PumaRestToRest-v0", "ves/PumaRestToRestEmulated-v0"
 ENERGY = (0.32, 0.72, 0.98)  # of the line in the strip
@@ -145,8 +145,8 @@ def test_physics_draws_nothing():
     code = (
         "import sys, gymnasium as gym, ves_gym; e = gym.make('ves/PumaRestToRest-v0',"
         " render_mode='rgb_array'); e.reset(seed=0); e.step(e.action_space.sample());"
-        " assert 'ves_gym.report.live' not in sys.modules; e.render(); e.close();"
-        " print([k for k in ('OpenGL', 'ves_gym.report.drawing') if k in sys.modules])"
+        " assert 'ves_gym.rendering.live' not in sys.modules; e.render(); e.close();"
+        " print([k for k in ('OpenGL', 'ves_gym.rendering.drawing') if k in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "[]\n", "")

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ves_gym.core.system import System
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.scales import straight_energy
+from ves_gym.system.system import System
 
 N = 200
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tests.envs.walks import IDS, SHORT, flat
-from ves_gym.core.effect import EFFECTS, Effect
-from ves_gym.core.params import ParameterError, from_plain
-from ves_gym.core.simulator import Simulator
+from ves_gym._util.params import ParameterError, from_plain
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.effect import EFFECTS, Effect
 
 STEPS = 1_000_000
 PASSES = 4  # over all environments; the first two may still fill caches

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from ves_gym.core.energy import base_energy
-from ves_gym.core.servo import HIGH_GAINS
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import VEHICLES, Matrices
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.tail import tail_energy
+from ves_gym.mechanics.servo import HIGH_GAINS
+from ves_gym.mechanics.vehicle import VEHICLES, Matrices
+from ves_gym.system.energy import base_energy
+from ves_gym.system.system import System
 
 TAIL = 10.0  # s
 N = 32

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from ves_gym.core.params import ParameterError
-from ves_gym.core.runlog import RunLog
-from ves_gym.core.system import System
+from ves_gym._util.params import ParameterError
 from ves_gym.effects import LABORATORY_ERRORS
 from ves_gym.effects.sensor_bias import SensorBias
 from ves_gym.envs.teleop import SPEEDS, Press, Teleop, read_script
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 START = np.deg2rad([0.0, 60.0, -90.0])
 SWING = [Press(0.1, "q", 0.8), Press(0.5, "d", 0.5), Press(1.1, "a", 0.5)]

@@ -6,11 +6,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.envs.runs import EMULATED, Blind, controlled, unscaled
+from ves_gym._util.params import ParameterError
 from ves_gym.baselines.resolved import Resolved
-from ves_gym.core.params import ParameterError
-from ves_gym.core.tool import joints_for
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.kinematics import joints_for
 
 
 @pytest.mark.parametrize("settings", [{}, EMULATED])

@@ -17,7 +17,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from tests.envs.walks import IDS, SHORT, actions, flat, same, walk
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym.envs.batch import ActionError
 from ves_gym.envs.workers import AsyncVectorEnv, WorkerDied
 

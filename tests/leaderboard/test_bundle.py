@@ -12,18 +12,18 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from tests.leaderboard.bundles import POLICY, Bundle, path_bundle, policy_bundle
-from ves_gym.core.params import ParameterError, canonical_json
-from ves_gym.core.system import System
+from ves_gym._util.params import ParameterError, canonical_json
 from ves_gym.leaderboard import fingerprint, protocol
 from ves_gym.leaderboard.archive import LIMITS, MANIFEST, limit, read_members, write_members
-from ves_gym.leaderboard.arrays import pack, unpack
 from ves_gym.leaderboard.bundle import KEYS, digest, read_manifest, sealed
 from ves_gym.leaderboard.entry import ABOUT, ROW, check_entry
-from ves_gym.leaderboard.paths import Paths
-from ves_gym.leaderboard.policies import policy_names
+from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.npy_io import pack, unpack
+from ves_gym.leaderboard.policy_files import policy_names
 from ves_gym.leaderboard.protocol import Problem, get_problem, problems, read_salt, seeds_of
-from ves_gym.leaderboard.rejection import Code, Rejection
+from ves_gym.leaderboard.tracks.paths import Paths
 from ves_gym.planners.suites import get_suite
+from ves_gym.system.system import System
 
 SALT = "a secret of the maintainer"
 
@@ -327,12 +327,12 @@ def test_sizes_are_bounded(tmp_path, monkeypatch):
 
 
 def test_sources_are_told_apart():
-    one = fingerprint.sources(("leaderboard/floor.py",))
-    assert one == fingerprint.sources(("leaderboard/floor.py",))
-    assert one != fingerprint.sources(("leaderboard/paths.py",))
-    assert fingerprint.sources(("leaderboard",)) != fingerprint.sources(("core",))
+    one = fingerprint.sources(("leaderboard/lower_bounds.py",))
+    assert one == fingerprint.sources(("leaderboard/lower_bounds.py",))
+    assert one != fingerprint.sources(("leaderboard/tracks/paths.py",))
+    assert fingerprint.sources(("leaderboard",)) != fingerprint.sources(("mechanics",))
     for track in protocol.PROTOCOL:
-        from ves_gym.leaderboard.track import get_track
+        from ves_gym.leaderboard.tracks.base import get_track
 
         for part in get_track(track).sources:
             assert (fingerprint._ROOT / part).exists(), part

@@ -8,7 +8,7 @@ import signal
 
 import pytest
 
-from ves_gym.core.params import ParameterError, content_hash
+from ves_gym._util.params import ParameterError, content_hash
 from ves_gym.leaderboard.journal import FIRST, JournalError, append, check, read
 
 

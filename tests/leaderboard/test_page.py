@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym.leaderboard.board import make_board
 from ves_gym.leaderboard.journal import append, read
 from ves_gym.leaderboard.page import render_page, write_page

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym.leaderboard import statistics as s
 
 

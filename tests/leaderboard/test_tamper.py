@@ -27,9 +27,9 @@ from tests.leaderboard.bundles import (
     put,
 )
 from ves_gym.leaderboard.archive import MANIFEST, read_members
-from ves_gym.leaderboard.arrays import pack, unpack
 from ves_gym.leaderboard.bundle import digest
-from ves_gym.leaderboard.rejection import Code, Rejection
+from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.npy_io import pack, unpack
 from ves_gym.leaderboard.verify import verify
 
 DECLARED = ("name", "author", "about")

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 
 from tests.leaderboard.bundles import PATHS, POLICY, Bundle, path_bundle, policy_bundle
+from ves_gym._util.params import ParameterError
 from ves_gym.baselines.controllers import get_controller
 from ves_gym.baselines.evaluate import evaluate
-from ves_gym.core.params import ParameterError
-from ves_gym.core.system import System
-from ves_gym.leaderboard import floor, protocol
-from ves_gym.leaderboard.account import Account
-from ves_gym.leaderboard.arrays import pack, unpack
+from ves_gym.leaderboard import lower_bounds, protocol
+from ves_gym.leaderboard.energy_audit import Account
 from ves_gym.leaderboard.entry import check_entry
-from ves_gym.leaderboard.paths import Paths
+from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.npy_io import pack, unpack
 from ves_gym.leaderboard.protocol import get_problem, seeds_of
-from ves_gym.leaderboard.recorded import Recorded, in_episode
-from ves_gym.leaderboard.rejection import Code, Rejection
 from ves_gym.leaderboard.run import make_bundle
+from ves_gym.leaderboard.tracks.action_recorder import Recorded, in_episode
+from ves_gym.leaderboard.tracks.paths import Paths
 from ves_gym.leaderboard.verify import verify
 from ves_gym.planners.best_known import key, packaged
+from ves_gym.system.system import System
 
 ROOT = Path(__file__).parents[2]
 SALT = "a secret of the maintainer"
@@ -449,8 +449,8 @@ def test_energy_from_nowhere_is_found():
 
 def test_a_limit_of_the_account_refuses(policy, paths, monkeypatch):
     """With limits that no simulation can keep."""
-    from ves_gym.leaderboard import episodes
-    from ves_gym.leaderboard import paths as motions
+    from ves_gym.leaderboard.tracks import paths as motions
+    from ves_gym.leaderboard.tracks import policies as episodes
 
     monkeypatch.setattr(episodes, "LEDGER_EPISODES", 1e-12)
     assert rejection(policy).code is Code.LEDGER_RESIDUAL
@@ -463,17 +463,19 @@ def test_what_momentum_permits_is_below_all_that_is_known(duration):
     """Far below: it is there for what is impossible, not for what is good."""
     problem = get_problem("paths", f"reach100-{duration}")
     for query in Paths().queries(problem, seeds_of(problem, None)):
-        least = floor.path_floor(query.system, *query.ends, query.duration)
+        least = lower_bounds.path_floor(query.system, *query.ends, query.duration)
         best = packaged()[key(query.system.hash, query.name)]["E_mean"]
         assert 0 < least < 1e-4 * best
 
 
 def test_strain_cannot_vanish_at_once():
     system = System()
-    least = floor.strain_floor(system, 25.0, 26.0)
+    least = lower_bounds.strain_floor(system, 25.0, 26.0)
     assert 0.05 < least < 2.0  # of the released policy 5 J s and more
-    assert floor.strain_floor(system, 25.0, 1e6) < least  # thrown about, it could be faster
-    assert floor.strain_floor(system, 0.0, 1.0) == 0.0
+    assert (
+        lower_bounds.strain_floor(system, 25.0, 1e6) < least
+    )  # thrown about, it could be faster
+    assert lower_bounds.strain_floor(system, 0.0, 1.0) == 0.0
 
 
 # ----------------------------------------------------------------------------- bad usage

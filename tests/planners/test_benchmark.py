@@ -9,14 +9,10 @@ import re
 import numpy as np
 import pytest
 
-from ves_gym.core.emulator import Emulator
-from ves_gym.core.energy import energies
-from ves_gym.core.legs import LEG_SERVOS, leg_clock
-from ves_gym.core.params import ParameterError
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import FREE_FLOATING, STRAIGHT_HORIZONTAL
+from ves_gym._util.params import ParameterError
 from ves_gym.effects import GravityScale, SensorNoise
+from ves_gym.hardware.leg_servo import LEG_SERVOS, leg_clock
+from ves_gym.mechanics.vehicle import FREE_FLOATING, STRAIGHT_HORIZONTAL
 from ves_gym.planners.benchmark import (
     SCHEMA,
     _mapped,
@@ -29,6 +25,10 @@ from ves_gym.planners.benchmark import (
 from ves_gym.planners.query import NoPlan, Plan, Query, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import Suite, get_suite, reach100, uncompensated
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.energy import energies
+from ves_gym.system.system import System
 
 DURATIONS = (0.5, 2.0)
 

@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from ves_gym.core.params import ParameterError
-from ves_gym.core.system import System
+from ves_gym._util.params import ParameterError
 from ves_gym.planners import best_known
 from ves_gym.planners.best_known import keep_best, key, near_best, packaged, read_best, scored
 from ves_gym.planners.suites import get_suite
+from ves_gym.system.system import System
 
 HASH = "0123456789abcdef"
 

@@ -7,12 +7,15 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 
-from ves_gym.core.dynamics import inertia
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import ParameterError
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT, FREE_FLOATING, STRAIGHT_HORIZONTAL, STRAIGHT_VERTICAL
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import (
+    BENT,
+    FREE_FLOATING,
+    STRAIGHT_HORIZONTAL,
+    STRAIGHT_VERTICAL,
+)
 from ves_gym.planners.coupling import (
     band_limited,
     blocks,
@@ -25,6 +28,8 @@ from ves_gym.planners.coupling import (
     modes,
     quintic_spectrum,
 )
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.system import System
 
 SYSTEM = System()
 CONFIGURATIONS = np.random.default_rng(2).uniform(-1.5, 1.5, (7, 3))

@@ -5,15 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.core.arms import planar_arm
-from ves_gym.core.params import ParameterError
-from ves_gym.core.puma import PUMA_560
-from ves_gym.core.servo import HIGH_GAINS
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT
+from tests.arms import planar_arm
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.servo import HIGH_GAINS
+from ves_gym.mechanics.vehicle import BENT
 from ves_gym.planners.coupling import coupling_matrix, modes
 from ves_gym.planners.damping_map import best_configurations, damping_map, promised_integral
 from ves_gym.planners.pped import Gains, analyse, plant_at, tune
+from ves_gym.system.system import System
 
 Q = np.deg2rad([45.0, 0.0, 0.0])
 

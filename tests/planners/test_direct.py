@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from ves_gym.core.dynamics import inverse_dynamics
-from ves_gym.core.motion import limit_ratios
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT, DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
+from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.motion import limit_ratios
+from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
 from ves_gym.planners.direct import Direct, MotionProblem, minimise, quadratic_program
 from ves_gym.planners.obstacles import Sphere, Surroundings
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import SPEED_LIMITS, reach100
+from ves_gym.system.system import System
 
 QUERIES = {q.name: q for _, q in reach100(System(), "bent", 2).queries}
 

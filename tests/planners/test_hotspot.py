@@ -5,15 +5,15 @@ import itertools
 import numpy as np
 import pytest
 
-from tests.core.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
-from ves_gym.core.motion import QUINTIC_PEAK_SPEED
-from ves_gym.core.params import ParameterError
-from ves_gym.core.system import System
+from tests.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.planners.coupling import coupling_length, coupling_matrix, spots
 from ves_gym.planners.hotspot import Lattice, Roadmap, resample
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import reach100
+from ves_gym.system.system import System
 
 QUERIES = {q.name: q for _, q in reach100(System(), "bent", 1).queries}
 

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.core.arms import six_joint_arm
-from ves_gym.core.params import ParameterError
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT, DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
+from tests.arms import six_joint_arm
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
 from ves_gym.planners.coupling import blocks, metric
 from ves_gym.planners.metric import LEAST, Metric
+from ves_gym.system.system import System
 
 CONSISTENT = dataclasses.replace(BENT, mass_model="consistent")  # modes to 14 Hz
 
@@ -90,7 +90,7 @@ def test_lengths_are_integrals():
 
 
 def test_without_a_compiler_the_answers_are_the_same(monkeypatch):
-    from ves_gym.core.kernel import build
+    from ves_gym.engine.kernel import build
     from ves_gym.planners import metric as module
 
     system = System()
@@ -102,8 +102,8 @@ def test_without_a_compiler_the_answers_are_the_same(monkeypatch):
         raise RuntimeError("no compiler")
 
     monkeypatch.setattr(build, "cached", broken)
-    monkeypatch.setattr("ves_gym.core.kernel.maps.cached", broken)
-    monkeypatch.setattr("ves_gym.core.kernel.maps._LIBRARIES", {})
+    monkeypatch.setattr("ves_gym.engine.kernel.maps.cached", broken)
+    monkeypatch.setattr("ves_gym.engine.kernel.maps._LIBRARIES", {})
     monkeypatch.setattr(module, "cached", broken)
     module._library.cache_clear()
     m = Metric(system, "qt", 2.0)

@@ -1,11 +1,11 @@
-"""Compiled momentum and torque: the values of `core/dynamics.py`, exact derivatives."""
+"""Compiled momentum and torque: the values of `mechanics/dynamics.py`, exact derivatives."""
 
 import numpy as np
 import pytest
 
-from tests.core.arms import planar_arm, six_joint_arm
-from ves_gym.core.dynamics import inertia, inverse_dynamics
-from ves_gym.core.puma import PUMA_560
+from tests.arms import planar_arm, six_joint_arm
+from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
+from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.planners.momentum import momentum, torque
 
 ARMS = {"puma": PUMA_560, "planar": planar_arm(), "six joints": six_joint_arm()}

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from tests.core.arms import six_joint_arm
-from ves_gym.core.dynamics import joint_positions
-from ves_gym.core.params import ParameterError, write_table
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import FREE_FLOATING, STRAIGHT_HORIZONTAL
+from tests.arms import six_joint_arm
+from ves_gym._util.params import ParameterError, write_table
+from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.vehicle import FREE_FLOATING, STRAIGHT_HORIZONTAL
 from ves_gym.planners.obstacles import (
     Box,
     Collisions,
@@ -18,6 +17,7 @@ from ves_gym.planners.obstacles import (
     read_surroundings,
 )
 from ves_gym.planners.query import Query, broken_limit, is_feasible, spaced
+from ves_gym.system.system import System
 
 BALL = Sphere(centre=(0.6, 0.0, 1.0), radius=0.2)
 CRATE = Box(centre=(0.0, 0.8, 0.8), size=(0.3, 0.3, 0.6), angles=(0.0, 0.0, 0.3))
@@ -66,7 +66,7 @@ def test_distance_from_a_ball_is_that_of_capsules():
 
 
 def axis(arm, q, i):
-    from ves_gym.core.dynamics import frames
+    from ves_gym.mechanics.dynamics import frames
 
     return np.array([float(k) for k in frames(arm, list(q))[i].axis])
 

@@ -8,11 +8,10 @@ import time
 import numpy as np
 import pytest
 
-from tests.core.arms import WRIST_GAINS, six_joint_arm
-from ves_gym.core.dynamics import frames
-from ves_gym.core.motion import quintic
-from ves_gym.core.params import ParameterError
-from ves_gym.core.system import System
+from tests.arms import WRIST_GAINS, six_joint_arm
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.dynamics import frames
+from ves_gym.mechanics.motion import quintic
 from ves_gym.planners import ompl_search
 from ves_gym.planners.hotspot import resample
 from ves_gym.planners.metric import Metric
@@ -22,6 +21,7 @@ from ves_gym.planners.ompl_worker import ALGORITHMS, BadCost, require_cost
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import NoPlan, Query, broken_limit, solve
 from ves_gym.planners.suites import SPEED_LIMITS
+from ves_gym.system.system import System
 
 # from one side to the other past a pillar that the straight line runs into
 PILLAR = Surroundings(obstacles=(Box(centre=(0.75, 0.0, 0.7), size=(0.2, 0.2, 0.8)),))

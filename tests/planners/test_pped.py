@@ -6,15 +6,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.core.arms import WRIST_GAINS, six_joint_arm
-from ves_gym.core.arm import Arm, matrix
-from ves_gym.core.model import TO_Y, pinocchio_model
-from ves_gym.core.params import ParameterError
-from ves_gym.core.puma import PUMA_560
-from ves_gym.core.servo import HIGH_GAINS, PPED_GAINS, JointServo
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT, DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL, Matrices
+from tests.arms import WRIST_GAINS, six_joint_arm
+from ves_gym._util.params import ParameterError
+from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.mechanics.arm import Arm, matrix
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS, JointServo
+from ves_gym.mechanics.vehicle import (
+    BENT,
+    DECOUPLED,
+    FREE_FLOATING,
+    STRAIGHT_VERTICAL,
+    Matrices,
+)
 from ves_gym.planners.pped import (
     OBJECTIVES,
     THESIS_RELEASE,
@@ -29,6 +33,8 @@ from ves_gym.planners.pped import (
     respond,
     tune,
 )
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.system import System
 
 Q = np.deg2rad([45.0, 0.0, 0.0])
 CONSISTENT = dataclasses.replace(BENT, mass_model="consistent")

@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym.core.dynamics import inertia
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import ParameterError
-from ves_gym.core.servo import HIGH_GAINS
-from ves_gym.core.spatial import matvec
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import VEHICLES
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.servo import HIGH_GAINS
+from ves_gym.mechanics.spatial import matvec
+from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.planners.prediction import MeanEnergy, predict, spectral_energy
+from ves_gym.system.system import System
 
 START = np.array([0.4, -0.6, 0.9])
 SMALL = Motion.straight(

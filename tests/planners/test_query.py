@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ves_gym.core.energy import energies
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import ParameterError, content_hash
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
+from ves_gym._util.params import ParameterError, content_hash
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
 from ves_gym.planners.query import Query, broken_limit, is_feasible, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import SPEED_LIMITS
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.energy import energies
+from ves_gym.system.system import System
 
 ROOT = Path(__file__).parents[2]
 ENDS = {"start": (0.4, -0.6, 0.9), "goal": (0.9, 0.2, 0.1)}
@@ -150,8 +150,8 @@ def timeless(info):
 def test_the_same_answer_in_another_process():
     """Bitwise, whatever was planned before."""
     code = f"""
-from ves_gym.core.params import content_hash
-from ves_gym.core.system import System
+from ves_gym._util.params import content_hash
+from ves_gym.system.system import System
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import PLANNERS
 query = Query(system=System(), start={ENDS["start"]}, goal={ENDS["goal"]}, duration=2.0)

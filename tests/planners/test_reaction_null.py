@@ -5,17 +5,17 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym.core.dynamics import inertia
-from ves_gym.core.energy import base_energy
-from ves_gym.core.params import ParameterError
-from ves_gym.core.playback import play_motions
-from ves_gym.core.puma import PUMA_560
-from ves_gym.core.servo import JointServo
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import FREE_FLOATING
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.servo import JointServo
+from ves_gym.mechanics.vehicle import FREE_FLOATING
 from ves_gym.planners.coupling import coupling_matrix, disturbance_matrix
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.reaction_null import ReactionNull, reaction_null_space
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.energy import base_energy
+from ves_gym.system.system import System
 
 # PUMAs on top of each other: heavy links all the way out
 SIX = dataclasses.replace(PUMA_560, name="six", links=PUMA_560.links * 2)

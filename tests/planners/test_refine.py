@@ -6,12 +6,11 @@ import re
 import numpy as np
 import pytest
 
-from tests.core.arms import WRIST_GAINS, six_joint_arm
-from ves_gym.core.dynamics import frames
-from ves_gym.core.motion import Motion, limit_ratios
-from ves_gym.core.params import ParameterError
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import FREE_FLOATING
+from tests.arms import WRIST_GAINS, six_joint_arm
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.dynamics import frames
+from ves_gym.mechanics.motion import Motion, limit_ratios
+from ves_gym.mechanics.vehicle import FREE_FLOATING
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
 from ves_gym.planners.prediction import predict
@@ -19,6 +18,7 @@ from ves_gym.planners.query import NoPlan, Query, broken_limit, solve
 from ves_gym.planners.refine import Refined, detours, refine, refine_duration
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import SPEED_LIMITS, reach100
+from ves_gym.system.system import System
 
 QUERIES = {q.name: q for _, q in reach100(System(), "bent", 3).queries}
 PILLAR = Surroundings(obstacles=(Box(centre=(0.75, 0.0, 0.7), size=(0.2, 0.2, 0.8)),))

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from ves_gym.core.energy import energies
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import ParameterError
-from ves_gym.core.playback import play_motions
-from ves_gym.core.servo import HIGH_GAINS, PPED_GAINS
-from ves_gym.core.simulator import Divergence
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import STRAIGHT_VERTICAL
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
+from ves_gym.mechanics.vehicle import STRAIGHT_VERTICAL
 from ves_gym.planners.pped import THESIS_RELEASE, Gains, analyse, plant_at
 from ves_gym.planners.release import linear_release, simulate_release
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.simulator import Divergence
+from ves_gym.system.energy import energies
+from ves_gym.system.system import System
 
 Q = np.deg2rad([45.0, 0.0, 0.0])
 FULL = Gains(

@@ -5,11 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym.core.energy import base_energy
-from ves_gym.core.params import ParameterError
-from ves_gym.core.playback import play_motions
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT, FREE_FLOATING
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING
 from ves_gym.planners.coupling import modes
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
@@ -23,6 +20,9 @@ from ves_gym.planners.shaping import (
     shaper,
 )
 from ves_gym.planners.suites import SPEED_LIMITS, reach100
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.energy import base_energy
+from ves_gym.system.system import System
 
 MODE = BaseMode(2 * np.pi * 0.8, 0.05, 1.0)
 

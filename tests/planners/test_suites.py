@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
-from tests.core.arms import planar_arm
-from ves_gym.core.emulator import Emulator
-from ves_gym.core.motion import QUINTIC_PEAK_SPEED
-from ves_gym.core.params import ParameterError, content_hash, write_table
-from ves_gym.core.platform import PoseServo
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BENT, DECOUPLED, STRAIGHT_HORIZONTAL
+from tests.arms import planar_arm
+from ves_gym._util.params import ParameterError, content_hash, write_table
 from ves_gym.effects import GravityScale, SensorLag
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
+from ves_gym.mechanics.vehicle import BENT, DECOUPLED, STRAIGHT_HORIZONTAL
 from ves_gym.planners.query import is_feasible
 from ves_gym.planners.registry import PLANNERS
 from ves_gym.planners.suites import (
@@ -23,6 +21,8 @@ from ves_gym.planners.suites import (
     reach100,
     uncompensated,
 )
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.system import System
 
 
 @pytest.fixture(scope="module")

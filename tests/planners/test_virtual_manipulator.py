@@ -5,13 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.core.arms import planar_arm, six_joint_arm
-from ves_gym.core.arm import Arm, Inertial, diagonal
-from ves_gym.core.dynamics import frames, joint_positions
-from ves_gym.core.params import ParameterError
-from ves_gym.core.puma import PUMA_560
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import DECOUPLED, FREE_FLOATING
+from tests.arms import planar_arm, six_joint_arm
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.arm import Arm, Inertial, diagonal
+from ves_gym.mechanics.dynamics import frames, joint_positions
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING
 from ves_gym.planners.pped import Bounds, Gains, analyse, plant_at, tune
 from ves_gym.planners.virtual_manipulator import (
     joint_gains,
@@ -20,6 +19,7 @@ from ves_gym.planners.virtual_manipulator import (
     virtual_jacobian,
     virtual_links,
 )
+from ves_gym.system.system import System
 
 ARMS = {"puma": PUMA_560, "planar": planar_arm(), "six joints": six_joint_arm()}
 BENT_ELBOW = np.deg2rad([45.0, -30.0, 80.0])

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from ves_gym.core.servo import HIGH_GAINS, PPED_GAINS
-from ves_gym.core.stability import poles_in_space
-from ves_gym.core.system import System
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.planners.damping_map import damping_map
 from ves_gym.planners.pped import Gains, analyse, plant_at
 from ves_gym.planners.release import linear_release, simulate_release
+from ves_gym.simulation.stability import poles_in_space
+from ves_gym.system.system import System
 
 pytest.importorskip("matplotlib")
 

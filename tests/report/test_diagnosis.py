@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym.report.diagnosis import render_page, write_page
 
 pytest.importorskip("matplotlib")

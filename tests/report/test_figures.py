@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym.report.figures import anytime_figure, time_figure, write_figures
 
 ALL = ["ratio.png", "energy.png", "coupling.png", "prediction.png"]

@@ -2,8 +2,8 @@
 
 import pytest
 
-from ves_gym.core.legs import LEG_SERVOS, LOW_GAINS
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
+from ves_gym.hardware.leg_servo import LEG_SERVOS, LOW_GAINS
 
 pytest.importorskip("matplotlib")
 

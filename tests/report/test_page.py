@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym.report.page import write_page
 
 HOSTILE = "</script><script>alert(1)</script><!--<img src=x onerror=alert(2)>{{script}}"

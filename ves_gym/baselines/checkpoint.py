@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.params import Array, ParameterError, write_bytes
 from ves_gym.baselines.policy import _safetensors
-from ves_gym.core.params import Array, ParameterError, write_bytes
-from ves_gym.core.system import System
+from ves_gym.system.system import System
 
 _TAG = "~"  # marks a dictionary that stands for something else
 _ENTRY = "state"  # of the header

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ves_gym.baselines.policy import ACTIVATIONS
-from ves_gym.core.params import (
+from ves_gym._util.params import (
     ParameterError,
     from_plain,
     read_table,
     require_choice,
     to_plain,
 )
+from ves_gym.baselines.policy import ACTIVATIONS
 
 CONFIGS = Path(__file__).parent / "configs"
 ALGORITHMS = ("PPO", "SAC")

@@ -14,13 +14,13 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from ves_gym.core.dynamics import inverse_dynamics
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import Array, Index, ParameterError
-from ves_gym.core.servo import HIGH_GAINS, PPED_GAINS, JointServo
+from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.envs.control import Control, Gains, Torque
 from ves_gym.envs.rest_to_rest import RestToRest
 from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS, JointServo
 
 _PLANNED_JERK = 4000.0  # rad/s^3: twice what planners begin their motions with
 _FOLLOW = 24.0  # 1/s: how fast a follower takes back its distance from the plan

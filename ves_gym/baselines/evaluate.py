@@ -17,10 +17,10 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.vector import AutoresetMode
 
+from ves_gym._util.params import Array, Mask, ParameterError
+from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, rate
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.policy import versions
-from ves_gym.core.params import Array, Mask, ParameterError
-from ves_gym.core.statistics import STATISTICS, Estimate, bootstrap, rate
 from ves_gym.envs.vector import VesVectorEnv
 
 SCHEMA = "ves-evaluate/1"

@@ -23,7 +23,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from ves_gym import __version__
-from ves_gym.core.params import (
+from ves_gym._util.params import (
     Array,
     Index,
     ParameterError,

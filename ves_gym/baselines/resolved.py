@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.baselines.controllers import reference_action
-from ves_gym.core.dynamics import joint_positions
-from ves_gym.core.motion import quintic
-from ves_gym.core.params import Array, Index, ParameterError
-from ves_gym.core.spatial import matvec, rotation, twist
-from ves_gym.core.tool import joints_for, tool_jacobian
 from ves_gym.envs.reach import Reach
 from ves_gym.envs.track import Track
 from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.kinematics import joints_for, tool_jacobian
+from ves_gym.mechanics.motion import quintic
+from ves_gym.mechanics.spatial import matvec, rotation, twist
 
 _MOVE = 0.7  # share of an episode of reach that the way to the target takes
 _DAMPING = 0.05  # m/rad, of the least squares near singular configurations

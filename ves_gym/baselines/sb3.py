@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from ves_gym.core.params import Array, Mask, ParameterError
+from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.envs.spaces import split_goals
 from ves_gym.envs.vector import VesVectorEnv
 

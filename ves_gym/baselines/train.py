@@ -22,14 +22,14 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
+from ves_gym._util.params import ParameterError, content_hash, write_text
+from ves_gym._util.process_pool import WorkerDied, Workers, note
+from ves_gym._util.statistics import STATISTICS, bootstrap, rate
 from ves_gym.baselines.checkpoint import load_state, save_state
 from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.controllers import Zero
 from ves_gym.baselines.evaluate import Evaluation, evaluate, make_vector, ratio
 from ves_gym.baselines.policy import Policy, from_sb3, save_policy, versions
-from ves_gym.core.params import ParameterError, content_hash, write_text
-from ves_gym.core.statistics import STATISTICS, bootstrap, rate
-from ves_gym.core.workers import WorkerDied, Workers, note
 from ves_gym.envs.task import Task
 
 CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.jsonl"

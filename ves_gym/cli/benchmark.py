@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import add_system_arguments, out_dir, progress, system_from, write_json
-from ves_gym.core.params import ParameterError
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.best_known import keep_best
 from ves_gym.planners.registry import PLANNERS, get_planner

@@ -7,13 +7,19 @@ import sys
 
 import numpy as np
 
+from ves_gym._util.params import Array, ParameterError, to_plain, write_table
 from ves_gym.cli.common import out_dir, write_json
-from ves_gym.core.arm import Arm, read_arm
-from ves_gym.core.calibration import AXES, Calibration, Errors, fit, predict_errors
-from ves_gym.core.gravity import GravityModel, minimal_model
-from ves_gym.core.params import Array, ParameterError, to_plain, write_table
-from ves_gym.core.runlog import RunLog
-from ves_gym.core.system import System
+from ves_gym.mechanics.arm import Arm, read_arm
+from ves_gym.mechanics.gravity import GravityModel, minimal_model
+from ves_gym.simulation.gravity_calibration import (
+    AXES,
+    Calibration,
+    Errors,
+    fit,
+    predict_errors,
+)
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 SCHEMA = "ves-calibrate/1"
 

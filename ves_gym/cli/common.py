@@ -14,14 +14,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ves_gym.core.calibration import read_calibration
-from ves_gym.core.effect import Effect
-from ves_gym.core.emulator import OPERATIONS, Emulator
-from ves_gym.core.legs import LEG_SERVOS, LegServo, leg_clock
-from ves_gym.core.params import ParameterError, Vector, from_plain, write_text
-from ves_gym.core.platform import PoseServo
-from ves_gym.core.system import DRIVES, INTEGRATORS, MODES, System
-from ves_gym.core.vehicle import VEHICLES, get_vehicle
+from ves_gym._util.params import ParameterError, Vector, from_plain, write_text
+from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.vehicle import VEHICLES, get_vehicle
+from ves_gym.simulation.gravity_calibration import read_calibration
+from ves_gym.system.effect import Effect
+from ves_gym.system.emulator_settings import OPERATIONS, Emulator
+from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
 
 
 def add_system_arguments(parser: argparse.ArgumentParser, *, vehicle: bool = True) -> None:

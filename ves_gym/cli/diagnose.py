@@ -9,12 +9,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ves_gym._util.params import ParameterError, write_text
 from ves_gym.cli.common import out_dir, progress, write_json
-from ves_gym.core.params import ParameterError, write_text
-from ves_gym.core.system import System
+from ves_gym.system.system import System
 
 if TYPE_CHECKING:
-    from ves_gym.discrepancy.job import Job
+    from ves_gym.diagnosis.inputs import Job
 
 SCHEMA = "ves-diagnose/1"
 _SHOWN = 12  # channels in the table
@@ -72,10 +72,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print the verdict, write the better description and the report."""
     from ves_gym import __version__
-    from ves_gym.discrepancy import diagnosis as d
-    from ves_gym.discrepancy.kept import Kept
-    from ves_gym.discrepancy.select import Thresholds
-    from ves_gym.discrepancy.suspicion import doubt, require_as_logged
+    from ves_gym.diagnosis import diagnose as d
+    from ves_gym.diagnosis.data.sanity_checks import doubt, require_as_logged
+    from ves_gym.diagnosis.inference.cache import Kept
+    from ves_gym.diagnosis.inference.model_selection import Thresholds
 
     job = _job(args)
     if not 1 <= args.most <= _MOST:
@@ -136,7 +136,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _job(args: argparse.Namespace) -> Job:
-    from ves_gym.discrepancy.job import mjcf_job, system_job
+    from ves_gym.diagnosis.inputs import mjcf_job, system_job
 
     how: dict[str, Any] = {"final": args.final, "leave_out": args.without, "band": args.band}
     if args.machine is None:
@@ -151,7 +151,7 @@ def _report(result: dict[str, Any], found: Any, path: Path) -> list[Path]:
     if importlib.util.find_spec("matplotlib") is None:
         print("no HTML report: it needs matplotlib; pip install 'ves-gym[report]'")
         return []
-    from ves_gym.discrepancy.findings import overlays
+    from ves_gym.diagnosis.inference.explanations import overlays
     from ves_gym.report.diagnosis import write_page
 
     write_page({**result, "overlays": overlays(found.selection, found.evidence)}, path)
@@ -162,7 +162,7 @@ def _print(found: Any, result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from ves_gym.discrepancy.diagnosis import ONE_OF, UNKNOWN, WIDE
+    from ves_gym.diagnosis.diagnose import ONE_OF, UNKNOWN, WIDE
 
     console = Console(width=None if sys.stdout.isatty() else 110, markup=False)
     console.print(found.sentence, style="bold")

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym import __version__
+from ves_gym._util.params import ParameterError, canonical_json, read_table, write_text
 from ves_gym.cli.common import out_dir, progress, write_json
-from ves_gym.core.params import ParameterError, canonical_json, read_table, write_text
 
 SCHEMA = "ves-diagnose-benchmark/1"
 
@@ -37,10 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make cases, diagnose them, score the answers; go on where it was interrupted."""
-    from ves_gym.discrepancy import trial as t
-    from ves_gym.discrepancy.score import score
-    from ves_gym.discrepancy.score_page import markdown
-    from ves_gym.discrepancy.select import Thresholds
+    from ves_gym.diagnosis.benchmark import run as t
+    from ves_gym.diagnosis.benchmark.score import score
+    from ves_gym.diagnosis.benchmark.score_page import markdown
+    from ves_gym.diagnosis.inference.model_selection import Thresholds
 
     if args.workers < 1:
         raise ParameterError(f"--workers must be >= 1, got {args.workers}")

@@ -199,8 +199,8 @@ def check_import(name: str, module: str) -> Check:
 _STEP = """
 import time
 import numpy as np
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.system import System
 sim = Simulator(System(), 64, backend={backend!r})
 sim.reset(v=0.1)
 sim.step()
@@ -224,7 +224,7 @@ def check_stepping() -> list[Check]:
 
 def check_opengl() -> Check:
     """Which OpenGL backends draw; pictures need one, nothing else does."""
-    from ves_gym.report.opengl import RenderError, candidates, install_hint, probe
+    from ves_gym.rendering.opengl import RenderError, candidates, install_hint, probe
 
     try:
         asked = candidates()

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import (
     add_system_arguments,
     out_dir,
@@ -15,10 +16,9 @@ from ves_gym.cli.common import (
     write_json,
 )
 from ves_gym.cli.motions import GAINS, joint_angles
-from ves_gym.core.params import ParameterError
-from ves_gym.core.platform import PoseServo
-from ves_gym.core.stability import EmulationCheck, check_emulation
-from ves_gym.core.system import System
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.simulation.stability import EmulationCheck, check_emulation
+from ves_gym.system.system import System
 
 SCHEMA = "ves-emulation-check/1"
 
@@ -117,7 +117,7 @@ def _print(system: System, check: EmulationCheck, searched: bool) -> None:
 
 def _figures(args: argparse.Namespace, system: System, at: Any) -> list[Path]:
     """Poles of the complete loop, and the leg loop's plots for leg servos."""
-    from ves_gym.core.legs import LEG_SERVOS, LegServo
+    from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
 
     try:
         from ves_gym.report.legs import write_leg_figures

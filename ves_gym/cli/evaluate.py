@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.params import ParameterError
 from ves_gym.baselines.controllers import CONTROLLERS, Controller, get_controller
 from ves_gym.baselines.evaluate import Evaluation, evaluate, pool, report
 from ves_gym.baselines.policy import load_policy, released
 from ves_gym.cli.common import progress, write_json
-from ves_gym.core.params import ParameterError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -11,9 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import progress, write_json
 from ves_gym.cli.leaderboard_render import add_render
-from ves_gym.core.params import ParameterError
 
 _NEGATIVE = 1
 
@@ -148,8 +148,8 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _verify(args: argparse.Namespace) -> int:
+    from ves_gym.leaderboard.errors import Rejection
     from ves_gym.leaderboard.journal import append
-    from ves_gym.leaderboard.rejection import Rejection
     from ves_gym.leaderboard.verify import verify
 
     try:

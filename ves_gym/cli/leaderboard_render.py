@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import write_json
-from ves_gym.core.params import ParameterError
 
 
 def add_render(subparsers: Any) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import write_json
-from ves_gym.core.params import ParameterError
 
 SCHEMA = "ves-list/1"
 
@@ -39,9 +39,9 @@ Rows = list[dict[str, Any]]
 
 
 def _vehicles() -> Rows:
-    from ves_gym.core.system import System
-    from ves_gym.core.vehicle import VEHICLES
+    from ves_gym.mechanics.vehicle import VEHICLES
     from ves_gym.planners.coupling import modes
+    from ves_gym.system.system import System
 
     out = []
     for name, vehicle in VEHICLES.items():
@@ -66,8 +66,8 @@ def _planners() -> Rows:
 
 
 def _suites() -> Rows:
-    from ves_gym.core.system import System
     from ves_gym.planners.suites import SUITES, get_suite
+    from ves_gym.system.system import System
 
     out = []
     for name in SUITES:
@@ -103,7 +103,7 @@ def _effects() -> Rows:
 
 
 def _platforms() -> Rows:
-    from ves_gym.core.legs import LEG_SERVOS, bandwidth, gain_margin, leg_clock
+    from ves_gym.hardware.leg_servo import LEG_SERVOS, bandwidth, gain_margin, leg_clock
 
     rows: Rows = [{"name": "a number", "kind": "pose", "source": "second-order pose servo, Hz"}]
     for name, servo in LEG_SERVOS.items():
@@ -115,14 +115,14 @@ def _platforms() -> Rows:
 
 
 def _backends() -> Rows:
-    from ves_gym.core.backends import BACKENDS
+    from ves_gym.engine.backends.registry import BACKENDS
 
     return [{"name": name} for name in BACKENDS]
 
 
 def _policies() -> Rows:
+    from ves_gym._util.params import read_table
     from ves_gym.baselines.policy import RELEASED
-    from ves_gym.core.params import read_table
 
     out = []
     for path in sorted(RELEASED.glob("*/*.json")):

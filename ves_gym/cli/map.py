@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.params import ParameterError, write_bytes
 from ves_gym.cli.common import (
     add_system_arguments,
     out_dir,
@@ -19,10 +20,9 @@ from ves_gym.cli.common import (
     write_json,
 )
 from ves_gym.cli.motions import joint_angles
-from ves_gym.core.params import ParameterError, write_bytes
-from ves_gym.core.system import System
 from ves_gym.planners.coupling import CouplingMap, coupling_map
 from ves_gym.planners.scenes import map_data
+from ves_gym.system.system import System
 
 SCHEMA = "ves-map/1"
 _MOST = 1001  # points per axis

@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Merge and write the rows, sorted: the same results give the same file."""
-    from ves_gym.leaderboard.sweep import merge, write_rows
+    from ves_gym.experiments.sweep import merge, write_rows
 
     rows = merge(args.folders)
     path = Path(args.out or "out/merge") / ("rows.parquet" if args.parquet else "rows.jsonl")

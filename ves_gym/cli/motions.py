@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.params import Array, ParameterError, from_plain, read_table, to_plain
 from ves_gym.cli.common import degrees
-from ves_gym.core.arm import Arm
-from ves_gym.core.motion import LimitError, Motion, require_limits
-from ves_gym.core.params import Array, ParameterError, from_plain, read_table, to_plain
-from ves_gym.core.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
-from ves_gym.core.system import System
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.motion import LimitError, Motion, require_limits
+from ves_gym.mechanics.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
+from ves_gym.system.system import System
 
 MOTION_FORMAT = "ves-motion/1"
 GAINS = {"high": HIGH_GAINS, "pped": PPED_GAINS, "free": FREE}

@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.params import ParameterError, write_text
 from ves_gym.cli.common import add_system_arguments, degrees, out_dir, system_from, write_json
 from ves_gym.cli.motions import duration_from, joint_angles, motion_table
-from ves_gym.core.energy import TAIL, Energies, energies
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import ParameterError, write_text
+from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.obstacles import read_surroundings
 from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.ompl_worker import ALGORITHMS
 from ves_gym.planners.prediction import Prediction
 from ves_gym.planners.query import Plan, Planner, Query, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
+from ves_gym.system.energy import TAIL, Energies, energies
 
 SCHEMA = "ves-plan/1"
 _SAMPLES = 101  # of the path in the result
@@ -130,7 +130,7 @@ def _without_motion(args: argparse.Namespace, plan: Plan) -> int:
 
 def _simulated(query: Query, motion: Motion) -> tuple[Energies, Energies]:
     """Energies of a motion and of the straight line, on the full nonlinear system."""
-    from ves_gym.core.playback import play_motions
+    from ves_gym.simulation.playback import play_motions
 
     dt = query.system.physics_dt
     record = max(1, round(_RECORD / dt)) * dt

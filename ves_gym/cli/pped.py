@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.params import Array, ParameterError
 from ves_gym.cli.common import (
     Tell,
     add_system_arguments,
@@ -22,10 +23,7 @@ from ves_gym.cli.common import (
     write_json,
 )
 from ves_gym.cli.motions import disturbance, joint_angles
-from ves_gym.core.params import Array, ParameterError
-from ves_gym.core.servo import HIGH_GAINS, PPED_GAINS
-from ves_gym.core.simulator import Divergence
-from ves_gym.core.system import System
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.planners.damping_map import (
     Configuration,
     DampingMap,
@@ -46,6 +44,8 @@ from ves_gym.planners.pped import (
 )
 from ves_gym.planners.release import Release, linear_release, simulate_release
 from ves_gym.planners.virtual_manipulator import tune_virtual
+from ves_gym.simulation.simulator import Divergence
+from ves_gym.system.system import System
 
 SCHEMA = "ves-pped/1"
 _CHOICES = (*OBJECTIVES, "both")
@@ -347,9 +347,9 @@ def _figures(
     if importlib.util.find_spec("matplotlib") is None:
         print("no pictures: matplotlib is missing (pip install 'ves-gym[report]')")
         return []
-    from ves_gym.core.stability import poles_in_space
     from ves_gym.report.damping import map_figure, pole_figure, response_figure
     from ves_gym.report.figures import write_figure
+    from ves_gym.simulation.stability import poles_in_space
 
     base = system.base
     names = [r.name for r in rows]

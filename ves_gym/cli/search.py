@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Search, print the best trials; exit status 1 if every trial failed."""
-    from ves_gym.leaderboard.search import read_search, search
+    from ves_gym.experiments.search import read_search, search
 
     wanted, _ = read_search(args.spec)
     folder = Path(args.out or f"out/search/{Path(args.spec).stem}")

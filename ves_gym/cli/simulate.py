@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.params import Array, ParameterError, write_bytes
 from ves_gym.cli.common import (
     Tell,
     add_system_arguments,
@@ -26,14 +27,13 @@ from ves_gym.cli.motions import (
     read_motion,
     servo_from,
 )
-from ves_gym.core.energy import TAIL, Energies, base_energy, energies, ledger
-from ves_gym.core.learning import learn_gravity
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import Array, ParameterError, write_bytes
-from ves_gym.core.playback import Recording, play_motions, weigh_poses
-from ves_gym.core.runlog import RunLog
-from ves_gym.core.servo import JointServo
-from ves_gym.core.system import System
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.servo import JointServo
+from ves_gym.simulation.gravity_learning import learn_gravity
+from ves_gym.simulation.playback import Recording, play_motions, weigh_poses
+from ves_gym.system.energy import TAIL, Energies, base_energy, energies, ledger
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 SCHEMA = "ves-simulate/1"
 
@@ -272,7 +272,7 @@ def _base_error(recording: Recording, space: Recording) -> float:
 
 def _weigh(args: argparse.Namespace, system: System, name: str) -> int:
     """Record static poses for the Model Method."""
-    from ves_gym.core.calibration import calibration_poses
+    from ves_gym.simulation.gravity_calibration import calibration_poses
 
     q, y = calibration_poses(system.arm, args.poses, seed=args.seed)
     log = weigh_poses(system, q, y, seed=args.seed)

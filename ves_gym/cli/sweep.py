@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import progress, write_json
-from ves_gym.core.params import ParameterError
 
 SCHEMA = "ves-sweep/1"
 _SHOWN = 10  # failures that are printed
@@ -51,7 +51,7 @@ def add_executor_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Sweep, merge, print what failed; exit status 1 if anything did."""
-    from ves_gym.leaderboard.sweep import merge, sweep, write_rows
+    from ves_gym.experiments.sweep import merge, sweep, write_rows
 
     folder = Path(args.out or f"out/sweep/{Path(args.spec).stem}")
     with progress() as tell:

@@ -8,11 +8,11 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import add_system_arguments, system_from, write_json
 from ves_gym.cli.motions import joint_angles
-from ves_gym.core.params import ParameterError
-from ves_gym.core.runlog_files import load_pyarrow
 from ves_gym.envs.teleop import Press, Teleop, load_script, read_script
+from ves_gym.system.runlog_files import load_pyarrow
 
 SCHEMA = "ves-teleop/1"
 _AFTER = 2.0  # s that a script goes on after its last key
@@ -90,7 +90,7 @@ def _log_path(args: argparse.Namespace) -> Path | None:
 
 def _window(teleop: Teleop) -> None:
     from ves_gym.envs.rendering import Renderer
-    from ves_gym.report.opengl import RenderError
+    from ves_gym.rendering.opengl import RenderError
 
     try:
         renderer = Renderer(

@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.params import ParameterError
 from ves_gym.baselines.config import TrainConfig, find_configs, read_config
 from ves_gym.cli.common import out_dir, write_json
-from ves_gym.core.params import ParameterError
 
 SCHEMA = "ves-train/1"
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import progress, write_json
-from ves_gym.core.params import ParameterError
-from ves_gym.core.runlog import RunLog
+from ves_gym.system.runlog import RunLog
 
 SCHEMA = "ves-view/1"
 
@@ -33,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Draw or show the log."""
-    from ves_gym.report.opengl import has_display
-    from ves_gym.report.render import View, render, show
+    from ves_gym.rendering.opengl import has_display
+    from ves_gym.rendering.render import View, render, show
 
     width, height = _size(args.size)
     view = View(

@@ -5,7 +5,6 @@ Importing this package files them all under their names in `EFFECTS`.
 
 from __future__ import annotations
 
-from ves_gym.core.effect import EFFECTS, Effect
 from ves_gym.effects.base_amplitude_damping import BaseAmplitudeDamping
 from ves_gym.effects.base_damping import BaseDamping
 from ves_gym.effects.base_extra_mode import BaseExtraMode
@@ -45,6 +44,7 @@ from ves_gym.effects.sensor_drift import SensorDrift
 from ves_gym.effects.sensor_lag import SensorLag
 from ves_gym.effects.sensor_noise import SensorNoise
 from ves_gym.effects.sensor_rotation import SensorRotation
+from ves_gym.system.effect import EFFECTS, Effect
 
 __all__ = [
     "EFFECTS",

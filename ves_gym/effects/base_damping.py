@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BaseModel, has
+from ves_gym.mechanics.vehicle import BaseModel, has
+from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.system import System
 
 
 @register("base/damping")

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.params import Array, ParameterError, Vector
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BaseModel, Oscillator, Satellite
+from ves_gym._util.params import Array, ParameterError, Vector
+from ves_gym.mechanics.vehicle import BaseModel, Oscillator, Satellite
+from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.system import System
 
 
 @register("base/extra_mode")

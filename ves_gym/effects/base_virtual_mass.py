@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ves_gym.core.arm import matrix
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.params import Array
-from ves_gym.core.vehicle import BaseModel
+from ves_gym._util.params import Array
+from ves_gym.mechanics.arm import matrix
+from ves_gym.mechanics.vehicle import BaseModel
+from ves_gym.system.effect import Effect, parameter, register
 
 
 @register("base/virtual_mass")

@@ -6,9 +6,9 @@ project: with them the Model Method leaves the errors of Table 3-1 (docs/claims.
 
 from __future__ import annotations
 
-from ves_gym.core.effect import Effect
 from ves_gym.effects.sensor_drift import SensorDrift
 from ves_gym.effects.sensor_noise import SensorNoise
+from ves_gym.system.effect import Effect
 
 LABORATORY_ERRORS: tuple[Effect, ...] = (
     SensorNoise(force=(0.35, 0.2, 0.4), moment=(0.3, 0.3, 0.05)),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.joint_line import Delays
+from ves_gym.simulation.joint_delays import Delays
+from ves_gym.system.effect import Effect, parameter, register
 
 
 @register("command/delay")

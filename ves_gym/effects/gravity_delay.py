@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.laboratory import Parameters
-from ves_gym.core.system import System
+from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.system import System
 
 
 @register("gravity/delay")

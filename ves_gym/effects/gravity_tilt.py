@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.laboratory import Parameters
-from ves_gym.core.params import Vector
-from ves_gym.core.system import System
+from ves_gym._util.params import Vector
+from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.system import System
 
 
 @register("gravity/tilt")

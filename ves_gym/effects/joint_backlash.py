@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from ves_gym.core.arm import Arm, Gear
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.params import Vector
-from ves_gym.core.system import System
+from ves_gym._util.params import Vector
+from ves_gym.mechanics.arm import Arm, Gear
+from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.system import System
 
 
 @register("joint/backlash")

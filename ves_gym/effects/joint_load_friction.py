@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.params import Vector
-from ves_gym.core.system import System
+from ves_gym._util.params import Vector
+from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.system import System
 
 CREEP = 1e-2  # rad/s over which friction builds up from rest
 

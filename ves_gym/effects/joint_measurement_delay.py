@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.joint_line import Delays
-from ves_gym.core.system import System
+from ves_gym.simulation.joint_delays import Delays
+from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.system import System
 
 
 @register("joint/measurement_delay")

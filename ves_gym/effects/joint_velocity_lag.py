@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.joint_line import Delays
-from ves_gym.core.params import Vector
-from ves_gym.core.system import System
+from ves_gym._util.params import Vector
+from ves_gym.simulation.joint_delays import Delays
+from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.system import System
 
 
 @register("joint/velocity_lag")

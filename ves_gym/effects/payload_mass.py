@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ves_gym.core.arm import Arm, matrix
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.params import Vector
+from ves_gym._util.params import Vector
+from ves_gym.mechanics.arm import Arm, matrix
+from ves_gym.system.effect import Effect, parameter, register
 
 
 @register("payload/mass")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.laboratory import Parameters
+from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.effect import Effect, parameter, register
 
 
 @register("platform/delay")

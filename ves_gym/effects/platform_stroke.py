@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ves_gym.core.effect import Effect, parameter, register
-from ves_gym.core.laboratory import Parameters
+from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.effect import Effect, parameter, register
 
 
 @register("platform/stroke")

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym.core.kernel.scene import SceneMap, TorqueMap
-from ves_gym.core.params import Array, Index, Mask, ParameterError, content_hash
-from ves_gym.core.servo import HIGH_GAINS
-from ves_gym.core.simulator import Simulator
+from ves_gym._util.params import Array, Index, Mask, ParameterError, content_hash
+from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
 from ves_gym.envs.dump import Recorder
 from ves_gym.envs.randomize import draw, template
 from ves_gym.envs.tail import tail_energy
 from ves_gym.envs.task import Scene, Task
+from ves_gym.mechanics.servo import HIGH_GAINS
+from ves_gym.simulation.simulator import Simulator
 
 _FAILURE = -2.0  # added to the reward when an episode fails; a straight motion returns about -1
 

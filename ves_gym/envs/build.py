@@ -9,13 +9,13 @@ import typing
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from ves_gym.core.effect import Effect
-from ves_gym.core.params import ParameterError, from_plain
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import get_vehicle, vehicle_from_plain
+from ves_gym._util.params import ParameterError, from_plain
 from ves_gym.envs.control import Control, get_control
 from ves_gym.envs.randomize import Range
 from ves_gym.envs.task import TASKS, Task
+from ves_gym.mechanics.vehicle import get_vehicle, vehicle_from_plain
+from ves_gym.system.effect import Effect
+from ves_gym.system.system import System
 
 _FILES = (
     "rest_to_rest",

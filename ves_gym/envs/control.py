@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
-from ves_gym.core.arm import Arm
-from ves_gym.core.params import (
+from ves_gym._util.params import (
     Array,
     ParameterError,
     Vector,
@@ -22,11 +21,12 @@ from ves_gym.core.params import (
     require_positive,
     unit,
 )
-from ves_gym.core.servo import FREE, HIGH_GAINS, JointServo
-from ves_gym.core.system import System
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.servo import FREE, HIGH_GAINS, JointServo
+from ves_gym.system.system import System
 
 if TYPE_CHECKING:
-    from ves_gym.core.simulator import Simulator
+    from ves_gym.simulation.simulator import Simulator
 
 CONTROLS: dict[str, type[Control]] = {}
 _LONGEST = 120.0  # s before the deadline that guidance is tabulated for

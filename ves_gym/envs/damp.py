@@ -10,10 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.linalg
 
-from ves_gym.core.dynamics import inertia
-from ves_gym.core.params import Array, Mask, ParameterError, Vector, require_positive, unit
-from ves_gym.core.servo import PPED_GAINS
-from ves_gym.core.spatial import quadratic
+from ves_gym._util.params import Array, Mask, ParameterError, Vector, require_positive, unit
 from ves_gym.envs.control import Control, Torque
 from ves_gym.envs.joints import (
     joint_box,
@@ -23,6 +20,9 @@ from ves_gym.envs.joints import (
     wide,
 )
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.servo import PPED_GAINS
+from ves_gym.mechanics.spatial import quadratic
 
 _JOINTS = 6  # that `draws` is enough for
 

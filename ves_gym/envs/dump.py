@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym.core.params import Array, Index, Mask
-from ves_gym.core.playback import base_wrench
-from ves_gym.core.runlog import RunLog
+from ves_gym._util.params import Array, Index, Mask
+from ves_gym.simulation.playback import base_wrench
+from ves_gym.system.runlog import RunLog
 
 if TYPE_CHECKING:
     from ves_gym.envs.batch import Batch

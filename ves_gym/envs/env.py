@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym.envs.batch import Batch, checked
 from ves_gym.envs.build import build_task
 from ves_gym.envs.rendering import Renderer, render_modes, require_display

@@ -8,12 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ves_gym.core.dynamics import joint_positions
-from ves_gym.core.params import Array, Mask, ParameterError, Vector, require_positive, unit
-from ves_gym.core.spatial import matvec, rotation
-from ves_gym.core.system import System
-from ves_gym.core.tool import joints_for
-from ves_gym.core.vehicle import FREE_FLOATING
+from ves_gym._util.params import Array, Mask, ParameterError, Vector, require_positive, unit
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.joints import (
     joint_box,
@@ -23,6 +18,11 @@ from ves_gym.envs.joints import (
     wide,
 )
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.kinematics import joints_for
+from ves_gym.mechanics.spatial import matvec, rotation
+from ves_gym.mechanics.vehicle import FREE_FLOATING
+from ves_gym.system.system import System
 
 _TRIES = 6  # candidate targets per episode; the first that is far enough counts
 _JOINTS = 6  # that `draws` is enough for
@@ -34,7 +34,7 @@ class FreeFlyerReach(Task):
     """Bring the tool to a point fixed in space, the satellite turning as little as it can.
 
     Nothing holds the base, so its momentum stays zero and it turns and shifts as the arm
-    moves: the nominal 500 kg cube of `core/vehicle.py` by up to 6 cm and 4 deg. Both the
+    moves: the nominal 500 kg cube of `mechanics/vehicle.py` by up to 6 cm and 4 deg. Both the
     arm's start and the target, by forward kinematics on the base at rest, are drawn from
     `home` +- `span`; the elbow stays bent by 60 deg, so that the target is within reach
     however the base has moved. The target is `away` or more from the tool's start.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ves_gym.core.arm import Arm
-from ves_gym.core.params import Array, ParameterError, Vector
+from ves_gym._util.params import Array, ParameterError, Vector
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.task import Field, Scene, Task
+from ves_gym.mechanics.arm import Arm
 
 
 def wide(given: Vector, arm: Arm) -> Array:

@@ -8,14 +8,14 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ves_gym.core.dynamics import inertia
-from ves_gym.core.linear import linearise_ideal
-from ves_gym.core.params import Array, Mask, Vector, require_positive, unit
-from ves_gym.core.servo import PPED_GAINS
-from ves_gym.core.spatial import quadratic
+from ves_gym._util.params import Array, Mask, Vector, require_positive, unit
+from ves_gym.engine.linear import linearise_ideal
 from ves_gym.envs.control import Control, Torque
 from ves_gym.envs.joints import joint_box, require_control, wide
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.servo import PPED_GAINS
+from ves_gym.mechanics.spatial import quadratic
 
 _JOINTS = 6  # that `draws` is enough for
 _BRISK = 5.0  # 1/s: rates over displacements, of what is met on the beam
@@ -40,8 +40,8 @@ class Lqr(Task):
     `bend` about `home`, rates `pace` times that. A period of length dt costs
     dt (E + stray |q - home|^2 + effort |tau|^2), E the energy of the base with the arm frozen
     at home; the state is that at the period's end, the torque is held. That is x'Q x + u'R u
-    on the plant linearised at home (`core/linear.py`) and sampled exactly: `optimal` gives the
-    best feedback and its cost, by the Riccati recursion over the episode. `home` is the
+    on the plant linearised at home (`engine/linear.py`) and sampled exactly: `optimal` gives
+    the best feedback and its cost, by the Riccati recursion over the episode. `home` is the
     thesis's configuration of 4.3.2, the joints are damped by its PPED gains (eq. 4.5b); the
     other numbers keep motions small and the optimal torque within bounds (this project).
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ves_gym.core.effect import EFFECTS, Effect
-from ves_gym.core.params import Array, ParameterError, from_plain
-from ves_gym.core.system import System
+from ves_gym._util.params import Array, ParameterError, from_plain
+from ves_gym.system.effect import EFFECTS, Effect
+from ves_gym.system.system import System
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,9 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ves_gym.core.dynamics import joint_positions
-from ves_gym.core.motion import QUINTIC_PEAK_SPEED
-from ves_gym.core.params import (
+from ves_gym._util.params import (
     Array,
     Mask,
     ParameterError,
@@ -19,11 +17,13 @@ from ves_gym.core.params import (
     require_positive,
     unit,
 )
-from ves_gym.core.tool import dexterity, joints_for
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.joints import joint_box, rate_fields, rates, require_control
 from ves_gym.envs.scales import straight_energy
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.kinematics import dexterity, joints_for
+from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 
 _TRIES = 16  # candidate targets per episode; the first that is near and dexterous counts
 _JOINTS = 6  # that `draws` is enough for

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ves_gym.core.params import Array, Mask
+from ves_gym._util.params import Array, Mask
 from ves_gym.envs.joints import require_control
 from ves_gym.envs.reach import Reach
 from ves_gym.envs.task import Field, Scene, register_task

@@ -16,21 +16,21 @@ from ves_gym.envs.dump import wrench_on_base
 from ves_gym.envs.task import Task
 
 if TYPE_CHECKING:
-    from ves_gym.report.live import Key
+    from ves_gym.rendering.live import Key
 
 _POINTS = 100  # most of a marker
 
 
 def render_modes() -> list[str]:
     """What this machine can show: a window needs a display."""
-    from ves_gym.report.opengl import has_display
+    from ves_gym.rendering.opengl import has_display
 
     return ["human", "rgb_array"] if has_display() else ["rgb_array"]
 
 
 def require_display() -> None:
     """Raise a RenderError where no window can open."""
-    from ves_gym.report import opengl
+    from ves_gym.rendering import opengl
 
     opengl.require_display()
 
@@ -58,7 +58,7 @@ class Renderer:
         lines: int = 0,
         title: str = "",
     ) -> None:
-        from ves_gym.report.live import Live, Shown
+        from ves_gym.rendering.live import Live, Shown
 
         self.mode, self.dt = render_mode, task.system.control_dt
         window = render_mode == "human"

@@ -8,12 +8,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from ves_gym.core.dynamics import joint_positions
-from ves_gym.core.motion import QUINTIC_PEAK_SPEED
-from ves_gym.core.params import Array, Mask, Vector, require_positive, unit
+from ves_gym._util.params import Array, Mask, Vector, require_positive, unit
 from ves_gym.envs.control import Control, Guided
 from ves_gym.envs.scales import straight_energy
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 
 _TRIES = 12  # candidate queries per episode; the first that respects the speed limits counts
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ves_gym.core.dynamics import inertia
-from ves_gym.core.motion import quintic
-from ves_gym.core.params import Array
-from ves_gym.core.system import System
+from ves_gym._util.params import Array
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.motion import quintic
+from ves_gym.system.system import System
 
 _FREQUENCIES = np.geomspace(0.3, 300.0, 240)  # rad/s
 _SAMPLES = 2000

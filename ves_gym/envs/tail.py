@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ves_gym.core.dynamics import inertia
-from ves_gym.core.params import Array
-from ves_gym.core.spatial import matvec
-from ves_gym.core.system import System
+from ves_gym._util.params import Array
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.spatial import matvec
+from ves_gym.system.system import System
 
 _DOUBLINGS = 10  # 1024 samples: 10 ms apart over 10 s
 _HALVINGS = 4  # of the sample step, for the series of the exponential

@@ -14,8 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from ves_gym.core.energy import TAIL
-from ves_gym.core.params import (
+from ves_gym._util.params import (
     Array,
     Mask,
     ParameterError,
@@ -25,9 +24,10 @@ from ves_gym.core.params import (
     to_plain,
     unit,
 )
-from ves_gym.core.system import System
 from ves_gym.envs.control import Control
 from ves_gym.envs.randomize import Range
+from ves_gym.system.energy import TAIL
+from ves_gym.system.system import System
 
 TASKS: dict[str, type[Task]] = {}
 

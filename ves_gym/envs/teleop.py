@@ -16,14 +16,14 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym.core.params import Array, Mask, ParameterError, Vector, unit
-from ves_gym.core.runlog import RunLog
-from ves_gym.core.system import System
+from ves_gym._util.params import Array, Mask, ParameterError, Vector, unit
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.control import Acceleration
 from ves_gym.envs.dump import Recorder
 from ves_gym.envs.rendering import Renderer
 from ves_gym.envs.task import Field, Scene, Start, Task
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 UP, DOWN = "qwertyui", "asdfghjk"  # per joint; held, it moves
 SPEEDS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)  # of the joints' largest rates

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ves_gym.core.params import Mask
+from ves_gym._util.params import Mask
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.spaces import goal_space, observation_space, require_seed, split_goals

@@ -13,8 +13,8 @@ import zipfile
 import zlib
 from pathlib import Path
 
-from ves_gym.core.params import ParameterError, write_bytes
-from ves_gym.leaderboard.rejection import Code, Rejection
+from ves_gym._util.params import ParameterError, write_bytes
+from ves_gym.leaderboard.errors import Code, Rejection
 
 MANIFEST = "manifest.json"
 _MIB = 2**20

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym.core.params import Array, ParameterError
+from ves_gym._util.params import Array, ParameterError
 from ves_gym.leaderboard import statistics
 from ves_gym.leaderboard.journal import Journal, Record
 

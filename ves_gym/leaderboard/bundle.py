@@ -15,7 +15,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from ves_gym.core.params import ParameterError, canonical_json
+from ves_gym._util.params import ParameterError, canonical_json
 from ves_gym.leaderboard.archive import MANIFEST
 from ves_gym.leaderboard.entry import (
     ABOUT,
@@ -29,8 +29,8 @@ from ves_gym.leaderboard.entry import (
     text,
     whole,
 )
+from ves_gym.leaderboard.errors import Code, Rejection
 from ves_gym.leaderboard.protocol import MOST_GROUPS
-from ves_gym.leaderboard.rejection import Code, Rejection
 
 SCHEMA = "ves-bundle/1"
 KEYS = ("schema", "track", "protocol", "problem", "name", "author", "kind", "seeds", "spec",

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from ves_gym.core.params import ParameterError, canonical_json, content_hash, to_plain
+from ves_gym._util.params import ParameterError, canonical_json, content_hash, to_plain
 
 SCHEMA = "ves-entry/1"
 TRACKS = ("paths", "policies", "damping", "discrepancy")

@@ -14,9 +14,9 @@ import gymnasium as gym
 
 import ves_gym
 from ves_gym import __version__
-from ves_gym.core.params import content_hash
-from ves_gym.core.system import System
+from ves_gym._util.params import content_hash
 from ves_gym.envs.build import build_task
+from ves_gym.system.system import System
 
 _ROOT = Path(ves_gym.__file__).parent
 _PACKAGES = ("numpy", "scipy", "mujoco", "llvmlite", "gymnasium", "ompl", "casadi")
@@ -45,7 +45,7 @@ def model_xml(system: System) -> str:
 
     The text depends on MuJoCo's version as well as on the system.
     """
-    from ves_gym.core.backends.mujoco import model_spec
+    from ves_gym.engine.backends.mujoco import model_spec
 
     spec = model_spec(system)
     spec.compile()
@@ -87,7 +87,7 @@ def cpu_model() -> str:
 @cache
 def simd() -> str:
     """The processor's instruction sets, as the engine is compiled for them."""
-    from ves_gym.core.kernel.build import machine
+    from ves_gym.engine.kernel.build import machine
 
     name, _, features = machine().partition(" ")[2].partition(" ")
     have = sorted(k[1:] for k in features.split(",") if k.startswith("+"))

@@ -25,8 +25,8 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
-from ves_gym.core.params import ParameterError, canonical_json, content_hash, write_bytes
-from ves_gym.leaderboard.columns import from_columns, to_columns
+from ves_gym._util.params import ParameterError, canonical_json, content_hash, write_bytes
+from ves_gym.leaderboard.columnar import from_columns, to_columns
 from ves_gym.leaderboard.entry import check_entry
 
 FIRST = "0" * 64  # what the first line follows

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from ves_gym.core.params import ParameterError, write_text
+from ves_gym._util.params import ParameterError, write_text
 from ves_gym.leaderboard.board import SCHEMA
 from ves_gym.report.pages import assemble, embedded, part
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym.envs.registration import IDS
 from ves_gym.planners.suites import REACH_SEED
 
@@ -153,7 +153,7 @@ def seeds_of(problem: Problem, salt: str | None) -> Seeds:
             raise ParameterError(
                 "blind-sealed needs a salt" if sealed else "blind-development takes no salt"
             )
-        from ves_gym.discrepancy.blind.cases import root_seed
+        from ves_gym.diagnosis.benchmark.blind.cases import root_seed
 
         root = root_seed("sealed" if sealed else "development", salt or "")
         which = "official" if sealed else "public"

@@ -11,17 +11,13 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from ves_gym._util.params import ParameterError, to_plain
 from ves_gym.baselines.controllers import Controller, get_controller
 from ves_gym.baselines.policy import load_policy
-from ves_gym.core.params import ParameterError, to_plain
 from ves_gym.leaderboard import fingerprint
 from ves_gym.leaderboard.archive import MANIFEST, write_members
 from ves_gym.leaderboard.bundle import SCHEMA, digest, sealed
-from ves_gym.leaderboard.damping import Damping
-from ves_gym.leaderboard.episodes import Episodes, chosen_settings
-from ves_gym.leaderboard.naming import Naming
-from ves_gym.leaderboard.paths import Paths
-from ves_gym.leaderboard.policies import ARCHITECTURES, policy_names
+from ves_gym.leaderboard.policy_files import ARCHITECTURES, policy_names
 from ves_gym.leaderboard.protocol import (
     MOST_GROUPS,
     PROTOCOL,
@@ -30,7 +26,18 @@ from ves_gym.leaderboard.protocol import (
     get_problem,
     seeds_of,
 )
-from ves_gym.leaderboard.track import Answers, Method, Progress, Track, get_track, repeated
+from ves_gym.leaderboard.tracks.base import (
+    Answers,
+    Method,
+    Progress,
+    Track,
+    get_track,
+    repeated,
+)
+from ves_gym.leaderboard.tracks.damping import Damping
+from ves_gym.leaderboard.tracks.diagnosis import Naming
+from ves_gym.leaderboard.tracks.paths import Paths
+from ves_gym.leaderboard.tracks.policies import Episodes, chosen_settings
 from ves_gym.planners.query import Planner
 from ves_gym.planners.registry import get_planner
 

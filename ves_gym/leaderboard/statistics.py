@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.stats
 
-from ves_gym.core.params import Array, ParameterError
-from ves_gym.core.statistics import (
+from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.statistics import (
     RESAMPLES,
     STATISTICS,
     Estimate,

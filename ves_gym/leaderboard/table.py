@@ -12,11 +12,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ves_gym.core.params import ParameterError, canonical_json, write_bytes
-from ves_gym.core.runlog_files import load_pyarrow
+from ves_gym._util.params import ParameterError, canonical_json, write_bytes
 from ves_gym.leaderboard import statistics
 from ves_gym.leaderboard.board import ENERGIES, current, summary
 from ves_gym.leaderboard.journal import Journal, Record
+from ves_gym.system.runlog_files import load_pyarrow
 
 Row = dict[str, Any]
 Columns = Mapping[str, type]

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym.leaderboard import fingerprint
 from ves_gym.leaderboard.archive import MANIFEST, read_members
 from ves_gym.leaderboard.bundle import digest, read_manifest
 from ves_gym.leaderboard.entry import LEVELS, Entry, check_entry
-from ves_gym.leaderboard.episodes import require_fit, require_settings
-from ves_gym.leaderboard.policies import policies_of, policy_names
+from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.policy_files import policies_of, policy_names
 from ves_gym.leaderboard.protocol import (
     ABSOLUTE,
     FLIPPED,
@@ -33,9 +33,9 @@ from ves_gym.leaderboard.protocol import (
     get_problem,
     seeds_of,
 )
-from ves_gym.leaderboard.rejection import Code, Rejection
 from ves_gym.leaderboard.run import spec_of
-from ves_gym.leaderboard.track import Case, Method, Row, Track, get_track, repeated
+from ves_gym.leaderboard.tracks.base import Case, Method, Row, Track, get_track, repeated
+from ves_gym.leaderboard.tracks.policies import require_fit, require_settings
 
 _EXACT = ("success", "failed")
 _NUMBERS = ("score", "E_mean", "E_peak", "E_res", "E_int")

@@ -22,18 +22,18 @@ import numpy as np
 import scipy.stats
 
 from ves_gym import __version__
-from ves_gym.core.energy import TAIL, Energies, energies
-from ves_gym.core.legs import LEG_SERVOS, LegServo
-from ves_gym.core.params import Array, ParameterError
-from ves_gym.core.playback import Recording, play_motions
-from ves_gym.core.statistics import STATISTICS, bootstrap
-from ves_gym.core.system import System
-from ves_gym.core.workers import WorkerDied, Workers
+from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.process_pool import WorkerDied, Workers
+from ves_gym._util.statistics import STATISTICS, bootstrap
+from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
 from ves_gym.planners.best_known import near_best, scored
 from ves_gym.planners.query import Plan, Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.scenes import Shown, coupling_maps, scene, trace
 from ves_gym.planners.suites import Suite, is_compensated, uncompensated
+from ves_gym.simulation.playback import Recording, play_motions
+from ves_gym.system.energy import TAIL, Energies, energies
+from ves_gym.system.system import System
 
 SCHEMA = "ves-benchmark/1"
 BASELINE = "straight"

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym import __version__
-from ves_gym.core.params import ParameterError, read_table, write_text
+from ves_gym._util.params import ParameterError, read_table, write_text
 
 FORMAT = "ves-best/1"
 PACKAGED = "best_known.json"

@@ -17,11 +17,11 @@ import scipy.optimize
 from scipy.special import spherical_jn
 from scipy.stats import qmc
 
-from ves_gym.core.dynamics import inertia
-from ves_gym.core.kernel.maps import coupling_matrices
-from ves_gym.core.params import Array, ParameterError
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import BaseModel
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.engine.kernel.maps import coupling_matrices
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.vehicle import BaseModel
+from ves_gym.system.system import System
 
 _MANY = 3000  # angles from which compiled code pays, its first use included
 _SAME = 0.2  # rad: spots nearer than this are one

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym.core.params import Array, ParameterError, finite
-from ves_gym.core.system import System
+from ves_gym._util.params import Array, ParameterError, finite
 from ves_gym.planners.coupling import blocks, coupling_matrix, modes, require_section
 from ves_gym.planners.pped import THESIS_RELEASE, WIDE, Bounds, Tuned, plants, tune
+from ves_gym.system.system import System
 
 _STARTS = 3  # random starts at each configuration
 _APART = 0.5  # rad in at least one joint, between candidates

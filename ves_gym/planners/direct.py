@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ves_gym.core.arm import matrix
-from ves_gym.core.motion import DEGREE, Motion, basis, graded, knots
-from ves_gym.core.params import Array, ParameterError
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.arm import matrix
+from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots
 from ves_gym.planners.momentum import momentum, torque
 from ves_gym.planners.obstacles import Collisions, collisions
 from ves_gym.planners.prediction import MeanEnergy

@@ -21,13 +21,13 @@ import scipy.spatial
 from scipy.sparse.csgraph import dijkstra
 from scipy.stats import qmc
 
-from ves_gym.core.arm import Arm
-from ves_gym.core.motion import Motion, quintic
-from ves_gym.core.params import Array
-from ves_gym.core.system import System
+from ves_gym._util.params import Array
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.coupling import coupling_length, metric
 from ves_gym.planners.metric import LEAST, Metric
 from ves_gym.planners.query import Query, is_feasible
+from ves_gym.system.system import System
 
 Ints = npt.NDArray[np.signedinteger[Any]]
 _PITCH = np.deg2rad(15.0)  # lattice spacing

@@ -14,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
-from ves_gym.core.kernel.blocks import aligned
-from ves_gym.core.kernel.build import Library, cached
-from ves_gym.core.kernel.emit import LANES, emit_map
-from ves_gym.core.kernel.maps import evaluate
-from ves_gym.core.kernel.trace import inertia_matrix, parameters, structure
-from ves_gym.core.params import Array, ParameterError
-from ves_gym.core.system import System
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.engine.kernel.blocks import aligned
+from ves_gym.engine.kernel.build import Library, cached
+from ves_gym.engine.kernel.emit import LANES, emit_map
+from ves_gym.engine.kernel.maps import evaluate
+from ves_gym.engine.kernel.trace import inertia_matrix, parameters, structure
+from ves_gym.system.system import System
 
 if TYPE_CHECKING:
     import casadi
@@ -131,7 +131,7 @@ def _form(system: System, kind: str) -> casadi.Function:
     """((q, dq), (p, M, K, duration, least)) -> dq^T (Q + least 1) dq."""
     import casadi as ca
 
-    from ves_gym.core.kernel.mechanics import solve
+    from ves_gym.engine.kernel.mechanics import solve
 
     n, count = system.arm.n, len(parameters(system)[0])
     x, given = ca.SX.sym("x", 2 * n), ca.SX.sym("p", count + 74)

@@ -1,6 +1,6 @@
 """Base momentum and joint torque of a moving arm with their exact derivatives, compiled.
 
-The text of `core/dynamics.py`, traced and differentiated by CasADi, for many instants of a
+The text of `mechanics/dynamics.py`, traced and differentiated by CasADi, for many instants of a
 motion at once: what the optimisers evaluate.
 """
 
@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ves_gym.core.arm import Arm
-from ves_gym.core.dynamics import inertia_entries, newton_euler
-from ves_gym.core.kernel.maps import evaluate, points
-from ves_gym.core.kernel.trace import geometry
-from ves_gym.core.params import Array, content_hash, to_plain
+from ves_gym._util.params import Array, content_hash, to_plain
+from ves_gym.engine.kernel.maps import evaluate, points
+from ves_gym.engine.kernel.trace import geometry
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import inertia_entries, newton_euler
 
 if TYPE_CHECKING:
     import casadi

@@ -17,8 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym.core.arm import Arm
-from ves_gym.core.params import (
+from ves_gym._util.params import (
     Array,
     ParameterError,
     Vector,
@@ -28,8 +27,9 @@ from ves_gym.core.params import (
     require_positive,
     unit,
 )
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import Beam
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.vehicle import Beam
+from ves_gym.system.system import System
 
 RESOLUTION = 0.04  # rad in joint space between the configurations a search checks
 # Radius of the first link over the arm's length (this project): thin enough for a PUMA's
@@ -108,7 +108,7 @@ class Collisions:
     """MuJoCo's collision detection on one system and its surroundings."""
 
     def __init__(self, system: System, surroundings: Surroundings) -> None:
-        from ves_gym.core.engine import mujoco
+        from ves_gym._util.mujoco_loader import mujoco
 
         self._mujoco = mujoco
         self.clearance, self.n = surroundings.clearance, system.arm.n
@@ -180,8 +180,8 @@ def collisions(system: System, surroundings: Surroundings) -> Collisions:
 
 def _model(system: System, surroundings: Surroundings) -> Any:
     """The system's own MuJoCo model with shapes, contacts on."""
-    from ves_gym.core.engine import mujoco
-    from ves_gym.core.model import build_spec
+    from ves_gym._util.mujoco_loader import mujoco
+    from ves_gym.engine.mjcf import build_spec
 
     arm = system.arm
     spec = build_spec(arm, system.base, gravity=(0.0,) * 3, integrator="euler", physics_dt=1e-3)
@@ -243,7 +243,7 @@ def _too_close(arm: Arm) -> list[tuple[int, int]]:
 
 def _add_satellite(spec: Any, body: Any, bit: int) -> None:
     """The homogeneous box with the satellite's inertia."""
-    from ves_gym.core.engine import mujoco
+    from ves_gym._util.mujoco_loader import mujoco
 
     moments, axes = np.linalg.eigh(np.array(body.inertia))
     axes = axes * np.sign(np.linalg.det(axes))
@@ -264,7 +264,7 @@ def _rod(
 
 def _add(body: Any, name: str, kind: str, bit: int, affinity: int = 0, **shape: Any) -> None:
     """A shape of no mass that meets shapes with its bit among their affinities."""
-    from ves_gym.core.engine import mujoco
+    from ves_gym._util.mujoco_loader import mujoco
 
     given = {key: [float(k) for k in value] for key, value in shape.items()}
     body.add_geom(
@@ -278,8 +278,8 @@ def _add(body: Any, name: str, kind: str, bit: int, affinity: int = 0, **shape: 
 
 
 def _quaternion(angles: Vector) -> list[float]:
-    from ves_gym.core.engine import mujoco
-    from ves_gym.core.spatial import rotation
+    from ves_gym._util.mujoco_loader import mujoco
+    from ves_gym.mechanics.spatial import rotation
 
     turn, quat = rotation(np.array([0.0, 0, 0, *angles])), np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(turn).ravel())

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym.core.motion import Motion, quintic
-from ves_gym.core.params import Array, ParameterError, require_choice
+from ves_gym._util.params import Array, ParameterError, require_choice
+from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.hotspot import feasible_part, resample
 from ves_gym.planners.ompl_worker import ALGORITHMS, Found, Request, speed_limits
 from ves_gym.planners.query import NoPlan, Query, broken_limit, require_possible

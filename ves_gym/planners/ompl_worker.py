@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import Array
+from ves_gym._util.params import Array
+from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.metric import Metric
 from ves_gym.planners.obstacles import RESOLUTION, collisions
 from ves_gym.planners.prediction import MeanEnergy

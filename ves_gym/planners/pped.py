@@ -19,12 +19,12 @@ import numpy.typing as npt
 import scipy.linalg
 import scipy.optimize
 
-from ves_gym.core.energy import SETTLED
-from ves_gym.core.linear import linearise_ideal
-from ves_gym.core.params import Array, ParameterError, Vector, finite, unit
-from ves_gym.core.servo import JointServo
-from ves_gym.core.system import System
+from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
+from ves_gym.engine.linear import linearise_ideal
+from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.coupling import blocks
+from ves_gym.system.energy import SETTLED
+from ves_gym.system.system import System
 
 Complexes = npt.NDArray[np.complex128]
 Objective = Callable[[Array], tuple[float, Array]]  # closed A -> value to minimise, d / dA

@@ -18,14 +18,14 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from ves_gym.core.dynamics import inertia
-from ves_gym.core.energy import TAIL
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import Array
-from ves_gym.core.servo import JointServo
-from ves_gym.core.spatial import matvec, quadratic
-from ves_gym.core.system import System
+from ves_gym._util.params import Array
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.servo import JointServo
+from ves_gym.mechanics.spatial import matvec, quadratic
 from ves_gym.planners.coupling import modes
+from ves_gym.system.energy import TAIL
+from ves_gym.system.system import System
 
 NODES = 96  # samples of a motion; energies converge to about 1e-3 (docs/physics.md)
 

@@ -11,13 +11,13 @@ from typing import Any, Protocol
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from ves_gym.core.arm import Arm
-from ves_gym.core.motion import Motion, limit_ratios
-from ves_gym.core.params import Array, ParameterError, Vector, finite, require_positive, unit
-from ves_gym.core.servo import HIGH_GAINS, JointServo
-from ves_gym.core.system import System
+from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.motion import Motion, limit_ratios
+from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 from ves_gym.planners.obstacles import RESOLUTION, Surroundings, collisions
 from ves_gym.planners.prediction import Prediction, predict
+from ves_gym.system.system import System
 
 
 @dataclass(frozen=True, kw_only=True)

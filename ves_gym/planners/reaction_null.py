@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import Array, ParameterError
-from ves_gym.core.system import System
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.coupling import blocks
 from ves_gym.planners.hotspot import feasible_part
 from ves_gym.planners.query import Query
+from ves_gym.system.system import System
 
 NEARLY = 0.02  # of the largest coupling (root of the eigenvalue) that counts as none
 _STEP = 0.02  # rad along the null space

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import scipy.optimize
 
-from ves_gym.core.motion import Motion
-from ves_gym.core.params import Array, ParameterError
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.direct import Minimum, MotionProblem, minimise
 from ves_gym.planners.ompl_search import Ompl, timed
 from ves_gym.planners.query import NoPlan, Query, broken_limit, require_possible

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ves_gym.core.params import ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.hotspot import BadPath, HotSpot
 from ves_gym.planners.ompl_search import OBJECTIVES, Ompl

@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import trapezoid
 
-from ves_gym.core.energy import SETTLED, base_energy
-from ves_gym.core.params import Array, ParameterError, finite
-from ves_gym.core.servo import JointServo
-from ves_gym.core.simulator import Simulator
-from ves_gym.core.system import System
+from ves_gym._util.params import Array, ParameterError, finite
+from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.coupling import modes
 from ves_gym.planners.pped import THESIS_RELEASE, Gains, plant_at, respond
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.energy import SETTLED, base_energy
+from ves_gym.system.system import System
 
 _RECORDS = 16  # of a period of the stiffest base mode
 

@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ves_gym.core.dynamics import joint_positions
-from ves_gym.core.energy import base_energy
-from ves_gym.core.params import Array, to_plain
-from ves_gym.core.playback import Recording
-from ves_gym.core.spatial import rotation
-from ves_gym.core.vehicle import Beam
+from ves_gym._util.params import Array, to_plain
+from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.spatial import rotation
+from ves_gym.mechanics.vehicle import Beam
 from ves_gym.planners.coupling import CouplingMap, coupling_map
 from ves_gym.planners.query import Plan
+from ves_gym.simulation.playback import Recording
+from ves_gym.system.energy import base_energy
 
 
 class Shown(NamedTuple):

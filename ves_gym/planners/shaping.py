@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.linalg
 
-from ves_gym.core.motion import Motion, quintic
-from ves_gym.core.params import Array, require_choice
-from ves_gym.core.system import System
+from ves_gym._util.params import Array, require_choice
+from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.coupling import blocks, modes
 from ves_gym.planners.prediction import joint_momentum, spectral_energy
 from ves_gym.planners.query import Query, broken_limit
+from ves_gym.system.system import System
 
 SHAPERS = ("zv", "zvd")
 _SAMPLES = 2001

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ves_gym.core.motion import Motion
+from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.query import Query
 
 

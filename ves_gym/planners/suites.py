@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ves_gym.core.motion import QUINTIC_PEAK_SPEED
-from ves_gym.core.params import ParameterError, Vector
-from ves_gym.core.system import System
-from ves_gym.core.vehicle import get_vehicle
+from ves_gym._util.params import ParameterError, Vector
+from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
+from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings
 from ves_gym.planners.query import Query
+from ves_gym.system.system import System
 
 # A rule of the benchmark, not a claim about the machine (DESIGN): joint speeds [rad/s].
 SPEED_LIMITS: Vector = tuple(np.deg2rad([82.0, 54.0, 122.0]).tolist())

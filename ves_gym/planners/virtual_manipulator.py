@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym.core.arm import Arm, skew
-from ves_gym.core.dynamics import inertia
-from ves_gym.core.params import Array, ParameterError
-from ves_gym.core.system import System
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.arm import Arm, skew
+from ves_gym.mechanics.dynamics import inertia
 from ves_gym.planners.pped import (
     THESIS_RELEASE,
     WIDE,
@@ -28,6 +27,7 @@ from ves_gym.planners.pped import (
     plant_at,
     tune,
 )
+from ves_gym.system.system import System
 
 # of the Cartesian spring and damper, far wider than what any joint gives
 CARTESIAN = Bounds(K=(1.0, 1e7), B=(0.1, 1e6))  # N/m, N s/m

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ves_gym.core.params import Array
+    from ves_gym._util.params import Array
 
 _TICKS = (-1e4, -3e3, -1e3, -300, -100, -30, -10, -3, -1, -0.5, 0)  # 1/s
 _SHOWN = 10.0  # s, of the responses

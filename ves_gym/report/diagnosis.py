@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ves_gym.core.params import ParameterError, write_text
+from ves_gym._util.params import ParameterError, write_text
 from ves_gym.report.figures import _COLOURS, _DPI, _panels
 from ves_gym.report.pages import part
 

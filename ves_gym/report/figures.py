@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ves_gym.core.params import ParameterError, write_bytes
+from ves_gym._util.params import ParameterError, write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ves_gym.core.params import Array
+    from ves_gym._util.params import Array
 
 BASELINE = "straight"
 # The palette of page.css, light scheme; the first is the straight line's.

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ves_gym.core.legs import (
+from ves_gym._util.params import ParameterError
+from ves_gym.hardware.leg_servo import (
     LegServo,
     bandwidth,
     closed_loop,
@@ -18,15 +19,14 @@ from ves_gym.core.legs import (
     open_loop,
     step_response,
 )
-from ves_gym.core.params import ParameterError
 from ves_gym.report.figures import _COLOURS, _panels, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ves_gym.core.legs import Complex
-    from ves_gym.core.params import Array
+    from ves_gym._util.params import Array
+    from ves_gym.hardware.leg_servo import Complex
 
 _STEP_TIME = 0.5  # [s] shown of the unit step
 _EXTENSIONS = np.linspace(0, 1, 21)  # of the leg, shortest to longest, in the pole plot

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ves_gym.core.legs import LegServo
-from ves_gym.core.params import Array
-from ves_gym.core.servo import JointServo
-from ves_gym.core.spatial import AXES
-from ves_gym.core.stability import Linearised, in_space, linearise, poles_in_space
-from ves_gym.core.system import System
+from ves_gym._util.params import Array
+from ves_gym.hardware.leg_servo import LegServo
+from ves_gym.mechanics.servo import JointServo
+from ves_gym.mechanics.spatial import AXES
 from ves_gym.report.figures import _COLOURS, _panels, write_figure
+from ves_gym.simulation.stability import Linearised, in_space, linearise, poles_in_space
+from ves_gym.system.system import System
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

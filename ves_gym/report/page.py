@@ -6,7 +6,7 @@ import html
 import os
 from typing import Any
 
-from ves_gym.core.params import ParameterError, write_text
+from ves_gym._util.params import ParameterError, write_text
 from ves_gym.report.pages import assemble, embedded, part
 
 SCHEMA = "ves-benchmark/1"

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
 
-from ves_gym.core.params import ParameterError, to_plain
+from ves_gym._util.params import ParameterError, to_plain
 
 
 def part(name: str, package: str = "ves_gym.report") -> str:

@@ -1,0 +1,474 @@
+"""Parameter sets: exact round trips, strict reading, files written completely or not at all."""
+
+import dataclasses
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.arms import six_joint_arm
+from ves_gym._util import params
+from ves_gym._util.params import (
+    ParameterError,
+    canonical_json,
+    content_hash,
+    finite,
+    from_plain,
+    read_table,
+    symmetric,
+    to_plain,
+    units,
+    write_bytes,
+    write_text,
+)
+from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal, matrix, read_arm
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.vehicle import BENT, VEHICLES, Beam, Material, Matrices, Satellite
+from ves_gym.system.system import DRIVES, INTEGRATORS, System
+
+ROOT = Path(__file__).parents[2]
+
+# ------------------------------------------------------------------ random systems
+
+number = st.floats(-1e6, 1e6, allow_nan=False)
+positive = st.floats(1e-6, 1e6)
+small = st.floats(-3, 3)
+text = st.text(max_size=20)
+
+
+@st.composite
+def inertials(draw):
+    """Point masses give every possible inertia and no impossible one."""
+    a, b, c = (draw(st.floats(1e-3, 10)) for _ in range(3))
+    return Inertial(
+        mass=draw(st.floats(0, 1e3)),
+        com=draw(st.tuples(small, small, small)),
+        inertia=diagonal(b + c, a + c, a + b),
+    )
+
+
+@st.composite
+def links(draw):
+    low, high = sorted(draw(st.tuples(small, small).filter(lambda p: p[0] != p[1])))
+    return Link(
+        d=draw(small),
+        a=draw(small),
+        alpha=draw(small),
+        offset=draw(small),
+        inertial=draw(inertials()),
+        rotor_inertia=draw(st.floats(0, 10)),
+        q_min=low,
+        q_max=high,
+        v_max=draw(positive),
+        a_max=draw(positive),
+        tau_max=draw(positive),
+    )
+
+
+arms = st.builds(
+    Arm,
+    name=text,
+    base=inertials(),
+    links=st.lists(links(), min_size=1, max_size=4).map(tuple),
+    source=text,
+)
+
+materials = st.builds(
+    Material, youngs_modulus=positive, shear_modulus=positive, density=positive, source=text
+)
+
+
+@st.composite
+def beams(draw):
+    segment = st.tuples(number, number, number).filter(lambda s: np.linalg.norm(s) > 1e-3)
+    diameter = draw(st.floats(1e-2, 1))
+    return Beam(
+        segments=tuple(draw(st.lists(segment, min_size=1, max_size=3))),
+        outer_diameter=diameter,
+        wall=diameter * draw(st.floats(0.01, 0.49)),
+        material=draw(materials),
+        mass_model=draw(st.sampled_from(["thesis", "consistent"])),
+        damping_model=draw(st.sampled_from(["modal", "elementwise"])),
+        damping_ratio=draw(st.floats(0, 1)),
+        source=draw(text),
+    )
+
+
+@st.composite
+def user_matrices(draw):
+    found = []
+    for _ in range(3):
+        root = np.array(draw(st.lists(small, min_size=36, max_size=36))).reshape(6, 6)
+        found.append(matrix(root @ root.T))
+    return Matrices(M=found[0], D=found[1], K=found[2], source=draw(text))
+
+
+satellites = st.builds(Satellite, body=inertials(), thrusters=st.booleans(), source=text)
+
+
+@st.composite
+def systems(draw):
+    dt = draw(st.floats(1e-5, 1e-2))
+    return System(
+        arm=draw(arms),
+        vehicle=draw(st.one_of(beams(), user_matrices(), satellites)),
+        drive=draw(st.sampled_from(DRIVES)),
+        integrator=draw(st.sampled_from(INTEGRATORS)),
+        physics_dt=dt,
+        control_dt=dt * draw(st.integers(1, 50)),
+    )
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(system=systems())
+def test_a_system_survives_plain_data_and_files(system, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("systems")
+    copies = [System.from_dict(system.to_dict())]
+    for suffix in ("toml", "json"):
+        system.save(folder / f"system.{suffix}")
+        copies.append(System.load(folder / f"system.{suffix}"))
+    for copy in copies:
+        assert copy == system
+        assert copy.hash == system.hash
+        assert hash(copy) == hash(system)
+    assert [p.name for p in sorted(folder.iterdir())] == ["system.json", "system.toml"]
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(system=systems())
+def test_the_canonical_text_is_strict_json(system):
+    def no_constants(constant):
+        raise AssertionError(constant)
+
+    table = json.loads(canonical_json(system), parse_constant=no_constants)
+    assert System.from_dict(table) == system
+
+
+def test_the_hash_is_the_same_in_another_process():
+    code = (
+        "from ves_gym.system.system import System;"
+        "from ves_gym.mechanics.vehicle import VEHICLES;"
+        "print(*(System(vehicle=v).hash for v in VEHICLES.values()))"
+    )
+    env = {**os.environ, "PYTHONHASHSEED": "123"}
+    found = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=env,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert found.stdout.split() == [System(vehicle=v).hash for v in VEHICLES.values()]
+
+
+def test_equal_values_written_differently_have_one_hash():
+    """12, 12.0 and NumPy's 12 are equal; so must be the text that names a result."""
+    whole = Beam(segments=((0, 0, 12),), outer_diameter=0.07, wall=0.006)
+    real = Beam(segments=((0.0, -0.0, 12.0),), outer_diameter=0.07, wall=0.006)
+    numpy = Beam(segments=((0.0, 0.0, np.float64(12)),), outer_diameter=0.07, wall=0.006)
+    assert whole == real == numpy
+    assert content_hash(whole) == content_hash(real) == content_hash(numpy)
+    assert (
+        System(control_dt=1, physics_dt=0.5).hash == System(control_dt=1.0, physics_dt=0.5).hash
+    )
+
+
+def leaves(plain, path=()):
+    """Every number and string in plain data, with its path."""
+    if isinstance(plain, (dict, list)):
+        for key, item in plain.items() if isinstance(plain, dict) else enumerate(plain):
+            yield from leaves(item, (*path, key))
+    else:
+        yield path, plain
+
+
+def with_leaf(plain, path, value):
+    copy = json.loads(json.dumps(plain))
+    place = copy
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    return copy
+
+
+@pytest.mark.parametrize("name", sorted(VEHICLES))
+def test_every_changed_number_changes_the_hash(name):
+    """Content hash of the plain data: one leaf at a time, by a billionth of itself."""
+    plain = System(vehicle=VEHICLES[name]).to_dict()
+    seen = {content_hash(plain)}
+    count = 1
+    for path, value in leaves(plain):
+        if isinstance(value, bool):
+            changed = not value
+        elif isinstance(value, str):
+            changed = value + "."
+        else:
+            changed = value * (1 + 1e-9) or 1e-12
+        seen.add(content_hash(with_leaf(plain, path, changed)))
+        count += 1
+    assert len(seen) == count > 60
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"drive": "prescribed"},
+        {"integrator": "euler"},
+        {"physics_dt": 6.25e-4},
+        {"control_dt": 2.5e-2},
+        {"vehicle": VEHICLES["decoupled"]},
+        {"vehicle": dataclasses.replace(BENT, damping_ratio=0.04)},
+        {"arm": six_joint_arm()},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_a_changed_field_changes_the_hash(change):
+    assert System().replace(**change) != System()
+    assert System().replace(**change).hash != System().hash
+
+
+# ------------------------------------------------------------------ strict reading
+
+PLAIN = System().to_dict()
+
+
+def changed(path, value):
+    return with_leaf(PLAIN, path, value)
+
+
+def without(path):
+    copy = json.loads(json.dumps(PLAIN))
+    place = copy
+    for key in path[:-1]:
+        place = place[key]
+    del place[path[-1]]
+    return copy
+
+
+LINK = ("arm", "links", 1)
+
+BAD = {
+    "unknown key at the top": (changed(("colour",), 1), "'colour'", "known: arm, vehicle"),
+    "unknown key in a link": (changed((*LINK, "length"), 1), "'length'", "links[1]", "alpha"),
+    "a kind where there is none": (changed((*LINK, "kind"), "prismatic"), "links[1]", "'kind'"),
+    "missing key": (without((*LINK, "a_max")), "links[1]", "missing key 'a_max'"),
+    "missing key in the body": (without((*LINK, "inertial", "mass")), "inertial", "'mass'"),
+    "text for a number": (changed((*LINK, "d"), "long"), "links[1].d", "float", "'long'"),
+    "truth value for a number": (changed((*LINK, "d"), True), "links[1].d", "float", "True"),
+    "list for a number": (changed((*LINK, "d"), [1.0]), "links[1].d", "float", "[1.0]"),
+    "number for text": (changed(("mode",), 1), "System.mode", "str", "1"),
+    "number for a list": (changed(("arm", "links"), 3), "arm.links", "list", "3"),
+    "number for a table": (changed(("arm", "base"), 3), "arm.base", "table of Inertial", "3"),
+    "nothing at all": (None, "System", "table", "None"),
+    "list for a table": ([1], "System", "table", "[1]"),
+    "no links": (changed(("arm", "links"), []), "links", "at least one"),
+    "wrong length": (changed((*LINK, "inertial", "com"), [0.0, 0.0]), "com", "(3,)", "(2,)"),
+    "ragged matrix": (
+        changed((*LINK, "inertial", "inertia"), [[1.0], [0.0, 1.0], []]),
+        "inertia",
+        "(3, 3)",
+    ),
+    "nan": (changed((*LINK, "d"), math.nan), "Link", "finite", "nan"),
+    "inf": (changed((*LINK, "v_max"), math.inf), "v_max", "> 0", "rad/s", "inf"),
+    "nan in a matrix": (
+        changed((*LINK, "inertial", "com", 2), math.nan),
+        "com",
+        "finite",
+        "nan",
+    ),
+    "beyond the range of floats": (changed((*LINK, "d"), 10**400), "links[1].d", "float"),
+    "unknown kind": (changed(("vehicle", "kind"), "boat"), "vehicle.kind", "beam", "'boat'"),
+    "missing kind": (without(("vehicle", "kind")), "vehicle.kind", "satellite", "None"),
+    "unknown vehicle name": (changed(("vehicle",), "boat"), "vehicle", "bent", "'boat'"),
+    "number for a vehicle": (changed(("vehicle",), 5), "vehicle.kind", "beam"),
+    "unknown mode": (changed(("mode",), "dream"), "System.mode", "ideal", "'dream'"),
+    "unknown drive": (changed(("drive",), "steam"), "System.drive", "motor", "'steam'"),
+    "unknown integrator": (changed(("integrator",), "ab2"), "integrator", "rk4", "'ab2'"),
+    "zero step": (changed(("physics_dt",), 0.0), "physics_dt", "> 0 s", "0.0"),
+    "negative step": (changed(("control_dt",), -1.0), "control_dt", "> 0 s", "-1.0"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_data_is_refused_by_name(case):
+    plain, *parts = BAD[case]
+    with pytest.raises(ParameterError) as caught:
+        System.from_dict(plain)
+    for part in parts:
+        assert part in str(caught.value), str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("path", [path for path, _ in leaves(PLAIN)], ids=str)
+def test_nothing_but_its_own_type_is_taken_for_any_entry(path):
+    for wrong in ({}, [], None, True, math.inf):
+        with pytest.raises(ParameterError):
+            System.from_dict(changed(path, wrong))
+
+
+def test_integers_are_taken_for_real_numbers():
+    assert System.from_dict(changed((*LINK, "d"), 2)).arm.links[1].d == 2.0
+    assert isinstance(System.from_dict(changed((*LINK, "d"), 2)).arm.links[1].d, float)
+
+
+def test_the_kind_must_be_that_of_the_class():
+    plain = to_plain(BENT)
+    assert from_plain(Beam, plain) == BENT
+    with pytest.raises(ParameterError, match="kind must be beam, got 'satellite'"):
+        from_plain(Beam, {**plain, "kind": "satellite"})
+
+
+def test_a_vehicle_may_be_named():
+    assert System.from_dict({**PLAIN, "vehicle": "free-flying"}).vehicle.thrusters
+    assert System.from_dict({}) == System()
+
+
+def test_units_are_on_the_fields():
+    assert units(Link)["tau_max"] == "N m"
+    assert "source" not in units(Beam)
+
+
+# ------------------------------------------------------------------ arrays and checks
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        *("abc", "123", ("1", "2", "3"), (True, False, True), None, {}),
+        *((1, 2), ((1, 2, 3),), 5.0, (1, (2,), 3)),
+        *((1, None, 3), (1, 2, math.nan), (1, 2, -math.inf), (1, 2, 3j)),
+    ],
+    ids=repr,
+)
+def test_finite_takes_numbers_of_one_shape_only(value):
+    with pytest.raises(ParameterError, match="com"):
+        finite(value, (3,), "com")
+
+
+def test_finite_gives_a_copy():
+    given_array = np.arange(3.0)
+    array = finite(given_array, (3,), "x")
+    array[0] = 9.0
+    assert given_array[0] == 0.0
+
+
+def test_symmetric_names_entries_and_eigenvalues():
+    crooked = np.eye(6)
+    crooked[1, 4] = 1e-3
+    with pytest.raises(
+        ParameterError, match=r"K must be symmetric.*\[2,5\] = 0.001.*\[5,2\] = 0"
+    ):
+        symmetric(crooked, "K")
+    with pytest.raises(ParameterError, match=r"K must be positive semidefinite.*-0.25"):
+        symmetric(np.diag([1, 1, 1, 1, 1, -0.25]), "K")
+    with pytest.raises(ParameterError, match=r"positive definite.*0"):
+        symmetric(np.diag([1, 1, 1, 1, 1, 0.0]), "M", semidefinite=False)
+    assert (symmetric(np.zeros((6, 6)), "D") == 0).all()
+
+
+@pytest.mark.parametrize("value", [True, "1", None, math.nan, math.inf, -1.0, 0.0, 1j])
+def test_lengths_of_time_are_positive_numbers(value):
+    with pytest.raises(ParameterError, match=r"System.physics_dt must be > 0 s, got"):
+        System(physics_dt=value)
+
+
+# ------------------------------------------------------------------------------ files
+
+
+def test_files_that_cannot_be_read_are_named(tmp_path):
+    cases = {
+        "absent.toml": (None, "cannot be read"),
+        "broken.toml": (b"a = \n", "not valid TOML"),
+        "twice.toml": (b"a = 1\na = 2\n", "not valid TOML"),
+        "broken.json": (b"{", "not valid JSON"),
+        "twice.json": (b'{"a": 1, "a": 2}', "key 'a' is given more than once"),
+        "deep.json": (b"[" * 100_000, "not valid JSON"),
+        "list.json": (b"[1]", "expected a table at the top, got list"),
+        "latin.toml": ("a = 'é'".encode("latin-1"), "cannot be read"),
+        "system.yaml": (b"a: 1", "expected a .toml or .json file, got '.yaml'"),
+        "system": (b"", "expected a .toml or .json file"),
+    }
+    for name, (data, message) in cases.items():
+        path = tmp_path / name
+        if data is not None:
+            path.write_bytes(data)
+        with pytest.raises(ParameterError) as caught:
+            read_table(path)
+        assert str(path) in str(caught.value)
+        assert message in str(caught.value)
+    with pytest.raises(ParameterError, match="cannot be read"):
+        read_table(tmp_path)
+
+
+def test_a_bad_system_file_is_named_with_the_key(tmp_path):
+    path = tmp_path / "s.json"
+    path.write_text(json.dumps(changed((*LINK, "d"), "long")))
+    with pytest.raises(ParameterError, match=r"s\.json\.arm\.links\[1\]\.d must be float"):
+        System.load(path)
+    path.write_text(json.dumps(changed((*LINK, "d"), math.nan)))  # JSON's NaN
+    with pytest.raises(ParameterError, match="finite"):
+        System.load(path)
+
+
+def test_a_system_is_written_as_toml_or_json_only(tmp_path):
+    with pytest.raises(ParameterError, match=r"expected a .toml or .json name, got '.yaml'"):
+        System().save(tmp_path / "s.yaml")
+    assert not list(tmp_path.iterdir())
+
+
+def test_arms_are_read_from_files(tmp_path):
+    for arm in (PUMA_560, six_joint_arm()):
+        for suffix in ("toml", "json"):
+            path = tmp_path / f"arm.{suffix}"
+            params.write_table(path, arm)
+            assert read_arm(path) == arm
+
+
+@pytest.mark.parametrize("write", [write_text, lambda p, t: write_bytes(p, t.encode())])
+def test_writing_makes_folders_and_replaces(write, tmp_path):
+    path = tmp_path / "a" / "b" / "c.txt"
+    write(path, "first")
+    write(path, "second ω")
+    assert path.read_text(encoding="utf-8") == "second ω"
+    assert [p.name for p in path.parent.iterdir()] == ["c.txt"]
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace", "chmod"])
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(call, tmp_path, monkeypatch):
+    path = tmp_path / "kept.txt"
+    write_text(path, "old")
+
+    def fail(*args, **kwargs):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(params.os, call, fail)
+    with pytest.raises(OSError, match="disk full"):
+        write_text(path, "new")
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["kept.txt"]
+
+
+def test_a_text_that_cannot_be_encoded_leaves_the_old_file(tmp_path):
+    path = tmp_path / "kept.txt"
+    write_text(path, "old")
+    with pytest.raises(UnicodeEncodeError):
+        write_text(path, "\ud800")
+    assert path.read_text() == "old"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_written_files_follow_the_umask(tmp_path):
+    before = os.umask(0o027)
+    try:
+        write_text(tmp_path / "f", "x")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "f").stat().st_mode & 0o777 == 0o640

@@ -1,0 +1,106 @@
+"""Arms other than the thesis's, to test that nothing depends on three joints."""
+
+from __future__ import annotations
+
+from math import pi
+
+from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal
+from ves_gym.mechanics.servo import JointServo
+
+
+def planar_arm() -> Arm:
+    """Two slender rods of 1 m turning about vertical axes."""
+    rod = Inertial(mass=6.0, com=(-0.5, 0.0, 0.0), inertia=diagonal(0.01, 0.5, 0.5))
+    link = Link(
+        d=0.0,
+        a=1.0,
+        alpha=0.0,
+        inertial=rod,
+        rotor_inertia=0.2,
+        q_min=-2.5,
+        q_max=2.5,
+        v_max=2.0,
+        a_max=8.0,
+        tau_max=80.0,
+    )
+    base = Inertial(mass=20.0, com=(0.0, 0.0, 0.1), inertia=diagonal(1.0, 1.0, 1.0))
+    return Arm(name="planar", base=base, links=(link, link), source="test: two 1 m rods")
+
+
+# PUMA 560 with its wrist: masses, centres and inertias as in Armstrong, Khatib and Burdick
+# (1986) to their order of magnitude.
+# d, a, alpha, mass, com, diagonal inertia, rotor, +-q, v_max, a_max, tau_max
+_WRIST = (
+    (0.90, 0.0, pi / 2, 12.8, (0, 0, -0.056), (0.615, 0.615, 0.081), 1.14, 2.8, 1.4, 10, 97.6),
+    (
+        0.0,
+        0.4318,
+        0.0,
+        17.4,
+        (-0.36, 0.006, 0.2),
+        (0.13, 0.524, 0.539),
+        4.71,
+        1.9,
+        0.9,
+        15,
+        186,
+    ),
+    (
+        0.15,
+        0.02,
+        -pi / 2,
+        4.8,
+        (-0.02, 0.0, 0.07),
+        (0.066, 0.086, 0.03),
+        0.83,
+        2.3,
+        2.1,
+        40,
+        89,
+    ),
+    (0.43, 0.0, pi / 2, 0.82, (0, 0, -0.02), (1.8e-3, 1.8e-3, 1.3e-3), 0.2, 1.9, 4.0, 60, 24.2),
+    (0.0, 0.0, -pi / 2, 0.34, (0, 0, 0), (0.3e-3, 0.3e-3, 0.4e-3), 0.18, 1.7, 4.0, 60, 20.1),
+    (0.06, 0.0, 0.0, 0.09, (0, 0, 0.03), (0.15e-3, 0.15e-3, 0.04e-3), 0.19, 4.6, 4.0, 60, 21.3),
+)
+
+
+def six_joint_arm() -> Arm:
+    """A PUMA 560 with its wrist; two joints have an angle offset."""
+    links = tuple(
+        Link(
+            d=d,
+            a=a,
+            alpha=alpha,
+            offset=0.3 if i in (2, 4) else 0.0,
+            inertial=Inertial(mass=mass, com=com, inertia=diagonal(*moments)),
+            rotor_inertia=rotor,
+            q_min=-reach,
+            q_max=reach,
+            v_max=v_max,
+            a_max=float(a_max),
+            tau_max=tau_max,
+        )
+        for i, (
+            d,
+            a,
+            alpha,
+            mass,
+            com,
+            moments,
+            rotor,
+            reach,
+            v_max,
+            a_max,
+            tau_max,
+        ) in enumerate(_WRIST)
+    )
+    base = Inertial(mass=54.5, com=(0.0, 0.0, 0.283), inertia=diagonal(6.686, 6.465, 1.815))
+    return Arm(name="puma560-wrist", base=base, links=links, source="test: after AKB 1986")
+
+
+PLANAR_GAINS = JointServo(kp=(800.0, 500.0), kd=(60.0, 40.0), source="test")
+WRIST_GAINS = JointServo(
+    kp=(3000.0, 2000.0, 1000.0, 100.0, 100.0, 100.0),
+    kd=(50.0, 40.0, 30.0, 5.0, 5.0, 5.0),
+    source="test",
+)

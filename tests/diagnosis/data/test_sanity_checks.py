@@ -1,0 +1,109 @@
+"""Mistakes in logs are asked about, each by its name; physics is not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ves_gym._util.params import ParameterError
+from ves_gym.diagnosis.data.measured_run import require_plausible, run_of, run_of_signals
+from ves_gym.diagnosis.data.sanity_checks import doubt, require_as_logged
+from ves_gym.diagnosis.inputs import _heavier
+from ves_gym.diagnosis.machines.mjcf import MjcfJoint, MjcfMachine
+from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.system.system import System
+
+JOINT = ("q", "v", "q_cmd", "v_cmd", "tau")
+
+
+@pytest.fixture(scope="module")
+def log(hidden):
+    """A run in which a joint rubs, too: mistakes are found beside what is missing."""
+    return hidden(("joint/coulomb", 1, 3.0, {}), seed=5, kinds=("multisine",))[0]
+
+
+def asked(log):
+    system = System.from_dict(log.meta["system"])
+    require_plausible(log, system, "run")
+    question = doubt(SystemMachine(system), run_of(log, "run"))
+    return question and question.text
+
+
+def changed(log, keys, matrix):
+    return dataclasses.replace(log, **{k: getattr(log, k) @ np.array(matrix).T for k in keys})
+
+
+def flip(n, i):
+    return np.diag([-1.0 if k == i else 1.0 for k in range(n)])
+
+
+def swap(n, i, j):
+    return np.eye(n)[[j if k == i else i if k == j else k for k in range(n)]]
+
+
+def factor(n, rows, f):
+    return np.diag([f if k in rows else 1.0 for k in range(n)])
+
+
+def slowly(*values):
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize(
+    ("keys", "matrix", "text"),
+    [
+        (["tau"], swap(3, 0, 1), "is tau_1 exchanged with tau_2"),
+        (["q", "v"], flip(3, 1), "has q_2 the other sign"),
+        slowly(["q_cmd", "v_cmd"], swap(3, 1, 2), "is q_cmd_2 exchanged with q_cmd_3"),
+        slowly(JOINT, flip(3, 2), "has joint 3 the other sign"),
+        (["tau"], 1e3 * np.eye(3), "is tau in N mm, not N m"),
+        (["y"], factor(6, range(3, 6), 180 / np.pi), "are the angles in y in degrees, not rad"),
+        slowly(["y"], swap(6, 0, 2), "is y x exchanged with y z"),
+        slowly(["w", "wg"], flip(6, 4), "has w and wg M_y the other sign"),
+        (["wg"], flip(6, 0), "has wg F_x the other sign"),
+        slowly(
+            ["w", "wg"], factor(6, range(3), 1 / 9.80665), "are the forces in w and wg in kgf"
+        ),
+    ],
+    ids=lambda x: x.replace(" ", "-")[:40] if isinstance(x, str) else "",
+)
+def test_a_mistake_in_the_log_is_asked_about(log, keys, matrix, text):
+    assert asked(changed(log, keys, matrix)).startswith(text)
+
+
+def test_physics_is_no_mistake(log, hidden):
+    """A tenth of the torque lost and a slow platform: large, and still no unit or sign."""
+    assert asked(log) is None
+    effects = (
+        ("joint/drive_gain", 0, 0.1, {"sign": -1.0}),
+        ("platform/bandwidth", 0, 0.3, {"sign": -1.0}),
+    )
+    for one in hidden(*effects, seed=6, kinds=("moves", "fast")):
+        assert asked(one) is None
+
+
+def test_masses_in_grams_are_asked_about(log):
+    system = System.from_dict(log.meta["system"])
+    stated = system.replace(arm=_heavier(system.arm, 1e3))
+    with pytest.raises(ParameterError, match=r"run: are masses .* in g, not kg\?.*--as-logged"):
+        require_as_logged(
+            SystemMachine(stated),
+            [run_of(log, "run")],
+            [("are masses and inertias described in g, not kg", SystemMachine(system))],
+        )
+
+
+def test_a_rate_in_degrees_is_asked_about():
+    """A machine without a model: the rate logged against that of the position logged."""
+    t = np.arange(3000) * 5e-3
+    q = np.stack([np.sin(t), np.cos(1.7 * t)], axis=1)
+    v = np.stack([np.cos(t), -1.7 * np.sin(1.7 * t)], axis=1)
+    machine = MjcfMachine("two", [MjcfJoint("a"), MjcfJoint("b")])
+    noise = 1e-6 * np.random.default_rng(0).standard_normal(q.shape)
+    good, bad = (run_of_signals(t, {"q": q + noise, "v": x}, "run") for x in (v, np.rad2deg(v)))
+    assert doubt(machine, good) is None
+    assert doubt(machine, bad).text == "is v in degrees, not rad"
+    with pytest.raises(
+        ParameterError, match=r"run: is v in degrees, not rad\? At port velocity"
+    ):
+        require_as_logged(machine, [good, bad])

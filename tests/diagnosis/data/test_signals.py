@@ -1,0 +1,83 @@
+"""Clock, derivatives, noise and spectra of measured signals."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ves_gym.diagnosis.data.signals import (
+    Band,
+    Noise,
+    differentiated,
+    held,
+    margin,
+    noise_of,
+    on_uniform_clock,
+)
+
+DT, TOP = 5e-3, 12.0
+T = np.arange(2000) * DT
+INNER = slice(100, -100)
+
+
+@given(st.floats(0.2, 12.0))
+@settings(max_examples=30, deadline=None)
+def test_derivatives_are_flat_in_the_band(f):
+    w = 2 * np.pi * f
+    x, v, a = differentiated(np.sin(w * T)[:, None], DT, TOP)
+    assert np.abs(x[INNER, 0] - np.sin(w * T)[INNER]).max() < 1e-4
+    assert np.abs(v[INNER, 0] / w - np.cos(w * T)[INNER]).max() < 1e-4
+    assert np.abs(a[INNER, 0] / w**2 + np.sin(w * T)[INNER]).max() < 1e-4
+
+
+def test_what_stands_still_does_not_move():
+    _, v, a = differentiated(np.full((500, 2), 3.7), DT, TOP)
+    assert np.abs(v).max() < 1e-9 and np.abs(a).max() < 1e-7
+
+
+def test_what_lies_above_the_band_is_gone():
+    x, _, _ = differentiated(np.sin(2 * np.pi * 40 * T)[:, None], DT, TOP)
+    assert np.abs(x[INNER]).max() < 1e-4
+
+
+def test_ahead_is_a_shift_by_any_time():
+    w, ahead = 2 * np.pi * 3.0, 0.0031
+    x, _, _ = differentiated(np.sin(w * T)[:, None], DT, TOP, ahead)
+    assert np.abs(x[INNER, 0] - np.sin(w * (T + ahead))[INNER]).max() < 1e-6
+
+
+def test_held_is_late_by_delay_and_half_a_period():
+    w, delay = 2 * np.pi * 2.0, DT
+    out = held(np.sin(w * T)[:, None], DT, TOP, delay)
+    expected = np.sinc(w * DT / 2 / np.pi) * np.sin(w * (T - delay - DT / 2))
+    assert np.abs(out[INNER, 0] - expected[INNER]).max() < 1e-4
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.4, 0.8])
+def test_noise_is_told_from_motion(correlation):
+    noise = Noise(np.array([0.3]), np.array([correlation]))
+    x = noise.draw(np.random.default_rng(1), 1, 2000)[0]
+    found = noise_of(x + 50 * np.sin(2 * np.pi * 1.3 * T)[:, None])
+    assert found.std[0] == pytest.approx(0.3, rel=0.25)
+    assert found.correlation[0] == pytest.approx(correlation, abs=0.12)
+
+
+def test_white_noise_has_unit_power_in_the_spectrum():
+    band = Band(2000, DT, TOP, margin(DT, TOP))
+    x = np.random.default_rng(0).standard_normal((200, 2000, 1))
+    assert np.mean(np.abs(band.spectrum(x)) ** 2) == pytest.approx(1.0, rel=0.05)
+
+
+def test_stamps_that_are_true_are_used_and_others_are_not():
+    rng = np.random.default_rng(0)
+    shaken = T + rng.uniform(-0.2, 0.2, len(T)) * DT
+    noise = 1e-5 * rng.standard_normal(len(T))
+
+    def signal(t):
+        return (np.sin(2 * np.pi * 3 * t) + noise)[:, None]
+
+    dt, true = on_uniform_clock(shaken, signal(shaken))
+    even = shaken[0] + dt * np.arange(len(T))
+    assert np.abs(true - signal(even))[5:-5].max() < 1e-3
+    late = on_uniform_clock(shaken, signal(T))[1]
+    assert np.array_equal(late, signal(T))

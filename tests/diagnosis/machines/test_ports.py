@@ -1,0 +1,104 @@
+"""Every port is silent on the simulator's own logs, and speaks of its own effects only."""
+
+import numpy as np
+import pytest
+
+import ves_gym.effects as E
+from ves_gym.diagnosis.data.measured_run import run_of
+from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.hardware.force_sensor import ForceSensor
+from ves_gym.hardware.platform import PoseFollower, PoseServo
+from ves_gym.mechanics.motion import Motion
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.system import System
+
+LAB = Emulator(
+    platform=PoseServo(bandwidth=10.0),
+    sensor=ForceSensor(cutoff=40.0),
+    payload_compensation=False,
+    joint_balance=False,
+)
+IDEAL = System(control_dt=5e-3)
+EMULATED = System(mode="emulated", control_dt=5e-3, emulator=LAB)
+SIGNALS = {
+    "joint": "tau", "servo": "tau", "wrench": "w", "gravity": "weight", "admittance": "w",
+    "platform": "y", "base": "w",
+}  # fmt: skip
+# each shows at its own ports and nowhere else
+SHOWN = {
+    ("joint",): E.JointCoulomb(torque=(0.0, 5.0, 0.0)),
+    ("joint", "wrench"): E.PayloadMass(mass=2.0),
+    ("wrench",): E.SensorBias(force=(5.0, 0.0, 0.0)),
+    ("gravity",): E.GravityMass(error=2.0),
+    ("admittance",): E.BaseStiffness(error=0.1),
+    ("platform",): E.PlatformBandwidth(error=-0.3),
+}
+
+
+def played(system, effects=()):
+    motion = Motion.straight(np.array([0, -0.2, 0.1]), [0.8, 0.5, -0.6], duration=1.5)
+    recording = play_motions(system.replace(effects=tuple(effects)), [motion], settle=2.0)
+    return run_of(recording.log(0), "run")
+
+
+def shares(system, run):
+    """Port -> RMS of the residual over that of the signal's movement, band and edges alike."""
+    machine = SystemMachine(system)
+    names = [p.name for p in machine.ports]
+    found = machine.residuals(run, [machine.nominal], names)
+    out = {}
+    for name in names:
+        x = run.window.spectrum(found[name][0])
+        seen = run[SIGNALS[name]]
+        size = np.abs(run.window.spectrum(seen - seen.mean(axis=0))).max(axis=0)
+        out[name] = np.abs(x).max() / size.max()
+    return out
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    return {s.mode: shares(s, played(s)) for s in (IDEAL, EMULATED)}
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_ports_are_silent_on_a_machine_as_described(healthy, mode):
+    assert max(healthy[mode].values()) < 3e-3, healthy[mode]
+
+
+@pytest.mark.parametrize("ports", SHOWN, ids=["+".join(p) for p in SHOWN])
+def test_an_effect_shows_at_its_own_ports(healthy, ports):
+    run = played(EMULATED, [SHOWN[ports]])
+    found = shares(EMULATED, run)
+    for port, share in found.items():
+        if port in ports:
+            assert share > 10 * healthy["emulated"][port], port
+        else:
+            assert share < 3 * healthy["emulated"][port] + 1e-4, port
+
+
+@pytest.mark.parametrize("ports", SHOWN, ids=["+".join(p) for p in SHOWN])
+def test_a_model_with_the_effect_is_silent_again(healthy, ports):
+    effect = SHOWN[ports]
+    run = played(EMULATED, [effect])
+    machine = SystemMachine(EMULATED)
+    model = machine.model([effect])
+    for port in ports:
+        before, after = machine.residuals(run, [machine.nominal, model], [port])[port]
+        window = run.window
+        left, gap = (np.abs(window.spectrum(x)).max() for x in (after, before))
+        assert left < 0.1 * gap
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.7, 1.0, 1.4])
+@pytest.mark.parametrize("feedforward", [True, False])
+def test_a_whole_history_of_poses_is_that_of_its_periods(ratio, feedforward):
+    rng = np.random.default_rng(0)
+    servo = PoseServo(bandwidth=10.0, damping_ratio=ratio, rate_feedforward=feedforward)
+    follower = PoseFollower(servo, 2, np.arange(5) * 1.25e-3)
+    follower.reset(np.arange(2), *rng.standard_normal((2, 2, 6)))
+    y, yd = rng.standard_normal((2, 2, 60, 6))
+    at_once = follower.poses(y, yd)
+    for k in range(60):
+        follower.advance(y[:, k], yd[:, k])
+        np.testing.assert_allclose(at_once[:, k], follower.measured(), rtol=0, atol=1e-9)

@@ -1,0 +1,40 @@
+"""What goes from sample to sample: against closed forms."""
+
+import numpy as np
+import pytest
+
+from ves_gym.diagnosis.machines.presliding import Presliding
+from ves_gym.diagnosis.machines.recursions import deflection
+from ves_gym.effects import JointCoulomb
+
+DT = 5e-3
+
+
+def test_friction_builds_up_over_its_length():
+    v = np.full((400, 1), 2e-2)
+    law = np.where(np.arange(400)[:, None] < 1, 0.0, 3.0)
+    grown = Presliding(JointCoulomb(torque=(3.0,)), length=1e-2).built_up(law, v, DT)
+    distance = v[:, 0] * DT * np.arange(400)
+    assert np.allclose(grown[:, 0], 3.0 * -np.expm1(-distance / 1e-2), atol=1e-12)
+
+
+def test_friction_at_rest_stays_what_it_is():
+    law = np.linspace(-1, 1, 50)[:, None]
+    grown = Presliding(JointCoulomb(torque=(1.0,))).built_up(law, np.zeros((50, 1)), DT)
+    assert (grown == law[0]).all()
+
+
+def test_a_spring_gives_in_proportion_and_a_damper_takes_its_time():
+    torque = np.concatenate([np.zeros(1), np.full(2000, 12.0)])
+    assert np.allclose(deflection(torque, 1e4, 0.0, 0.0, DT), torque / 1e4)
+    t = DT / 50 * np.arange(2001)
+    slow = deflection(torque, 1e4, 500.0, 0.0, DT / 50)
+    assert slow == pytest.approx(12e-4 * -np.expm1(-t / 0.05), abs=2e-6)
+
+
+def test_teeth_touch_beyond_half_the_gap():
+    torque = np.array([5.0, 5.0, -5.0, -5.0, 0.0])
+    x = deflection(torque, 1e4, 0.0, 1e-3, DT)
+    assert x[:4] == pytest.approx([1.5e-3, 1.5e-3, -1.5e-3, -1.5e-3])
+    rows = deflection(np.tile(torque, (3, 1)), 1e4, 0.0, 1e-3, DT)
+    assert (rows == x).all()

@@ -1,0 +1,223 @@
+"""From logs with something hidden to its name, on machines the simulator knows nothing of."""
+
+import types
+
+import numpy as np
+import pytest
+
+from ves_gym._util.params import ParameterError
+from ves_gym.diagnosis import diagnose as d
+from ves_gym.diagnosis.data.measured_run import require_plausible, run_of
+from ves_gym.diagnosis.inference.candidates import library, without
+from ves_gym.diagnosis.inference.fit import Fit, _FilteredNoise
+from ves_gym.diagnosis.inference.model_selection import Thresholds, _lasts, _needed
+from ves_gym.diagnosis.inference.whitened_residuals import Evidence
+from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.effects import JointElasticity
+from ves_gym.system.system import System
+
+
+def diagnosed(logs, leave_out=()):
+    system = System.from_dict(logs[0].meta["system"])
+    machine = SystemMachine(system)
+    runs = [run_of(log, f"run-{i}") for i, log in enumerate(logs)]
+    ports = [p.name for p in machine.ports]
+    names_of_runs = [r.name for r in runs[:-1]]
+    stretch = machine.stretch(runs[:-1])
+    candidates = library(system.arm.n, ports, system.mode, names_of_runs, stretch)
+    found = d.diagnose(machine, runs[:-1], runs[-1:], candidates=without(candidates, leave_out))
+    return machine, found
+
+
+def names(found):
+    return {(f.candidate.kind, f.candidate.slot) for f in found.found}
+
+
+def test_a_correct_description_is_left_alone(hidden):
+    _, found = diagnosed(hidden(seed=1))
+    assert found.verdict == d.NOTHING
+    assert found.found == ()
+
+
+def test_a_gain_is_named_and_the_gap_shrinks(hidden):
+    machine, found = diagnosed(hidden(("joint/drive_gain", 1, 0.03, {"sign": 1.0}), seed=2))
+    assert names(found) == {("joint/drive_gain", "joint 2")}
+    assert found.found[0].values[0] == pytest.approx(0.03, rel=0.1)
+    before, after = (
+        np.array([getattr(g, side) for g in found.final]) for side in ("before", "after")
+    )
+    worst = before.argmax()
+    assert found.final[worst].port == "joint" and found.final[worst].channel == "tau_2"
+    assert after[worst] ** 2 - 1 < 0.1 * (before[worst] ** 2 - 1)
+    assert (after <= 1.02 * np.maximum(before, 1)).all()  # no other channel is worse
+    better = machine.model(d.added(found)).system
+    assert System.from_dict(better.to_dict()) == better
+
+
+@pytest.mark.slow
+def test_two_effects_at_two_ports_are_both_named(hidden):
+    logs = hidden(("sensor/lag", 0, 0.3, {"sign": -1.0}), ("joint/viscous", 0, 2.0, {}), seed=3)
+    _, found = diagnosed(logs)
+    assert names(found) == {("sensor/lag", ""), ("joint/viscous", "joint 1")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "hidden_one",
+    [("joint/coulomb", 0, 3.6, {}), ("joint/asymmetry", 1, 4.2, {"sign": 1.0})],
+)
+def test_a_friction_of_another_form_gets_one_name(hidden, hidden_one):
+    """The generator's friction builds up over a distance, which no law of the library does."""
+    _, found = diagnosed(hidden(hidden_one, seed=6))
+    assert names(found) == {(hidden_one[0], f"joint {hidden_one[1] + 1}")}
+    assert found.found[0].values[0] == pytest.approx(hidden_one[2], rel=0.15)
+
+
+def test_a_gear_gains_nothing_by_damping_noise(hidden):
+    machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
+    runs = [run_of(log, f"run-{i}") for i, log in enumerate(hidden(seed=1)[:2])]
+    evidence = Evidence(machine, runs)
+    soft = JointElasticity(compliance=(0.0, 2e-5, 0.0), damping=(0.0, 30.0, 0.0))
+    model = machine.model([soft])
+    noise = evidence.noise(model, ["joint", "wrench"])
+    highest = ("joint", 1, runs[0].band)  # of the ranges of frequency
+    group = next(g for g in evidence.groups if (g.port, g.channel, g.high) == highest)
+    moved = evidence.residual([model], ["joint", "wrench"])[0][group.part]
+    plain = np.mean(evidence.null[group.part] ** 2)
+    assert np.mean(moved**2) < 0.85 * plain  # the gear is not there, and yet
+    assert np.mean(moved**2 / noise[group.part]) > 0.95 * plain
+    untouched = evidence.part("platform")
+    assert (noise[untouched] == 1).all()
+
+
+def test_a_fit_follows_the_noise_that_a_gear_passes_on(hidden):
+    machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
+    evidence = Evidence(machine, [run_of(log, "run") for log in hidden(seed=1)[:1]])
+    every = library(machine.system.arm.n, ["joint", "wrench"], "emulated", ["run"])
+    gear = next(c for c in every if c.name == "joint/elasticity at joint 2")
+    noise = _FilteredNoise(evidence, [gear])
+    noise.measure(np.array([2e-5, 30.0]))
+    before, softer = np.array([2e-5, 30.0]), np.array([2.4e-5, 30.0])
+    fresh = np.sqrt(evidence.noise(machine.model([gear.effect(softer)]), gear.ports))
+    assert fresh.min() < 0.8
+    misses = [np.abs(noise.scale(x) - fresh).max() for x in (softer, before)]
+    assert misses[0] < 0.5 * misses[1]
+    left, step = 3.0 * np.ones(evidence.size), np.array([1e-9, 0.0])
+    change = np.log(noise.scale(softer + step) / noise.scale(softer)) / step[0]
+    slopes = noise.slopes(softer, left)
+    assert np.abs(change).max() > 1e3
+    assert slopes[:, 0] == pytest.approx(left * change, rel=1e-3, abs=1.0)
+    assert (slopes[:, 1] == 0).all()
+    plain = _FilteredNoise(evidence, [c for c in every if c.kind == "joint/viscous"])
+    plain.measure(np.ones(3))
+    assert plain.scale(np.ones(3)) is None
+
+
+def test_a_limit_must_act_longer_than_a_step_between_samples(hidden):
+    machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
+    run = run_of(hidden(seed=1)[0], "run")
+    evidence = Evidence(machine, [run])
+    every = library(machine.system.arm.n, ["joint"], "emulated")
+    limit = next(c for c in every if c.name == "joint/torque_limit at joint 2")
+    highest = np.sort(np.abs(run["tau"][:, 1]))[::-1]
+    most = machine.system.arm.column("tau_max")[1]
+    for samples, long_enough in ((4, False), (40, True)):
+        ceiling = 1 - 0.5 * (highest[samples - 1] + highest[samples]) / most
+        one = types.SimpleNamespace(candidates=[limit], values=[np.array([ceiling])])
+        model = machine.model([limit.effect(one.values[0])])
+        assert evidence.acts(model, limit.ports) == pytest.approx(samples * run.dt)
+        assert _lasts(evidence, one, 0) == long_enough
+
+
+@pytest.mark.slow
+def test_a_stroke_a_little_too_short_is_named(hidden):
+    logs = hidden(seed=7)
+    machine = SystemMachine(System.from_dict(logs[0].meta["system"]))
+    used = machine.stretch([run_of(log, f"run-{i}") for i, log in enumerate(logs[:-1])])
+    assert 0 < used < 1
+    travel = 1 - 0.9 * used
+    logs = hidden(("platform/stroke", 0, travel, {}), seed=7)
+    _, found = diagnosed(logs)
+    assert names(found) == {("platform/stroke", "")}
+    assert 1 - found.found[0].values[0] == pytest.approx(1 - travel, rel=0.03)
+
+
+def test_coordinates_about_zero_cost_nothing():
+    every = {c.name: c for c in library(3, ["wrench", "joint"], "emulated")}
+    none = np.zeros(0)
+
+    def price(name, values, std):
+        effects = ((every[name],), (np.array(values),))
+        return Fit(*effects, 0.0, (np.array(std),), none, none, none, none).price(0, 1000)
+
+    one, choice = np.log(1000), 2 * np.log(3)  # of three coordinates
+    std = (1e-5, 1e-5, 1e-5)
+    assert price("sensor/rotation", (1e-5, 2e-3, 1e-5), std) == pytest.approx(one + choice)
+    assert price("sensor/rotation", (1e-3, 2e-3, 1e-5), std) == pytest.approx(2 * one + choice)
+    assert price("sensor/rotation", (1e-3, 2e-3, 1e-4), std) == pytest.approx(3 * one)
+    assert price("sensor/rotation", (0, 0, 0), std) == pytest.approx(one + choice)
+    gear = price("joint/elasticity at joint 1", (1e-4, 0), (1e-5, 1e-5))
+    assert gear == pytest.approx(2 * one)
+
+
+def test_an_error_of_the_vehicle_needs_no_guard_where_the_computer_moves_it():
+    limits = Thresholds()
+    evidence = types.SimpleNamespace(size=17000)
+
+    def needed(name, port, mode):
+        every = library(3, ["wrench", port], mode)
+        one = next(c for c in every if c.name == name)
+        bank = types.SimpleNamespace(candidates=every)
+        f = types.SimpleNamespace(
+            candidates=(one,), price=lambda i, size: one.price * np.log(size)
+        )
+        return _needed(evidence, bank, limits, f, 0)
+
+    emulated = ("admittance", "emulated")
+    assert needed("payload/mass", *emulated) > limits.gain
+    assert needed("base/extra_mode at y", *emulated) > limits.gain
+    assert 12 < needed("base/stiffness", *emulated) < 20
+    assert needed("base/stiffness", "base", "ideal") > limits.gain  # by a measured wrench
+
+
+def test_what_is_not_in_the_library_gets_no_wrong_name(hidden):
+    logs = hidden(("base/stiffness", 0, 0.1, {"sign": 1.0}), seed=4)
+    own = ("base/stiffness", "base/virtual_mass", "base/extra_mode", "base/damping")
+    _, found = diagnosed(logs, leave_out=(*own, "base/amplitude_damping"))
+    assert found.verdict == d.UNKNOWN
+    assert d.added(found) == ()
+    assert "not in the library" in found.sentence
+
+
+def test_a_log_without_torques_says_what_it_cannot_tell(hidden):
+    import dataclasses
+
+    bare = []
+    for log in hidden(seed=1):
+        meta = {k: v for k, v in log.meta.items() if k != "controller"}
+        bare.append(dataclasses.replace(log, tau=None, meta=meta))
+    _, found = diagnosed(bare)
+    assert found.untestable == {"joint": ("tau",), "servo": ("tau", "controller")}
+
+
+def test_numbers_in_another_unit_are_asked_about(hidden):
+    import dataclasses
+
+    log = hidden(seed=1)[0]
+    system = System.from_dict(log.meta["system"])
+    with pytest.raises(ParameterError, match=r"run: q reaches .*is it in degrees\?"):
+        require_plausible(dataclasses.replace(log, q=np.rad2deg(log.q)), system, "run")
+    with pytest.raises(ParameterError, match=r"y reaches .*millimetres"):
+        require_plausible(dataclasses.replace(log, y=1e4 * log.y), system, "run")
+    cut = np.r_[0:500, 600 : len(log)]
+    parts = {k: getattr(log, k)[cut] for k in ("t", "q", "q_cmd", "v_cmd", "y")}
+    gappy = dataclasses.replace(
+        log, **parts, v=None, tau=None, w=None, wg=None, y_cmd=None, yd=None
+    )
+    with pytest.raises(ParameterError, match=r"row 501: .* cut the log at the gap"):
+        require_plausible(gappy, system, "run")
+
+
+def test_a_library_that_lacks_the_kind_to_leave_out_says_so():
+    with pytest.raises(ParameterError, match="no candidate 'joint/magic'"):
+        without(library(3, ["joint"], "ideal"), ["joint/magic"])

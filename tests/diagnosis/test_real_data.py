@@ -1,0 +1,84 @@
+"""Two machines of other people: an axis that rubs and drives that smooth their rates.
+
+The data are not part of the project: VES_GYM_DATA says where they are, else `shared/data`
+beside the checkout.
+"""
+
+import os
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ves_gym.diagnosis import diagnose as d
+from ves_gym.diagnosis.inference.fit import fit
+from ves_gym.diagnosis.inference.model_selection import Thresholds
+from ves_gym.diagnosis.machines.mjcf_mapping import load_emps, load_tiago, read_machine
+
+ROOT = Path(__file__).parents[2]
+DATA = Path(os.environ.get("VES_GYM_DATA", ROOT.parent / "shared" / "data"))
+
+
+def needed(path):
+    if not path.exists():
+        pytest.skip(f"measured data not here: {path}; set VES_GYM_DATA to their folder")
+    return path
+
+
+@pytest.mark.slow
+def test_friction_of_the_emps_axis_is_named():
+    files = [needed(DATA / "emps" / f"DATA_EMPS{k}.mat") for k in ("", "_PULSES")]
+    machine, load = read_machine(ROOT / "examples" / "emps" / "emps.toml")
+    fitted, final = (load(path) for path in files)
+    found = d.diagnose(
+        machine,
+        [fitted],
+        [final],
+        candidates=machine.candidates(),
+        limits=Thresholds(most=5),
+    )
+    named = {f.candidate.kind: f.values for f in found.found}
+    assert {"joint/coulomb", "joint/viscous", "joint/asymmetry"} <= set(named)
+    assert named["joint/coulomb"][0] == pytest.approx(20.39, rel=0.05)  # published
+    assert named["joint/viscous"][0] == pytest.approx(203.5, rel=0.05)
+    # published: 166.7 N s/m one way, 240.4 the other
+    assert named["joint/asymmetry"][1] == pytest.approx((166.7 - 240.4) / 2, rel=0.05)
+    assert named["joint/measurement_delay"][0] == pytest.approx(0.84e-3, rel=0.1)
+    error = runpy.run_path(str(ROOT / "examples" / "emps" / "diagnose.py"))["force_error"]
+    better = machine.model(d.added(found))
+    assert error(machine, final, machine.nominal) > 0.6
+    assert error(machine, final, better) <= 0.03
+
+
+@pytest.mark.slow
+def test_the_low_pass_of_the_tiago_drives_is_named():
+    folder = needed(DATA / "tiago_arm")
+    machine, load = read_machine(ROOT / "examples" / "tiago" / "tiago.toml")
+    run = load(folder)
+    every = machine.candidates()
+    found = d.diagnose(machine, [run], candidates=every)
+    first = found.found[0]
+    assert (first.candidate.kind, first.candidate.slot) == ("joint/velocity_lag", "")
+    assert first.values[0] == pytest.approx(0.195, rel=0.05)
+    own = [c for c in every if c.kind == "joint/velocity_lag" and c.slot]
+    each = fit(found.evidence, own, [np.array([0.1])] * 8)  # every joint by itself
+    assert np.ravel(each.values) == pytest.approx([0.195] * 8, rel=0.05)
+    models = [machine.nominal, machine.model([first.candidate.effect(first.values)])]
+    before, after = (
+        np.square(np.abs(run.window.spectrum(x))).sum(axis=0)
+        for x in machine.residuals(run, models, ["velocity"])["velocity"]
+    )
+    assert (after < 0.01 * before).all()
+
+
+def test_loaders_and_mapping_files_agree():
+    pairs = (
+        (load_emps, "emps/DATA_EMPS.mat", "emps/emps.toml"),
+        (load_tiago, "tiago_arm", "tiago/tiago.toml"),
+    )
+    for load, data, mapping in pairs:
+        path = needed(DATA / data)
+        run, again = load(path), read_machine(ROOT / "examples" / mapping)[1](path)
+        assert set(run.signals) == set(again.signals)
+        assert all(np.allclose(run[k], again[k], rtol=1e-12) for k in run.signals)

@@ -1,0 +1,683 @@
+"""`Simulator.assign`: simulations of one batch with systems of their own.
+
+Compared with the same simulation in a batch of that system alone: bit for bit on the kernel,
+to rounding on MuJoCo, whose model of M, D, K is laid out another way once arms differ.
+"""
+
+import dataclasses
+import itertools
+import pickle
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ves_gym._util.params import ParameterError
+from ves_gym.effects import (
+    GravityDelay,
+    GravityMass,
+    GravityMoment,
+    JointCoulomb,
+    JointStribeck,
+    JointViscous,
+    PayloadInertia,
+    PlatformBandwidth,
+    PlatformDamping,
+    PlatformStroke,
+    SensorBias,
+    SensorCalibration,
+    SensorDrift,
+    SensorLag,
+    SensorNoise,
+)
+from ves_gym.engine.batch_parameters import Laws
+from ves_gym.hardware.leg_servo import LOW_GAINS, leg_clock
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.arm import Inertial, diagonal, matrix
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.servo import PPED_GAINS, JointServo
+from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, FREE_FLYING, Matrices
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.effect import EFFECTS, Effect, parameter, register
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.system import System
+
+BACKENDS = ["kernel", "mujoco"]
+IDEAL = System()
+NOMINAL = System(mode="emulated")
+# MuJoCo: 100 physics steps of sums in another order
+CLOSE = {"rtol": 1e-7, "atol": 1e-9}
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # the engine writes a log where a simulation diverges
+
+
+# ------------------------------------------------------------------- systems, drawn
+
+
+def draw_effect(kind: str, system: System, rng: np.random.Generator, reach: float) -> Effect:
+    """An effect of a kind with values that go from the null value to `reach` of the bounds."""
+    cls = EFFECTS[kind]
+    for length in (system.arm.n, 3 + 2 * system.arm.n):
+        values = {}
+        for field in dataclasses.fields(cls):
+            low, high = field.metadata["bounds"]
+            null = field.metadata["null"]
+            start = low if null is None else null
+            shape = tuple(length if k is None else k for k in field.metadata["shape"])
+            share = rng.uniform(0.1 * reach, reach, shape)
+            up = (rng.random(shape) < 0.5) | (start == low)
+            values[field.name] = np.where(
+                up, start + share * (high - start), start + share * (low - start)
+            ).tolist()
+        effect = cls(**values)
+        try:
+            system.replace(effects=(effect,))
+        except ParameterError:
+            continue
+        return effect
+    raise AssertionError(f"{kind} fits no system here")
+
+
+def kinds(system: System) -> list[str]:
+    """Registered effects that act in this system's mode."""
+    return [k for k in sorted(EFFECTS) if system.mode in EFFECTS[k].modes]
+
+
+def with_effects(system: System, seed: int, reach: float = 0.1) -> System:
+    """All registered effects at once, at values drawn."""
+    rng = np.random.default_rng(seed)
+    effects = tuple(draw_effect(k, system, rng, reach) for k in kinds(system))
+    return system.replace(effects=effects)
+
+
+def on_time(system: System) -> System:
+    """Without the effects that delay commands and measurements."""
+    return system.replace(effects=tuple(e for e in system.effects if not e.is_on_line))
+
+
+def slow_enough(system: System) -> bool:
+    """Whether the integrator can take the system's fastest mode."""
+    try:
+        simulator(system, 1)
+    except ParameterError as error:
+        assert "physics_dt must be <=" in str(error)
+        return False
+    return True
+
+
+def other_body(body: Inertial, rng: np.random.Generator) -> Inertial:
+    size = rng.uniform(0.9, 1.1)
+    return Inertial(
+        mass=body.mass * size,
+        com=tuple((np.array(body.com) * rng.uniform(0.9, 1.1, 3)).tolist()),
+        inertia=matrix(np.array(body.inertia) * size),
+    )
+
+
+def other_arm(seed: int):
+    """The PUMA with other masses, centres, rotors and torque limits."""
+    rng = np.random.default_rng(seed)
+    links = tuple(
+        replace(
+            link,
+            inertial=other_body(link.inertial, rng),
+            rotor_inertia=link.rotor_inertia * rng.uniform(0.8, 1.2),
+            tau_max=link.tau_max * rng.uniform(0.5, 1.0),
+        )
+        for link in PUMA_560.links
+    )
+    return replace(PUMA_560, base=other_body(PUMA_560.base, rng), links=links)
+
+
+def other_vehicle(vehicle, seed: int) -> Matrices:
+    rng, base = np.random.default_rng(seed), vehicle.base_model()
+    scaled = (matrix(m * rng.uniform(0.8, 1.25)) for m in (base.M, base.D, base.K))
+    return Matrices(**dict(zip("MDK", scaled, strict=True)))
+
+
+def with_bodies(system: System, seed: int) -> System:
+    return system.replace(
+        arm=other_arm(seed), vehicle=other_vehicle(system.vehicle, seed + 100)
+    )
+
+
+# ------------------------------------------------------------------------ what is compared
+
+
+def simulator(system: System, n: int, **options) -> Simulator:
+    options = {"on_divergence": "mark", "warn_at": None, **options}
+    return Simulator(system, n, **options)
+
+
+def start(i: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng([7, i])
+    return {
+        "q": rng.uniform(-1, 1, 3),
+        "v": rng.uniform(-0.2, 0.2, 3),
+        "y": rng.uniform(-0.01, 0.01, 6),
+        "yd": rng.uniform(-0.01, 0.01, 6),
+    }
+
+
+def put(sim: Simulator, which) -> None:
+    """Simulations at their own starts, all random generators at theirs."""
+    sim.seed(5)  # construction draws noise, where the system has some
+    rows = [start(i) for i in which]
+    sim.reset(**{k: np.array([row[k] for row in rows]) for k in rows[0]}, ids=list(which))
+
+
+def advance(sim: Simulator, periods: int = 6) -> list[np.ndarray]:
+    """Everything that is seen: held commands and played ones in turn."""
+    out, k = [], sim.system.substeps
+    for j in range(periods):
+        nodes = np.stack(
+            [np.random.default_rng([9, i, j]).uniform(-8, 8, (k + 1, 3)) for i in range(sim.n)]
+        )
+        if j % 2:
+            sim.play(nodes)
+        else:
+            sim.step(nodes[:, 0])
+        out += [*sim.state, *sim.evaluate(nodes[:, 0])]
+        if sim.laboratory is not None:
+            out += [*sim.readings]
+    return [*out, sim.diverged.copy()]
+
+
+def alone(system: System, i: int, **options) -> list[np.ndarray]:
+    """Simulation i where all have this system."""
+    sim = simulator(system, i + 1, **options)
+    put(sim, range(i + 1))
+    return [part[i] for part in advance(sim)]
+
+
+def require_same(got: list[np.ndarray], wanted: list[np.ndarray], backend: str) -> None:
+    for a, b in zip(got, wanted, strict=True):
+        if backend == "kernel":
+            assert a.tobytes() == b.tobytes()
+        else:
+            np.testing.assert_allclose(a, b, **CLOSE)
+
+
+def check(
+    template: System, systems, backend: str, ids=None, n: int | None = None, **options
+) -> Simulator:
+    """Assigned simulations are as alone, the others as before."""
+    n = len(systems) if n is None else n
+    ids = list(range(n)) if ids is None else ids
+    sim, twin = (simulator(template, n, backend=backend, **options) for _ in range(2))
+    sim.assign(systems, ids)
+    put(sim, range(n))
+    put(twin, range(n))
+    found, plain = advance(sim), advance(twin)
+    changed = [a[ids].tobytes() != b[ids].tobytes() for a, b in zip(found, plain, strict=True)]
+    assert any(changed)  # the comparison is not blind
+    for i in range(n):
+        rows = [part[i] for part in found]
+        if i in ids:
+            other = alone(systems[ids.index(i)], i, backend=backend, **options)
+            require_same(rows, other, backend)
+        else:
+            assert all(
+                a.tobytes() == part[i].tobytes() for a, part in zip(rows, plain, strict=True)
+            )
+    return sim
+
+
+# --------------------------------------------------------------------- as in one alone
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+@pytest.mark.parametrize("reach", [0.1, 1.0])
+def test_every_registered_effect_at_random_values(mode, backend, reach):
+    """Up to the bounds of all of them, where emulations fail: they fail alike.
+
+    What is too fast for the physics step is refused, here as alone, and drawn again.
+    """
+    plain = System(mode=mode)
+    template = with_effects(plain, 0)
+    assert len(template.effects) >= (3 if mode == "ideal" else 17)
+    drawn = (with_effects(template, k, reach) for k in range(1, 30))
+    systems = list(itertools.islice(filter(slow_enough, drawn), 3))
+    check(template, systems, backend, ids=[1, 4, 2], n=6)
+
+
+# what a motor at its limit does not show, and what a small command does not reach
+SOFT = JointServo(kp=(20.0,) * 3, kd=(5.0,) * 3)
+LATE = ("command/delay", "joint/measurement_delay", "joint/velocity_lag")
+OPTIONS = {k: {"servo": SOFT} for k in LATE}
+DRAWN = {"platform/stroke": [PlatformStroke(travel=k, speed=k) for k in (0.99, 0.999)]}
+
+
+@pytest.mark.parametrize("kind", sorted(EFFECTS))
+def test_each_effect_by_itself(kind):
+    """Kernel, both modes: another value in one simulation, none in the template's others."""
+    for mode in EFFECTS[kind].modes:
+        plain = System(mode=mode)
+        rng = (np.random.default_rng(k) for k in range(2))
+        drawn = DRAWN.get(kind) or [draw_effect(kind, plain, k, 0.1) for k in rng]
+        a, b = (plain.replace(effects=(effect,)) for effect in drawn)
+        check(a, [b], "kernel", ids=[1], n=3, **OPTIONS.get(kind, {}))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+@pytest.mark.parametrize("vehicle", [BENT, DECOUPLED], ids=["bent", "decoupled"])
+def test_arms_and_vehicles(mode, vehicle, backend):
+    template = System(mode=mode, vehicle=vehicle)
+    check(template, [with_bodies(template, k) for k in range(2)], backend, ids=[2, 0], n=4)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(
+    "system",
+    [
+        System(drive="prescribed", integrator="implicitfast"),
+        System(integrator="implicitfast"),
+        System(integrator="euler"),
+        System(mode="emulated", drive="prescribed"),
+        NOMINAL.replace(emulator=Emulator(payload_compensation=False)),
+        NOMINAL.replace(emulator=Emulator(operation="admittance", zero_at_start=True)),
+        NOMINAL.replace(emulator=Emulator(operation="position")),
+        NOMINAL.replace(emulator=Emulator(delay=2, joint_balance=False)),
+    ],
+    ids=lambda s: f"{s.mode}-{s.drive}-{s.integrator}-{getattr(s.emulator, 'operation', '')}",
+)
+def test_other_settings(system, backend):
+    systems = [
+        with_bodies(system, 3),
+        system.replace(arm=other_arm(4)),
+        system.replace(vehicle=other_vehicle(BENT, 5)),
+    ]
+    check(system, systems, backend, ids=[0, 1, 3], n=4)
+
+
+def test_on_legs():
+    control, physics = leg_clock(LOW_GAINS)
+    system = NOMINAL.replace(
+        emulator=Emulator(platform=LOW_GAINS), control_dt=control, physics_dt=physics
+    )
+    effects = (SensorBias(force=(1.0, 2.0, 3.0)), GravityMass(error=0.3))
+    check(
+        system.replace(effects=effects),
+        [
+            system.replace(
+                effects=(SensorBias(force=(3.0, 2.0, 1.0)), GravityMass(error=-0.3)),
+                arm=other_arm(1),
+            )
+        ],
+        "kernel",
+        ids=[1],
+        n=3,
+    )
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+@pytest.mark.parametrize("compensated", [True, False])
+def test_satellites(mode, backend, compensated):
+    def satellite(k):
+        body = other_body(FREE_FLOATING.body, np.random.default_rng(k))
+        return replace(FREE_FLOATING, body=body)
+
+    template = System(mode=mode, vehicle=FREE_FLOATING)
+    if mode == "emulated":
+        emulator = Emulator(payload_compensation=compensated)
+        template = template.replace(emulator=emulator)
+    systems = [template.replace(vehicle=satellite(k)) for k in range(2)]
+    check(template, systems, backend, ids=[2, 0], n=3)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_law_whose_number_is_zero_here_and_not_in_the_template(backend):
+    """Zero where the template has a number is a number: x + 0 v = x."""
+    template = IDEAL.replace(effects=(JointViscous(damping=(2.0, 1.0, 3.0)),))
+    still = IDEAL.replace(effects=(JointViscous(damping=(0.0, 1.0, 0.0)),))
+    check(
+        template, [still, IDEAL.replace(effects=(JointViscous(damping=(0.0,) * 3),))], backend
+    )
+
+
+def test_noise_in_one_draws_nothing_from_its_neighbours():
+    """Draws of each are those it makes alone: a reset's spread after a noisy run shows it."""
+    quiet = NOMINAL.replace(effects=(SensorNoise(), SensorDrift()))
+    loud = NOMINAL.replace(
+        effects=(SensorNoise(force=(1.0,) * 3), SensorDrift(moment=(0.5,) * 3, time=5.0))
+    )
+    for template, system in ((quiet, loud), (loud, quiet)):
+        sim, twin, other = (simulator(k, 3) for k in (template, template, system))
+        sim.assign([system], [1])
+        ends = []
+        for each in (sim, twin, other):
+            put(each, range(3))
+            advance(each)
+            ends.append(each.reset(spread={"q": 0.1}).q)
+        assert (ends[0][[0, 2]] == ends[1][[0, 2]]).all()
+        assert (ends[0][1] == ends[2][1]).all()
+        assert (ends[1] != ends[2]).any()
+
+
+# ------------------------------------------------------------------------ life of an assignment
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("system", [IDEAL, NOMINAL], ids=["ideal", "emulated"])
+def test_again_and_back(system, backend):
+    """A second assignment replaces the first; the template's own system ends it."""
+    template = with_effects(system, 0)
+    sim, twin = (simulator(template, 3, backend=backend) for _ in range(2))
+    first = with_bodies(with_effects(template, 1), 1)
+    second = first.replace(effects=with_effects(template, 2).effects)
+    for each in (first, second):
+        sim.assign([each, each], [0, 2])
+        assert sim.systems == (each, template, each)
+        put(sim, range(3))
+        found = advance(sim)
+        assert np.isfinite(found[3]).all()
+    sim.seed(5)
+    sim.assign([second], [0])
+    put(sim, range(3))
+    require_same([k[0] for k in advance(sim)], alone(second, 0, backend=backend), backend)
+    sim.assign([template] * 3)
+    assert sim.systems == (template,) * 3
+    put(sim, range(3))
+    put(twin, range(3))
+    for a, b in zip(advance(sim), advance(twin), strict=True):
+        if backend == "kernel":
+            assert a.tobytes() == b.tobytes()
+        else:
+            np.testing.assert_allclose(a, b, **CLOSE)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("system", [IDEAL, NOMINAL], ids=["ideal", "emulated"])
+def test_state_gains_and_memory_stay(system, backend):
+    """Servo torque, too; but for a servo that sees older joints than before."""
+    template = on_time(with_effects(system, 0))
+    sim = simulator(template, 3, backend=backend)
+    sim.set_gains(PPED_GAINS.kp, PPED_GAINS.kd, ids=[1])
+    put(sim, range(3))
+    sim.step(3.0)
+    before = sim.state
+    readings = sim.readings if sim.laboratory else None
+    gains = sim.evaluate(0.0)[0]
+    sim.assign([with_bodies(on_time(with_effects(template, 1)), 1)], [1])
+    assert all(a.tobytes() == b.tobytes() for a, b in zip(sim.state, before, strict=True))
+    if readings is not None:
+        for a, b in zip(sim.readings, readings, strict=True):
+            assert a.tobytes() == b.tobytes()
+    limited = np.abs(gains[1]) > 0.4 * PUMA_560.column("tau_max")
+    assert (sim.evaluate(0.0)[0][[0, 2]] == gains[[0, 2]]).all()
+    assert (sim.evaluate(0.0)[0][1] == gains[1])[~limited].all()
+    sim.step(3.0)  # goes on without a reset
+    assert np.isfinite(sim.state.q).all()
+
+
+def test_neighbours_do_not_notice_an_assignment_in_mid_run():
+    template = with_effects(NOMINAL, 0)
+    sim, twin = simulator(template, 4), simulator(template, 4)
+    put(sim, range(4))
+    put(twin, range(4))
+    advance(sim)
+    advance(twin)
+    late = with_bodies(with_effects(template, 1), 2)
+    late = late.replace(
+        effects=tuple(
+            GravityDelay(delay=0.1) if e.kind == "gravity/delay" else e for e in late.effects
+        )
+    )
+    sim.assign([late], [2])
+    put(sim, [2])
+    put(twin, [2])
+    for a, b in zip(advance(sim), advance(twin), strict=True):
+        for i in (0, 1, 3):
+            assert a[i].tobytes() == b[i].tobytes()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("system", [IDEAL, NOMINAL], ids=["ideal", "emulated"])
+@pytest.mark.parametrize("fresh", [False, True], ids=["same simulator", "fresh simulator"])
+def test_a_snapshot_carries_the_assignment(system, backend, fresh):
+    template = with_effects(system, 0)
+    sim = simulator(template, 4, backend=backend)
+    sim.assign([with_effects(template, 1), with_bodies(template, 2)], [1, 3])
+    put(sim, range(4))
+    advance(sim)
+    kept = pickle.loads(pickle.dumps(sim.snapshot()))
+    expected = advance(sim)
+    sim.assign([template, with_effects(template, 9)], [1, 0])
+    other = simulator(template, 4, backend=backend, seed=8) if fresh else sim
+    other.restore(kept)
+    assert other.systems == (template, *(kept.assigned.get(i, template) for i in (1, 2, 3)))
+    for a, b in zip(advance(other), expected, strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_a_snapshot_without_assignment_ends_it():
+    template = with_effects(NOMINAL, 0)
+    sim = simulator(template, 2)
+    put(sim, range(2))
+    plain = sim.snapshot()
+    expected = advance(sim)
+    sim.assign([with_effects(template, 1)], [1])
+    put(sim, range(2))
+    advance(sim)
+    sim.restore(plain)
+    assert sim.systems == (template,) * 2
+    for a, b in zip(advance(sim), expected, strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_ids_in_any_order_as_a_mask_or_none():
+    template = with_effects(IDEAL, 0)
+    systems = [with_effects(IDEAL, k) for k in (1, 2)]
+    a, b = simulator(template, 3), simulator(template, 3)
+    a.assign(systems, [2, 0])
+    b.assign(systems[::-1], np.array([True, False, True]))
+    assert a.systems == b.systems == (systems[1], template, systems[0])
+    for each in (a, b):
+        put(each, range(3))
+    for x, y in zip(advance(a), advance(b), strict=True):
+        assert x.tobytes() == y.tobytes()
+    a.assign([], [])
+    assert a.systems == b.systems
+    a.assign([*systems, template])
+    assert a.systems == (*systems, template)
+
+
+# ------------------------------------------------------------------------------ refusals
+
+VISCOUS = IDEAL.replace(effects=(JointViscous(damping=(1.0, 0.0, 2.0)),))
+SHORT = replace(PUMA_560, links=PUMA_560.links[:2])
+LONG = replace(PUMA_560, links=(*PUMA_560.links[:2], replace(PUMA_560.links[2], a=0.7)))
+UNALIKE = [
+    (IDEAL, NOMINAL, "mode must be the simulator's 'ideal', got 'emulated'"),
+    (IDEAL, IDEAL.replace(drive="prescribed"), "drive must be the simulator's 'motor'"),
+    (IDEAL, IDEAL.replace(integrator="euler"), "integrator must be the simulator's 'rk4'"),
+    (IDEAL, IDEAL.replace(physics_dt=6.25e-4), "physics_dt must be the simulator's 0.00125"),
+    (IDEAL, IDEAL.replace(control_dt=6.25e-3), "control_dt must be the simulator's 0.0125"),
+    (IDEAL, IDEAL.replace(arm=SHORT), "number of joints must be the simulator's 3, got 2"),
+    (IDEAL, IDEAL.replace(arm=LONG), "a of link 3 must be the simulator's .*, got 0.7"),
+    (IDEAL, VISCOUS, "kinds of effects must be the simulator's none, got joint/viscous"),
+    (IDEAL, IDEAL.replace(vehicle=FREE_FLYING), "vehicle's kind must .* no body, got a body"),
+    (
+        IDEAL.replace(vehicle=FREE_FLYING),
+        IDEAL.replace(vehicle=FREE_FLOATING),
+        "thrusters must be the simulator's True, got False",
+    ),
+    (
+        NOMINAL,
+        NOMINAL.replace(emulator=Emulator(delay=2)),
+        "emulator.delay must be the simulator's 1, got 2",
+    ),
+    (
+        NOMINAL,
+        NOMINAL.replace(emulator=Emulator(platform=PoseServo(bandwidth=5.0))),
+        "emulator.platform must be",
+    ),
+    (
+        VISCOUS,
+        VISCOUS.replace(effects=(JointViscous(damping=(1.0, 3.0, 2.0)),)),
+        r"joint/viscous#1.damping2 is 3 but 0 in the .*: give the simulator a system in which",
+    ),
+    (
+        IDEAL.replace(vehicle=DECOUPLED),
+        IDEAL.replace(vehicle=BENT),
+        r"system of simulation 1: [MDK]\d\d is .* but 0 in the simulator's own",
+    ),
+]
+
+
+@pytest.mark.parametrize(("own", "given", "message"), UNALIKE, ids=[k[2][:24] for k in UNALIKE])
+def test_what_may_not_differ_is_named_and_nothing_is_assigned(own, given, message):
+    good = own.replace(arm=other_arm(0)) if given.arm.n == 3 else own
+    sim, twin = simulator(own, 2), simulator(own, 2)
+    with pytest.raises(ParameterError, match=message):
+        sim.assign([good, given])
+    assert sim.systems == (own, own)
+    for each in (sim, twin):
+        put(each, range(2))
+    for a, b in zip(advance(sim), advance(twin), strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_an_emulator_equal_in_value_is_alike():
+    sim = simulator(NOMINAL, 1)
+    sim.assign([NOMINAL.replace(emulator=Emulator())])
+    sim.assign([System.from_dict(NOMINAL.to_dict())])
+
+
+def test_bad_arguments():
+    sim = simulator(IDEAL, 2)
+    for systems, got in ((IDEAL, "one System"), ([IDEAL], "1"), ([IDEAL] * 3, "3")):
+        with pytest.raises(ParameterError, match=f"systems must be a sequence of 2, got {got}"):
+            sim.assign(systems)
+    with pytest.raises(ParameterError, match="systems must hold Systems, got 'bent'"):
+        sim.assign([IDEAL, "bent"])
+    with pytest.raises(ParameterError, match="ids must"):
+        sim.assign([IDEAL], [2])
+    stiff = Matrices(M=diagonal(*[1.0] * 6), D=diagonal(*[1.0] * 6), K=diagonal(*[1e8] * 6))
+    sim = simulator(IDEAL.replace(vehicle=DECOUPLED), 1)
+    with pytest.raises(ParameterError, match="physics_dt must be <="):
+        sim.assign([IDEAL.replace(vehicle=stiff)])
+
+
+def test_effects_that_add_up_to_nothing_are_refused():
+    template = NOMINAL.replace(effects=(PlatformBandwidth(error=0.1),) * 2)
+    sim = simulator(template, 2)
+    with pytest.raises(ParameterError, match=r"change bandwidth by -1\.2, must be > -1"):
+        sim.assign([NOMINAL.replace(effects=(PlatformBandwidth(error=-0.6),) * 2)], [1])
+    assert sim.systems == (template, template)
+
+
+def test_an_admittance_of_ones_own_has_no_vehicle_to_vary():
+    def g(X, W):
+        return np.concatenate([X[:, 6:], W / 500 - 2 * X[:, :6]], axis=-1)
+
+    template = NOMINAL.replace(effects=(SensorBias(),))
+    sim = simulator(template, 2, admittance=g)
+    with pytest.raises(ParameterError, match="takes the place of every simulation's vehicle"):
+        sim.assign([template.replace(vehicle=DECOUPLED)], [0])
+    biased = template.replace(effects=(SensorBias(force=(1.0, 2.0, 3.0)),), arm=other_arm(1))
+    sim.assign([biased], [1])
+    put(sim, range(2))
+    wanted = alone(biased, 1, admittance=g)
+    require_same([part[1] for part in advance(sim)], wanted, "kernel")
+
+
+def test_effects_on_the_laboratory_may_be_zero_in_the_template():
+    """Only what the kernel compiles has structural zeros."""
+    zero = (
+        SensorBias(),
+        SensorCalibration(),
+        SensorLag(),
+        SensorNoise(),
+        GravityDelay(),
+        GravityMoment(error=(0.0,) * 9),
+        PlatformBandwidth(),
+        PlatformDamping(),
+        PayloadInertia(),
+    )
+    rng = np.random.default_rng(3)
+    some = tuple(draw_effect(e.kind, NOMINAL, rng, 0.1) for e in zero)
+    check(NOMINAL.replace(effects=zero), [NOMINAL.replace(effects=some)], "kernel", [1], 3)
+    check(NOMINAL.replace(effects=some), [NOMINAL.replace(effects=zero)], "kernel", [1], 3)
+
+
+# ---------------------------------------------------------------------- laws, batched
+
+
+def test_a_law_that_takes_single_coefficients():
+    """Its coefficient[0] would be a whole simulation's: such laws run one by one."""
+    kind = "joint/test_only"
+    try:
+
+        @register(kind)
+        @dataclasses.dataclass(frozen=True, kw_only=True)
+        class Fourier(Effect):
+            modes = ("ideal", "emulated")
+            port = "joint"
+            size: tuple = parameter("N m", bounds=(0.0, 10.0), shape=(3,))
+
+            def law(self, xp, q, v, tau):
+                return self.size[0] * xp.sin(q) - self.size[1] * v + self.size[2]
+
+        template, *systems = (
+            IDEAL.replace(effects=(JointCoulomb(torque=(1.0, 2.0, 3.0)), Fourier(size=k)))
+            for k in ((1.0, 2.0, 3.0), (3.0, 1.0, 2.0), (0.5, 4.0, 1.0))
+        )
+        assert not Laws(template, 2)._stackable
+        for backend in BACKENDS:
+            check(template, systems, backend, ids=[0, 2], n=3)
+    finally:
+        EFFECTS.pop(kind, None)
+
+
+def test_registered_laws_run_together():
+    laws = [
+        draw_effect(kind, IDEAL, np.random.default_rng(0), 0.5)
+        for kind in kinds(IDEAL)
+        if EFFECTS[kind].law is not Effect.law
+    ]
+    assert {JointCoulomb, JointStribeck, JointViscous} <= {type(k) for k in laws}
+    for law in laws:
+        assert Laws(IDEAL.replace(effects=(law,)), 2)._stackable, law.kind
+
+
+def test_many_simulations_on_several_threads():
+    template = with_effects(IDEAL, 0)
+    n = 150
+    systems = [with_effects(IDEAL, k) for k in range(n)]
+    a, b = (simulator(template, n, threads=k) for k in (1, 2))
+    for sim in (a, b):
+        sim.assign(systems)
+        put(sim, range(n))
+    found = advance(a, 2)
+    for x, y in zip(found, advance(b, 2), strict=True):
+        assert x.tobytes() == y.tobytes()
+    single = simulator(systems[77], 78)
+    put(single, range(78))
+    for x, y in zip(found, advance(single, 2), strict=True):
+        assert x[77].tobytes() == y[77].tobytes()
+
+
+def test_no_warning_and_no_new_kernel(monkeypatch):
+    """Nothing is compiled at an assignment."""
+    template = with_effects(NOMINAL, 0)
+    sim = simulator(template, 2)
+    sim.assign([with_bodies(with_effects(template, 1), 1)], [0])  # loads the inertia map
+    from ves_gym.engine.kernel import build
+
+    def refuse(text):
+        raise AssertionError("compiled")
+
+    monkeypatch.setattr(build, "compile_text", refuse)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sim.assign([with_bodies(with_effects(template, k), k) for k in (2, 3)])
+        put(sim, range(2))
+        sim.step(0.0)

@@ -1,0 +1,610 @@
+"""The compiled kernel: generated arithmetic, the cache of machine code, the traced graphs."""
+
+import dataclasses
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ves_gym._util.params import ParameterError
+from ves_gym.engine.backends import kernel as backend
+from ves_gym.engine.backends.registry import BackendWarning
+from ves_gym.engine.kernel import build, emit, trace
+from ves_gym.engine.kernel.blocks import aligned
+from ves_gym.engine.kernel.emit import LANES
+from ves_gym.mechanics.arm import matrix
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, FREE_FLYING, Matrices
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.system import System
+
+ROOT = Path(__file__).parents[2]
+
+# ------------------------------------------------------------------ generated arithmetic
+
+
+def apply(graph, *inputs):
+    """Compiled value of graph(x_1, x_2, ...) at arrays of numbers: 1-D arrays in, one out.
+
+    The graph is the output of a module whose `advance` takes no step but records one node.
+    """
+    x = ca.SX.sym("x", len(inputs))
+    u, p = ca.SX.sym("u"), ca.SX.sym("p")
+    value = graph(*ca.vertsplit(x))
+    still = ca.SX.zeros(len(inputs))
+    motion = ca.Function("motion", [x, u, p], [still])
+    observe = ca.Function("observe", [x, u, p], [still, value])
+    library = build.Library(build.compile_text(emit.emit_module(motion, observe, "rk4", 0)))
+    count = len(inputs[0])
+    blocks = -(-count // LANES)
+    rows = aligned(blocks, len(inputs), LANES)
+    padded = np.zeros((len(inputs), blocks * LANES))
+    padded[:, :count] = inputs
+    rows[:] = padded.reshape(len(inputs), blocks, LANES).swapaxes(0, 1)
+    given, numbers = aligned(blocks, 1, LANES), aligned(blocks, 1, LANES)
+    out, scratch = aligned(blocks, 1, LANES), aligned(4 * len(inputs) + 1, LANES)
+    where = [a.ctypes.data for a in (rows, given, numbers, out, scratch)]
+    library.advance(*where, 0, blocks, 0, 1, 0, 0.0, 1)
+    return out.reshape(-1)[:count].copy()
+
+
+def ulps(found, wanted):
+    """Largest difference in units of the last place of the wanted values."""
+    return float((np.abs(found - wanted) / np.spacing(np.abs(wanted))).max())
+
+
+def relative(found, wanted):
+    return float((np.abs(found - wanted) / np.abs(wanted)).max())
+
+
+def angles():
+    """Angles up to 1e5, many of them next to multiples of a quarter turn."""
+    rng = np.random.default_rng(0)
+    near = rng.integers(-60000, 60000, 4000) * (np.pi / 2)
+    near = near + rng.choice([0.0, 1e-12, -1e-9, 1e-5], 4000)
+    wide = rng.uniform(-1, 1, 8000) * 10.0 ** rng.uniform(-8, 5, 8000)
+    return np.concatenate([near, wide, [0.0, np.pi, -np.pi, 1e5, -1e5]])
+
+
+@pytest.mark.parametrize("kind", ["sin", "cos"])
+def test_sine_and_cosine(kind):
+    """Against NumPy's: 2 units of the last place; where the value is below 1e-9, absolute."""
+    x = angles()
+    found, wanted = apply(getattr(ca, kind), x), getattr(np, kind)(x)
+    large = np.abs(wanted) > 1e-9
+    assert ulps(found[large], wanted[large]) <= 2
+    assert np.abs(found - wanted).max() <= 3e-16
+    assert (np.abs(found) <= 1).all()
+
+
+def test_sine_and_cosine_share_their_reduction():
+    """sin^2 + cos^2 = 1, and each is right when both are asked for at once."""
+    x = angles()
+    total = apply(lambda k: ca.sin(k) ** 2 + ca.cos(k) ** 2, x)
+    assert np.abs(total - 1).max() <= 5e-16
+
+
+@pytest.mark.parametrize("kind", ["sin", "cos", "exp", "tanh", "sqrt", "fabs"])
+def test_what_is_not_a_number_comes_through(kind):
+    """Each in its own lane. NaNs of any payload: its bits must not act as a number."""
+    payload = np.array([0x7FF8000000000001, 0xFFF8000000ABCDEF], np.uint64).view(float)
+    x = np.array([1.0, np.nan, 0.5, payload[0], 0.25, payload[1], 2.0, -np.nan])
+    found = apply(getattr(ca, kind), x)
+    assert np.isnan(found[1::2]).all()
+    np.testing.assert_allclose(found[::2], getattr(np, kind)(x[::2]), rtol=1e-14)
+
+
+def test_angles_without_end_have_no_sine():
+    with np.errstate(invalid="ignore"):
+        for kind in (ca.sin, ca.cos):
+            assert np.isnan(apply(kind, np.array([np.inf, -np.inf]))).all()
+
+
+def test_exponential():
+    rng = np.random.default_rng(1)
+    x = np.concatenate([rng.uniform(-708, 709, 20000), rng.uniform(-1, 1, 5000), [0.0, 709.0]])
+    assert relative(apply(ca.exp, x), np.exp(x)) <= 1e-15
+    ends = np.array([-708.1, -1e4, -np.inf, 709.1, 1e300, np.inf, 0.0, -1e-320])
+    np.testing.assert_array_equal(
+        apply(ca.exp, ends), [0.0, 0.0, 0.0, np.inf, np.inf, np.inf, 1.0, 1.0]
+    )
+
+
+def test_hyperbolic_tangent():
+    rng = np.random.default_rng(2)
+    sizes = 10.0 ** rng.uniform(-300, 2, 20000)
+    x = np.concatenate([sizes, -sizes, rng.uniform(-0.1, 0.1, 5000), [0.05, -0.05]])
+    found = apply(ca.tanh, x)
+    assert relative(found, np.tanh(x)) <= 1e-15
+    assert (np.abs(found) <= 1).all()
+    ends = np.array([0.0, -0.0, 400.0, -400.0, 1e300, np.inf, -np.inf])
+    limits = apply(ca.tanh, ends)
+    np.testing.assert_array_equal(limits, [0, 0, 1, -1, 1, 1, -1])
+    assert np.signbit(limits[1])
+
+
+NUMBERS = np.array([-np.inf, -2.5, -1.0, -0.0, 0.0, 1.0, 2.5, np.inf, np.nan, 5e-324])
+A, B = (k.ravel() for k in np.meshgrid(NUMBERS, NUMBERS))
+
+TWO = {
+    "+": (lambda a, b: a + b, np.add),
+    "-": (lambda a, b: a - b, np.subtract),
+    "*": (lambda a, b: a * b, np.multiply),
+    "/": (lambda a, b: a / b, np.divide),
+    "fmin": (ca.fmin, np.minimum),  # NumPy's minimum, as ours, hands NaN on
+    "fmax": (ca.fmax, np.maximum),
+    "<": (lambda a, b: a < b, np.less),
+    "<=": (lambda a, b: a <= b, np.less_equal),
+    ">": (lambda a, b: a > b, np.greater),
+    ">=": (lambda a, b: a >= b, np.greater_equal),
+    "==": (lambda a, b: a == b, np.equal),
+    "!=": (lambda a, b: a != b, np.not_equal),
+    "and": (
+        lambda a, b: ca.logic_and(a > 0, b > 0),
+        lambda a, b: np.logical_and(a > 0, b > 0),
+    ),
+    "if_else": (
+        lambda a, b: ca.if_else(a > b, a, b),
+        lambda a, b: np.where(a > b, a, b),
+    ),
+    "clipped": (
+        lambda a, b: ca.fmin(ca.fmax(a, -b), b),
+        lambda a, b: np.minimum(np.maximum(a, -b), b),
+    ),
+}
+ONE = {
+    "neg": (lambda a: -a, np.negative),
+    "square": (lambda a: a * a, np.square),
+    "twice": (lambda a: a + a, lambda a: a + a),
+    "inverse": (lambda a: 1 / a, lambda a: 1 / a),
+    "sqrt": (ca.sqrt, np.sqrt),
+    "fabs": (ca.fabs, np.abs),
+    "sign": (ca.sign, lambda a: np.where(a == 0, a, np.sign(a))),  # zero keeps its own
+    "not": (lambda a: ca.logic_not(a > 0), lambda a: ~(a > 0)),
+}
+
+
+@pytest.mark.parametrize("kind", TWO)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_operations_of_two(kind):
+    """Every pair of numbers, infinities, NaN and the smallest: exactly NumPy's answer."""
+    graph, reference = TWO[kind]
+    np.testing.assert_array_equal(apply(graph, A, B), reference(A, B))
+
+
+@pytest.mark.parametrize("kind", ONE)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_operations_of_one(kind):
+    graph, reference = ONE[kind]
+    x = np.concatenate([NUMBERS, np.random.default_rng(3).normal(size=100)])
+    found, wanted = apply(graph, x), np.asarray(reference(x), float)
+    np.testing.assert_array_equal(found, wanted)
+    known = ~np.isnan(x)
+    np.testing.assert_array_equal(np.signbit(found[known]), np.signbit(wanted[known]))
+
+
+def test_constants_are_exact():
+    for value in (0.1, 1 / 3, 1e-308, 5e-324, -1.7976931348623157e308):
+        np.testing.assert_array_equal(apply(lambda x, k=value: x * 0 + k, np.ones(2)), value)
+
+
+@pytest.mark.parametrize("kind", ["asin", "log", "atan2", "logic_or", "floor"])
+def test_an_operation_without_code_is_refused(kind):
+    two = kind in ("atan2", "logic_or")
+    graph = getattr(ca, kind)
+    with pytest.raises(ParameterError, match=r"cannot compile operation .*it knows .*tanh"):
+        apply(graph, *[np.zeros(2)] * (1 + two))
+
+
+def oscillator(integrator):
+    """x'' = u - p x over 8 steps with commands linear over each: x, x' at the end."""
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")
+    slope = ca.vertcat(x[1], u - p * x[0])
+    motion = ca.Function("motion", [x, u, p], [slope])
+    observe = ca.Function("observe", [x, u, p], [slope, x[0]])
+    text = emit.emit_module(motion, observe, integrator, 1)
+    library = build.Library(build.compile_text(text))
+    state, out = aligned(1, 2, LANES), aligned(9, LANES)
+    commands, numbers, scratch = aligned(9, LANES), aligned(1, LANES), aligned(7, LANES)
+    state[0, 0] = np.linspace(0, 1, LANES)
+    commands[:] = np.linspace(0, 2, 9)[:, None]
+    numbers[:] = np.linspace(1, 30, LANES)
+    where = [a.ctypes.data for a in (state, commands, numbers, out, scratch)]
+    library.advance(*where, 0, 1, 8, 9, 1, 0.1, 1)
+    return state[0], out, numbers[0]
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "euler"])
+def test_integrators_take_the_steps_of_their_formulas(integrator):
+    """Against the same steps in NumPy; recorded outputs are those at every node."""
+    end, out, p = oscillator(integrator)
+    x, v, h, u = np.linspace(0, 1, LANES), np.zeros(LANES), 0.1, np.linspace(0, 2, 9)
+    seen = [x]
+    for k in range(8):
+        if integrator == "euler":
+            v = v + h * (u[k] - p * x)
+            x = x + h * v
+        else:
+            y, total = np.array([x, v]), 0.0
+            middle = (u[k] + u[k + 1]) / 2
+            slope = np.zeros((2, LANES))
+            for weight, ahead, given in (
+                (1, 0, u[k]),
+                (2, h / 2, middle),
+                (2, h / 2, middle),
+                (1, h, u[k + 1]),
+            ):
+                at = y + ahead * slope
+                slope = np.array([at[1], given - p * at[0]])
+                total = total + weight * slope
+            x, v = y + h / 6 * total
+        seen.append(x)
+    np.testing.assert_allclose(end, [x, v], rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(out, seen, rtol=1e-13, atol=1e-13)
+
+
+# ------------------------------------------------------------------------------- traces
+
+
+def full(scale=1.0):
+    """A vehicle that couples every pair of coordinates."""
+    root = np.random.default_rng(0).normal(size=(6, 6))
+    M, D, K = (matrix(scale * s * (root @ root.T + np.eye(6))) for s in (80.0, 60.0, 900.0))
+    return Matrices(M=M, D=D, K=K, source="test")
+
+
+SYSTEMS = {
+    "bent": System(),
+    "decoupled": System(vehicle=DECOUPLED),
+    "full": System(vehicle=full()),
+    "satellite": System(vehicle=FREE_FLOATING),
+    "prescribed": System(drive="prescribed"),
+    "implicit": System(integrator="implicitfast"),
+    "emulated": System(mode="emulated"),
+    "own weight": System(mode="emulated", emulator=Emulator(joint_balance=False)),
+}
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_parameters_are_those_of_the_graph(name):
+    names, values = trace.parameters(SYSTEMS[name])
+    graphs = trace.equations(SYSTEMS[name])
+    assert names == graphs.names
+    assert len(set(names)) == len(names) == len(values) == graphs.motion.size1_in(2)
+    assert values.dtype == np.float64
+
+
+def test_parameters_say_what_they_are():
+    names, values = trace.parameters(System(vehicle=full()))
+    p = dict(zip(names, values, strict=True))
+    base = System(vehicle=full()).base
+    for i in range(6):
+        for j in range(i, 6):
+            assert p[f"K{i + 1}{j + 1}"] == base.K[i, j]
+    assert p["link2.mass"] == PUMA_560.links[1].inertial.mass
+    assert p["limit3"] == PUMA_560.links[2].tau_max
+    assert p["kp1"] == p["kd1"] == 0.0
+    assert p["gain1"] == 1.0
+
+
+def test_structural_zeros_vanish():
+    names, _ = trace.parameters(System(vehicle=DECOUPLED))
+    assert [k for k in names if k[0] == "K"] == [f"K{i}{i}" for i in range(1, 7)]
+    satellite, _ = trace.parameters(System(vehicle=FREE_FLOATING))
+    assert not [k for k in satellite if k[0] in "MDK" and k[1:].isdigit()]
+    assert "satellite.mass" in satellite
+    assert "satellite.com1" not in satellite  # it is zero
+    size = {k: trace.equations(s).motion.n_instructions() for k, s in SYSTEMS.items()}
+    assert size["satellite"] < size["decoupled"] < size["full"]
+    assert size["own weight"] < size["emulated"]  # the balance is not for nothing
+
+
+def test_derivatives_along_one_and_along_many_are_the_same():
+    """Few directions are differentiated one by one, many by the derivative of the state."""
+    names = ("K11", "K22", "link2.mass", "D55", "link3.com1", "base.mass", "M33", "kp1")
+    one, many = (trace._tangents(System(), names, 1, whole).motion for whole in (False, True))
+    assert many.n_instructions() < one.n_instructions()
+    rng = np.random.default_rng(0)
+    x, u = 0.1 * rng.standard_normal(one.size1_in(0)), rng.standard_normal(one.size1_in(1))
+    p = trace.parameters(System())[1]
+    expected = one(x, u, p).full()
+    np.testing.assert_allclose(many(x, u, p).full(), expected, rtol=1e-10, atol=1e-9)
+    size = {k: trace.tangents(System(), names[:k], 0).motion.n_instructions() for k in (1, 8)}
+    assert size[8] < 9 * trace.tangents(System(), (), 0).motion.n_instructions()
+    assert size[8] < 4 * size[1]
+
+
+# -------------------------------------------------------------------------------- cache
+
+
+@pytest.fixture
+def empty(tmp_path, monkeypatch):
+    """An empty cache folder and a process that has compiled nothing yet."""
+    monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(backend, "_LIBRARIES", {})
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def compilations(monkeypatch):
+    """How often the compiler runs."""
+    calls, real = [], build.compile_text
+
+    def counted(text):
+        calls.append(text)
+        return real(text)
+
+    monkeypatch.setattr(build, "compile_text", counted)
+    return calls
+
+
+SMALL = System(vehicle=DECOUPLED, drive="prescribed", integrator="euler")
+
+
+def stepped(system=SMALL):
+    """State after a step, compiled or loaded anew."""
+    backend._LIBRARIES.clear()
+    state = Simulator(system, 2, backend="kernel").step([1.0, -2.0, 0.5])
+    return b"".join(part.tobytes() for part in state)
+
+
+def test_what_is_in_the_cache_is_not_compiled_again(empty, compilations):
+    first = stepped()
+    assert len(compilations) == 1
+    (file,) = empty.iterdir()
+    before = file.stat().st_mtime_ns
+    assert stepped() == first
+    assert len(compilations) == 1
+    assert file.stat().st_mtime_ns == before
+    if os.name == "posix":
+        assert stat.S_IMODE(file.stat().st_mode) & 0o600 == 0o600
+
+
+BROKEN = {
+    "empty": lambda data: b"",
+    "truncated": lambda data: data[:-1],
+    "halved": lambda data: data[: len(data) // 2],
+    "a bit flipped": lambda data: data[:-100] + bytes([data[-100] ^ 1]) + data[-99:],
+    "digest changed": lambda data: data[:20] + bytes([data[20] ^ 1]) + data[21:],
+    "another format": lambda data: b"ves-kernel/0\n" + data[13:],
+    "longer": lambda data: data + b"\0",
+    "something else": lambda data: b"\x7fELF",
+}
+
+
+@pytest.mark.parametrize("how", BROKEN)
+def test_a_broken_file_is_made_anew(how, empty, compilations):
+    first = stepped()
+    (file,) = empty.iterdir()
+    good = file.read_bytes()
+    file.write_bytes(BROKEN[how](good))
+    assert stepped() == first
+    assert len(compilations) == 2
+    assert file.read_bytes() == good
+    stepped()
+    assert len(compilations) == 2
+
+
+def test_a_cache_that_cannot_be_written_does_not_matter(tmp_path, monkeypatch, compilations):
+    """A file stands where the folder should be: so it is for root too."""
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setattr(backend, "_LIBRARIES", {})
+    monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path / "file" / "cache"))
+    first = stepped()
+    assert stepped() == first
+    assert len(compilations) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_folder_in_the_place_of_the_file_does_not_matter(empty, compilations):
+    stepped()
+    (file,) = empty.iterdir()
+    file.unlink()
+    file.mkdir()
+    stepped()
+    assert len(compilations) == 2
+    assert [path.name for path in empty.iterdir()] == [file.name]  # nothing left behind
+
+
+def test_where_the_cache_is(monkeypatch, tmp_path):
+    monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path))
+    assert build.cache_folder() == tmp_path
+    monkeypatch.delenv("VES_GYM_CACHE")
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert build.cache_folder() == tmp_path / "ves_gym"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert build.cache_folder() == tmp_path / ".cache" / "ves_gym"
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert build.cache_folder() == tmp_path / "Library" / "Caches" / "ves_gym"
+
+
+def test_code_for_fewer_features_is_kept_apart(monkeypatch):
+    """Without AVX-512 (where there is one) the same arithmetic, twice as many instructions."""
+    x = np.linspace(-3, 3, 40)
+    wide, key = apply(ca.sin, x), build.machine()
+    monkeypatch.setenv("VES_GYM_FEATURES", "-avx512f")
+    assert build.machine() == f"{key},-avx512f"
+    np.testing.assert_array_equal(apply(ca.sin, x), wide)
+
+
+def links(**changes):
+    """The PUMA with its second link changed."""
+    every = list(PUMA_560.links)
+    every[1] = dataclasses.replace(every[1], **changes)
+    return dataclasses.replace(PUMA_560, links=tuple(every))
+
+
+SECOND = PUMA_560.links[1]
+HEAVIER = dataclasses.replace(SECOND.inertial, mass=20.0)
+VALUES = {  # the same code
+    "mass": System(arm=links(inertial=HEAVIER)),
+    "rotor": System(arm=links(rotor_inertia=3.3)),
+    "limit": System(arm=links(tau_max=11.0, q_max=1.0)),
+    "beam": System(vehicle=dataclasses.replace(BENT, outer_diameter=0.2)),
+    "step": System(physics_dt=6.25e-4),
+    "period": System(control_dt=25e-3),
+    "name": System(arm=dataclasses.replace(PUMA_560, name="other")),
+}
+STRUCTURES = {  # other code
+    "length": System(arm=links(a=0.5)),
+    "twist": System(arm=links(alpha=0.1)),
+    "offset": System(arm=links(offset=0.1)),
+    "no rotor": System(arm=links(rotor_inertia=0.0)),
+    "joints": System(arm=dataclasses.replace(PUMA_560, links=PUMA_560.links[:2])),
+    "vehicle": System(vehicle=DECOUPLED),
+    "satellite": System(vehicle=FREE_FLOATING),
+    "euler": System(integrator="euler"),
+    "implicitfast": System(integrator="implicitfast"),
+    "emulated": System(mode="emulated"),
+    "unbalanced": System(mode="emulated", emulator=Emulator(joint_balance=False)),
+}
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_values_are_no_structure(name):
+    assert trace.structure(VALUES[name]) == trace.structure(System())
+    assert backend.compiled(VALUES[name]) is backend.compiled(System())
+
+
+def test_structures_differ():
+    keys = {name: trace.structure(system) for name, system in STRUCTURES.items()}
+    keys["here"] = trace.structure(System())
+    assert len(set(keys.values())) == len(keys)
+
+
+def test_the_step_is_structure_only_where_it_is_in_the_code():
+    steps = [System(integrator="implicitfast", physics_dt=dt) for dt in (1.25e-3, 6.25e-4)]
+    assert len({trace.structure(system) for system in steps}) == 2
+
+
+def test_systems_of_one_structure_keep_their_own_values():
+    """They share one library and still give the answers of the other engine."""
+    for system in (System(), VALUES["mass"], VALUES["beam"], VALUES["step"]):
+        states = []
+        for name in ("kernel", "mujoco"):
+            sim = Simulator(system, backend=name)
+            sim.reset(q=[0.3, -0.2, 0.5], v=0.2, yd=0.01)
+            states.append(np.concatenate([part[0] for part in sim.step(20.0)[1:]]))
+        np.testing.assert_allclose(*states, rtol=1e-10, atol=1e-12)
+
+
+_SCRIPT = """
+import sys
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.system import System
+from ves_gym.mechanics.vehicle import DECOUPLED
+sim = Simulator(System(vehicle=DECOUPLED, drive="prescribed", integrator="euler"), 2)
+state = sim.step([1.0, -2.0, 0.5])
+sys.stdout.write(sim.backend_name + b"".join(part.tobytes() for part in state).hex())
+"""
+
+
+@pytest.mark.parametrize("count", [6, pytest.param(50, marks=pytest.mark.slow)])
+def test_processes_that_start_together_share_an_empty_cache(count, empty):
+    """All give the same answer, and one whole file is left."""
+    environment = {**os.environ, "VES_GYM_CACHE": str(empty), "OMP_NUM_THREADS": "1"}
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-W", "error", "-c", _SCRIPT],
+            cwd=ROOT,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(count)
+    ]
+    found = [process.communicate() for process in started]
+    assert all(process.returncode == 0 for process in started), found
+    assert {out for out, _ in found} == {"kernel" + stepped().hex()}
+    (file,) = empty.iterdir()
+    assert build._read(file) is not None
+
+
+# ----------------------------------------------------------------------------- fallback
+
+
+@pytest.fixture
+def broken(empty, monkeypatch):
+    """A machine on which nothing can be compiled."""
+
+    def refuse(text):
+        raise RuntimeError("no code for this machine")
+
+    monkeypatch.setattr(build, "compile_text", refuse)
+
+
+def test_without_a_compiler_mujoco_runs_and_says_so(broken):
+    with pytest.warns(BackendWarning, match=r"no code for this machine\); MuJoCo runs") as seen:
+        sim = Simulator(System())
+    assert sim.backend_name == "mujoco"
+    assert len(seen) == 1
+    assert np.isfinite(sim.step(1.0).q).all()
+
+
+def test_without_llvmlite_mujoco_runs_and_says_so(empty, monkeypatch):
+    monkeypatch.setitem(sys.modules, "llvmlite", None)
+    monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
+    with pytest.warns(BackendWarning, match="llvmlite"):
+        assert Simulator(System()).backend_name == "mujoco"
+
+
+def test_the_kernel_asked_for_by_name_is_an_error_without_a_compiler(broken):
+    with pytest.raises(ParameterError, match=r"backend kernel: .*RuntimeError: no code"):
+        Simulator(System(), backend="kernel")
+
+
+def test_auto_is_the_kernel():
+    for name in ("auto", "kernel"):
+        assert Simulator(System(), backend=name).backend_name == "kernel"
+
+
+@pytest.mark.parametrize("ours", ["kernel", "mujoco"])
+def test_a_snapshot_of_another_engine_is_refused(ours):
+    other = {"kernel": "mujoco", "mujoco": "kernel"}[ours]
+    sim = Simulator(System(), backend=ours)
+    kept = Simulator(System(), backend=other).snapshot()
+    with pytest.raises(ParameterError, match=f"of backend {other}, this is {ours}"):
+        sim.restore(kept)
+
+
+# ------------------------------------------------------------------- what is reported
+
+
+def test_jets_act_in_their_period_only():
+    """What `evaluate` says after a push is what it says in the same state without one."""
+    sim, fresh = (Simulator(System(vehicle=FREE_FLYING), backend="kernel") for _ in range(2))
+    state = sim.step(1.0, base_wrench=[[50.0, 0, 0, 0, 9.0, 0]])
+    fresh.reset(q=state.q, v=state.v, y=state.y, yd=state.yd)
+    for a, b in zip(sim.evaluate(0.0), fresh.evaluate(0.0), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_reset_platform_is_not_accelerated():
+    sim = Simulator(SYSTEMS["emulated"], 2, backend="kernel", warn_at=None)
+    for _ in range(5):
+        sim.step(50.0)
+    assert (np.abs(sim.evaluate(0.0)[1]) > 1e-6).any(axis=1).all()
+    sim.reset(ids=[1])
+    acceleration = sim.evaluate(0.0)[1]
+    np.testing.assert_array_equal(acceleration[1], 0.0)
+    assert (np.abs(acceleration[0]) > 1e-6).any()
+
+
+def test_importing_the_package_brings_no_compiler():
+    code = (
+        "import sys, ves_gym, ves_gym.simulation.simulator, ves_gym.simulation.playback;"
+        "print(*{name.partition('.')[0] for name in sys.modules})"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert not {"casadi", "llvmlite"} & set(result.stdout.split())

@@ -1,0 +1,135 @@
+"""Regressors of the inertial numbers, against Newton-Euler, the weight, and Pinocchio's own."""
+
+import numpy as np
+import pytest
+
+from tests.arms import planar_arm, six_joint_arm
+from tests.mechanics.test_gravity import random_arm
+from ves_gym._util.params import ParameterError
+from ves_gym.engine.kernel import build, maps
+from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.engine.regressors import (
+    gravity_regressor,
+    inertia_regressor,
+    inertial_parameters,
+    weight_parameters,
+)
+from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.gravity import GravityModel, gravity_vector, minimal_model
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.vehicle import BENT
+
+ARMS = {
+    "puma": PUMA_560,
+    "planar": planar_arm(),
+    "wrist": six_joint_arm(),
+    **{f"random-{seed}": random_arm(seed) for seed in range(3)},
+}
+each_arm = pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS.keys())
+
+
+def motion(arm, count):
+    """q, v, a of the joints, and rates and accelerations of the base's six joints."""
+    rng = np.random.default_rng(0)
+    joints = rng.uniform(-3, 3, (3, count, arm.n))
+    return *joints, *rng.uniform(-1, 1, (2, count, 6))
+
+
+@each_arm
+def test_times_the_numbers_it_is_newton_euler(arm):
+    """Tolerance: rounding of some kN."""
+    q, v, a, _, _ = motion(arm, 50)
+    g = gravity_vector(np.array([0, 0, 0, 0.3, -0.2, 0.1]))
+    tau, wrench = inverse_dynamics(arm, q, v, a, gravity=tuple(g))
+    found = inertia_regressor(arm, q, v, a, accel=-g) @ inertial_parameters(arm)
+    np.testing.assert_allclose(found, np.hstack([wrench, tau]), rtol=1e-12, atol=1e-10)
+
+
+@each_arm
+def test_weight_is_that_of_the_gravity_model(arm):
+    q, _, _, y, _ = motion(arm, 50)
+    g = gravity_vector(y)
+    regressor = gravity_regressor(arm, q, g)
+    found = regressor @ weight_parameters(arm)
+    np.testing.assert_allclose(found[:, :6], GravityModel.of(arm).wrench(arm, q, y), atol=1e-10)
+    rest = np.zeros_like(q)
+    hold = inverse_dynamics(arm, q, rest, rest, gravity=tuple(g.T))[0]
+    np.testing.assert_allclose(found[:, 6:], hold, atol=1e-10)
+    moments = regressor[:, 3:6].reshape(150, -1)
+    assert np.linalg.matrix_rank(moments, rtol=1e-9) == minimal_model(arm).size
+
+
+@each_arm
+def test_every_body_carries_what_pinocchio_says(arm):
+    """Body by body: Pinocchio gives links' numbers about their joints, we about their ends.
+
+    Base in motion, its axes those of the world. Tolerance: rounding of some kN.
+    """
+    pin = pytest.importorskip("pinocchio")
+    q, v, a, yd, ydd = motion(arm, 20)
+    dx, dy, dz = yd[:, 3:].T  # Z-Y-X angles at zero: their rates turn one another
+    turn = ydd[:, 3:] + np.stack([-dz * dy, dz * dx, -dy * dx], axis=1)
+    ours = inertia_regressor(arm, q, v, a, spin=yd[:, 3:], turn=turn, accel=ydd[:, :3])
+    numbers = inertial_parameters(arm)
+
+    model = pinocchio_model(arm, BENT.base_model())
+    data = model.createData()
+    for k in range(len(q)):
+        rates = (np.r_[m[k][TO_Y], n[k]] for m, n in ((yd, v), (ydd, a)))
+        Y = pin.computeJointTorqueRegressor(model, data, np.r_[np.zeros(6), q[k]], *rates)
+        for body in range(arm.n + 1):
+            here = slice(10 * body, 10 * body + 10)
+            joint = 6 + body  # 0 is the world, 6 the last of the base
+            there = slice(10 * (joint - 1), 10 * joint)
+            found = ours[k][:, here] @ numbers[here]
+            force = Y[:, there] @ model.inertias[joint].toDynamicParameters()
+            expected = np.r_[-force[:6][TO_Y], force[6:]]
+            np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-9)
+            if body == 0:  # the same frame: column by column
+                columns = np.vstack([-Y[:6, there][TO_Y], Y[6:, there]])
+                np.testing.assert_allclose(ours[k][:, here], columns, atol=1e-12)
+
+
+def test_rotors_come_last():
+    q, v, a, _, _ = motion(PUMA_560, 4)
+    columns = inertia_regressor(PUMA_560, q, v, a)[:, :, 40:]
+    np.testing.assert_array_equal(columns[:, :6], 0)
+    np.testing.assert_array_equal(columns[:, 6:], a[:, :, None] * np.eye(3))
+    np.testing.assert_array_equal(
+        inertial_parameters(PUMA_560)[40:], PUMA_560.column("rotor_inertia")
+    )
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (2, 3), (0,)])
+def test_batch_shapes(shape):
+    q = np.random.default_rng(1).uniform(-2, 2, (*shape, 3))
+    assert inertia_regressor(PUMA_560, q, 0.0, 0.0).shape == (*shape, 9, 43)
+    assert gravity_regressor(PUMA_560, q, [0, 0, -9.81]).shape == (*shape, 9, 16)
+    if shape == (2, 3):
+        one = inertia_regressor(PUMA_560, q[1, 2], 0.1, 0.2)
+        np.testing.assert_array_equal(one, inertia_regressor(PUMA_560, q, 0.1, 0.2)[1, 2])
+
+
+def test_without_a_compiler_it_is_interpreted(monkeypatch, tmp_path):
+    q, v, a, _, _ = motion(PUMA_560, 3)
+    compiled = inertia_regressor(PUMA_560, q, v, a)
+
+    def broken(text):
+        raise RuntimeError("no LLVM")
+
+    monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path))
+    monkeypatch.setattr(build, "compile_text", broken)
+    monkeypatch.setattr(maps, "_LIBRARIES", {})
+    slow = inertia_regressor(PUMA_560, q, v, a)
+    np.testing.assert_allclose(slow, compiled, rtol=1e-12, atol=1e-12)
+
+
+def test_wrong_arguments_are_refused():
+    with pytest.raises(ParameterError, match=r"v must have shape \(\.\.\., 3\), got \(2,\)"):
+        inertia_regressor(PUMA_560, np.zeros(3), np.zeros(2), np.zeros(3))
+    with pytest.raises(ParameterError, match=r"accel must have shape \(\.\.\., 3\)"):
+        inertia_regressor(PUMA_560, 0.0, 0.0, 0.0, accel=np.zeros(6))
+    with pytest.raises(ParameterError, match=r"must broadcast, got q \(2, 3\), g \(4, 3\)"):
+        gravity_regressor(PUMA_560, np.zeros((2, 3)), np.zeros((4, 3)))
+    with pytest.raises(ParameterError, match="g must be finite"):
+        gravity_regressor(PUMA_560, np.zeros(3), [0, 0, np.inf])

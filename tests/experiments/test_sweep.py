@@ -1,0 +1,378 @@
+"""Sweeps: units with names of their own, done once, whatever dies on the way."""
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.experiments.sweeps import SMALL, Killer, files, many, spec
+from ves_gym._util.params import ParameterError, canonical_json, content_hash
+from ves_gym.experiments import units as u
+from ves_gym.experiments.spec import read_spec, spec_from_plain, units_of
+from ves_gym.experiments.sweep import merge, sweep, write_rows
+
+ROOT = Path(__file__).parents[2]
+POLICY = ROOT / "ves_gym" / "baselines" / "policies" / "BeamLQR" / "ppo"
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """A small sweep, done by two workers."""
+    folder = tmp_path_factory.mktemp("sweep")
+    told = []
+    report = sweep(spec(), folder, workers=2, progress=lambda *words: told.append(words))
+    return folder, report, told
+
+
+# ------------------------------------------------------------------------------- units
+
+
+def test_an_id_is_the_content():
+    units = units_of(spec())
+    assert [unit.label for unit in units] == [
+        "evaluate ves/BeamLQR-v0 zero 0",
+        "evaluate ves/BeamLQR-v0 ppo 0",
+        "evaluate ves/PumaDamp-v0 random 3",
+        "plan reach-0.5s-000 direct 0",
+    ]
+    assert [unit.id for unit in units] == [unit.id for unit in units_of(spec())]
+    for unit in units:
+        assert unit.id == content_hash(json.loads(canonical_json(unit.identity)))
+        assert {"version", "system", "seed"} <= unit.identity.keys()
+    assert len({unit.id for unit in units}) == 4
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"episodes": 3}, {"seeds": [1]}, {"settings": {"vehicle": "straight-vertical"}}],
+    ids=lambda change: next(iter(change)),
+)
+def test_another_unit_has_another_id(change):
+    table = {"envs": ["PumaDamp-v0"], "policies": ["zero"], "episodes": 2}
+    (one,), (other,) = (
+        units_of(spec({"evaluate": [{**table, **more}]})) for more in ({}, change)
+    )
+    assert one.id != other.id
+    assert (one.identity["system"] != other.identity["system"]) == ("settings" in change)
+
+
+def test_a_version_of_the_package_is_another_unit(monkeypatch):
+    before = units_of(spec())[0].id
+    monkeypatch.setattr(u, "__version__", "9.9")
+    assert units_of(spec())[0].id != before
+
+
+def test_a_policy_is_named_by_its_weights_not_by_its_place(tmp_path):
+    for suffix in (".json", ".safetensors"):
+        shutil.copy(POLICY.with_suffix(suffix), tmp_path / f"ppo{suffix}")
+    table = {"envs": ["BeamLQR-v0"], "episodes": 2}
+    released, file = (
+        units_of(spec({"evaluate": [{**table, "policies": [name]}]}), tmp_path)
+        for name in ("released", "ppo.json")
+    )
+    assert released[0].id == file[0].id
+    assert str(tmp_path) not in canonical_json(file[0].identity)
+
+    plain = json.loads((tmp_path / "ppo.json").read_text())
+    (tmp_path / "ppo.json").write_text(json.dumps({**plain, "weights": "0" * 64}))
+    with pytest.raises(ParameterError, match="not the policy any more"):
+        u.run_unit(file[0], None)
+
+
+def test_a_unit_named_twice_is_done_once():
+    twice = {"evaluate": [SMALL["evaluate"][0]] * 2}
+    assert len(units_of(spec(twice))) == 2
+
+
+# ------------------------------------------------------------------------------- sweeps
+
+
+def test_every_unit_has_its_files(swept):
+    folder, report, told = swept
+    ids = {unit.id for unit in units_of(spec())}
+    assert set(report.done) == ids and not report.failed and report.complete
+    assert files(folder).keys() == files(folder, "about").keys() == {f"{i}.json" for i in ids}
+    assert [done for _, done in told] == [0.25, 0.5, 0.75, 1.0]
+    for path in (folder / "results").iterdir():
+        found = u.read_result(path)
+        assert (
+            found["rows"]
+            and path.read_text() == canonical_json(json.loads(path.read_text())) + "\n"
+        )
+        text = path.read_text()
+        assert os.uname().nodename not in text and "seconds" not in text
+        about = json.loads((folder / "about" / path.name).read_text())
+        assert about["id"] == path.stem and about["seconds"] > 0
+
+
+def test_finished_units_are_skipped(swept):
+    folder, report, _ = swept
+    before = {p: p.stat().st_mtime_ns for p in (folder / "results").iterdir()}
+    again = sweep(spec(), folder, workers=2)
+    assert again.done == [] and set(again.skipped) == set(report.done)
+    assert {p: p.stat().st_mtime_ns for p in (folder / "results").iterdir()} == before
+
+
+def test_a_damaged_result_is_done_again_and_another_left_alone(swept, tmp_path):
+    folder, report, _ = swept
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    unit = units_of(spec())[0]
+    path = copy / "results" / f"{unit.id}.json"
+    whole = path.read_text()
+    path.write_text(whole[: len(whole) // 2])  # torn
+    with pytest.warns(UserWarning, match="left out"):
+        rows = merge([copy])
+    assert {row["unit"] for row in rows} == set(report.done) - {unit.id}
+    path.write_text(whole.replace('"failed":false', '"failed":true', 1))  # changed
+    with pytest.warns(UserWarning, match="does not match its digest; the unit is done again"):
+        again = sweep(spec(), copy, workers=1)
+    assert again.done == [unit.id]
+    assert files(copy) == files(folder)
+
+
+def test_units_that_fail_are_reported_and_the_others_go_on(tmp_path):
+    tables = [
+        {"envs": ["BeamLQR-v0"], "policies": ["resolved", "zero"], "episodes": 1},
+    ]
+    report = sweep(spec({"evaluate": tables}), tmp_path, workers=1)
+    assert len(report.done) == len(report.failed) == 1 and not report.complete
+    (id,) = report.failed
+    assert "resolved" in report.failed[id]
+    told = json.loads((tmp_path / "failed" / f"{id}.json").read_text())
+    assert told["kind"] == "failed" and told["unit"]["who"] == "resolved"
+    again = sweep(spec({"evaluate": tables}), tmp_path, workers=1)
+    assert again.skipped == report.done and set(again.failed) == {id}
+
+
+@pytest.mark.slow
+def test_a_unit_that_takes_too_long_is_reported(tmp_path):
+    tables = [{"envs": ["BeamLQR-v0"], "policies": ["zero"], "episodes": 1}]
+    tables += [{"envs": ["PumaReach-v0"], "policies": ["random"], "episodes": 200_000}]
+    report = sweep(spec({"evaluate": tables, "seconds": 10.0}), tmp_path, workers=2)
+    assert len(report.done) == 1
+    assert [why.endswith("took longer than 10 s and was killed") for why in
+            report.failed.values()] == [True]  # fmt: skip
+    (told,) = files(tmp_path, "failed").values()
+    assert json.loads(told)["kind"] == "too long"
+
+
+def test_parts_of_a_sweep_on_two_machines_are_one_by_copying(swept, tmp_path):
+    folder, _, _ = swept
+    reports = [sweep(spec(), tmp_path / f"{k}", workers=1, part=(k, 2)) for k in (1, 2)]
+    assert [len(r.done) for r in reports] == [2, 2]
+    rows = merge([tmp_path / "2", tmp_path / "1"])
+    for k in (1, 2):
+        shutil.copytree(tmp_path / f"{k}", tmp_path / "both", dirs_exist_ok=True)
+    assert files(tmp_path / "both") == files(folder)
+    assert merge([tmp_path / "both"]) == rows == merge([folder])
+    assert sweep(spec(), tmp_path / "both", workers=1).done == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="finds workers in /proc")
+def test_killed_workers_cost_nothing(tmp_path):
+    """200 units, a worker killed every second: all done, none twice or missing.
+
+    The killer is blind: on a busy machine it may meet one unit more often than the three times
+    after which a unit is taken for the cause.
+    """
+    wanted = many(200, deaths=9)
+    sweep(wanted, tmp_path / "quiet", workers=2)
+    with Killer(tmp_path / "killed", pause=1.0, times=8) as killer:
+        report = sweep(wanted, tmp_path / "killed", workers=2)
+    assert len(killer.killed) >= 5
+    assert len(report.done) == len(set(report.done)) == 200 and not report.failed
+    assert files(tmp_path / "killed") == files(tmp_path / "quiet")
+    assert len(merge([tmp_path / "killed"])) == 200
+
+
+def command(folder, count, *words):
+    file = folder / "many.json"
+    table = {"envs": ["BeamLQR-v0"], "policies": ["random"], "episodes": 1}
+    table["seeds"] = list(range(count))
+    file.write_text(json.dumps({"evaluate": [table]}))
+    out = ["--out", str(folder / "out"), "--workers", "1", *words]
+    return [sys.executable, "-m", "ves_gym.cli.main", "sweep", str(file), *out]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
+def test_a_killed_sweep_goes_on_where_it_was(tmp_path):
+    words = command(tmp_path, 60)
+    results = tmp_path / "out" / "results"
+    process = subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE)
+    while process.poll() is None:
+        if results.exists() and len(list(results.glob("*.json"))) >= 5:
+            process.send_signal(signal.SIGKILL)
+            break
+        time.sleep(0.005)
+    process.communicate()
+    before = {p: p.stat().st_mtime_ns for p in results.glob("*.json")}
+    assert 5 <= len(before) < 60
+    report = sweep(many(60), tmp_path / "out", workers=1)
+    assert len(report.done) + len(report.skipped) == 60 and len(report.done) < 60
+    kept = {tmp_path / "out" / "results" / f"{i}.json" for i in report.skipped}
+    assert {p: p.stat().st_mtime_ns for p in kept} == {p: before[p] for p in kept}
+    assert len(merge([tmp_path / "out"])) == 60
+
+
+LIMITED = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), int(sys.argv[1])))
+from ves_gym.cli.main import main
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.mark.slow
+def test_a_full_disk_leaves_earlier_results_readable(tmp_path):
+    """Files of more than a few hundred bytes cannot be written, as when a disk is full."""
+    assert resource.RLIMIT_FSIZE is not None
+    sweep(many(3), tmp_path / "out", workers=1)
+    before = files(tmp_path / "out")
+    program = tmp_path / "limited.py"
+    program.write_text(LIMITED)
+    words = [sys.executable, str(program), "700", *command(tmp_path, 6)[3:]]
+    done = subprocess.run(
+        words, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True
+    )
+    assert done.returncode != 0 and "File too large" in done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    after = files(tmp_path / "out")
+    assert {name: after[name] for name in before} == before
+    assert not list((tmp_path / "out").rglob(".*"))  # nothing half-written is left
+    assert len(merge([tmp_path / "out"])) == 3
+    assert len(sweep(many(6), tmp_path / "out", workers=1).done) == 3
+
+
+# -------------------------------------------------------------------------------- merge
+
+
+def test_rows_are_sorted_and_say_whose_they_are(swept, tmp_path):
+    folder, _, _ = swept
+    rows = merge([folder])
+    assert rows == merge([folder, folder]) and len(rows) == 7
+    assert [(r["kind"], r["who"], r["row"]) for r in rows] == [
+        ("evaluate", "ppo", 0),
+        ("evaluate", "ppo", 1),
+        ("evaluate", "zero", 0),
+        ("evaluate", "zero", 1),
+        ("evaluate", "random", 0),
+        ("evaluate", "random", 1),
+        ("plan", "direct", 0),
+    ]
+    assert all(r["E_mean"] is None or r["E_mean"] >= 0 for r in rows)
+    write_rows(tmp_path / "a.jsonl", rows)
+    again = [json.loads(line) for line in (tmp_path / "a.jsonl").read_text().splitlines()]
+    assert again == rows
+    with pytest.raises(ParameterError, match=r"expected a \.jsonl or \.parquet name"):
+        write_rows(tmp_path / "a.csv", rows)
+
+
+def test_rows_as_parquet(swept, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    rows = merge([swept[0]])
+    for name in ("a", "b"):
+        write_rows(tmp_path / f"{name}.parquet", rows)
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+    table = parquet.read_table(tmp_path / "a.parquet").to_pylist()
+    assert [r["E_mean"] for r in table] == [r.get("E_mean") for r in rows]
+
+
+def test_two_results_of_one_unit_that_differ_are_refused(swept, tmp_path):
+    folder, _, _ = swept
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    path = next((copy / "results").iterdir())
+    body = json.loads(path.read_text())
+    del body["digest"]
+    body["rows"][0]["E_mean"] = 0.125
+    path.write_text(canonical_json({**body, "digest": content_hash(body)}) + "\n")
+    with pytest.raises(ParameterError, match="two results of one unit that differ"):
+        merge([folder, copy])
+    with pytest.raises(ParameterError, match="expected the folder of a sweep"):
+        merge([tmp_path / "nowhere"])
+
+
+# ------------------------------------------------------------------------------- training
+
+
+@pytest.mark.slow
+def test_training_runs_are_units_too(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    from ves_gym.baselines.policy import load_policy
+
+    changes = {
+        "total_timesteps": 400,
+        "n_envs": 8,
+        "eval_episodes": 4,
+        "layers": [8],
+        "hyperparameters": {"n_steps": 16, "batch_size": 64, "n_epochs": 1},
+    }
+    table = {"configs": ["BeamLQR-ppo"], "seeds": [0, 1], "changes": changes}
+    report = sweep(spec({"train": [table]}), tmp_path, workers=2)
+    assert len(report.done) == 2, report.failed
+    for id in report.done:
+        found = u.read_result(tmp_path / "results" / f"{id}.json")
+        assert found["unit"]["config"]["hyperparameters"]["gamma"] == 0.99  # of the package
+        best = max(found["rows"], key=lambda row: row["return"])
+        assert found["summary"]["return"] == best["return"]
+        policy = load_policy(tmp_path / "policies" / id / "best.json")
+        assert policy.about["steps"] == best["steps"]
+    assert not list((tmp_path / "work").glob("*"))
+    assert not any("seconds" in row for row in merge([tmp_path]))
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+@pytest.mark.parametrize(
+    ("plain", "message"),
+    [
+        ({}, "a sweep needs"),
+        ({"evaluate": [{"envs": ["BeamLQR-v0"]}]}, "missing key 'policies'"),
+        ({"evaluate": [{"envs": ["No-v0"], "policies": ["zero"]}]}, "No"),
+        ({"evaluate": [{"envs": ["CartPole-v1"], "policies": ["zero"]}]}, "CartPole"),
+        ({"evaluate": [{"envs": ["BeamLQR-v0"], "policies": ["magic"]}]}, "policy 'magic'"),
+        ({**SMALL, "seconds": 0.0}, "seconds must be > 0"),
+        ({**SMALL, "deaths": 0}, "deaths must be >= 1"),
+        ({**SMALL, "speed": 1}, "unknown key 'speed'"),
+        ({"plan": [{"suite": "reach100", "planners": ["magic"]}]}, "planner must be one of"),
+        ({"plan": [{"suite": "none", "planners": ["direct"]}]}, "suite must be one of"),
+        (
+            {"plan": [{"suite": "reach100", "planners": ["direct"], "durations": [9.0]}]},
+            "has durations 0.5, 1, 2, 4 s",
+        ),
+        ({"train": [{"configs": ["Nothing-ppo"]}]}, "config must be a .toml file or one of"),
+        ({"train": [{"configs": ["BeamLQR-ppo"], "seeds": []}]}, "seeds must be numbers"),
+    ],
+)
+def test_a_bad_spec_is_refused_before_any_work(plain, message, tmp_path):
+    with pytest.raises(ParameterError, match=message):
+        sweep(spec_from_plain(plain), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_paths_start_from_the_file(tmp_path):
+    for suffix in (".json", ".safetensors"):
+        shutil.copy(POLICY.with_suffix(suffix), tmp_path / f"mine{suffix}")
+    (tmp_path / "s.toml").write_text(
+        '[[evaluate]]\nenvs = ["BeamLQR-v0"]\npolicies = ["mine.json"]\nepisodes = 1\n'
+    )
+    assert len(units_of(read_spec(tmp_path / "s.toml"), tmp_path)) == 1
+    report = sweep(tmp_path / "s.toml", tmp_path / "out", workers=1)
+    assert len(report.done) == 1
+
+
+@pytest.mark.parametrize("part", [(0, 2), (3, 2)])
+def test_a_part_that_is_none_is_refused(part, tmp_path):
+    with pytest.raises(ParameterError, match="part must be k of n"):
+        sweep(spec(), tmp_path / "out", part=part)

@@ -1,0 +1,129 @@
+"""The platform's servo in pose space: exact answers, whatever the damping."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from ves_gym._util.params import ParameterError
+from ves_gym.hardware.platform import PoseFollower, PoseServo
+
+NODES = np.arange(11) * 1.25e-3
+DT = NODES[-1]
+
+
+def commands(periods, n=1, seed=0):
+    """Random poses and rates to follow, (periods, n, 6) each."""
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(periods, n, 6)) * 1e-2, rng.normal(size=(periods, n, 6)) * 0.1
+
+
+def started(servo, n=1, **options):
+    follower = PoseFollower(servo, n, NODES, **options)
+    rng = np.random.default_rng(9)
+    follower.reset(np.arange(n), rng.normal(size=(n, 6)) * 1e-2, rng.normal(size=(n, 6)) * 0.1)
+    return follower
+
+
+@pytest.mark.parametrize("feedforward", [True, False], ids=["with-rate", "pose-only"])
+@pytest.mark.parametrize("zeta", [0.3, 0.7, 1.0, 1 + 1e-9, 4.0])
+def test_the_path_solves_the_servos_equation(zeta, feedforward):
+    """Against scipy's solve_ivp at every node, four periods with a new command in each.
+
+    Tolerance: the reference's own 1e-11.
+    """
+    w = 2 * np.pi * 8.0
+    follower = started(PoseServo(damping_ratio=zeta, rate_feedforward=feedforward))
+    state = np.concatenate([follower.y[0], follower.yd[0]])
+    for y_cmd, yd_cmd in zip(*commands(4), strict=True):
+        rate = yd_cmd[0] if feedforward else np.zeros(6)
+
+        def motion(t, s, rate=rate, goal=y_cmd[0]):
+            e, ed = s[:6] - goal - rate * t, s[6:] - rate
+            return np.concatenate([s[6:], -2 * zeta * w * ed - w**2 * e])
+
+        want = solve_ivp(
+            motion, (0, DT), state, "DOP853", NODES, rtol=1e-12, atol=1e-14
+        ).y.T  # (nodes, 12)
+        y, yd, ydd = (part[0] for part in follower.advance(y_cmd, yd_cmd))
+        np.testing.assert_allclose(y, want[:, :6], rtol=0, atol=1e-11)
+        np.testing.assert_allclose(yd, want[:, 6:], rtol=0, atol=1e-9)
+        accelerations = [motion(t, s)[6:] for t, s in zip(NODES, want, strict=True)]
+        np.testing.assert_allclose(ydd, accelerations, rtol=0, atol=1e-7)
+        state = want[-1]
+
+
+def test_periods_join_without_a_jump():
+    follower = started(PoseServo())
+    before = None
+    for y_cmd, yd_cmd in zip(*commands(3), strict=True):
+        y, yd, _ = follower.advance(y_cmd, yd_cmd)
+        if before is not None:
+            np.testing.assert_allclose(y[:, 0], before[0], rtol=0, atol=1e-15)
+            np.testing.assert_allclose(yd[:, 0], before[1], rtol=0, atol=1e-13)
+        before = y[:, -1], yd[:, -1]
+        np.testing.assert_array_equal(follower.measured(), y[:, -1])
+
+
+@pytest.mark.parametrize(("feedforward", "lag"), [(True, 0.0), (False, 2 * 0.7 / (16 * np.pi))])
+def test_the_stated_lag_is_that_of_a_ramp(feedforward, lag):
+    """A ramp of 0.1 m/s, once settled, lies 0.1 m/s x lag behind.
+
+    Without feed-forward the command is a staircase; seen at its steps it is half a period
+    later still on average, all of a period at the instant before the next step.
+    """
+    servo = PoseServo(rate_feedforward=feedforward)
+    assert servo.lag == pytest.approx(lag)
+    follower = PoseFollower(servo, 1, NODES)
+    for k in range(200):
+        t = k * DT
+        y, _, _ = follower.advance(np.full((1, 6), 0.1 * t), np.full((1, 6), 0.1))
+    behind = 0.1 * (t + NODES) - y[0, :, 0]
+    hold = 0.0 if feedforward else DT / 2
+    assert np.trapezoid(behind, NODES) / DT == pytest.approx(0.1 * (lag + hold), abs=1e-6)
+
+
+def test_a_simulation_may_have_its_own_bandwidth_and_damping():
+    """Row i of a mixed batch is bitwise the follower with those numbers alone."""
+    band, zeta = np.array([4.0, 8.0, 30.0]), np.array([0.7, 1.0, 2.0])
+    batch = started(PoseServo(), 3, bandwidth=band, damping_ratio=zeta)
+    alone = [
+        PoseFollower(PoseServo(bandwidth=b, damping_ratio=z), 1, NODES)
+        for b, z in zip(band.tolist(), zeta.tolist(), strict=True)
+    ]
+    for i, follower in enumerate(alone):
+        follower.reset(np.arange(1), batch.y[i], batch.yd[i])
+    for y_cmd, yd_cmd in zip(*commands(5, 3), strict=True):
+        path = batch.advance(y_cmd, yd_cmd)
+        for i, follower in enumerate(alone):
+            one = follower.advance(y_cmd[i : i + 1], yd_cmd[i : i + 1])
+            assert all((a[0] == b[i]).all() for a, b in zip(one, path, strict=True))
+
+
+def test_some_may_be_reset_alone():
+    follower = started(PoseServo(), 3)
+    kept = follower.y.copy()
+    follower.reset(np.array([1]), np.full((1, 6), 0.5), np.full((1, 6), 0.1))
+    assert (follower.y[1] == 0.5).all()
+    assert (follower.yd[1] == 0.1).all()
+    np.testing.assert_array_equal(follower.y[[0, 2]], kept[[0, 2]])
+
+
+def test_a_state_handed_out_brings_the_follower_back():
+    follower = started(PoseServo(), 2)
+    y_cmd, yd_cmd = commands(4, 2)
+    follower.advance(y_cmd[0], yd_cmd[0])
+    kept = follower.get_state()
+    want = [follower.advance(y_cmd[k], yd_cmd[k]) for k in (1, 2, 3)]
+    other = PoseFollower(PoseServo(), 2, NODES)
+    for target in (follower, other):
+        target.set_state(kept)
+        for k, path in zip((1, 2, 3), want, strict=True):
+            got = target.advance(y_cmd[k], yd_cmd[k])
+            assert all((a == b).all() for a, b in zip(got, path, strict=True))
+
+
+@pytest.mark.parametrize("name", ["bandwidth", "damping_ratio"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "8", None, True])
+def test_bad_servos_are_refused(name, value):
+    with pytest.raises(ParameterError, match=rf"PoseServo.{name} must be > 0 .*got {value!r}"):
+        PoseServo(**{name: value})

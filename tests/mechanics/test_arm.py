@@ -1,0 +1,224 @@
+"""Arms as data: bodies that can exist, limits that name the joint, any number of joints."""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
+from ves_gym._util.params import ParameterError
+from ves_gym.engine.backends.mujoco import compile_model
+from ves_gym.mechanics.arm import Arm, Inertial, diagonal, matrix, skew
+from ves_gym.mechanics.dynamics import inertia, inverse_dynamics, joint_positions
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.planners.coupling import coupling_map, coupling_matrix
+from ves_gym.planners.prediction import predict
+from ves_gym.planners.query import Query, solve
+from ves_gym.planners.registry import get_planner
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.energy import energies
+from ves_gym.system.system import System
+
+# ------------------------------------------------------------------------- bodies
+
+
+def body(*moments, mass=1.0, com=(0.0, 0.0, 0.0)):
+    return Inertial(mass=mass, com=com, inertia=diagonal(*moments))
+
+
+@pytest.mark.parametrize("moments", [(1, 1, 2.01), (5, 1, 1), (-0.1, 1, 1), (1, 2.5, 1.4)])
+def test_an_inertia_no_body_has_is_refused(moments):
+    with pytest.raises(ParameterError, match=r"Inertial\.inertia .*rigid body.*kg m\^2"):
+        body(*moments)
+
+
+def test_the_same_inertia_turned_is_refused_too():
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    for moments in ([1, 1, 2.01], [5, 1, 1]):
+        crooked = turn @ np.diag(moments) @ turn.T
+        with pytest.raises(ParameterError, match="rigid body"):
+            Inertial(mass=1.0, com=(0.0, 0.0, 0.0), inertia=matrix((crooked + crooked.T) / 2))
+
+
+@pytest.mark.parametrize("moments", [(0, 0, 0), (1, 1, 2), (0, 1, 1), (1e-9, 1e-9, 2e-9)])
+def test_points_rods_and_plates_are_bodies(moments):
+    assert body(*moments).inertia == diagonal(*moments)
+
+
+def test_an_asymmetric_inertia_is_refused():
+    crooked = ((1.0, 0.1, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    with pytest.raises(ParameterError, match="must be symmetric"):
+        Inertial(mass=1.0, com=(0.0, 0.0, 0.0), inertia=crooked)
+
+
+@pytest.mark.parametrize("mass", [-1.0, np.nan, np.inf, None, "1", True])
+def test_a_mass_is_a_number_not_below_zero(mass):
+    with pytest.raises(ParameterError, match=r"Inertial\.mass must be >= 0 kg"):
+        body(1, 1, 1, mass=mass)
+
+
+def test_spatial_inertia_gives_the_kinetic_energy_of_the_body():
+    b = body(0.3, 0.4, 0.5, mass=7.0, com=(0.2, -0.1, 0.4))
+    v, w = np.array([0.3, -0.2, 0.5]), np.array([1.0, -2.0, 0.7])
+    at_com = v + np.cross(w, b.com)
+    energy = 0.5 * 7 * at_com @ at_com + 0.5 * w @ np.array(b.inertia) @ w
+    twist = np.r_[v, w]
+    assert 0.5 * twist @ b.spatial() @ twist == pytest.approx(energy, rel=1e-13)
+    assert (skew(v) @ w == np.cross(v, w)).all()
+
+
+# ------------------------------------------------------------------------- limits
+
+
+def link(**changes):
+    return dataclasses.replace(PUMA_560.links[1], **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"q_min": 1.0, "q_max": 1.0}, "q_min < q_max, got 1.0 and 1.0"),
+        ({"q_min": 2.0}, "q_min < q_max"),
+        ({"v_max": 0.0}, r"Link.v_max must be > 0 rad/s, got 0.0"),
+        ({"a_max": -1.0}, r"Link.a_max must be > 0 rad/s\^2"),
+        ({"tau_max": np.inf}, r"Link.tau_max must be > 0 N m, got inf"),
+        ({"rotor_inertia": -1e-9}, r"Link.rotor_inertia must be >= 0 kg m\^2"),
+        ({"alpha": np.nan}, "Link must be finite"),
+        ({"d": "0"}, "Link must be numbers"),
+    ],
+)
+def test_a_link_out_of_range_is_refused(changes, message):
+    with pytest.raises(ParameterError, match=message):
+        link(**changes)
+
+
+def test_an_arm_has_a_link():
+    with pytest.raises(ParameterError, match="at least one link"):
+        Arm(name="stump", base=PUMA_560.base, links=(), source="test")
+
+
+def test_limits_name_the_joint_its_range_and_the_value():
+    arm = PUMA_560
+    assert (arm.require_within_limits([2.79, -1.9, 2.35]) == [2.79, -1.9, 2.35]).all()
+    message = r"start: joint 3 must be within -135.0 to 135.0 deg, got 143.2 deg"
+    with pytest.raises(ParameterError, match=message):
+        arm.require_within_limits([0, 0, 2.5], "start")
+    for bad in ([0, 0], [[0, 0, 0]], [0, 0, np.nan], "000", None, [0, 0, "0"]):
+        with pytest.raises(ParameterError, match="q must"):
+            arm.require_within_limits(bad)
+
+
+# --------------------------------------------- other numbers of joints, the whole chain
+
+ARMS = {"planar": (planar_arm(), PLANAR_GAINS), "six joints": (six_joint_arm(), WRIST_GAINS)}
+
+
+@pytest.fixture(params=ARMS)
+def case(request):
+    """Arm, servo, and two configurations well inside the limits."""
+    arm, servo = ARMS[request.param]
+    rng = np.random.default_rng(3)
+    low, high = arm.column("q_min"), arm.column("q_max")
+    start = 0.4 * (low + (high - low) * rng.uniform(size=arm.n))
+    return arm, servo, start, start + 0.1 * (high - low)
+
+
+def test_inertia_equals_the_engine_s(case):
+    """Tolerance: rounding, 1e-12 of the largest entry. MuJoCo compiles the same data."""
+    arm, _, start, goal = case
+    system = System(arm=arm)
+    model = compile_model(system)
+    data = mujoco.MjData(model)
+    for q in (start, goal, 0 * start):
+        data.qpos[6:] = q
+        mujoco.mj_forward(model, data)
+        full = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, full)
+        order = [0, 1, 2, 5, 4, 3, *range(6, 6 + arm.n)]
+        found = inertia(arm, q)
+        found[:6, :6] += system.base.M
+        np.testing.assert_allclose(full[np.ix_(order, order)], found, atol=1e-12 * found.max())
+        np.testing.assert_allclose(
+            data.site("tool").xpos, joint_positions(arm, q)[-1], atol=1e-12
+        )
+
+
+def test_inertia_and_inverse_dynamics_agree(case):
+    arm, _, start, goal = case
+    zero = np.zeros(arm.n)
+    H = inertia(arm, [start, goal])
+    assert np.linalg.eigvalsh(H).min() > 0
+    assert H[0, 0, 0] == pytest.approx(arm.mass)
+    for j, unit in enumerate(np.eye(arm.n)):
+        tau, wrench = inverse_dynamics(arm, start, zero, unit)
+        np.testing.assert_allclose(tau, H[0, 6:, 6 + j], atol=1e-12)
+        np.testing.assert_allclose(wrench, -H[0, :6, 6 + j], atol=1e-12)
+
+
+def test_the_simulator_runs_it(case):
+    arm, servo, start, _ = case
+    system = System(arm=arm)
+    sim = Simulator(system, 3, servo=servo)
+    sim.reset(q=start)
+    state = sim.step(sim.servo_command(np.tile(start, (3, 1)), np.zeros((3, arm.n))))
+    assert state.q.shape == state.v.shape == (3, arm.n)
+    np.testing.assert_allclose(state.q, np.tile(start, (3, 1)), atol=1e-12)
+    assert Simulator(system, servo=None).step(1.0).v.shape == (1, arm.n)
+    with pytest.raises(
+        ParameterError, match=rf"servo must have gains for {arm.n} joints, got 3"
+    ):
+        Simulator(system)  # the PUMA's three gains
+
+
+def test_motions_play_and_their_energy_is_predicted(case):
+    """Tolerance 5 %: the linear prediction on a slow motion; claims tests are sharper."""
+    arm, servo, start, goal = case
+    system = System(arm=arm)
+    motion = Motion.straight(start, goal, 1.5)
+    run = play_motions(system, [motion, motion.retimed(1.5)], servo=servo)
+    assert run.q.shape == (2, len(run.t), arm.n)
+    assert (run.q[0] == run.q[1]).all()
+    np.testing.assert_allclose(run.q[0, -1], goal, atol=2e-3)
+    measured = energies(system, run.t, run.q, run.y, run.yd, duration=1.5)[0]
+    predicted = predict(system, motion, servo)
+    assert predicted.E_mean == pytest.approx(measured.E_mean, rel=0.05)
+    assert run.log(1).n_joints == arm.n
+
+
+def test_coupling_of_any_number_of_joints(case):
+    arm, _, start, goal = case
+    system = System(arm=arm)
+    Q = coupling_matrix(system, [start, goal])
+    assert Q.shape == (2, arm.n, arm.n)
+    np.testing.assert_allclose(Q, np.swapaxes(Q, -1, -2), atol=1e-12 * np.abs(Q).max())
+    assert np.linalg.eigvalsh(Q).min() > -1e-9 * np.abs(Q).max()
+    section = coupling_map(system, (0, arm.n - 1), start, points=5)
+    assert section.most.shape == (5, 5)
+
+
+@pytest.mark.parametrize("planner", ["straight", "direct"])
+def test_planners_take_any_number_of_joints(case, planner):
+    arm, servo, start, goal = case
+    query = Query(
+        system=System(arm=arm),
+        start=tuple(start),
+        goal=tuple(goal),
+        duration=1.5,
+        servo=servo,
+    )
+    plan = solve(get_planner(planner), query)
+    assert plan.feasible
+    assert plan.motion.n == arm.n
+    assert 0 < plan.predicted.E_mean <= predict(query.system, query.straight, servo).E_mean
+
+
+def test_a_query_wants_gains_for_its_arm():
+    arm = six_joint_arm()
+    ends = {"start": (0.0,) * 6, "goal": (0.1,) * 6, "duration": 1.0}
+    with pytest.raises(ParameterError, match="servo must have gains for 6 joints, got 3"):
+        Query(system=System(arm=arm), **ends)
+    prescribed = Query(system=System(arm=arm, drive="prescribed"), **ends)
+    assert solve(get_planner("straight"), prescribed).feasible

@@ -1,0 +1,291 @@
+"""Motions: at rest at both ends, exact there, and inside limits that are named."""
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.motion import (
+    QUINTIC_PEAK_SPEED,
+    LimitError,
+    Motion,
+    basis,
+    knots,
+    limit_ratios,
+    quintic,
+    require_limits,
+)
+from ves_gym.mechanics.puma import PUMA_560
+
+START, GOAL = np.array([0.3, -0.8, 1.1]), np.array([-1.2, 0.4, 0.2])
+
+
+def wavy(duration=2.0, m=16):
+    inner = np.random.default_rng(5).normal(size=(m - 6, 3))
+    control = np.vstack([[START] * 3, inner, [GOAL] * 3])
+    return Motion(duration=duration, control=tuple(map(tuple, control.tolist())))
+
+
+def distance_to(motion, points):
+    """Largest distance from any of the points to the path."""
+    path = motion.at(np.linspace(0, motion.duration, 4001)).q
+    return max(np.linalg.norm(path - p, axis=1).min() for p in np.asarray(points))
+
+
+# --------------------------------------------------------------------------- ends
+
+angle = st.floats(-3, 3)
+joints = st.tuples(angle, angle, angle)
+
+
+@settings(max_examples=50, deadline=None)
+@given(points=st.lists(joints, min_size=2, max_size=6), duration=st.floats(0.1, 20))
+def test_a_motion_starts_and_ends_exactly_and_at_rest(points, duration):
+    motion = Motion.through(points, duration)
+    ends = motion.at([0.0, duration])
+    assert (motion.start == points[0]).all()
+    assert (motion.goal == points[-1]).all()
+    np.testing.assert_allclose(ends.q, [points[0], points[-1]], rtol=0, atol=1e-14)
+    scale = np.ptp(np.array(motion.control), axis=0).max() + 1e-300
+    assert np.abs(ends.v).max() <= 1e-12 * scale * 5 * 32 / duration
+    assert np.abs(ends.a).max() <= 1e-12 * scale * 20 * 32**2 / duration**2
+
+
+def test_outside_its_time_a_motion_is_held():
+    motion = wavy(2.0)
+    before, after = motion.at([-5.0, -1e-9]), motion.at([2.0 + 1e-9, 7.0])
+    assert (before.q == motion.at([0.0]).q).all()
+    assert (after.q == motion.at([2.0]).q).all()
+    for samples in (before, after):
+        assert (samples.v == 0).all()
+        assert (samples.a == 0).all()
+
+
+def test_velocity_and_acceleration_are_the_derivatives():
+    """Central differences of step h, error h^2."""
+    motion, h = wavy(), 1e-4
+    t = np.linspace(0.1, 1.9, 37)
+    s, ahead, back = motion.at(t), motion.at(t + h), motion.at(t - h)
+    np.testing.assert_allclose((ahead.q - back.q) / (2 * h), s.v, atol=2e-4)
+    np.testing.assert_allclose((ahead.v - back.v) / (2 * h), s.a, atol=2e-2)
+
+
+def test_one_time_is_as_good_as_many():
+    motion = wavy()
+    many = motion.at([0.7, 2.5])
+    for t, k in ((0.7, 0), (2.5, 1)):
+        one = motion.at(t)
+        for part in ("q", "v", "a"):
+            np.testing.assert_array_equal(getattr(one, part), getattr(many, part)[k])
+
+
+# ------------------------------------------------------------------- constructions
+
+
+def test_straight_is_the_quintic():
+    T = 3.0
+    motion = Motion.straight(START, GOAL, T)
+    t = np.linspace(0, T, 101)
+    u = t / T
+    s = motion.at(t)
+    span = GOAL - START
+    np.testing.assert_allclose(s.q, START + quintic(u)[:, None] * span, atol=1e-14)
+    speed = 30 * u**2 - 60 * u**3 + 30 * u**4
+    np.testing.assert_allclose(s.v, speed[:, None] / T * span, atol=1e-13)
+    acceleration = 60 * u - 180 * u**2 + 120 * u**3
+    np.testing.assert_allclose(s.a, acceleration[:, None] / T**2 * span, atol=1e-12)
+    assert speed.max() == QUINTIC_PEAK_SPEED
+
+
+def test_quintic_is_held_outside():
+    np.testing.assert_array_equal(quintic([-1, 0, 0.5, 1, 2]), [0, 0, 0.5, 1, 1])
+
+
+@pytest.mark.parametrize("k", [3, 4])
+def test_through_passes_a_few_points_to_a_milliradian(k):
+    """The docstring's accuracy, on random way-points within +-2 rad; the median case."""
+    rng = np.random.default_rng(k)
+    ways = rng.uniform(-2, 2, (30, k, 3))
+    misses = [distance_to(Motion.through(way, 2.0), way) for way in ways]
+    assert np.median(misses) < 1e-3
+    assert max(misses) < 2e-3
+
+
+def test_through_passes_a_smooth_path_to_a_milliradian():
+    u = np.linspace(0, 1, 17)
+    for bow in (0.2, 0.5, 1.0):
+        way = np.stack([u, bow * np.sin(np.pi * u), bow * u**2], axis=1)
+        assert distance_to(Motion.through(way, 2.0), way) < 1e-3
+
+
+def test_corners_are_rounded_as_the_docstring_says():
+    way = np.vstack([[0.0] * 3, np.cumsum(0.2 * np.tile(np.eye(3), (6, 1)), axis=0)])
+    coarse = distance_to(Motion.through(way, 2.0), way)
+    fine = distance_to(Motion.through(way, 2.0, controls=96), way)
+    assert 5e-3 < coarse < 3e-2
+    assert fine < 2e-3
+
+
+def test_through_two_points_or_a_point_twice():
+    straight = Motion.straight(START, GOAL, 1.0)
+    assert Motion.through([START, GOAL], 1.0) == straight
+    assert Motion.through([START, START, GOAL, GOAL], 1.0) == straight
+    still = Motion.through([START, START], 1.0)
+    assert (still.at(np.linspace(0, 1, 9)).v == 0).all()
+    middle = (START + GOAL) / 3
+    twice = Motion.through([START, middle, middle, GOAL], 1.0)
+    assert twice == Motion.through([START, middle, GOAL], 1.0)
+
+
+def test_fit_recovers_what_lies_in_its_space_and_keeps_the_ends():
+    motion = wavy(2.0, m=16)
+    again = Motion.fit(motion.at(np.linspace(0, 2, 101)).q, 2.0, controls=16)
+    np.testing.assert_allclose(again.control, motion.control, atol=1e-11)
+    noisy = motion.at(np.linspace(0, 2, 101)).q + np.random.default_rng(0).normal(size=(101, 3))
+    fitted = Motion.fit(noisy, 2.0, controls=12)
+    assert len(fitted.control) == 12
+    assert (fitted.start == noisy[0]).all()
+    assert (fitted.goal == noisy[-1]).all()
+
+
+def test_retimed_is_the_same_path_at_another_pace():
+    motion = wavy(2.0)
+    slow = motion.retimed(6.0)
+    u = np.linspace(0, 1, 21)
+    a, b = motion.at(2 * u), slow.at(6 * u)
+    np.testing.assert_allclose(b.q, a.q, atol=1e-13)
+    np.testing.assert_allclose(b.v, a.v / 3, atol=1e-12)
+    np.testing.assert_allclose(b.a, a.a / 9, atol=1e-11)
+    assert motion.duration == 2.0
+
+
+def test_motions_compare_hash_and_pickle():
+    assert wavy() == wavy()
+    assert len({wavy(), wavy(), wavy(3.0)}) == 2
+    motion = wavy()
+    motion.at(0.5)  # fills its cache
+    assert pickle.loads(pickle.dumps(motion)) == motion
+
+
+def test_the_basis_sums_to_one_and_its_derivatives_to_nothing():
+    u = np.linspace(0, 1, 50)
+    for m in (6, 7, 16):
+        assert len(knots(m)) == m + 6
+        np.testing.assert_allclose(basis(m, u).sum(axis=1), 1, atol=1e-13)
+        assert basis(m, u).min() >= 0
+        for order in (1, 2):
+            np.testing.assert_allclose(basis(m, u, order).sum(axis=1), 0, atol=1e-9)
+
+
+E3 = ((0.0, 0.0, 0.0),) * 3
+F3 = ((1.0, 1.0, 1.0),) * 3
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Motion(duration=0.0, control=E3 + F3), "duration must be > 0 s"),
+        (lambda: Motion(duration=np.nan, control=E3 + F3), "duration must be > 0 s"),
+        (lambda: Motion(duration="1", control=E3 + F3), "duration must be > 0 s"),
+        (lambda: Motion(duration=1.0, control=E3 + F3[:2]), r"shape \(>= 6, n\), got \(5, 3\)"),
+        (lambda: Motion(duration=1.0, control=(0.0,) * 6), r"got \(6,\)"),
+        (lambda: Motion(duration=1.0, control=((),) * 6), r"got \(6, 0\)"),
+        (lambda: Motion(duration=1.0, control=E3 + F3[:2] + ((1.0,),)), "rows of n numbers"),
+        (lambda: Motion(duration=1.0, control=E3 + (("1",) * 3,) * 3), "rows of n numbers"),
+        (lambda: Motion(duration=1.0, control=E3 + ((np.nan,) * 3,) * 3), "finite, got nan"),
+        (lambda: Motion(duration=1.0, control=E3[:2] + F3[:1] + F3), "three times"),
+        (lambda: Motion(duration=1.0, control=E3 + E3[:1] + F3[:2]), "three times"),
+        (lambda: Motion.straight([0, 0, 0], [0, 0], 1.0), "start and goal"),
+        (lambda: Motion.straight(0.0, 1.0, 1.0), "start and goal"),
+        (lambda: Motion.straight([0, np.inf], [0, 0], 1.0), "finite"),
+        (lambda: Motion.straight([0.0], [1.0], -1.0), "duration"),
+        (lambda: Motion.through([[0, 0, 0]], 1.0), "way-points"),
+        (lambda: Motion.through([0, 0, 0], 1.0), "way-points"),
+        (lambda: Motion.through([[0, 0], [np.nan, 0]], 1.0), "way-points must be finite"),
+        (lambda: Motion.fit([[0, 0, 0]], 1.0), "samples"),
+        (lambda: Motion.fit([0.0, 1.0], 1.0), "samples"),
+        (lambda: Motion.fit(np.full((20, 3), np.nan), 1.0), "samples must be finite"),
+        (
+            lambda: Motion.fit(np.zeros((20, 3)), 1.0, controls=5),
+            "controls must be >= 6, got 5",
+        ),
+    ],
+)
+def test_what_is_no_motion_is_refused(make, message):
+    with pytest.raises(ParameterError, match=message):
+        make()
+
+
+# -------------------------------------------------------------------------- limits
+
+
+def test_ratios_are_value_over_limit():
+    motion = Motion.straight([0.0, 0, 0], [1.0, -0.5, 0.25], 1.0)
+    ratios = limit_ratios(PUMA_560, motion)
+    peak = QUINTIC_PEAK_SPEED * np.array([1.0, 0.5, 0.25])
+    np.testing.assert_allclose(ratios["velocity"], peak / PUMA_560.column("v_max"), rtol=1e-12)
+    np.testing.assert_allclose(
+        ratios["position"], np.array([1, 0.5, 0.25]) / PUMA_560.column("q_max"), rtol=1e-12
+    )
+    s = motion.at(np.linspace(0, 1, 201))
+    tau = np.abs(inverse_dynamics(PUMA_560, s.q, s.v, s.a)[0]).max(axis=0)
+    np.testing.assert_allclose(ratios["torque"], tau / PUMA_560.column("tau_max"), rtol=1e-12)
+    a_max = np.abs(s.a).max(axis=0)
+    np.testing.assert_allclose(ratios["acceleration"], a_max / PUMA_560.column("a_max"))
+
+
+def test_a_position_ratio_is_from_the_middle_of_the_range():
+    lopsided = dataclasses.replace(
+        PUMA_560,
+        links=tuple(dataclasses.replace(k, q_min=-1.0, q_max=2.0) for k in PUMA_560.links),
+    )
+    motion = Motion.straight([0.5] * 3, [2.0, -1.0, 0.5], 1.0)
+    np.testing.assert_allclose(
+        limit_ratios(lopsided, motion)["position"], [1, 1, 0], atol=1e-12
+    )
+    require_limits(lopsided, motion, ("position",))  # on the limit is inside
+    beyond = Motion.straight([0.5] * 3, [2.1, 0.0, 0.5], 1.0)
+    with pytest.raises(LimitError, match="about the middle of its range"):
+        require_limits(lopsided, beyond, ("position",))
+
+
+@pytest.mark.parametrize(
+    ("name", "duration", "goal", "joint", "when", "value"),
+    [
+        ("position", 9.0, [0.0, 2.0, 0.0], 2, 9.0, "114.6 deg, allowed +-110.0 deg"),
+        ("velocity", 1.0, [0.0, 0.0, 1.2], 3, 0.5, "128.9 deg/s, allowed +-122.0 deg/s"),
+        ("acceleration", 0.6, [0.8, 0.0, 0.0], 1, None, "rad/s^2, allowed +-10.0 rad/s^2"),
+        ("torque", 0.5, [0.0, 1.0, 0.0], 2, None, "N m, allowed +-186.4 N m"),
+    ],
+)
+def test_a_broken_limit_is_named_by_joint_time_and_value(
+    name, duration, goal, joint, when, value
+):
+    motion = Motion.straight([0.0, 0, 0], goal, duration)
+    with pytest.raises(LimitError) as caught:
+        require_limits(PUMA_560, motion, (name,))
+    message = str(caught.value)
+    assert f"breaks the {name} limit of joint {joint} at t = " in message
+    assert value in message
+    if when is not None:
+        assert f"t = {when:.3f} s" in message
+    others = tuple({"position", "velocity", "acceleration", "torque"} - {name})
+    gentle = Motion.straight([0.0, 0, 0], 0.1 * np.array(goal), 9.0)
+    require_limits(PUMA_560, gentle, (name, *others))
+
+
+def test_unknown_limits_are_refused():
+    motion = Motion.straight([0.0, 0, 0], [9.0, 9, 9], 0.01)
+    with pytest.raises(ParameterError, match=r"limits are position, .*got 'speed'"):
+        require_limits(PUMA_560, motion, ("speed",))
+    require_limits(PUMA_560, motion, ())
+
+
+def test_limits_want_a_motion_of_the_arm():
+    with pytest.raises(ParameterError, match=r"q must have shape \(..., 3\), got \(201, 2\)"):
+        limit_ratios(PUMA_560, Motion.straight([0, 0], [1, 1], 1.0))

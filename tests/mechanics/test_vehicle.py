@@ -1,0 +1,276 @@
+"""Vehicles: beams of any shape, satellites, the user's matrices, by name or file."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ves_gym._util.params import ParameterError, write_table
+from ves_gym.mechanics.arm import diagonal, matrix
+from ves_gym.mechanics.vehicle import (
+    BENT,
+    FREE_FLOATING,
+    FREE_FLYING,
+    STRAIGHT_HORIZONTAL,
+    STRAIGHT_VERTICAL,
+    VEHICLES,
+    Beam,
+    Material,
+    Matrices,
+    elementwise_damping,
+    get_vehicle,
+    modal_damping,
+    vehicle_from_plain,
+)
+
+BEAMS = {
+    "straight-vertical": STRAIGHT_VERTICAL,
+    "straight-horizontal": STRAIGHT_HORIZONTAL,
+    "bent": BENT,
+    "three segments": Beam(
+        segments=((-3.0, 0.0, 0.0), (0.0, 2.0, 1.0), (0.5, -1.0, 4.0)),
+        outer_diameter=0.1,
+        wall=0.004,
+    ),
+}
+MASS_MODELS = ("thesis", "consistent")
+
+
+@pytest.fixture(params=BEAMS)
+def beam(request):
+    return BEAMS[request.param]
+
+
+# ------------------------------------------------------------------------ by name
+
+
+def test_vehicles_by_name_and_by_file(tmp_path):
+    for name, vehicle in VEHICLES.items():
+        assert get_vehicle(name) is vehicle
+        for suffix in ("toml", "json"):
+            path = tmp_path / f"{name}.{suffix}"
+            write_table(path, vehicle)
+            assert get_vehicle(path) == get_vehicle(str(path)) == vehicle
+
+
+def test_an_unknown_vehicle_is_an_error_that_lists_the_known(tmp_path):
+    with pytest.raises(ParameterError) as caught:
+        get_vehicle("zeppelin")
+    for part in ("'zeppelin'", *VEHICLES, ".toml"):
+        assert part in str(caught.value)
+    with pytest.raises(ParameterError, match="cannot be read"):
+        get_vehicle(tmp_path / "absent.toml")
+    (tmp_path / "arm.toml").write_text('kind = "arm"')
+    with pytest.raises(ParameterError, match=r"arm\.toml\.kind must be one of beam"):
+        get_vehicle(tmp_path / "arm.toml")
+
+
+# ------------------------------------------------------------------------- beams
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"segments": ()}, "at least one vector"),
+        ({"segments": ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))}, r"segments\[1\] .*zero length"),
+        ({"segments": ((0.0, 1.0),)}, r"segments\[0\] must have shape \(3,\)"),
+        ({"segments": ((0.0, 1.0, np.nan),)}, r"segments\[0\] must be finite"),
+        ({"outer_diameter": 0.0}, "outer_diameter must be > 0 m"),
+        ({"outer_diameter": -0.1}, "outer_diameter must be > 0 m"),
+        ({"wall": 0.0}, "wall must be > 0 m"),
+        ({"wall": 0.09}, "wall must be < half the outer diameter 0.18 m, got 0.09 m"),
+        ({"damping_ratio": -0.01}, "damping_ratio must be >= 0"),
+        ({"damping_ratio": np.nan}, "damping_ratio"),
+        (
+            {"mass_model": "lumped"},
+            "mass_model must be one of thesis, consistent, got 'lumped'",
+        ),
+        ({"damping_model": "none"}, "damping_model must be one of modal, elementwise"),
+    ],
+)
+def test_a_beam_that_cannot_be_built_is_refused(changes, message):
+    with pytest.raises(ParameterError, match=message):
+        dataclasses.replace(BENT, **changes)
+
+
+def test_a_material_has_positive_properties():
+    with pytest.raises(ParameterError, match="density must be > 0 kg/m"):
+        Material(youngs_modulus=1e9, shear_modulus=1e9, density=0.0, source="test")
+
+
+def test_flexibility_at_the_tip_is_the_inverse_of_stiffness(beam):
+    last = len(beam.segments) - 1
+    tip = beam.flexibility(last, float(np.linalg.norm(beam.segments[last])))
+    np.testing.assert_allclose(tip, tip.T, atol=1e-12 * tip.max())
+    np.testing.assert_allclose(tip @ beam.stiffness(), np.eye(6), atol=1e-10)
+
+
+def test_flexibility_is_continuous_along_the_beam_and_zero_at_the_clamp(beam):
+    assert np.abs(beam.flexibility(0, 0.0)).max() == 0.0
+    for k in range(len(beam.segments) - 1):
+        end = beam.flexibility(k, float(np.linalg.norm(beam.segments[k])))
+        np.testing.assert_allclose(beam.flexibility(k + 1, 0.0), end, rtol=0, atol=1e-15)
+
+
+def test_a_beam_cut_into_pieces_is_the_same_beam(beam):
+    """Splitting a segment adds a node on it and changes no K and no consistent M."""
+    pieces = []
+    for segment in beam.segments:
+        pieces += [tuple(0.3 * np.array(segment)), tuple(0.7 * np.array(segment))]
+    cut = dataclasses.replace(beam, segments=tuple(pieces))
+    for name in ("stiffness", "consistent_mass", "thesis_mass"):
+        whole, parts = getattr(beam, name)(), getattr(cut, name)()
+        np.testing.assert_allclose(parts, whole, rtol=1e-9, atol=1e-9 * np.abs(whole).max())
+
+
+def test_a_straight_tube_has_the_textbook_stiffness():
+    """K of a cantilever: 3EI/L^3 for a free, 12EI/L^3 for a guided tip; EA/L; GJ/L."""
+    area, second, polar = STRAIGHT_VERTICAL.section
+    E, G, L = 72e9, 27e9, 12.0
+    K = STRAIGHT_VERTICAL.stiffness()
+    want = [12 * E * second / L**3] * 2 + [E * area / L] + [4 * E * second / L] * 2
+    np.testing.assert_allclose(np.diag(K), [*want, G * polar / L], rtol=1e-12)
+    assert 1 / np.linalg.inv(K)[0, 0] == pytest.approx(3 * E * second / L**3)
+
+
+@pytest.mark.parametrize("mass_model", MASS_MODELS)
+@pytest.mark.parametrize("damping_model", ["modal", "elementwise"])
+def test_matrices_are_exactly_symmetric_and_definite(beam, mass_model, damping_model):
+    model = dataclasses.replace(
+        beam, mass_model=mass_model, damping_model=damping_model
+    ).base_model()
+    for values in (model.M, model.D, model.K):
+        assert (values == values.T).all()
+        assert np.linalg.eigvalsh(values)[0] > 0
+
+
+def test_mass_models_differ_and_say_which(beam):
+    thesis = dataclasses.replace(beam, mass_model="thesis").base_model()
+    consistent = dataclasses.replace(beam, mass_model="consistent").base_model()
+    np.testing.assert_array_equal(thesis.M, beam.thesis_mass())
+    np.testing.assert_array_equal(consistent.M, beam.consistent_mass())
+    np.testing.assert_array_equal(thesis.K, consistent.K)
+    assert np.count_nonzero(thesis.M - np.diag(np.diag(thesis.M))) == 0
+    assert (np.diag(thesis.M)[:3] == beam.mass / 2).all()
+    # a beam moves with its tip at most: translation never carries more than all its mass
+    assert np.linalg.eigvalsh(consistent.M[:3, :3])[-1] < beam.mass
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    shape=st.lists(st.tuples(*[st.floats(-5, 5)] * 3), min_size=1, max_size=4).filter(
+        lambda s: min(np.linalg.norm(k) for k in s) > 0.1
+    ),
+    ratio=st.floats(0, 0.9),
+    mass_model=st.sampled_from(MASS_MODELS),
+)
+def test_modal_damping_gives_every_mode_the_ratio(shape, ratio, mass_model):
+    """For any polyline. Modes that repeat stay within their own subspace: D is diagonal there.
+
+    Tolerance: M and K have condition numbers up to 1e8 here.
+    """
+    beam = Beam(
+        segments=tuple(shape),
+        outer_diameter=0.1,
+        wall=0.01,
+        damping_ratio=ratio,
+        mass_model=mass_model,
+    )
+    base = beam.base_model()
+    squares, modes = scipy.linalg.eigh(base.K, base.M)
+    omega = np.sqrt(squares)
+    reduced = modes.T @ base.D @ modes / omega
+    np.testing.assert_allclose(np.diag(reduced), 2 * ratio, atol=1e-6)
+    scaled = reduced * np.sqrt(omega / omega[:, None])  # symmetric scaling
+    assert np.abs(scaled - np.diag(np.diag(scaled))).max() < 1e-5
+
+
+def test_modal_damping_shows_as_decay_of_the_poles():
+    """Poles of M x'' + D x' + K x = 0 are -zeta omega +- j omega sqrt(1 - zeta^2)."""
+    base = dataclasses.replace(BENT, damping_ratio=0.07, mass_model="consistent").base_model()
+    A = np.block(
+        [
+            [np.zeros((6, 6)), np.eye(6)],
+            [-np.linalg.solve(base.M, base.K), -np.linalg.solve(base.M, base.D)],
+        ]
+    )
+    poles = np.linalg.eigvals(A)
+    np.testing.assert_allclose(-poles.real / np.abs(poles), 0.07, rtol=1e-6)
+
+
+def test_free_directions_stay_undamped():
+    """A rigid-body mode has omega = 0, so no damping."""
+    K = np.diag([0.0, 10, 20, 30, 40, 50])
+    D = modal_damping(np.eye(6), K, 0.1)
+    np.testing.assert_allclose(D, np.diag(0.2 * np.sqrt(np.diag(K))), atol=1e-12)
+
+
+def test_elementwise_damping_is_the_printed_formula():
+    beam = dataclasses.replace(BENT, damping_model="elementwise")
+    base = beam.base_model()
+    np.testing.assert_array_equal(base.D, elementwise_damping(base.M, base.K, 0.05))
+    want = 2 * 0.05 * np.sqrt(np.diag(base.K) * np.diag(base.M))
+    np.testing.assert_allclose(np.diag(base.D), want, rtol=1e-15)
+    assert np.count_nonzero(base.D) == 6
+
+
+# -------------------------------------------------------------- matrices, satellites
+
+EYE = diagonal(1, 1, 1, 1, 1, 1)
+
+
+@pytest.mark.parametrize("name", ["M", "D", "K"])
+def test_user_matrices_are_checked_by_name(name):
+    good = {"M": EYE, "D": EYE, "K": EYE}
+    crooked = np.eye(6)
+    crooked[2, 3] = 0.5
+    with pytest.raises(
+        ParameterError, match=rf"Matrices.{name} must be symmetric.*\[3,4\] = 0.5"
+    ):
+        Matrices(**{**good, name: matrix(crooked)})
+    with pytest.raises(
+        ParameterError, match=rf"Matrices.{name} must be positive semidefinite.*-2"
+    ):
+        Matrices(**{**good, name: diagonal(1, 1, 1, 1, 1, -2)})
+    with pytest.raises(ParameterError, match=rf"Matrices.{name} must have shape \(6, 6\)"):
+        Matrices(**{**good, name: diagonal(1, 1, 1)})
+    with pytest.raises(ParameterError, match=rf"Matrices.{name} must be finite"):
+        Matrices(**{**good, name: diagonal(1, 1, 1, 1, 1, np.inf)})
+
+
+def test_rounding_is_no_asymmetry():
+    """What a file with ten digits holds is taken and made symmetric."""
+    K = BENT.stiffness()
+    K[0, 4] *= 1 + 1e-10
+    base = Matrices(M=EYE, D=EYE, K=matrix(K)).base_model()
+    assert (base.K == base.K.T).all()
+
+
+def test_zero_stiffness_and_damping_are_a_vehicle():
+    free = Matrices(
+        M=diagonal(*[500.0] * 6), D=matrix(np.zeros((6, 6))), K=diagonal(*[0.0] * 6)
+    )
+    assert (free.base_model().K == 0).all()
+    assert free.base_model().body is None
+
+
+def test_satellites_float():
+    for satellite in (FREE_FLOATING, FREE_FLYING):
+        base = satellite.base_model()
+        assert not base.M.any()
+        assert not base.D.any()
+        assert not base.K.any()
+        np.testing.assert_array_equal(base.mass_matrix, satellite.body.spatial())
+        assert base.mass_matrix[0, 0] == 500.0
+    assert FREE_FLYING.thrusters
+    assert not FREE_FLOATING.thrusters
+
+
+def test_a_vehicle_from_plain_data_is_named_in_errors():
+    with pytest.raises(
+        ParameterError, match=r"mine.kind must be one of beam, matrices, satell"
+    ):
+        vehicle_from_plain({"kind": "ship"}, "mine")

@@ -1,0 +1,229 @@
+"""Motions in, records out: on one clock, exact at the ends, with the wrench that acts."""
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_trapezoid
+
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.arm import diagonal
+from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
+from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.vehicle import FREE_FLOATING, Matrices
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.simulator import Divergence, Simulator
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
+
+MOTION = Motion.through([[0.3, -0.4, 0.5], [0.8, 0.0, 0.0], [0.9, 0.1, -0.3]], 1.0)
+OTHER = Motion.straight([0.0, 0.0, 0.0], [-0.5, 0.3, 0.2], 1.0)
+
+
+def rigid(stiffness=1e9, **options):
+    """A base that hardly moves: 1e9 N/m under a tonne, damped."""
+    vehicle = Matrices(
+        M=diagonal(*[1e3] * 6), D=diagonal(*[1e6] * 6), K=diagonal(*[stiffness] * 6)
+    )
+    step = 2e-4
+    return System(vehicle=vehicle, physics_dt=step, control_dt=10 * step, **options)
+
+
+# -------------------------------------------------------------------------- records
+
+
+def test_records_of_a_stack():
+    run = play_motions(System(), [MOTION, OTHER, MOTION], settle=0.5, record_dt=5e-3)
+    N = 301
+    assert run.t.shape == (N,)
+    np.testing.assert_allclose(np.diff(run.t), 5e-3, rtol=1e-9)
+    assert run.t[0] == 0.0
+    assert run.t[-1] == pytest.approx(1.5)
+    for name in ("q_cmd", "v_cmd", "q", "v", "tau"):
+        assert getattr(run, name).shape == (3, N, 3)
+    for name in ("y", "yd", "w"):
+        assert getattr(run, name).shape == (3, N, 6)
+    for name in ("q", "v", "tau", "y", "yd", "w"):
+        values = getattr(run, name)
+        assert (values[0] == values[2]).all()  # the same motion twice
+        assert np.isfinite(values).all()
+    np.testing.assert_array_equal(run.q_cmd[1], OTHER.at(run.t).q)
+    np.testing.assert_array_equal(run.v_cmd[1], OTHER.at(run.t).v)
+    assert (run.q[:, 0] == [MOTION.start, OTHER.start, MOTION.start]).all()
+    assert (run.y[:, 0] == 0).all()
+    assert run.duration == 1.0
+
+
+def test_a_record_lies_on_the_run_whatever_its_period():
+    """Records every 1.25, 12.5 and 25 ms: the same run, to rounding."""
+    fine, default, coarse = (
+        play_motions(System(), [MOTION], settle=0.1, record_dt=dt)
+        for dt in (1.25e-3, None, 25e-3)
+    )
+    for name in ("q", "v", "y", "yd"):
+        a, b, c = (getattr(run, name) for run in (fine, default, coarse))
+        np.testing.assert_allclose(a[:, ::10], b, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(a[:, ::20], c, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(fine.w[:, ::20], coarse.w, atol=1e-9)
+
+
+def test_the_last_record_covers_the_settling():
+    run = play_motions(System(), [MOTION.retimed(0.33)], settle=0.0, record_dt=12.5e-3)
+    assert run.t[-1] == pytest.approx(0.3375)
+    np.testing.assert_allclose(run.q_cmd[0, -1], MOTION.goal, rtol=0, atol=1e-15)
+    assert (run.v_cmd[0, -1] == 0).all()
+
+
+def test_the_servo_follows_and_without_one_nothing_moves():
+    good = play_motions(System(), [MOTION], settle=0.5)
+    np.testing.assert_allclose(good.q, good.q_cmd, atol=2e-3)
+    soft = play_motions(System(), [MOTION], settle=0.5, servo=PPED_GAINS)
+    blind = play_motions(
+        System(),
+        [MOTION],
+        settle=0.5,
+        servo=JointServo(kp=HIGH_GAINS.kp, kd=HIGH_GAINS.kd, feedforward=False),
+    )
+    for worse in (soft, blind):
+        assert np.abs(worse.q - worse.q_cmd).max() > 2 * np.abs(good.q - good.q_cmd).max()
+    loose = play_motions(System(), [MOTION], settle=0.1, servo=FREE)
+    assert (loose.tau == 0).all()
+    np.testing.assert_allclose(loose.q[0], np.tile(MOTION.start, (len(loose.t), 1)), atol=1e-12)
+
+
+def test_a_prescribed_drive_follows_exactly():
+    """Tolerance: base forces of 1e3 N m over 1e8 kg m^2, for a second and a half."""
+    run = play_motions(System(drive="prescribed"), [MOTION, OTHER], settle=0.5)
+    np.testing.assert_allclose(run.q, run.q_cmd, atol=3e-5)
+    np.testing.assert_allclose(run.v, run.v_cmd, atol=3e-5)
+
+
+def test_the_base_may_start_anywhere():
+    y = [0.01, -0.02, 0.0, 0.001, 0.0, 0.002]
+    run = play_motions(
+        System(), [MOTION, OTHER], settle=0.1, y=[y, np.zeros(6)], yd=[[0.1] + [0.0] * 5]
+    )
+    np.testing.assert_array_equal(run.y[:, 0], [y, np.zeros(6)])
+    np.testing.assert_array_equal(run.yd[:, 0], [[0.1] + [0.0] * 5] * 2)
+    with pytest.raises(ParameterError, match=r"y must be numbers of shape \(2, 6\)"):
+        play_motions(System(), [MOTION, OTHER], y=[0.0] * 5)
+
+
+def test_progress_is_told():
+    told = []
+    play_motions(System(), [MOTION], settle=0.5, progress=told.append)
+    assert told[0] == 0.0
+    assert told == sorted(told)
+    assert told[-1] < 1.0
+
+
+# --------------------------------------------------------------------------- wrench
+
+
+def test_on_a_rigid_base_the_wrench_is_that_of_inverse_dynamics():
+    """w is found from the base's motion, inverse dynamics from the arm's: no shared formula.
+
+    Tolerance: the base of 1e9 N/m gives way by a micrometre; 1e-3 of the largest wrench
+    covers what its own vibration takes. The start is at rest and smooth.
+    """
+    run = play_motions(rigid(drive="prescribed"), [MOTION, OTHER], settle=0.2, record_dt=2e-3)
+    assert np.abs(run.y).max() < 1e-6
+    for i, motion in enumerate((MOTION, OTHER)):
+        s = motion.at(run.t)
+        tau, wrench = inverse_dynamics(run.system.arm, s.q, s.v, s.a)
+        for found, want in ((run.w[i], wrench), (run.tau[i], tau)):
+            scale = np.abs(want).max()
+            assert scale > 10
+            np.testing.assert_allclose(found, want, atol=1e-3 * scale)
+
+
+def test_a_softer_base_takes_another_wrench():
+    """The other side of the test above: it is not inverse dynamics that is recorded."""
+    run = play_motions(System(drive="prescribed"), [MOTION], settle=0.2)
+    s = MOTION.at(run.t)
+    wrench = inverse_dynamics(run.system.arm, s.q, s.v, s.a)[1]
+    assert np.abs(run.w[0] - wrench).max() > 0.1 * np.abs(wrench).max()
+
+
+def test_on_a_satellite_the_wrench_is_what_accelerates_it():
+    """Linear momentum of the satellite = integral of the force, in inertial axes.
+
+    Tolerance: trapezoid rule at 1.25 ms.
+    """
+    run = play_motions(System(vehicle=FREE_FLOATING), [MOTION], settle=0.0, record_dt=1.25e-3)
+    y, yd, R = run.y[0], run.yd[0], rotation(run.y[0])
+    force = matvec(R, run.w[0, :, :3])
+    impulse = cumulative_trapezoid(force, run.t, axis=0, initial=0)
+    spin = twist(y, yd)[:, 3:]
+    momentum = 500 * (yd[:, :3] + matvec(R, np.cross(spin, FREE_FLOATING.body.com)))
+    assert np.abs(momentum).max() > 1.0
+    np.testing.assert_allclose(impulse, momentum, atol=1e-4 * np.abs(momentum).max())
+
+
+# ------------------------------------------------------------------------------ logs
+
+
+def test_a_run_becomes_a_log_that_repeats_it(tmp_path):
+    run = play_motions(System(), [MOTION, OTHER], settle=0.2, y=0.001)
+    run.log(1, note="second").save(tmp_path / "run.csv")
+    log = RunLog.load(tmp_path / "run.csv")
+    for name in ("q_cmd", "v_cmd", "q", "v", "tau", "y", "yd", "w"):
+        np.testing.assert_array_equal(getattr(log, name), getattr(run, name)[1])
+    assert log.meta["duration"] == 1.0
+    assert log.meta["controller"]["kp"] == list(HIGH_GAINS.kp)
+    initial = log.meta["initial"]
+    assert initial["q"] == list(OTHER.start)
+    assert initial["y"] == [0.001] * 6
+    # everything needed to run it again is in the log
+    system = System.from_dict(log.meta["system"])
+    assert system == run.system
+    sim = Simulator(system)
+    assert (sim.reset(**initial).y == 0.001).all()
+
+
+# ---------------------------------------------------------------------------- errors
+
+
+@pytest.mark.parametrize(
+    ("motions", "options", "message"),
+    [
+        ([], {}, "need at least one motion to play, got none"),
+        ([MOTION, OTHER.retimed(2.0)], {}, r"share one duration, got \[1.0, 2.0\]"),
+        ([Motion.straight([0, 0], [1, 1], 1.0)], {}, "puma560 needs 3 joints, got 2"),
+        ([MOTION], {"record_dt": 2e-3}, "record_dt must be a whole number of physics steps"),
+        ([MOTION], {"record_dt": 0.0}, "record_dt must be a whole number .*got 0 s"),
+        ([MOTION], {"record_dt": -12.5e-3}, "record_dt must be a whole number"),
+        ([MOTION], {"record_dt": 1e-4}, "record_dt must be a whole number"),
+        ([MOTION], {"record_dt": np.nan}, "record_dt must be a whole number"),
+        ([MOTION], {"record_dt": np.inf}, "record_dt must be a whole number"),
+        ([MOTION], {"settle": -1.0}, "settle must be >= 0 s, got -1.0"),
+        ([MOTION], {"settle": np.nan}, "settle must be >= 0 s"),
+        ([MOTION], {"yd": np.nan}, "yd must be finite"),
+        ([MOTION], {"servo": JointServo(kp=(1.0,), kd=(1.0,))}, "gains for 3 joints, got 1"),
+    ],
+)
+def test_what_cannot_be_played_is_refused(motions, options, message):
+    with pytest.raises(ParameterError, match=message):
+        play_motions(System(), motions, **options)
+
+
+def test_a_run_that_diverges_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # the engine writes a log there
+    with pytest.raises(Divergence, match="simulation 1 of 2 diverged at t = "):
+        play_motions(System(), [MOTION, OTHER], yd=[[0.0] * 6, [1e12] + [0.0] * 5])
+
+
+@pytest.mark.parametrize(
+    "gains",
+    [
+        {"kp": (1.0, 2.0), "kd": (1.0,)},
+        {"kp": (-1.0,), "kd": (1.0,)},
+        {"kp": (1.0,), "kd": (np.nan,)},
+        {"kp": ((1.0,),), "kd": ((1.0,),)},
+        {"kp": 1.0, "kd": 1.0},
+        {"kp": ("a",), "kd": (1.0,)},
+    ],
+)
+def test_bad_gains_are_refused(gains):
+    with pytest.raises(ParameterError, match="JointServo"):
+        JointServo(**gains)

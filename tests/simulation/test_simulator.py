@@ -1,0 +1,595 @@
+"""`Simulator`: what goes in, what comes out, and what happens when it goes wrong."""
+
+import copy
+import dataclasses
+import itertools
+import pickle
+
+import numpy as np
+import pytest
+
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.arm import Inertial, diagonal
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS, JointServo
+from ves_gym.mechanics.spatial import twist
+from ves_gym.mechanics.vehicle import (
+    DECOUPLED,
+    FREE_FLOATING,
+    FREE_FLYING,
+    STRAIGHT_VERTICAL,
+    Satellite,
+)
+from ves_gym.simulation.simulator import Divergence, Simulator
+from ves_gym.system.system import System
+
+START = {"q": [0.3, -0.2, 0.5], "v": [0.1, 0.2, -0.3], "y": 0.01, "yd": [0.02] * 6}
+
+
+@pytest.fixture(autouse=True)
+def _engine_log_elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # the engine writes MUJOCO_LOG.TXT where it is told to warn
+
+
+def same(a, b, rows=slice(None)):
+    """Bitwise equality of two states."""
+    return all(x[rows].tobytes() == y[rows].tobytes() for x, y in zip(a, b, strict=True))
+
+
+def moving(n=3, **options):
+    """Simulations in different states, on their way."""
+    sim = Simulator(options.pop("system", System()), n, **options)
+    sim.reset(**START, spread={"q": 0.1, "v": 0.1, "y": 0.01, "yd": 0.01})
+    sim.step([5.0, -3.0, 1.0])
+    return sim
+
+
+# ------------------------------------------------------------------------- shapes
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_shapes_and_time(n):
+    sim = Simulator(System(), n)
+    state = sim.step(0.0)
+    assert state.time.shape == (n,)
+    assert state.y.shape == state.yd.shape == (n, 6)
+    assert state.q.shape == state.v.shape == (n, 3)
+    np.testing.assert_allclose(state.time, 12.5e-3, rtol=1e-12)
+    assert all(part.dtype == np.float64 for part in state)
+    torque, acceleration = sim.evaluate(0.0)
+    assert torque.shape == (n, 3)
+    assert acceleration.shape == (n, 6)
+
+
+def test_states_handed_out_are_copies():
+    sim = moving()
+    before = sim.state
+    for part in sim.state:
+        part[:] = np.nan
+    for part in sim.step(0.0):
+        part[:] = np.nan
+    assert same(moving().state, before)
+    assert np.isfinite(sim.step(0.0).q).all()
+
+
+@pytest.mark.parametrize(
+    "command", [1, 1.0, [1, 1, 1], [[1.0, 1.0, 1.0]], np.ones((3, 1)), np.ones((3, 3), int)]
+)
+def test_commands_broadcast(command):
+    want = moving().step(np.ones((3, 3)))
+    assert same(moving().step(command), want)
+
+
+@pytest.mark.parametrize("n", [0, -1, 1.0, True, "2", None, 2.5])
+def test_n_is_a_whole_number(n):
+    with pytest.raises(ParameterError, match="n must be a whole number >= 1, got"):
+        Simulator(System(), n)
+
+
+@pytest.mark.parametrize("threads", [-1, 1.5, True, "two"])
+def test_threads_are_a_whole_number(threads):
+    with pytest.raises(ParameterError, match="threads must be a whole number >= 0, got"):
+        Simulator(System(), threads=threads)
+
+
+def test_other_bad_arguments():
+    assert Simulator(System(), np.int64(2)).n == 2
+    with pytest.raises(ParameterError, match="mujoco, mjx, warp, got 'bullet'"):
+        Simulator(System(), backend="bullet")
+    with pytest.raises(
+        ParameterError, match="on_divergence must be raise or mark, got 'ignore'"
+    ):
+        Simulator(System(), on_divergence="ignore")
+    for seed in (-1, 1.5, True, "0", None):
+        with pytest.raises(ParameterError, match="seed must be a whole number >= 0"):
+            Simulator(System(), seed=seed)
+    with pytest.raises(ParameterError, match="servo must have gains for 3 joints, got 1"):
+        Simulator(System(), servo=JointServo(kp=(1.0,), kd=(1.0,)))  # one gain is no three
+
+
+def test_a_simulation_does_not_know_how_many_there_are():
+    """Row i of a batch, on one thread or two, equals the same simulation alone, bitwise."""
+    batch, threads = moving(4, threads=1), moving(4, threads=2)
+    start = Simulator(System(), 4)
+    start.reset(**START, spread={"q": 0.1, "v": 0.1, "y": 0.01, "yd": 0.01})
+    alone = [Simulator(System(), 1) for _ in range(4)]
+    for i, sim in enumerate(alone):
+        s = start.state
+        sim.reset(q=s.q[i], v=s.v[i], y=s.y[i], yd=s.yd[i])
+        sim.step([5.0, -3.0, 1.0])
+    for _ in range(5):
+        state = batch.step([1.0, 2.0, 3.0])
+        assert same(threads.step([1.0, 2.0, 3.0]), state)
+        for i, sim in enumerate(alone):
+            assert same(sim.step([1.0, 2.0, 3.0]), [part[i : i + 1] for part in state])
+
+
+# ------------------------------------------------------- bad input leaves no trace
+
+NAN_ROW = np.zeros((3, 3))
+NAN_ROW[1, 2] = np.nan
+BAD = [np.nan, np.inf, -np.inf, NAN_ROW, [0.0, 0.0], np.zeros((2, 3)), np.zeros((3, 4))]
+BAD += [
+    "0.0",
+    "abc",
+    ["1", "2", "3"],
+    None,
+    True,
+    1j,
+    {},
+    [[0], [0, 0]],
+    np.zeros((2, 2, 3, 3)),
+]
+
+
+@pytest.mark.parametrize("bad", BAD, ids=lambda b: repr(b).replace("\n", "")[:40])
+def test_a_bad_command_is_refused_and_leaves_no_trace(bad):
+    sim, twin = moving(), moving()
+    before = sim.state
+    for call in (sim.step, sim.evaluate):
+        with pytest.raises(ParameterError, match="command must be"):
+            call(bad)
+    with pytest.raises(ParameterError, match="commands must"):
+        sim.play(bad)
+    for name in ("q", "v", "y", "yd"):
+        with pytest.raises(ParameterError, match=f"{name} must be"):
+            sim.reset(**{name: bad})
+    with pytest.raises(ParameterError, match="kp must be"):
+        sim.set_gains(bad, 1.0)
+    with pytest.raises(ParameterError, match="kd must be"):
+        sim.set_gains(1.0, bad)
+    assert same(sim.state, before)
+    assert not sim.diverged.any()
+    command = twin.servo_command(np.zeros((3, 3)), np.zeros((3, 3)))
+    assert same(sim.step(command), twin.step(command))
+
+
+def test_a_bad_number_is_located():
+    with pytest.raises(ParameterError, match=r"command must be finite, got nan at \[1, 2\]"):
+        moving().step(NAN_ROW)
+    with pytest.raises(
+        ParameterError, match=r"commands must be numbers of shape \(3, k \+ 1, 3\)"
+    ):
+        moving().play(np.zeros((3, 1, 3)))
+    with pytest.raises(ParameterError, match=r"commands must be numbers of shape \(3, 4, 3\)"):
+        moving().play(np.zeros((2, 4, 3)))
+
+
+# -------------------------------------------------------------------------- reset
+
+
+def test_resetting_some_leaves_the_others_untouched_bitwise():
+    sim, twin = moving(5), moving(5)
+    after = sim.reset(q=[[0.1] * 3, [0.2] * 3], y=0.02, ids=[1, 3])
+    others = [0, 2, 4]
+    assert same(after, twin.state, others)
+    assert (after.time[[1, 3]] == 0).all()
+    assert (after.q[[1, 3]] == [[0.1] * 3, [0.2] * 3]).all()
+    assert (after.v[[1, 3]] == 0).all()
+    assert (after.y[[1, 3]] == 0.02).all()
+    for _ in range(3):
+        assert same(sim.step(2.0), twin.step(2.0), others)
+    fresh = Simulator(System())
+    fresh.reset(q=[0.2] * 3, y=0.02)
+    for _ in range(3):
+        state = fresh.step(2.0)
+    assert same([p[3:4] for p in sim.state], state)
+
+
+def test_values_go_to_the_ids_in_the_order_given():
+    sim = Simulator(System(), 4)
+    state = sim.reset(q=[[3.0] * 3, [0.0] * 3, [1.0] * 3], ids=[3, 0, 1])
+    assert state.q[:, 0].tolist() == [0.0, 1.0, 0.0, 3.0]
+    sim.set_gains([[3.0] * 3, [1.0] * 3], 0.0, ids=[2, 1])
+    sim.reset(q=0.1)
+    np.testing.assert_allclose(sim.evaluate(0.0)[0][1:3, 0], [-0.1, -0.3])
+
+
+def test_ids_as_a_mask_and_none_at_all():
+    sim, twin = moving(), moving()
+    assert same(sim.reset(ids=[]), twin.state)
+    assert same(sim.reset(ids=np.zeros(3, bool)), twin.state)
+    state = sim.reset(ids=np.array([True, False, True]))
+    assert same(state, twin.state, [1])
+    assert (state.time[[0, 2]] == 0).all()
+
+
+@pytest.mark.parametrize(
+    "ids", [[3], [-1], [0.0], [[0]], "0", 0, [True], [0, 0], [None], [0, 1, 2, 3], [1, 0, 1]]
+)
+def test_bad_ids_are_refused(ids):
+    with pytest.raises(ParameterError, match="ids must"):
+        Simulator(System(), 3).reset(ids=ids)
+
+
+def test_the_spread_of_a_simulation_does_not_depend_on_the_others():
+    spread = {"q": [0.1, 0.2, 0.3], "y": 0.01}
+    few, many = (Simulator(System(), n, seed=7) for n in (2, 6))
+    a, b = few.reset(spread=spread), many.reset(spread=spread)
+    assert same(a, [part[:2] for part in b])
+    assert len({tuple(row) for row in b.q}) == 6
+    # a partial reset draws from its own generators only
+    a, b = few.reset(spread=spread, ids=[1]), many.reset(spread=spread, ids=[1, 4])
+    assert same(a, [part[:2] for part in b])
+    a, b = few.reset(spread=spread), many.reset(spread=spread)
+    assert same([p[1:] for p in a], [p[1:2] for p in b])
+
+
+def test_seeds_give_their_own_draws_again():
+    sim = Simulator(System(), 2, seed=1)
+    first = sim.reset(spread={"q": 0.1})
+    second = sim.reset(spread={"q": 0.1})
+    sim.seed(1)
+    assert same(sim.reset(spread={"q": 0.1}), first)
+    assert same(sim.reset(spread={"q": 0.1}), second)
+    other = Simulator(System(), 2, seed=2).reset(spread={"q": 0.1})
+    assert (other.q != first.q).all()
+    draws = np.array([Simulator(System(), 400).reset(spread={"q": 0.1}).q]).ravel()
+    assert abs(draws.std() / 0.1 - 1) < 0.1  # 1200 draws: 2 % standard error
+
+
+def test_an_unknown_spread_is_refused():
+    with pytest.raises(ParameterError, match="spread: unknown key 'p'; known: q, v, y, yd"):
+        Simulator(System()).reset(spread={"p": 1.0})
+    with pytest.raises(ParameterError, match=r"spread\['q'\] must be finite"):
+        Simulator(System()).reset(spread={"q": np.nan})
+
+
+# ----------------------------------------------------------------------- snapshots
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        System(),
+        System(drive="prescribed"),
+        System(vehicle=FREE_FLYING),
+        System(integrator="euler"),
+    ],
+    ids=["motor", "prescribed", "satellite", "euler"],
+)
+def test_a_snapshot_continues_bitwise_in_another_simulator(system):
+    sim = moving(system=system)
+    text = pickle.dumps(sim.snapshot())
+
+    def go_on(s):
+        states = [s.step([1.0, -1.0, 0.5]) for _ in range(5)]
+        s.play(np.linspace(0, 1, 3 * 7 * 3).reshape(3, 7, 3))
+        states += [s.state, s.reset(spread={"q": 0.1}, ids=[0, 2])]
+        return states + [s.step(0.0) for _ in range(3)]
+
+    want = go_on(sim)
+    other = Simulator(system, 3, seed=99)
+    for target in (sim, other):
+        target.restore(pickle.loads(text))
+        assert all(same(a, b) for a, b in zip(go_on(target), want, strict=True))
+
+
+def test_a_snapshot_brings_its_gains_back():
+    sim = moving()
+    before = sim.snapshot()
+    want = sim.step(sim.servo_command(np.zeros((3, 3)), np.zeros((3, 3))))
+    bare = Simulator(System(), 3, servo=None)
+    bare_before = bare.snapshot()
+    for target in (sim, bare):
+        target.set_gains(PPED_GAINS.kp, PPED_GAINS.kd)
+        target.restore(before)
+        command = target.servo_command(np.zeros((3, 3)), np.zeros((3, 3)))
+        assert same(target.step(command), want)
+    sim.restore(bare_before)
+    sim.reset(q=0.3)
+    assert (sim.evaluate(0.0)[0] == 0).all()
+
+
+def test_a_snapshot_keeps_its_place_while_the_simulator_moves_on():
+    sim = moving()
+    snapshot = sim.snapshot()
+    before, kept = sim.state, copy.deepcopy(snapshot)
+    sim.step(3.0)
+    sim.reset(spread={"q": 1.0})
+    sim.restore(snapshot)
+    assert same(sim.state, before)
+    sim.step(3.0)
+    sim.restore(kept)
+    assert same(sim.state, before)
+
+
+def test_a_snapshot_of_something_else_is_refused():
+    sim, before = moving(), moving().state
+    for other in (moving(2), moving(system=System(vehicle=DECOUPLED))):
+        with pytest.raises(ParameterError, match=r"snapshot is of system .* with n = "):
+            sim.restore(other.snapshot())
+    assert same(sim.state, before)
+
+
+# --------------------------------------------------------------- drives and gains
+
+
+def test_gains_are_those_of_each_simulation():
+    sim = Simulator(System(), 3)
+    sim.set_gains([10.0, 20.0, 30.0], [1.0, 2.0, 3.0], ids=[1])
+    sim.reset(q=[0.1, 0.2, -0.1], v=[0.3, 0.2, 0.1])
+    torque = sim.evaluate(0.0)[0]
+    kp = np.array([HIGH_GAINS.kp, [10, 20, 30], HIGH_GAINS.kp])
+    kd = np.array([HIGH_GAINS.kd, [1, 2, 3], HIGH_GAINS.kd])
+    limit = PUMA_560.column("tau_max")
+    want = np.clip(-kp * [0.1, 0.2, -0.1] - kd * [0.3, 0.2, 0.1], -limit, limit)
+    np.testing.assert_allclose(torque, want, rtol=1e-12)
+    command = sim.servo_command(
+        np.tile([0.1, 0.2, -0.1], (3, 1)), np.tile([0.3, 0.2, 0.1], (3, 1))
+    )
+    np.testing.assert_allclose(sim.evaluate(command)[0], 0.0, atol=1e-12)
+
+
+def test_motors_have_a_limit():
+    sim = Simulator(System(), servo=None)
+    np.testing.assert_array_equal(sim.evaluate(1e6)[0], [PUMA_560.column("tau_max")])
+    np.testing.assert_array_equal(sim.evaluate(-1e6)[0], [-PUMA_560.column("tau_max")])
+    np.testing.assert_array_equal(sim.evaluate([1.0, -2.0, 3.0])[0], [[1.0, -2.0, 3.0]])
+
+
+def test_without_a_servo_the_torque_is_the_command():
+    free = Simulator(System(), servo=None)
+    zero = Simulator(System(), servo=JointServo(kp=(0.0,) * 3, kd=(0.0,) * 3))
+    for sim in (free, zero):
+        sim.reset(**START)
+    assert same(free.step(3.0), zero.step(3.0))
+
+
+def test_a_prescribed_drive_follows_its_command_and_has_no_gains():
+    """Tolerance: base forces of 1e3 N m over the 1e8 kg m^2 that prescribe the motion."""
+    sim = Simulator(System(drive="prescribed"), 2)
+    for _ in range(40):
+        state = sim.step([[1.0, -0.5, 2.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(state.v, [[0.5, -0.25, 1.0], [0, 0, 0]], atol=1e-5)
+    np.testing.assert_allclose(state.q, [[0.125, -0.0625, 0.25], [0, 0, 0]], atol=1e-5)
+    with pytest.raises(ParameterError, match="no servo gains"):
+        sim.set_gains(1.0, 1.0)
+
+
+def test_a_held_command_plays_as_it_steps():
+    sim, twin = moving(), moving()
+    sim.play(np.broadcast_to(np.array([4.0, -2.0, 1.0]), (3, 11, 3)))
+    assert same(sim.state, twin.step([4.0, -2.0, 1.0]))
+
+
+def test_a_ramp_is_the_mean_of_its_ends():
+    """To first order a short ramp acts as its mean; within 1 % of what the command does."""
+    base, ramp, flat = (moving(servo=None) for _ in range(3))
+    command = np.linspace(0, 8.0, 11)[None, :, None] * np.ones((3, 1, 3))
+    ramp.play(command)
+    flat.step(4.0)
+    base.step(0.0)
+    effect = np.abs(flat.state.v - base.state.v).max()
+    assert np.abs(ramp.state.v - flat.state.v).max() < 0.01 * effect
+
+
+# ------------------------------------------------------------------------ thrusters
+
+HEAVY = Satellite(  # turns so little that its axes stay where they are
+    body=Inertial(mass=500.0, com=(0.0, 0.0, 0.0), inertia=diagonal(1e7, 1e7, 1e7)),
+    thrusters=True,
+)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_constant_force_accelerates_the_whole_mass(axis):
+    """F / m_total, arm included. Tolerance: the satellite turns by 1e-6 rad meanwhile."""
+    system = System(vehicle=HEAVY, drive="prescribed")
+    sim = Simulator(system, 2)
+    wrench = np.zeros((2, 6))
+    wrench[1, axis] = 20.0
+    for _ in range(40):
+        state = sim.step(0.0, base_wrench=wrench)
+    time = 40 * 12.5e-3
+    mass = 500 + PUMA_560.mass
+    assert state.yd[1, axis] == pytest.approx(20 / mass * time, rel=1e-5)
+    assert state.y[1, axis] == pytest.approx(20 / mass * time**2 / 2, rel=1e-5)
+    assert (state.y[0] == 0).all()
+    # nobody pushes any more: it coasts
+    before = state.yd.copy()
+    for _ in range(5):
+        state = sim.step(0.0)
+    np.testing.assert_allclose(state.yd, before, atol=1e-6 * np.abs(before).max())
+    sim.play(np.zeros((2, 11, 3)))
+    np.testing.assert_allclose(sim.state.yd, before, atol=1e-6 * np.abs(before).max())
+
+
+def test_a_moment_turns_in_the_platform_s_axes():
+    sim = Simulator(System(vehicle=HEAVY, drive="prescribed"), 2)
+    sim.reset(y=[[0, 0, 0, 0.0, 0.0, 0.0], [0, 0, 0, 0.4, -0.7, 1.1]])
+    for _ in range(20):
+        state = sim.step(0.0, base_wrench=[0, 0, 0, 100.0, 200.0, -50.0])
+    rates = twist(state.y, state.yd)[:, 3:]
+    np.testing.assert_allclose(rates[1], rates[0], rtol=1e-5)
+    np.testing.assert_allclose(rates[0], np.array([100, 200, -50]) / 1e7 * 0.25, rtol=1e-3)
+
+
+@pytest.mark.parametrize("vehicle", [STRAIGHT_VERTICAL, DECOUPLED, FREE_FLOATING])
+def test_only_thrusters_push(vehicle):
+    sim = Simulator(System(vehicle=vehicle))
+    before = sim.state
+    with pytest.raises(ParameterError, match="base_wrench needs a vehicle with thrusters"):
+        sim.step(0.0, base_wrench=np.zeros(6))
+    assert same(sim.state, before)
+
+
+def test_a_bad_wrench_is_refused():
+    sim = moving(system=System(vehicle=FREE_FLYING))
+    before = sim.state
+    for bad in (np.nan, np.zeros(5), "0", np.zeros((2, 6)), [np.inf] * 6):
+        with pytest.raises(ParameterError, match="base_wrench must be"):
+            sim.step(0.0, base_wrench=bad)
+    assert same(sim.state, before)
+
+
+# ----------------------------------------------------------------------- divergence
+
+WILD = {
+    "base rate": ({"yd": [0, 1e12, 0, 0, 0, 0]}, "y = "),
+    "joint rate": ({"v": [0, 1e12, 0]}, "joint 2 = "),
+    "joint rate that overflows within a step": ({"v": [0, 0, 1e6]}, "joint 3 = "),
+    "base pose": ({"y": [0, 0, 1e11, 0, 0, 0]}, "z = "),
+}
+
+
+@pytest.mark.parametrize("case", WILD)
+@pytest.mark.parametrize("how", ["step", "play"])
+def test_divergence_is_raised_by_simulation_time_and_coordinate(case, how):
+    start, named = WILD[case]
+    sim = Simulator(System(), 3, servo=None)
+    sim.step(0.0)
+    sim.reset(**start, ids=[1])
+    with pytest.raises(Divergence) as caught:
+        for _ in range(50):
+            sim.step(0.0) if how == "step" else sim.play(np.zeros((3, 11, 3)))
+    message = str(caught.value)
+    assert message.startswith("simulation 1 of 3 diverged at t = 0.0")
+    assert named in message
+    assert "\n" not in message
+    assert caught.value.ids.tolist() == [1]
+    assert sim.diverged.tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("case", WILD)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_marked_simulation_stays_and_its_neighbours_do_not_notice(case, threads):
+    sim = moving(4, on_divergence="mark", threads=threads)
+    twin = moving(4, threads=threads)
+    sim.reset(**WILD[case][0], ids=[2])
+    others = [0, 1, 3]
+    for _ in range(5):
+        assert same(sim.step(1.0), twin.step(1.0), others)
+    assert sim.diverged.tolist() == [False, False, True, False]
+    frozen = sim.state
+    command = np.linspace(0, 1, 4 * 8 * 3).reshape(4, 8, 3)
+    for _ in range(3):
+        assert same(sim.step(1.0), twin.step(1.0), others)
+        sim.play(command)
+        twin.play(command)
+        assert same(sim.state, twin.state, others)
+        assert same(sim.state, frozen, [2])
+    # it comes back as new
+    start = {"q": [0.1, 0.2, 0.3], "v": 0.1}
+    sim.reset(**start, ids=[2])
+    twin.reset(**start, ids=[2])
+    assert not sim.diverged.any()
+    for _ in range(3):
+        assert same(sim.step(1.0), twin.step(1.0))
+
+
+def test_nan_that_appears_inside_the_engine_is_seen():
+    sim = moving(3, on_divergence="mark")
+    twin = moving(3)
+    z, zd = np.zeros((1, 9)), np.zeros((1, 9))
+    zd[0, 7] = np.nan
+    sim.backend.write(np.array([0]), np.zeros(1), z, zd)
+    assert same(sim.step(0.0), twin.step(0.0), [1, 2])
+    assert sim.diverged.tolist() == [True, False, False]
+
+
+def test_all_may_diverge_and_the_clock_goes_on():
+    sim = Simulator(System(), 2, servo=None, on_divergence="mark")
+    sim.reset(v=1e12)
+    for _ in range(3):
+        sim.step(0.0)
+        sim.play(np.zeros((2, 3, 3)))
+    assert sim.diverged.all()
+
+
+def test_every_diverged_simulation_is_listed():
+    sim = Simulator(System(), 4, servo=None)
+    sim.reset(v=1e12, ids=[1, 3])
+    with pytest.raises(Divergence) as caught:
+        sim.step(0.0)
+    assert caught.value.ids.tolist() == [1, 3]
+    sim.step(0.0)  # known by now, not raised again
+
+
+def test_a_snapshot_remembers_what_diverged():
+    sim = Simulator(System(), 2, servo=None, on_divergence="mark")
+    sim.reset(v=1e12, ids=[1])
+    sim.step(0.0)
+    other = Simulator(System(), 2, on_divergence="mark")
+    other.restore(sim.snapshot())
+    assert other.diverged.tolist() == [False, True]
+    before = other.state
+    assert same(other.step(0.0), before, [1])
+
+
+def test_a_base_too_viscous_for_the_step_is_refused_before_it_diverges():
+    overdamped = dataclasses.replace(DECOUPLED, D=diagonal(500, 500, 1e9, 250, 250, 250))
+    for integrator in ("rk4", "euler"):
+        with pytest.raises(ParameterError, match=r"physics_dt must be <= .* s for the vehicle"):
+            Simulator(System(vehicle=overdamped, integrator=integrator))
+    sim = Simulator(System(vehicle=overdamped, integrator="implicitfast"))  # damping too
+    sim.reset(y=0.01)
+    for _ in range(40):
+        assert np.abs(sim.step().y).max() < 0.02
+
+
+@pytest.mark.parametrize("rate", [0.05, 0.31, 1.7, 9.0, -0.4])
+def test_a_satellite_tumbling_past_the_end_of_its_angles_is_reported(rate):
+    """Whatever the rate: a control period may jump over phi_y = 90 deg itself."""
+    sim = Simulator(System(vehicle=HEAVY, drive="prescribed"), 2, on_divergence="mark")
+    sim.reset(yd=[[0, 0, 0, rate, 0, 0], [0, 0, 0, 0, rate, 0]])
+    steps = int(np.pi / abs(rate) / 12.5e-3)
+    for _ in range(steps):
+        sim.step(0.0)
+        if sim.diverged.any():
+            break
+    assert sim.diverged.tolist() == [False, True]
+    assert abs(np.rad2deg(sim.state.y[1, 4])) == pytest.approx(
+        90, abs=1 + np.rad2deg(abs(rate) * 12.5e-3)
+    )
+    assert "phi_y" in sim.describe_divergence(1)
+    assert "90 deg" in sim.describe_divergence(1)
+
+
+def test_turning_about_the_other_axes_is_no_tumble():
+    sim = Simulator(System(vehicle=HEAVY, drive="prescribed"), 3)
+    sim.reset(yd=[[0, 0, 0, 3.0, 0, 0], [0, 0, 0, 0, 0, 3.0], [0] * 6])
+    sim.reset(y=[0, 0, 0, 0, 1.5, 0], ids=[2])  # 86 deg, at rest
+    for _ in range(200):
+        state = sim.step(0.0)
+    np.testing.assert_allclose(state.y[[0, 1], [3, 5]], 7.5, rtol=1e-3)
+
+
+@pytest.mark.parametrize("backend", ["kernel", "mujoco"])
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_a_command_may_run_linearly_through_the_period(backend, mode):
+    system = System(mode=mode)
+    stepped, played = (Simulator(system, 3, backend=backend, warn_at=None) for _ in "ab")
+    rng = np.random.default_rng(5)
+    ends = rng.normal(0, 20, (4, 3, 3))
+    share = (np.arange(system.substeps + 1) / system.substeps)[:, None]
+    for start, end in itertools.pairwise(ends):
+        stepped.step(start, until=end)
+        played.play(start[:, None] + share * (end - start)[:, None])
+        for one, other in zip(stepped.state, played.state, strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-10)
+    held = Simulator(system, 3, backend=backend, warn_at=None)
+    held.step(ends[0])
+    assert abs(held.state.v - stepped.state.v).max() > 1e-4
+    with pytest.raises(ParameterError, match=r"until must be numbers of shape \(3, 3\)"):
+        stepped.step(0.0, until=np.zeros(4))

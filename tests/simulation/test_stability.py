@@ -1,0 +1,320 @@
+"""Stability known before the run: against closed forms, and against what then happens."""
+
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from ves_gym._util.params import ParameterError
+from ves_gym.effects import LABORATORY_ERRORS
+from ves_gym.hardware.force_sensor import ForceSensor
+from ves_gym.hardware.leg_servo import FILTERED, leg_clock
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.arm import diagonal
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.vehicle import (
+    BENT,
+    DECOUPLED,
+    FREE_FLOATING,
+    STRAIGHT_VERTICAL,
+    Matrices,
+)
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.simulation.stability import (
+    EmulationWarning,
+    check_emulation,
+    max_bandwidth,
+    max_gain,
+    spectral_radius,
+    transition,
+)
+from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.system import System
+
+# three translations of a tonne each, rotations that hardly move: three modes of one axis
+AXES = Matrices(
+    M=diagonal(1e3, 1e3, 1e3, 1e7, 1e7, 1e7),
+    D=diagonal(100, 200, 300, 1e7, 1e7, 1e7),
+    K=diagonal(2e3, 6e3, 2e4, 1e9, 1e9, 1e9),
+)
+
+
+def plain(vehicle=BENT, bandwidth=8.0, *, dt=12.5e-3, cutoff=20.0, **options):
+    """The loop of the thesis: no payload compensation."""
+    return System(
+        mode="emulated",
+        vehicle=vehicle,
+        control_dt=dt,
+        physics_dt=dt / 10,
+        emulator=Emulator(
+            payload_compensation=False,
+            platform=PoseServo(bandwidth=bandwidth),
+            sensor=ForceSensor(cutoff=cutoff),
+        ),
+        **options,
+    )
+
+
+def slow_modes(system):
+    """The three translations' modes, slowest first."""
+    check = check_emulation(system, search=False)
+    assert check.stable
+    return check.modes[:3]
+
+
+# --------------------------------------------------------------------- closed forms
+
+
+def test_the_loops_lag_damps_slow_modes_by_the_closed_form():
+    """The arm's inertia m_a felt a time L late takes m_a w^2 L y' from a mode of mass M:
+    added damping ratio m_a / (M + m_a) w L / 2, with L = `Emulator.lag`.
+
+    Joints prescribed. Tolerance: next order in w L, up to 10 % at 0.7 Hz (w L = 0.1).
+    """
+    system = plain(AXES, drive="prescribed")
+    L, ma = system.laboratory.lag(system.control_dt), PUMA_560.mass
+    total = 1e3 + ma
+    for mode, k, d in zip(slow_modes(system), (2e3, 6e3, 2e4), (100, 200, 300), strict=True):
+        w = np.sqrt(k / total)
+        assert mode.frequency == pytest.approx(w / 2 / np.pi, rel=1e-3)
+        assert mode.damping == pytest.approx(d / (2 * total * w), rel=1e-2)
+        added = mode.emulated_damping - mode.damping
+        assert added == pytest.approx(ma / total * w * L / 2, rel=max(0.05, 2 * w * L))
+
+
+def test_the_stated_lag_is_the_sum_of_its_parts():
+    """sqrt(2) / w of a 20 Hz filter, half a period's hold, and of the platform."""
+    dt, w = 12.5e-3, 2 * np.pi * 20
+    assert Emulator().lag(dt) == pytest.approx(np.sqrt(2) / w + dt / 2)
+    assert Emulator(delay=3).lag(dt) - Emulator(delay=1).lag(dt) == pytest.approx(2 * dt)
+    slow = Emulator(platform=PoseServo(rate_feedforward=False))
+    assert slow.lag(dt) - Emulator().lag(dt) == pytest.approx(dt / 2 + 1.4 / (16 * np.pi))
+
+
+def test_the_modes_become_the_ideal_ones_as_the_machine_grows_faster():
+    """Ten times the bandwidths at a tenth of the period: a tenth of the added damping."""
+    added = []
+    for factor in (1, 10):
+        system = plain(
+            AXES, 8.0 * factor, dt=12.5e-3 / factor, cutoff=20.0 * factor, drive="prescribed"
+        )
+        modes = slow_modes(system)
+        added.append([abs(m.emulated_damping - m.damping) for m in modes])
+        for mode in modes:
+            assert mode.emulated_frequency == pytest.approx(mode.frequency, rel=1e-2 / factor)
+    np.testing.assert_allclose(np.array(added[1]) / added[0], 0.1, rtol=0.2)
+
+
+def test_compensation_leaves_the_modes_as_they_are():
+    """Arm and vehicle integrated together: the poles are the ideal ones at once.
+
+    Tolerance: the trapezoidal rule, (w dt)^2 / 12 = 2e-4 of the fastest of the three.
+    """
+    system = System(mode="emulated", vehicle=AXES, drive="prescribed")
+    for mode in slow_modes(system):
+        assert mode.emulated_frequency == pytest.approx(mode.frequency, rel=1e-3)
+        assert mode.emulated_damping == pytest.approx(mode.damping, abs=1e-4)
+
+
+def test_the_payload_ratio_is_the_arm_over_the_vehicle():
+    check = check_emulation(plain(AXES), search=False)
+    assert check.payload_ratio == pytest.approx(PUMA_560.mass / 1e3, rel=1e-2)
+    H = inertia(PUMA_560, np.array([0.1, 0.5, -0.3]))[:6, :6]
+    want = scipy.linalg.eigvals(np.linalg.solve(BENT.base_model().M, H)).real.max()
+    got = check_emulation(System(mode="emulated"), [0.1, 0.5, -0.3], search=False)
+    assert got.payload_ratio == pytest.approx(want, rel=1e-9)
+
+
+# --------------------------------------------------------------- the thesis's limit
+
+
+def growth(system, periods):
+    """Amplitude of a tiny disturbance over a run of an actual simulation.
+
+    It stays far below the safety limits and the engine's own rounding is 1e-12 m.
+    """
+    sim = Simulator(system, warn_at=None)
+    sim.reset(yd=[1e-6, -1e-6, 1e-6, 1e-6, 1e-6, -1e-6])
+    start = np.zeros((1, 3))
+    sizes = []
+    for _ in range(periods):
+        state = sim.step(sim.servo_command(start, start))
+        sizes.append(np.linalg.norm(np.r_[state.y[0], state.yd[0]]))
+    assert sim.events == []
+    return np.array(sizes)
+
+
+def test_the_plain_loop_on_the_bent_beam_loses_stability_near_eight_hertz():
+    """DESIGN, from an independent linear study: stable to about 8 Hz, unstable at 10.
+
+    The limit found is then tried out: simulations at 0.8 and 1.25 times it.
+    """
+    limit = max_bandwidth(plain())
+    assert 6 < limit < 10
+    assert spectral_radius(plain(bandwidth=0.98 * limit)) <= 1 + 1e-4
+    assert spectral_radius(plain(bandwidth=1.02 * limit)) > 1 + 1e-4
+    calm = growth(plain(bandwidth=0.8 * limit), 480)
+    assert calm[-40:].max() < calm[:40].max()
+    fast = plain(bandwidth=1.25 * limit)
+    wild, radius = growth(fast, 280), spectral_radius(fast)
+    assert wild[-1] > 20 * wild[:40].max()
+    # it grows at the predicted rate; tolerance: what other modes add
+    rate = np.log(wild[-40:].max() / wild[-160:-120].max()) / 120
+    assert rate == pytest.approx(np.log(radius), rel=0.1)
+
+
+def test_a_lighter_vehicle_allows_less():
+    """The arm of 94 kg on 45, 60 and 90 kg (thesis 5.4): the limit falls with the mass."""
+    limits = []
+    for mass in (45.0, 60.0, 90.0):
+        vehicle = dataclasses.replace(AXES, M=diagonal(*[mass] * 3, *[1e7] * 3))
+        limits.append(max_bandwidth(plain(vehicle, drive="prescribed")))
+    assert limits == sorted(limits)
+    assert limits[0] < 0.7 * limits[2]
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "bandwidth"),
+    [(BENT, 8.0), (BENT, 10.0), (BENT, 30.0), (STRAIGHT_VERTICAL, 8.0)],
+    ids=["bent-8", "bent-10", "bent-30", "straight-8"],
+)
+def test_payload_compensation_makes_the_beams_stable(vehicle, bandwidth):
+    """The straight beam's torsion, 600 times lighter than the arm, included."""
+    emulator = Emulator(platform=PoseServo(bandwidth=bandwidth))
+    system = System(mode="emulated", vehicle=vehicle, emulator=emulator)
+    assert spectral_radius(system) <= 1 + 1e-4
+
+
+def test_a_free_base_counts_as_stable_and_a_swinging_one_does():
+    """A satellite neither grows nor decays: a double eigenvalue 1."""
+    for system in (
+        System(mode="emulated", vehicle=FREE_FLOATING),
+        plain(FREE_FLOATING, 2.0),
+        System(mode="emulated", vehicle=DECOUPLED),
+    ):
+        check = check_emulation(system, search=False)
+        assert check.stable
+        assert check.spectral_radius == pytest.approx(1, abs=1e-2)
+        assert check.growth < 1e-2
+
+
+# ------------------------------------------------------------------------- reports
+
+
+def test_the_check_reports_what_was_found():
+    check = check_emulation(plain(bandwidth=4.0))
+    assert check.stable
+    assert check.growth < 0
+    assert check.growth == pytest.approx(np.log(check.spectral_radius) / 12.5e-3)
+    assert 6 < check.max_bandwidth < 10
+    assert check.max_gain is None
+    assert check.lag == pytest.approx(Emulator().lag(12.5e-3))
+    assert len(check.modes) >= 6
+    assert [m.frequency for m in check.modes] == sorted(m.frequency for m in check.modes)
+    unstable = check_emulation(plain(bandwidth=12.0), search=False)
+    assert not unstable.stable
+    assert unstable.growth > 0
+    assert unstable.max_bandwidth is None
+    text = check.to_dict()
+    assert text["modes"][0]["frequency"] == check.modes[0].frequency
+    assert text["max_gain"] is None
+
+
+def test_legs_are_judged_by_their_gain():
+    """The loop with leg servos: the gain at which it is lost lies between stable and not."""
+    control, physics = leg_clock(FILTERED)
+    system = System(
+        mode="emulated",
+        vehicle=DECOUPLED,
+        control_dt=control,
+        physics_dt=physics,
+        drive="prescribed",
+        emulator=Emulator(platform=FILTERED, payload_compensation=False),
+    )
+
+    def scaled(factor):
+        lab = dataclasses.replace(system.laboratory, platform=FILTERED.scaled(factor))
+        return system.replace(emulator=lab)
+
+    gain = max_gain(system)
+    assert gain > 1
+    assert spectral_radius(scaled(0.95 * gain)) <= 1 + 1e-4
+    assert spectral_radius(scaled(1.05 * gain)) > 1 + 1e-4
+    with pytest.raises(ParameterError, match="max_bandwidth needs a pose servo, got legs"):
+        max_bandwidth(system)
+    with pytest.raises(ParameterError, match="max_gain needs a leg servo, got pose"):
+        max_gain(plain())
+
+
+def test_noise_and_quantisation_do_not_disturb_the_judgement():
+    """The loop with them is linearised without; the map is bitwise that of a clean one."""
+    clean = plain(bandwidth=4.0)
+    sensor = ForceSensor(force_resolution=5.0, moment_resolution=5.0)
+    lab = dataclasses.replace(clean.laboratory, sensor=sensor)
+    for other in (clean.replace(effects=LABORATORY_ERRORS), clean.replace(emulator=lab)):
+        assert transition(other).tobytes() == transition(clean).tobytes()
+    # nor do tight safety limits
+    tight = dataclasses.replace(clean.laboratory, force_max=1.0)
+    assert transition(clean.replace(emulator=tight)).tobytes() == transition(clean).tobytes()
+
+
+def test_the_map_predicts_one_period():
+    """The linear map against a free decay of the real loop: largest eigenvalue of a run.
+
+    A stable compensated loop decays no faster than its spectral radius says.
+    """
+    system = System(mode="emulated", vehicle=DECOUPLED)
+    radius = spectral_radius(system)
+    sizes = growth(system, 640)
+    rate = np.log(sizes[-160:].max() / sizes[-480:-320].max()) / 320
+    assert rate == pytest.approx(np.log(radius), rel=0.15)
+
+
+# ------------------------------------------------------------------------ warnings
+
+
+def test_an_unstable_emulation_is_a_warning_and_a_stable_one_is_not():
+    unstable = plain(bandwidth=12.0)
+    for _ in range(2):  # the second from memory
+        with pytest.warns(EmulationWarning, match="unstable"):
+            Simulator(unstable)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Simulator(unstable, warn_at=None)
+        Simulator(plain(bandwidth=4.0))
+        Simulator(System(mode="emulated"))
+        position = dataclasses.replace(unstable.laboratory, operation="position")
+        Simulator(unstable.replace(emulator=position))
+        Simulator(System())
+
+
+def test_the_place_where_it_is_judged_counts():
+    """On the edge: at 7.62 Hz stable with the elbow folded, unstable with the arm up."""
+    folded, up = [0.0, 1.0, -2.0], [0.0, np.pi / 2, 0.0]
+    edge = plain(bandwidth=7.62)
+    assert spectral_radius(edge, folded) <= 1 + 1e-4 < spectral_radius(edge, up)
+    with pytest.warns(EmulationWarning):
+        Simulator(edge, warn_at=up)
+    Simulator(edge, warn_at=folded)
+
+
+def test_what_was_given_as_arrays_is_judged_too():
+    """Systems that hold lists or arrays have no hash of their own."""
+    vehicle = Matrices(M=500 * np.eye(6), D=500 * np.eye(6), K=1e3 * np.eye(6))
+    Simulator(System(mode="emulated", vehicle=vehicle, effects=list(LABORATORY_ERRORS)))
+
+
+def test_what_has_no_loop_is_refused():
+    for judge in (check_emulation, spectral_radius, transition, max_bandwidth):
+        with pytest.raises(ParameterError, match="mode ideal has no laboratory machine"):
+            judge(System())
+    position = System(mode="emulated", emulator=Emulator(operation="position"))
+    for judge in (check_emulation, spectral_radius, transition, max_bandwidth):
+        with pytest.raises(ParameterError, match="operation position has no loop"):
+            judge(position)
+    for q, message in [([0.0, 0.0], r"q must have shape \(3,\)"), (np.nan, "q must be finite")]:
+        with pytest.raises(ParameterError, match=message):
+            spectral_radius(plain(), q)

@@ -1,0 +1,170 @@
+"""Effects that are torques at the joints: one text for NumPy, MuJoCo and the kernel."""
+
+import numpy as np
+import pytest
+
+from tests.effects.values import effect
+from ves_gym._util.params import ParameterError
+from ves_gym.effects import (
+    JointAsymmetry,
+    JointCoulomb,
+    JointDriveGain,
+    JointLoadFriction,
+    JointRipple,
+    JointStribeck,
+    JointTorqueLimit,
+    JointViscous,
+    joint_coulomb,
+)
+from ves_gym.engine.kernel.trace import structure
+from ves_gym.mechanics.motion import Motion
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.effect import Effect, joint_torque, register
+from ves_gym.system.energy import ledger
+from ves_gym.system.system import System
+
+FRICTION = (
+    JointStribeck(coulomb=(3.0, 4.0, 2.0), stiction=(6.0, 8.0, 4.0), fade_speed=0.3),
+    JointViscous(damping=(2.0, 2.0, 1.0)),
+    JointCoulomb(torque=(1.0, 0.0, 0.5)),
+)
+MOTION = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
+
+
+def gap(mode, physics_dt):
+    """Largest difference of joint angles between the engines [rad]."""
+    system = System(effects=FRICTION, mode=mode, physics_dt=physics_dt)
+    runs = [play_motions(system, [MOTION], settle=0.5, backend=k) for k in ("kernel", "mujoco")]
+    return np.abs(runs[0].q - runs[1].q).max()
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_engines_agree_as_the_step_shrinks(mode):
+    """MuJoCo holds the torque over each step: first order, so a quarter at a quarter step."""
+    coarse, fine = gap(mode, 1.25e-3), gap(mode, 1.25e-3 / 4)
+    assert coarse < 2e-5
+    assert fine == pytest.approx(coarse / 4, rel=0.1)
+
+
+def test_friction_is_in_the_energy_account():
+    system = System(effects=FRICTION)
+    log = play_motions(system, [MOTION], settle=0.5, record_dt=system.physics_dt).log(0)
+    account = ledger(log)
+    assert account.relative < 1e-5
+    free = play_motions(System(), [MOTION], settle=0.5, record_dt=system.physics_dt).log(0)
+    assert account.dissipated[-1] > ledger(free).dissipated[-1] + 1.0  # J, in the joints
+
+
+def test_torques_are_those_of_the_formulas():
+    q, v = np.zeros((4, 3)), np.array([[0.0] * 3, [5.0] * 3, [-5.0] * 3, [0.1, -0.1, 0.1]])
+    torque = joint_torque(FRICTION, q, v, q, np.full(3, 90.0))
+    np.testing.assert_array_equal(torque[0], 0)
+    np.testing.assert_allclose(torque[1], [-3 - 10 - 1, -4 - 10, -2 - 5 - 0.5], rtol=1e-12)
+    np.testing.assert_allclose(torque[2], -torque[1])
+    fade = np.exp(-((0.1 / 0.3) ** 2))
+    assert torque[3, 0] == pytest.approx(-(3 + 3 * fade) - 0.2 - 1, rel=1e-6)
+
+
+def test_null_laws_leave_the_run_as_it_is():
+    null = (JointViscous(damping=(0.0,) * 3), JointCoulomb(torque=(0.0,) * 3))
+    runs = [play_motions(System(effects=k), [MOTION], settle=0.2).q for k in ((), null)]
+    np.testing.assert_array_equal(*runs)
+
+
+def test_a_changed_constant_of_a_law_is_another_kernel(monkeypatch):
+    """The text of the class alone would not show it, and the cache would serve the old code."""
+    system = System(effects=(JointCoulomb(torque=(1.0,) * 3),))
+    before = structure(system)
+    assert structure(system) == before
+    assert structure(System(effects=(JointCoulomb(torque=(2.0,) * 3),))) == before
+    monkeypatch.setattr(joint_coulomb, "CREEP", 0.02)
+    assert structure(system) != before
+
+
+def test_one_number_per_joint():
+    with pytest.raises(ParameterError, match="must be 3 numbers, one per joint, got 2"):
+        System(effects=(JointViscous(damping=(1.0, 1.0)),))
+
+
+def test_an_effect_must_do_something():
+    with pytest.raises(ParameterError, match="must have one of `edit`, `law`, "):
+
+        @register("test/nothing")
+        class Nothing(Effect):
+            pass
+
+
+def test_an_effect_must_say_where_it_enters():
+    with pytest.raises(
+        ParameterError, match=r"port must be one of joint, wrench, .*, got None"
+    ):
+
+        @register("test/nowhere")
+        class Nowhere(Effect):
+            def law(self, xp, q, v, tau):
+                return -v
+
+
+# ------------------------------------------------------------------ laws, one by one
+
+
+def torque(effect, q=0.0, v=0.0, tau=0.0, limit=100.0):
+    """Torque of one law at the first joint [N m]."""
+    given = (np.full((1, 3), k) for k in (q, v, tau))
+    return float(joint_torque((effect,), *given, np.full(3, limit))[0, 0])
+
+
+def test_asymmetric_friction_is_even_in_speed_and_vanishes_at_rest():
+    law = JointAsymmetry(coulomb=(2.0,) * 3, viscous=(0.5,) * 3)
+    assert torque(law) == 0
+    for v in (3.0, -3.0):
+        assert torque(law, v=v) == pytest.approx(-2 - 0.5 * 3, rel=1e-12)
+
+
+def test_load_friction_is_in_proportion_to_the_motor_torque():
+    law = JointLoadFriction(coefficient=(0.1,) * 3)
+    for tau in (20.0, -20.0):
+        assert torque(law, v=1.0, tau=tau) == pytest.approx(-2.0, rel=1e-12)
+        assert torque(law, v=-1.0, tau=tau) == pytest.approx(2.0, rel=1e-12)
+
+
+def test_ripple_repeats_with_the_joint_angle():
+    law = JointRipple(amplitude=(2.0,) * 3, cycles=(10.0,) * 3, phase=(np.pi / 2,) * 3)
+    assert torque(law) == pytest.approx(2.0, rel=1e-12)
+    assert torque(law, q=2 * np.pi / 10) == pytest.approx(2.0, rel=1e-12)
+    assert torque(law, q=np.pi / 10) == pytest.approx(-2.0, rel=1e-12)
+
+
+def test_a_limited_motor_gives_what_it_can():
+    law = JointTorqueLimit(fraction=(0.4,) * 3)
+    for tau, given in ((50.0, 50.0), (70.0, 60.0), (-100.0, -60.0)):
+        assert tau + torque(law, tau=tau) == pytest.approx(given, rel=1e-12)
+
+
+@pytest.mark.parametrize("backend", ["kernel", "mujoco"])
+def test_drive_gain_scales_the_acceleration_and_not_the_log(backend):
+    """In free space, at rest: acceleration in proportion to the torque really given."""
+    still = {"servo": None, "backend": backend}
+    plain, gained = (
+        Simulator(System(effects=k), **still) for k in ((), (JointDriveGain(error=(0.1,) * 3),))
+    )
+    (told, slow), (same, fast) = (k.evaluate([5.0, -3.0, 2.0]) for k in (plain, gained))
+    np.testing.assert_array_equal(told, same)
+    np.testing.assert_allclose(fast, 1.1 * slow, rtol=1e-9)
+
+
+@pytest.mark.parametrize("backend", ["kernel", "mujoco"])
+def test_an_early_limit_binds_and_the_log_shows_what_was_asked(backend):
+    half = JointTorqueLimit(fraction=(0.5,) * 3)
+    limit = System().arm.column("tau_max")
+    sims = [Simulator(System(effects=k), servo=None, backend=backend) for k in ((half,), ())]
+    told, limited = sims[0].evaluate(limit)
+    np.testing.assert_allclose(told[0], limit)
+    np.testing.assert_allclose(limited, sims[1].evaluate(limit / 2)[1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["drive_gain", "torque_limit", "load_friction"])
+def test_what_acts_on_motors_needs_motors(kind):
+    with pytest.raises(ParameterError, match="would do nothing: it needs drive motor, got dri"):
+        System(drive="prescribed", effects=(effect(f"joint/{kind}"),))

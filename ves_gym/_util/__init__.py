@@ -1,0 +1,1 @@
+"""Parameters with units, statistics, worker processes, MuJoCo's loading: knows no robot."""

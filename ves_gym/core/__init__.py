@@ -1,1 +1,0 @@
-"""Physics: parameters, arm, vehicles, system, simulator, motion, energy, run log."""

@@ -1,0 +1,1 @@
+"""How well the diagnosis works: cases with hidden effects, answers, scores."""

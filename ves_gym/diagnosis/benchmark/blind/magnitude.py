@@ -1,0 +1,75 @@
+"""How large an effect must be for a wanted gap over the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.diagnosis.benchmark.blind.noise import STD
+from ves_gym.diagnosis.benchmark.blind.simulate import CHANNELS
+
+TOLERANCE = 0.05  # relative, of the gap reached
+ROUNDS = 24
+# standard deviations the gap is measured in; what has no noise of its own counts in that of
+# the quantity it stands for
+SCALE = {**STD, "y_cmd": STD["y"], "wg": STD["w"]}
+
+
+def gaps(changed: Sequence[Array], plain: Sequence[Array]) -> dict[str, Array]:
+    """Channel group -> (k,) RMS difference over noise, mean over the runs."""
+    out = {}
+    for name, std in SCALE.items():
+        columns = CHANNELS[name]
+        per_run = [
+            np.sqrt(((a[:, columns] - b[:, columns]) ** 2).mean(axis=0)) / std
+            for a, b in zip(changed, plain, strict=True)
+        ]
+        out[name] = np.asarray(np.mean(per_run, axis=0))
+    return out
+
+
+def gap(changed: Sequence[Array], plain: Sequence[Array]) -> float:
+    """That of the most affected channel; infinite where the machine ran away."""
+    most = max(float(values.max()) for values in gaps(changed, plain).values())
+    return most if np.isfinite(most) else np.inf
+
+
+def search(
+    measure: Callable[[float], float], wanted: float, start: float, most: float
+) -> tuple[float, float]:
+    """Magnitude whose gap is `wanted`, and the gap it has; `most` where that is too little.
+
+    Secant steps in logarithms inside a bracket that bisection keeps valid.
+    """
+    low, high = 1e-6 * most, most
+    x, best = min(start, most), (start, 0.0)
+    points: list[tuple[float, float]] = []
+    for _ in range(ROUNDS):
+        reached = measure(x)
+        if abs(np.log(max(reached, 1e-12) / wanted)) < abs(
+            np.log(max(best[1], 1e-12) / wanted)
+        ):
+            best = (x, reached)
+        if abs(reached / wanted - 1) <= TOLERANCE:
+            break
+        if reached < wanted:
+            low = max(low, x)
+        else:
+            high = min(high, x)
+        known = np.isfinite(reached) and reached > 0
+        guess = np.nan
+        if known:
+            points.append((np.log(x), np.log(reached / wanted)))
+            (a, fa), (b, fb) = points[-2:] if len(points) > 1 else [(0.0, 0.0), points[-1]]
+            slope = np.clip((fb - fa) / (b - a), 0.3, 30.0) if len(points) > 1 else 1.0
+            guess = b - fb / slope
+        x = float(np.exp(guess))
+        if not low < x < high:
+            x = float(np.sqrt(low * high))
+            if known and guess >= np.log(high) and high == most:
+                x = most
+        if high / low < 1 + 1e-6:
+            break
+    return best

@@ -1,0 +1,77 @@
+"""What a label of the blind benchmark says, in the words of the candidates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from ves_gym.diagnosis.machines.base import WRENCH
+
+Name = tuple[str, str]  # kind and slot
+Plain = Mapping[str, Any]
+
+_SIGNALS = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
+# slots that are called otherwise; all the rest have the same names on both sides
+SLOTS = dict(zip(_SIGNALS, WRENCH, strict=True))
+# one candidate with three numbers stands for three slots: the clearest says which
+BY_AXIS = ("payload/com", "sensor/rotation", "gravity/tilt")
+INTERVAL = 1.645  # standard deviations to either side, 90 %
+
+
+def true_name(effect: Plain) -> Name:
+    """Kind and slot of a label's effect, as a candidate has them."""
+    slot = str(effect["slot"])
+    return str(effect["kind"]), SLOTS.get(slot, slot)
+
+
+def given_name(effect: Plain) -> Name:
+    """Kind and slot of an effect in an answer, its axis told by the clearest number."""
+    kind, value, std = str(effect["kind"]), effect["value"], effect.get("std") or {}
+    if kind in BY_AXIS:
+        return kind, max(value, key=lambda axis: abs(value[axis]) / (std.get(axis) or 1.0))
+    return kind, str(effect["slot"])
+
+
+def numbers(label: Plain, given: Plain) -> list[tuple[float, float, float | None]]:
+    """(true, found, standard deviation or None) of every number that both sides state.
+
+    Drift has none: its label is a process, its candidate a path.
+    """
+    value: Mapping[str, float] = given["value"]
+    std: Mapping[str, float | None] = given.get("std") or {}
+    kind, slot = true_name(label)
+    out: list[tuple[float, float, float | None]] = []
+    for name, true in label["parameters"].items():
+        if kind in BY_AXIS:
+            out.append((true, value[slot], std.get(slot)))
+        elif kind == "sensor/calibration":
+            if name == "error":
+                column = WRENCH[_source(label)]
+                out.append((true, value[column], std.get(column)))
+        elif kind == "sensor/bias":
+            out.append((true, value["bias"], std.get("bias")))
+        elif (kind, name) == ("joint/stribeck", "stiction"):
+            out.append((true, value["coulomb"] * (1 + value["breakaway"]), None))
+        elif (kind, name) == ("joint/ripple", "amplitude"):
+            out.append((true, *_amplitude(value, std)))
+        elif name in value:
+            out.append((true, value[name], std.get(name)))
+    return out
+
+
+def _source(label: Plain) -> int:
+    """Which signal a wrong calibration takes from."""
+    i = _SIGNALS.index(label["slot"])
+    return i - i % 3 + (i % 3 + int(label["parameters"]["from"])) % 3
+
+
+def _amplitude(
+    value: Mapping[str, float], std: Mapping[str, float | None]
+) -> tuple[float, float | None]:
+    s, c = value["sine"], value["cosine"]
+    size = math.hypot(s, c)
+    a, b = std.get("sine"), std.get("cosine")
+    if a is None or b is None or size == 0:
+        return size, None
+    return size, math.hypot(s * a, c * b) / size

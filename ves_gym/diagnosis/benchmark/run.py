@@ -1,0 +1,330 @@
+"""The blind benchmark's run: make cases, seal their labels, diagnose, one file per case.
+
+    folder/logs/case-NNN/run-K.parquet   what the diagnosis sees
+    folder/labels/case-NNN.json          what is really there; with nonce.json, of the seal
+    folder/seal.json                     digest of the labels, written before any diagnosis
+    folder/answers/case-NNN.json         what the diagnosis says
+
+What is finished is not done again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, as_completed
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import (
+    Array,
+    ParameterError,
+    canonical_json,
+    content_hash,
+    read_table,
+    write_text,
+)
+from ves_gym._util.process_pool import Workers
+from ves_gym.diagnosis.diagnose import Diagnosis, diagnose
+from ves_gym.diagnosis.inference.candidates import Candidate
+from ves_gym.diagnosis.inference.model_selection import Thresholds
+from ves_gym.diagnosis.inputs import system_job
+
+FAILED = "failed"
+QUICK = 30
+_SCORED = ("index", "thresholds", "verdict", "why", "effects", "final", "baselines")
+SETS = ("development", "sealed")
+_GOLDEN = (math.sqrt(5) - 1) / 2
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Some cases of a set, and the folder where they live."""
+
+    folder: Path
+    root: int  # the set's seed
+    sealed: bool
+    cases: tuple[int, ...]
+
+    @property
+    def labels(self) -> Path:
+        """Folder of the truth."""
+        return self.folder / "labels"
+
+    def answer(self, index: int) -> Path:
+        """File of a case's answer."""
+        return self.folder / "answers" / f"case-{index:03d}.json"
+
+
+def trial_of(
+    folder: Path, which: str, salt: Path | None = None, cases: Sequence[int] | int | None = None
+) -> Trial:
+    """A trial on a set.
+
+    Args:
+        which: "development" or "sealed".
+        salt: file with the sealed set's secret.
+        cases: indices, or how many in the proportions of the whole; None for all.
+
+    Raises:
+        ParameterError: a sealed set without its salt, a case that there is not.
+    """
+    from ves_gym.diagnosis.benchmark.blind.cases import mix, root_seed
+
+    if which not in SETS:
+        raise ParameterError(f"set must be one of {', '.join(SETS)}, got {which!r}")
+    sealed = which == "sealed"
+    if sealed and salt is None:
+        raise ParameterError("the sealed set needs a salt: give the file that holds it")
+    if not sealed and salt is not None:
+        raise ParameterError("the development set is public and takes no salt")
+    try:
+        secret = "" if salt is None else salt.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParameterError(f"{salt}: cannot be read: {error}") from None
+    root = root_seed(which, secret)
+    whole = len(mix())
+    if isinstance(cases, int):
+        some: Sequence[int] = stratified(cases, root)
+    else:
+        some = range(whole) if cases is None else cases
+    wrong = [i for i in some if not 0 <= i < whole]
+    if wrong or not some:
+        raise ParameterError(
+            f"cases must be of 0 to {whole - 1}, got {wrong[0] if wrong else 'none'}"
+        )
+    return Trial(folder, root, sealed, tuple(sorted(set(some))))
+
+
+def stratified(count: int, root: int) -> list[int]:
+    """Indices of `count` cases in the proportions of the whole set, the same every time."""
+    from ves_gym.diagnosis.benchmark.blind.cases import mix, order_of
+
+    plans = mix()
+    if not 1 <= count <= len(plans):
+        raise ParameterError(f"cases must be 1 to {len(plans)} in number, got {count}")
+    places: dict[str, list[int]] = {}
+    for k, plan in enumerate(plans):
+        places.setdefault(plan.category, []).append(k)
+    exact = {name: count * len(some) / len(plans) for name, some in places.items()}
+    share = {name: int(x) for name, x in exact.items()}
+    by_rest = sorted(exact, key=lambda name: share[name] - exact[name])
+    for name in by_rest[: count - sum(share.values())]:
+        share[name] += 1
+    chosen = set()
+    for name, some in places.items():
+        step = len(some) / max(share[name], 1)  # one of every stretch, not at a fixed beat
+        chosen |= {some[int((i + (i * _GOLDEN) % 1.0) * step)] for i in range(share[name])}
+    return [i for i, k in enumerate(order_of(root)) if k in chosen]
+
+
+# ----------------------------------------------------------------------------- running
+
+
+def run_trial(trial: Trial, workers: int = 1, tell: Progress = lambda what, done: None) -> None:
+    """Make what is missing, seal it, diagnose what has no answer yet.
+
+    Raises:
+        ParameterError: answers or a seal in the folder are of another trial.
+        ChildProcessError: a worker was killed.
+    """
+    mark = thresholds_hash(Thresholds())
+    todo = [i for i in trial.cases if not _finished(trial, i, mark)]
+    unmade = [i for i in trial.cases if not (trial.labels / f"case-{i:03d}.json").exists()]
+    _in_processes(
+        [(make, str(trial.folder), trial.root, i) for i in unmade],
+        workers,
+        lambda done: tell("making logs", done),
+    )
+    if trial.sealed:
+        seal_labels(trial)
+    _in_processes(
+        [(answer, str(trial.folder / "logs"), i, str(trial.answer(i))) for i in todo],
+        workers,
+        lambda done: tell("diagnosing", done),
+    )
+
+
+def make(folder: str, root: int, index: int) -> None:
+    """Write one case's logs and label."""
+    from ves_gym.diagnosis.benchmark.blind.machine import controller
+    from ves_gym.diagnosis.benchmark.blind.write import write_set
+
+    write_set(
+        Path(folder) / "logs", Path(folder) / "labels", root, [index], _runner(), controller()
+    )
+
+
+@cache
+def _runner() -> Any:
+    from ves_gym.diagnosis.benchmark.blind.cases import Runner
+    from ves_gym.diagnosis.benchmark.blind.machine import controller, nominal
+
+    return Runner(nominal().to_dict(), controller())
+
+
+def seal_labels(trial: Trial) -> str:
+    """The digest of the trial's labels, written to `seal.json` unless it is there already.
+
+    Raises:
+        ParameterError: the seal there is of other cases or other labels.
+    """
+    from ves_gym.diagnosis.benchmark.blind.write import seal
+
+    labels = read_truth(trial)
+    file, secret = trial.folder / "seal.json", trial.labels / "nonce.json"
+    if file.exists():
+        known = read_table(file)
+        if known["cases"] != list(trial.cases):
+            raise ParameterError(f"{file}: seals other cases; take another folder")
+        if seal(labels, read_table(secret)["nonce"])[0] != known["digest"]:
+            raise ParameterError(f"{file}: the labels are not those that were sealed")
+        return str(known["digest"])
+    if any(trial.answer(i).exists() for i in trial.cases):
+        raise ParameterError(f"{file}: is gone, and there are answers already")
+    digest, nonce = seal(labels)
+    write_text(secret, canonical_json({"nonce": nonce}) + "\n")
+    write_text(file, canonical_json({"cases": list(trial.cases), "digest": digest}) + "\n")
+    return digest
+
+
+def read_truth(trial: Trial) -> list[dict[str, Any]]:
+    """The labels of the trial's cases, in order."""
+    return [read_table(trial.labels / f"case-{i:03d}.json") for i in trial.cases]
+
+
+def read_answers(trial: Trial) -> list[dict[str, Any]]:
+    """The answers to the trial's cases, in order."""
+    return [read_table(trial.answer(i)) for i in trial.cases]
+
+
+def short(answer: dict[str, Any]) -> dict[str, Any]:
+    """What of an answer is scored, numbers to six digits."""
+    kept = {k: answer[k] for k in _SCORED if k in answer}
+    kept["seconds"] = {"total": answer["seconds"]["total"]}
+    out: dict[str, Any] = _rounded(kept)
+    return out
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {k: _rounded(v) for k, v in value.items()}
+    return [_rounded(v) for v in value] if isinstance(value, list) else value
+
+
+def thresholds_hash(limits: Thresholds) -> str:
+    """What tells answers under other thresholds apart."""
+    return content_hash(dataclasses.asdict(limits))
+
+
+def _finished(trial: Trial, index: int, mark: str) -> bool:
+    path = trial.answer(index)
+    if not path.exists():
+        return False
+    known = read_table(path)
+    if known["thresholds"] != mark:
+        raise ParameterError(f"{path}: was found with other thresholds; take another folder")
+    return bool(known["verdict"] != FAILED)
+
+
+def _in_processes(
+    jobs: Sequence[tuple[Any, ...]], workers: int, tell: Callable[[float], None]
+) -> None:
+    """Call functions in processes with one thread each."""
+    if not jobs:
+        return
+    with Workers(min(workers, len(jobs))) as pool:
+        running: list[Future[None]] = [pool.submit(f, *rest) for f, *rest in jobs]
+        for k, future in enumerate(as_completed(running)):
+            future.result()
+            tell((k + 1) / len(jobs))
+
+
+# --------------------------------------------------------------------------- diagnosing
+
+
+def answer(logs: str, index: int, path: str) -> None:
+    """Diagnose one case from its logs alone and write the answer.
+
+    A diagnosis that fails is an answer, too, and a wrong one.
+    """
+    limits = Thresholds()
+    begin = time.perf_counter()
+    out: dict[str, Any] = {"index": index, "thresholds": thresholds_hash(limits)}
+    try:
+        out |= diagnosed(Path(logs) / f"case-{index:03d}", limits)
+    except Exception as error:
+        why = f"{type(error).__name__}: {error}"
+        out |= {"verdict": FAILED, "why": why, "effects": [], "final": [], "baselines": {}}
+        out |= {"seconds": {"total": time.perf_counter() - begin}}
+    write_text(path, canonical_json(out) + "\n")
+
+
+def diagnosed(folder: Path, limits: Thresholds) -> dict[str, Any]:
+    """The answer to the logs of a folder, plain data, with those of the baselines."""
+    from ves_gym.diagnosis.benchmark.baselines import Baselines
+
+    begin = time.perf_counter()
+    job = system_job([str(folder)])
+    found = diagnose(job.machine, job.runs, job.final, candidates=job.candidates, limits=limits)
+    seconds = {**found.seconds, "total": time.perf_counter() - begin}
+    plain = Baselines(found.evidence, found.bank)
+    tolerant = Baselines(found.evidence, found.bank, tolerances=True)
+    others = {
+        "stepwise": plain.stepwise(),
+        "stepwise, tolerances": tolerant.stepwise(),
+        "smallest error": plain.smallest_error(),
+    }
+    return {
+        "verdict": found.verdict,
+        "sentence": found.sentence,
+        "effects": [_effect(found, i) for i in range(len(found.found))],
+        "remaining": found.remaining,
+        "weak": list(found.weak),
+        "steps": list(found.selection.steps),
+        "final": [[g.port, g.channel, g.before, g.after] for g in found.final],
+        "gaps": [[g.port, g.channel, g.before, g.after] for g in found.gaps],
+        "seconds": seconds,
+        "baselines": {
+            name: [_named(n.candidate, n.values) for n in some] for name, some in others.items()
+        },
+    }
+
+
+def _effect(found: Diagnosis, i: int) -> dict[str, Any]:
+    """An effect named, with all its rivals; those of its class are `near`."""
+    f, rivals = found.found[i], found.selection.rivals[i]
+    return {
+        **_named(f.candidate, f.values),
+        "std": {
+            name: s if np.isfinite(s) else None
+            for name, s in zip(f.candidate.names, f.std.tolist(), strict=True)
+        },
+        "probability": float(f.probability),
+        "rivals": [
+            {
+                **_named(r.candidate, r.values),
+                "probability": float(r.probability),
+                "near": k < len(f.rivals),
+            }
+            for k, r in enumerate(rivals)
+        ],
+    }
+
+
+def _named(candidate: Candidate, values: Array) -> dict[str, Any]:
+    return {
+        "kind": candidate.kind,
+        "slot": candidate.slot,
+        "value": dict(zip(candidate.names, np.asarray(values).tolist(), strict=True)),
+    }

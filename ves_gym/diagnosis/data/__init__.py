@@ -1,0 +1,1 @@
+"""Measured runs and recordings, their signals and their quality."""

@@ -1,0 +1,196 @@
+"""`Run`: a measured log on an even clock, with its noise; what the workflow works on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.diagnosis.data.signals import (
+    Band,
+    Noise,
+    differentiated,
+    margin,
+    noise_of,
+    on_uniform_clock,
+    repeats,
+)
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
+
+BAND = 12.0  # Hz: motion above it is below the noise of differentiated encoders
+MEASURED = ("q", "v", "tau", "y", "yd", "w")  # signals of the log that a sensor gives
+_GAP = 3.0  # usual steps of the clock: more is a gap
+_UNITS = (  # signal, what no such machine reaches, unit expected, unit it may be in
+    ("q", 13.0, "rad", "degrees"),
+    ("q_cmd", 13.0, "rad", "degrees"),
+    ("y", 5.0, "m", "millimetres"),
+    ("y", 3.2, "rad", "degrees"),
+    ("y_cmd", 5.0, "m", "millimetres"),
+    ("y_cmd", 3.2, "rad", "degrees"),
+)
+_PER_BAND = 4.0  # samples per period of the band's top that derivatives need
+
+
+class Kinematics(NamedTuple):
+    """A signal with its first and second derivative; (..., T, c) each."""
+
+    x: Array
+    v: Array
+    a: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Signals of one run at equal steps, and the noise in each."""
+
+    name: str
+    dt: float  # s
+    signals: Mapping[str, Array]  # (..., T, c) by the names of the run log; for wg, `weight`:
+    #                               what was subtracted from w
+    noise: Mapping[str, Noise]
+    meta: Mapping[str, Any]
+    band: float = BAND  # Hz
+    repeats: Mapping[str, float] = field(default_factory=dict)  # share of samples that stay
+    memory: dict[Any, Any] = field(default_factory=dict)  # what machines derive from it
+
+    @property
+    def length(self) -> int:
+        """Number of samples T."""
+        return int(next(iter(self.signals.values())).shape[-2])
+
+    @property
+    def window(self) -> Band:
+        """The frequencies that are compared."""
+        return Band(self.length, self.dt, self.band, margin(self.dt, self.band))
+
+    def __getitem__(self, name: str) -> Array:
+        return self.signals[name]
+
+    def __contains__(self, name: str) -> bool:
+        if name == "controller":
+            return {"kp", "kd"} <= set(self.meta.get("controller", {}))
+        return name in self.signals
+
+    @cached_property
+    def joints(self) -> Kinematics:
+        """Measured joint angles and what follows from them."""
+        return Kinematics(*differentiated(self["q"], self.dt, self.band))
+
+    @cached_property
+    def base(self) -> Kinematics:
+        """Measured base or platform pose and what follows from it."""
+        return Kinematics(*differentiated(self["y"], self.dt, self.band))
+
+    def with_noise(self, rng: np.random.Generator, n: int, exact: Sequence[str] = ()) -> Run:
+        """The run n times, each with another draw of its noise on top: (n, T, c).
+
+        `exact`: signals that the part in question was really given, as the log has them.
+        """
+        noisy = {}
+        for name, x in self.signals.items():
+            noisy[name] = np.broadcast_to(x, (n, *x.shape))
+            if name in self.noise and name not in exact:
+                noisy[name] = noisy[name] + self.noise[name].draw(rng, n, self.length)
+        return replace(self, signals=noisy, memory={})
+
+
+def run_of(log: RunLog, name: str, band: float = BAND) -> Run:
+    """A log on an even clock.
+
+    Noise is the metadata's `noise_std` where that is given, else told from the signal; its
+    colour is always told from the signal.
+
+    Raises:
+        ParameterError: too short, or sampled too slowly for the band.
+    """
+    names = ("q_cmd", "v_cmd", "q", "v", "tau", "y", "y_cmd", "yd", "w")
+    given = {k: getattr(log, k) for k in names if getattr(log, k) is not None}
+    if log.w is not None and log.wg is not None:  # both contain the same noise
+        given["weight"] = log.w - log.wg
+    return run_of_signals(log.t, given, name, band, log.meta)
+
+
+def run_of_signals(
+    t: Array,
+    given: Mapping[str, Array],
+    name: str,
+    band: float = BAND,
+    meta: Mapping[str, Any] | None = None,
+) -> Run:
+    """Signals (T, c) stamped at t (T,) [s] on an even clock; as `run_of` otherwise.
+
+    Raises:
+        ParameterError: too short, or sampled too slowly for the band.
+    """
+    meta = {} if meta is None else meta
+    whole = np.concatenate(list(given.values()), axis=1)
+    dt, even = on_uniform_clock(t, whole)
+    if 1 / dt < _PER_BAND * band:
+        raise ParameterError(
+            f"{name}: sampled at {1 / dt:.4g} Hz, comparing up to {band:g} Hz needs at least"
+            f" {_PER_BAND * band:g} Hz"
+        )
+    if len(even) < 4 * margin(dt, band):
+        raise ParameterError(
+            f"{name}: {t[-1] - t[0]:.3g} s is too short, need {4 * margin(dt, band) * dt:.3g} s"
+        )
+    signals, noise, at = {}, {}, 0
+    stated = meta.get("noise_std", {})
+    for key, x in given.items():
+        signals[key] = even[:, at : at + x.shape[1]]
+        at += x.shape[1]
+        seen = noise_of(signals[key])
+        if key in stated:
+            std = np.broadcast_to(np.asarray(stated[key], float), (x.shape[1],))
+            seen = Noise(std.copy(), seen.correlation)
+        noise[key] = seen
+    measured = {k: x for k, x in given.items() if k in MEASURED}
+    return Run(name, dt, signals, noise, meta, band, repeats(measured))
+
+
+def require_plausible(log: RunLog, system: System, name: str) -> None:
+    """Refuse a log that cannot be of this system as it stands, and ask why.
+
+    Raises:
+        ParameterError: another number of joints, gaps in the clock, or numbers so large that
+            they look like another unit.
+    """
+    if log.n_joints != system.arm.n:
+        raise ParameterError(
+            f"{name}: has {log.n_joints} joints, {system.arm.name} has {system.arm.n}"
+        )
+    require_steady(log.t, name)
+    for key, most, here, there in _UNITS:
+        x = getattr(log, key)
+        if x is None:
+            continue
+        columns = x[:, 3:] if here == "rad" and key.startswith("y") else x
+        columns = x[:, :3] if here == "m" else columns
+        far = float(np.abs(columns).max())
+        if far > most:
+            raise ParameterError(
+                f"{name}: {key} reaches {far:.4g}; is it in {there}? {here} is expected"
+            )
+
+
+def require_steady(t: Array, name: str) -> None:
+    """Refuse a clock (T,) that does not run forward or has gaps, naming the row.
+
+    Raises:
+        ParameterError: a step that is not positive, or far longer than the usual one.
+    """
+    steps = np.diff(t)
+    usual = float(np.median(steps))
+    back, late = int(np.argmin(steps)), int(np.argmax(steps))
+    if not steps[back] > 0:
+        raise ParameterError(f"{name}: row {back + 2}: the clock does not run forward")
+    if steps[late] > _GAP * usual:
+        raise ParameterError(
+            f"{name}: row {late + 2}: {steps[late]:.4g} s after the row before, usually"
+            f" {usual:.4g} s: cut the log at the gap"
+        )

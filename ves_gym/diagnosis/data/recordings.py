@@ -1,0 +1,90 @@
+"""Columns of measured data in the files people have: MATLAB, CSV, a folder of CSV."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from ves_gym._util.params import Array, ParameterError
+
+
+def read_columns(path: str | os.PathLike[str]) -> dict[str, Array]:
+    """All columns (T,) by name of a .mat file, a .csv file, or all .csv files of a folder.
+
+    Columns of one name in several files of a folder must be the same. Single numbers of a
+    .mat file are columns of length 1.
+
+    Raises:
+        ParameterError: not there, of another format, or not numbers.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return _folder(path)
+    if path.suffix == ".mat":
+        try:
+            found = scipy.io.loadmat(path)
+        except (OSError, ValueError, NotImplementedError) as error:
+            raise ParameterError(f"{path}: cannot be read: {error}") from None
+        return {
+            name: np.ravel(np.asarray(value, float))
+            for name, value in found.items()
+            if not name.startswith("__") and np.asarray(value).dtype.kind in "fiu"
+        }
+    if path.suffix == ".csv":
+        return _csv(path)
+    raise ParameterError(f"{path}: expected .mat, .csv or a folder of .csv files")
+
+
+def _csv(path: Path) -> dict[str, Array]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ParameterError(f"{path}: cannot be read: {error}") from None
+    if len(rows) < 2:
+        raise ParameterError(f"{path}: expected a line of names and rows of numbers")
+    names = [name.strip() for name in rows[0]]
+    values = np.empty((len(rows) - 1, len(names)))
+    for k, row in enumerate(rows[1:]):
+        try:
+            values[k] = [float(x) for x in row]
+        except ValueError:
+            raise ParameterError(
+                f"{path}: row {k + 2}: expected {len(names)} numbers, got {row}"
+            ) from None
+    return dict(zip(names, values.T, strict=True))
+
+
+def _folder(path: Path) -> dict[str, Array]:
+    files = sorted(path.glob("*.csv"))
+    if not files:
+        raise ParameterError(f"{path}: no .csv file in this folder")
+    out: dict[str, Array] = {}
+    for file in files:
+        for name, column in _csv(file).items():
+            if name in out and not np.array_equal(out[name], column):
+                raise ParameterError(
+                    f"{file}: column {name!r} is another than in the files before"
+                )
+            out[name] = column
+    return out
+
+
+def column_of(columns: Mapping[str, Array], name: str, where: str) -> Array:
+    """A column (T,), finite.
+
+    Raises:
+        ParameterError: not there, or not finite.
+    """
+    if name not in columns:
+        raise ParameterError(f"{where}: no column {name!r}; it has {', '.join(columns)}")
+    column = columns[name]
+    bad = np.flatnonzero(~np.isfinite(column))
+    if len(bad):
+        raise ParameterError(f"{where}: column {name!r} is not finite in row {bad[0] + 1}")
+    return column

@@ -1,0 +1,256 @@
+"""Is a log what it says? Channels exchanged, with another sign or in another unit.
+
+Such mistakes are no physics: no effect of the library is meant to explain them, and none may
+be named for them. Each is tried, and asked about if the data then agree far better with the
+description. Nothing is converted.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.machines.base import WRENCH, Machine, testable
+from ves_gym.mechanics.spatial import AXES
+
+_BAD = 0.5  # of a channel's own movement: a residual that no effect of usual size makes
+_BADLY = {"servo": 0.15}  # where nothing but a controller known to all is between the signals
+_FAR = 0.2  # of it: what is left where a mistake is found
+_GOOD = 0.3  # of a channel's movement: more is no agreement
+_SPOILED = 1.2  # of a residual: others may not get worse
+_MOVING = 0.1  # of the largest movement of its kind
+_LEAST = 0.02  # of a channel's movement: better does not count
+_SEEN = {  # port -> the signal that its residual is a part of
+    "joint": "tau",
+    "servo": "tau",
+    "wrench": "w",
+    "gravity": "weight",
+    "admittance": "wg",
+    "platform": "y",
+    "base": "w",
+    "velocity": "v",
+}
+_DEGREES, _STANDARD = np.pi / 180, 9.80665
+_ANGLE = ((_DEGREES, "degrees, not rad"), (1 / _DEGREES, "rad twice converted from degrees"))
+_LENGTH = ((1e-3, "millimetres, not m"), (1e3, "kilometres, not m"))
+_FORCE = (
+    (1e-3, "mN, not N"),
+    (1e3, "kN, not N"),
+    (_STANDARD, "kgf, not N"),
+)
+_TORQUE = (
+    (1e-3, "N mm, not N m"),
+    (1e-2, "N cm, not N m"),
+    (1e3, "kN m, not N m"),
+    (_STANDARD, "kgf m, not N m"),
+)
+_JOINT = ("q", "v", "q_cmd", "v_cmd", "tau")
+_TOGETHER = (  # signals that one cable or one file mixes up together, and their name
+    (("q", "v"), "q"),
+    (("q_cmd", "v_cmd"), "q_cmd"),
+    (("tau",), "tau"),
+    (("v",), "v"),
+    (_JOINT, "joint"),
+)
+
+Change = Callable[[Run], Mapping[str, Array]]
+
+
+@dataclass(frozen=True)
+class Question:
+    """A mistake that would explain a run."""
+
+    run: str
+    text: str  # "tau_1 exchanged with tau_2"
+    port: str
+    channel: str
+    before: float  # residual, in parts of the channel's movement
+    after: float
+
+    @property
+    def sentence(self) -> str:
+        """The question."""
+        return (
+            f"{self.run}: {self.text}? At port {self.port}, {self.channel}, {self.before:.0%}"
+            f" of the signal is not explained as logged, and {self.after:.1%} would not be so;"
+            " correct the log or the description, or say --as-logged"
+        )
+
+
+@dataclass(frozen=True)
+class _Mistake:
+    text: str
+    signals: frozenset[str]  # that it changes; none where it is in the description
+    change: Change | None = None
+    machine: Machine | None = None
+
+
+def require_as_logged(
+    machine: Machine, runs: Sequence[Run], others: Sequence[tuple[str, Machine]] = ()
+) -> None:
+    """Refuse runs that a mistake would explain far better, as a question.
+
+    Args:
+        others: mistakes in the description: what they are, and the machine without.
+
+    Raises:
+        ParameterError: the question.
+    """
+    for run in runs:
+        question = doubt(machine, run, others)
+        if question is not None:
+            raise ParameterError(question.sentence)
+
+
+def doubt(
+    machine: Machine, run: Run, others: Sequence[tuple[str, Machine]] = ()
+) -> Question | None:
+    """The mistake that explains a run best, if it does so far better than none."""
+    ports = testable(machine, [run])
+    now = _sizes(machine, run, [p.name for p in ports])
+    bad = {name: x > _BADLY.get(name, _BAD) for name, x in now.items()}
+    if not any(some.any() for some in bad.values()):
+        return None
+    best: tuple[float, Question] | None = None
+    for mistake in _mistakes(machine, run, others):
+        here = [p for p in ports if not mistake.signals or mistake.signals & set(p.needs)]
+        names = [p.name for p in here if mistake.signals or bad[p.name].any()]
+        if not any(bad[name].any() for name in names):
+            continue
+        changed = run
+        if mistake.change is not None:
+            signals = {**run.signals, **mistake.change(run)}
+            changed = replace(run, signals=signals, memory={})
+        then = _sizes(mistake.machine or machine, changed, names)
+        before, after = (np.concatenate([x[name] for name in names]) for x in (now, then))
+        worst = np.concatenate([bad[name] for name in names])
+        healed = worst & (after < np.minimum(_FAR * before, _GOOD))
+        spoiled = after > np.maximum(_SPOILED * before, _GOOD)
+        if not healed.any() or spoiled.any():
+            continue
+        gain = float(np.log(np.maximum(before, _LEAST) / np.maximum(after, _LEAST)).sum())
+        if best is None or gain > best[0] + 1e-9:
+            k = int(np.argmax(np.where(healed, before / np.maximum(after, 1e-9), 0.0)))
+            labels = [(p.name, c) for p in here if p.name in names for c in p.channels]
+            port, channel = labels[k]
+            values = float(before[k]), float(after[k])
+            best = gain, Question(run.name, mistake.text, port, channel, *values)
+    return None if best is None else best[1]
+
+
+def _sizes(machine: Machine, run: Run, ports: Sequence[str]) -> dict[str, Array]:
+    """(c,) per port: size of the residual over that of the channel's movement."""
+    found = machine.residuals(run, [machine.nominal], ports)
+    out = {}
+    for name in ports:
+        left, seen = (
+            np.linalg.norm(run.window.spectrum(x)[1:], axis=0)
+            for x in (found[name][0], _logged(run, _SEEN[name]))
+        )
+        size = np.where(np.isfinite(left), left, np.inf) / np.maximum(seen, 1e-300)
+        if len(seen) == 6:  # a channel that hardly moves beside its kind says nothing
+            most = np.repeat(seen.reshape(2, 3).max(axis=1), 3)
+            size[seen < _MOVING * most] = 0.0
+        out[name] = size
+    return out
+
+
+# --------------------------------------------------------------------------- mistakes
+
+
+def _mistakes(
+    machine: Machine, run: Run, others: Sequence[tuple[str, Machine]]
+) -> Iterator[_Mistake]:
+    for text, other in others:
+        yield _Mistake(text, frozenset(), machine=other)
+    n = run["q"].shape[1]
+    for keys, name in _TOGETHER:
+        have = tuple(k for k in keys if k in run)
+        if not have or (name != "joint" and name not in have):
+            continue
+        whole = name == "joint"
+        labels = [f"joint {i + 1}" if whole else f"{name}_{i + 1}" for i in range(n)]
+        yield from _orders(have, labels, [range(n)])
+        units = _TORQUE + _FORCE[:2] if name == "tau" else () if whole else _ANGLE + _LENGTH
+        for factor, said in units:
+            yield _scaled(have, slice(None), factor, f"is {name} in {said}")
+            for i in range(n) if n > 1 else ():
+                yield _scaled(have, slice(i, i + 1), factor, f"is {labels[i]} in {said}")
+    angles = tuple(k for k in _JOINT[:4] if k in run)
+    for factor, said in _ANGLE:
+        yield _scaled(angles, slice(None), factor, f"are all joint angles in {said}")
+    for keys, name in ((("y",), "y"), (("y_cmd",), "y_cmd"), (("y", "y_cmd"), "y and y_cmd")):
+        if not all(k in run for k in keys):
+            continue
+        yield from _orders(keys, [f"{name} {a}" for a in AXES], [range(3), range(3, 6)])
+        for factor, said in _LENGTH:
+            yield _scaled(keys, slice(0, 3), factor, f"is the position in {name} in {said}")
+        for factor, said in _ANGLE:
+            yield _scaled(keys, slice(3, 6), factor, f"are the angles in {name} in {said}")
+    for keys, name in ((("w",), "w"), (("wg",), "wg"), (("w", "wg"), "w and wg")):
+        if "w" not in run or ("wg" in keys and "weight" not in run):
+            continue
+        yield from _orders(keys, [f"{name} {a}" for a in WRENCH], [range(3), range(3, 6)])
+        swapped = [3, 4, 5, 0, 1, 2]
+        yield _Mistake(
+            f"are forces and moments of {name} exchanged",
+            _changed(keys),
+            _picked(keys, np.eye(6)[swapped]),
+        )
+        for factor, said in _FORCE:
+            yield _scaled(keys, slice(0, 3), factor, f"are the forces in {name} in {said}")
+        for factor, said in _TORQUE:
+            yield _scaled(keys, slice(3, 6), factor, f"are the moments in {name} in {said}")
+
+
+def _orders(
+    keys: tuple[str, ...], labels: Sequence[str], kinds: Sequence[range]
+) -> Iterator[_Mistake]:
+    """One channel with the other sign, two of a kind exchanged."""
+    size = len(labels)
+    for i in range(size):
+        flip = np.eye(size)
+        flip[i, i] = -1.0
+        text = f"has {labels[i]} the other sign"
+        yield _Mistake(text, _changed(keys), _picked(keys, flip))
+    for kind in kinds:
+        for i, j in itertools.combinations(kind, 2):
+            order = np.eye(size)[[j if k == i else i if k == j else k for k in range(size)]]
+            text = f"is {labels[i]} exchanged with {labels[j]}"
+            yield _Mistake(text, _changed(keys), _picked(keys, order))
+
+
+def _scaled(keys: tuple[str, ...], part: slice, factor: float, text: str) -> _Mistake:
+    def change(run: Run) -> dict[str, Array]:
+        width = _logged(run, keys[0]).shape[-1]
+        scale = np.ones(width)
+        scale[part] = factor
+        return _picked(keys, np.diag(scale))(run)
+
+    return _Mistake(text, _changed(keys), change)
+
+
+def _picked(keys: tuple[str, ...], matrix: Array) -> Callable[[Run], dict[str, Array]]:
+    """Signals under a matrix; `weight`, what was subtracted from w, follows w and wg."""
+
+    def change(run: Run) -> dict[str, Array]:
+        new: dict[str, Any] = {k: _logged(run, k) @ matrix.T for k in keys}
+        if "weight" in run and ("w" in new or "wg" in new):
+            new["weight"] = new.get("w", run["w"]) - new.pop("wg", _logged(run, "wg"))
+        return new
+
+    return change
+
+
+def _logged(run: Run, key: str) -> Array:
+    return run["w"] - run["weight"] if key == "wg" else run[key]
+
+
+def _changed(keys: tuple[str, ...]) -> frozenset[str]:
+    return frozenset(keys) | ({"weight"} if "w" in keys or "wg" in keys else set())

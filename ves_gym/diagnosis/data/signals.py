@@ -1,0 +1,188 @@
+"""Signals of a run: one clock, derivatives, noise, and spectra in a band of frequencies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy
+
+from ves_gym._util.params import Array
+
+_CUT = 1.7  # cut-off of the differentiating filter over the band: flat inside the band
+_POWER = 6  # of the cosine that is the filter's window: its spectrum falls off fast
+_LOBE = 7.5  # width of its transition times its length
+_DIFFERENCES = 3  # that leave noise and take away motion
+_QUIET = 0.12  # of the sampling rate: above it nothing moves
+_TAPER = 0.1  # share of a run that the window brings to zero
+
+
+def on_uniform_clock(t: Array, x: Array) -> tuple[float, Array]:
+    """Step [s] and samples (T, c) at equal steps of signals stamped at the instants t (T,).
+
+    Uneven stamps may be true, or a regular sampler's samples stamped late. Whichever makes
+    the signals smoother is taken: a wrong clock adds noise wherever something moves.
+    """
+    dt = float(t[-1] - t[0]) / (len(t) - 1)
+    even = t[0] + dt * np.arange(len(t))
+    if np.abs(t - even).max() < 1e-6 * dt:
+        return dt, x
+    moved = np.asarray(scipy.interpolate.CubicSpline(t, x, axis=0)(even))
+    if np.diff(t).max() > 1.5 * dt:  # samples are missing: the stamps are all there is
+        return dt, moved
+    rough = [np.square(np.diff(k, _DIFFERENCES, axis=0)).sum(axis=0) for k in (x, moved)]
+    votes = np.log(np.maximum(rough[0], 1e-300) / np.maximum(rough[1], 1e-300))
+    return dt, moved if float(np.median(votes)) > 0 else x
+
+
+def differentiated(
+    x: Array, dt: float, band: float, ahead: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """x, x' and x'' of a sampled signal (..., T, c) `ahead` s later, flat up to `band` [Hz].
+
+    Correlation with a windowed sinc and its two derivatives; beyond the ends the signal goes
+    on point-symmetrically, so the first and last `margin` samples are less true.
+    """
+    out = _correlated(x, _kernels(dt, band, ahead))
+    return out[0], out[1], out[2]
+
+
+def _correlated(x: Array, kernels: Sequence[Array]) -> list[Array]:
+    """Convolutions along time; beyond its ends a signal goes on point-symmetrically."""
+    m = len(kernels[0]) // 2
+    reach = min(m, x.shape[-2] - 1)
+    first, last = x[..., :1, :], x[..., -1:, :]
+    before = 2 * first - x[..., reach:0:-1, :]
+    after = 2 * last - x[..., -2 : -reach - 2 : -1, :]
+    whole = np.concatenate([before, x, after], axis=-2)
+    cut = slice(m - reach, len(kernels[0]) - (m - reach))
+    shape = (1,) * (x.ndim - 2) + (-1, 1)
+    return [
+        scipy.signal.fftconvolve(whole, k[cut].reshape(shape), mode="valid", axes=-2)
+        for k in kernels
+    ]
+
+
+def held(x: Array, dt: float, band: float, delay: float) -> Array:
+    """A signal (..., T, c) that a computer holds for a period and passes on `delay` s late.
+
+    Both act inside the band as the mean over a period of the signal that came before.
+    """
+    inside = (np.arange(8) + 0.5) / 8 * dt
+    t, half = _instants(dt, band)
+    kernel = np.mean([_smooth(t - delay - s, dt, band, half) for s in inside], axis=0)
+    return _correlated(x, [kernel / kernel.sum()])[0]
+
+
+def margin(dt: float, band: float) -> int:
+    """Samples at either end that `differentiated` has to guess at."""
+    return _instants(dt, band)[1]
+
+
+def _instants(dt: float, band: float) -> tuple[Array, int]:
+    half = int(np.ceil(_LOBE / (2 * 0.75 * _cut(dt, band)) / dt))
+    return np.asarray(dt * np.arange(-half, half + 1), float), half
+
+
+def _cut(dt: float, band: float) -> float:
+    return min(_CUT * band, 0.35 / dt)
+
+
+def _smooth(t: Array, dt: float, band: float, half: int) -> Array:
+    """A low-pass kernel at instants t: a sinc under a window with smooth ends."""
+    cut, length = _cut(dt, band), (half + 1) * dt
+    window = np.cos(np.pi / 2 * np.clip(t / length, -1, 1)) ** _POWER
+    return np.asarray(2 * cut * np.sinc(2 * cut * t) * window)
+
+
+@lru_cache(maxsize=32)
+def _kernels(dt: float, band: float, ahead: float) -> tuple[Array, Array, Array]:
+    """A low-pass kernel and its first and second derivative."""
+    t, half = _instants(dt, band)
+    t = t + ahead
+    step = 1e-4 / _cut(dt, band)
+    h0, later, sooner = (_smooth(t + s, dt, band, half) for s in (0.0, step, -step))
+    h1, h2 = (later - sooner) / (2 * step), (later - 2 * h0 + sooner) / step**2
+    h1, h2, h0 = (k / h0.sum() for k in (h1, h2, h0))
+    return h0, h1, h2 - h2.sum() * h0  # what stands still has no curvature
+
+
+@dataclass(frozen=True)
+class Noise:
+    """First-order coloured noise of one quantity: x[k + 1] = correlation x[k] + fresh."""
+
+    std: Array  # (c,)
+    correlation: Array  # (c,) of neighbouring samples
+
+    def draw(self, rng: np.random.Generator, n: int, length: int) -> Array:
+        """(n, length, c) realisations."""
+        a = self.correlation
+        fresh = rng.standard_normal((n, length, len(self.std))) * np.sqrt(1 - a**2)
+        fresh[:, 0] /= np.sqrt(1 - a**2)
+        out = np.empty_like(fresh)
+        for i in range(len(a)):
+            out[..., i] = scipy.signal.lfilter([1.0], [1.0, -a[i]], fresh[..., i], axis=-1)
+        return out * self.std
+
+
+def noise_of(x: Array, quiet: float = _QUIET) -> Noise:
+    """Noise of a sampled signal (T, c), told from its motion by frequency.
+
+    Above `quiet`, a part of the sampling rate, there is no motion: first-order noise is
+    fitted to the spectrum there by Whittle's likelihood.
+    """
+    d = x - np.linspace(0, 1, len(x))[:, None] * (x[-1] - x[0])  # ends meet: no leakage
+    power = np.abs(np.fft.rfft(d - d.mean(axis=0), axis=0)) ** 2 / len(x)
+    f = np.fft.rfftfreq(len(x))
+    take = f > quiet
+    power, f = power[take][:-1], f[take][:-1]
+    grid = np.linspace(0.0, 0.95, 96)
+    shape = (1 - grid**2) / (1 - 2 * grid * np.cos(2 * np.pi * f[:, None]) + grid**2)
+    ratio = power[:, None, :] / shape[:, :, None]  # (f, grid, c)
+    variance = np.maximum(ratio.mean(axis=0), 1e-300)
+    misfit = np.log(variance) + np.log(shape).mean(axis=0)[:, None]
+    best = np.argmin(misfit, axis=0)
+    return Noise(np.sqrt(variance[best, np.arange(x.shape[1])]), grid[best])
+
+
+def repeats(signals: Mapping[str, Array]) -> dict[str, float]:
+    """Share of samples in which all of a signal (T, c) stays while every other one moves.
+
+    Twice or more in a row: coarse readings repeat by chance. Less what chance has of that.
+    """
+    stays = {k: np.diff(x, axis=0) == 0 for k, x in signals.items()}
+    whole = {k: x.all(axis=1) for k, x in stays.items()}
+    out = {}
+    for name, same in whole.items():
+        others = [x for k, x in whole.items() if k != name]
+        alone = same & ~np.any(others, axis=0) if others else same
+        twice = alone[1:] & alone[:-1]
+        lost = np.append(twice, False) | np.insert(twice, 0, False)
+        chance = float(np.prod(stays[name].mean(axis=0)))
+        out[name] = max(0.0, float(lost.mean()) - chance)
+    return out
+
+
+@dataclass(frozen=True)
+class Band:
+    """The spectral window of runs of one length: (..., T, c) <-> coefficients (..., K, c)."""
+
+    length: int
+    dt: float
+    top: float  # Hz
+    skip: int  # samples at either end that do not count
+
+    @property
+    def frequencies(self) -> Array:
+        """(K,) Hz, from 0 to the top."""
+        f = np.fft.rfftfreq(self.length - 2 * self.skip, self.dt)
+        return np.asarray(f[f <= self.top])
+
+    def spectrum(self, x: Array) -> Array:
+        """Coefficients of a windowed signal; white noise of variance s^2 gives |.|^2 = s^2."""
+        inner = x[..., self.skip : self.length - self.skip, :]
+        taper = scipy.signal.windows.tukey(inner.shape[-2], _TAPER)
+        out = np.fft.rfft(inner * taper[:, None], axis=-2)[..., : len(self.frequencies), :]
+        return np.asarray(out / np.sqrt((taper**2).sum()))

@@ -1,0 +1,465 @@
+"""`diagnose`: from logs to a verdict.
+
+locate (where do description and data disagree) -> name (what is missing there) -> add (a
+description with it) -> verify (on runs that nothing before has touched).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.data.quality import Fault, faults
+from ves_gym.diagnosis.inference.cache import Kept, KeptEvidence
+from ves_gym.diagnosis.inference.candidates import Candidate
+from ves_gym.diagnosis.inference.explanations import (
+    Experiment,
+    Ranked,
+    classes,
+    experiments,
+    likeness,
+    ranked,
+    when,
+)
+from ves_gym.diagnosis.inference.fit import Fit, residuals_of
+from ves_gym.diagnosis.inference.intervals import intervals, stretches
+from ves_gym.diagnosis.inference.model_selection import (
+    Rival,
+    Selection,
+    Thresholds,
+    select,
+    unexplained,
+)
+from ves_gym.diagnosis.inference.signatures import Bank
+from ves_gym.diagnosis.inference.whitened_residuals import Evidence
+from ves_gym.diagnosis.machines.base import Machine, untestable
+from ves_gym.diagnosis.machines.drift import SlowPath
+
+NOTHING, NAMED, ONE_OF = "nothing missing", "named", "one of"
+MORE, UNKNOWN, WEAK = "named, more remains", "not in the library", "excitation too weak"
+SPEAKS = (NAMED, ONE_OF, MORE)  # verdicts that give names
+VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK)
+
+# What any motion of a joint that is worth the name shows; where it does not, others may hide.
+_BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_inertia")
+_LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
+WORSE = 1.02  # of its gap before, or of noise: a channel that is worse
+WIDE = 1.645  # standard deviations to either side of a 90 % interval
+_COMPARED = 10  # candidates whose likeness is told
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect that the data ask for, and what could stand in its place."""
+
+    candidate: Candidate
+    values: Array  # (k,)
+    std: Array  # (k,)
+    probability: float
+    rivals: tuple[Rival, ...]  # those that do about as well, itself first
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds that these data cannot tell apart here."""
+        return tuple(dict.fromkeys(r.candidate.kind for r in self.rivals))
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Disagreement of a channel, in standard deviations of the noise (root mean square)."""
+
+    port: str
+    channel: str
+    before: float
+    after: float
+    before_interval: tuple[float, float] = (0.0, np.inf)  # 95 %
+    after_interval: tuple[float, float] = (0.0, np.inf)
+    ratio_interval: tuple[float, float] = (0.0, np.inf)  # of after over before, or over noise
+
+    @property
+    def ratio(self) -> float:
+        """After over before, or over noise where that is more."""
+        return self.after / max(self.before, 1.0)
+
+    @property
+    def worse(self) -> bool:
+        """Whether what is added spoils this channel."""
+        return self.ratio > WORSE
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The answer."""
+
+    verdict: str
+    found: tuple[Found, ...]
+    gaps: tuple[Gap, ...]  # on the runs that were fitted
+    final: tuple[Gap, ...]  # on the runs held back
+    untestable: dict[str, tuple[str, ...]]
+    weak: tuple[str, ...]  # candidates that these data could not show
+    faults: tuple[Fault, ...]  # of the recording
+    remaining: float  # deviance above that of noise, after
+    selection: Selection
+    evidence: Evidence
+    bank: Bank
+    limits: Thresholds = field(default_factory=Thresholds)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one sentence."""
+        names = " and ".join(_named(f) for f in self.found)
+        why = "".join(f"; {f.sentence}" for f in self.faults)
+        if self.verdict == NOTHING:
+            return "Nothing is missing: description and data agree within noise and tolerances."
+        if self.verdict == WEAK:
+            begin = "There is a disagreement" if self.found else "No disagreement"
+            return (
+                f"{begin}, but these runs cannot show {_some(self.weak)}: the excitation is"
+                " too weak."
+            )
+        if self.verdict == UNKNOWN:
+            return f"Something is missing, and it is not in the library{why}."
+        if self.verdict == MORE:
+            return f"Missing: {names}; more remains that is not in the library{why}."
+        return f"Missing: {names}."
+
+
+def _named(found: Found) -> str:
+    if len(found.kinds) > 1:
+        names = ", ".join(dict.fromkeys(r.candidate.name for r in found.rivals))
+        return f"one of {{{names}}}"
+    c = found.candidate
+    path = c.effect(found.values)
+    if isinstance(path, SlowPath):
+        return f"{c.name} (root mean square {path.size:.3g} {c.units[0]})"
+    values = ", ".join(
+        f"{name} {value:.4g}{'' if unit == '1' else ' ' + unit}"
+        for name, value, unit in zip(c.names, found.values, c.units, strict=True)
+    )
+    return f"{c.name} ({values})"
+
+
+def _some(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:3])
+    return shown + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def diagnose(
+    machine: Machine,
+    runs: Sequence[Run],
+    final: Sequence[Run] = (),
+    *,
+    candidates: Sequence[Candidate],
+    limits: Thresholds | None = None,
+    progress: Progress = lambda done, what: None,
+    seed: int = 0,
+    kept: Kept | None = None,
+) -> Diagnosis:
+    """Find where machine and runs disagree and name what is missing.
+
+    Args:
+        final: runs held back; they are opened once, after everything is decided.
+        candidates: the library.
+        progress: called with the fraction done and a few words.
+        seed: of the noise draws.
+        kept: where answers of the machine are kept until all is done.
+    """
+    limits = limits or Thresholds()
+    clock = [time.perf_counter()]
+    seconds: dict[str, float] = {}
+
+    def lap(name: str) -> None:
+        clock.append(time.perf_counter())
+        seconds[name] = clock[-1] - clock[-2]
+
+    progress(0.0, "residuals")
+    if kept is None:
+        evidence = Evidence(machine, runs, seed)
+    else:
+        evidence = KeptEvidence(machine, runs, seed, kept)
+    lap("locate")
+    bank = Bank(evidence, candidates, lambda done: progress(0.1 + 0.5 * done, "signatures"))
+    lap("screen")
+    selection = select(evidence, bank, limits, lambda text: progress(0.7, text))
+    lap("name")
+    found = tuple(_found(selection, i, limits) for i in range(len(selection.rivals)))
+    remaining = unexplained(selection.fit, evidence, limits.imperfect)
+    tested = {p.name for p in evidence.ports}
+    faint = [
+        c
+        for i, c in enumerate(bank.candidates)
+        if c.kind in _BASIC and tested & set(c.ports) and bank.visible(i) < limits.power
+    ]
+    weak = tuple(c.name for c in faint)
+    hidden = any(f.candidate.slot in _still(faint) for f in found)
+    faulty = faults(runs)
+    gained = selection.null.deviance - selection.fit.deviance
+    share = remaining / max(remaining + gained, 1e-9)
+    verdict = _verdict(found, remaining, share, bool(weak), hidden, limits)
+    if faulty:
+        verdict = _despite(verdict, faulty, found, machine)
+    progress(0.9, "runs held back")
+    chosen = selection.fit if verdict in SPEAKS else selection.null
+    gaps = _gaps(evidence, chosen, chosen.nuisances, selection.null.nuisances)
+    after: tuple[Gap, ...] = ()
+    if final:
+        last = Evidence(machine, final, seed + 1)
+        after = _gaps(last, chosen, chosen.nuisances, selection.null.nuisances)
+        much = verdict == MORE and remaining > limits.more  # not but a tone beside
+        if much and _left(after) > limits.held_back:  # names that do not hold
+            verdict, without = UNKNOWN, selection.null
+            gaps = _gaps(evidence, without, without.nuisances, without.nuisances)
+            after = _gaps(last, without, without.nuisances, without.nuisances)
+    lap("verify")
+    return Diagnosis(
+        verdict=verdict,
+        found=found,
+        gaps=gaps,
+        final=after,
+        untestable=untestable(machine, runs),
+        weak=weak,
+        faults=faulty,
+        remaining=remaining,
+        selection=selection,
+        evidence=evidence,
+        bank=bank,
+        limits=limits,
+        seconds=seconds,
+    )
+
+
+def _found(selection: Selection, i: int, limits: Thresholds) -> Found:
+    rivals = selection.rivals[i]
+    near = tuple(r for r in rivals if r.cost - rivals[0].cost < limits.alike)
+    first = rivals[0]
+    p = sum(r.probability for r in rivals if r.candidate.kind == first.candidate.kind)
+    std = limits.spread * selection.fit.std[i]
+    return Found(first.candidate, first.values, std, p, near)
+
+
+def _verdict(
+    found: Sequence[Found],
+    remaining: float,
+    share: float,
+    weak: bool,
+    hidden: bool,
+    limits: Thresholds,
+) -> str:
+    if hidden:
+        return WEAK
+    if remaining > limits.remains and (not found or share > limits.explained):
+        return UNKNOWN
+    if not found:
+        return WEAK if weak else NOTHING
+    if remaining > limits.more:
+        return MORE
+    return ONE_OF if any(len(f.kinds) > 1 for f in found) else NAMED
+
+
+def _still(faint: Sequence[Candidate]) -> set[str]:
+    """Joints that barely move: more than one of the basic effects could not be seen there."""
+    places = [c.slot for c in faint]
+    return {place for place in places if places.count(place) > 1}
+
+
+def _despite(
+    verdict: str, faulty: Sequence[Fault], found: Sequence[Found], machine: Machine
+) -> str:
+    """The verdict where the recording has faults: names, if what tells them is in order.
+
+    A tone beyond the band spoils nothing; samples that are lost do. An effect that is named
+    may be what makes a loop ring.
+    """
+    lost = {f.signal for f in faulty if f.kind == "repeats"}
+    spoilt = {p.name for p in machine.ports if lost & set(p.needs)}
+    if not found or any(spoilt & set(f.candidate.ports) for f in found):
+        return UNKNOWN
+    return MORE if verdict in SPEAKS and not all(f.shared for f in faulty) else verdict
+
+
+def _left(gaps: Sequence[Gap]) -> float:
+    """Part of the gap above noise that is left, all channels together."""
+    before, after = (
+        sum(max(getattr(g, side) ** 2 - 1, 0.0) for g in gaps) for side in ("before", "after")
+    )
+    return after / before if before else 0.0
+
+
+def _gaps(evidence: Evidence, fit: Fit, eta: Array, eta0: Array) -> tuple[Gap, ...]:
+    """Before and after per channel, effects and nuisances as they were found."""
+    z = residuals_of(evidence, fit.candidates, [fit.values])[0]
+    before = evidence.null + evidence.slopes @ eta0
+    after = z + evidence.slopes @ eta
+    out = []
+    for port in evidence.ports:
+        for i, channel in enumerate(port.channels):
+            groups = [g for g in evidence.groups if (g.port, g.channel) == (port.name, i)]
+            count = sum(g.n for g in groups)
+            sums = [np.concatenate(stretches(evidence, groups, x)) for x in (before, after)]
+            rms = [float(np.sqrt(s.sum() / count)) for s in sums]
+            out.append(Gap(port.name, channel, rms[0], rms[1], *intervals(count, sums)))
+    return tuple(out)
+
+
+def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
+    """The effects that a better description has; the course of a drift becomes its size.
+
+    What has no name is not added: the best the library can do would only hide it.
+    """
+    if diagnosis.verdict not in SPEAKS:
+        return ()
+    return tuple(
+        e.effect if isinstance(e, SlowPath) else e for e in diagnosis.selection.fit.effects
+    )
+
+
+def plain(diagnosis: Diagnosis) -> dict[str, Any]:
+    """As data for JSON; a number that is not known is None."""
+    ranking = ranked(
+        diagnosis.bank, diagnosis.selection.null, [f.candidate.name for f in diagnosis.found]
+    )
+    some = ranking[:_COMPARED]
+    names = [r.candidate.name for r in some]
+    alike = likeness(diagnosis.bank, [r.index for r in some])
+    tried = experiments(
+        diagnosis.bank,
+        diagnosis.selection,
+        diagnosis.limits.alike,
+        list(diagnosis.untestable),
+    )
+    effects = [_effect(f) for f in diagnosis.found]
+    unknown = diagnosis.verdict == UNKNOWN
+    return {
+        "verdict": diagnosis.verdict,
+        "sentence": diagnosis.sentence,
+        "effects": [] if unknown else effects,
+        "closest": effects if unknown else [],  # the best the library can do: no names
+        "ranking": [_ranked(r, diagnosis) for r in ranking],
+        "likeness": {
+            "names": names,
+            "matrix": alike.tolist(),
+            "classes": classes(names, alike),
+        },
+        "experiments": [_experiment(e) for e in tried],
+        "where": _where(diagnosis),
+        "when": when(
+            diagnosis.evidence,
+            diagnosis.selection.null,
+            None if unknown else diagnosis.selection.fit,
+        ),
+        "remaining": diagnosis.remaining,
+        "remaining_allowed": diagnosis.limits.remains,
+        "gap_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.gaps},
+        "gap_after": {f"{g.port}/{g.channel}": g.after for g in diagnosis.gaps},
+        "gap_intervals": _intervals(diagnosis.gaps),
+        "final_intervals": _intervals(diagnosis.final),
+        "worse": [
+            f"{g.port}/{g.channel}" for g in diagnosis.final or diagnosis.gaps if g.worse
+        ],
+        "final_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.final},
+        "final_after": {f"{g.port}/{g.channel}": g.after for g in diagnosis.final},
+        "untestable": {
+            port: [_LOGGED.get(k, k) for k in lacks]
+            for port, lacks in diagnosis.untestable.items()
+        },
+        "weak": list(diagnosis.weak),
+        "faults": [{**dataclasses.asdict(f), "sentence": f.sentence} for f in diagnosis.faults],
+        "steps": diagnosis.selection.steps,
+        "seconds": diagnosis.seconds,
+    }
+
+
+def _intervals(gaps: Sequence[Gap]) -> dict[str, dict[str, tuple[float, float]]]:
+    """95 % of each gap before, after, and of their ratio."""
+    return {
+        f"{g.port}/{g.channel}": {
+            "before": g.before_interval,
+            "after": g.after_interval,
+            "ratio": g.ratio_interval,
+        }
+        for g in gaps
+    }
+
+
+def _effect(f: Found) -> dict[str, Any]:
+    c = f.candidate
+    return {
+        "kind": c.kind,
+        "slot": c.slot,
+        "name": c.name,
+        "value": dict(zip(c.names, f.values.tolist(), strict=True)),
+        "std": dict(zip(c.names, map(_finite, f.std), strict=True)),
+        "interval": dict(zip(c.names, _likely(f), strict=True)),  # 90 %
+        "unit": dict(zip(c.names, c.units, strict=True)),
+        "probability": f.probability,
+        "class": [r.candidate.name for r in f.rivals],
+    }
+
+
+def _likely(f: Found) -> list[tuple[float, float] | None]:
+    """90 % interval of each number, inside what it may be; None where nothing is known."""
+    out: list[tuple[float, float] | None] = []
+    for x, std, low, high in zip(
+        f.values.tolist(), f.std.tolist(), f.candidate.low, f.candidate.high, strict=True
+    ):
+        known = np.isfinite(std)
+        out.append((max(low, x - WIDE * std), min(high, x + WIDE * std)) if known else None)
+    return out
+
+
+def _finite(x: float) -> float | None:
+    return float(x) if np.isfinite(x) else None
+
+
+def _ranked(r: Ranked, diagnosis: Diagnosis) -> dict[str, Any]:
+    every = [k for rivals in diagnosis.selection.rivals for k in rivals]
+    return {
+        "name": r.candidate.name,
+        "value": dict(zip(r.candidate.names, r.values.tolist(), strict=True)),
+        "unit": dict(zip(r.candidate.names, r.candidate.units, strict=True)),
+        "screen": r.screen,
+        "gain": r.gain,
+        "gain_error": r.error,
+        "p": r.chance,
+        "probability": next((k.probability for k in every if k.candidate is r.candidate), None),
+        "chosen": any(f.candidate is r.candidate for f in diagnosis.found),
+    }
+
+
+def _experiment(e: Experiment) -> dict[str, Any]:
+    return {
+        "between": list(e.between),
+        "sentence": e.sentence,
+        "runs": [dataclasses.asdict(a) for a in e.runs],
+        "ports": [dataclasses.asdict(a) for a in e.ports],
+        "untested": list(e.untested),
+    }
+
+
+def _where(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Mean square of every group, in variances of noise, before and after."""
+    ports = {p.name: p for p in diagnosis.evidence.ports}
+    null = fit = diagnosis.selection.null.size
+    if diagnosis.verdict != UNKNOWN:
+        fit = diagnosis.selection.fit.size
+    return [
+        {
+            "port": g.port,
+            "channel": ports[g.port].channels[g.channel],
+            "low": g.low,
+            "high": g.high,
+            "before": float(before),
+            "after": float(after),
+        }
+        for g, before, after in zip(diagnosis.evidence.groups, null, fit, strict=True)
+    ]

@@ -1,0 +1,1 @@
+"""From residuals to named effects: whitening, candidates, fits, model selection."""

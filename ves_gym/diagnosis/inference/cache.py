@@ -1,0 +1,127 @@
+"""Evidence that keeps what the machine's parts answered, so that a diagnosis that was
+interrupted goes on where it was: fits and signatures then ask nothing twice.
+
+One file per question, named by the SHA-256 of what was asked: a checksum and an array, no
+code. A file that is not whole counts as not there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import os
+import shutil
+import zlib
+from collections.abc import Callable, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, canonical_json, content_hash
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.inference.whitened_residuals import Evidence
+from ves_gym.diagnosis.machines.base import Machine
+
+FOLDER = "unfinished"
+# subpackages that say what an answer is
+_SOURCES = (
+    "_util",
+    "mechanics",
+    "hardware",
+    "system",
+    "effects",
+    "engine",
+    "simulation",
+    "diagnosis",
+)
+
+
+class Kept:
+    """Answers of one diagnosis, in a folder of their own.
+
+    Args:
+        folder: where results go; answers lie in `unfinished/` there until it is done.
+        about: plain data that tells this diagnosis from others.
+    """
+
+    def __init__(self, folder: Path, about: Any) -> None:
+        mark = content_hash([about, _source()])
+        self.folder = folder / FOLDER / mark[:16]
+        self.known = len(list(self.folder.glob("*.bin")))  # answers there from before
+
+    def get(self, key: str) -> Array | None:
+        """The answer to a question, if it is there and whole."""
+        try:
+            data = (self.folder / f"{key}.bin").read_bytes()
+        except OSError:
+            return None
+        if len(data) < 4 or zlib.crc32(data[4:]) != int.from_bytes(data[:4], "little"):
+            return None
+        return np.asarray(np.load(io.BytesIO(data[4:]), allow_pickle=False))
+
+    def put(self, key: str, answer: Array) -> None:
+        """Keep an answer: written under another name, then renamed."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        buffer = io.BytesIO()
+        np.save(buffer, answer, allow_pickle=False)
+        data = buffer.getvalue()
+        near = self.folder / f".{key}.{os.getpid()}"
+        near.write_bytes(zlib.crc32(data).to_bytes(4, "little") + data)
+        os.replace(near, self.folder / f"{key}.bin")
+
+    def done(self) -> None:
+        """All is written elsewhere: forget the answers."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        with contextlib.suppress(OSError):  # another diagnosis is unfinished there
+            self.folder.parent.rmdir()
+
+
+class KeptEvidence(Evidence):
+    """Evidence whose questions to the machine are answered once."""
+
+    def __init__(self, machine: Machine, runs: Sequence[Run], seed: int, kept: Kept) -> None:
+        self._kept = kept
+        self._name = content_hash([seed, [digest_of(run) for run in runs]])
+        super().__init__(machine, runs, seed)
+
+    def residual_at(self, port: str, models: Sequence[Any]) -> Array:
+        """As `Evidence`."""
+        about = ("residual", port, *map(canonical_json, models))
+        return self._once(about, lambda: Evidence.residual_at(self, port, models))
+
+    def noise(self, model: Any, ports: Sequence[str]) -> Array:
+        """As `Evidence`."""
+        about = ("noise", *sorted(ports), canonical_json(model))
+        return self._once(about, lambda: Evidence.noise(self, model, ports))
+
+    def _once(self, about: Sequence[str], answer: Callable[[], Array]) -> Array:
+        key = hashlib.sha256("\n".join((self._name, *about)).encode()).hexdigest()
+        found = self._kept.get(key)
+        if found is None:
+            found = answer()
+            self._kept.put(key, found)
+        return found
+
+
+def digest_of(run: Run) -> str:
+    """SHA-256 of a run's signals and noise."""
+    sha = hashlib.sha256(repr((run.dt, run.band)).encode())
+    for name, x in run.signals.items():
+        noise = run.noise[name]
+        sha.update(name.encode())
+        for part in (x, noise.std, noise.correlation):
+            sha.update(np.ascontiguousarray(part, "<f8").tobytes())
+    return sha.hexdigest()
+
+
+def _source() -> str:
+    """SHA-256 of the code that answers."""
+    sha = hashlib.sha256()
+    for name in _SOURCES:
+        package = Path(str(files("ves_gym"))) / name
+        for path in sorted(package.rglob("*.py")):
+            sha.update(path.read_bytes())
+    return sha.hexdigest()

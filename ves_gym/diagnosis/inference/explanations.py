@@ -1,0 +1,303 @@
+"""What a verdict rests on, for people to check: the map of the gap, the candidates side by
+side, what these runs cannot tell apart, and which of them tells best."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from ves_gym._util.params import Array, Index
+from ves_gym.diagnosis.inference.candidates import Candidate
+from ves_gym.diagnosis.inference.fit import Fit, fit, residuals_of
+from ves_gym.diagnosis.inference.intervals import stretches
+from ves_gym.diagnosis.inference.model_selection import Selection
+from ves_gym.diagnosis.inference.signatures import Bank
+from ves_gym.diagnosis.inference.variance_groups import products, solve
+from ves_gym.diagnosis.inference.whitened_residuals import Evidence, Group
+
+ALIKE = 0.95  # likeness above which two candidates are one class on these runs
+CLEAR = 5.0  # standard deviations at which two candidates are apart
+_LEAST = 1.0  # gain in deviance below which a candidate is not worth a line
+_SHOWN = 2  # channels in overlays
+_LOUD = 2.0  # mean square of a range of frequencies that is more than noise
+_FILTER = 4  # order of the low-pass that overlays go through
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A candidate alone on the residual of the description, with the numbers of its linear
+    score."""
+
+    index: int  # in the bank
+    candidate: Candidate
+    values: Array  # (k,)
+    screen: float | None  # gain in deviance by the linear score; None if too low to be scored
+    gain: float  # by the model itself with these numbers
+    error: float | None  # standard error of the gain, from run to run; None for a single run
+    chance: float  # that the best of the library gains as much from noise
+
+
+@dataclass(frozen=True)
+class Apart:
+    """How far two candidates are apart in one run, or at one port."""
+
+    where: str
+    likeness: float  # 0 to 1: how well the second imitates the first
+    sigma: float  # by which the first, at its usual size, stands out of the best imitation
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What would tell two candidates apart."""
+
+    between: tuple[str, str]
+    runs: tuple[Apart, ...]
+    ports: tuple[Apart, ...]
+    untested: tuple[str, ...]  # ports at which only one of the two acts, which no log can show
+
+    @property
+    def sentence(self) -> str:
+        """What to measure, in words."""
+        one, other = self.between
+        best = max(self.runs, key=lambda a: a.sigma)
+        port = max(self.ports, key=lambda a: a.sigma).where
+        text = (
+            f"{one} or {other}: of the runs at hand {best.where} tells them apart best, at port"
+            f" {port} (likeness {best.likeness:.3f}: at its usual size the first stands"
+            f" {best.sigma:.1f} standard deviations out of the best imitation by the second)"
+        )
+        if best.sigma >= CLEAR:
+            text += "; record more runs like it."
+        elif best.sigma > 0.1:
+            needed = math.ceil((CLEAR / best.sigma) ** 2)
+            text += f"; about {needed} such runs would make it {CLEAR:g}, or a stronger motion."
+        else:
+            text += "; no number of such runs will: another motion is needed."
+        if self.untested:
+            text += (
+                f" Only one of them acts at port {', '.join(self.untested)}: log its signals."
+            )
+        return text
+
+
+def ranked(bank: Bank, null: Fit, chosen: Sequence[str] = (), most: int = 12) -> list[Ranked]:
+    """The candidates that score best alone, less what their numbers cost; those chosen too."""
+    evidence = bank.evidence
+    scores = bank.scores(null.residual, null.tangents, null.size)
+    known = [s for s in scores if np.isfinite(s.deviance)]
+    price = float(np.log(evidence.size))
+    known.sort(key=lambda s: s.deviance + bank.candidates[s.candidate].price * price)
+    some = [
+        s
+        for rank, s in enumerate(known)
+        if (rank < most and null.deviance - s.deviance > _LEAST)
+        or bank.candidates[s.candidate].name in chosen
+    ]
+    unscored = [s for s in scores if not np.isfinite(s.deviance)]
+    some += [s for s in unscored if bank.candidates[s.candidate].name in chosen]
+    none = np.zeros((evidence.size, 0))
+    left = null.residual + evidence.slopes @ null.nuisances
+    base = _by_run(evidence, left, null.size)
+    out = []
+    for s in some:
+        candidate = bank.candidates[s.candidate]
+        scored = bool(np.isfinite(s.deviance))
+        values = s.values if scored else fit(evidence, [candidate], [s.values]).values[0]
+        z = residuals_of(evidence, [candidate], [[values]])[0]
+        now = solve(products(evidence, z, none), len(evidence.nuisances))
+        gain = null.deviance - now.deviance
+        by_run = base - _by_run(evidence, z + evidence.slopes @ now.x, now.size)
+        error = float(np.sqrt(len(by_run)) * by_run.std(ddof=1)) if len(by_run) > 1 else None
+        chance = len(bank.candidates) * float(scipy.stats.chi2.sf(max(gain, 0), candidate.k))
+        out.append(
+            Ranked(
+                index=s.candidate,
+                candidate=candidate,
+                values=values,
+                screen=null.deviance - s.deviance if scored else None,
+                gain=gain,
+                error=error,
+                chance=min(1.0, chance),
+            )
+        )
+    return out
+
+
+def _by_run(evidence: Evidence, z: Array, size: Array) -> Array:
+    """(R,) deviance of each run under the sizes (G,) of the groups."""
+    out = np.zeros(len(evidence.runs))
+    for group, v in zip(evidence.groups, np.maximum(size, 1.0), strict=True):
+        for i, part in enumerate(group.runs):
+            out[i] += (part.stop - part.start) * np.log(v) + z[part] @ z[part] / v
+    return out
+
+
+def likeness(bank: Bank, some: Sequence[int]) -> Array:
+    """(n, n) how well the candidate of a column imitates that of a row, 0 to 1."""
+    return np.array([[bank.likeness(i, j) for j in some] for i in some]).reshape(
+        2 * (len(some),)
+    )
+
+
+def classes(names: Sequence[str], alike: Array) -> list[list[str]]:
+    """Names that these runs cannot tell apart: each imitates the other, or both a third."""
+    if not names:
+        return []
+    linked = np.minimum(alike, alike.T) > ALIKE
+    count, label = scipy.sparse.csgraph.connected_components(linked, directed=False)
+    every = [[n for n, k in zip(names, label, strict=True) if k == c] for c in range(count)]
+    return [c for c in every if len(c) > 1]
+
+
+def experiments(
+    bank: Bank, selection: Selection, alike: float, untestable: Sequence[str]
+) -> list[Experiment]:
+    """For every place in the answer that several kinds fill as well: what tells them apart.
+
+    Args:
+        alike: difference in cost below which two candidates are one class.
+        untestable: ports whose signals the logs lack.
+    """
+    evidence, index = bank.evidence, {c.name: i for i, c in enumerate(bank.candidates)}
+    runs = [
+        (run.name, _within(bank, np.r_[*(g.runs[i] for g in evidence.groups)]))
+        for i, run in enumerate(evidence.runs)
+    ]
+    ports = [(p.name, _within(bank, np.r_[evidence.part(p.name)])) for p in evidence.ports]
+    out = []
+    for rivals in selection.rivals:
+        first, seen = rivals[0].candidate, {rivals[0].candidate.kind}
+        for rival in rivals[1:]:
+            second = rival.candidate
+            if rival.cost - rivals[0].cost >= alike or second.kind in seen:
+                continue
+            seen.add(second.kind)
+            i, j = index[first.name], index[second.name]
+            only = set(first.ports) ^ set(second.ports)
+            out.append(
+                Experiment(
+                    (first.name, second.name),
+                    tuple(_apart(name, part, i, j) for name, part in runs),
+                    tuple(_apart(name, part, i, j) for name, part in ports),
+                    tuple(p for p in untestable if p in only),
+                )
+            )
+    return out
+
+
+def _within(bank: Bank, rows: Index) -> Bank:
+    """The bank as some rows of its evidence alone would have it."""
+    J = bank.evidence.slopes[rows]
+    S = bank.columns[rows].astype(float)
+    inside = J.T @ J + np.eye(J.shape[1])
+    out = copy.copy(bank)
+    out.inner = S.T @ S - S.T @ J @ np.linalg.solve(inside, J.T @ S)
+    return out
+
+
+def _apart(where: str, bank: Bank, i: int, j: int) -> Apart:
+    alike = bank.likeness(i, j)
+    return Apart(where, alike, bank.visible(i) * math.sqrt(1 - alike**2))
+
+
+def overlays(selection: Selection, evidence: Evidence) -> list[dict[str, Any]]:
+    """Residuals of the channel whose gap falls most and, of the others, of that with the
+    largest gap, each over the run that shows it most.
+
+    Returns:
+        Per channel: port, channel, unit, run; t [s], before, after: the residual under the
+        description and the better one, up to `top` [Hz], where the gap is; f [Hz],
+        noise_before, noise_after: its spectrum in standard deviations of noise, tolerances
+        taken off.
+    """
+    null, fit = selection.null, selection.fit
+    left = [f.residual + evidence.slopes @ f.nuisances for f in (null, fit)]
+    gap: dict[tuple[str, int], list[Group]] = {}
+    for group in evidence.groups:
+        gap.setdefault((group.port, group.channel), []).append(group)
+
+    def size(groups: list[Group], z: Array) -> float:
+        return float(np.mean(np.concatenate([z[g.part] for g in groups]) ** 2))
+
+    largest = sorted(gap, key=lambda k: -size(gap[k], left[0]))
+    first = max(largest, key=lambda k: size(gap[k], left[0]) - size(gap[k], left[1]))
+    shown = [first, *(k for k in largest if k != first)][:_SHOWN]
+
+    models = [evidence.machine.nominal, evidence.machine.model(fit.effects)]
+    out = []
+    for name, channel in shown:
+        groups = gap[name, channel]
+        each = [
+            sum(float(left[0][g.runs[i]] @ left[0][g.runs[i]]) for g in groups)
+            for i in range(len(evidence.runs))
+        ]
+        i = int(np.argmax(each))
+        run = evidence.runs[i]
+        port = next(p for p in evidence.ports if p.name == name)
+        x = evidence.machine.residuals(run, models, [name])[name][..., channel]
+        loud = [g.high for g in groups if size([g], left[0]) > _LOUD]
+        top = max(loud, default=run.band)  # above it is nothing but noise, and much of it
+        low = scipy.signal.butter(_FILTER, top, fs=1 / run.dt, output="sos")
+        skip = run.window.skip
+        inner = scipy.signal.sosfiltfilt(low, x, axis=-1)[:, skip : run.length - skip]
+        t = (skip + np.arange(inner.shape[1])) * run.dt
+        some = [np.concatenate([_power(z[g.runs[i]]) for g in groups]) for z in left]
+        out.append(
+            {
+                "port": name,
+                "channel": port.channels[channel],
+                "unit": port.units[channel],
+                "run": run.name,
+                "top": top,
+                "t": t.tolist(),
+                "before": inner[0].tolist(),
+                "after": inner[1].tolist(),
+                "f": run.window.frequencies[: len(some[0])].tolist(),
+                "noise_before": np.sqrt(some[0]).tolist(),
+                "noise_after": np.sqrt(some[1]).tolist(),
+            }
+        )
+    return out
+
+
+def when(evidence: Evidence, null: Fit, fit: Fit | None) -> list[dict[str, Any]]:
+    """Every channel of every run over the time elapsed.
+
+    Args:
+        fit: of the better description; None where there is none.
+
+    Returns:
+        Per channel and run: port, channel, run; step [s] of the stretches; before, after: mean
+        square in each, in variances of noise, tolerances taken off.
+    """
+    left = [f.residual + evidence.slopes @ f.nuisances for f in (null, fit or null)]
+    out = []
+    for port in evidence.ports:
+        for i, channel in enumerate(port.channels):
+            groups = [g for g in evidence.groups if (g.port, g.channel) == (port.name, i)]
+            before, after = (stretches(evidence, groups, z) for z in left)
+            for k, run in enumerate(evidence.runs):
+                a, b = before[k], after[k]
+                n = sum(g.runs[k].stop - g.runs[k].start for g in groups) / len(a)
+                out.append(
+                    {
+                        "port": port.name,
+                        "channel": channel,
+                        "run": run.name,
+                        "step": (run.length - 2 * run.window.skip) * run.dt / len(a),
+                        "before": (a / n).tolist(),
+                        "after": (b / n).tolist(),
+                    }
+                )
+    return out
+
+
+def _power(z: Array) -> Array:
+    """(K,) mean square per frequency of numbers (2 K,): real parts, then imaginary ones."""
+    return np.asarray((z.reshape(2, -1) ** 2).mean(axis=0))

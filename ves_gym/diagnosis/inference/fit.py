@@ -1,0 +1,238 @@
+"""`fit`: the numbers of some effects, together, that leave the least unexplained."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.diagnosis.inference.candidates import Candidate
+from ves_gym.diagnosis.inference.variance_groups import Solution, products, solve
+from ves_gym.diagnosis.inference.whitened_residuals import QUIETEST, Evidence
+from ves_gym.system.effect import Effect
+
+_STEP = 1e-3  # of differences, in parts of a number's usual size
+_ROUNDS, _HALVINGS = 12, 4
+_REMEMBERED = 600  # residuals of a port
+_NEAR = 0.5  # change of a number, relative, that leaves the noise passed on as it was measured
+_CLEAR = 3.0  # standard deviations from zero
+_ENOUGH = 0.05  # gain in deviance that is not worth another round
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Effects with their most probable numbers."""
+
+    candidates: tuple[Candidate, ...]
+    values: tuple[Array, ...]  # (k,) each
+    deviance: float
+    std: tuple[Array, ...]  # (k,) standard deviations
+    size: Array  # (G,) mean square left in each group
+    nuisances: Array  # (p,) in units of their usual size
+    residual: Array  # (N,)
+    tangents: Array  # (N, b + sum of k); other forms of the effects first
+
+    def price(self, i: int, size: int) -> float:
+        """What the numbers of the effect in place i cost, of `size` numbers of evidence.
+
+        Bayesian information criterion; for the choice of some coordinates among several that
+        of Chen and Chen (Biometrika 95, 2008).
+        """
+        one, count = self.candidates[i], self.candidates[i].price
+        choice = 0.0
+        if one.sparse:
+            clear = np.abs(self.values[i]) > _CLEAR * self.std[i]
+            count = max(count, int(np.count_nonzero(clear)))
+            choice = 2 * float(np.log(math.comb(one.k, count)))
+        return count * float(np.log(size)) + choice
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects."""
+        return tuple(c.effect(v) for c, v in zip(self.candidates, self.values, strict=True))
+
+    def on_bound(self, i: int) -> bool:
+        """Whether a size of the effect in place i ended at the edge of its range."""
+        c, at = self.candidates[i], list(self.candidates[i].factors)
+        v, low, high = self.values[i][at], np.array(c.low)[at], np.array(c.high)[at]
+        return bool(((v <= low) | (v >= high)).any())
+
+
+def fit(evidence: Evidence, candidates: Sequence[Candidate], start: Sequence[Array]) -> Fit:
+    """Gauss-Newton with halved steps, nuisances and group sizes eliminated in every round."""
+    p = len(evidence.nuisances)
+    if not candidates:
+        none = np.zeros((evidence.size, 0))
+        found = solve(products(evidence, evidence.null, none), p)
+        return Fit((), (), found.deviance, (), found.size, found.x, evidence.null, none)
+    forms = [(k, blur) for k, c in enumerate(candidates) for blur in c.blurs]
+    low = np.concatenate([c.low for c in candidates])
+    high = np.concatenate([c.high for c in candidates])
+    usual = np.concatenate([np.abs(c.starts[0]) for c in candidates])
+    step = _STEP * np.maximum(usual, 1e-12)
+    edges = np.cumsum([c.k for c in candidates])[:-1]
+    x = np.clip(np.concatenate(list(start)), low, high)
+
+    def residuals(points: Sequence[Array]) -> Array:
+        return residuals_of(evidence, candidates, [np.split(x, edges) for x in points])
+
+    def blurs(x: Array, z: Array) -> Array:
+        """(N, b) what another form of each effect would change; each may be there in part."""
+        if not forms:
+            return np.zeros((len(z), 0))
+        values = np.split(x, edges)
+        others = [_reshaped(evidence, candidates, values, k, blur) for k, blur in forms]
+        return np.stack(others, axis=1) - z[:, None]
+
+    noise = _FilteredNoise(evidence, candidates)
+
+    def judged(x: Array, z: Array, B: Array) -> Solution:
+        return solve(products(evidence, z, B, noise.scale(x)), p + B.shape[1])
+
+    z = residuals([x])[0]
+    for turn in range(_ROUNDS):
+        if turn < 2:  # later x changes little
+            B = blurs(x, z)
+        noise.measure(x, turn < 2)
+        now = judged(x, z, B)
+        ways = np.where(x + step > high, -step, step)  # differences stay inside
+        moved = residuals(
+            [x + way * unit for way, unit in zip(ways, np.eye(len(x)), strict=True)]
+        )
+        S = ((moved - z) / ways[:, None]).T
+        b = p + B.shape[1]
+        left = z + evidence.slopes @ now.x[:p] + B @ now.x[p:]
+        both = products(evidence, z, np.hstack([B, S - noise.slopes(x, left)]), noise.scale(x))
+        found = solve(both, b, low - x, high - x)
+        toward = found.x[b:]
+        better = None
+        for halving in range(_HALVINGS):
+            y = np.clip(x + toward / 2**halving, low, high)
+            tried = residuals([y])[0]
+            then = judged(y, tried, B)
+            if then.deviance < now.deviance:
+                better = y, tried, then
+                break
+        if better is None:
+            break
+        gained = now.deviance - better[2].deviance
+        x, z, now = better
+        if gained < _ENOUGH:
+            break
+    if noise.some:  # x has moved on since
+        noise.measure(x)
+        now = judged(x, z, B)
+    deviation = np.sqrt(np.maximum(np.diag(found.covariance)[b:], 0.0))
+    return Fit(
+        candidates=tuple(candidates),
+        values=tuple(np.split(x, edges)),
+        deviance=now.deviance,
+        std=tuple(np.split(deviation, edges)),
+        size=now.size,
+        nuisances=now.x[:p],
+        residual=z,
+        tangents=np.hstack([B, S]),
+    )
+
+
+class _FilteredNoise:
+    """Size of the noise where effects pass it on changed, in proportion to their first number.
+
+    A fit that took it for constant would go on damping noise beyond what the effect is.
+    """
+
+    def __init__(self, evidence: Evidence, candidates: Sequence[Candidate]) -> None:
+        self._evidence, self._candidates = evidence, candidates
+        self._edges = np.cumsum([c.k for c in candidates])[:-1]
+        first = [0, *self._edges.tolist()]
+        self.some = [(k, first[k]) for k, c in enumerate(candidates) if c.filters]
+        self._at = np.zeros(0)
+        self._change: list[Array] = []  # (N,) of the mean square at `_at`
+
+    def measure(self, x: Array, anyway: bool = True) -> None:
+        """Draw noise through each of the effects, unless little has changed."""
+        at = np.array([x[i] for _, i in self.some])
+        if not anyway and (np.abs(at - self._at) <= _NEAR * np.abs(self._at)).all():
+            return
+        values, evidence = np.split(x, self._edges), self._evidence
+        self._at, self._change = at, []
+        for k, _ in self.some:
+            one = self._candidates[k]
+            effect = one.effect(values[k])
+            if effect not in evidence.passed:  # fits begin where others have ended
+                model = evidence.machine.model([effect])
+                evidence.passed[effect] = evidence.noise(model, sorted(one.ports)) - 1
+            self._change.append(evidence.passed[effect])
+
+    def scale(self, x: Array) -> Array | None:
+        """(N,) size of the noise; None where it is that of the description."""
+        return np.sqrt(self._square(x)) if self.some else None
+
+    def slopes(self, x: Array, left: Array) -> Array:
+        """(N, k) by which residuals `left` (N,) shrink because noise grows with x (k,)."""
+        out = np.zeros((len(left), len(x)))
+        for (_, i), at, change in zip(self.some, self._at, self._change, strict=True):
+            if at > 0:
+                out[:, i] = left * change / at / (2 * self._square(x))
+        return out
+
+    def _square(self, x: Array) -> Array:
+        out = np.ones(self._evidence.size)
+        for (_, i), at, change in zip(self.some, self._at, self._change, strict=True):
+            if at > 0:
+                out += change * (x[i] / at)
+        return np.maximum(out, QUIETEST)
+
+
+def _reshaped(
+    evidence: Evidence,
+    candidates: Sequence[Candidate],
+    values: Sequence[Array],
+    k: int,
+    blur: Callable[[Any], Any],
+) -> Array:
+    """(N,) residual with the k-th effect in another form."""
+    made = [c.effect(v) for c, v in zip(candidates, values, strict=True)]
+    out = residuals_of(evidence, candidates, [values])[0]
+    for port in (p.name for p in evidence.ports if p.name in candidates[k].ports):
+        here = [
+            blur(e) if j == k else e
+            for j, (c, e) in enumerate(zip(candidates, made, strict=True))
+            if port in c.ports
+        ]
+        out[evidence.part(port)] = _residuals_at(evidence, port, [tuple(here)])[0]
+    return out
+
+
+def residuals_of(
+    evidence: Evidence, candidates: Sequence[Candidate], points: Sequence[Sequence[Array]]
+) -> Array:
+    """(m, N) residuals under m sets of numbers; a port is asked about its own effects only."""
+    out = np.tile(evidence.null, (len(points), 1))
+    effects = [
+        [c.effect(v) for c, v in zip(candidates, values, strict=True)] for values in points
+    ]
+    for port in (p.name for p in evidence.ports):
+        here = [k for k, c in enumerate(candidates) if port in c.ports]
+        if here:
+            sets = [tuple(row[k] for k in here) for row in effects]
+            out[:, evidence.part(port)] = _residuals_at(evidence, port, sets)
+    return out
+
+
+def _residuals_at(evidence: Evidence, port: str, sets: Sequence[tuple[Effect, ...]]) -> Array:
+    """Residuals of a port, each set of effects evaluated once for all fits."""
+    memory = evidence.memory
+    missing = [k for k in dict.fromkeys(sets) if (port, k) not in memory]
+    if missing:
+        models = [evidence.machine.model(k) for k in missing]
+        for key, row in zip(missing, evidence.residual_at(port, models), strict=True):
+            memory[port, key] = row
+    out = np.stack([memory[port, k] for k in sets])
+    while len(memory) > _REMEMBERED:
+        memory.pop(next(iter(memory)))
+    return out

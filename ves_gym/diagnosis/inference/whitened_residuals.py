@@ -1,0 +1,211 @@
+"""`Evidence`: residuals as numbers that are independent and of unit size under noise alone.
+
+Residuals go through a window into the frequency domain, where noise of neighbouring
+frequencies is independent; there they are divided by what the measured noise becomes at the
+port. They are kept in groups, a channel in a range of frequencies over all runs, because a
+description is never equally good everywhere: each group's size is estimated (`groups.py`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from ves_gym._util.params import Array, Index
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.machines.base import Machine, Port, testable
+
+_DRAWS, _FEW = 12, 4  # of the noise, to learn what it becomes at a port
+QUIETEST = 0.05  # of the noise's mean square that a model may leave
+_POOL = 6  # neighbouring frequencies on either side that are taken together
+_EDGES = (0.0, 0.1, 0.3, 1.0)  # of the ranges of frequencies, in parts of the band
+
+Model = Any  # a machine's own: the description with some effects
+
+
+@dataclass(frozen=True)
+class Group:
+    """A channel of a port in a range of frequencies."""
+
+    port: str
+    channel: int
+    low: float  # Hz
+    high: float
+    part: slice  # of the long vector
+    runs: tuple[slice, ...]  # of the long vector, run by run
+
+    @property
+    def n(self) -> int:
+        """How many numbers."""
+        return self.part.stop - self.part.start
+
+
+class Evidence:
+    """Whitened residuals of several runs of one machine."""
+
+    def __init__(self, machine: Machine, runs: Sequence[Run], seed: int = 0) -> None:
+        self.machine, self.runs, self.seed = machine, list(runs), seed
+        self._usual: dict[str, Array] = {}  # port -> whitened noise under the description
+        self._copies: dict[Any, Run] = {}  # runs with noise to pass on
+        self.ports: tuple[Port, ...] = testable(machine, runs)
+        names = [p.name for p in self.ports]
+        self.groups, self._rows = self._layout()
+        self.size = self.groups[-1].part.stop
+        self.memory: dict[Any, Array] = {}  # residuals already asked for, by port and effects
+        self.passed: dict[Any, Array] = {}  # change of the noise's mean square, by effect
+        raw = [machine.residuals(run, [machine.nominal], names) for run in self.runs]
+        self._whiten: list[dict[str, Array]] = []  # (K, c, c) of each run and port
+        for i, run in enumerate(self.runs):
+            rng = np.random.default_rng([seed, i])
+            noisy: dict[str, Array] = {}
+            for exact in sorted({p.exact for p in self.ports}):
+                some = [p.name for p in self.ports if p.exact == exact]
+                copies = run.with_noise(rng, _DRAWS, exact)
+                noisy |= machine.residuals(copies, [machine.nominal], some)
+            window = run.window
+            self._whiten.append(
+                {
+                    name: _whitener(
+                        window.spectrum(noisy[name][0] - raw[i][name][0]),
+                        machine.floor(run, name),
+                    )
+                    for name in names
+                }
+            )
+        self.null = np.concatenate(
+            [self._whitened(name, [r[name] for r in raw])[0] for name in names]
+        )
+        here = set(names)
+        self.nuisances = [k for k in machine.nuisances if here & set(k.ports)]
+        self.slopes = np.zeros((self.size, len(self.nuisances)))
+        for j, nuisance in enumerate(self.nuisances):
+            moved = self.residual([nuisance.model], nuisance.ports)[0]
+            self.slopes[:, j] = (moved - self.null) * (nuisance.std / nuisance.step)
+        parts = [self.slopes[g.part] for g in self.groups]
+        self.gram = np.stack([J.T @ J for J in parts])  # (G, p, p)
+
+    def _layout(self) -> tuple[list[Group], list[dict[str, list[tuple[Index, slice, int]]]]]:
+        """Groups, and per run and port: (frequencies taken, where to, channel)."""
+        groups: list[Group] = []
+        rows: list[dict[str, list[tuple[Index, slice, int]]]] = [
+            {p.name: [] for p in self.ports} for _ in self.runs
+        ]
+        at = 0
+        for port in self.ports:
+            for channel in range(len(port.channels)):
+                for low, high in itertools.pairwise(_EDGES):
+                    begin, parts = at, []
+                    for run, row in zip(self.runs, rows, strict=True):
+                        f = run.window.frequencies / run.band
+                        take = np.flatnonzero((f >= low) & (f < high + (high == 1.0)))
+                        parts.append(slice(at, at + 2 * len(take)))
+                        row[port.name].append((take, parts[-1], channel))
+                        at += 2 * len(take)
+                    top = self.runs[0].band
+                    groups.append(
+                        Group(
+                            port.name,
+                            channel,
+                            low * top,
+                            high * top,
+                            slice(begin, at),
+                            tuple(parts),
+                        )
+                    )
+        return groups, rows
+
+    def part(self, port: str) -> slice:
+        """Where a port's numbers lie in the long vector."""
+        mine = [g.part for g in self.groups if g.port == port]
+        return slice(mine[0].start, mine[-1].stop)
+
+    def residual_at(self, port: str, models: Sequence[Model]) -> Array:
+        """(m, n) whitened residuals of one port under m models."""
+        found = [self.machine.residuals(run, models, [port]) for run in self.runs]
+        return self._whitened(port, [k[port] for k in found])
+
+    def residual(self, models: Sequence[Model], ports: Sequence[str]) -> Array:
+        """(m, N) whitened residuals; those of ports not named are the nominal ones."""
+        out = np.tile(self.null, (len(models), 1))
+        for port in (p.name for p in self.ports if p.name in ports):
+            out[:, self.part(port)] = self.residual_at(port, models)
+        return out
+
+    def acts(self, model: Model, ports: Sequence[str]) -> float:
+        """Seconds, over all runs, in which a model differs from the description at ports."""
+        out = 0.0
+        for run in self.runs:
+            here = [p.name for p in self.ports if p.name in ports]
+            found = self.machine.residuals(run, [model, self.machine.nominal], here)
+            apart = [(k[0] != k[1]).any(axis=-1) for k in found.values()]
+            out += run.dt * float(np.count_nonzero(np.any(apart, axis=0)))
+        return out
+
+    def noise(self, model: Model, ports: Sequence[str]) -> Array:
+        """(N,) mean square that numbers would have under noise alone if this model were true.
+
+        1 where the model only subtracts something; else it may seem to explain a residual by
+        damping the noise in it.
+        """
+        out = np.ones(self.size)
+        for port in (p for p in self.ports if p.name in ports):
+            if port.name not in self._usual:
+                self._usual[port.name] = self._power(port, self.machine.nominal)
+            change = self._power(port, model) - self._usual[port.name]
+            out[self.part(port.name)] = np.maximum(1 + change, QUIETEST)
+        return out
+
+    def _power(self, port: Port, model: Model) -> Array:
+        """(n,) of a port: mean square of whitened noise, the same draws under any model."""
+        drawn = []
+        for i, run in enumerate(self.runs):
+            if (i, port.exact) not in self._copies:
+                rng = np.random.default_rng([self.seed, i, 1])
+                self._copies[i, port.exact] = run.with_noise(rng, _FEW, port.exact)
+            noisy, raw = (
+                self.machine.residuals(k, [model], [port.name])[port.name][0]
+                for k in (self._copies[i, port.exact], run)
+            )
+            drawn.append(noisy - raw)
+        power = np.square(self._whitened(port.name, drawn)).mean(axis=0)
+        whole = self.part(port.name)
+        for rows in self._rows:
+            for take, part, _ in rows[port.name]:
+                at = slice(part.start - whole.start, part.stop - whole.start)
+                both = power[at].reshape(2, len(take)).mean(axis=0)
+                smooth = scipy.ndimage.uniform_filter1d(both, 2 * _POOL + 1, mode="nearest")
+                power[at] = np.tile(smooth, 2)
+        return power
+
+    def _whitened(self, port: str, found: Sequence[Array]) -> Array:
+        """(m, n) numbers of a port from residuals (m, T, c) of every run."""
+        whole = self.part(port)
+        out = np.empty((len(found[0]), whole.stop - whole.start))
+        for run, rows, whiten, residual in zip(
+            self.runs, self._rows, self._whiten, found, strict=True
+        ):
+            x = run.window.spectrum(residual)  # (m, K, c)
+            z = np.sqrt(2) * np.einsum("kij,mkj->mki", whiten[port], x)
+            for take, part, channel in rows[port]:
+                some = z[:, take, channel]
+                at = slice(part.start - whole.start, part.stop - whole.start)
+                out[:, at] = np.concatenate([some.real, some.imag], axis=1)
+        return out
+
+
+def _whitener(spectra: Array, floor: Array) -> Array:
+    """(K, c, c) inverse roots of the cross-spectra of draws (D, K, c).
+
+    The symmetric root: every number stays with the channel it comes from.
+    """
+    draws, K, _ = spectra.shape
+    each = np.einsum("dki,dkj->kij", spectra, spectra.conj()) / draws
+    reach = np.abs(np.arange(K)[:, None] - np.arange(K)) <= _POOL
+    pooled = np.einsum("kl,lij->kij", reach / reach.sum(axis=1, keepdims=True), each)
+    value, vector = np.linalg.eigh(pooled + np.diag(floor**2))
+    return np.asarray((vector / np.sqrt(value)[:, None, :]) @ np.conj(vector.swapaxes(-1, -2)))

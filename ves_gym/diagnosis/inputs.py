@@ -1,0 +1,204 @@
+"""What `ves-gym diagnose` is given, read: runs of one machine, and how its better description
+is written. For run logs of a `System` and for data of any machine in MJCF."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ves_gym._util.params import ParameterError
+from ves_gym.diagnosis.data.measured_run import BAND, Run, require_plausible, run_of
+from ves_gym.diagnosis.inference.cache import digest_of
+from ves_gym.diagnosis.inference.candidates import Candidate, library, without
+from ves_gym.diagnosis.machines.base import Machine
+from ves_gym.diagnosis.machines.mjcf_mapping import read_machine
+from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.diagnosis.output.common import Written
+from ves_gym.diagnosis.output.mjcf_file import described, write_machine
+from ves_gym.diagnosis.output.system_file import write_system
+from ves_gym.mechanics.arm import Arm, Inertial
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
+
+_MASSES = (  # what may be wrong with the masses described, factor that puts it right
+    ("are masses and inertias described in g, not kg", 1e-3),
+    ("are masses and inertias described in t, not kg", 1e3),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """Runs of one machine, those held back apart, and its library."""
+
+    machine: Machine
+    runs: tuple[Run, ...]
+    final: tuple[Run, ...]
+    candidates: tuple[Candidate, ...]
+    digests: dict[str, str]  # of the logs, SHA-256
+    described: str  # SHA-256 of the description
+    write: Callable[[Sequence[Any], Path, bool], Written]  # effects, folder, free runs too
+    mistakes: tuple[tuple[str, Machine], ...] = ()  # usual ones in a description
+
+
+def system_job(
+    given: Sequence[str],
+    system: System | None = None,
+    *,
+    final: int | None = None,
+    leave_out: Sequence[str] = (),
+    band: float | None = None,
+) -> Job:
+    """Run logs of a system, and folders of them.
+
+    Args:
+        system: the machine as described; without one, what the logs name.
+        final: how many of the last logs to hold back; without a number those that say
+            `held_back`, else the last third.
+        leave_out: kinds of effects.
+
+    Raises:
+        ParameterError: logs that cannot be of one machine as it stands.
+    """
+    paths = _logs(given)
+    logs = [RunLog.load(path) for path in paths]
+    _require_one_system(logs, paths)
+    machine = SystemMachine(system or _system_of(logs, paths))
+    for log, path in zip(logs, paths, strict=True):
+        require_plausible(log, machine.system, path.name)
+    marked = [i for i, log in enumerate(logs) if log.meta.get("held_back")]
+    fitted, held = _split(len(logs), marked, final)
+    runs = [
+        run_of(log, path.name, BAND if band is None else band)
+        for log, path in zip(logs, paths, strict=True)
+    ]
+    own, ports = machine.system, [p.name for p in machine.ports]
+    some = [runs[i] for i in fitted]
+    names = [r.name for r in some]
+    candidates = library(own.arm.n, ports, own.mode, names, machine.stretch(some))
+
+    def write(effects: Sequence[Any], folder: Path, free: bool) -> Written:
+        better = machine.model(effects).system
+        return write_system(own, better, folder, some, [runs[i] for i in held], free)
+
+    return Job(
+        machine=machine,
+        runs=tuple(some),
+        final=tuple(runs[i] for i in held),
+        candidates=tuple(without(candidates, leave_out)),
+        digests={p.name: log.digest for p, log in zip(paths, logs, strict=True)},
+        described=own.hash,
+        write=write,
+        mistakes=tuple(
+            (text, SystemMachine(own.replace(arm=_heavier(own.arm, factor))))
+            for text, factor in _MASSES
+        ),
+    )
+
+
+def mjcf_job(
+    given: Sequence[str],
+    mapping: str,
+    *,
+    final: int | None = None,
+    leave_out: Sequence[str] = (),
+    band: float | None = None,
+) -> Job:
+    """Data of a machine in MJCF: each a file, or a folder whose files belong together.
+
+    Raises:
+        ParameterError: as the mapping file's `read_machine`.
+    """
+    machine, load = read_machine(mapping, band)
+    paths = [Path(text) for text in given]
+    _require_distinct(paths)
+    runs = [load(path) for path in paths]
+    fitted, held = _split(len(runs), (), final)
+
+    def write(effects: Sequence[Any], folder: Path, free: bool) -> Written:
+        return write_machine(Path(mapping), machine, effects, folder, runs)
+
+    return Job(
+        machine=machine,
+        runs=tuple(runs[i] for i in fitted),
+        final=tuple(runs[i] for i in held),
+        candidates=tuple(without(machine.candidates(), leave_out)),
+        digests={run.name: digest_of(run) for run in runs},
+        described=described(Path(mapping)),
+        write=write,
+        mistakes=tuple((text, machine.heavier(factor)) for text, factor in _MASSES),
+    )
+
+
+def _logs(given: Sequence[str]) -> list[Path]:
+    out: list[Path] = []
+    for text in given:
+        path = Path(text)
+        if path.is_dir():
+            inside = sorted([*path.glob("*.parquet"), *path.glob("*.csv")])
+            if not inside:
+                raise ParameterError(f"{path}: no run log (.parquet, .csv) in this folder")
+            out += inside
+        else:
+            out.append(path)
+    _require_distinct(out)
+    return out
+
+
+def _require_distinct(paths: Sequence[Path]) -> None:
+    names = [p.name for p in paths]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise ParameterError(f"{twice[0]} is given more than once")
+
+
+def _system_of(logs: Sequence[RunLog], paths: Sequence[Path]) -> System:
+    """The one system that all logs name."""
+    for log, path in zip(logs, paths, strict=True):
+        if "system" not in log.meta:
+            raise ParameterError(f"{path}: names no system; give --system FILE")
+    return System.from_dict(logs[0].meta["system"], str(paths[0]))
+
+
+def _require_one_system(logs: Sequence[RunLog], paths: Sequence[Path]) -> None:
+    """Refuse logs that name different systems, whatever they are to be compared with."""
+    named = [
+        (path, System.from_dict(log.meta["system"], str(path)).hash)
+        for log, path in zip(logs, paths, strict=True)
+        if "system" in log.meta
+    ]
+    for path, own in named:
+        if own != named[0][1]:
+            raise ParameterError(
+                f"{path}: is of another system than {named[0][0]} ({own[:12]},"
+                f" {named[0][1][:12]}): one machine at a time"
+            )
+
+
+def _heavier(arm: Arm, factor: float) -> Arm:
+    """The arm with all masses and inertias by a factor."""
+
+    def scaled(body: Inertial) -> Inertial:
+        moments = tuple(tuple(factor * x for x in row) for row in body.inertia)
+        return replace(body, mass=factor * body.mass, inertia=moments)
+
+    links = tuple(replace(link, inertial=scaled(link.inertial)) for link in arm.links)
+    return replace(arm, links=links, base=scaled(arm.base))
+
+
+def _split(count: int, marked: Sequence[int], final: int | None) -> tuple[list[int], list[int]]:
+    """Runs to fit, and runs to hold back."""
+    every = list(range(count))
+    if final is None:
+        held = list(marked) or every[count - count // 3 :]
+    else:
+        if not 0 <= final < count:
+            raise ParameterError(
+                f"--final must leave a log to fit: 0 to {count - 1}, got {final}"
+            )
+        held = every[count - final :]
+    fitted = [i for i in every if i not in held]
+    if not fitted:
+        raise ParameterError("every log is held back: none is left to fit")
+    return fitted, held

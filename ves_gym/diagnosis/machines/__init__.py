@@ -1,0 +1,1 @@
+"""Machines as parts that are each run alone on measured input."""

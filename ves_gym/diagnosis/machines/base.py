@@ -1,0 +1,79 @@
+"""What is examined: a machine whose parts can each be run alone on measured input.
+
+A *port* is a place where the log holds both what goes into a part and what comes out of it.
+Its residual is what was measured there less what the part as described would have done with
+the measured input, so that what one part does wrong shows at its own port, not at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from ves_gym._util.params import Array
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.system.effect import Effect
+
+WRENCH = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")  # of a force sensor
+
+
+@dataclass(frozen=True)
+class Port:
+    """A part of the machine between measured signals."""
+
+    name: str
+    title: str  # what its residual is, for people
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    needs: tuple[str, ...]  # signals of the log
+    exact: tuple[str, ...] = ()  # those of them that are what the part was given, noise and all
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """A small error that any description has; it is allowed for, not named."""
+
+    name: str
+    ports: tuple[str, ...]
+    model: Any  # the description with it, `step` large
+    step: float
+    std: float  # its usual size, in the unit of `step`
+
+
+class Machine(Protocol):
+    """Anything with ports. A model is its description with some effects, as it likes it."""
+
+    name: str
+    ports: tuple[Port, ...]
+    nominal: Any
+
+    @property
+    def nuisances(self) -> Sequence[Nuisance]:
+        """Tolerances."""
+
+    def model(self, effects: Sequence[Effect]) -> Any:
+        """The description with effects."""
+
+    def residuals(
+        self, run: Run, models: Sequence[Any], ports: Sequence[str]
+    ) -> dict[str, Array]:
+        """(m, ..., T, c) per port: the residual under each of m models."""
+
+    def floor(self, run: Run, port: str) -> Array:
+        """(c,) standard deviation below which a residual of the port means nothing."""
+
+
+def testable(machine: Machine, runs: Sequence[Run]) -> tuple[Port, ...]:
+    """Ports whose signals all runs hold."""
+    return tuple(p for p in machine.ports if all(k in run for run in runs for k in p.needs))
+
+
+def untestable(machine: Machine, runs: Sequence[Run]) -> dict[str, tuple[str, ...]]:
+    """Port -> the signals some run lacks."""
+    out = {}
+    for port in machine.ports:
+        lacks = tuple(k for k in port.needs if not all(k in run for run in runs))
+        if lacks:
+            out[port.name] = lacks
+    return out

@@ -1,0 +1,39 @@
+"""Drift as a diagnosis sees it: the course that a sensor signal took in each run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.effects import SensorDrift
+
+
+@dataclass(frozen=True)
+class SlowPath:
+    """One course that a drifting sensor signal took: per run, a level and slow cosines."""
+
+    channel: int
+    weights: tuple[tuple[str, tuple[float, ...]], ...]  # run -> weight of each
+
+    def of(self, run: Run) -> Array:
+        """(T,) in this run; none in one it does not know."""
+        weights = dict(self.weights).get(run.name, ())
+        t = (np.arange(run.length) + 0.5) / run.length
+        waves = (w * np.cos(np.pi * k * t) for k, w in enumerate(weights))
+        return np.asarray(sum(waves, np.zeros(run.length)))
+
+    @property
+    def size(self) -> float:
+        """Root mean square over the runs."""
+        power = [each[0] ** 2 + sum(w * w for w in each[1:]) / 2 for _, each in self.weights]
+        return float(np.sqrt(np.mean(power)))
+
+    @property
+    def effect(self) -> SensorDrift:
+        """A drift of this size."""
+        signal = np.zeros(6)
+        signal[self.channel] = self.size
+        return SensorDrift(force=tuple(signal[:3].tolist()), moment=tuple(signal[3:].tolist()))

@@ -1,0 +1,138 @@
+"""Tolerances of a `System`: the small errors that any careful description has."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from ves_gym.diagnosis.machines.base import WRENCH, Nuisance
+from ves_gym.effects import (
+    BaseDamping,
+    BaseExtraMode,
+    BaseStiffness,
+    BaseVirtualMass,
+    GravityMass,
+    GravityMoment,
+    JointCoulomb,
+    JointDriveGain,
+    JointRotorInertia,
+    JointTorqueOffset,
+    JointViscous,
+    PlatformBandwidth,
+    PlatformDamping,
+    SensorBias,
+    SensorCalibration,
+    SensorLag,
+)
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.gravity import GravityModel, minimal_model
+from ves_gym.system.effect import Effect
+from ves_gym.system.system import System
+
+# Standard deviations: 0.6 of the bound one would state.
+_MASS, _INERTIA, _GAIN, _FILTER = 0.0006, 0.006, 0.0006, 0.006  # relative
+_COM, _FRICTION, _OFFSET = 1.2e-4, 0.03, 0.018  # m; N m; N, N m
+_WEIGHT, _MOMENT = 0.03, 0.006  # kg, kg m, of the weight estimate
+_INNER, _RESIDUAL = (8.0, 8.5, 9.5), 0.7  # Hz, kg: modes that the vehicle's model leaves out
+_BASE, _LOSS = 0.0012, 0.006  # relative, of the base's mass and stiffness; of its damping
+
+
+def tolerances(system: System) -> Iterator[Nuisance]:
+    """What any description of such a machine is off by; each model is a `System`."""
+    arm = system.arm
+    both = ("joint", "wrench")
+
+    def heavier(i: int, **changes: Any) -> System:
+        links = list(arm.links)
+        own = dataclasses.replace(links[i].inertial, **changes)
+        links[i] = dataclasses.replace(links[i], inertial=own)
+        return system.replace(arm=dataclasses.replace(arm, links=tuple(links)))
+
+    def effect(name: str, ports: str, step: float, std: float, *made: Effect) -> Nuisance:
+        model = system.replace(effects=(*system.effects, *made))
+        return Nuisance(name, tuple(ports.split()), model, step, std)
+
+    for i, link in enumerate(arm.links):
+        body, where = link.inertial, f"of link {i + 1}"
+        more = heavier(i, mass=1.01 * body.mass)
+        yield Nuisance(f"mass {where}", both, more, 0.01, _MASS)
+        moments = np.array(body.inertia) * 1.1
+        grown = heavier(i, inertia=tuple(map(tuple, moments.tolist())))
+        yield Nuisance(f"inertia {where}", both, grown, 0.1, _INERTIA)
+        for k, axis in enumerate("xyz"):
+            com = list(body.com)
+            com[k] += 1e-3
+            shifted = heavier(i, com=tuple(com))
+            yield Nuisance(f"centre of mass {axis} {where}", both, shifted, 1e-3, _COM)
+
+        def one(value: float, i: int = i) -> tuple[float, ...]:
+            return tuple(value if k == i else 0.0 for k in range(arm.n))
+
+        where, joint = f"of joint {i + 1}", "joint"
+        small = 0.1 * link.rotor_inertia + 1e-3
+        yield effect(
+            f"rotor {where}",
+            joint,
+            small,
+            _INERTIA * link.rotor_inertia + 1e-6,
+            JointRotorInertia(added=one(small)),
+        )
+        yield effect(f"gain {where}", joint, 0.01, _GAIN, JointDriveGain(error=one(0.01)))
+        yield effect(f"friction {where}", joint, 0.1, _FRICTION, JointCoulomb(torque=one(0.1)))
+        yield effect(f"damping {where}", joint, 0.1, _FRICTION, JointViscous(damping=one(0.1)))
+        yield effect(f"zero {where}", joint, 0.1, _FRICTION, JointTorqueOffset(torque=one(0.1)))
+    base = dataclasses.replace(arm.base, mass=1.01 * arm.base.mass)
+    whole = system.replace(arm=dataclasses.replace(arm, base=base))
+    yield Nuisance("mass of the arm's foot", ("wrench",), whole, 0.01, _MASS)
+    if system.mode == "emulated":
+        yield from _of_the_laboratory(system, effect)
+    for k, axis in enumerate("xyz"):  # a vehicle of six coordinates has no inner modes
+        way = tuple(float(i == k) for i in range(3))
+        for rate in _INNER:
+            mode = BaseExtraMode(mass=1.0, frequency=rate, direction=way)
+            name = f"inner mode along {axis} near {rate:g} Hz"
+            yield effect(name, "base admittance", 1.0, _RESIDUAL, mode)
+    for what, kind in (
+        ("stiffness", BaseStiffness),
+        ("mass", BaseVirtualMass),
+        ("damping", BaseDamping),
+    ):
+        std = _BASE if what != "damping" else _LOSS
+        yield effect(f"{what} of the base", "base admittance", 0.01, std, kind(error=0.01))
+
+
+def _of_the_laboratory(system: System, effect: Callable[..., Nuisance]) -> Iterator[Nuisance]:
+    weight = GravityModel.of(system.arm).wrench(system.arm, np.zeros(system.arm.n), np.zeros(6))
+    rest = system.laboratory.sensor.frame @ weight
+    for i in range(6):
+
+        def six(value: float, i: int = i) -> dict[str, tuple[float, ...]]:
+            out = [value if k == i else 0.0 for k in range(6)]
+            return {"force": tuple(out[:3]), "moment": tuple(out[3:])}
+
+        axis = WRENCH[i]
+        yield effect(f"zero of {axis}", "wrench", 0.1, _OFFSET, SensorBias(**six(0.1)))
+        error = np.zeros((6, 6))
+        error[i, i] = 0.01
+        gain = SensorCalibration(error=tuple(map(tuple, error.tolist())))
+        zero = SensorBias(**six(-0.01 * float(rest[i])))  # it was zeroed under the arm
+        yield effect(f"gain of {axis}", "wrench", 0.01, _GAIN, gain, zero)
+    yield effect("sensor filter", "wrench", 0.01, _FILTER, SensorLag(error=0.01))
+    if system.laboratory.operation == "microgravity":
+        yield effect("weight estimate", "gravity", 0.1, _WEIGHT, GravityMass(error=0.1))
+        minimal = minimal_model(system.arm)
+        for k, name in enumerate(minimal.names):
+            moment = tuple(0.1 if i == k else 0.0 for i in range(minimal.size))
+            yield effect(
+                f"moment {name} of the estimate",
+                "gravity",
+                0.1,
+                _MOMENT,
+                GravityMoment(error=moment),
+            )
+    if isinstance(system.laboratory.platform, PoseServo):
+        for kind, name in ((PlatformBandwidth, "bandwidth"), (PlatformDamping, "damping")):
+            yield effect(f"platform {name}", "platform", 0.01, _FILTER, kind(error=0.01))

@@ -1,0 +1,33 @@
+"""`Presliding`: friction that builds up over a distance after every reversal.
+
+The laws of the library know the speed alone. Real contacts give way elastically first, like
+bristles (Canudas de Wit et al., IEEE Trans. Automatic Control 40(3), 1995): the torque F then
+follows its law over the distance travelled, dF/dt = (law - F) |v| / length. How a friction
+does this is no other effect, so a fit may have some of it with every friction it tries.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.system.effect import Effect
+
+
+@dataclass(frozen=True)
+class Presliding:
+    """A friction, and the distance [rad] over which it builds up."""
+
+    effect: Effect
+    length: float = 1e-3  # of geared joints (Armstrong-Helouvry et al., Automatica 30(7), 1994)
+
+    def built_up(self, torque: Array, v: Array, dt: float) -> Array:
+        """The law's torque (..., T, n) at rates v, as it builds up from sample to sample."""
+        from ves_gym.diagnosis.machines.recursions import follow  # numba takes a second to load
+
+        part = -np.expm1(-np.abs(v) * dt / self.length)
+        flat = (-1, *torque.shape[-2:])
+        rows = follow(torque.reshape(flat), np.broadcast_to(part, torque.shape).reshape(flat))
+        return np.asarray(rows).reshape(torque.shape)

@@ -1,0 +1,1 @@
+"""What a diagnosis writes: improved descriptions, closed-loop replay."""

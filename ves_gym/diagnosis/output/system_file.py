@@ -1,0 +1,57 @@
+"""A better `System` file: written, read back, played again at every port and in free run."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.diagnosis.output.closed_loop_replay import compared
+from ves_gym.diagnosis.output.common import Written, diff_of, difference, moved, require_same
+from ves_gym.system.system import System
+
+NAME = "system.toml"
+
+
+def write_system(
+    described: System,
+    better: System,
+    folder: Path,
+    runs: Sequence[Run],
+    final: Sequence[Run],
+    free: bool = True,
+) -> Written:
+    """Write a system and prove that the file says what was found.
+
+    Args:
+        runs, final: what every port plays; the loop as a whole (`free`) plays `final`, or the
+            first of `runs` where none is held back.
+
+    Raises:
+        ParameterError: what is read back plays otherwise.
+    """
+    import tomli_w
+
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as inner:
+        near = Path(inner) / NAME
+        better.save(near)
+        again = System.load(near)
+        here, there = SystemMachine(better), SystemMachine(again)
+        apart = difference(here, here.nominal, there, there.nominal, [*runs, *final])
+        require_same(apart, folder / NAME)
+        played = compared(described, better, again, final or runs[:1]) if free else None
+        if played is not None and played.gaps:
+            require_same(played.difference, folder / NAME)
+        moved([(near, folder / NAME)])
+    old, new = (tomli_w.dumps(s.to_dict()) for s in (described, better))
+    return Written(
+        files=(folder / NAME,),
+        digest=better.hash,
+        plain={"system": better.to_dict()},
+        diff=diff_of(old, new, ("described", NAME)),
+        difference=apart,
+        free=None if played is None else dataclasses.asdict(played),
+    )

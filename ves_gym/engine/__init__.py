@@ -1,0 +1,1 @@
+"""From equations to numbers: MJCF, linear models, regressors, the compiled kernel, engines."""

@@ -1,0 +1,1 @@
+"""Engines that advance a batch of simulations of one System."""

@@ -1,0 +1,109 @@
+"""Engines that advance a batch of simulations of one System."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+from ves_gym._util.params import Array, Index, Mask
+
+if TYPE_CHECKING:
+    from ves_gym.system.system import System
+
+
+class Backend(Protocol):
+    """What `Simulator` needs from an engine. Leading axis = simulation.
+
+    Arrays handed out are copies or read-only views; `z` stacks (Y, q), `zd` its rate.
+    """
+
+    name: str  # as in `registry.BACKENDS`
+    n: int
+
+    def read(self) -> tuple[Array, Array, Array]:
+        """Time (n,) [s], z (n, 6 + joints), zd (n, 6 + joints)."""
+
+    def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
+        """Set the state of some simulations and clear their fault.
+
+        Gears are relaxed then, and oscillators at rest on the vehicle.
+        """
+
+    def bend(self, d: Array, rate: Array) -> None:
+        """Set the gears' deflections and their rates (n, g) of all simulations."""
+
+    def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
+        """Servo gains (k, joints) of some simulations, active at every physics step."""
+
+    def assign(self, ids: Index, systems: Sequence[System]) -> None:
+        """Give simulations systems of their own (`Simulator.assign`); all or none of them.
+
+        State and servo gains stay. The systems are alike in structure (`require_alike`).
+        """
+
+    def step(
+        self,
+        command: Array,
+        until: Array | None,
+        wrench: Array | None,
+        substeps: int,
+        ids: Index | None,
+    ) -> None:
+        """Advance under command (n, joints) and generalised base force (n, 6).
+
+        The command is held, or runs linearly to `until` (n, joints) at the end.
+        """
+
+    def play(self, commands: Array, ids: Index | None) -> None:
+        """Advance k physics steps, commands (n, k + 1, joints) linear over each step."""
+
+    def ride(self, commands: Array, base: Array, ids: Index | None) -> Array:
+        """Advance k physics steps on a platform that moves as told (mode emulated).
+
+        Args:
+            commands: (n, k + 1, joints), base: (n, k + 1, 6) acceleration Y'', both linear
+                over each step.
+
+        Returns:
+            (n, k + 1, 6) wrench of the arm on the platform at the steps' ends, in platform
+            axes at its origin [N, N m]; the first under the new, the last under the old
+            commands.
+        """
+
+    def hidden(self) -> tuple[Array, Array]:
+        """Coordinates and rates (n, g + m): gears' deflections; in space, oscillators."""
+
+    def evaluate(self, command: Array) -> tuple[Array, Array]:
+        """Drive torque (n, joints) and acceleration zdd (n, 6 + joints) at this state."""
+
+    def faults(self) -> Mask:
+        """(n,) bool: simulations whose state is no longer meaningful."""
+
+    def get_state(self) -> object:
+        """Everything needed to continue exactly from here."""
+
+    def set_state(self, state: object) -> None:
+        """Return to a state handed out by `get_state`."""
+
+
+MEANINGLESS = 1e10  # m, rad and their rates; where MuJoCo, too, gives a state up
+
+
+class Remembering:
+    """State kept in the arrays that `state_names` names, faults in `_fault`."""
+
+    state_names: ClassVar[tuple[str, ...]]
+    _fault: Mask
+
+    def faults(self) -> Mask:
+        """See `Backend`."""
+        return self._fault.copy()
+
+    def get_state(self) -> object:
+        """See `Backend`."""
+        return tuple(getattr(self, name).copy() for name in self.state_names)
+
+    def set_state(self, state: Any) -> None:
+        """See `Backend`."""
+        for name, part in zip(self.state_names, state, strict=True):
+            getattr(self, name)[:] = part

@@ -1,0 +1,268 @@
+"""The compiled engine: the system's own equations, many simulations a vector wide.
+
+Contact-free. The same answers as MuJoCo's (docs/claims.md), some fifty times faster.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, Index
+from ves_gym.engine.backends.base import MEANINGLESS, Remembering
+from ves_gym.engine.batch_parameters import ParameterRows, bodies_of
+from ves_gym.engine.kernel.blocks import aligned, fill, lanes, unlane
+from ves_gym.engine.kernel.build import Library, cached
+from ves_gym.engine.kernel.emit import LANES, emit_module
+from ves_gym.engine.kernel.trace import equations, structure
+from ves_gym.system.system import PRESCRIBED_INERTIA, System
+
+_ALONE = 8  # blocks below which a second thread costs more than it brings
+_LIBRARIES: dict[str, Library] = {}
+
+
+def compiled(system: System) -> Library:
+    """The kernel of a system; systems that differ in values only share it."""
+    key = structure(system)
+    if key not in _LIBRARIES:
+
+        def make() -> str:
+            graphs = equations(system)
+            order = 6 + graphs.n + graphs.hidden
+            return emit_module(graphs.motion, graphs.observe, system.integrator, order)
+
+        _LIBRARIES[key] = cached(key, make)
+    return _LIBRARIES[key]
+
+
+class KernelBackend(Remembering):
+    """`Backend` on a compiled kernel; see `Backend` for what each method does.
+
+    Arrays are blocks of LANES simulations, a row per quantity; the last block is filled up
+    with simulations that nobody reads.
+    """
+
+    name = "kernel"
+    state_names = ("_x", "_u", "_start", "_ticks", "_fault")
+
+    def __init__(self, system: System, n: int, threads: int) -> None:
+        self.n, self.joints = n, system.arm.n
+        self.emulated = system.mode == "emulated"
+        self.prescribed = system.drive == "prescribed"
+        self.dt = system.physics_dt
+        self._advance = compiled(system).advance
+        self.rows = ParameterRows(system)
+        self.names, values = self.rows.names, self.rows.values
+        self._gains = np.array([name[:2] in ("kp", "kd") for name in self.names])
+        self._systems = [system] * n
+        self._blocks = -(-n // LANES)
+        size = 6 + self.joints
+        self._extras = 0 if self.emulated else len(system.base.extra)
+        self._gears = len(system.arm.geared)
+        self._order = size + self._gears + self._extras  # coordinates: (Y, q), what is hidden
+        self._nx, self._nu = 2 * self._order, size
+        self._ny = size + self.joints + (6 if self.emulated else 0)
+        self._x = aligned(self._blocks, self._nx, LANES)
+        self._p = aligned(self._blocks, len(values), LANES)
+        self._p[:] = values[:, None]
+        self._u = aligned(self._blocks, self._nu, LANES)
+        self._end = aligned(self._blocks, self.joints, LANES)
+        self._ramps: dict[int, tuple[Array, Array]] = {}  # buffers of `_between` by steps
+        self._start, self._ticks = np.zeros(n), np.zeros(n, np.int64)
+        self._fault = np.zeros(n, bool)
+        wanted = threads or os.cpu_count() or 1
+        self._threads = max(1, min(wanted, self._blocks // _ALONE))
+        self._scratch = aligned(self._threads, 3 * self._nx + self._nu, LANES)
+        self._unread = aligned(self._threads, self._ny, LANES)  # outputs nobody asked for
+        edges = np.linspace(0, self._blocks, self._threads + 1).astype(int).tolist()
+        self._shares = list(itertools.pairwise(edges))
+        self._where = tuple(a.ctypes.data for a in (self._x, self._p))
+        self._own = [
+            (a.ctypes.data, b.ctypes.data)
+            for a, b in zip(self._unread, self._scratch, strict=True)
+        ]
+        self._pool: ThreadPoolExecutor | None = None
+
+    # ---------------------------------------------------------------- blocks
+
+    def _run(self, u: Array, steps: int, block: int, node: int, out: Array | None) -> None:
+        """Advance all blocks, shared among threads."""
+        (x, p), commands, keep = self._where, u.ctypes.data, out is not None
+        results = out.ctypes.data if out is not None else 0
+
+        def part(i: int) -> None:
+            low, high = self._shares[i]
+            unread, scratch = self._own[i]
+            self._advance(
+                x,
+                commands,
+                p,
+                results if keep else unread,
+                scratch,
+                low,
+                high,
+                steps,
+                block,
+                node,
+                self.dt,
+                keep,
+            )
+
+        if self._threads == 1:
+            part(0)
+            return
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self._threads - 1)
+        others = [self._pool.submit(part, i) for i in range(1, self._threads)]
+        part(0)
+        for other in others:
+            other.result()
+
+    def _guarded(self, ids: Index | None, work: Any) -> Any:
+        """Do `work`, then put the simulations not in `ids` back where they were."""
+        kept = None if ids is None else (self._x.copy(), self._ticks.copy())
+        result = work()
+        if kept is not None:
+            assert ids is not None
+            others = np.setdiff1d(np.arange(self._blocks * LANES), ids)
+            at = (others // LANES, slice(None), others % LANES)
+            self._x[at] = kept[0][at]
+            still = others[others < self.n]
+            self._ticks[still] = kept[1][still]
+        if not (np.abs(self._x) < MEANINGLESS).all():  # a NaN is not
+            self._fault |= ~(np.abs(unlane(self._x, self.n)) < MEANINGLESS).all(axis=1)
+        return result
+
+    # --------------------------------------------------------------- backend
+
+    def read(self) -> tuple[Array, Array, Array]:
+        x = unlane(self._x, self.n)
+        size, order = 6 + self.joints, self._order
+        time = self._start + self._ticks * self.dt
+        return time, x[:, :size], x[:, order : order + size]
+
+    def bend(self, d: Array, rate: Array) -> None:
+        first, order = 6 + self.joints, self._order
+        fill(self._x[:, first : first + self._gears], d)
+        fill(self._x[:, order + first : order + first + self._gears], rate)
+
+    def hidden(self) -> tuple[Array, Array]:
+        x, first, order = unlane(self._x, self.n), 6 + self.joints, self._order
+        return x[:, first:order], x[:, order + first :]
+
+    def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
+        if self._order == 6 + self.joints:
+            rows = np.hstack([z, zd])
+        else:
+            parts = []
+            for part in (z, zd):  # gears relaxed, oscillators at rest on the vehicle
+                bases = [self._systems[i].base for i in ids.tolist()]
+                held = [b.attached(y) for b, y in zip(bases, part[:, :6], strict=True)]
+                hidden = np.zeros((len(ids), self._gears + self._extras))
+                if self._extras:
+                    hidden[:, self._gears :] = held
+                parts += [part, hidden]
+            rows = np.hstack(parts)
+        self._x[ids // LANES, :, ids % LANES] = rows
+        self._u[ids // LANES, :, ids % LANES] = 0.0  # no acceleration of a platform either
+        self._start[ids], self._ticks[ids], self._fault[ids] = time, 0, False
+
+    def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
+        for name, values in (("kp", kp), ("kd", kd)):
+            for i in range(self.joints):
+                row = self.names.index(f"{name}{i + 1}")
+                self._p[ids // LANES, row, ids % LANES] = values[:, i]
+
+    def assign(self, ids: Index, systems: Sequence[System]) -> None:
+        pairs = list(zip(ids.tolist(), systems, strict=True))
+        known: dict[tuple[int, int], Array] = {}  # rows of the arms and vehicles seen
+        rows = []
+        for i, system in pairs:
+            which, bodies = f"system of simulation {i}", bodies_of(system)
+            if bodies not in known:
+                same = bodies == bodies_of(self._systems[i])
+                known[bodies] = self._row(i) if same else self.rows.of(system, which)
+            rows.append(self.rows.with_effects(known[bodies], system, which))
+        for (i, system), row in zip(pairs, rows, strict=True):
+            self._row(i)[:] = np.where(self._gains, self._row(i), row)
+            self._systems[i] = system
+
+    def _row(self, i: int) -> Array:
+        """Parameters of a simulation, in place."""
+        return self._p[i // LANES, :, i % LANES]
+
+    def step(
+        self,
+        command: Array,
+        until: Array | None,
+        wrench: Array | None,
+        substeps: int,
+        ids: Index | None,
+    ) -> None:
+        if wrench is not None:  # zero otherwise
+            fill(self._u[:, :6], wrench)
+        fill(self._u[:, 6:], command)
+        if until is None:
+            self._guarded(ids, lambda: self._steps(self._u, substeps, self._nu, 0, None))
+        else:
+            u = self._between(until, substeps)
+            block, node = (substeps + 1) * self._nu, self._nu
+            self._guarded(ids, lambda: self._steps(u, substeps, block, node, None))
+            self._u[:] = u[:, -1]
+        if wrench is not None:
+            self._u[:, :6] = 0.0  # it acts in this period only
+
+    def play(self, commands: Array, ids: Index | None) -> None:
+        k = commands.shape[1] - 1
+        base = np.zeros((self.n, k + 1, 6))
+        u = self._nodes(np.concatenate([base, commands], axis=-1))
+        self._guarded(ids, lambda: self._steps(u, k, (k + 1) * self._nu, self._nu, None))
+        self._u[:] = u[:, k * self._nu :]
+
+    def ride(self, commands: Array, base: Array, ids: Index | None) -> Array:
+        k = commands.shape[1] - 1
+        u = self._nodes(np.concatenate([base, commands], axis=-1))
+        out = aligned(self._blocks, (k + 1) * self._ny, LANES)
+        self._guarded(ids, lambda: self._steps(u, k, (k + 1) * self._nu, self._nu, out))
+        self._u[:] = u[:, k * self._nu :]
+        rows = out.reshape(self._blocks, k + 1, self._ny, LANES)[:, :, -6:]
+        flat = np.moveaxis(rows, 3, 1).reshape(-1, k + 1, 6)
+        return np.ascontiguousarray(flat[: self.n])
+
+    def evaluate(self, command: Array) -> tuple[Array, Array]:
+        given = unlane(self._u, self.n)
+        given[:, 6:] = command
+        fill(self._u, given)
+        out = aligned(self._blocks, self._ny, LANES)
+        self._run(self._u, 0, self._nu, 0, out)
+        values, size = unlane(out, self.n), 6 + self.joints
+        zdd, torque = values[:, :size], values[:, size : size + self.joints]
+        if self.prescribed:
+            torque = torque - PRESCRIBED_INERTIA * zdd[:, 6:]
+        return torque, zdd
+
+    # --------------------------------------------------------------- helpers
+
+    def _between(self, until: Array, steps: int) -> Array:
+        """(blocks, steps + 1, k, LANES) commands linear from the present ones to `until`."""
+        if steps not in self._ramps:
+            share = (np.arange(steps + 1) / steps)[:, None, None]
+            self._ramps[steps] = share, aligned(self._blocks, steps + 1, self._nu, LANES)
+        share, out = self._ramps[steps]
+        fill(self._end, until)
+        out[:] = self._u[:, None]
+        out[:, :, 6:] += share * (self._end - self._u[:, 6:])[:, None]
+        return out
+
+    def _steps(self, u: Array, steps: int, block: int, node: int, out: Array | None) -> None:
+        self._run(u, steps, block, node, out)
+        self._ticks += steps
+
+    def _nodes(self, values: Array) -> Array:
+        """(n, nodes, k) -> (blocks, nodes k, LANES)."""
+        return lanes(values.reshape(len(values), -1))

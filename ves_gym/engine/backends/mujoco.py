@@ -1,0 +1,301 @@
+"""The reference engine: MuJoCo's native batch of simulations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.mujoco_loader import mujoco  # before its submodules
+
+# isort: split
+from mujoco.batch import MODEL_FIELDS, Batch
+
+from ves_gym._util.params import Array, Index, Mask, ParameterError
+from ves_gym.engine.batch_parameters import Laws, bodies_of
+from ves_gym.engine.mjcf import (
+    BASE_JOINTS,
+    TO_Y,
+    add_hidden,
+    build_laboratory_spec,
+    build_spec,
+)
+from ves_gym.mechanics.gravity import GRAVITY
+from ves_gym.mechanics.vehicle import BaseModel
+from ves_gym.system.effect import joint_torque
+from ves_gym.system.system import PRESCRIBED_INERTIA, System
+
+_BAD = [
+    int(w)
+    for w in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+        mujoco.mjtWarning.mjWARN_BADCTRL,
+    )
+]
+
+
+def compile_model(system: System, whole: bool = False) -> mujoco.MjModel:
+    """The MuJoCo model of a system, as the backend runs it; `whole`: see `model_spec`."""
+    return model_spec(system, whole).compile()
+
+
+def model_spec(system: System, whole: bool = False) -> mujoco.MjSpec:
+    """The same before it is compiled.
+
+    `whole`: M, D and K as six tendons each, all on all six axes, whatever their numbers are,
+    so that every model of one structure has one layout.
+    """
+    if system.mode == "emulated":
+        spec = build_laboratory_spec(
+            system.arm,
+            gravity=(0.0, 0.0, -GRAVITY),
+            balance=system.laboratory.joint_balance,
+            integrator=system.integrator,
+            physics_dt=system.physics_dt,
+        )
+    else:
+        base, zero = system.base, np.zeros((6, 6))
+        spec = build_spec(
+            system.arm,
+            BaseModel(zero, zero, zero, base.body) if whole else base,
+            gravity=(0.0, 0.0, 0.0),
+            integrator=system.integrator,
+            physics_dt=system.physics_dt,
+        )
+        if whole:
+            _add_whole_tendons(spec, base)
+    add_hidden(spec, system.arm, system.base if system.mode == "ideal" else None)
+    if system.drive == "prescribed":
+        for i in range(system.arm.n):
+            spec.joint(f"q_{i + 1}").armature += PRESCRIBED_INERTIA
+            drive = spec.actuator(f"drive_{i + 1}")
+            drive.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+            drive.gainprm[0] = PRESCRIBED_INERTIA  # the command is an acceleration
+    return spec
+
+
+def _add_whole_tendons(spec: mujoco.MjSpec, base: BaseModel) -> None:
+    """M, D, K as in `model.build_spec`, with the vanishing eigenvalues and weights."""
+    for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
+        eigenvalues, vectors = np.linalg.eigh(values)
+        least = 1e-15 * np.abs(values).max()
+        for k in range(6):
+            tendon = spec.add_tendon(name=f"{what}_{k + 1}")
+            for i, name in enumerate(BASE_JOINTS):
+                tendon.wrap_joint(name, float(vectors[TO_Y[i], k]))
+            tendon.springlength = [0.0, 0.0]
+            value = float(eigenvalues[k]) if eigenvalues[k] > least else 0.0
+            setattr(tendon, what, value if what == "armature" else [value, 0.0, 0.0])
+
+
+def _changes(own: mujoco.MjModel, model: mujoco.MjModel, which: str) -> dict[str, Any]:
+    """Fields of a model that differ from the own one's, all but gains and options."""
+    out = {}
+    for name in MODEL_FIELDS:
+        if name.startswith("opt.") or name == "actuator_biasprm":
+            continue
+        mine, values = getattr(own, name), getattr(model, name)
+        if values.shape != mine.shape:
+            raise ParameterError(
+                f"{which}: MuJoCo's model has another layout, its {name} has shape"
+                f" {values.shape}, not {mine.shape}"
+            )
+        if not np.array_equal(values, mine):
+            out[name] = values
+    return out
+
+
+class MujocoBackend:
+    """`Backend` on `mujoco.batch.Batch`; see `Backend` for what each method does."""
+
+    name = "mujoco"
+
+    def __init__(self, system: System, n: int, threads: int) -> None:
+        self.n = n
+        self.joints = system.arm.n
+        self.prescribed = system.drive == "prescribed"
+        self.system, self._nthread = system, threads
+        self._carried = len(system.base.extra) if system.mode == "ideal" else 0
+        # coordinates of the motors; those of gears lie between them
+        self._motors: Any = slice(6, 6 + self.joints)
+        geared = np.array(system.arm.geared, int)
+        if len(geared):
+            before = [int((geared < i).sum()) for i in range(self.joints)]
+            self._motors = 6 + np.arange(self.joints) + np.array(before)
+        where = np.arange(6 + self.joints + len(geared))
+        self._order = np.r_[TO_Y, where[self._motors]]
+        carried = len(where) + np.arange(self._carried)
+        self._rest = np.r_[np.setdiff1d(where, self._order), carried]
+        self._laws = [effect for effect in system.effects if effect.has_law]
+        self._own_laws: Laws | None = None
+        self._whole = False  # the layout of `compile_model`
+        self._systems = [system] * n
+        self._limits = np.tile(system.arm.column("tau_max"), (n, 1))
+        self._varied: set[str] = set()  # fields of the model that differ, gains apart
+        self._load(compile_model(system))
+
+    def _load(self, model: mujoco.MjModel) -> None:
+        """Run this model."""
+        self.model = model
+        self.batch = Batch(model, self.n, self._nthread)
+        self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        self._time = self.batch.bind("time")
+        self._command, self._slope = self.batch.bind("act"), self.batch.bind("ctrl")
+        self._applied = self.batch.bind("qfrc_applied")
+        self._force, self._qacc = self.batch.bind("actuator_force"), self.batch.bind("qacc")
+        self._drives = slice(self.model.nu - self.joints, None)  # after the platform's
+        self._bias: Array | None = None
+        emulated = self.system.mode == "emulated"
+        self._felt = self.batch.bind("sensordata") if emulated else None
+
+    def read(self) -> tuple[Array, Array, Array]:
+        return self._time.copy(), self._qpos[:, self._order], self._qvel[:, self._order]
+
+    def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
+        # clears warm starts, history and whatever else the state row holds
+        self.batch.reset(np.sort(ids), stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self.batch.warning[ids] = 0
+        self._time[ids] = time
+        self._qpos[np.ix_(ids, self._order)] = z
+        self._qvel[np.ix_(ids, self._order)] = zd
+        for row, i in enumerate(ids.tolist() if self._carried else []):
+            base, m = self._systems[i].base, self._carried  # at rest on the vehicle
+            self._qpos[i, -m:] = base.attached(z[row, :6])
+            self._qvel[i, -m:] = base.attached(zd[row, :6])
+
+    def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
+        if self._bias is None:
+            self._bias = self.batch.expand("actuator_biasprm")
+        self._bias[ids, self._drives, 1] = -kp
+        self._bias[ids, self._drives, 2] = -kd
+
+    def assign(self, ids: Index, systems: Sequence[System]) -> None:
+        pairs = list(zip(ids.tolist(), systems, strict=True))
+        others = {i for i, k in pairs if bodies_of(k) != bodies_of(self._systems[i])}
+        own = self.model
+        if others and not self._whole:
+            own = compile_model(self.system, whole=True)
+        known: dict[tuple[int, int], dict[str, Any]] = {}  # of the arms and vehicles seen
+        for i, system in pairs:
+            if i in others and bodies_of(system) not in known:
+                model = compile_model(system, whole=True)
+                known[bodies_of(system)] = _changes(own, model, f"system of simulation {i}")
+        if own is not self.model:
+            state = self.get_state()
+            self._load(own)
+            self.set_state(state)
+            self._whole = True
+        if self._laws and self._own_laws is None:
+            self._own_laws = Laws(self.system, self.n)
+        for i, system in pairs:
+            if self._own_laws is not None:
+                self._own_laws.put(i, system)
+                self._limits[i] = system.arm.column("tau_max")
+            if i in others:
+                change = known[bodies_of(system)]
+                for name in self._varied | change.keys():
+                    self.batch.expand(name)[i] = change.get(name, getattr(own, name))
+                self._varied |= change.keys()
+            self._systems[i] = system
+
+    def bend(self, d: Array, rate: Array) -> None:
+        gears = self._rest[: d.shape[1]]
+        self._qpos[:, gears], self._qvel[:, gears] = d, rate
+
+    def hidden(self) -> tuple[Array, Array]:
+        return self._qpos[:, self._rest], self._qvel[:, self._rest]
+
+    def step(
+        self,
+        command: Array,
+        until: Array | None,
+        wrench: Array | None,
+        substeps: int,
+        ids: Index | None,
+    ) -> None:
+        rise = 0.0 if until is None else until - command
+        self._command[:], self._slope[:] = command, rise / (substeps * self.model.opt.timestep)
+        if wrench is not None:
+            self._applied[:, TO_Y] = wrench
+        for _ in range(substeps if self._laws else 1):
+            self._push()
+            self.batch.step(ids, nstep=1 if self._laws else substeps)
+        if wrench is not None:  # it acts in this period only
+            self._applied[:, TO_Y] = 0.0
+
+    def _push(self) -> None:
+        """Set the torque of the effects' laws, held until the next physics step."""
+        if self._laws:
+            q, v = self._qpos[:, self._motors], self._qvel[:, self._motors]
+            own, tau = self._own_laws, self._motor_torque(q, v)
+            if own is None:
+                torque = joint_torque(self._laws, q, v, tau, self._limits[0])
+            else:
+                torque = own.torque(q, v, tau)
+            self._applied[:, self._motors] = torque
+
+    def _motor_torque(self, q: Array, v: Array) -> Array:
+        """(n, joints) what the motors are told now, within their limits [N m]."""
+        tau = self._command[:, self._drives] * self.model.actuator_gainprm[self._drives, 0]
+        if self._bias is not None:
+            tau += self._bias[:, self._drives, 1] * q + self._bias[:, self._drives, 2] * v
+        if not self.prescribed:
+            tau = np.clip(tau, -self._limits, self._limits)
+        return np.asarray(tau, dtype=np.float64)
+
+    def play(self, commands: Array, ids: Index | None) -> None:
+        slopes = np.diff(commands, axis=1) / self.model.opt.timestep
+        self._command[:] = commands[:, 0]
+        some = slopes if ids is None else slopes[ids]
+        for part in np.split(some, some.shape[1], axis=1) if self._laws else [some]:
+            self._push()
+            self.batch.rollout(part.shape[1], part, record=(), ids=ids)
+
+    def ride(self, commands: Array, base: Array, ids: Index | None) -> Array:
+        assert self._felt is not None
+        rows = slice(None) if ids is None else ids
+        nodes = np.concatenate([base[..., TO_Y], commands], axis=-1)
+        self._command[:] = nodes[:, 0]
+        slopes = np.diff(nodes, axis=1) / self.model.opt.timestep
+        out = np.zeros((self.n, nodes.shape[1], 6))
+        at, given = 0, slopes[rows]
+        for part in np.split(given, given.shape[1], axis=1) if self._laws else [given]:
+            self._push()
+            felt = self.batch.rollout(part.shape[1], part, record=("sensordata",), ids=ids)
+            # the engine reports what the platform exerts on the arm
+            out[rows, at : at + part.shape[1]] = -felt["sensordata"]
+            at += part.shape[1]
+        self._push()
+        self.batch.forward(ids)
+        out[:, -1] = -self._felt
+        return out
+
+    def evaluate(self, command: Array) -> tuple[Array, Array]:
+        self._command[:, self._drives] = command
+        self._push()
+        self.batch.forward()
+        acceleration = self._qacc[:, self._order]
+        torque = self._force[:, self._drives].copy()
+        if self.prescribed:
+            torque -= PRESCRIBED_INERTIA * acceleration[:, 6:]
+        return torque, acceleration
+
+    def faults(self) -> Mask:
+        finite = np.isfinite(self._qpos).all(1) & np.isfinite(self._qvel).all(1)
+        bad: Mask = ~finite | (self.batch.warning[:, _BAD, 1] > 0).any(1)
+        return bad
+
+    def get_state(self) -> Any:
+        bias = None if self._bias is None else self._bias.copy()
+        return self.batch.state.copy(), self.batch.warning.copy(), bias
+
+    def set_state(self, state: Any) -> None:
+        rows, warnings, bias = state
+        self.batch.state[:] = rows
+        self.batch.warning[:] = warnings
+        if bias is not None:
+            kp, kd = -bias[:, self._drives, 1], -bias[:, self._drives, 2]
+            self.set_gains(np.arange(self.n), kp, kd)

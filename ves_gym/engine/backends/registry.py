@@ -1,0 +1,61 @@
+"""The engines by name."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+from ves_gym._util.params import ParameterError
+from ves_gym.engine.backends.base import Backend
+
+if TYPE_CHECKING:
+    from ves_gym.system.system import System
+
+BACKENDS = ("auto", "kernel", "mujoco", "mjx", "warp")
+
+
+class BackendWarning(UserWarning):
+    """Another engine runs than the fastest one would be."""
+
+
+def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
+    """Build a backend by name; unknown names are an error that lists the known ones.
+
+    `auto` is the compiled kernel, and MuJoCo with a `BackendWarning` where a kernel cannot
+    be compiled on this machine.
+
+    Raises:
+        ParameterError: unknown name, or `kernel` where it cannot be compiled.
+    """
+    if name not in BACKENDS:
+        raise ParameterError(f"backend must be one of {', '.join(BACKENDS)}, got {name!r}")
+    if name in ("mjx", "warp"):
+        return _on_a_device(name, system, n, threads)
+    if name != "mujoco":
+        try:
+            from ves_gym.engine.backends.kernel import KernelBackend
+
+            return KernelBackend(system, n, threads)
+        except (ImportError, RuntimeError, OSError) as error:
+            reason = f"the kernel cannot be compiled here ({type(error).__name__}: {error})"
+            if name == "kernel":
+                raise ParameterError(f"backend kernel: {reason}") from error
+            warnings.warn(f"{reason}; MuJoCo runs instead", BackendWarning, stacklevel=3)
+    from ves_gym.engine.backends.mujoco import MujocoBackend
+
+    return MujocoBackend(system, n, threads)
+
+
+def _on_a_device(name: str, system: System, n: int, threads: int) -> Backend:
+    try:
+        if name == "mjx":
+            from ves_gym.engine.backends.mjx import MjxBackend
+
+            return MjxBackend(system, n, threads)
+        from ves_gym.engine.backends.warp import WarpBackend
+
+        return WarpBackend(system, n, threads)
+    except ImportError as error:
+        raise ParameterError(
+            f"backend {name} is not installed ({error}): pip install 'ves-gym[gpu]'"
+        ) from None

@@ -1,0 +1,279 @@
+"""Systems of their own for the simulations of a batch: what may differ, where numbers go."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, Index, ParameterError, content_hash
+from ves_gym.engine.kernel.blocks import aligned, lanes, unlane
+from ves_gym.engine.kernel.build import Library, cached
+from ves_gym.engine.kernel.emit import LANES, emit_map
+from ves_gym.engine.kernel.trace import inertia_matrix, parameters, structure
+from ves_gym.hardware.admittance import admittance_matrices
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.gravity import GravityModel
+from ves_gym.system.effect import Effect, joint_torque
+from ves_gym.system.system import System
+
+_SETTINGS = ("mode", "drive", "integrator", "physics_dt", "control_dt")
+_GEOMETRY = ("d", "a", "alpha", "offset")
+
+
+def require_alike(own: System, other: System, which: str) -> None:
+    """Raise a ParameterError naming what differs in more than numbers; `which` is other's name.
+
+    Masses, centres of mass, inertias, rotors, torque limits, M, D, K, a satellite's body and
+    the values of effects are numbers. The check of `other.base` is left out for a vehicle
+    that is the very same object.
+    """
+
+    def refuse(what: str, mine: Any, given: Any) -> None:
+        raise ParameterError(f"{which}: {what} must be the simulator's {mine}, got {given}")
+
+    for name in _SETTINGS:
+        if getattr(own, name) != getattr(other, name):
+            refuse(name, repr(getattr(own, name)), repr(getattr(other, name)))
+    kinds = tuple([e.kind for e in s.effects] for s in (own, other))
+    if kinds[0] != kinds[1]:
+        refuse("the kinds of effects", *(", ".join(k) or "none" for k in kinds))
+    if other.arm is not own.arm:
+        if other.arm.n != own.arm.n:
+            refuse("number of joints", own.arm.n, other.arm.n)
+        for i, (a, b) in enumerate(zip(own.arm.links, other.arm.links, strict=True), start=1):
+            for name in _GEOMETRY:
+                if getattr(a, name) != getattr(b, name):
+                    refuse(f"{name} of link {i}", getattr(a, name), getattr(b, name))
+    if own.actual.arm.geared != other.actual.arm.geared:
+        mine, given = ([i + 1 for i in s.actual.arm.geared] for s in (own, other))
+        refuse("joints whose gears give way", mine or "none", given or "none")
+    carried = tuple(len(s.actual.base.extra) for s in (own, other))
+    if carried[0] != carried[1]:
+        refuse("the number of oscillators on the vehicle", *carried)
+    if other.vehicle is not own.vehicle:
+        bodies = tuple("a body" if s.base.body else "no body" for s in (own, other))
+        if bodies[0] != bodies[1]:
+            refuse("the vehicle's kind", *bodies)
+        jets = tuple(getattr(s.vehicle, "thrusters", False) for s in (own, other))
+        if jets[0] != jets[1]:
+            refuse("thrusters", *jets)
+    if other.emulator is not own.emulator:
+        for field in dataclasses.fields(own.laboratory):
+            a, b = (getattr(s.laboratory, field.name) for s in (own, other))
+            if a is not b and content_hash(a) != content_hash(b):
+                refuse(f"emulator.{field.name}", a, b)
+
+
+def share_base(own: System, other: System) -> None:
+    """Spare `other` the computation of M, D, K where its vehicle is the same object."""
+    if other.vehicle is own.vehicle:
+        other.__dict__.setdefault("base", own.base)
+
+
+def bodies_of(system: System) -> tuple[int, int]:
+    """Which arm and vehicle these are: equal for the very same objects."""
+    return id(system.arm), id(system.vehicle)
+
+
+class ParameterRows:
+    """Parameters of the kernel (`trace.parameters`), by name, for systems of one structure.
+
+    A number that is zero in the own system is no parameter of its code: zero it stays. One
+    that is zero in another system is a parameter of value zero.
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.names, self.values = parameters(system)
+        self._at = {name: k for k, name in enumerate(self.names)}
+        self._laws = [
+            (i, field.name, f"{effect.kind}#{i + 1}.{field.name}")
+            for i, effect in enumerate(system.effects)
+            if effect.has_law
+            for field in dataclasses.fields(effect)  # type: ignore[arg-type]
+        ]
+
+    def of(self, system: System, which: str, laws: bool = True) -> Array:
+        """(k,) values in the order of `names`; `which` is the system's name in errors.
+
+        `laws`: with those of the effects' torque laws.
+
+        Raises:
+            ParameterError: a number that is zero in the own system is not in this one.
+        """
+        row = np.zeros(len(self.names))
+        for name, value in zip(*parameters(system), strict=True):
+            if laws or "#" not in name:
+                self._put(row, name, value, which)
+        return row
+
+    def with_effects(self, row: Array, system: System, which: str) -> Array:
+        """A row (k,) of the same arm and vehicle, with the values of this system's effects."""
+        row = row.copy()
+        for i, field, label in self._laws:
+            mine, value = (getattr(s.effects[i], field) for s in (self.system, system))
+            if not isinstance(value, tuple):
+                self._put(row, label, value, which)
+                continue
+            if len(value) != len(mine):
+                raise ParameterError(
+                    f"{which}: {label} must be {len(mine)} numbers, got {len(value)}"
+                )
+            for k, number in enumerate(value, start=1):
+                self._put(row, f"{label}{k}", number, which)
+        return row
+
+    def _put(self, row: Array, name: str, value: float, which: str) -> None:
+        at = self._at.get(name)
+        if at is not None:
+            row[at] = value
+        elif value != 0:
+            raise ParameterError(
+                f"{which}: {name} is {value:g} but 0 in the simulator's own system, whose"
+                " compiled code leaves it out: give the simulator a system in which it is not 0"
+            )
+
+
+@dataclass
+class Bodies:
+    """Arms and vehicles of emulated simulations, as the laboratory needs them.
+
+    Leading axis = simulation.
+    """
+
+    M: Array  # (n, 6, 6) of the vehicle
+    D: Array
+    K: Array
+    drag: Array  # (n, 6)
+    wide: Array  # (n, 3, 6 + m, 6 + m) what m oscillators add to M, D, K
+    body: Array  # (n, 6, 6) spatial inertia of a satellite, zero without one
+    phi: Array  # (n, 12, 12) admittance, zero where the vehicle is nonlinear
+    gamma: Array  # (n, 12, 6)
+    mass: Array  # (n,) of the arm [kg]
+    P: Array  # (n, p) of its weight's moment [kg m]
+    numbers: Array  # (n, k) of `trace.parameters` as `Inertias` takes them
+
+    @staticmethod
+    def of(system: System, linear: bool, numbers: Array) -> Bodies:
+        """One row, for a system and its numbers (k,): what is really there, but for those."""
+        base, weight = system.actual.base, GravityModel.of(system.actual.arm)
+        phi, gamma = np.zeros((12, 12)), np.zeros((12, 6))
+        if linear:
+            form = system.laboratory.admittance_form
+            phi, gamma = admittance_matrices(base, system.control_dt, form)
+        body = np.zeros((6, 6)) if base.body is None else base.body.spatial()
+        drag = np.zeros(6) if base.drag is None else base.drag
+        wide = np.array(base.widened())
+        row = (base.M, base.D, base.K, drag, wide, body, phi, gamma, weight.mass, weight.P)
+        return Bodies(*(np.array([k]) for k in (*row, numbers)))
+
+    def parts(self) -> list[Array]:
+        """All arrays."""
+        return [getattr(self, field.name) for field in dataclasses.fields(self)]
+
+    def repeated(self, n: int) -> Bodies:
+        """A single row, n times."""
+        return Bodies(*(np.repeat(part, n, axis=0) for part in self.parts()))
+
+    def put(self, i: int, one: Bodies) -> None:
+        """Replace row i by a single row."""
+        for mine, given in zip(self.parts(), one.parts(), strict=True):
+            mine[i] = given[0]
+
+
+class Inertias:
+    """H(q) of simulations whose arms differ in numbers (`maps.InertiaMap` where none does)."""
+
+    def __init__(self, system: System, n: int) -> None:
+        self.arms, self._size = [system.arm] * n, 6 + system.arm.n
+        self._code: Library | None = None
+        try:
+            key = f"inertia {structure(system)}"
+            self._code = cached(key, lambda: emit_map(inertia_matrix(system)))
+        except (ImportError, RuntimeError, OSError):
+            return
+
+    def __call__(self, q: Array, ids: Index, numbers: Array) -> Array:
+        """(m, joints) -> (m, 6 + joints, 6 + joints), of simulations `ids` (m,).
+
+        `numbers` (m, k): their `trace.parameters`.
+        """
+        if self._code is None:
+            pairs = zip(ids.tolist(), q, strict=True)
+            return np.concatenate([inertia(self.arms[i], row[None]) for i, row in pairs])
+        angles, p = lanes(q), lanes(numbers)
+        H = aligned(len(angles), self._size**2, LANES)
+        for b, block in enumerate(p):  # the map takes one block of numbers for all
+            where = angles.ctypes.data, block.ctypes.data, H.ctypes.data
+            self._code.map(*where, b, b + 1)
+        return unlane(H, len(q)).reshape(-1, self._size, self._size)
+
+
+class Laws:
+    """Torque laws of n simulations whose effects differ in values (`effect.joint_torque`)."""
+
+    def __init__(self, system: System, n: int) -> None:
+        effects, joints = system.effects, system.arm.n
+        self._which = [i for i, effect in enumerate(effects) if effect.has_law]
+        laws = [effects[i] for i in self._which]
+        self._alone = [laws] * n
+        self._limits = np.tile(system.arm.column("tau_max"), (n, 1))
+        self._values = [
+            {name: np.tile(np.ravel(getattr(effect, name)), (n, 1)) for name in _names(effect)}
+            for effect in laws
+        ]
+        # they keep the arrays, whose rows may change
+        self._together = _bound(laws, self._values)
+        self._stackable = _stackable(laws, joints)
+
+    def put(self, i: int, system: System) -> None:
+        """Values of simulation i."""
+        self._alone[i] = [system.effects[k] for k in self._which]
+        self._limits[i] = system.arm.column("tau_max")
+        for effect, values in zip(self._alone[i], self._values, strict=True):
+            for name, rows in values.items():
+                rows[i] = np.ravel(getattr(effect, name))
+
+    def torque(self, q: Array, v: Array, tau: Array) -> Array:
+        """(n, joints) torque [N m], under motor torques tau (n, joints)."""
+        if self._stackable:
+            return joint_torque(self._together, q, v, tau, self._limits)
+        rows = zip(self._alone, q, v, tau, self._limits, strict=True)
+        return np.stack([joint_torque(*row) for row in rows])
+
+
+def _names(effect: Effect) -> list[str]:
+    return [field.name for field in dataclasses.fields(effect)]  # type: ignore[arg-type]
+
+
+def _bound(laws: list[Effect], values: list[dict[str, Array]]) -> list[Effect]:
+    return [effect.bound(given) for effect, given in zip(laws, values, strict=True)]
+
+
+def _stackable(laws: list[Effect], joints: int) -> bool:
+    """Whether numbers (n, 1) and (n, joints) serve the laws as () and (joints,) do.
+
+    Not so where a law takes single entries: its coefficient[0] would be a whole simulation.
+    Found out with made-up numbers, different in two simulations.
+    """
+    shapes = [{name: np.shape(getattr(e, name)) for name in _names(e)} for e in laws]
+    q, v, tau = np.linspace([0.3, -0.4, 0.7], [0.9, 1.1, -1.9], joints, axis=1)
+    limit = np.full(joints, 0.6)
+    rng = np.random.default_rng(0)
+    made = [{k: rng.uniform(0.5, 2.0, (2, *s)) for k, s in given.items()} for given in shapes]
+    stacked = [{k: values.reshape(2, -1) for k, values in given.items()} for given in made]
+    rows = [[{k: values[i] for k, values in given.items()} for given in made] for i in (0, 1)]
+    try:
+        both = np.stack([q, v]), np.stack([v, q]), np.stack([tau, q])
+        together = joint_torque(_bound(laws, stacked), *both, limit)
+    except (ValueError, IndexError):
+        return False
+    states = ((q, v, tau), (v, q, q))
+    alone = [joint_torque(_bound(laws, rows[i]), *states[i], limit) for i in (0, 1)]
+    same: bool = together.shape == (2, joints) and np.allclose(
+        together, alone, rtol=1e-9, atol=0
+    )
+    return same

@@ -1,0 +1,40 @@
+"""Memory as the compiled code wants it: blocks of LANES simulations, a row per quantity."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.engine.kernel.emit import LANES
+
+
+def aligned(*shape: int) -> Array:
+    """Zeros whose first element lies on a cache line."""
+    size = int(np.prod(shape))
+    raw = np.zeros(size + 8)
+    start = (-raw.ctypes.data // 8) % 8
+    return raw[start : start + size].reshape(shape)
+
+
+def fill(rows: Array, values: Array) -> None:
+    """Write (m, k) values into rows (blocks, k, LANES), zeros behind them."""
+    full, rest = divmod(len(values), LANES)
+    if full:
+        rows[:full] = values[: full * LANES].reshape(full, LANES, -1).swapaxes(1, 2)
+    if full < len(rows):
+        rows[full:] = 0.0
+        if rest:
+            rows[full, :, :rest] = values[full * LANES :].T
+
+
+def lanes(values: Array) -> Array:
+    """(n, k) -> (blocks, k, LANES), the last block filled up with zeros."""
+    n, k = values.shape
+    out = aligned(-(-n // LANES), k, LANES)
+    fill(out, values)
+    return out
+
+
+def unlane(rows: Array, n: int) -> Array:
+    """(blocks, k, LANES) -> (n, k), a copy in plain order whatever n."""
+    return rows.swapaxes(1, 2).reshape(-1, rows.shape[1])[:n].copy()

@@ -1,0 +1,125 @@
+"""Compile LLVM text for this processor, and keep the machine code on disk."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import hashlib
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from ves_gym._util.params import write_bytes
+
+_SIGNATURES = {
+    "advance": ctypes.CFUNCTYPE(
+        None,
+        *[ctypes.c_void_p] * 5,
+        *[ctypes.c_int64] * 5,
+        ctypes.c_double,
+        ctypes.c_int64,
+    ),
+    "map": ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 2),
+}
+_MARK = b"ves-kernel/1\n"
+
+
+class Library:
+    """Machine code of one module; its functions may be called from several threads at once."""
+
+    advance: Any  # see `emit.emit_module`
+    map: Any  # see `emit.emit_map`
+
+    def __init__(self, code: bytes) -> None:
+        import llvmlite.binding as llvm
+
+        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target())
+        self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        self._engine.finalize_object()
+        for name, signature in _SIGNATURES.items():
+            address = self._engine.get_function_address(name)
+            if address:
+                setattr(self, name, signature(address))
+
+
+def cache_folder() -> Path:
+    """Where kernels are kept: VES_GYM_CACHE, or the user's cache folder."""
+    given = os.environ.get("VES_GYM_CACHE")
+    if given:
+        return Path(given)
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "ves_gym"
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(root) / "ves_gym"
+
+
+def machine() -> str:
+    """What machine code depends on besides its source."""
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    return f"{llvmlite.__version__} {llvm.get_host_cpu_name()} {_features()}"
+
+
+def _features() -> str:
+    """What this processor can do, less what VES_GYM_FEATURES takes away ("-avx512f")."""
+    import llvmlite.binding as llvm
+
+    host = llvm.get_host_cpu_features().flatten()
+    return ",".join(k for k in (host, os.environ.get("VES_GYM_FEATURES")) if k)
+
+
+def _target() -> Any:
+    import llvmlite.binding as llvm
+
+    with contextlib.suppress(RuntimeError):  # newer llvmlite does it itself and refuses
+        llvm.initialize()
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(),
+        features=_features(),
+        opt=2,
+        jit=True,
+    )
+
+
+def compile_text(text: str) -> bytes:
+    """Object code of a module."""
+    import llvmlite.binding as llvm
+
+    target = _target()
+    module = llvm.parse_assembly(text)
+    module.triple = llvm.get_default_triple()
+    module.data_layout = str(target.target_data)
+    module.verify()
+    code: bytes = target.emit_object(module)
+    return code
+
+
+def cached(key: str, make: Any) -> Library:
+    """The library of `key`: from disk, or made from the text `make()` returns.
+
+    A file that is not what was written is made anew. Writing is atomic, so that processes
+    that start together at worst compile the same thing twice.
+    """
+    name = hashlib.sha256(f"{key}\0{machine()}".encode()).hexdigest()[:32]
+    path = cache_folder() / f"kernel-{name}.o"
+    code = _read(path)
+    if code is None:
+        code = compile_text(make())
+        with contextlib.suppress(OSError):  # nowhere to keep it: compiled again next time
+            write_bytes(path, _MARK + hashlib.sha256(code).digest() + code)
+    return Library(code)
+
+
+def _read(path: Path) -> bytes | None:
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    head = len(_MARK) + 32
+    code = data[head:]
+    whole = data[: len(_MARK)] == _MARK
+    return code if whole and hashlib.sha256(code).digest() == data[len(_MARK) : head] else None

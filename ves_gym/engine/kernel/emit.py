@@ -1,0 +1,413 @@
+"""CasADi graphs as LLVM code over a block of simulations side by side.
+
+A value of the graph becomes one vector, a simulation per lane. Every lane runs the same
+instructions, so a result depends neither on the lane nor on the neighbours, and what is not
+a number stays in its own lane.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from ves_gym._util.params import ParameterError
+
+if TYPE_CHECKING:
+    import casadi
+
+LANES = 8
+_V = f"<{LANES} x double>"
+_BOOL = f"<{LANES} x i1>"
+_INT = f"<{LANES} x i64>"
+# Taylor-like minimax polynomials on |r| <= pi/4 (coefficients of fdlibm's kernels)
+_SIN = (
+    -1.66666666666666324348e-01,
+    8.33333333332248946124e-03,
+    -1.98412698298579493134e-04,
+    2.75573137070700676789e-06,
+    -2.50507602534068634195e-08,
+    1.58969099521155010221e-10,
+)
+_COS = (
+    4.16666666666666019037e-02,
+    -1.38888888888741095749e-03,
+    2.48015872894767294178e-05,
+    -2.75573143513906633035e-07,
+    2.08757232129817482790e-09,
+    -1.13596475577881948265e-11,
+)
+# pi/2 in three parts of 33 bits: exact products with a whole number up to 2^20
+_HALF_PI = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
+_LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
+
+
+def number(value: float) -> str:
+    """A double as LLVM writes it, exactly."""
+    return f"0x{struct.unpack('<Q', struct.pack('<d', value))[0]:016X}"
+
+
+def splat(value: float) -> str:
+    """A vector of one value in every lane."""
+    text = f"double {number(value)}"
+    return f"<{', '.join([text] * LANES)}>"
+
+
+class Code:
+    """Lines of one function body; every method appends one instruction and names its result."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self._count = 0
+        self._angles: dict[str, tuple[str, str]] = {}
+
+    def put(self, text: str) -> str:
+        self._count += 1
+        name = f"%v{self._count}"
+        self.lines.append(f"  {name} = {text}")
+        return name
+
+    def op(self, kind: str, a: str, b: str) -> str:
+        return self.put(f"{kind} contract {_V} {a}, {b}")
+
+    def add(self, a: str, b: str) -> str:
+        return self.op("fadd", a, b)
+
+    def sub(self, a: str, b: str) -> str:
+        return self.op("fsub", a, b)
+
+    def mul(self, a: str, b: str) -> str:
+        return self.op("fmul", a, b)
+
+    def div(self, a: str, b: str) -> str:
+        return self.op("fdiv", a, b)
+
+    def fma(self, a: str, b: str, c: str) -> str:
+        return self.put(f"call {_V} @llvm.fma.v{LANES}f64({_V} {a}, {_V} {b}, {_V} {c})")
+
+    def call(self, name: str, *args: str) -> str:
+        given = ", ".join(f"{_V} {a}" for a in args)
+        return self.put(f"call {_V} @llvm.{name}.v{LANES}f64({given})")
+
+    def compare(self, kind: str, a: str, b: str) -> str:
+        return self.put(f"fcmp {kind} {_V} {a}, {b}")
+
+    def select(self, test: str, a: str, b: str) -> str:
+        return self.put(f"select {_BOOL} {test}, {_V} {a}, {_V} {b}")
+
+    def negate(self, a: str) -> str:
+        return self.put(f"fneg {_V} {a}")
+
+    def row(self, pointer: str, i: int) -> str:
+        return self.put(f"getelementptr {_V}, ptr {pointer}, i64 {i}")
+
+    def load(self, pointer: str, i: int) -> str:
+        return self.put(f"load {_V}, ptr {self.row(pointer, i)}, align 64")
+
+    def store(self, value: str, pointer: str, i: int) -> None:
+        where = self.row(pointer, i)
+        self.lines.append(f"  store {_V} {value}, ptr {where}, align 64")
+
+    def _polynomial(self, coefficients: tuple[float, ...], x: str) -> str:
+        value = splat(coefficients[-1])
+        for c in reversed(coefficients[:-1]):
+            value = self.fma(value, x, splat(c))
+        return value
+
+    def sine_cosine(self, x: str) -> tuple[str, str]:
+        """Both, without a branch: reduced to a quarter turn, then polynomials."""
+        if x in self._angles:
+            return self._angles[x]
+        turns = self.call("rint", self.mul(x, splat(2 / math.pi)))
+        r = x
+        for part in _HALF_PI:
+            r = self.fma(turns, splat(-part), r)
+        square = self.mul(r, r)
+        sine = self.fma(self.mul(square, r), self._polynomial(_SIN, square), r)
+        half = self.fma(square, splat(-0.5), splat(1.0))
+        cosine = self.fma(self.mul(square, square), self._polynomial(_COS, square), half)
+        # which quarter, 0 to 3
+        whole = self.call("floor", self.mul(turns, splat(0.25)))
+        quarter = self.fma(whole, splat(-4.0), turns)
+        one = self.compare("oeq", quarter, splat(1.0))
+        two = self.compare("oeq", quarter, splat(2.0))
+        three = self.compare("oeq", quarter, splat(3.0))
+        odd = self.put(f"or {_BOOL} {one}, {three}")
+        s, c = self.select(odd, cosine, sine), self.select(odd, sine, cosine)
+        down = self.put(f"or {_BOOL} {two}, {three}")
+        left = self.put(f"or {_BOOL} {one}, {two}")
+        out = self.select(down, self.negate(s), s), self.select(left, self.negate(c), c)
+        self._angles[x] = out
+        return out
+
+    def exp(self, x: str) -> str:
+        """e^x: 2^k times a polynomial; 0 below -708, infinite above 709."""
+        inside = self.call("maximum", self.call("minimum", x, splat(709.0)), splat(-708.0))
+        k = self.call("rint", self.mul(inside, splat(1 / math.log(2))))
+        r = self.fma(k, splat(-_LN2[0]), inside)
+        r = self.fma(k, splat(-_LN2[1]), r)
+        terms = tuple(1 / math.factorial(i) for i in range(14))
+        value = self._polynomial(terms, r)
+        shifted = self.add(k, splat(6755399441055744.0))  # 1.5 * 2^52: k in the low bits
+        bits = self.put(f"bitcast {_V} {shifted} to {_INT}")
+        width = f"<{', '.join(['i64 52'] * LANES)}>"
+        power = self.put(f"shl {_INT} {bits}, {width}")
+        whole = self.put(f"add {_INT} {self.put(f'bitcast {_V} {value} to {_INT}')}, {power}")
+        out = self.put(f"bitcast {_INT} {whole} to {_V}")
+        out = self.select(self.compare("ogt", x, splat(709.0)), splat(math.inf), out)
+        out = self.select(self.compare("olt", x, splat(-708.0)), splat(0.0), out)
+        return self.select(self.compare("uno", x, x), x, out)  # NaN: its bits were added to
+
+    def tanh(self, x: str) -> str:
+        """(1 - e) / (1 + e) with e = exp(-2 |x|); a series near zero, where that cancels."""
+        size = self.call("fabs", x)
+        e = self.exp(self.mul(size, splat(-2.0)))
+        far = self.div(self.sub(splat(1.0), e), self.add(splat(1.0), e))
+        square = self.mul(x, x)
+        series = self._polynomial(
+            (-1 / 3, 2 / 15, -17 / 315, 62 / 2835, -1382 / 155925), square
+        )
+        near = self.fma(self.mul(size, square), series, size)
+        value = self.select(self.compare("olt", size, splat(0.05)), near, far)
+        return self.call("copysign", value, x)
+
+
+def emit_function(name: str, graph: casadi.Function) -> str:
+    """One graph as `void name(ptr inputs ..., ptr outputs ...)` on rows of lanes."""
+    import casadi as ca
+
+    code = Code()
+    registers: dict[int, str] = {}
+    outputs: dict[tuple[int, int], str] = {}
+    one, zero = splat(1.0), splat(0.0)
+    for k in range(graph.n_instructions()):
+        op, into = graph.instruction_id(k), graph.instruction_output(k)
+        given = graph.instruction_input(k)
+        if op == ca.OP_CONST:
+            registers[into[0]] = splat(graph.instruction_constant(k))
+        elif op == ca.OP_INPUT:
+            registers[into[0]] = code.load(f"%in{given[0]}", given[1])
+        elif op == ca.OP_OUTPUT:
+            outputs[into[0], into[1]] = registers[given[0]]
+        else:
+            args = [registers[i] for i in given]
+            registers[into[0]] = _operation(code, ca, op, args, one, zero)
+    for (which, row), value in outputs.items():
+        code.store(value, f"%out{which}", row)
+    arguments = [f"ptr noalias %in{i}" for i in range(graph.n_in())]
+    arguments += [f"ptr noalias %out{i}" for i in range(graph.n_out())]
+    head = f"define internal void @{name}({', '.join(arguments)}) noinline {{"
+    return "\n".join([head, *code.lines, "  ret void", "}"])
+
+
+def _operation(code: Code, ca: object, op: int, args: list[str], one: str, zero: str) -> str:
+    a = args[0]
+    b = args[1] if len(args) > 1 else ""
+
+    def truth(test: str) -> str:
+        return code.select(test, one, zero)
+
+    table: dict[str, Callable[[], str]] = {
+        "OP_ASSIGN": lambda: a,
+        "OP_ADD": lambda: code.add(a, b),
+        "OP_SUB": lambda: code.sub(a, b),
+        "OP_MUL": lambda: code.mul(a, b),
+        "OP_DIV": lambda: code.div(a, b),
+        "OP_NEG": lambda: code.negate(a),
+        "OP_SQ": lambda: code.mul(a, a),
+        "OP_TWICE": lambda: code.add(a, a),
+        "OP_INV": lambda: code.div(one, a),
+        "OP_SIN": lambda: code.sine_cosine(a)[0],
+        "OP_COS": lambda: code.sine_cosine(a)[1],
+        "OP_SQRT": lambda: code.call("sqrt", a),
+        "OP_EXP": lambda: code.exp(a),
+        "OP_TANH": lambda: code.tanh(a),
+        "OP_FABS": lambda: code.call("fabs", a),
+        "OP_FMIN": lambda: code.call("minimum", a, b),
+        "OP_FMAX": lambda: code.call("maximum", a, b),
+        "OP_LT": lambda: truth(code.compare("olt", a, b)),
+        "OP_LE": lambda: truth(code.compare("ole", a, b)),
+        "OP_EQ": lambda: truth(code.compare("oeq", a, b)),
+        "OP_NE": lambda: truth(code.compare("une", a, b)),
+        "OP_NOT": lambda: truth(code.compare("oeq", a, zero)),
+        "OP_AND": lambda: code.mul(a, b),
+        "OP_IF_ELSE_ZERO": lambda: code.select(code.compare("une", a, zero), b, zero),
+        "OP_SIGN": lambda: code.select(
+            code.compare("ueq", a, zero), a, code.call("copysign", one, a)
+        ),
+    }
+    for name, build in table.items():
+        if getattr(ca, name) == op:
+            return build()
+    known = ", ".join(name[3:].lower() for name in table)
+    raise ParameterError(f"the kernel cannot compile operation {op}; it knows {known}")
+
+
+# -------------------------------------------------------------------------- integrators
+
+
+def emit_module(
+    motion: casadi.Function, observe: casadi.Function, integrator: str, order: int
+) -> str:
+    """A module with `advance`, which steps blocks of simulations.
+
+        void advance(double *x, double *u, double *p, double *out, double *scratch,
+                     i64 lo, i64 hi, i64 steps, i64 ublock, i64 unode, double h, i64 record)
+
+    Rows are vectors of LANES. Block b has x at row b nx, p at b np, u at b ublock, its nodes
+    unode rows apart (0: held). With `record` outputs go to `out`, steps + 1 nodes a block;
+    the first node of a step sees the commands of that step, the last those at its end.
+
+    Args:
+        motion: (x, u, p) -> x'. observe: the same with outputs.
+        integrator: rk4, or one that updates rates first (euler, implicitfast).
+        order: number of coordinates; x stacks coordinates and rates.
+    """
+    nx, nu, np_ = (motion.size1_in(i) for i in range(3))
+    ny = observe.size1_out(1)
+    parts = [
+        _declarations(),
+        emit_function("motion", motion),
+        emit_function("observe", observe),
+    ]
+    step = _rk4(nx, nu, ny) if integrator == "rk4" else _rates_first(nx, ny, order)
+    body = _ADVANCE.format(V=_V, nx=nx, np=np_, ny=ny, nu=nu, step=step, L=LANES)
+    return "\n".join([*parts, body])
+
+
+def emit_map(graph: casadi.Function) -> str:
+    """A module with `map`, which evaluates (x, p) -> y for blocks of many x and one p.
+
+    void map(double *x, double *p, double *y, i64 lo, i64 hi)
+    """
+    nx, ny = graph.size1_in(0), graph.size1_out(0)
+    body = _MAP.format(V=_V, nx=nx, ny=ny)
+    return "\n".join([_declarations(), emit_function("point", graph), body])
+
+
+def _declarations() -> str:
+    one = ("rint", "floor", "fabs", "sqrt")
+    two = ("minimum", "maximum", "copysign")
+    lines = [f"declare {_V} @llvm.{k}.v{LANES}f64({_V})" for k in one]
+    lines += [f"declare {_V} @llvm.{k}.v{LANES}f64({_V}, {_V})" for k in two]
+    lines.append(f"declare {_V} @llvm.fma.v{LANES}f64({_V}, {_V}, {_V})")
+    return "\n".join(lines)
+
+
+def _spread(code: Code, scalar: str) -> str:
+    first = code.put(f"insertelement {_V} undef, double {scalar}, i32 0")
+    mask = f"<{LANES} x i32> zeroinitializer"
+    return code.put(f"shufflevector {_V} {first}, {_V} undef, {mask}")
+
+
+def _rk4(nx: int, nu: int, ny: int) -> str:
+    """Classical Runge-Kutta on scratch rows: k (nx), sum (nx), stage (nx), middle u (nu)."""
+    code = Code()
+    k, total, stage = (code.row("%scratch", i * nx) for i in range(3))
+    middle = code.row("%scratch", 3 * nx)
+    h = _spread(code, "%h")
+    half = code.mul(h, splat(0.5))
+    for i in range(nu):
+        both = code.add(code.load("%u0", i), code.load("%u1", i))
+        code.store(code.mul(both, splat(0.5)), middle, i)
+    code.lines.append(f"  call void @observe(ptr %xb, ptr %u0, ptr %pb, ptr {k}, ptr %ob)")
+    for weight, ahead, command in ((1.0, half, middle), (2.0, half, middle), (2.0, h, "%u1")):
+        for i in range(nx):
+            slope = code.load(k, i)
+            if weight == 1.0:
+                code.store(slope, total, i)
+            else:
+                code.store(code.fma(slope, splat(weight), code.load(total, i)), total, i)
+            code.store(code.fma(slope, ahead, code.load("%xb", i)), stage, i)
+        code.lines.append(f"  call void @motion(ptr {stage}, ptr {command}, ptr %pb, ptr {k})")
+    sixth = code.mul(h, splat(1 / 6))
+    for i in range(nx):
+        whole = code.add(code.load(total, i), code.load(k, i))
+        code.store(code.fma(whole, sixth, code.load("%xb", i)), "%xb", i)
+    return "\n".join(code.lines)
+
+
+def _rates_first(nx: int, ny: int, order: int) -> str:
+    """Semi-implicit Euler: rates from here, coordinates with the new rates."""
+    code = Code()
+    k, h = code.row("%scratch", 0), _spread(code, "%h")
+    code.lines.append(f"  call void @observe(ptr %xb, ptr %u0, ptr %pb, ptr {k}, ptr %ob)")
+    for i in range(order):
+        rate = code.fma(code.load(k, order + i), h, code.load("%xb", order + i))
+        code.store(rate, "%xb", order + i)
+        code.store(code.fma(rate, h, code.load("%xb", i)), "%xb", i)
+    return "\n".join(code.lines)
+
+
+_ADVANCE = """
+define void @advance(ptr %x, ptr %u, ptr %p, ptr %out, ptr %scratch, i64 %lo, i64 %hi,
+                     i64 %steps, i64 %ublock, i64 %unode, double %h, i64 %record) {{
+entry:
+  %keep = icmp ne i64 %record, 0
+  %nodes = add i64 %steps, 1
+  %oblock0 = mul i64 %nodes, {ny}
+  %oblock = select i1 %keep, i64 %oblock0, i64 0
+  %onode = select i1 %keep, i64 {ny}, i64 0
+  %any = icmp slt i64 %lo, %hi
+  br i1 %any, label %block, label %done
+block:
+  %b = phi i64 [ %lo, %entry ], [ %bnext, %blockend ]
+  %xrow = mul i64 %b, {nx}
+  %xb = getelementptr {V}, ptr %x, i64 %xrow
+  %prow = mul i64 %b, {np}
+  %pb = getelementptr {V}, ptr %p, i64 %prow
+  %urow = mul i64 %b, %ublock
+  %ub = getelementptr {V}, ptr %u, i64 %urow
+  %orow = mul i64 %b, %oblock
+  %obb = getelementptr {V}, ptr %out, i64 %orow
+  %some = icmp sgt i64 %steps, 0
+  br i1 %some, label %step, label %last
+step:
+  %s = phi i64 [ 0, %block ], [ %snext, %step ]
+  %u0row = mul i64 %s, %unode
+  %u0 = getelementptr {V}, ptr %ub, i64 %u0row
+  %u1 = getelementptr {V}, ptr %u0, i64 %unode
+  %osrow = mul i64 %s, %onode
+  %ob = getelementptr {V}, ptr %obb, i64 %osrow
+{step}
+  %snext = add i64 %s, 1
+  %more = icmp slt i64 %snext, %steps
+  br i1 %more, label %step, label %last
+last:
+  br i1 %keep, label %final, label %blockend
+final:
+  %lurow = mul i64 %steps, %unode
+  %ul = getelementptr {V}, ptr %ub, i64 %lurow
+  %lorow = mul i64 %steps, %onode
+  %ol = getelementptr {V}, ptr %obb, i64 %lorow
+  call void @observe(ptr %xb, ptr %ul, ptr %pb, ptr %scratch, ptr %ol)
+  br label %blockend
+blockend:
+  %bnext = add i64 %b, 1
+  %again = icmp slt i64 %bnext, %hi
+  br i1 %again, label %block, label %done
+done:
+  ret void
+}}
+"""
+
+_MAP = """
+define void @map(ptr %x, ptr %p, ptr %y, i64 %lo, i64 %hi) {{
+entry:
+  %any = icmp slt i64 %lo, %hi
+  br i1 %any, label %block, label %done
+block:
+  %b = phi i64 [ %lo, %entry ], [ %bnext, %block ]
+  %xrow = mul i64 %b, {nx}
+  %xb = getelementptr {V}, ptr %x, i64 %xrow
+  %yrow = mul i64 %b, {ny}
+  %yb = getelementptr {V}, ptr %y, i64 %yrow
+  call void @point(ptr %xb, ptr %p, ptr %yb)
+  %bnext = add i64 %b, 1
+  %again = icmp slt i64 %bnext, %hi
+  br i1 %again, label %block, label %done
+done:
+  ret void
+}}
+"""

@@ -1,0 +1,361 @@
+"""Mechanics of arm, vehicle and platform on scalars of any kind, as the graphs need them.
+
+Built on `mechanics/dynamics.py`: inertia and Newton-Euler are written there and nowhere else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from ves_gym.mechanics.dynamics import Vec, inertia_entries, newton_euler
+from ves_gym.mechanics.gravity import GRAVITY
+
+if TYPE_CHECKING:
+    from ves_gym.system.effect import Effect
+
+Expression = Any  # a CasADi SX scalar, or a float
+
+
+@dataclass
+class Model:
+    """A system whose numbers are symbols (or values), as the equations need it."""
+
+    arm: Any
+    M: list[list[Expression]]
+    D: list[list[Expression]]
+    K: list[list[Expression]]
+    drag: list[Expression]
+    kp: list[Expression]
+    kd: list[Expression]
+    limit: list[Expression]
+    gain: list[Expression]
+    laws: list[tuple[Effect, dict[str, Any]]]  # with their numbers
+    gears: dict[int, Any]  # of the joints that have one: stiffness, damping, gap
+    extra: list[Any]  # oscillators on the vehicle: mass, stiffness, damping, direction
+
+    @property
+    def hidden(self) -> int:
+        """Coordinates beside (Y, q): deflections of the gears, then the oscillators."""
+        return len(self.gears) + len(self.extra)
+
+    def push(self, q: list[Any], v: list[Any], tau: list[Any], xp: Any) -> list[Any]:
+        """Torque of the effects' laws at the joints, under motor torques tau."""
+        total = [0.0] * len(q)
+        for effect, values in self.laws:
+            if _vanishes(effect, values):
+                continue
+            given = {
+                k: xp.vertcat(*value) if isinstance(value, list) else value
+                for k, value in values.items()
+            }
+            bound = effect.bound({**given, "tau_max": xp.vertcat(*self.limit)})
+            torque = bound.law(xp, xp.vertcat(*q), xp.vertcat(*v), xp.vertcat(*tau))
+            total = [a + b for a, b in zip(total, xp.vertsplit(torque), strict=True)]
+        return total
+
+
+def _vanishes(effect: Effect, values: dict[str, Any]) -> bool:
+    """Whether every number that makes the effect act is a structural zero."""
+    for field in dataclasses.fields(effect):  # type: ignore[arg-type]
+        value, null = values[field.name], field.metadata["null"]
+        numbers = value if isinstance(value, list) else [value]
+        if null is not None and not (null == 0 and all(is_zero(k) for k in numbers)):
+            return False
+    return True
+
+
+def drive_torque(
+    model: Model, z: list[Any], zd: list[Any], command: list[Any], xp: Any
+) -> tuple[list[Any], list[Any]]:
+    """What the servos ask for, and what the motors give [N m]."""
+    ask = [
+        g * c - kp * q - kd * v
+        for g, c, kp, kd, q, v in zip(
+            model.gain, command, model.kp, model.kd, z[6:], zd[6:], strict=True
+        )
+    ]
+    return ask, [xp.fmin(xp.fmax(f, -m), m) for f, m in zip(ask, model.limit, strict=True)]
+
+
+def unfolded(model: Model) -> Model:
+    """The model with each gear as a joint of its own: rotor first, then the link."""
+    links: list[Any] = []
+    zero = [[0.0] * 3 for _ in range(3)]
+    for i, link in enumerate(model.arm.links):
+        if i in model.gears:
+            nothing = SimpleNamespace(mass=0.0, com=(0.0, 0.0, 0.0), inertia=zero)
+            shape = {"d": 0.0, "a": 0.0, "alpha": 0.0, "offset": 0.0}
+            rotor = link.rotor_inertia
+            links.append(SimpleNamespace(**shape, inertial=nothing, rotor_inertia=rotor))
+            link = SimpleNamespace(**{**vars(link), "rotor_inertia": 0.0})
+        links.append(link)
+    arm = SimpleNamespace(n=len(links), links=links, base=model.arm.base)
+    return dataclasses.replace(model, arm=arm)
+
+
+def interleaved(model: Model, joints: list[Any], gears: list[Any]) -> list[Any]:
+    """Quantities of joints (n) and gears in the order of the unfolded joints."""
+    rest, out = list(gears), []
+    for i, value in enumerate(joints):
+        out += [value, rest.pop(0)] if i in model.gears else [value]
+    return out
+
+
+def separated(model: Model, values: list[Any]) -> tuple[list[Any], list[Any]]:
+    """The inverse of `interleaved`."""
+    joints, gears, rest = [], [], list(values)
+    for i in range(model.arm.n):
+        joints.append(rest.pop(0))
+        if i in model.gears:
+            gears.append(rest.pop(0))
+    return joints, gears
+
+
+def gear_torque(model: Model, d: list[Any], rate: list[Any], xp: Any) -> list[Any]:
+    """What the gears do to their links at deflections d [N m]."""
+    out = []
+    for gear, bend, bending in zip(model.gears.values(), d, rate, strict=True):
+        if not is_zero(gear.gap):
+            half = gear.gap / 2
+            bend = bend - xp.fmin(xp.fmax(bend, -half), half)
+        out.append(-gear.stiffness * bend - gear.damping * bending)
+    return out
+
+
+def oscillator_forces(
+    model: Model, y: list[Any], yd: list[Any], u: list[Any], ud: list[Any]
+) -> tuple[list[Any], list[Any]]:
+    """Generalised force on Y (6), and u'' of the oscillators."""
+    push: list[Any] = [0.0] * 6
+    out = []
+    for one, at, moving in zip(model.extra, u, ud, strict=True):
+        stretch = at - sum(c * k for c, k in pairs(list(one.direction), y[:3]))
+        speed = moving - sum(c * k for c, k in pairs(list(one.direction), yd[:3]))
+        force = one.stiffness * stretch + one.damping * speed
+        for i, c in enumerate(one.direction):
+            if not is_zero(c):
+                push[i] = push[i] + c * force
+        out.append(-force / one.mass)
+    return push, out
+
+
+def _rates(y: list[Expression], xp: Any) -> tuple[list[list[Expression]], list[Expression]]:
+    """T of `spatial.rate_matrix`, and the sines and cosines it is made of."""
+    sx, sy, sz = (xp.sin(k) for k in y[3:])
+    cx, cy, cz = (xp.cos(k) for k in y[3:])
+    R = [
+        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+        [-sy, cy * sx, cy * cx],
+    ]
+    T: list[list[Expression]] = [[0.0] * 6 for _ in range(6)]
+    for i in range(3):
+        for j in range(3):
+            T[i][j] = R[j][i]
+    T[3][3], T[3][5] = 1.0, -sy
+    T[4][4], T[4][5] = cx, cy * sx
+    T[5][4], T[5][5] = -sx, cy * cx
+    return T, [sx, cx, sy, cy]
+
+
+def _base_motion(
+    y: list[Expression], yd: list[Expression], ydd: list[Expression], xp: Any
+) -> tuple[list[list[Expression]], Vec, Vec, Vec]:
+    """T, and angular velocity, angular acceleration and acceleration of the base (its axes)."""
+    T, (sx, cx, sy, cy) = _rates(y, xp)
+    rotated, accelerated = times(T, yd), times(T, ydd)
+    dx, dy, dz = yd[3:]
+    turn = (
+        accelerated[3] - dz * cy * dy,
+        accelerated[4] - dy * sx * dx + dz * (cy * cx * dx - sy * sx * dy),
+        accelerated[5] - dy * cx * dx - dz * (cy * sx * dx + sy * cx * dy),
+    )
+    spin = (rotated[3], rotated[4], rotated[5])
+    return T, spin, turn, (accelerated[0], accelerated[1], accelerated[2])
+
+
+def in_space(
+    model: Model,
+    z: list[Any],
+    zd: list[Any],
+    jets: list[Any],
+    tau: list[Any],
+    implicit: list[list[Any]],
+    xp: Any,
+) -> list[Expression]:
+    """z'' of arm and vehicle without gravity. `jets`: generalised force on Y."""
+    mass, loads = balance_of_forces(model, z, zd, jets, tau, xp)
+    return solve(sum_of(mass, implicit), loads)
+
+
+def balance_of_forces(
+    model: Model, z: list[Any], zd: list[Any], jets: list[Any], tau: list[Any], xp: Any
+) -> tuple[list[list[Any]], list[Any]]:
+    """Mass matrix and loads of M z'' = loads, in z = (Y, q)."""
+    n = model.arm.n
+    T, _ = _rates(z[:6], xp)
+    H = inertia_entries(one_base(model.arm), z[6:], xp)
+    mass = [[0.0] * (6 + n) for _ in range(6 + n)]
+    block = sum_of(product(transposed(T), product(H.base, T)), model.M)
+    for i in range(6):
+        mass[i][:6] = block[i]
+        for j in range(n):
+            mass[i][6 + j] = mass[6 + j][i] = sum(T[k][i] * H.across[j][k] for k in range(6))
+    for i in range(n):
+        mass[6 + i][6:] = H.joints[i]
+    still = [0.0] * (6 + n)
+    return mass, [-k for k in residual(model, z, zd, still, jets, tau, xp)]
+
+
+def residual(
+    model: Model,
+    z: list[Any],
+    zd: list[Any],
+    zdd: list[Any],
+    jets: list[Any],
+    tau: list[Any],
+    xp: Any,
+) -> list[Any]:
+    """What is missing from the balance of forces on z under accelerations z''."""
+    T, spin, turn, accel = _base_motion(z[:6], zd[:6], zdd[:6], xp)
+    arm = one_base(model.arm)
+    torque, force, moment = newton_euler(
+        arm, z[6:], zd[6:], zdd[6:], spin=spin, turn=turn, accel=accel, xp=xp
+    )
+    out = times(transposed(T), [*force, *moment])
+    terms = ((model.M, zdd[:6]), (model.D, zd[:6]), (model.K, z[:6]))
+    passive = [times(matrix, vector) for matrix, vector in terms]
+    out = [k + sum(part[i] for part in passive) - jets[i] for i, k in enumerate(out)]
+    for i, (c, rate) in enumerate(zip(model.drag, zd[:6], strict=True)):
+        if not is_zero(c):
+            out[i] = out[i] + c * xp.fabs(rate) * rate
+    return out + [t - given for t, given in zip(torque, tau, strict=True)]
+
+
+def base_energy(model: Model, z: list[Any], zd: list[Any], xp: Any) -> Any:
+    """E = 1/2 Y'^T (M + H_b) Y' + 1/2 Y^T K Y (`system/energy.py`)."""
+    twist = times(_rates(z[:6], xp)[0], zd[:6])
+    locked = inertia_entries(one_base(model.arm), z[6:], xp).base
+    forms = ((locked, twist), (model.M, zd[:6]), (model.K, z[:6]))
+    return 0.5 * sum(a * b for A, x in forms for a, b in pairs(times(A, x), x))
+
+
+def on_platform(
+    model: Model,
+    z: list[Any],
+    zd: list[Any],
+    base: list[Any],
+    tau: list[Any],
+    implicit: list[list[Any]],
+    balance: bool,
+    xp: Any,
+) -> tuple[list[Expression], list[Expression]]:
+    """z'' of the arm on a platform with Y'' = base, under gravity, and its wrench on it."""
+    n, q, v = model.arm.n, z[6:], zd[6:]
+    T, spin, turn, accel = _base_motion(z[:6], zd[:6], base, xp)
+    # T's upper block is R^T: its last column is "up" in platform axes
+    lift: Vec = (GRAVITY * T[0][2], GRAVITY * T[1][2], GRAVITY * T[2][2])
+    under = (accel[0] + lift[0], accel[1] + lift[1], accel[2] + lift[2])
+    rest = [0.0] * n
+    torque, _, _ = newton_euler(model.arm, q, v, rest, spin=spin, turn=turn, accel=under, xp=xp)
+    loads = [tau[i] - torque[i] for i in range(n)]
+    if balance:
+        held, _, _ = newton_euler(model.arm, q, rest, rest, accel=lift, xp=xp)
+        loads = [load + k for load, k in zip(loads, held, strict=True)]
+    own = [row[6:] for row in implicit[6:]]
+    qdd = solve(sum_of(inertia_entries(model.arm, q, xp).joints, own), loads)
+    _, force, moment = newton_euler(
+        model.arm, q, v, qdd, spin=spin, turn=turn, accel=under, xp=xp
+    )
+    return [*base, *qdd], [-k for k in (*force, *moment)]
+
+
+def one_base(arm: Any) -> Any:
+    """The arm with base link and satellite as one body (`newton_euler` knows one)."""
+    if not isinstance(arm.base, tuple):
+        return arm
+    link, satellite = arm.base
+    mass = link.mass + satellite.mass
+    com = tuple(
+        (link.mass * a + satellite.mass * b) / mass
+        for a, b in zip(link.com, satellite.com, strict=True)
+    )
+    inertia = [[0.0] * 3 for _ in range(3)]
+    for body in (link, satellite):
+        r = [a - b for a, b in zip(body.com, com, strict=True)]
+        square = sum(k * k for k in r)
+        for i in range(3):
+            for j in range(3):
+                shift = body.mass * ((square if i == j else 0.0) - r[i] * r[j])
+                inertia[i][j] = inertia[i][j] + body.inertia[i][j] + shift
+    return SimpleNamespace(
+        n=arm.n,
+        links=arm.links,
+        base=SimpleNamespace(mass=mass, com=com, inertia=inertia),
+    )
+
+
+# ------------------------------------------------------------------------- small algebra
+
+
+def times(matrix: list[list[Any]], vector: list[Any]) -> list[Any]:
+    return [sum(a * b for a, b in pairs(row, vector)) for row in matrix]
+
+
+def product(A: list[list[Any]], B: list[list[Any]]) -> list[list[Any]]:
+    return transposed([times(A, column) for column in transposed(B)])
+
+
+def sum_of(A: list[list[Any]], B: list[list[Any]]) -> list[list[Any]]:
+    return [
+        [a if is_zero(b) else a + b for a, b in zip(one, other, strict=True)]
+        for one, other in zip(A, B, strict=True)
+    ]
+
+
+def transposed(A: list[list[Any]]) -> list[list[Any]]:
+    return [list(column) for column in zip(*A, strict=True)]
+
+
+def pairs(a: list[Any], b: list[Any]) -> Iterator[tuple[Any, Any]]:
+    for x, y in zip(a, b, strict=True):
+        if not any(isinstance(k, float) and k == 0.0 for k in (x, y)):
+            yield x, y
+
+
+def solve(A: list[list[Any]], b: list[Any]) -> list[Any]:
+    """A^-1 b for a symmetric positive definite A: L D L^T from the last row up.
+
+    The arm is eliminated before its base, as along the tree, so that a joint of 1e8 kg m^2
+    costs the base no digits.
+    """
+    size = len(b)
+    A, b = [row[:] for row in A], list(b)
+    for k in reversed(range(size)):
+        inverse, row = 1.0 / A[k][k], A[k][:k]
+        for i in range(k):
+            if is_zero(row[i]):
+                continue
+            factor = row[i] * inverse
+            for j in range(i + 1):
+                if not is_zero(row[j]):
+                    A[i][j] = A[i][j] - factor * row[j]
+            b[i] = b[i] - factor * b[k]
+            A[k][i] = factor  # L
+        A[k][k] = inverse
+    out: list[Any] = [0.0] * size
+    for k in range(size):
+        total = b[k] * A[k][k]
+        for i in range(k):
+            if not is_zero(A[k][i]):
+                total = total - A[k][i] * out[i]
+        out[k] = total
+    return out
+
+
+def is_zero(value: Any) -> bool:
+    return isinstance(value, float) and value == 0.0

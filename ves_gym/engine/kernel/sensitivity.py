@@ -1,0 +1,141 @@
+"""Rollouts with exact derivatives: along parameters of the system and along commands.
+
+The tangent of the motion is integrated with the motion, by the same Runge-Kutta steps, so
+the derivative is that of the computed result and not of the differential equation alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.engine.kernel.blocks import aligned, lanes, unlane
+from ves_gym.engine.kernel.build import Library, cached
+from ves_gym.engine.kernel.emit import LANES, emit_module
+from ves_gym.engine.kernel.trace import parameters, structure, tangents
+from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
+from ves_gym.system.system import System
+
+_LIBRARIES: dict[str, Library] = {}
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """Ends of n runs, and their derivatives along m directions."""
+
+    time: float  # s
+    x: Array  # (n, 2 (6 + joints)) state (Y, q, Y', q')
+    dx: Array  # (n, m, 2 (6 + joints))
+    energy: Array  # (n,) mean base energy E(t) over the run [J]
+    denergy: Array  # (n, m)
+
+
+def rollout(
+    system: System,
+    commands: npt.ArrayLike,
+    *,
+    x0: npt.ArrayLike = 0.0,
+    wrt: tuple[str, ...] = (),
+    along: npt.ArrayLike | None = None,
+    servo: JointServo | None = HIGH_GAINS,
+    values: npt.ArrayLike | None = None,
+) -> Rollout:
+    """Play commands and differentiate what comes out.
+
+    Args:
+        system: mode ideal, integrator rk4; what runs is `system.actual`.
+        commands: (n, k + 1, joints) drive commands at the physics steps, linear between.
+        x0: start (n, 2 (6 + joints)), broadcast; it does not depend on the directions.
+        wrt: parameters by name (`parameters(system.actual)[0]`): K11, link2.mass, kp1, ... A
+            number that is zero in the system is structural and has no derivative.
+        along: (n, k + 1, c, joints) directions of the commands, c of them.
+        servo: gains of the motors; None for bare torque.
+        values: (n, len(parameters)) of p per run; default the system's own, with the gains.
+
+    Returns:
+        Derivatives in the order wrt, then along.
+
+    Raises:
+        ParameterError: an unknown name, wrong shapes, another mode or integrator.
+    """
+    if system.mode != "ideal" or system.integrator != "rk4":
+        raise ParameterError(
+            "derivatives of rollouts need mode ideal and integrator rk4, got"
+            f" {system.mode} and {system.integrator}"
+        )
+    system = system.actual
+    names, nominal = parameters(system)
+    unknown = [name for name in wrt if name not in names]
+    if unknown:
+        raise ParameterError(
+            f"wrt: unknown parameter {unknown[0]!r}; known: {', '.join(names)}"
+        )
+    joints = system.arm.n
+    given = np.asarray(commands, float)
+    if given.ndim != 3 or given.shape[1] < 2 or given.shape[2] != joints:
+        raise ParameterError(
+            f"commands must have shape (n, k + 1, {joints}), k >= 1, got {given.shape}"
+        )
+    n, nodes, _ = given.shape
+    push = np.zeros((n, nodes, 0, joints)) if along is None else np.asarray(along, float)
+    if push.ndim != 4 or push.shape[:2] != (n, nodes) or push.shape[3] != joints:
+        raise ParameterError(
+            f"along must have shape ({n}, {nodes}, c, {joints}), got {push.shape}"
+        )
+    c, m, size = push.shape[2], len(wrt) + push.shape[2], 6 + joints
+    p = np.tile(nominal, (n, 1)) if values is None else np.array(values, float)
+    if p.shape != (n, len(names)):
+        raise ParameterError(f"values must have shape ({n}, {len(names)}), got {p.shape}")
+    if servo is not None and values is None and system.drive == "motor":
+        for name, gains in (("kp", servo.kp), ("kd", servo.kd)):
+            for i in range(joints):
+                p[:, names.index(f"{name}{i + 1}")] = gains[i]
+
+    width = 2 * size + 1
+    x = np.zeros((n, width * (1 + m)))
+    x[:, : 2 * size] = np.broadcast_to(np.asarray(x0, float), (n, 2 * size))
+    u = np.zeros((n, nodes, 1 + c, size))
+    u[:, :, 0, 6:], u[:, :, 1:, 6:] = given, push
+    out = _advance(system, wrt, c, x, u.reshape(n, nodes, -1), p)
+    parts, time = out.reshape(n, 1 + m, width), (nodes - 1) * system.physics_dt
+    return Rollout(
+        time=time,
+        x=parts[:, 0, :-1],
+        dx=parts[:, 1:, :-1],
+        energy=parts[:, 0, -1] / time,
+        denergy=parts[:, 1:, -1] / time,
+    )
+
+
+def _advance(
+    system: System, wrt: tuple[str, ...], controls: int, x: Array, u: Array, p: Array
+) -> Array:
+    key = f"tangents {wrt} {controls} {structure(system)}"
+    if key not in _LIBRARIES:
+
+        def make() -> str:
+            graphs = tangents(system, wrt, controls)
+            return emit_module(graphs.motion, graphs.observe, "rk4", 0)
+
+        _LIBRARIES[key] = cached(key, make)
+    rows, inputs, values = lanes(x), lanes(u.reshape(len(u), -1)), lanes(p)
+    nx, nu, steps = x.shape[1], u.shape[2], u.shape[1] - 1
+    scratch, unread = aligned(3 * nx + nu, LANES), aligned(1, LANES)
+    _LIBRARIES[key].advance(
+        rows.ctypes.data,
+        inputs.ctypes.data,
+        values.ctypes.data,
+        unread.ctypes.data,
+        scratch.ctypes.data,
+        0,
+        len(rows),
+        steps,
+        (steps + 1) * nu,
+        nu,
+        system.physics_dt,
+        0,
+    )
+    return unlane(rows, len(x))

@@ -1,0 +1,538 @@
+"""The equations of motion as one symbolic graph: what the kernel and its derivatives compile.
+
+The physics is the text of `mechanics/dynamics.py`, traced with CasADi symbols. A number of the
+system that is zero stays zero and vanishes from the graph; every other one is an input, so
+that systems that differ in values share one graph and one compiled kernel.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.engine.kernel.mechanics import (
+    Expression,
+    Model,
+    balance_of_forces,
+    base_energy,
+    drive_torque,
+    gear_torque,
+    in_space,
+    interleaved,
+    is_zero,
+    on_platform,
+    one_base,
+    oscillator_forces,
+    pairs,
+    residual,
+    separated,
+    solve,
+    sum_of,
+    times,
+    unfolded,
+)
+from ves_gym.mechanics.dynamics import ZERO, inertia_entries, newton_euler
+from ves_gym.system.system import PRESCRIBED_INERTIA
+
+if TYPE_CHECKING:
+    import casadi
+
+    from ves_gym.mechanics.arm import Arm
+    from ves_gym.system.effect import Effect
+    from ves_gym.system.system import System
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Graphs of one system's structure: state x = (Y, q, Y', q'), input u, parameters p.
+
+    u is (force on Y or, in mode emulated, platform acceleration Y''; joint commands).
+    """
+
+    n: int  # joints
+    names: tuple[str, ...]  # of p
+    motion: casadi.Function  # (x, u, p) -> x'; x with what is hidden: (z, h, z', h')
+    observe: casadi.Function  # (x, u, p) -> x', (z'', drive torque, wrench if emulated)
+    hidden: int = 0  # coordinates h: deflections of gears, oscillators of the vehicle
+
+
+class _Numbers:
+    """Reads a system's numbers in a fixed order, as values or as symbols."""
+
+    def __init__(self, make: Callable[[str, float], Expression]) -> None:
+        self.make = make
+
+    def __call__(self, name: str, value: float) -> Expression:
+        return float(value) if value == 0 else self.make(name, float(value))
+
+    def matrix(self, name: str, values: Array) -> list[list[Expression]]:
+        size = len(values)
+        out: list[list[Expression]] = [[0.0] * size for _ in range(size)]
+        for i in range(size):
+            for j in range(i, size):
+                out[i][j] = out[j][i] = self(f"{name}{i + 1}{j + 1}", values[i][j])
+        return out
+
+    def effect(self, name: str, effect: Effect) -> dict[str, Any]:
+        out: dict[str, Any] = {}
+        for field in dataclasses.fields(effect):  # type: ignore[arg-type]
+            value, label = getattr(effect, field.name), f"{name}.{field.name}"
+            if isinstance(value, tuple):
+                out[field.name] = [self(f"{label}{i + 1}", k) for i, k in enumerate(value)]
+            else:
+                out[field.name] = self(label, value)
+        return out
+
+    def gear(self, name: str, gear: Any) -> Any:
+        return SimpleNamespace(
+            stiffness=self(f"{name}.stiffness", gear.stiffness),
+            damping=self(f"{name}.damping", gear.damping),
+            gap=self(f"{name}.gap", gear.gap),
+        )
+
+    def oscillator(self, name: str, one: Any) -> Any:
+        return SimpleNamespace(
+            mass=self(f"{name}.mass", one.mass),
+            stiffness=self(f"{name}.stiffness", one.stiffness),
+            damping=self(f"{name}.damping", one.damping),
+            direction=[
+                self(f"{name}.direction{k + 1}", c) for k, c in enumerate(one.direction)
+            ],
+        )
+
+    def inertial(self, name: str, body: Any) -> Any:
+        return SimpleNamespace(
+            mass=self(f"{name}.mass", body.mass),
+            com=tuple(self(f"{name}.com{k + 1}", body.com[k]) for k in range(3)),
+            inertia=self.matrix(f"{name}.I", np.array(body.inertia)),
+        )
+
+
+def _model(system: System, read: _Numbers) -> Model:
+    """Walk through the numbers of a system; the order of the walk is the order of p."""
+    arm, base = system.arm, system.base
+    prescribed = system.drive == "prescribed"
+    links = [
+        _link(
+            link,
+            read.inertial(f"link{i + 1}", link.inertial),
+            read(
+                f"link{i + 1}.rotor",
+                link.rotor_inertia + (PRESCRIBED_INERTIA if prescribed else 0.0),
+            ),
+        )
+        for i, link in enumerate(arm.links)
+    ]
+    body = read.inertial("base", arm.base)
+    ideal = system.mode == "ideal"
+    zero = np.zeros((6, 6))
+    drag = base.drag if ideal and base.drag is not None else np.zeros(6)
+    if ideal and base.body is not None:
+        body = (body, read.inertial("satellite", base.body))
+    every = range(arm.n)
+    return Model(
+        arm=SimpleNamespace(n=arm.n, links=links, base=body),
+        M=read.matrix("M", base.M if ideal else zero),
+        D=read.matrix("D", base.D if ideal else zero),
+        K=read.matrix("K", base.K if ideal else zero),
+        drag=[read(f"drag{i + 1}", c) for i, c in enumerate(drag)],
+        # gains may be set at any time and are never structural zeros
+        kp=[read.make(f"kp{i + 1}", 0.0) for i in every],
+        kd=[read.make(f"kd{i + 1}", 0.0) for i in every],
+        limit=[
+            read.make(f"limit{i + 1}", np.inf if prescribed else arm.links[i].tau_max)
+            for i in every
+        ],
+        gain=[
+            read.make(f"gain{i + 1}", PRESCRIBED_INERTIA if prescribed else 1.0) for i in every
+        ],
+        laws=[
+            (effect, read.effect(f"{effect.kind}#{i + 1}", effect))
+            for i, effect in enumerate(system.effects)
+            if effect.has_law
+        ],
+        gears={i: read.gear(f"gear{i + 1}", arm.links[i].gear) for i in arm.geared},
+        extra=[
+            read.oscillator(f"extra{i + 1}", one)
+            for i, one in enumerate(base.extra if ideal else ())
+        ],
+    )
+
+
+def _link(link: Any, inertial: Any, rotor_inertia: Expression) -> Any:
+    """A link with symbols for its masses; its lengths are part of the structure."""
+    return SimpleNamespace(
+        d=link.d,
+        a=link.a,
+        alpha=link.alpha,
+        offset=link.offset,
+        inertial=inertial,
+        rotor_inertia=rotor_inertia,
+    )
+
+
+def parameters(system: System) -> tuple[tuple[str, ...], Array]:
+    """Names and values of p for a system."""
+    names: list[str] = []
+    values: list[float] = []
+
+    def make(name: str, value: float) -> float:
+        names.append(name)
+        values.append(value)
+        return value
+
+    _model(system, _Numbers(make))
+    return tuple(names), np.array(values, dtype=np.float64)
+
+
+def structure(system: System) -> str:
+    """What the compiled code of a system depends on: its graph's shape, not its values."""
+    names, _ = parameters(system)
+    step = system.physics_dt if system.integrator == "implicitfast" else None
+    balance = system.mode == "emulated" and system.laboratory.joint_balance
+    laws = _laws(system) if any(e.has_law for e in system.effects) else None
+    what = (names, laws, system.mode, system.integrator, step, balance)
+    return f"{geometry(system.arm)} {what!r}"
+
+
+def geometry(arm: Arm) -> str:
+    """What the compiled code of an arm depends on whatever it weighs: lengths and angles."""
+    return f"{_source()} {[(k.d, k.a, k.alpha, k.offset) for k in arm.links]!r}"
+
+
+def _laws(system: System) -> str:
+    """Digest of the graph of the effects' laws, whatever text and constants it came from."""
+    import casadi as ca
+
+    model, symbols = _symbols(system)
+    q, v, tau = (ca.SX.sym(name, system.arm.n) for name in ("q", "v", "tau"))
+    parts = [list(ca.vertsplit(part)) for part in (q, v, tau)]
+    torque = ca.vertcat(*model.push(parts[0], parts[1], parts[2], ca))
+    graph = ca.Function("laws", [q, v, tau, ca.vertcat(*symbols)], [torque])
+    return hashlib.sha256(graph.serialize().encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _source() -> str:
+    """Digest of the text that writes the code, so that a changed one is compiled anew."""
+    from ves_gym.engine.kernel import emit, mechanics, scene
+    from ves_gym.mechanics import dynamics, gravity
+
+    files = [__file__, *(str(m.__file__) for m in (dynamics, gravity, emit, mechanics, scene))]
+    text = b"".join(Path(name).read_bytes() for name in files)
+    return hashlib.sha256(text).hexdigest()
+
+
+def equations(system: System) -> Equations:
+    """Trace the system's equations of motion."""
+    import casadi as ca
+
+    n = system.arm.n
+    model, symbols = _symbols(system)
+    names = [str(k) for k in symbols]
+    if model.hidden:
+        return _with_hidden(system, model, symbols)
+    x, u, p = ca.SX.sym("x", 2 * (6 + n)), ca.SX.sym("u", 6 + n), ca.vertcat(*symbols)
+    z, zd = list(ca.vertsplit(x))[: 6 + n], list(ca.vertsplit(x))[6 + n :]
+    base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
+    drive, tau = drive_torque(model, z, zd, command, ca)
+    joint = [a + b for a, b in zip(tau, model.push(z[6:], zd[6:], tau, ca), strict=True)]
+
+    def accelerations(implicit: list[list[Any]]) -> tuple[list[Any], list[Any]]:
+        if system.mode == "emulated":
+            balance = system.laboratory.joint_balance
+            return on_platform(model, z, zd, base, joint, implicit, balance, ca)
+        return in_space(model, z, zd, base, joint, implicit, ca), []
+
+    size = 6 + n
+    zdd, wrench = accelerations([[0.0] * size for _ in range(size)])  # what is observed
+    step = zdd  # what the integrator takes
+    if system.integrator == "implicitfast":
+        step, _ = accelerations(_implicit(system, model, drive, ca))
+    slope, out = ca.vertcat(*zd, *step), ca.vertcat(*zdd, *tau, *wrench)
+    return Equations(
+        n,
+        tuple(names),
+        ca.Function("motion", [x, u, p], [ca.cse(slope)]),
+        ca.Function("observe", [x, u, p], ca.cse([slope, out])),
+    )
+
+
+def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
+    """The same with gears that give way, and oscillators that the vehicle carries."""
+    import casadi as ca
+
+    if system.integrator == "implicitfast":
+        raise ParameterError(
+            "backend kernel integrates gears and oscillators by rk4 or euler, got implicitfast:"
+            " use backend mujoco"
+        )
+    n, h, g = system.arm.n, model.hidden, len(model.gears)
+    size = 6 + n
+    whole = size + h
+    x, u, p = ca.SX.sym("x", 2 * whole), ca.SX.sym("u", size), ca.vertcat(*symbols)
+    at, rate = list(ca.vertsplit(x))[:whole], list(ca.vertsplit(x))[whole:]
+    base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
+    (z, d, s), (zd, dd, sd) = (
+        (k[:size], k[size : size + g], k[size + g :]) for k in (at, rate)
+    )
+    _, tau = drive_torque(model, z, zd, command, ca)
+    laws = model.push(z[6:], zd[6:], tau, ca)
+    given = [a + b for a, b in zip(tau, laws, strict=True)]
+    inner = unfolded(model)
+    joints = interleaved(model, given, gear_torque(model, d, dd, ca))
+    pose = [*z[:6], *interleaved(model, z[6:], d)]
+    moving = [*zd[:6], *interleaved(model, zd[6:], dd)]
+    push, sdd = oscillator_forces(model, z, zd, s, sd)
+    loose = [[0.0] * len(pose) for _ in pose]
+    wrench: list[Any] = []
+    if system.mode == "emulated":
+        balance = system.laboratory.joint_balance
+        found, wrench = on_platform(inner, pose, moving, base, joints, loose, balance, ca)
+    else:
+        jets = [a + b for a, b in zip(base, push, strict=True)]
+        found = in_space(inner, pose, moving, jets, joints, loose, ca)
+    qdd, ddd = separated(model, found[6:])
+    zdd = [*found[:6], *qdd]
+    slope = ca.vertcat(*rate, *zdd, *ddd, *sdd)
+    out = ca.vertcat(*zdd, *tau, *wrench)
+    return Equations(
+        n,
+        tuple(str(k) for k in symbols),
+        ca.Function("motion", [x, u, p], [ca.cse(slope)]),
+        ca.Function("observe", [x, u, p], ca.cse([slope, out])),
+        h,
+    )
+
+
+def _implicit(system: System, model: Model, drive: list[Any], xp: Any) -> list[list[Any]]:
+    """Mass the integrator adds for what resists motion: h (D + kd), as MuJoCo's implicitfast.
+
+    A motor at its limit resists no more.
+    """
+    size, h = 6 + model.arm.n, system.physics_dt
+    out: list[list[Any]] = [[0.0] * size for _ in range(size)]
+    for i in range(6):
+        for j in range(6):
+            if not is_zero(model.D[i][j]):
+                out[i][j] = h * model.D[i][j]
+    for i, (f, most) in enumerate(zip(drive, model.limit, strict=True)):
+        out[6 + i][6 + i] = xp.if_else(xp.fabs(f) < most, h * model.kd[i], 0.0)
+    return out
+
+
+@dataclass(frozen=True)
+class _Balance:
+    """Balance of forces in space, r(x, a, u, p) = M a + bias - loads with a = z''.
+
+    r = 0 gives a(x, u, p), so da = -M^-1 dr with a held in dr: nothing is differentiated
+    through the solution of a linear system.
+    """
+
+    names: tuple[str, ...]  # of p
+    x: Any
+    u: Any
+    p: Any
+    a: Any
+    missing: Any  # r
+    energy: Any  # of the base [J]
+    mass: list[list[Any]]
+    found: list[Any]  # the a of r = 0
+
+    def response(self, change: Any) -> list[Any]:
+        """da for dr."""
+        return solve(self.mass, [-k for k in self.held(change)])
+
+    def held(self, value: Any) -> list[Any]:
+        """A value at the acceleration found."""
+        import casadi as ca
+
+        return list(ca.vertsplit(ca.substitute(value, self.a, ca.vertcat(*self.found))))
+
+
+def _balance(system: System) -> _Balance:
+    import casadi as ca
+
+    model, symbols = _symbols(system)
+    if model.hidden:
+        raise ParameterError(
+            "derivatives know no gears that give way and no oscillators of the vehicle: use"
+            " differences of Simulator runs"
+        )
+    size = 6 + system.arm.n
+    x, u, a = (ca.SX.sym(name, k) for name, k in (("x", 2 * size), ("u", size), ("a", size)))
+    z, zd = list(ca.vertsplit(x))[:size], list(ca.vertsplit(x))[size:]
+    base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
+    tau = drive_torque(model, z, zd, command, ca)[1]
+    tau = [k + law for k, law in zip(tau, model.push(z[6:], zd[6:], tau, ca), strict=True)]
+    mass, loads = balance_of_forces(model, z, zd, base, tau, ca)
+    return _Balance(
+        names=tuple(str(k) for k in symbols),
+        x=x,
+        u=u,
+        p=ca.vertcat(*symbols),
+        a=a,
+        missing=ca.vertcat(*residual(model, z, zd, list(ca.vertsplit(a)), base, tau, ca)),
+        energy=base_energy(model, z, zd, ca),
+        mass=mass,
+        found=solve(mass, loads),
+    )
+
+
+def tangents(system: System, wrt: tuple[str, ...], controls: int) -> Equations:
+    """Motion, base energy and their exact derivatives along given directions (mode ideal).
+
+    Directions: one per parameter named in `wrt`, then `controls` directions of the command.
+    With m of them the state is (x, e, dx_1, de_1, ..., dx_m, de_m), e the time integral of
+    the base energy, and the input (u, du_1, ..., du_controls).
+
+    The balance is differentiated once per direction or, for many, once by the whole state
+    and then multiplied by each: whichever takes fewer operations.
+    """
+    each, whole = (_tangents(system, wrt, controls, k) for k in (False, True))
+    return min(each, whole, key=lambda graphs: int(graphs.motion.n_instructions()))
+
+
+def _tangents(system: System, wrt: tuple[str, ...], controls: int, whole: bool) -> Equations:
+    import casadi as ca
+
+    b, size = _balance(system), 6 + system.arm.n
+    both = ca.vertcat(b.missing, b.energy)
+    slope = ca.jacobian(both, b.x) if whole else None
+    states, inputs = [b.x, ca.SX.sym("e")], [b.u]
+    slopes = [b.x[size:], *b.found, b.energy]
+    for j in range(len(wrt) + controls):
+        dx, du = ca.SX.sym(f"dx{j}", 2 * size), ca.SX.sym(f"du{j}", size)
+        if j < len(wrt):
+            cause, step = b.p[b.names.index(wrt[j])], ca.SX(1)
+        else:
+            cause, step = b.u, du
+            inputs.append(du)
+        if slope is None:
+            change = ca.jtimes(both, ca.vertcat(b.x, cause), ca.vertcat(dx, step))
+        else:
+            change = slope @ dx + ca.jtimes(both, cause, step)
+        states += [dx, ca.SX.sym(f"de{j}")]
+        slopes += [dx[size:], *b.response(change[:-1]), change[-1]]
+    given = [ca.vertcat(*states), ca.vertcat(*inputs), b.p]
+    motion = ca.cse(ca.vertcat(*slopes))
+    return Equations(
+        system.arm.n,
+        b.names,
+        ca.Function("motion", given, [motion]),
+        ca.Function("observe", given, ca.cse([motion, ca.SX(b.energy)])),
+    )
+
+
+def linearisation(system: System) -> casadi.Function:
+    """((Y, q, command), p) -> z'' at rest, then its derivatives (mode ideal).
+
+    (s,) of z'' and, column after column, (s, 2 s) by the state (Y, q, Y', q') and (s, n) by
+    the command, s = 6 + n.
+    """
+    import casadi as ca
+
+    b, size = _balance(system), 6 + system.arm.n
+    causes = ca.vertcat(b.x, b.u[6:])
+    columns = ca.horzsplit(ca.jacobian(b.missing, causes))
+    out = ca.vertcat(*b.found, *(k for column in columns for k in b.response(column)))
+    still = ca.vertcat(b.x[size:], b.u[:6])
+    out = ca.substitute(out, still, ca.SX.zeros(size + 6))
+    point = ca.vertcat(b.x[:size], b.u[6:])
+    return ca.Function("linearisation", [point, b.p], [ca.cse(ca.densify(out))])
+
+
+def regressor(arm: Arm, moving: bool) -> casadi.Function:
+    """Wrench on the base and joint torques per inertial parameter, column after column.
+
+    Moving: at (q, v, a, spin, turn, accel) as in `newton_euler`, by ten numbers a body (m, m c,
+    inertia about its frame xx xy yy xz yz zz) and the rotor inertias. Otherwise at (q, free
+    fall), by the four of a body that weigh. The second argument, p, is empty.
+
+    The balance is linear in these numbers. It is differentiated by (m, c, I_c) at unit masses
+    in the origins of their frames, which is the same: m c = c there, and what moves I_c to the
+    frame is of second order in c.
+    """
+    import casadi as ca
+
+    n = arm.n
+    numbers, rotors = [ca.SX.sym(f"body{i}", 10) for i in range(n + 1)], ca.SX.sym("rotor", n)
+    bodies = [
+        SimpleNamespace(
+            mass=k[0],
+            com=(k[1], k[2], k[3]),
+            inertia=[[k[4], k[5], k[7]], [k[5], k[6], k[8]], [k[7], k[8], k[9]]],
+        )
+        for k in numbers
+    ]
+    links = [_link(*k) for k in zip(arm.links, bodies[1:], ca.vertsplit(rotors), strict=True)]
+    x = ca.SX.sym("x", 3 * n + 9 if moving else n + 3)
+    at: list[Any] = list(ca.vertsplit(x))
+    q, v, a = at[:n], [0.0] * n, [0.0] * n
+    spin: Any = ZERO
+    turn: Any = ZERO
+    if moving:
+        v, a = at[n : 2 * n], at[2 * n : 3 * n]
+        spin, turn = at[3 * n : 3 * n + 3], at[3 * n + 3 : 3 * n + 6]
+    accel: Any = at[-3:] if moving else [-k for k in at[-3:]]
+    body: Any = SimpleNamespace(n=n, links=links, base=bodies[0])
+    torque, force, moment = newton_euler(
+        body, q, v, a, spin=spin, turn=turn, accel=accel, xp=ca
+    )
+    wanted = ca.vertcat(*numbers, rotors) if moving else ca.vertcat(*(k[:4] for k in numbers))
+    load = ca.vertcat(*(-k for k in (*force, *moment)), *torque)
+    unit = ca.vertcat(*[1.0, *[0.0] * 9] * (n + 1), ca.SX.zeros(n))
+    slope = ca.substitute(ca.jacobian(load, wanted), ca.vertcat(*numbers, rotors), unit)
+    return ca.Function("regressor", [x, ca.SX(0, 1)], [ca.cse(ca.densify(ca.vec(slope)))])
+
+
+def coupling(system: System) -> casadi.Function:
+    """(q, p) -> Q(q), row by row: `planners.coupling.coupling_matrix` as a graph."""
+    import casadi as ca
+
+    model, symbols = _symbols(system)
+    n, q = system.arm.n, ca.SX.sym("q", system.arm.n)
+    H = inertia_entries(one_base(model.arm), list(ca.vertsplit(q)), ca)
+    Mt = sum_of(H.base, model.M)
+    A = [solve(Mt, row) for row in H.across]  # each the base's motion per joint rate
+    KA = [times(model.K, column) for column in A]
+    Q = [sum(a * b for a, b in pairs(A[i], KA[j])) for i in range(n) for j in range(n)]
+    return ca.Function("coupling", [q, ca.vertcat(*symbols)], [ca.cse(ca.vertcat(*Q))])
+
+
+def inertia_matrix(system: System) -> casadi.Function:
+    """(q, p) -> H(q) of arm and base link, row by row: `dynamics.inertia` as a graph."""
+    import casadi as ca
+
+    model, symbols = _symbols(system)
+    n, q = system.arm.n, ca.SX.sym("q", system.arm.n)
+    arm = model.arm
+    if isinstance(arm.base, tuple):  # the base link alone, without the satellite
+        arm = SimpleNamespace(n=n, links=arm.links, base=arm.base[0])
+    H = inertia_entries(arm, list(ca.vertsplit(q)), ca)
+    rows = [[*H.base[i], *(H.across[j][i] for j in range(n))] for i in range(6)]
+    rows += [[*H.across[j], *H.joints[j]] for j in range(n)]
+    entries = ca.vertcat(*(k for row in rows for k in row))
+    return ca.Function("inertia", [q, ca.vertcat(*symbols)], [ca.cse(entries)])
+
+
+def _symbols(system: System) -> tuple[Model, list[Any]]:
+    """The model with a symbol for each of `parameters(system)`."""
+    import casadi as ca
+
+    symbols: list[Any] = []
+
+    def make(name: str, value: float) -> Any:
+        symbols.append(ca.SX.sym(name))
+        return symbols[-1]
+
+    return _model(system, _Numbers(make)), symbols

@@ -1,0 +1,125 @@
+"""The space system linearised exactly: x' = A x + B u around rest, for gains and design.
+
+Derivatives of the traced equations (`engine/kernel/trace.py`), compiled, at many configurations
+at once. The laboratory's discrete loop is linearised in `simulation/stability.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.engine.kernel.maps import evaluate, points
+from ves_gym.engine.kernel.trace import linearisation, parameters, structure
+from ves_gym.mechanics.servo import JointServo
+from ves_gym.system.system import System
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Linear:
+    """x' = drift + A (x - x0) + B (u - u0), at one point or a batch (...) of them.
+
+    x stacks Y, q, Y', q', 2 s of them with s = 6 + n. u (n) is the joint command: torque
+    [N m], or acceleration [rad/s^2] where the drive is prescribed.
+    """
+
+    A: Array  # (..., 2 s, 2 s)
+    B: Array  # (..., 2 s, n)
+    drift: Array  # (..., 2 s) x' at the point: zero at an equilibrium
+    x0: Array  # (..., 2 s)
+    u0: Array  # (..., n)
+
+    @property
+    def poles(self) -> npt.NDArray[np.complex128]:
+        """(..., 2 s) eigenvalues of A [1/s]."""
+        return np.linalg.eigvals(self.A).astype(np.complex128)
+
+    def feedback(self, gain: npt.ArrayLike) -> Linear:
+        """Closed by u = u0 - gain (x - x0) + u', gain (..., n, 2 s); input u' from there."""
+        K, (size, n) = np.asarray(gain, float), self.B.shape[-2:]
+        if K.shape[-2:] != (n, size):
+            raise ParameterError(f"gain must have shape (..., {n}, {size}), got {K.shape}")
+        return replace(self, A=self.A - self.B @ K)
+
+    def discretise(self, dt: float) -> tuple[Array, Array]:
+        """Sampled exactly with u held over each step of dt [s] (zero-order hold).
+
+        Returns:
+            A (..., 2 s, 2 s) and B (..., 2 s, n) with x+ = A x + B u about an equilibrium.
+        """
+        if not (np.isfinite(dt) and dt > 0):
+            raise ParameterError(f"dt must be > 0 s and finite, got {dt}")
+        size, n = self.B.shape[-2:]
+        G = np.zeros((*self.A.shape[:-2], size + n, size + n))  # generator of [x, u]
+        G[..., :size, :size], G[..., :size, size:] = self.A, self.B
+        step = np.asarray(scipy.linalg.expm(G * dt), float)
+        return step[..., :size, :size], step[..., :size, size:]
+
+
+def linearise_ideal(
+    system: System,
+    q: npt.ArrayLike = 0.0,
+    *,
+    y: npt.ArrayLike = 0.0,
+    servo: JointServo | None = None,
+    command: npt.ArrayLike | None = None,
+) -> Linear:
+    """The space system (mode ideal) linearised at rest; effects that act there included.
+
+    Args:
+        q: (..., n) joint angles [rad]; leading axes of q, y and command broadcast.
+        y: (..., 6) base pose [m, rad]. Off its rest position a vehicle with stiffness is
+            in no equilibrium, and `Linear.drift` is not zero.
+        servo: gains of the motors, held in the equations; None for bare torque.
+        command: (..., n) joint command; default the one that holds q.
+
+    Raises:
+        ParameterError: mode emulated, wrong shapes, numbers that are not finite, or a servo
+            of other joints or on a prescribed drive, which has none.
+    """
+    if system.mode != "ideal":
+        raise ParameterError(
+            f"linearise_ideal needs mode ideal, got {system.mode}: system.ideal() is what it"
+            " emulates, core.stability.linearise the laboratory's loop"
+        )
+    system = system.actual
+    n, size = system.arm.n, 6 + system.arm.n
+    names, p = parameters(system)
+    kp = np.zeros(n)
+    if servo is not None:
+        _require_motors(system, servo)
+        kp = np.array(servo.kp, float)
+        p[[names.index(f"kp{i + 1}") for i in range(n)]] = kp
+        p[[names.index(f"kd{i + 1}") for i in range(n)]] = servo.kd
+    if command is None:
+        command = kp * points((q, n, "q"))
+    at = points((y, 6, "y"), (q, n, "q"), (command, n, "command"))
+    found = evaluate(
+        f"linearisation {structure(system)}",
+        lambda: linearisation(system),
+        at,
+        p,
+        size * (1 + 2 * size + n),
+    )
+    batch = at.shape[:-1]
+    found = found.reshape(*batch, 1 + 2 * size + n, size)
+    slope = np.swapaxes(found[..., 1:, :], -1, -2)
+    A, B = np.zeros((*batch, 2 * size, 2 * size)), np.zeros((*batch, 2 * size, n))
+    drift, x0 = np.zeros((2, *batch, 2 * size))
+    A[..., :size, size:] = np.eye(size)
+    A[..., size:, :], B[..., size:, :] = slope[..., : 2 * size], slope[..., 2 * size :]
+    drift[..., size:], x0[..., :size] = found[..., 0, :], at[..., :size]
+    return Linear(A=A, B=B, drift=drift, x0=x0, u0=at[..., size:])
+
+
+def _require_motors(system: System, servo: JointServo) -> None:
+    if system.drive != "motor":
+        raise ParameterError(f"a servo needs drive motor, got drive {system.drive}")
+    if len(servo.kp) != system.arm.n:
+        raise ParameterError(
+            f"servo must have {system.arm.n} gains for {system.arm.name}, got {len(servo.kp)}"
+        )

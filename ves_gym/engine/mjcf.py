@@ -1,0 +1,277 @@
+"""The simulated system as a MuJoCo model and as a Pinocchio model, from one description.
+
+The base moves on three slides and three hinges in Z-Y-X order. A symmetric 6x6 M, D or
+K becomes six fixed tendons, one per eigenvector, with the eigenvalue as armature,
+damping or stiffness (`docs/physics.md`), so the engine integrates the vehicle natively.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ves_gym._util.mujoco_loader import mujoco
+from ves_gym._util.params import Array
+from ves_gym.mechanics.arm import Arm, Inertial
+from ves_gym.mechanics.vehicle import BaseModel
+
+if TYPE_CHECKING:
+    import pinocchio
+
+# Base joints in the engine's order; Y[i] is engine coordinate TO_Y[i], and back.
+BASE_JOINTS = ("x", "y", "z", "phi_z", "phi_y", "phi_x")
+TO_Y = np.array([0, 1, 2, 5, 4, 3])
+
+_INTEGRATORS = {
+    "rk4": mujoco.mjtIntegrator.mjINT_RK4,
+    "euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+}
+INTEGRATORS = tuple(_INTEGRATORS)
+
+
+def build_spec(
+    arm: Arm,
+    base: BaseModel,
+    *,
+    gravity: tuple[float, float, float],
+    integrator: str,
+    physics_dt: float,
+) -> mujoco.MjSpec:
+    """An editable MuJoCo model of the arm on its base.
+
+    Joint drives are one affine actuator per joint, force = act - kp q - kd v, with kp
+    and kd zero until a controller sets them. The command is the actuator's activation
+    and `ctrl` its slope, so a command can run linearly through a physics step instead of
+    jumping between steps.
+    """
+    spec, platform = _empty_spec(arm.name, gravity, integrator, physics_dt)
+    _set_inertial(platform, arm.base)
+    if base.body is not None:
+        _set_inertial(platform.add_body(name="satellite"), base.body)
+    for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
+        _add_tendons(spec, what, values)
+    _add_links(spec, platform, arm)
+    return spec
+
+
+def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
+    """Springs of the gears; drag and oscillators of a vehicle. The last tendons and joints."""
+    if base is not None:
+        add_drag(spec, base)
+        for i, one in enumerate(base.extra, start=1):
+            body = spec.worldbody.add_body(name=f"extra_{i}")
+            body.mass, body.ipos, body.inertia = one.mass, [0, 0, 0], [one.mass] * 3
+            body.explicitinertial = True
+            body.add_joint(name=f"u_{i}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
+            tendon = spec.add_tendon(name=f"extra_{i}")
+            tendon.wrap_joint(f"u_{i}", 1.0)
+            for axis, part in zip("xyz", one.direction, strict=True):
+                tendon.wrap_joint(axis, -part)
+            tendon.springlength = [0.0, 0.0]
+            tendon.stiffness, tendon.damping = [one.stiffness, 0, 0], [one.damping, 0, 0]
+    for i in arm.geared:
+        gear = arm.links[i].gear
+        assert gear is not None
+        tendon = spec.add_tendon(name=f"gear_{i + 1}")
+        tendon.wrap_joint(f"d_{i + 1}", 1.0)
+        tendon.springlength = [-gear.gap / 2, gear.gap / 2]  # none within
+        tendon.stiffness, tendon.damping = [gear.stiffness, 0, 0], [gear.damping, 0, 0]
+
+
+def add_drag(spec: mujoco.MjSpec, base: BaseModel) -> None:
+    """Damping c |Y'| Y' of each axis: the second term of the engine's polynomial."""
+    if base.drag is None:
+        return
+    for name, drag in zip(BASE_JOINTS, base.drag[TO_Y], strict=True):
+        tendon = spec.add_tendon(name=f"drag_{name}")
+        tendon.wrap_joint(name, 1.0)
+        tendon.springlength, tendon.damping = [0.0, 0.0], [0.0, float(drag), 0.0]
+
+
+# The platform's: the arm's 1 kN then moves it by 1e-7 m/s^2.
+PLATFORM_INERTIA = 1e10  # kg, kg m^2
+
+
+def build_laboratory_spec(
+    arm: Arm,
+    *,
+    gravity: tuple[float, float, float],
+    balance: bool,
+    integrator: str,
+    physics_dt: float,
+) -> mujoco.MjSpec:
+    """The arm on a platform that moves as commanded, with a wrench sensor under its base.
+
+    Six actuators `platform_x` ... come first; their command is the acceleration of the
+    base coordinate. Sensors `force` and `moment`: what the arm exerts on the platform, at
+    the platform-top origin in platform axes. With `balance` the links' weight is carried
+    outside the motors; the sensors feel it all the same.
+    """
+    spec, platform = _empty_spec(arm.name, gravity, integrator, physics_dt)
+    platform.mass, platform.ipos, platform.inertia = 1.0, [0, 0, 0], [1.0, 1.0, 1.0]
+    platform.explicitinertial = True
+    for name in BASE_JOINTS:
+        spec.joint(name).armature = PLATFORM_INERTIA
+        _add_drive(spec, f"platform_{name}", name, PLATFORM_INERTIA)
+    mount = platform.add_body(name="arm_base")
+    _set_inertial(mount, arm.base)
+    mount.add_site(name="mount")
+    for name, kind in (
+        ("force", mujoco.mjtSensor.mjSENS_FORCE),
+        ("moment", mujoco.mjtSensor.mjSENS_TORQUE),
+    ):
+        spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="mount")
+    _add_links(spec, mount, arm)
+    for i in range(arm.n):
+        spec.body(f"link_{i + 1}").gravcomp = float(balance)
+    return spec
+
+
+def _empty_spec(
+    name: str, gravity: tuple[float, float, float], integrator: str, physics_dt: float
+) -> tuple[mujoco.MjSpec, Any]:
+    """A model with nothing but the platform body on its six joints."""
+    spec = mujoco.MjSpec()
+    spec.modelname = name
+    spec.compiler.degree = False
+    spec.compiler.autolimits = True
+    option = spec.option
+    option.timestep = physics_dt
+    option.integrator = _INTEGRATORS[integrator]
+    option.gravity = list(gravity)
+    # Keep a diverged state visible instead of resetting it behind the user's back.
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+
+    platform = spec.worldbody.add_body(name="platform")
+    for joint in BASE_JOINTS:
+        slide = len(joint) == 1
+        kind = mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE
+        axis = [float(k == joint[-1]) for k in "xyz"]
+        platform.add_joint(name=joint, type=kind, axis=axis)
+    return spec, platform
+
+
+def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
+    """The arm's links, joints and drives on a body at the platform-top frame."""
+    body, position, rotation = root, np.zeros(3), np.eye(3)
+    for i, link in enumerate(arm.links, start=1):
+        turn = np.array(
+            [
+                [np.cos(link.offset), -np.sin(link.offset), 0],
+                [np.sin(link.offset), np.cos(link.offset), 0],
+                [0, 0, 1],
+            ]
+        )
+        body = body.add_body(
+            name=f"link_{i}", pos=position.tolist(), quat=_quaternion(rotation @ turn)
+        )
+        body.add_joint(
+            name=f"q_{i}",
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=[0, 0, 1],
+            armature=link.rotor_inertia,
+        )
+        if link.gear is not None:  # the link turns on, the rotor does not
+            body.add_joint(name=f"d_{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+        _set_inertial(body, link.inertial_at_joint)
+        rotation, position = link.far_end
+        _add_drive(spec, f"drive_{i}", f"q_{i}", 1.0, link.tau_max)
+    body.add_site(name="tool", pos=position.tolist(), quat=_quaternion(rotation))
+
+
+def _add_drive(
+    spec: mujoco.MjSpec, name: str, joint: str, gain: float, limit: float | None = None
+) -> None:
+    """An actuator whose command (its activation) runs linearly through a physics step."""
+    drive = spec.add_actuator(
+        name=name,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        target=joint,
+        dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        gainprm=[gain] + [0.0] * 9,
+        biasprm=[0.0] * 10,
+    )
+    if limit is not None:
+        drive.forcerange = [-limit, limit]
+
+
+def _add_tendons(spec: mujoco.MjSpec, what: str, values: Array) -> None:
+    """Six fixed tendons whose `what` reproduces the symmetric matrix `values` on Y."""
+    size = np.abs(values).max()
+    if size == 0:
+        return
+    eigenvalues, vectors = np.linalg.eigh(values)
+    for k in range(6):
+        value = float(eigenvalues[k])
+        if value <= 1e-15 * size:
+            continue
+        tendon = spec.add_tendon(name=f"{what}_{k + 1}")
+        for i, name in enumerate(BASE_JOINTS):
+            weight = float(vectors[TO_Y[i], k])
+            if weight != 0.0:
+                tendon.wrap_joint(name, weight)
+        tendon.springlength = [0.0, 0.0]
+        # stiffness and damping are polynomials in the engine; the first term is linear
+        setattr(tendon, what, value if what == "armature" else [value, 0.0, 0.0])
+
+
+def _set_inertial(body: Any, inertial: Inertial) -> None:
+    body.mass = inertial.mass
+    body.ipos = list(inertial.com)
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertial.inertia
+    body.fullinertia = [xx, yy, zz, xy, xz, yz]
+    body.explicitinertial = True
+
+
+def _quaternion(rotation: Array) -> list[float]:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
+    return [float(k) for k in quaternion]
+
+
+def pinocchio_model(arm: Arm, base: BaseModel) -> pinocchio.Model:
+    """The same arm on the same six base joints in Pinocchio, in MuJoCo's joint order.
+
+    The constant M of the base is not a body; add it to the base block of the inertia
+    matrix in Y. Gravity is zero.
+    """
+    import pinocchio as pin
+
+    model = pin.Model()
+    model.name = arm.name
+    model.gravity.linear[:] = 0.0
+    kinds = {
+        "x": pin.JointModelPX,
+        "y": pin.JointModelPY,
+        "z": pin.JointModelPZ,
+        "phi_z": pin.JointModelRZ,
+        "phi_y": pin.JointModelRY,
+        "phi_x": pin.JointModelRX,
+    }
+    joint = 0
+    for name in BASE_JOINTS:
+        joint = model.addJoint(joint, kinds[name](), pin.SE3.Identity(), name)
+    model.appendBodyToJoint(joint, _pin_inertia(arm.base), pin.SE3.Identity())
+    if base.body is not None:
+        model.appendBodyToJoint(joint, _pin_inertia(base.body), pin.SE3.Identity())
+    placement = pin.SE3.Identity()
+    for i, link in enumerate(arm.links, start=1):
+        turn = pin.SE3(pin.utils.rotate("z", link.offset), np.zeros(3))
+        joint = model.addJoint(joint, pin.JointModelRZ(), placement * turn, f"q_{i}")
+        model.appendBodyToJoint(joint, _pin_inertia(link.inertial_at_joint), pin.SE3.Identity())
+        placement = pin.SE3(*link.far_end)
+    model.armature[6:] = arm.column("rotor_inertia")
+    tool = pin.Frame("tool", joint, placement, pin.FrameType.OP_FRAME)
+    model.addFrame(tool)
+    return model
+
+
+def _pin_inertia(inertial: Inertial) -> pinocchio.Inertia:
+    import pinocchio as pin
+
+    return pin.Inertia(inertial.mass, np.array(inertial.com), np.array(inertial.inertia))

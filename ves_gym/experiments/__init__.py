@@ -1,0 +1,1 @@
+"""Many runs: units, specifications, sweeps, executors, searches."""

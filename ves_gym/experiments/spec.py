@@ -1,0 +1,190 @@
+"""`Spec`: what a sweep is made of, as a TOML file, and the units that it names."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ves_gym._util.params import ParameterError, from_plain, read_table, to_plain
+from ves_gym.baselines.config import CONFIGS, TrainConfig, config_from_plain
+from ves_gym.baselines.controllers import CONTROLLERS
+from ves_gym.baselines.policy import released
+from ves_gym.experiments.units import Unit, evaluate_unit, plan_unit, train_unit
+from ves_gym.planners.registry import get_planner
+from ves_gym.planners.suites import get_suite
+from ves_gym.system.system import System
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluations:
+    """Environments x policies x seeds, each so many episodes."""
+
+    envs: tuple[str, ...]
+    policies: tuple[str, ...]  # controllers, `released`, files, folders of `ves-gym train`
+    seeds: tuple[int, ...] = (0,)  # of a unit's first episode
+    episodes: int = 100
+    settings: dict = field(default_factory=dict)  # of the environments
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trainings:
+    """Configurations x seeds."""
+
+    configs: tuple[str, ...]  # names of those of the package, or files
+    seeds: tuple[int, ...] | None = None  # None: the configuration's
+    changes: dict = field(default_factory=dict)  # entries of the configuration that differ
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plannings:
+    """Planners x the queries of a suite x seeds."""
+
+    suite: str
+    planners: tuple[str, ...]
+    seeds: tuple[int, ...] = (0,)
+    vehicle: str | None = None
+    obstacles: str = "off"
+    durations: tuple[float, ...] | None = None  # s; None: all of them
+    queries: int | None = None  # per duration; None: all of them
+    system: dict = field(default_factory=dict)  # what differs from `System()`
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spec:
+    """A sweep."""
+
+    evaluate: tuple[Evaluations, ...] = ()
+    train: tuple[Trainings, ...] = ()
+    plan: tuple[Plannings, ...] = ()
+    seconds: float | None = None  # that a unit may take
+    deaths: int = 3  # of its worker after which a unit is given up
+
+    def __post_init__(self) -> None:
+        if not (self.evaluate or self.train or self.plan):
+            raise ParameterError("a sweep needs [[evaluate]], [[train]] or [[plan]], got none")
+        if self.seconds is not None and not self.seconds > 0:
+            raise ParameterError(f"Spec.seconds must be > 0 s, got {self.seconds}")
+        if self.deaths < 1:
+            raise ParameterError(f"Spec.deaths must be >= 1, got {self.deaths}")
+        tables: tuple[Evaluations | Trainings | Plannings, ...]
+        tables = (*self.evaluate, *self.train, *self.plan)
+        for table in tables:
+            if any(seed < 0 for seed in table.seeds or ()) or table.seeds == ():
+                raise ParameterError(f"seeds must be numbers >= 0, got {table.seeds}")
+        for some in self.evaluate:
+            if some.episodes < 1:
+                raise ParameterError(f"episodes must be >= 1, got {some.episodes}")
+
+
+def read_spec(path: str | os.PathLike[str]) -> Spec:
+    """A sweep from a TOML or JSON file; unknown keys are an error."""
+    return spec_from_plain(read_table(path), str(path))
+
+
+def spec_from_plain(plain: Mapping[str, Any], where: str = "spec") -> Spec:
+    """A sweep from plain data."""
+    spec: Spec = from_plain(Spec, plain, where)
+    return spec
+
+
+def units_of(spec: Spec, base: Path = Path()) -> list[Unit]:
+    """The units of a sweep in order, none twice.
+
+    Args:
+        base: folder that paths in the spec start from.
+    """
+    found: dict[str, Unit] = {}
+    parts: tuple[tuple[Iterable[Any], Callable[[Any, Path], Iterable[Unit]]], ...] = (
+        (spec.evaluate, _evaluations),
+        (spec.train, _trainings),
+        (spec.plan, _plannings),
+    )
+    for tables, expand in parts:
+        for table in tables:
+            for unit in expand(table, base):
+                found.setdefault(unit.id, unit)
+    return list(found.values())
+
+
+def _evaluations(table: Evaluations, base: Path) -> Iterable[Unit]:
+    for name in table.envs:
+        env = name if "/" in name else f"ves/{name}"
+        for policy in table.policies:
+            for who in _policies(policy, env, base):
+                for seed in table.seeds:
+                    yield evaluate_unit(env, who, seed, table.episodes, table.settings)
+
+
+def _policies(text: str, env: str, base: Path) -> list[str]:
+    """A controller's name or files of policies."""
+    if text in CONTROLLERS:
+        return [text]
+    if text == "released":
+        files = list(released(env).values())
+    elif (base / text).is_dir():
+        files = sorted((base / text).glob("seed-*/best.json"))
+        files = files or sorted((base / text).glob("best.json"))
+    else:
+        files = [base / text] if Path(text).suffix == ".json" else []
+    if not files:
+        raise ParameterError(
+            f"policy {text!r} of {env} must be one of {', '.join(CONTROLLERS)}, `released`, a"
+            " policy's .json file or a folder that `ves-gym train` made"
+        )
+    return [str(file.resolve()) for file in files]
+
+
+def _trainings(table: Trainings, base: Path) -> Iterable[Unit]:
+    for name in table.configs:
+        config = _config(name, table.changes, base)
+        for seed in config.seeds if table.seeds is None else table.seeds:
+            yield train_unit(config, seed)
+
+
+def _config(name: str, changes: Mapping[str, Any], base: Path) -> TrainConfig:
+    path = base / name if Path(name).suffix in (".toml", ".json") else CONFIGS / f"{name}.toml"
+    if path.parent == CONFIGS and not path.exists():
+        known = ", ".join(sorted(p.stem for p in CONFIGS.glob("*.toml")))
+        raise ParameterError(f"config must be a .toml file or one of {known}, got {name!r}")
+    return config_from_plain(_changed(read_table(path), changes), str(path))
+
+
+def _changed(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with some of its entries replaced, those of tables in it one by one."""
+    out = dict(table)
+    for key, value in changes.items():
+        old = out.get(key)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        out[key] = _changed(old, value) if both else value  # type: ignore[arg-type]
+    return out
+
+
+def _plannings(table: Plannings, base: Path) -> Iterable[Unit]:
+    system = System.from_dict(_changed(to_plain(System()), table.system), "plan.system")
+    suite = get_suite(
+        table.suite, system=system, vehicle=table.vehicle, obstacles=table.obstacles
+    )
+    for planner in table.planners:
+        get_planner(planner)
+    count: dict[tuple[str, float], int] = {}
+    taken = 0
+    for vehicle, query in suite.queries:
+        if table.durations is not None and query.duration not in table.durations:
+            continue
+        at = vehicle, query.duration
+        count[at] = count.get(at, 0) + 1
+        if table.queries is not None and count[at] > table.queries:
+            continue
+        taken += 1
+        for planner in table.planners:
+            for seed in table.seeds:
+                yield plan_unit(suite.name, vehicle, query, planner, seed)
+    if not taken:
+        known = ", ".join(f"{d:g}" for d in dict.fromkeys(q.duration for _, q in suite.queries))
+        raise ParameterError(
+            f"suite {suite.name} has durations {known} s, got {table.durations} and"
+            f" {table.queries} queries of each"
+        )

@@ -1,0 +1,230 @@
+"""`sweep`: every unit of a spec is done once, whatever dies on the way; `merge`: one table.
+
+Finished units are those with a sound result file. A sweep that was killed goes on with the
+others; result folders of several machines are one by copying their files together.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ves_gym._util.params import (
+    ParameterError,
+    canonical_json,
+    write_bytes,
+    write_text,
+)
+from ves_gym._util.process_pool import JobTimeout, WorkerDied
+from ves_gym.experiments.executors import Executor, open_executor
+from ves_gym.experiments.spec import Spec, read_spec, units_of
+from ves_gym.experiments.units import Outcome, Unit, read_result, run_unit, store
+
+FAILURE = "ves-failure/1"
+_ORDER = ("kind", "where", "who", "seed", "unit")  # of the rows of a merged table
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Report:
+    """What came of a sweep."""
+
+    folder: Path
+    done: list[str] = field(default_factory=list)  # ids of units done now
+    skipped: list[str] = field(default_factory=list)  # done before
+    failed: dict[str, str] = field(default_factory=dict)  # id -> why
+
+    @property
+    def complete(self) -> bool:
+        """Whether every unit has a result."""
+        return not self.failed
+
+
+def sweep(
+    spec: Spec | str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    *,
+    executor: str = "local",
+    workers: int | None = None,
+    resume: bool = True,
+    part: tuple[int, int] = (1, 1),
+    progress: Progress | None = None,
+    **options: Any,
+) -> Report:
+    """Do the units of a spec that have no result yet.
+
+    A unit that fails, takes too long or kills its worker again and again is reported, in
+    `folder/failed` too, and the others go on; the next sweep tries it again.
+
+    Args:
+        spec: or the file that holds it, where paths in it start from.
+        executor: local, slurm, submitit-local, dask or ray (see `open_executor`, which takes
+            the `options` address and slurm).
+        workers: at once; default one per processor.
+        resume: skip finished units; otherwise they are done again.
+        part: (k, n) does every n-th unit from the k-th, for n machines.
+        progress: called with what is done and the fraction of it.
+    """
+    root, base = Path(folder), Path()
+    if not isinstance(spec, Spec):
+        base = Path(spec).parent
+        spec = read_spec(spec)
+    units = _part(units_of(spec, base), part)
+    report = Report(root)
+    report.skipped.extend(u.id for u in units if resume and finished(root, u))
+    skipped = set(report.skipped)
+    todo = [u for u in units if u.id not in skipped]
+    tell = progress or (lambda stage, done: None)
+    if not todo:
+        tell("sweep", 1.0)
+        return report
+    with open_executor(
+        executor,
+        workers=min(workers or os.cpu_count() or 1, len(todo)),
+        folder=root,
+        seconds=spec.seconds,
+        deaths=spec.deaths,
+        **options,
+    ) as pool:
+        run_units(pool, todo, report, lambda n: tell("sweep", (len(skipped) + n) / len(units)))
+    return report
+
+
+def run_units(
+    pool: Executor,
+    units: Sequence[Unit],
+    report: Report,
+    tell: Callable[[int], None] = lambda count: None,
+) -> None:
+    """Do units and enter them in the report.
+
+    Args:
+        tell: called with the number that have ended.
+    """
+    folder = str(report.folder.resolve()) if pool.shares_files else None
+    running = {pool.submit(run_unit, unit, folder): unit for unit in units}
+    for count, future in enumerate(as_completed(list(running))):
+        unit = running.pop(future)  # and the outcome it may hold
+        failure = report.folder / "failed" / f"{unit.id}.json"
+        why = _why(future)
+        if why is None:
+            outcome: Outcome | None = future.result()
+            if outcome is not None:
+                store(outcome, report.folder)
+            failure.unlink(missing_ok=True)
+            report.done.append(unit.id)
+        else:
+            kind, text = why
+            told = {"schema": FAILURE, "id": unit.id, "unit": dict(unit.identity)}
+            write_text(failure, canonical_json({**told, "kind": kind, "why": text}) + "\n")
+            report.failed[unit.id] = f"{unit.label}: {text}"
+        tell(count + 1)
+
+
+def _why(future: Future[Any]) -> tuple[str, str] | None:
+    """What kept a unit from its result: died, too long or failed, and in words."""
+    error = future.exception()
+    if error is None:
+        return None
+    if isinstance(error, WorkerDied):
+        return "died", str(error)
+    if isinstance(error, JobTimeout):
+        return "too long", str(error)
+    return "failed", f"{type(error).__name__}: {error}"
+
+
+def _part(units: list[Unit], part: tuple[int, int]) -> list[Unit]:
+    k, n = part
+    if not 1 <= k <= n:
+        raise ParameterError(f"part must be k of n with 1 <= k <= n, got {k} of {n}")
+    return units[k - 1 :: n]
+
+
+def finished(folder: Path, unit: Unit) -> bool:
+    """Whether a unit has a sound result; a damaged one is not, and a warning says so."""
+    path = folder / "results" / f"{unit.id}.json"
+    if not path.exists():
+        return False
+    try:
+        read_result(path)
+    except ParameterError as error:
+        warnings.warn(f"{error}; the unit is done again", stacklevel=3)
+        return False
+    return True
+
+
+# ------------------------------------------------------------------------------ merging
+
+
+def merge(folders: Iterable[str | os.PathLike[str]]) -> list[dict[str, Any]]:
+    """Every row of the results in some folders, sorted; the same files give the same rows.
+
+    A row begins with kind, where, who, seed and unit. A damaged file is left out with a
+    warning, the others stay readable.
+
+    Raises:
+        ParameterError: no results, or two of one unit that differ.
+    """
+    results: dict[str, dict[str, Any]] = {}
+    origin: dict[str, Path] = {}
+    for folder in folders:
+        paths = sorted((Path(folder) / "results").glob("*.json"))
+        if not paths:
+            raise ParameterError(f"{folder}: expected the folder of a sweep with results in it")
+        for path in paths:
+            try:
+                found = read_result(path)
+            except ParameterError as error:
+                warnings.warn(f"{error}; left out", stacklevel=2)
+                continue
+            id = found["id"]
+            if results.setdefault(id, found) != found:
+                raise ParameterError(
+                    f"{origin[id]} and {path}: two results of one unit that differ"
+                )
+            origin.setdefault(id, path)
+    rows = []
+    for id, found in results.items():
+        unit = found["unit"]
+        head = {k: unit[k] for k in _ORDER[:-1]} | {"unit": id}
+        rows += [{**head, "row": k, **_beside(row)} for k, row in enumerate(found["rows"])]
+    return sorted(rows, key=lambda row: (*(row[k] for k in _ORDER), row["row"]))
+
+
+def _beside(row: dict[str, Any]) -> dict[str, Any]:
+    """A row's entries; those named like a unit's keep their name with `row_` before it."""
+    taken = {*_ORDER, "row"}
+    return {f"row_{k}" if k in taken else k: v for k, v in row.items()}
+
+
+def write_rows(path: str | os.PathLike[str], rows: Sequence[dict[str, Any]]) -> None:
+    """Write merged rows as .jsonl or .parquet (nested entries as JSON text), atomically."""
+    path = Path(path)
+    if path.suffix == ".jsonl":
+        write_text(path, "".join(canonical_json(row) + "\n" for row in rows))
+        return
+    if path.suffix != ".parquet":
+        raise ParameterError(f"{path}: expected a .jsonl or .parquet name, got {path.suffix!r}")
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise ParameterError(
+            "Parquet needs the package pyarrow: pip install 'ves-gym[report]'"
+        ) from None
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    table = pyarrow.table({name: [_flat(row.get(name)) for row in rows] for name in names})
+    sink = pyarrow.BufferOutputStream()
+    pyarrow.parquet.write_table(table, sink)
+    write_bytes(path, sink.getvalue().to_pybytes())
+
+
+def _flat(value: Any) -> Any:
+    return json.dumps(value, sort_keys=True) if isinstance(value, dict | list) else value

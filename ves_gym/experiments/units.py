@@ -1,0 +1,286 @@
+"""Units of work: one (environment or query, policy or planner, seed) with a name of its own.
+
+A unit is plain data; its id is the SHA-256 of that data, which holds the package's version and
+the hash of the system that is simulated. Whoever runs it, wherever, gets the same result file
+to the last bit: clocks and hosts go to a file beside it.
+
+    folder/results/ID.json    the result; it is written last
+    folder/about/ID.json      where and when it was made, how long it took
+    folder/policies/ID/       the policy that a training run ends with
+    folder/work/ID/           the checkpoint of a training run under way
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+
+from ves_gym import __version__
+from ves_gym._util.params import (
+    ParameterError,
+    canonical_json,
+    content_hash,
+    read_table,
+    write_bytes,
+    write_text,
+)
+from ves_gym.baselines.config import TrainConfig, config_from_plain
+from ves_gym.baselines.controllers import CONTROLLERS, get_controller
+from ves_gym.baselines.evaluate import STATISTICS, evaluate
+from ves_gym.baselines.policy import load_policy, versions
+from ves_gym.envs.build import build_task
+from ves_gym.planners.benchmark import run_query
+from ves_gym.planners.query import Query
+
+SCHEMA, RESULT, ABOUT = "ves-unit/1", "ves-result/1", "ves-about/1"
+_CLOCKED = ("seconds", "seconds_stepping", "plan_seconds")  # no part of a result
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What is to be done, by plain data, and where its parts are on this machine."""
+
+    identity: Mapping[str, Any]  # schema, version, kind, where, who, seed, system, settings
+    source: Mapping[str, Any] = field(default_factory=dict)  # no part of the id
+
+    @cached_property
+    def id(self) -> str:
+        """64 hexadecimal digits."""
+        return content_hash(self.identity)
+
+    @property
+    def label(self) -> str:
+        """For people: kind, where, who and seed."""
+        return " ".join(str(self.identity[k]) for k in ("kind", "where", "who", "seed"))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a unit ends with: the texts and files to be stored."""
+
+    id: str
+    result: str
+    about: str
+    files: Mapping[str, bytes] = field(default_factory=dict)
+
+
+# ---------------------------------------------------------------------- the three kinds
+
+
+def evaluate_unit(
+    env: str, who: str, seed: int, episodes: int, settings: Mapping[str, Any]
+) -> Unit:
+    """Episodes of a controller or of a policy in an environment.
+
+    Args:
+        who: a built-in controller's name or a policy's .json file.
+    """
+    identity = _identity("evaluate", env, _name(who), seed, _task(env, settings))
+    identity |= {"episodes": episodes, "settings": dict(settings), "weights": _weights(who)}
+    return Unit(identity, {"who": who})
+
+
+def train_unit(config: TrainConfig, seed: int) -> Unit:
+    """A training run with one seed."""
+    config = replace(config, seeds=(seed,))
+    goal = {"goal": True} if config.her is not None else {}
+    system = _task(config.env, {**goal, **config.settings})
+    identity = _identity("train", config.env, config.label, seed, system)
+    return Unit(identity | {"config": config.to_dict()})
+
+
+def plan_unit(suite: str, vehicle: str, query: Query, planner: str, seed: int) -> Unit:
+    """A planner's answer to a query, simulated."""
+    identity = _identity("plan", query.name, planner, seed, query.system.hash)
+    identity |= {"suite": suite, "vehicle": vehicle, "query": content_hash(query)}
+    return Unit(identity, {"query": query})
+
+
+def _identity(kind: str, where: str, who: str, seed: int, system: str) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        "kind": kind,
+        "where": where,
+        "who": who,
+        "seed": seed,
+        "system": system,
+    }
+
+
+def _task(env: str, settings: Mapping[str, Any]) -> str:
+    """Hash of an environment's task, the system in it; nothing is simulated."""
+    try:
+        given = gym.spec(env).kwargs
+    except gym.error.Error as error:
+        raise ParameterError(str(error)) from None
+    if "task" not in given:
+        raise ParameterError(f"{env} is no environment of ves_gym")
+    return content_hash(build_task(**{**given, **settings}))
+
+
+def _name(who: str) -> str:
+    return who if who in CONTROLLERS else Path(who).stem
+
+
+def _weights(who: str) -> str | None:
+    """SHA-256 of a policy's two files, without what says where it comes from."""
+    if who in CONTROLLERS:
+        return None
+    table = read_table(who)
+    return content_hash([table.get("network"), table.get("weights")])
+
+
+# -------------------------------------------------------------------------- running
+
+
+def run_unit(unit: Unit, folder: str | None) -> Outcome | None:
+    """Do a unit's work.
+
+    Args:
+        folder: where to store the outcome; None to return it.
+    """
+    begun, begin = datetime.now(UTC), time.perf_counter()
+    with tempfile.TemporaryDirectory() as scratch:
+        work = Path(scratch) if folder is None else Path(folder) / "work" / unit.id
+        found = _RUN[unit.identity["kind"]](unit, work)
+    body = {
+        "schema": RESULT,
+        "id": unit.id,
+        "unit": dict(unit.identity),
+        "rows": found.rows,
+        "summary": found.summary,
+        "files": {name: hashlib.sha256(data).hexdigest() for name, data in found.digested},
+    }
+    about = {
+        "schema": ABOUT,
+        "id": unit.id,
+        "host": platform.node(),
+        "process": os.getpid(),
+        "begun": begun.isoformat(timespec="milliseconds"),
+        "ended": datetime.now(UTC).isoformat(timespec="milliseconds"),
+        "seconds": round(time.perf_counter() - begin, 3),
+        "versions": versions("mujoco"),
+        "clocked": found.clocked,
+    }
+    outcome = Outcome(
+        unit.id,
+        canonical_json({**body, "digest": content_hash(body)}) + "\n",
+        canonical_json(about) + "\n",
+        found.files,
+    )
+    if folder is None:
+        return outcome
+    store(outcome, folder)
+    return None
+
+
+def store(outcome: Outcome, folder: str | os.PathLike[str]) -> None:
+    """Write an outcome's files, each completely or not at all, the result last."""
+    root = Path(folder)
+    for name, data in outcome.files.items():
+        write_bytes(root / "policies" / outcome.id / name, data)
+    write_text(root / "about" / f"{outcome.id}.json", outcome.about)
+    write_text(root / "results" / f"{outcome.id}.json", outcome.result)
+    shutil.rmtree(root / "work" / outcome.id, ignore_errors=True)
+
+
+def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """A result file.
+
+    Raises:
+        ParameterError: it is no result, or not what was written: its digest says otherwise.
+    """
+    path = Path(path)
+    table = read_table(path)
+    digest = table.pop("digest", None)
+    if table.get("schema") != RESULT or "id" not in table or "rows" not in table:
+        raise ParameterError(f"{path}: expected {RESULT}, got {table.get('schema')!r}")
+    if content_hash(table) != digest or table["id"] != path.stem:
+        raise ParameterError(f"{path}: is damaged: its content does not match its digest")
+    if content_hash(table["unit"]) != table["id"]:
+        raise ParameterError(f"{path}: is damaged: its unit is not the one of its id")
+    return table
+
+
+@dataclass(frozen=True)
+class _Found:
+    rows: list[dict[str, Any]]
+    summary: Mapping[str, float | None]
+    clocked: Any = None
+    files: dict[str, bytes] = field(default_factory=dict)
+
+    @property
+    def digested(self) -> list[tuple[str, bytes]]:
+        """Files that are alike on every machine: those of numbers only."""
+        return [(k, v) for k, v in self.files.items() if k.endswith(".safetensors")]
+
+
+def _evaluate(unit: Unit, work: Path) -> _Found:
+    given, who = unit.identity, unit.source["who"]
+    if _weights(who) != given["weights"]:
+        raise ParameterError(f"{who}: is not the policy any more that the sweep began with")
+    controller = get_controller(who, given["seed"]) if who in CONTROLLERS else load_policy(who)
+    found = evaluate(
+        controller,
+        given["where"],
+        episodes=given["episodes"],
+        seed=given["seed"],
+        threads=1,
+        **given["settings"],
+    )
+    summary: dict[str, float | None] = {"return": _number(_statistic(found, "return", "iqm"))}
+    for name in ("success", "success_once", "failed"):
+        summary[name] = _statistic(found, name, "mean")
+    for name in ("E_mean", "E_peak", "E_res", "E_int"):
+        summary[name] = _number(_statistic(found, name, "median"))
+    return _Found(found.to_dict()["rows"], summary)
+
+
+def _statistic(found: Any, measure: str, kind: str) -> float:
+    return float(STATISTICS[kind](found.values(measure)[0]))
+
+
+def _train(unit: Unit, work: Path) -> _Found:
+    from ves_gym.baselines.train import train
+
+    config = config_from_plain(unit.identity["config"])
+    rows = train(config, unit.identity["seed"], work, resume=True)
+    clocked = [{k: row[k] for k in _CLOCKED if k in row} for row in rows]
+    kept = [{k: v for k, v in row.items() if k not in _CLOCKED} for row in rows]
+    best = max(kept, key=lambda row: row["return"])
+    summary = {k: v for k, v in best.items() if isinstance(v, float | int)}
+    files = {name: (work / name).read_bytes() for name in ("best.json", "best.safetensors")}
+    return _Found(kept, summary, clocked, files)
+
+
+def _plan(unit: Unit, work: Path) -> _Found:
+    given = unit.identity
+    row = run_query(given["who"], given["vehicle"], unit.source["query"], given["seed"])
+    clocked = {k: row.pop(k) for k in _CLOCKED if k in row}
+    clocked["curve"] = row["info"].pop("curve", None)  # of (seconds, evaluations, cost)
+    summary = {k: row[k] for k in ("E_mean", "E_peak", "E_res", "E_int", "predicted")}
+    return _Found([row], summary | {"success": float(row["success"])}, clocked)
+
+
+_RUN: dict[str, Callable[[Unit, Path], _Found]] = {
+    "evaluate": _evaluate,
+    "train": _train,
+    "plan": _plan,
+}
+
+
+def _number(value: float) -> float | None:
+    return value if abs(value) < float("inf") else None

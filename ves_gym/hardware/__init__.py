@@ -1,0 +1,1 @@
+"""Parts of the emulator: admittance, force sensor, Stewart platform and its leg servos."""

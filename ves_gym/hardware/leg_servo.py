@@ -1,0 +1,510 @@
+"""The leg servos of the Stewart platform, with the digital filter of thesis chapter 5.
+
+One leg: the servo samples the measured length l at `rate`, takes its error e against the
+commanded length, and after `delay` gives u = scale (K1 e_k - K2 (l_k - l_k-1)) to the
+valve. The rod's speed follows u through two equal lags (pilot stage and spool), its length
+is the integral. The rod's acceleration shakes the leg's first transverse mode, whose
+displacement adds to the measured length: enough gain makes it grow (5.2). The platform
+stands on the rods: bending changes what is measured, not where it is.
+
+Fig. 5-4 is lost. Read here: K1 acts on the error (filtered, if the filter is there), K2 on
+the last change of the length, so that K2 = 1.5 K1 of section 5.6 lowers the overshoot and
+hardly changes the bandwidth, as the thesis says of K2. Taken on the error instead, K2
+kicks at every new command, 80 times a second, and the force sensor, read in step with
+that, returns negative damping (docs/physics.md). Gains, sample rates, mode frequencies and
+Table 5-1 are the thesis's; all else is nominal, this project:
+
+- `participation`: without the filter, gains for the thesis's 2 Hz leave a gain margin of
+  12 dB (LOW_GAINS);
+- `scale`: with the filter on the feedback, K1 = 20000 leaves the same 12 dB
+  (FILTERED_FEEDBACK; on the error it is some dB more).
+
+The equal margins give the ratio of the two velocity gains; that they are 12 dB is a
+choice, made knowing that slow errors then fall by about 40 %, as measured in 5.5.
+
+Linear throughout: no end stops, no speed limit (`Stewart.outside`, `Stewart.too_fast`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from ves_gym._util.params import (
+    Array,
+    Index,
+    ParameterError,
+    require_choice,
+    require_positive,
+    unit,
+)
+from ves_gym.hardware.stewart import Stewart
+from ves_gym.mechanics.spatial import matvec
+
+Complex = npt.NDArray[np.complex128]
+
+SCALE = 1.05e-3  # [1/s] velocity gain per unit of K1 and K2
+_WHOLE = 1e-9  # relative slack when a ratio of times must be a whole number
+# States of a leg; the controller's follow.
+_SPEED, _ACCELERATION, _ROD, _BEND, _BEND_RATE = range(5)
+_PLANT = 5
+
+
+def _whole(name: str, value: float, period: float, *, divides: bool = False) -> int:
+    """How many leg periods make `value` [s] (or how many of it a leg period), exactly.
+
+    Raises:
+        ParameterError: no whole number >= 1; the message says the nearest.
+    """
+    ratio = 0.0
+    if value > 0 and math.isfinite(value):
+        ratio = period / value if divides else value / period
+    count = max(round(ratio), 1)
+    if abs(ratio - count) <= _WHOLE * count:
+        return count
+    relation = "divide the leg period" if divides else "be a whole number of leg periods of"
+    good = period / count if divides else period * count
+    raise ParameterError(
+        f"{name} must {relation} {period:.9g} s, got {value!r} s; the nearest is"
+        f" {period:.9g} s {'/' if divides else '*'} {count} = {good:.12g} s"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filter:
+    """Chebyshev type 2 low-pass in the leg servo, on the error or on the measured length.
+
+    The defaults give Table 5-1 at 587 Hz: b = 0.6040, -1.1969, 0.6040;
+    a = 1, -1.9002, 0.9113; its notch lies at 12.7 Hz.
+    """
+
+    order: int = 2
+    stop_db: float = unit("dB", default=4.0)  # attenuation beyond the corner
+    corner: float = unit("Hz", default=9.0)  # where that attenuation is first reached
+    place: str = "error"
+
+    def __post_init__(self) -> None:
+        require_positive(self, "order", "stop_db", "corner")
+        require_choice(self, "place", ("error", "feedback"))
+        if self.order != int(self.order):
+            raise ParameterError(f"Filter.order must be a whole number, got {self.order!r}")
+
+    def coefficients(self, rate: float) -> tuple[Array, Array]:
+        """b and a of thesis eq. 5.1 (order + 1,) at a sample rate [Hz]."""
+        b, a = scipy.signal.cheby2(self.order, self.stop_db, self.corner, fs=rate)
+        return b, a
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegServo:
+    """Servo, valve and first transverse mode of a leg; see the module for the equations.
+
+    Raises:
+        ParameterError: a number out of range, a delay that is no whole number of samples,
+            or a filter corner at or above half the sample rate.
+    """
+
+    kind: ClassVar[str] = "legs"
+    rate: float = unit("Hz")  # of the leg controller
+    K1: float = unit("1")  # thesis 5.6, times `scale`: velocity gain
+    K2: float = unit("1", default=0.0)  # on the difference of two samples
+    scale: float = unit("1/s", default=SCALE)
+    filter: Filter | None = None
+    valve_lag: float = unit("s", default=3e-3)
+    delay: float = unit("s", default=0.0)  # from measurement to valve, whole samples
+    resolution: float = unit("m", default=0.0)  # of the length transducer; 0 is exact
+    mode_short: float = unit("Hz", default=13.0)  # thesis 5.2, at the shortest leg
+    mode_long: float = unit("Hz", default=10.0)  # and the longest; linear in between
+    mode_damping: float = unit("1", default=0.03)
+    participation: float = unit("1", default=0.103)  # of the mode in the measured length
+    source: str = "user"
+
+    def __post_init__(self) -> None:
+        require_positive(self, "rate", "K1", "scale", "valve_lag", "mode_short", "mode_long")
+        require_positive(
+            self, "K2", "delay", "resolution", "mode_damping", "participation", zero=True
+        )
+        if self.delay:
+            _whole("LegServo.delay", self.delay, 1 / self.rate)
+        if self.filter is not None and 2 * self.filter.corner >= self.rate:
+            raise ParameterError(
+                f"LegServo.filter.corner must be < half the rate {self.rate} Hz,"
+                f" got {self.filter.corner} Hz"
+            )
+
+    @property
+    def lag(self) -> float:
+        """Delay of a slow motion [s], from the phase of the closed loop."""
+        f = 1e-2
+        return float(-np.angle(closed_loop(self, f)) / (2 * np.pi * f))
+
+    def scaled(self, factor: float) -> LegServo:
+        """The same servo with both gains times a factor."""
+        return replace(self, K1=self.K1 * factor, K2=self.K2 * factor)
+
+
+_NOMINAL = "nominal, this project, with the thesis's"
+LOW_GAINS = LegServo(
+    rate=978.0,
+    K1=12e3,
+    K2=18e3,
+    delay=1 / 978,
+    source=f"{_NOMINAL} 2 Hz (5.2) and 1.023 ms (5.3, printed as 831 Hz)",
+)
+FILTERED = LegServo(
+    rate=587.0,
+    K1=20e3,
+    K2=30e3,
+    filter=Filter(),
+    delay=1 / 587,
+    source=f"{_NOMINAL} gains (5.6) and filter on the error (Table 5-1)",
+)
+FILTERED_FEEDBACK = replace(
+    FILTERED,
+    filter=Filter(place="feedback"),
+    source=f"{_NOMINAL} gains (5.6) and filter on the feedback (5.4, not built)",
+)
+LEG_SERVOS = {
+    "low-gains": LOW_GAINS,
+    "filtered": FILTERED,
+    "filtered-feedback": FILTERED_FEEDBACK,
+}
+
+
+def leg_clock(servo: LegServo) -> tuple[float, float]:
+    """Control period and physics step [s] that suit a leg servo.
+
+    The control period is the whole number of leg samples next to 80 Hz (thesis 2.4.2: 75
+    to 90 Hz), the physics step the leg period or half of it, at most 1.25 ms.
+    """
+    samples = max(1, round(servo.rate / 80))
+    return samples / servo.rate, 1 / (servo.rate * math.ceil(1 / (servo.rate * 1.25e-3)))
+
+
+class _Leg:
+    """One leg, discretised exactly: the map from one leg sample to the next.
+
+    A state has its components along the first axis (s, ...): speed and length of the
+    rod, the mode's displacement and rate, the filter's memory, the last length and the
+    valve commands under way. The time domain runs `sample` and `drift` on arrays; the
+    frequency domain takes its matrices from the same two.
+    """
+
+    def __init__(self, servo: LegServo, extension: float = 0.5, steps: int = 1) -> None:
+        """`steps` physics steps per leg period; the mode's frequency at `extension`."""
+        self.servo, self.steps = servo, steps
+        hertz = servo.mode_short + extension * (servo.mode_long - servo.mode_short)
+        self.b, self.a = np.ones(1), np.ones(1)
+        if servo.filter is not None:
+            self.b, self.a = servo.filter.coefficients(servo.rate)
+        self.order = len(self.b) - 1
+        self.last = _PLANT + self.order
+        self.size = self.last + 1 + round(servo.delay * servo.rate)
+        lag, w, zeta = servo.valve_lag, 2 * np.pi * hertz, servo.mode_damping
+        generator = np.zeros((_PLANT + 1, _PLANT + 1))  # of speed, rod, bend, its rate, u
+        generator[_SPEED, _ACCELERATION] = 1  # spool and pilot stage: two lags of half each
+        generator[_ACCELERATION, [_SPEED, _ACCELERATION, _PLANT]] = (
+            -4 / lag**2,
+            -4 / lag,
+            4 / lag**2,
+        )
+        generator[_ROD, _SPEED] = generator[_BEND, _BEND_RATE] = 1
+        generator[_BEND_RATE] = -generator[_SPEED]  # shaken by the rod's acceleration
+        generator[_BEND_RATE, [_BEND, _BEND_RATE]] = -(w**2), -2 * zeta * w
+        step = scipy.linalg.expm(generator / (servo.rate * steps))
+        self.A, self.B = step[:_PLANT, :_PLANT], step[:_PLANT, _PLANT]
+
+    def sensed(self, x: Array) -> Array:
+        """Length at the transducer, before it is quantised [m]."""
+        length: Array = x[_ROD] + self.servo.participation * x[_BEND]
+        return length
+
+    def measure(self, x: Array) -> Array:
+        """Length as the transducer reports it [m]."""
+        length, step = self.sensed(x), self.servo.resolution
+        return np.multiply(np.round(length / step), step) if step else length
+
+    def rest(self, length: Array) -> Array:
+        """State (s, ...) of a leg at rest at its commanded length (...) [m]."""
+        x = np.zeros((self.size, *length.shape))
+        x[_ROD] = length
+        measured = self.measure(x)
+        if self.servo.filter is not None:
+            held = measured if self.servo.filter.place == "feedback" else length - measured
+            memory = scipy.signal.lfilter_zi(self.b, self.a)
+            x[_PLANT : self.last] = np.multiply.outer(memory, held)
+        x[self.last] = measured
+        return x
+
+    def sample(self, x: Array, command: Array) -> Array:
+        """One run of the controller: changes its part of x, returns u now at the valve."""
+        servo, measured = self.servo, self.measure(x)
+        if servo.filter is not None and servo.filter.place == "feedback":
+            measured = self._filtered(x, measured)
+        error = command - measured
+        if servo.filter is not None and servo.filter.place == "error":
+            error = self._filtered(x, error)
+        u: Array = servo.scale * (servo.K1 * error - servo.K2 * (measured - x[self.last]))
+        x[self.last] = measured
+        if self.size == self.last + 1:
+            return u
+        out: Array = x[self.last + 1].copy()
+        x[self.last + 1 : -1] = x[self.last + 2 :]
+        x[-1] = u
+        return out
+
+    def _filtered(self, x: Array, value: Array) -> Array:
+        """Thesis eq. 5.1, its sums kept in x (transposed direct form II)."""
+        memory = x[_PLANT : self.last]
+        out: Array = self.b[0] * value + memory[0]
+        memory[:-1] = memory[1:]
+        memory[-1] = 0.0
+        for i in range(self.order):
+            memory[i] += self.b[i + 1] * value - self.a[i + 1] * out
+        return out
+
+    def drift(self, x: Array, u: Array) -> None:
+        """One physics step of x in place, the valve command u (...) held."""
+        # A sum of columns: a BLAS product may round differently for another batch size.
+        shape = (_PLANT, *(1,) * u.ndim)
+        out = self.B.reshape(shape) * u
+        for j in range(_PLANT):
+            out += self.A[:, j].reshape(shape) * x[j]
+        x[:_PLANT] = out
+
+    @cached_property
+    def closed(self) -> tuple[Array, Array, Array]:
+        """A (s, s), B (s,), C (s,): x+ = A x + B command, length = C x, per leg sample."""
+        if self.servo.resolution:
+            return _Leg(replace(self.servo, resolution=0.0)).closed
+        x = np.eye(self.size, self.size + 1)
+        C = x[_ROD, :-1].copy()
+        u = self.sample(x, np.eye(1, self.size + 1, self.size)[0])
+        for _ in range(self.steps):
+            self.drift(x, u)
+        return x[:, :-1], x[:, -1], C
+
+
+class Legs:
+    """The platform on its six leg servos, n simulations that share nothing.
+
+    Every control period begins with a leg sample, so no simulation carries a clock.
+    """
+
+    def __init__(
+        self, servo: LegServo, stewart: Stewart, n: int, control_dt: float, physics_dt: float
+    ) -> None:
+        """All at rest at home.
+
+        Raises:
+            ParameterError: control_dt is no whole number of leg periods, or the leg period
+                no whole number of physics steps (to 1e-9).
+        """
+        period = 1 / servo.rate
+        self.samples = _whole("control_dt", control_dt, period)
+        steps = _whole("physics_dt", physics_dt, period, divides=True)
+        extension = (stewart.home_lengths.mean() - stewart.length_min) / (
+            stewart.length_max - stewart.length_min
+        )
+        self.servo, self.stewart, self.n = servo, stewart, n
+        self.leg = _Leg(servo, float(extension), steps)
+        self._x = np.zeros((self.leg.size, n, 6))
+        self._pose = np.zeros((n, 6))
+        self.reset(np.arange(n), np.zeros((n, 6)))
+
+    def reset(self, ids: Index, y: npt.ArrayLike, yd: npt.ArrayLike = 0.0) -> None:
+        """Put simulations `ids` (k,) to rest at poses y (k, 6), which they are commanded.
+
+        Hydraulic legs start from rest, whatever rate `yd` the vehicle has.
+        """
+        self._pose[ids] = y
+        self._x[:, ids] = self.leg.rest(self.stewart.leg_lengths(self._pose[ids]))
+
+    def advance(
+        self, y_cmd: npt.ArrayLike, yd_cmd: npt.ArrayLike = 0.0
+    ) -> tuple[Array, Array, Array]:
+        """One control period with the commanded pose y_cmd (n, 6) held.
+
+        The legs are sent lengths only (thesis 2.4.2): the commanded rate is not used.
+
+        Returns:
+            Y, Y', Y'' (n, k + 1, 6) at the k physics steps' ends; node 0 is now. NaN where
+            the legs hold no platform (`forward`).
+        """
+        leg, nodes = self.leg, self.samples * self.leg.steps + 1
+        command = self.stewart.leg_lengths(y_cmd)
+        path = np.empty((3, self.n, nodes, 6))
+        for j in range(nodes):
+            if j % leg.steps == 0 and j < nodes - 1:
+                u = leg.sample(self._x, command)
+            path[0, :, j], path[1, :, j] = self._x[_ROD], self._x[_SPEED]
+            path[2, :, j] = self._x[_ACCELERATION]
+            if j < nodes - 1:
+                leg.drift(self._x, u)
+        y = self._forward(path[0])
+        self._pose = y[:, -1].copy()
+        return y, *self.stewart.motion(y, path[1], path[2])
+
+    def _forward(self, lengths: Array) -> Array:
+        """Poses along a control period (n, k, 6), from the last one."""
+        # A Jacobian per simulation brings all nodes close; Newton finishes the few left.
+        inverse = self.stewart.inverse_jacobian(self._pose)[:, None]
+        y = np.repeat(self._pose[:, None], lengths.shape[1], axis=1)
+        for _ in range(3):
+            y += matvec(inverse, lengths - self.stewart.leg_lengths(y))
+        return self.stewart.forward(lengths.reshape(-1, 6), y.reshape(-1, 6)).reshape(y.shape)
+
+    def measured(self) -> Array:
+        """(n, 6) pose by forward kinematics of the measured lengths; NaN as `advance`."""
+        return self.stewart.forward(self.leg.measure(self._x), self._pose)
+
+    def get_state(self) -> tuple[Array, ...]:
+        """Copies (n, ...) of all that `advance` depends on."""
+        return np.moveaxis(self._x, 0, 1).copy(), self._pose.copy()
+
+    def set_state(self, state: tuple[Array, ...]) -> None:
+        """Continue exactly from what `get_state` returned."""
+        x, pose = state
+        self._x = np.moveaxis(x, 1, 0).copy()
+        self._pose = np.array(pose)
+
+
+# -------------------------------------------------------------------- frequency domain
+# `extension` of the leg: 0 shortest, 1 longest; home is 0.5. Quantisation is left out.
+
+
+def open_loop(servo: LegServo, f: npt.ArrayLike, extension: float = 0.5) -> Complex:
+    """Loop gain of one leg at frequencies f [Hz], below half the sample rate."""
+    leg, z = _Leg(servo, extension), _z(servo, f)
+    C = leg.sensed(np.eye(_PLANT))
+    plant = _response(leg.A, leg.B, C, z)
+    late, damping = z ** -round(servo.delay * servo.rate), servo.K2 * (1 - 1 / z)
+    filtered = _filter_response(leg, z)
+    if servo.filter is not None and servo.filter.place == "feedback":
+        damping = damping * filtered
+    loop: Complex = servo.scale * (servo.K1 * filtered + damping) * late * plant
+    return loop
+
+
+def closed_loop(servo: LegServo, f: npt.ArrayLike, extension: float = 0.5) -> Complex:
+    """Commanded length to length of the rod of one leg at frequencies f [Hz]."""
+    return _response(*_Leg(servo, extension).closed, _z(servo, f))
+
+
+def leg_poles(servo: LegServo, extension: float = 0.5) -> Complex:
+    """Poles of one leg's closed loop in the z-plane; stable inside the unit circle."""
+    poles: Complex = np.linalg.eigvals(_Leg(servo, extension).closed[0]).astype(complex)
+    return poles
+
+
+def step_response(servo: LegServo, t: npt.ArrayLike, extension: float = 0.5) -> Array:
+    """Length at times t [s] after a unit step of the command, held between leg samples."""
+    A, B, C = _Leg(servo, extension).closed
+    k = np.floor(np.asarray(t, float) * servo.rate * (1 + _WHOLE)).astype(int)
+    x, out = np.zeros(len(A)), np.empty(int(k.max(initial=0)) + 1)
+    for i in range(len(out)):
+        out[i] = C @ x
+        x = A @ x + B
+    at_times: Array = out[k]
+    return at_times
+
+
+def crossover(servo: LegServo, extension: float = 0.5) -> float:
+    """Lowest frequency at which the loop gain falls to one [Hz]; NaN if it never does."""
+    return _falls_to(lambda f: np.abs(open_loop(servo, f, extension)), 1.0, servo)
+
+
+def bandwidth(servo: LegServo, extension: float = 0.5) -> float:
+    """Lowest frequency at which the closed loop falls by 3 dB [Hz]."""
+    return _falls_to(lambda f: np.abs(closed_loop(servo, f, extension)), 10**-0.15, servo)
+
+
+def gain_margin(servo: LegServo, extension: float = 0.5) -> float:
+    """Factor on both gains up to which the leg is stable; below 1 it is unstable as is.
+
+    From the poles, so that several phase crossings need no rule. Searched from 0.01 to
+    100; infinite beyond.
+    """
+
+    def excess(decades: float) -> float:
+        poles = leg_poles(servo.scaled(10**decades), extension)
+        return float(np.abs(poles).max()) - 1
+
+    grid = np.linspace(-2, 2, 201)
+    unstable = [excess(g) >= 0 for g in grid]
+    if not any(unstable):
+        return math.inf
+    first = unstable.index(True)
+    if first == 0:
+        return 0.0
+    return float(10 ** scipy.optimize.brentq(excess, grid[first - 1], grid[first]))
+
+
+def payload_ratio_limit(
+    servo: LegServo, extra_delay: float = 0.0, extension: float = 0.5
+) -> float:
+    """Largest payload mass over model mass with a stable emulation (thesis 5.4).
+
+    One degree of freedom far above the model's own frequency: the payload's inertia is
+    fed back through the sensor and the model, 1 + ratio G(s) exp(-s extra_delay) = 0,
+    with G the leg's closed loop. Zero if the leg itself is unstable.
+    """
+    if np.abs(leg_poles(servo, extension)).max() >= 1:
+        return 0.0
+
+    def G(f: npt.ArrayLike) -> Complex:
+        f = np.asarray(f, float)
+        loop: Complex = closed_loop(servo, f, extension) * np.exp(-2j * np.pi * f * extra_delay)
+        return loop
+
+    f = _grid(servo)
+    g = G(f)
+    i = np.flatnonzero(np.diff(np.sign(g.imag)))  # where G is real, about linear between
+    real = g.real[i] - g.imag[i] * (g.real[i + 1] - g.real[i]) / (g.imag[i + 1] - g.imag[i])
+    if not (real < 0).any():
+        return math.inf
+    k = i[np.argmin(real)]
+    at = scipy.optimize.brentq(lambda v: float(G(v).imag), f[k], f[k + 1])
+    return -1 / float(G(at).real)
+
+
+def _grid(servo: LegServo) -> Array:
+    """Frequencies from 0.01 Hz to just below half the sample rate, 2000 per decade."""
+    top = math.log10(0.4999 * servo.rate)
+    return np.logspace(-2, top, int(2000 * (top + 2)))
+
+
+def _falls_to(gain: Callable[[Array], Array], level: float, servo: LegServo) -> float:
+    f = _grid(servo)
+    below = gain(f) < level
+    if below[0] or not below.any():
+        return math.nan
+    i = int(np.argmax(below))
+    return float(
+        scipy.optimize.brentq(lambda v: float(gain(np.array(v))) - level, f[i - 1], f[i])
+    )
+
+
+def _z(servo: LegServo, f: npt.ArrayLike) -> Complex:
+    z: Complex = np.exp(2j * np.pi * np.asarray(f, float) / servo.rate)
+    return z
+
+
+def _filter_response(leg: _Leg, z: Complex) -> Complex:
+    response: Complex = np.polyval(leg.b, z) / np.polyval(leg.a, z)
+    return response
+
+
+def _response(A: Array, B: Array, C: Array, z: Complex) -> Complex:
+    """C (z - A)^-1 B at points z (...)."""
+    resolvent = z[..., None, None] * np.eye(len(A)) - A
+    right = np.broadcast_to(B.astype(complex)[:, None], (*z.shape, len(B), 1))
+    out: Complex = np.linalg.solve(resolvent, right)[..., 0] @ C
+    return out

@@ -1,0 +1,349 @@
+"""The Stewart platform: six legs between floor and platform top (thesis 2.1, 2.4.2).
+
+Y = 0 is the home pose: level, the platform-top frame `home_height` above the floor frame,
+axes parallel. The thesis does not print the dimensions of the VES II; `VES` is nominal.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import (
+    Array,
+    Index,
+    Mask,
+    Matrix,
+    ParameterError,
+    finite,
+    from_plain,
+    read_table,
+    require_positive,
+    unit,
+)
+from ves_gym.mechanics.spatial import matvec, rotation, twist, twist_rate
+
+TOLERANCE = 1e-12  # [m] leg length error at which `forward` stops: 10^4 roundings of a leg
+_ITERATIONS = 20
+_SINGULAR = 1e-2  # smallest singular value of the home Jacobian, lengths over joint radius
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stewart:
+    """Joint positions and limits of a platform with six legs.
+
+    `base` in the floor frame, `top` in the platform-top frame; leg i joins row i to row i.
+
+    Raises:
+        ParameterError: wrong shapes, limits out of order, a home pose outside the limits,
+            or a geometry whose legs do not hold the platform there (singular).
+    """
+
+    kind: ClassVar[str] = "stewart"
+    base: Matrix = unit("m")  # (6, 3)
+    top: Matrix = unit("m")  # (6, 3)
+    home_height: float = unit("m")
+    length_min: float = unit("m")
+    length_max: float = unit("m")
+    speed_max: float = unit("m/s")  # of a leg
+    source: str = "user"
+
+    def __post_init__(self) -> None:
+        require_positive(self, "home_height", "length_min", "length_max", "speed_max")
+        for name in ("base", "top"):
+            points = finite(getattr(self, name), (6, 3), f"Stewart.{name}")
+            object.__setattr__(self, name, tuple(map(tuple, points.tolist())))
+        if self.length_min >= self.length_max:
+            raise ParameterError(
+                f"Stewart.length_min must be < length_max {self.length_max} m,"
+                f" got {self.length_min} m"
+            )
+        lengths = self.home_lengths
+        if lengths.min() < self.length_min or lengths.max() > self.length_max:
+            raise ParameterError(
+                f"Stewart: the home pose needs leg lengths {lengths.round(4).tolist()} m,"
+                f" outside {self.length_min} to {self.length_max} m"
+            )
+        radius = np.linalg.norm(self._top, axis=0).mean()
+        scaled = self.jacobian(np.zeros(6)) / np.array([1.0] * 3 + [radius] * 3)
+        least = float(np.linalg.svd(scaled, compute_uv=False)[-1])
+        if not least > _SINGULAR:
+            raise ParameterError(
+                "Stewart: the legs do not hold the platform at home: smallest singular value"
+                f" of the Jacobian {least:.3g}, need > {_SINGULAR} (joints in coinciding or"
+                " parallel patterns?)"
+            )
+
+    @classmethod
+    def hexagonal(
+        cls,
+        *,
+        base_radius: float,
+        top_radius: float,
+        base_angle: float,
+        top_angle: float,
+        top_depth: float,
+        length_min: float,
+        length_max: float,
+        speed_max: float,
+        source: str = "user",
+    ) -> Stewart:
+        """Joints in three pairs on two circles, half-extended and level at home.
+
+        Args:
+            base_radius, top_radius: of the joint circles [m].
+            base_angle, top_angle: between the two joints of a pair, at the centre [rad].
+                Base pairs lie around 0, 120, 240 deg from x, top pairs around 60, 180, 300.
+            top_depth: of the upper joints below the platform-top frame [m].
+            length_min, length_max, speed_max: of a leg [m], [m/s].
+
+        Raises:
+            ParameterError: as the class, or legs too short to reach from circle to circle.
+        """
+        side = np.array([1, -1] * 3)  # leg after, leg before a base pair's middle
+        base_at = np.deg2rad([0, 120, 120, 240, 240, 360]) + side * base_angle / 2
+        top_at = np.deg2rad([60, 60, 180, 180, 300, 300]) - side * top_angle / 2
+        base, top = (
+            np.stack([r * np.cos(at), r * np.sin(at), np.full(6, z)], axis=-1)
+            for r, at, z in ((base_radius, base_at, 0.0), (top_radius, top_at, -top_depth))
+        )
+        half = (length_min + length_max) / 2
+        rise = half**2 - float(np.sum((top - base)[0, :2] ** 2))
+        if not rise > 0:
+            raise ParameterError(
+                f"Stewart.hexagonal: half-extended legs of {half} m do not reach from circle"
+                " to circle"
+            )
+        return cls(
+            base=tuple(map(tuple, base.tolist())),
+            top=tuple(map(tuple, top.tolist())),
+            home_height=float(np.sqrt(rise)) + top_depth,
+            length_min=length_min,
+            length_max=length_max,
+            speed_max=speed_max,
+            source=source,
+        )
+
+    @cached_property
+    def _base(self) -> Array:
+        """(3, 6) base joints seen from the home position of the platform-top frame."""
+        joints: Array = np.array(self.base).T - [[0.0], [0.0], [self.home_height]]
+        return joints
+
+    @cached_property
+    def _top(self) -> Array:
+        """(3, 6) upper joints in the platform-top frame."""
+        return np.array(self.top).T
+
+    @property
+    def home_lengths(self) -> Array:
+        """(6,) leg lengths at Y = 0 [m]."""
+        return self.leg_lengths(np.zeros(6))
+
+    # -------------------------------------------------------------------- kinematics
+
+    def leg_lengths(self, y: npt.ArrayLike) -> Array:
+        """Inverse kinematics: (..., 6) pose -> (..., 6) lengths [m]."""
+        pose = np.asarray(y, float)
+        return _norm(self._legs(pose, rotation(pose))[1])
+
+    def jacobian(self, y: npt.ArrayLike) -> Array:
+        """(..., 6, 6) J with l' = J Y' [1, m/rad]."""
+        pose = np.asarray(y, float)
+        R = rotation(pose)
+        arm, d = self._legs(pose, R)
+        length = _norm(d)
+        along = [c / length for c in d]
+        moment = _cross(arm, along)
+        J = np.empty((*length.shape, 6))
+        for i in range(3):
+            J[..., i] = along[i]
+        # moment times the axes of the Z-Y-X angle rates: R e_x, Rot_z e_y, e_z
+        cz, sz = np.cos(pose[..., 5, None]), np.sin(pose[..., 5, None])
+        J[..., 3] = _dot([R[..., i, 0, None] for i in range(3)], moment)
+        J[..., 4] = cz * moment[1] - sz * moment[0]
+        J[..., 5] = moment[2]
+        return J
+
+    def inverse_jacobian(self, y: npt.ArrayLike) -> Array:
+        """(..., 6, 6) J^-1 with Y' = J^-1 l'; NaN at a singular pose."""
+        return _solve(self.jacobian(y))
+
+    def forward(self, lengths: npt.ArrayLike, start: npt.ArrayLike) -> Array:
+        """Forward kinematics by Newton's method from a nearby pose, to `TOLERANCE`.
+
+        Args:
+            lengths: (n, 6) [m].
+            start: (n, 6) poses near the answer, such as the last ones.
+
+        Returns:
+            (n, 6) poses; a row is NaN where no pose was found: the iteration met a
+            singular Jacobian, made a step of more than 1 m or rad, or did not settle.
+        """
+        goal, pose = np.asarray(lengths, float), np.array(start, float)
+        rows = np.flatnonzero(np.isfinite(pose).all(axis=-1) & np.isfinite(goal).all(axis=-1))
+        found = np.zeros(len(pose), bool)
+        for _ in range(_ITERATIONS):
+            error = goal[rows] - self.leg_lengths(pose[rows])
+            near = np.abs(error).max(axis=-1, initial=0.0) < TOLERANCE
+            found[rows[near]] = True
+            rows, error = rows[~near], error[~near]
+            if not len(rows):
+                break
+            step = _solve(self.jacobian(pose[rows]), error)
+            good = np.abs(step).max(axis=-1) < 1.0  # False for NaN
+            rows = rows[good]
+            pose[rows] += step[good]
+        pose[~found] = np.nan
+        return pose
+
+    def motion(
+        self, y: npt.ArrayLike, speeds: npt.ArrayLike, accelerations: npt.ArrayLike
+    ) -> tuple[Array, Array]:
+        """Y' and Y'' (..., 6) from leg speeds [m/s] and accelerations [m/s^2] at poses y.
+
+        l'' = J Y'' + h, with h from the curvature of the joints' paths.
+        """
+        pose, ld, ldd = (np.asarray(a, float) for a in (y, speeds, accelerations))
+        inverse = self.inverse_jacobian(pose)
+        yd = matvec(inverse, ld)
+        return yd, matvec(inverse, ldd - self._curvature(pose, yd, ld))
+
+    def _curvature(self, pose: Array, yd: Array, ld: Array) -> Array:
+        """(..., 6) leg accelerations h at Y'' = 0 [m/s^2]."""
+        R = rotation(pose)
+        _, d = self._legs(pose, R)
+        length = _norm(d)
+        leg = [_dot([R[..., i, k, None] for i in range(3)], d) for k in range(3)]
+        v = list(np.moveaxis(twist(pose, yd), -1, 0)[..., None])
+        turn = list(np.moveaxis(twist_rate(pose, yd, 0 * yd), -1, 0)[3:, ..., None])
+        arm = list(self._top)
+        spin = _cross(v[3:], arm)
+        bend = [a + b for a, b in zip(_cross(turn, arm), _cross(v[3:], spin), strict=True)]
+        speed = [v[k] + spin[k] for k in range(3)]
+        return (_dot(leg, bend) + _dot(speed, speed) - ld**2) / length
+
+    def _legs(self, pose: Array, R: Array) -> tuple[list[Array], list[Array]]:
+        """Components (..., 6) of the turned upper joints R a and of the leg vectors."""
+        # Element by element: a BLAS product may round differently for another batch size.
+        a = self._top
+        arm = [
+            R[..., i, 0, None] * a[0] + R[..., i, 1, None] * a[1] + R[..., i, 2, None] * a[2]
+            for i in range(3)
+        ]
+        return arm, [arm[i] + pose[..., i, None] - self._base[i] for i in range(3)]
+
+    # ------------------------------------------------------------------------ limits
+
+    def clearance(self, y: npt.ArrayLike) -> Array:
+        """(..., 6) distance of each leg from its nearer end stop [m]; negative beyond it."""
+        lengths = self.leg_lengths(y)
+        return np.minimum(lengths - self.length_min, self.length_max - lengths)
+
+    def outside(self, y: npt.ArrayLike) -> tuple[Mask, Index, Array]:
+        """Poses that need a leg beyond its end stops.
+
+        Returns:
+            Mask (...,); index 0 to 5 of the leg with the least clearance (...,); its
+            length (...,) [m]. A pose that is NaN is outside.
+        """
+        return self.beyond(self.leg_lengths(y))
+
+    def beyond(self, lengths: Array) -> tuple[Mask, Index, Array]:
+        """`outside` of leg lengths (..., 6) [m]."""
+        excess = np.maximum(self.length_min - lengths, lengths - self.length_max)
+        return _worst(excess, lengths)
+
+    def too_fast(self, before: Array, after: Array, dt: float) -> tuple[Mask, Index, Array]:
+        """Changes of leg lengths (..., 6) within dt [s] faster than `speed_max`.
+
+        As `outside`, with the speed [m/s].
+        """
+        speeds = np.abs(after - before) / dt
+        return _worst(speeds - self.speed_max, speeds)
+
+    def workspace(self, y: npt.ArrayLike = (0.0,) * 6) -> Array:
+        """Reach along each axis of Y from a pose, the other entries held.
+
+        Returns:
+            (6, 2) excursion towards minus and plus [m, rad], to 1e-6; limited by the end
+            stops, by a singular pose, or at +-80 deg. Zero from a pose outside.
+        """
+        centre = finite(y, (6,), "y")
+        way = np.stack([-np.eye(6), np.eye(6)], axis=1).reshape(12, 6)
+        full = np.tile([2.0 * self.length_max] * 3 + [float(np.deg2rad(80))] * 3, (2, 1))
+        home = np.linalg.det(self.jacobian(np.zeros(6)))
+
+        def inside(reach: Array) -> Mask:  # (12, ...) along the twelve ways
+            pose = centre + reach[..., None] * way.reshape(12, *(1,) * (reach.ndim - 1), 6)
+            turned: Mask = np.linalg.det(self.jacobian(pose)) / home > 1e-6
+            return turned & ~self.outside(pose)[0]
+
+        # scan first: a way out may lead back in
+        grid = full.T.reshape(12, 1) * np.linspace(0, 1, 401)
+        first = np.argmin(np.column_stack([inside(grid), np.zeros(12, bool)]), axis=1)
+        high = grid[np.arange(12), np.minimum(first, 400)]
+        low = grid[np.arange(12), np.maximum(first - 1, 0)]
+        for _ in range(16):
+            middle = (low + high) / 2
+            ok = inside(middle)
+            low, high = np.where(ok, middle, low), np.where(ok, high, middle)
+        reach: Array = (low * way.sum(axis=1)).reshape(6, 2)
+        return reach
+
+
+def _dot(a: list[Array], b: list[Array]) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _norm(a: list[Array]) -> Array:
+    length: Array = np.sqrt(_dot(a, a))
+    return length
+
+
+def _cross(a: list[Array], b: list[Array]) -> list[Array]:
+    return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
+
+
+def _worst(excess: Array, values: Array) -> tuple[Mask, Index, Array]:
+    leg = np.argmax(excess, axis=-1)  # NaN counts as the largest
+    at = leg[..., None]
+    worst = np.take_along_axis(excess, at, -1)[..., 0]
+    return ~(worst <= 0), leg, np.take_along_axis(values, at, -1)[..., 0]
+
+
+def _solve(J: Array, b: Array | None = None) -> Array:
+    """J^-1 b, or J^-1, over leading axes; NaN where J is singular or not finite."""
+    try:
+        if b is None:
+            return np.linalg.inv(J).astype(float, copy=False)
+        return np.linalg.solve(J, b[..., None])[..., 0].astype(float, copy=False)
+    except np.linalg.LinAlgError:
+        bad = np.linalg.det(J) == 0
+        out = _solve(np.where(bad[..., None, None], np.eye(6), J), b)
+        out[bad] = np.nan
+        return out
+
+
+def read_stewart(path: str | os.PathLike[str]) -> Stewart:
+    """A platform from a .toml or .json file."""
+    platform: Stewart = from_plain(Stewart, read_table(path), os.fspath(path))
+    return platform
+
+
+VES = Stewart.hexagonal(
+    base_radius=1.0,
+    top_radius=0.7,
+    base_angle=float(np.deg2rad(20)),
+    top_angle=float(np.deg2rad(20)),
+    top_depth=0.1,
+    length_min=1.1,
+    length_max=1.9,
+    speed_max=1.0,
+    source="nominal, this project: the thesis prints no dimensions",
+)

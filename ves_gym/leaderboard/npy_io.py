@@ -1,0 +1,82 @@
+"""Arrays of a bundle: plain .npy of float64 in C order, read without NumPy's own loader.
+
+`numpy.load` makes room for whatever shape a header claims before it looks at the data; here
+header and length must agree first. No pickle is ever read.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import math
+import struct
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.leaderboard.errors import Code, Rejection
+
+_MAGIC = b"\x93NUMPY\x01\x00"
+_LONGEST = 1024  # bytes of a header
+
+
+def pack(values: Array) -> bytes:
+    """An array as the bytes of a .npy file."""
+    file = io.BytesIO()
+    np.lib.format.write_array(
+        file, np.ascontiguousarray(values, dtype="<f8"), version=(1, 0), allow_pickle=False
+    )
+    return file.getvalue()
+
+
+def unpack(data: bytes, name: str, shape: tuple[int | None, ...]) -> Array:
+    """The array of a .npy file.
+
+    Args:
+        shape: None where any length will do.
+
+    Raises:
+        Rejection: BAD_ACTION, it is no such array or not finite.
+    """
+    found, body = _header(data, name)
+    good = len(found) == len(shape) and all(
+        want is None or have == want for have, want in zip(found, shape, strict=True)
+    )
+    if not good:
+        wanted = tuple("any" if k is None else k for k in shape)
+        raise _bad(f"{name} must have the shape {wanted}, got {found}")
+    if len(body) != 8 * math.prod(found):
+        raise _bad(f"{name}: {len(body)} bytes are no array of shape {found}")
+    values: Array = np.frombuffer(body, "<f8").astype(np.float64).reshape(found)
+    if not np.isfinite(values).all():
+        raise _bad(f"{name} is not finite at {np.argwhere(~np.isfinite(values))[0].tolist()}")
+    return values
+
+
+def _header(data: bytes, name: str) -> tuple[tuple[int, ...], bytes]:
+    if data[: len(_MAGIC)] != _MAGIC or len(data) < len(_MAGIC) + 2:
+        raise _bad(f"{name} is no .npy file of version 1.0")
+    start = len(_MAGIC) + 2
+    size = struct.unpack("<H", data[start - 2 : start])[0]
+    if size > _LONGEST or len(data) < start + size:
+        raise _bad(f"{name}: a header of {size} bytes")
+    try:
+        header = ast.literal_eval(data[start : start + size].decode("latin-1").strip())
+    except (ValueError, SyntaxError, MemoryError, RecursionError, TypeError):
+        header = None
+    expected = {"descr", "fortran_order", "shape"}
+    if not isinstance(header, dict) or set(header) != expected:
+        raise _bad(f"{name}: not the header of a .npy file")
+    if header["descr"] != "<f8" or header["fortran_order"] is not False:
+        raise _bad(f"{name} must hold float64, little endian, in C order")
+    shape = header["shape"]
+    whole = isinstance(shape, tuple) and all(
+        isinstance(k, int) and not isinstance(k, bool) and 0 <= k < 2**40 for k in shape
+    )
+    if not whole:
+        raise _bad(f"{name}: no shape: {str(shape)[:80]}")
+    return shape, data[start + size :]
+
+
+def _bad(why: str) -> Rejection:
+    return Rejection(Code.BAD_ACTION, why)

@@ -1,0 +1,1 @@
+"""The tracks of the leaderboard: how each is answered, replayed and answered again."""

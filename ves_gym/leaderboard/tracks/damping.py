@@ -1,0 +1,243 @@
+"""Track *damping*: policies on PumaDamp, and joint gains on releases of the thesis's kind.
+
+Score: the time integral of the strain energy over that of the same start with the joints held
+by the thesis's high gains (eq. 4.6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.baselines.controllers import get_controller
+from ves_gym.baselines.evaluate import Evaluation
+from ves_gym.envs.damp import Damp
+from ves_gym.leaderboard import lower_bounds
+from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.npy_io import pack, unpack
+from ves_gym.leaderboard.protocol import (
+    PLANNED,
+    PPED_SECONDS,
+    PPED_VEHICLE,
+    Problem,
+    Seeds,
+)
+from ves_gym.leaderboard.tracks.base import Answers, Case, Method, Progress, Row, row
+from ves_gym.leaderboard.tracks.policies import Episodes, evaluated
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
+from ves_gym.mechanics.vehicle import get_vehicle
+from ves_gym.planners.pped import OBJECTIVES, WIDE, Gains, plant_at, tune
+from ves_gym.planners.release import simulate_release
+from ves_gym.simulation.simulator import Divergence
+from ves_gym.system.system import System
+
+TUNERS = ("high", "thesis", *OBJECTIVES, *(f"{k}-full" for k in OBJECTIVES))
+_ENERGY = Damp().energy  # J, of strain at the start
+_GAINS = "gains.npy"
+_EDGE = 1 + 1e-6  # of a bound, for rounding
+
+
+class Damping(Episodes):
+    """Environments as in `Episodes`; problems pped-... ask for gains instead."""
+
+    sources = (
+        *Episodes.sources,
+        "planners/pped.py",
+        "planners/release.py",
+        "leaderboard/tracks/damping.py",
+        "leaderboard/lower_bounds.py",
+    )
+
+    def payload(self, problem: Problem) -> str:
+        """See `Track`."""
+        return super().payload(problem) if problem.environment is not None else _GAINS
+
+    def system(self, problem: Problem) -> System:
+        """See `Track`."""
+        if problem.environment is not None:
+            return super().system(problem)
+        return System(vehicle=get_vehicle(PPED_VEHICLE))
+
+    def seed_list(self, problem: Problem, seeds: Seeds) -> list[int]:
+        """See `Track`."""
+        if problem.environment is not None:
+            return super().seed_list(problem, seeds)
+        return [seeds.root]
+
+    def cases(self, problem: Problem, seeds: Seeds, method: Method, group: int) -> list[Case]:
+        """See `Track`."""
+        if problem.environment is not None:
+            return super().cases(problem, seeds, method, group)
+        seed = method.seeds[group]
+        return [Case(f"release-{k:03d}", seed) for k in range(problem.count)]
+
+    def run_tuner(
+        self,
+        problem: Problem,
+        seeds: Seeds,
+        method: Method,
+        tell: Progress = lambda stage, done: None,
+    ) -> Answers:
+        """Find gains for every release, and simulate them."""
+        found = self._tuned(problem, seeds, method, tell)
+        rows = self._released(problem, seeds, method, found)
+        return Answers(rows, pack(found.reshape(-1, *found.shape[2:])), method)
+
+    def replay(
+        self, problem: Problem, seeds: Seeds, method: Method, rows: Sequence[Row], data: bytes
+    ) -> list[Row]:
+        """See `Track`."""
+        if problem.environment is not None:
+            return super().replay(problem, seeds, method, rows, data)
+        n = self.system(problem).arm.n
+        if any(r["length"] != 1 for r in rows):
+            raise Rejection(Code.EPISODE_LENGTH, "a release has one set of gains")
+        gains = unpack(data, _GAINS, (None, 2, n, n))
+        if len(gains) != len(rows):
+            raise Rejection(Code.EPISODE_LENGTH, f"{len(gains)} gains for {len(rows)} releases")
+        _require_gains(gains)
+        groups = len(method.seeds)
+        return self._released(problem, seeds, method, gains.reshape(groups, -1, 2, n, n))
+
+    def require_possible(self, problem: Problem, seeds: Seeds, rows: Sequence[Row]) -> None:
+        """See `Track`."""
+        system = self.system(problem).ideal()
+        for line in rows:
+            lower_bounds.require_energies(line)
+            if line["score"] is None or line["E_int"] is None or line["E_peak"] is None:
+                continue
+            least = lower_bounds.strain_floor(system, _ENERGY, line["E_peak"])
+            if line["E_int"] < least:
+                raise Rejection(
+                    Code.BELOW_FLOOR,
+                    f"{line['id']}: E_int {line['E_int']:.3g} J s, the base cannot give its"
+                    f" energy away faster than {least:.3g} J s",
+                )
+
+    def again(
+        self,
+        problem: Problem,
+        seeds: Seeds,
+        method: Method,
+        members: Mapping[str, bytes],
+        rows: Sequence[Row],
+        same: bool,
+    ) -> None:
+        """See `Track`. Elsewhere the scores of the gains must agree, not the gains."""
+        if problem.environment is not None:
+            return super().again(problem, seeds, method, members, rows, same)
+        if method.name not in TUNERS:
+            raise Rejection(Code.NOT_REPRODUCIBLE, f"no tuner {method.name!r:.80}")
+        found = self._tuned(problem, seeds, method)
+        n = found.shape[-1]
+        if same:
+            given = unpack(members[_GAINS], _GAINS, (len(rows), 2, n, n))
+            gap = float(np.abs(given - found.reshape(given.shape)).max())
+            if gap > 0:
+                raise Rejection(Code.NOT_REPRODUCED, f"gains are off by up to {gap:.3g}")
+            return None
+        for mine, its in zip(self._released(problem, seeds, method, found), rows, strict=True):
+            a, b = mine["score"], its["score"]
+            if (a is None) != (b is None) or (a is not None and abs(a - b) > PLANNED * b):
+                raise Rejection(Code.NOT_REPRODUCED, f"{its['id']}: {b} instead of {a}")
+        return None
+
+    # ---------------------------------------------------------------------- rows
+
+    def _scores(self, problem: Problem, seeds: Seeds, found: Evaluation) -> list[float | None]:
+        held = evaluated(get_controller("high"), problem, seeds, {})
+        return [
+            own["E_int"] / its["E_int"] if np.isfinite(own["E_int"] / its["E_int"]) else None
+            for own, its in zip(found.rows, held.rows, strict=True)
+        ]
+
+    def _released(
+        self, problem: Problem, seeds: Seeds, method: Method, found: Array
+    ) -> list[Row]:
+        system, out = self.system(problem), []
+        high = Gains.of(HIGH_GAINS)
+        for group in range(len(method.seeds)):
+            asked = self.cases(problem, seeds, method, group)
+            for case, (q, y), (K, B) in zip(
+                asked, releases(problem, seeds), found[group], strict=True
+            ):
+                line = _let_go(system, case, group, q, y, [high, Gains(K, B)])
+                out.append(line)
+        return out
+
+    def _tuned(
+        self,
+        problem: Problem,
+        seeds: Seeds,
+        method: Method,
+        tell: Progress = lambda stage, done: None,
+    ) -> Array:
+        """(groups, releases, 2, n, n) gains."""
+        if method.name not in TUNERS:
+            raise ParameterError(
+                f"gains must be one of {', '.join(TUNERS)}, got {method.name!r:.80}"
+            )
+        system, asked = self.system(problem), releases(problem, seeds)
+        out: list[list[Array]] = []
+        for seed in method.seeds:
+            out.append([])
+            for k, (q, y) in enumerate(asked):
+                out[-1].append(np.stack(_gains(system, method.name, q, y, seed)))
+                tell("gains", (k + 1) / len(asked))
+        return np.array(out)
+
+
+def releases(problem: Problem, seeds: Seeds) -> list[tuple[Array, Array]]:
+    """Joint angles and displacements, drawn as the episodes of task damp are."""
+    task = replace(Damp(), system=System(vehicle=get_vehicle(PPED_VEHICLE), physics_dt=2.5e-3))
+    u = np.random.default_rng((seeds.root, 0)).random((problem.count, task.draws))
+    begin = task.start(u)
+    y = np.broadcast_to(begin.y, (problem.count, 6))
+    return list(zip(begin.q, y, strict=True))
+
+
+def _gains(system: System, name: str, q: Array, y: Array, seed: int) -> Gains:
+    if name in ("high", "thesis"):
+        return Gains.of(HIGH_GAINS if name == "high" else PPED_GAINS)
+    objective = name.removesuffix("-full")
+    found = tune(plant_at(system, q), objective, y=y, full=name != objective, seed=seed)
+    return found.gains
+
+
+def _let_go(
+    system: System, case: Case, group: int, q: Array, y: Array, gains: list[Gains]
+) -> Row:
+    try:
+        run = simulate_release(system, q, gains, y, seconds=PPED_SECONDS)
+    except Divergence:
+        none: dict[str, float | None] = {}
+        return row(case, group, score=None, success=False, failed=True, energies=none, length=1)
+    measured: dict[str, float | None] = {
+        "E_mean": float(np.trapezoid(run.total[1], run.t) / run.t[-1]),
+        "E_res": float(run.total[1, -1]),
+        "E_peak": float(run.total[1].max()),
+        "E_int": float(run.E_int[1]),
+    }
+    settled = bool(np.isfinite(run.t_5[1]))
+    score = float(run.E_int[1] / run.E_int[0])
+    return row(
+        case, group, score=score, success=settled, failed=False, energies=measured, length=1
+    )
+
+
+def _require_gains(gains: Array) -> None:
+    """Refuse gains that are not symmetric with eigenvalues inside the bounds."""
+    if not np.allclose(gains, np.swapaxes(gains, -1, -2), rtol=1e-9, atol=1e-9):
+        raise Rejection(Code.BAD_ACTION, "gains must be symmetric matrices")
+    for k, name in enumerate(("K", "B")):
+        low, high = getattr(WIDE, name)
+        values = np.linalg.eigvalsh(gains[:, k])
+        if values.min() < low / _EDGE or values.max() > high * _EDGE:
+            raise Rejection(
+                Code.BAD_ACTION,
+                f"{name} must have eigenvalues from {low:g} to {high:g}, got"
+                f" {values.min():.4g} to {values.max():.4g}",
+            )

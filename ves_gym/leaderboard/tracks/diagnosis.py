@@ -1,0 +1,231 @@
+"""Track *discrepancy*: naming what is hidden in the machines of the blind benchmark.
+
+The truth is made from the set's seed, never read from a bundle: labels come with the logs, in
+a folder of their own that is kept from one verification to the next.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ves_gym._util.params import ParameterError, canonical_json
+from ves_gym.diagnosis.benchmark import run as trials
+from ves_gym.diagnosis.benchmark.score import METHODS, OWN, fine
+from ves_gym.diagnosis.benchmark.score import Case as Answered
+from ves_gym.diagnosis.diagnose import MORE, NAMED, NOTHING, ONE_OF, UNKNOWN, WEAK
+from ves_gym.leaderboard import fingerprint
+from ves_gym.leaderboard.entry import number, text
+from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.protocol import PLANNED_SHARE, Problem, Seeds
+from ves_gym.leaderboard.tracks.base import Answers, Case, Method, Progress, Row, row
+from ves_gym.system.system import System
+
+VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK, trials.FAILED)
+_SPEAK = (NAMED, ONE_OF, MORE)
+_MOST = 20  # effects named in an answer
+_FOLDER = Path("out/leaderboard/blind")
+
+
+class Naming:
+    """Selectors on the cases of a set. Score: 0 for an answer as wanted, 1 for any other.
+
+    Args:
+        folder: where logs, labels and answers are kept; default out/leaderboard/blind.
+        workers: processes that make and diagnose cases.
+    """
+
+    sources = ("diagnosis", "leaderboard/tracks/diagnosis.py", "leaderboard/protocol.py")
+
+    def __init__(self, folder: Path | None = None, workers: int = 1) -> None:
+        self.folder, self.workers = folder or _FOLDER, workers
+
+    def payload(self, problem: Problem) -> str:
+        """See `Track`."""
+        return "answers.json"
+
+    def system(self, problem: Problem) -> System:
+        """See `Track`."""
+        from ves_gym.diagnosis.benchmark.blind.machine import nominal
+
+        return nominal()
+
+    def trial(self, problem: Problem, seeds: Seeds) -> trials.Trial:
+        """The cases, in a folder that is theirs alone, and that of these sources."""
+        from ves_gym.diagnosis.benchmark.blind.cases import mix
+
+        what = f"{seeds.root} {fingerprint.sources(('diagnosis',))}"
+        name = hashlib.sha256(what.encode()).hexdigest()[:16]
+        whole = len(mix())
+        cases = (
+            range(whole)
+            if problem.count == whole
+            else trials.stratified(problem.count, seeds.root)
+        )
+        sealed = seeds.which == "official"
+        return trials.Trial(self.folder / name, seeds.root, sealed, tuple(sorted(cases)))
+
+    def seed_list(self, problem: Problem, seeds: Seeds) -> list[int]:
+        """See `Track`."""
+        return list(self.trial(problem, seeds).cases)
+
+    def cases(self, problem: Problem, seeds: Seeds, method: Method, group: int) -> list[Case]:
+        """See `Track`."""
+        return [Case(f"case-{i:03d}", i) for i in self.seed_list(problem, seeds)]
+
+    def run(
+        self,
+        problem: Problem,
+        seeds: Seeds,
+        method: Method,
+        tell: Progress = lambda stage, done: None,
+    ) -> Answers:
+        """Make the cases and diagnose them; go on where it was interrupted."""
+        if method.name not in METHODS:
+            raise ParameterError(
+                f"selector must be one of {', '.join(METHODS)}, got {method.name!r:.80}"
+            )
+        asked = self.trial(problem, seeds)
+        trials.run_trial(asked, self.workers, tell)
+        answers = [_short(a, method.name) for a in trials.read_answers(asked)]
+        data = (canonical_json({"answers": answers}) + "\n").encode()
+        rows = [row_ | {"length": 1} for row_ in self._rows(problem, seeds, method, answers)]
+        if method.name == OWN:
+            for line, answer in zip(rows, trials.read_answers(asked), strict=True):
+                line["seconds"] = float(answer["seconds"]["total"])
+        return Answers(rows, data, method)
+
+    def replay(
+        self, problem: Problem, seeds: Seeds, method: Method, rows: Sequence[Row], data: bytes
+    ) -> list[Row]:
+        """See `Track`. What is told of the time is taken over as it is."""
+        if any(r["length"] != 1 for r in rows):
+            raise Rejection(Code.EPISODE_LENGTH, "a case has one answer")
+        answers = _read(data, self.seed_list(problem, seeds))
+        out = self._rows(problem, seeds, method, answers)
+        for line, told in zip(out, rows, strict=True):
+            line["seconds"] = told["seconds"]
+        return out
+
+    def require_possible(self, problem: Problem, seeds: Seeds, rows: Sequence[Row]) -> None:
+        """See `Track`. There is no energy, and the best score is 0."""
+        for line in rows:
+            if line["score"] is not None and line["score"] < 0:
+                raise Rejection(Code.BELOW_FLOOR, f"{line['id']}: a score below 0")
+
+    def again(
+        self,
+        problem: Problem,
+        seeds: Seeds,
+        method: Method,
+        members: Mapping[str, bytes],
+        rows: Sequence[Row],
+        same: bool,
+    ) -> None:
+        """See `Track`. Elsewhere most answers must agree, not all."""
+        if method.name not in METHODS:
+            raise Rejection(Code.NOT_REPRODUCIBLE, f"no selector {method.name!r:.80}")
+        asked = self.trial(problem, seeds)
+        with tempfile.TemporaryDirectory() as folder:  # nothing that was found before
+            fresh = replace(asked, folder=Path(folder))
+            trials.run_trial(fresh, self.workers)
+            mine = [_short(a, method.name) for a in trials.read_answers(fresh)]
+        its = _read(members[self.payload(problem)], list(asked.cases))
+        agree = [_said(a) == _said(b) for a, b in zip(mine, its, strict=True)]
+        if sum(agree) < (1.0 if same else PLANNED_SHARE) * len(agree):
+            first = asked.cases[agree.index(False)]
+            raise Rejection(Code.NOT_REPRODUCED, f"case {first}: another answer is found")
+
+    def _rows(
+        self,
+        problem: Problem,
+        seeds: Seeds,
+        method: Method,
+        answers: Sequence[dict[str, Any]],
+    ) -> list[Row]:
+        asked = self.trial(problem, seeds)
+        for i in asked.cases:
+            if not (asked.labels / f"case-{i:03d}.json").exists():
+                trials.make(str(asked.folder), asked.root, i)
+        out = []
+        cases = self.cases(problem, seeds, method, 0)
+        for case, label, answer in zip(cases, trials.read_truth(asked), answers, strict=True):
+            failed = answer["verdict"] == trials.FAILED
+            effects = answer["effects"] if answer["verdict"] in _SPEAK else []
+            right = not failed and fine(Answered(label, answer["verdict"], effects, answer))
+            out.append(
+                row(
+                    case,
+                    0,
+                    score=None if failed else float(not right),
+                    success=right,
+                    failed=failed,
+                    energies={},
+                    length=1,
+                )
+            )
+        return out
+
+
+def _short(answer: Mapping[str, Any], method: str) -> dict[str, Any]:
+    """What a score needs of an answer, in one form for every method."""
+    verdict, effects = answer["verdict"], answer["effects"]
+    if method != OWN and verdict != trials.FAILED:
+        effects = answer["baselines"][method]
+        verdict = NAMED if effects else NOTHING
+    kept = [{k: e[k] for k in ("kind", "slot", "value")} for e in effects]
+    return {"index": answer["index"], "verdict": verdict, "effects": kept}
+
+
+def _said(answer: Mapping[str, Any]) -> tuple[str, list[tuple[str, str]]]:
+    return answer["verdict"], sorted((e["kind"], e["slot"]) for e in answer["effects"])
+
+
+def _read(data: bytes, wanted: Sequence[int]) -> list[dict[str, Any]]:
+    """The answers of a bundle, checked."""
+    try:
+        table = json.loads(data.decode("utf-8"), parse_constant=_no_number)
+        if not isinstance(table, dict) or set(table) != {"answers"}:
+            raise ParameterError("answers.json must be {answers: [...]}")
+        answers = table["answers"]
+        if not isinstance(answers, list) or len(answers) > 10_000:
+            raise ParameterError("answers must be a list")
+        out = [_answer(a, f"answers[{k}]") for k, a in enumerate(answers)]
+    except (ValueError, RecursionError, OverflowError) as error:
+        raise Rejection(Code.BAD_ACTION, f"answers.json: {str(error)[:200]}") from None
+    if [a["index"] for a in out] != list(wanted):
+        raise Rejection(Code.EPISODE_LENGTH, "the answers are not those to the cases asked")
+    return out
+
+
+def _answer(plain: Any, where: str) -> dict[str, Any]:
+    if not isinstance(plain, dict) or set(plain) != {"index", "verdict", "effects"}:
+        raise ParameterError(f"{where} must have index, verdict and effects")
+    index = plain["index"]
+    if isinstance(index, bool) or not isinstance(index, int):
+        raise ParameterError(f"{where}.index must be a whole number")
+    if plain["verdict"] not in VERDICTS:
+        raise ParameterError(f"{where}.verdict must be one of {', '.join(VERDICTS)}")
+    effects = plain["effects"]
+    if not isinstance(effects, list) or len(effects) > _MOST:
+        raise ParameterError(f"{where}.effects must be a list of at most {_MOST}")
+    for e in effects:
+        if not isinstance(e, dict) or set(e) != {"kind", "slot", "value"}:
+            raise ParameterError(f"{where}: an effect has kind, slot and value")
+        text(e["kind"], f"{where}.kind")
+        text(e["slot"], f"{where}.slot", empty=True)
+        if not isinstance(e["value"], dict) or not e["value"]:
+            raise ParameterError(f"{where}.value must be a table of numbers")
+        for name, value in e["value"].items():
+            text(name, f"{where}.value")
+            number(value, f"{where}.value.{name}")
+    return plain
+
+
+def _no_number(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")

@@ -1,0 +1,352 @@
+"""Track *paths*: planners on reach100, the motions played again on the full system."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from functools import lru_cache
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.leaderboard import lower_bounds
+from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.npy_io import pack, unpack
+from ves_gym.leaderboard.protocol import (
+    DURATIONS,
+    LEDGER_PATHS,
+    MODES,
+    PLANNED,
+    PLANNED_SHARE,
+    Problem,
+    Seeds,
+)
+from ves_gym.leaderboard.tracks.base import Answers, Case, Method, Progress, Row, row
+from ves_gym.mechanics.motion import DEGREE, Motion
+from ves_gym.mechanics.vehicle import get_vehicle
+from ves_gym.planners.query import Plan, Planner, Query, broken_limit, solve
+from ves_gym.planners.registry import PLANNERS, get_planner
+from ves_gym.planners.suites import reach100
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.simulator import Divergence
+from ves_gym.system.energy import TAIL, Energies, energies, ledger
+from ves_gym.system.system import System
+
+_VEHICLE = "bent"
+_RECORD = 12.5e-3  # s between records of a motion and its tail
+_AT_ONCE = 25  # motions played together: their records fit the processor's cache
+_SETTLE = 0.5  # s after a motion that its energy account covers
+_MOST = 512  # control points of a motion
+
+
+class Paths:
+    """Planners on the queries of one duration, among obstacles or not.
+
+    Score: E_mean over that of the straight line on the same query. A motion that breaks a
+    limit or touches something is a failure, and is not played.
+
+    Args:
+        workers: processes that plan.
+    """
+
+    sources = (
+        "_util",
+        "mechanics",
+        "hardware",
+        "system",
+        "engine",
+        "simulation",
+        "effects",
+        "planners/obstacles.py",
+        "planners/query.py",
+        "planners/suites.py",
+        "leaderboard/tracks/paths.py",
+        "leaderboard/lower_bounds.py",
+        "leaderboard/protocol.py",
+    )
+
+    def __init__(self, workers: int = 1) -> None:
+        self.workers = workers
+
+    def payload(self, problem: Problem) -> str:
+        """See `Track`."""
+        return "motions.npy"
+
+    def system(self, problem: Problem) -> System:
+        """See `Track`."""
+        return System(vehicle=get_vehicle(_VEHICLE))
+
+    def queries(self, problem: Problem, seeds: Seeds) -> list[Query]:
+        """The questions."""
+        words = problem.base.split("-")
+        suite = reach100(
+            System(),
+            _VEHICLE,
+            problem.count,
+            "on" if "obstacles" in words else "off",
+            seed=seeds.root,
+            durations=(DURATIONS[words[1]],),
+        )
+        return [query for _, query in suite.queries]
+
+    def seed_list(self, problem: Problem, seeds: Seeds) -> list[int]:
+        """See `Track`."""
+        return [seeds.root]
+
+    def cases(self, problem: Problem, seeds: Seeds, method: Method, group: int) -> list[Case]:
+        """See `Track`. The seed is the planner's."""
+        seed = method.seeds[group]
+        return [Case(q.name, seed) for q in self.queries(problem, seeds)]
+
+    def run(
+        self,
+        problem: Problem,
+        seeds: Seeds,
+        planner: Planner,
+        method: Method,
+        tell: Progress = lambda stage, done: None,
+    ) -> Answers:
+        """Plan every query, with each of the method's seeds."""
+        plans = self._plans(problem, seeds, planner, method, tell)
+        motions = [plan.motion for plan in plans]
+        told = [_told(plan) for plan in plans]
+        rows = self._rows(problem, seeds, method, motions, told)
+        points = [np.array(m.control) for m in motions if m is not None]
+        n = self.system(problem).arm.n
+        whole = np.concatenate(points) if points else np.zeros((0, n))
+        return Answers(rows, pack(whole), method)
+
+    def replay(
+        self, problem: Problem, seeds: Seeds, method: Method, rows: Sequence[Row], data: bytes
+    ) -> list[Row]:
+        """See `Track`. What is told of the planning is taken over as it is."""
+        told = [{k: r.get(k) for k in ("seconds", "evaluations", "anytime")} for r in rows]
+        motions = self._motions(problem, seeds, method, rows, data)
+        return self._rows(problem, seeds, method, motions, told)
+
+    def require_possible(self, problem: Problem, seeds: Seeds, rows: Sequence[Row]) -> None:
+        """See `Track`."""
+        queries = self.queries(problem, seeds)
+        for k, line in enumerate(rows):
+            query = queries[k % len(queries)]
+            lower_bounds.require_energies(line)
+            least = lower_bounds.path_floor(query.system, *query.ends, query.duration)
+            lower_bounds.require_path(line, least)
+
+    def again(
+        self,
+        problem: Problem,
+        seeds: Seeds,
+        method: Method,
+        members: Mapping[str, bytes],
+        rows: Sequence[Row],
+        same: bool,
+    ) -> None:
+        """See `Track`. Elsewhere the energies of most motions must agree, not the motions:
+        a search that rounding leads into another valley is not what this is about."""
+        if method.name not in PLANNERS:
+            raise Rejection(Code.NOT_REPRODUCIBLE, f"no built-in planner {method.name!r:.80}")
+        plans = self._plans(problem, seeds, get_planner(method.name), method)
+        given = self._motions(problem, seeds, method, rows, members[self.payload(problem)])
+        if same:
+            for plan, motion in zip(plans, given, strict=True):
+                if plan.motion != motion:
+                    raise Rejection(
+                        Code.NOT_REPRODUCED, f"{plan.query.name}: another motion is planned"
+                    )
+            return
+        mine = self._rows(
+            problem, seeds, method, [p.motion for p in plans], [_told(p) for p in plans]
+        )
+        agree = [_alike(a, b) for a, b in zip(mine, rows, strict=True)]
+        if np.mean(agree) < PLANNED_SHARE:
+            raise Rejection(
+                Code.NOT_REPRODUCED,
+                f"{sum(agree)} of {len(agree)} queries agree within {PLANNED:g}",
+            )
+
+    def _plans(
+        self,
+        problem: Problem,
+        seeds: Seeds,
+        planner: Planner,
+        method: Method,
+        tell: Progress = lambda stage, done: None,
+    ) -> list[Plan]:
+        """Plans of every query with every seed, in order, whoever made them."""
+        queries = self.queries(problem, seeds)
+        jobs = [(planner, query, seed) for seed in method.seeds for query in queries]
+        plans: list[Plan] = []
+        with ExitStack() as stack:
+            found: Iterator[Plan] = map(_planned, jobs)
+            if self.workers > 1:
+                context = multiprocessing.get_context("spawn")
+                pool = stack.enter_context(ProcessPoolExecutor(self.workers, context))
+                found = pool.map(_planned, jobs)
+            for plan in found:
+                plans.append(plan)
+                tell("planning", len(plans) / len(jobs))
+        return plans
+
+    # ---------------------------------------------------------------------- rows
+
+    def _motions(
+        self, problem: Problem, seeds: Seeds, method: Method, rows: Sequence[Row], data: bytes
+    ) -> list[Motion | None]:
+        """The motions of the rows; a row of length 0 has none."""
+        queries = self.queries(problem, seeds)
+        points = unpack(data, self.payload(problem), (None, queries[0].system.arm.n))
+        lengths = [r["length"] for r in rows]
+        if sum(lengths) != len(points):
+            raise Rejection(
+                Code.EPISODE_LENGTH,
+                f"{len(points)} control points, the rows speak of {sum(lengths)}",
+            )
+        out: list[Motion | None] = []
+        end = 0
+        for k, length in enumerate(lengths):
+            query = queries[k % len(queries)]
+            part = points[end : end + length]
+            end += length
+            out.append(_motion(query, part) if length else None)
+        return out
+
+    def _rows(
+        self,
+        problem: Problem,
+        seeds: Seeds,
+        method: Method,
+        motions: Sequence[Motion | None],
+        told: Sequence[dict],
+    ) -> list[Row]:
+        queries = self.queries(problem, seeds)
+        straight = _lines(problem, seeds)
+        out: list[Row] = []
+        for group in range(len(method.seeds)):
+            part = slice(group * len(queries), (group + 1) * len(queries))
+            good = [
+                m if m is not None and broken_limit(q, m) is None else None
+                for q, m in zip(queries, motions[part], strict=True)
+            ]
+            played = _played(queries, good)
+            cases = self.cases(problem, seeds, method, group)
+            for k, case in enumerate(cases):
+                motion, own, line = motions[part][k], played[k], straight[k]
+                score = None
+                if own is not None and line is not None and line.E_mean > 0:
+                    score = own.E_mean / line.E_mean
+                found = row(
+                    case,
+                    group,
+                    score=score,
+                    success=score is not None,
+                    failed=score is None,
+                    energies={} if own is None else own.to_dict(),
+                    length=0 if motion is None else len(motion.control),
+                    **told[part][k],
+                )
+                out.append(found)
+        return out
+
+
+@lru_cache(maxsize=len(DURATIONS) * len(MODES))
+def _lines(problem: Problem, seeds: Seeds) -> tuple[Energies | None, ...]:
+    """Energies of the straight lines, the same for whoever is compared with them."""
+    queries = Paths().queries(problem, seeds)
+    return tuple(_played(queries, [q.straight for q in queries], account=False))
+
+
+def _planned(job: tuple[Planner, Query, int]) -> Plan:
+    planner, query, seed = job
+    try:
+        return solve(planner, query, seed)
+    except ParameterError:
+        raise
+    except Exception as error:  # a planner that fails has no answer to this query
+        return Plan(planner.name, query, None, None, 0.0, f"{type(error).__name__}: {error}")
+
+
+def _told(plan: Plan) -> dict:
+    """What a plan tells of how it was found."""
+    evaluations = plan.info.get("evaluations")
+    curve: list[list[float]] = []
+    for seconds, _, cost in plan.info.get("curve") or ():
+        if not curve or cost < curve[-1][1]:
+            curve.append([float(seconds), float(cost)])
+    return {
+        "seconds": float(plan.seconds),
+        "evaluations": None if evaluations is None else int(evaluations),
+        "anytime": curve or None,
+    }
+
+
+def _motion(query: Query, control: Array) -> Motion:
+    if not DEGREE + 1 <= len(control) <= _MOST:
+        raise Rejection(
+            Code.BAD_ACTION,
+            f"{query.name}: a motion has {DEGREE + 1} to {_MOST} control points, got"
+            f" {len(control)}",
+        )
+    points = tuple(tuple(p) for p in control.tolist())
+    try:
+        return Motion(duration=query.duration, control=points)
+    except ParameterError as error:
+        raise Rejection(Code.BAD_ACTION, f"{query.name}: {error}") from None
+
+
+def _played(
+    queries: Sequence[Query], motions: Sequence[Motion | None], account: bool = True
+) -> list[Energies | None]:
+    """Energies of the motions that there are; with `account`, theirs must close."""
+    some = [k for k, m in enumerate(motions) if m is not None]
+    out: list[Energies | None] = [None] * len(queries)
+    for at in range(0, len(some), _AT_ONCE):
+        part = some[at : at + _AT_ONCE]
+        for k, found in zip(part, _batch(queries, motions, part, account), strict=True):
+            out[k] = found
+    return out
+
+
+def _batch(
+    queries: Sequence[Query],
+    motions: Sequence[Motion | None],
+    which: Sequence[int],
+    account: bool,
+) -> list[Energies | None]:
+    system, servo = queries[0].system, queries[0].servo
+    some = [m for k in which if (m := motions[k]) is not None]
+    try:
+        run = play_motions(system, some, servo=servo, settle=TAIL, record_dt=_RECORD)
+        if account:
+            _require_account(queries, some, which)
+    except Divergence:
+        if len(which) == 1:
+            return [None]
+        return [_batch(queries, motions, [k], account)[0] for k in which]
+    return list(energies(system, run.t, run.q, run.y, run.yd, duration=run.duration))
+
+
+def _require_account(
+    queries: Sequence[Query], motions: Sequence[Motion], which: Sequence[int]
+) -> None:
+    """Play the motions again with a record per physics step, as the ledger needs it."""
+    system, servo = queries[0].system, queries[0].servo
+    dense = play_motions(
+        system, motions, servo=servo, settle=_SETTLE, record_dt=system.physics_dt
+    )
+    for i, k in enumerate(which):
+        relative = ledger(dense.log(i)).relative
+        if not relative <= LEDGER_PATHS:
+            raise Rejection(
+                Code.LEDGER_RESIDUAL,
+                f"{queries[k].name}: {relative:.3g} of the work through the base port is"
+                f" unaccounted for, at most {LEDGER_PATHS:g}",
+            )
+
+
+def _alike(a: Row, b: Row) -> bool:
+    if a["score"] is None or b["score"] is None:
+        return a["score"] is b["score"]
+    return bool(abs(a["E_mean"] - b["E_mean"]) <= PLANNED * b["E_mean"])

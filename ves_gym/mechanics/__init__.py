@@ -1,0 +1,1 @@
+"""Pure functions on arrays: arm, vehicle, rigid-body dynamics, motion, servo, kinematics."""

@@ -1,0 +1,238 @@
+"""Weight of the arm on its base, and the fewest numbers that predict it (thesis 3.4, App. C).
+
+The weight's force is M_total g, its moment c(q) x g with the arm's first moment of mass c.
+c is linear in masses and first moments of the links, but only some combinations of these
+show: the minimal parameters P, nine for the PUMA 560. Platform frame, linear part first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import IDENTITY, Frame, Scalar, Vec, add, frames, scale
+
+GRAVITY = 9.81  # m/s^2; thesis: 919 N for 93.7 kg
+
+
+def gravity_vector(y: npt.ArrayLike) -> Array:
+    """(..., 6) base pose -> (..., 3) free fall in platform axes [m/s^2] (thesis eq. 3.4)."""
+    pose = np.asarray(y, float)
+    out = np.empty((*pose.shape[:-1], 3))
+    cos_y = np.cos(pose[..., 4])
+    out[..., 0] = GRAVITY * np.sin(pose[..., 4])
+    out[..., 1] = -GRAVITY * np.sin(pose[..., 3]) * cos_y
+    out[..., 2] = -GRAVITY * np.cos(pose[..., 3]) * cos_y
+    return out
+
+
+# --------------------------------------------------------------- all mass parameters
+
+
+def mass_parameters(arm: Arm) -> Array:
+    """(3 (n + 1) + n,) m0 r0x, m0 r0y, ..., mn rnz [kg m], then the links' masses [kg]."""
+    bodies = [arm.base, *(link.inertial for link in arm.links)]
+    moments = [body.mass * x for body in bodies for x in body.com]
+    return np.array(moments + [body.mass for body in bodies[1:]])
+
+
+def moment_regressor(arm: Arm, q: npt.ArrayLike) -> Array:
+    """(..., 3, 3 (n + 1) + n) W with c(q) = W `mass_parameters(arm)` [kg m].
+
+    c is the first moment of base and links about the platform origin, q (..., n) in rad.
+    The thesis's matrix of eq. 3.8 is that of c x g.
+    """
+    angles = _joints(arm, q)
+    chain = frames(arm, angles)
+    columns = [axis for turn in (IDENTITY, *(f.rotation for f in chain)) for axis in turn]
+    return _stack([*columns, *(f.position for f in chain)], angles[0].shape)
+
+
+def _joints(arm: Arm, q: npt.ArrayLike) -> list[Array]:
+    angles = np.asarray(q, float)
+    if angles.ndim == 0 or angles.shape[-1] != arm.n:
+        raise ParameterError(f"q must have shape (..., {arm.n}), got {angles.shape}")
+    return list(np.ascontiguousarray(np.moveaxis(angles, -1, 0)))
+
+
+def _stack(columns: list[Vec], shape: tuple[int, ...]) -> Array:
+    out = np.empty((*shape, 3, len(columns)))
+    for j, column in enumerate(columns):
+        for k in range(3):
+            out[..., k, j] = column[k]
+    return out
+
+
+# ---------------------------------------------------------------- minimal parameters
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MinimalModel:
+    """The combinations P of mass parameters on which the weight's moment depends.
+
+    Each revolute joint adds two to the base's three. Of a link's three directions one, the
+    axis of the joint that moves it, also belongs to the body before.
+    """
+
+    arm: Arm
+    directions: tuple[tuple[int, int], ...]  # (body, axis) of each P; body 0 is the base
+    combination: Array  # (size, 3 (n + 1) + n): P = combination @ mass_parameters
+    names: tuple[str, ...]  # what leads each P: "m0 r0x", ...
+    descriptions: tuple[str, ...]  # all of it: "m2 r2x + (m2 + m3) a2"
+
+    @property
+    def size(self) -> int:
+        """Number of minimal parameters, 3 + 2 n."""
+        return len(self.directions)
+
+    def parameters(self, arm: Arm | None = None) -> Array:
+        """(size,) P [kg m] from the masses of `arm` (of the same lengths; default its own)."""
+        arm = self.arm if arm is None else arm
+        if not np.array_equal(minimal_model(arm).combination, self.combination):
+            raise ParameterError(f"{arm.name} has not the geometry of {self.arm.name}")
+        out: Array = self.combination @ mass_parameters(arm)
+        return out
+
+    def regressor(self, q: npt.ArrayLike) -> Array:
+        """(..., 3, size) C with c(q) = C P [kg m]."""
+        angles = _joints(self.arm, q)
+        return _stack(self._columns(frames(self.arm, angles)), angles[0].shape)
+
+    def G(self, q: npt.ArrayLike, g: npt.ArrayLike) -> Array:
+        """(..., 3, size) G with moment = G P (thesis eq. 3.9); g (..., 3) in platform axes."""
+        C, gravity = self.regressor(q), np.asarray(g, float)[..., None]
+        return np.cross(C, gravity, axis=-2)
+
+    def first_moment(self, q: npt.ArrayLike, P: npt.ArrayLike) -> Vec:
+        """c(q) = C P [kg m] by components, without building C; P (..., size)."""
+        columns = self._columns(frames(self.arm, _joints(self.arm, q)))
+        values: list[Scalar] = list(np.moveaxis(np.asarray(P, float), -1, 0))
+        return add(*(scale(p, column) for p, column in zip(values, columns, strict=True)))
+
+    def _columns(self, chain: list[Frame]) -> list[Vec]:
+        turns = (IDENTITY, *(frame.rotation for frame in chain))
+        return [turns[body][axis] for body, axis in self.directions]
+
+
+@lru_cache(maxsize=64)
+def minimal_model(arm: Arm) -> MinimalModel:
+    """The minimal moment parameters of a serial arm, from base to tip in closed form.
+
+    Joint i's axis z' (z of body i - 1) is sin(alpha) y + cos(alpha) z of body i, so of y and
+    z one is expressed by the other and z'. Kept are x and that of y, z which z' leaves
+    better determined. Link i's far end moves everything beyond it by d z' + a x.
+    """
+    width = 3 * (arm.n + 1) + arm.n
+    kept = [(0, 0), (0, 1), (0, 2)]
+    rows = [np.zeros(width) for _ in kept]
+    terms: list[list[str]] = [[] for _ in kept]
+
+    def lump(where: dict[int, float], column: int, factor: float, text: str) -> None:
+        """Add factor * (mass parameter `column`), which points along `where`, to P."""
+        for j, part in where.items():
+            rows[j][column] += factor * part
+            terms[j].append(_term(part, text))
+
+    for k in range(3):
+        lump({k: 1.0}, k, 1.0, f"m0 r0{'xyz'[k]}")
+    z: dict[int, float] = {2: 1.0}  # the joint axis by kept directions
+    for i, link in enumerate(arm.links, start=1):
+        c, s = round(float(np.cos(link.alpha)), 15), round(float(np.sin(link.alpha)), 15)
+        x, other = len(kept), len(kept) + 1
+        keep = 1 if abs(c) >= abs(s) else 2
+        kept += [(i, 0), (i, keep)]
+        rows += [np.zeros(width), np.zeros(width)]
+        terms += [[], []]
+        mine, lost = (s, c) if keep == 1 else (c, s)  # z' = mine * kept + lost * left out
+        rest = {j: part / lost for j, part in z.items()}
+        if mine:
+            rest[other] = -mine / lost
+        along = [{x: 1.0}, {other: 1.0}, rest] if keep == 1 else [{x: 1.0}, rest, {other: 1.0}]
+        for k in range(3):
+            lump(along[k], 3 * i + k, 1.0, f"m{i} r{i}{'xyz'[k]}")
+        beyond = [f"m{j}" for j in range(i, arm.n + 1)]
+        weight = f"({' + '.join(beyond)})" if len(beyond) > 1 else beyond[0]
+        for length, name, where in ((link.d, "d", z), (link.a, "a", {x: 1.0})):
+            if length:
+                for j, part in where.items():
+                    rows[j][3 * (arm.n + 1) + i - 1 :] += length * part
+                    terms[j].append(_term(part, f"{weight} {name}{i}"))
+        z = along[2]
+    names = tuple(f"m{body} r{body}{'xyz'[axis]}" for body, axis in kept)
+    described = tuple(" ".join(t).removeprefix("+ ") for t in terms)
+    combination = np.array(rows)
+    combination.flags.writeable = False
+    return MinimalModel(
+        arm=arm,
+        directions=tuple(kept),
+        combination=combination,
+        names=names,
+        descriptions=described,
+    )
+
+
+def _term(part: float, text: str) -> str:
+    size = "" if abs(part) == 1 else f"{abs(part):.6g} "
+    return f"{'-' if part < 0 else '+'} {size}{text}"
+
+
+# --------------------------------------------------------------------------- weight
+
+
+def gravity_wrench(
+    arm: Arm, q: npt.ArrayLike, g_b: npt.ArrayLike, mass: npt.ArrayLike, P: npt.ArrayLike
+) -> Array:
+    """Weight of the arm on its base at the platform origin (thesis eq. 3.3a, 3.9).
+
+    Args:
+        q: (..., n) joint angles [rad].
+        g_b: (..., 3) free fall in platform axes [m/s^2].
+        mass: (...) total mass [kg].
+        P: (..., size) minimal parameters [kg m], as in `minimal_model(arm)`.
+
+    Returns:
+        (..., 6) force [N] and moment [N m]; leading axes broadcast.
+    """
+    model = minimal_model(arm)
+    joints, g, m, values = (np.asarray(k, float) for k in (q, g_b, mass, P))
+    if values.shape[-1:] != (model.size,):
+        raise ParameterError(
+            f"P must have {model.size} entries for {arm.name}, got shape {values.shape}"
+        )
+    x, y, z = model.first_moment(joints, values)
+    gx, gy, gz = g[..., 0], g[..., 1], g[..., 2]
+    shape = np.broadcast_shapes(joints.shape[:-1], gx.shape, m.shape, values.shape[:-1])
+    out = np.empty((*shape, 6))
+    out[..., :3] = m[..., None] * g
+    out[..., 3] = y * gz - z * gy
+    out[..., 4] = z * gx - x * gz
+    out[..., 5] = x * gy - y * gx
+    return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class GravityModel:
+    """What the gravity compensation believes about the arm: M_total and P (thesis 3.4)."""
+
+    mass: float = unit("kg")
+    P: Vector = unit("kg m")  # in the order of minimal_model(arm).names
+    source: str = "user"
+
+    def __post_init__(self) -> None:
+        require_positive(self, "mass")
+        finite(self.P, (len(self.P),), "GravityModel.P")
+
+    @staticmethod
+    def of(arm: Arm) -> GravityModel:
+        """The exact model of an arm."""
+        P = minimal_model(arm).parameters()
+        return GravityModel(mass=arm.mass, P=tuple(P.tolist()), source=f"masses of {arm.name}")
+
+    def wrench(self, arm: Arm, q: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+        """(..., 6) estimated weight on the base at joint angles (..., n), pose (..., 6)."""
+        return gravity_wrench(arm, q, gravity_vector(y), self.mass, self.P)

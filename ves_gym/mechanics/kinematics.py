@@ -1,0 +1,87 @@
+"""Joint angles and the tool: its Jacobian, and the way back from a point to the joints."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import add, cross, frames, joint_positions, scale
+from ves_gym.mechanics.spatial import matvec
+
+_ROUNDS = 40
+_STEP = 0.3  # rad, the most a joint moves per round
+_DAMPING = 1e-2  # of the least squares, times the squared error
+_GUESSES = (1 / 6, 1 / 2, 5 / 6)  # of every joint's range
+_CLOSE = 1e-6  # m from the point: solved
+
+
+def tool_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
+    """Velocity of the tool per joint rate, base at rest: (..., n) -> (..., 3, n) [m/rad]."""
+    angles = np.asarray(q, float)
+    if angles.ndim == 0 or angles.shape[-1] != arm.n:
+        raise ParameterError(f"q must have shape (..., {arm.n}), got {angles.shape}")
+    chain = frames(arm, list(np.moveaxis(angles, -1, 0)))
+    out = np.empty((*angles.shape[:-1], 3, arm.n))
+    for j, frame in enumerate(chain):
+        lever = add(chain[-1].position, scale(-1.0, frame.origin))
+        for k, value in enumerate(cross(frame.axis, lever)):
+            out[..., k, j] = value
+    return out
+
+
+def dexterity(arm: Arm, q: npt.ArrayLike) -> Array:
+    """(...,) m/rad: 0 at a singularity, else at most the tool's least speed per joint rate.
+
+    1 / |J^+| in the Frobenius norm: (sum of 1/s_i^2)^-1/2 of the singular values s_i. In
+    closed form det(A) / trace(adj(A)) = that squared, A = J J^T.
+    """
+    J = tool_jacobian(arm, q)
+    x, y, z = J[..., 0, :], J[..., 1, :], J[..., 2, :]
+    xx, yy, zz, xy, xz, yz = (
+        (a * b).sum(axis=-1) for a, b in ((x, x), (y, y), (z, z), (x, y), (x, z), (y, z))
+    )
+    minor = yy * zz - yz * yz
+    det = xx * minor - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    trace = minor + xx * zz - xz * xz + xx * yy - xy * xy
+    return np.asarray(np.sqrt(np.maximum(det, 0.0) / np.maximum(trace, 1e-300)), np.float64)
+
+
+def joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> tuple[Array, Array]:
+    """Joint angles within the limits that bring the tool to points, base at rest.
+
+    Damped least squares from `near` and from a grid over the joints' ranges.
+
+    Args:
+        points: (k, 3) in the platform frame [m].
+        near: (k, n) of several solutions the one soonest reached from here [rad].
+
+    Returns:
+        q (k, n) and how far from the points that is (k,) [m]: what is out of reach is
+        approached.
+    """
+    low, high = arm.column("q_min"), arm.column("q_max")
+    grid = low + (high - low) * np.array(list(itertools.product(_GUESSES, repeat=arm.n)))
+    here = np.asarray(near, float)[:, None]
+    wide = np.broadcast_to(grid, (len(here), *grid.shape))
+    q = np.clip(np.concatenate([here, wide], axis=1), low, high)
+    goal = np.asarray(points, float)[:, None]
+    for _ in range(_ROUNDS):
+        error = goal - joint_positions(arm, q)[..., -1, :]
+        J = tool_jacobian(arm, q)
+        across = np.swapaxes(J, -1, -2)
+        # damped by the error itself, so that the last rounds are Newton's
+        damping = _DAMPING * (error**2).sum(axis=-1)[..., None, None] + 1e-12
+        load = np.linalg.solve(J @ across + damping * np.eye(3), error[..., None])
+        step = matvec(across, load[..., 0])
+        fastest = np.abs(step).max(axis=-1, keepdims=True)
+        q = np.clip(q + step * (_STEP / np.maximum(fastest, _STEP)), low, high)
+    miss = np.linalg.norm(goal - joint_positions(arm, q)[..., -1, :], axis=-1)
+    # the best, and of the solved ones the soonest
+    way = (np.abs(q - here) / arm.column("v_max")).max(axis=-1)
+    pick = np.where(miss <= _CLOSE, -1 / (1 + way), miss).argmin(axis=1)
+    rows = np.arange(len(q))
+    return q[rows, pick], miss[rows, pick]

@@ -1,0 +1,259 @@
+"""Joint motions: quintic B-splines in time, at rest at both ends.
+
+One form serves a straight rest-to-rest quintic (no inner knots), a spline through
+way-points and the path an optimiser shapes; its control points are the decision.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from ves_gym._util.params import Array, Matrix, ParameterError, require_positive, unit
+from ves_gym.mechanics.arm import Arm, matrix
+from ves_gym.mechanics.dynamics import inverse_dynamics
+
+DEGREE = 5
+_GRADING = 0.6  # of the knots: 1 - this is their relative spacing at the ends
+_HELD = 3  # equal control points at each end: zero velocity and acceleration there
+
+
+class LimitError(ValueError):
+    """A motion breaks a joint limit; the message names joint, time and value."""
+
+
+class Samples(NamedTuple):
+    """A motion at given times."""
+
+    t: Array  # (N,) s
+    q: Array  # (N, n) rad
+    v: Array  # (N, n) rad/s
+    a: Array  # (N, n) rad/s^2
+
+
+def quintic(u: npt.ArrayLike) -> Array:
+    """Rest-to-rest law s(u) = 10u^3 - 15u^4 + 6u^5 on [0, 1], held outside."""
+    x = np.clip(np.asarray(u, float), 0.0, 1.0)
+    out: Array = x**3 * (10 + x * (6 * x - 15))
+    return out
+
+
+QUINTIC_PEAK_SPEED = 15 / 8  # of quintic(u), at u = 1/2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """q(t) on [0, duration]; before and after it the joints are held.
+
+    `control` holds the B-spline control points (m, n); the first three are equal and so
+    are the last three. Knots: see `knots`.
+    """
+
+    duration: float = unit("s")
+    control: Matrix = unit("rad")
+
+    def __post_init__(self) -> None:
+        require_positive(self, "duration")
+        points = _points(self.control, "Motion.control", least=DEGREE + 1)
+        ends = (points[:_HELD], points[-_HELD:])
+        if any(not np.array_equal(end, np.broadcast_to(end[0], end.shape)) for end in ends):
+            raise ParameterError(
+                "Motion.control must repeat its first and its last point three times"
+            )
+
+    @staticmethod
+    def straight(start: npt.ArrayLike, goal: npt.ArrayLike, duration: float) -> Motion:
+        """The quintic rest-to-rest motion along a straight line in joint space."""
+        a, b = _points([start, goal], "start and goal", least=2)
+        return Motion(duration=duration, control=matrix(np.array([a] * _HELD + [b] * _HELD)))
+
+    @staticmethod
+    def through(points: npt.ArrayLike, duration: float, *, controls: int = 48) -> Motion:
+        """A smooth motion along way-points (k >= 2, n), quintic in path length.
+
+        The path through the way-points is a spline in joint-space length; the motion is
+        its least-squares B-spline. It passes the inner points to about 1e-3 rad where the
+        path is smooth or has few of them; sharp corners are rounded (0.02 rad on a
+        staircase of 18 steps of 0.2 rad) unless `controls` grows with their number.
+        """
+        way = _points(points, "way-points", least=2)
+        steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
+        start, goal = way[0], way[-1]
+        way = way[np.r_[True, steps > 1e-12]]
+        if len(way) < 3:
+            return Motion.straight(start, goal, duration)
+        length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))]
+        path = scipy.interpolate.make_interp_spline(
+            length / length[-1], way, k=min(3, len(way) - 1)
+        )
+        u = np.linspace(0, 1, 20 * controls + 1)
+        q = path(quintic(u))
+        q[0], q[-1] = start, goal  # not to rounding only
+        return Motion.fit(q, duration, controls=controls)
+
+    @staticmethod
+    def fit(samples: npt.ArrayLike, duration: float, *, controls: int = 32) -> Motion:
+        """Least-squares motion through positions (N, n) at evenly spaced times.
+
+        The ends are kept exactly, with zero velocity and acceleration.
+        """
+        q = _points(samples, "samples", least=2)
+        if controls < DEGREE + 1:
+            raise ParameterError(f"controls must be >= {DEGREE + 1}, got {controls}")
+        u = np.linspace(0, 1, len(q))
+        design = basis(controls, u)
+        ends = (
+            design[:, :_HELD].sum(1)[:, None] * q[0]
+            + design[:, -_HELD:].sum(1)[:, None] * q[-1]
+        )
+        inner = np.linalg.lstsq(design[:, _HELD:-_HELD], q - ends, rcond=None)[0]
+        control = np.vstack([[q[0]] * _HELD, inner, [q[-1]] * _HELD])
+        return Motion(duration=duration, control=matrix(control))
+
+    @cached_property
+    def _splines(self) -> tuple[Any, Any, Any]:
+        points = np.asarray(self.control, float)
+        spline = scipy.interpolate.BSpline(knots(len(points)) * self.duration, points, DEGREE)
+        return spline, spline.derivative(1), spline.derivative(2)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.control[0])
+
+    @property
+    def start(self) -> Array:
+        """(n,) first configuration [rad]."""
+        return np.array(self.control[0])
+
+    @property
+    def goal(self) -> Array:
+        """(n,) last configuration [rad]."""
+        return np.array(self.control[-1])
+
+    def at(self, t: npt.ArrayLike) -> Samples:
+        """Position, velocity and acceleration at times t (N,); held outside the motion."""
+        times = np.asarray(t, float)
+        inside = np.clip(times, 0.0, self.duration)
+        position, velocity, acceleration = (spline(inside) for spline in self._splines)
+        held = (times < 0) | (times > self.duration)
+        velocity[held] = 0.0
+        acceleration[held] = 0.0
+        return Samples(times, position, velocity, acceleration)
+
+    def retimed(self, duration: float) -> Motion:
+        """The same path at another duration."""
+        return Motion(duration=duration, control=self.control)
+
+
+def _points(value: Any, name: str, least: int) -> Array:
+    """(k >= least, n >= 1) finite numbers."""
+    try:
+        given = np.asarray(value)
+    except ValueError:  # ragged
+        given = np.empty(0, object)
+    if given.dtype.kind not in "fiu":
+        raise ParameterError(f"{name} must be rows of n numbers, got {value!r}")
+    points: Array = given.astype(np.float64)
+    if points.ndim != 2 or len(points) < least or points.shape[1] < 1:
+        raise ParameterError(f"{name} must have shape (>= {least}, n), got {points.shape}")
+    if not np.isfinite(points).all():
+        where = np.argwhere(~np.isfinite(points))[0].tolist()
+        raise ParameterError(f"{name} must be finite, got {points[tuple(where)]} at {where}")
+    return points
+
+
+def knots(m: int) -> Array:
+    """Clamped knot vector on [0, 1] for m control points.
+
+    Inner knots are closer together near the ends, so that a motion can build up its
+    acceleration quickly from rest.
+    """
+    inner = graded(m - DEGREE + 1)
+    out: Array = np.r_[np.zeros(DEGREE), inner, np.ones(DEGREE)]
+    return out
+
+
+def graded(count: int) -> Array:
+    """Points on [0, 1], ends included, spaced like the knots: closer near the ends."""
+    even = np.linspace(0, 1, count)
+    out: Array = even - _GRADING * np.sin(2 * np.pi * even) / (2 * np.pi)
+    return out
+
+
+def basis(m: int, u: npt.ArrayLike, derivative: int = 0) -> Array:
+    """(N, m) values (or derivatives) of the basis functions at u in [0, 1]."""
+    spline = scipy.interpolate.BSpline(knots(m), np.eye(m), DEGREE)
+    out: Array = spline(np.asarray(u, float), nu=derivative)
+    return out
+
+
+# --------------------------------------------------------------------------- limits
+
+
+def limit_ratios(arm: Arm, motion: Motion, samples: int = 201) -> dict[str, Array]:
+    """Largest |value| / limit per joint, by kind of limit: {name: (n,)}.
+
+    Torque is that of the motion on a base that stands still. A position ratio is
+    measured from the middle of the joint's range.
+    """
+    s = motion.at(np.linspace(0, motion.duration, samples))
+    tau = inverse_dynamics(arm, s.q, s.v, s.a)[0]
+    return {
+        name: (np.abs(x) / limit).max(axis=0)
+        for name, (x, limit) in _limits(arm, s, tau).items()
+    }
+
+
+_SHOWN = {  # unit in messages, and its factor
+    "position": ("deg", math.degrees(1)),
+    "velocity": ("deg/s", math.degrees(1)),
+    "acceleration": ("rad/s^2", 1.0),
+    "torque": ("N m", 1.0),
+}
+
+
+def _limits(arm: Arm, s: Samples, tau: Array) -> dict[str, tuple[Array, Array]]:
+    low, high = arm.column("q_min"), arm.column("q_max")
+    return {
+        "position": (s.q - (low + high) / 2, (high - low) / 2),
+        "velocity": (s.v, arm.column("v_max")),
+        "acceleration": (s.a, arm.column("a_max")),
+        "torque": (tau, arm.column("tau_max")),
+    }
+
+
+def require_limits(
+    arm: Arm,
+    motion: Motion,
+    names: tuple[str, ...] = ("position", "torque"),
+    samples: int = 201,
+) -> None:
+    """Raise LimitError when a motion breaks one of the named joint limits.
+
+    The PUMA's own speed limits are a rule of the benchmark (DESIGN), so velocity is
+    only checked when asked for.
+    """
+    unknown = [name for name in names if name not in _SHOWN]
+    if unknown:
+        raise ParameterError(f"limits are {', '.join(_SHOWN)}, got {unknown[0]!r}")
+    s = motion.at(np.linspace(0, motion.duration, samples))
+    tau = inverse_dynamics(arm, s.q, s.v, s.a)[0]
+    for name, (x, limit) in _limits(arm, s, tau).items():
+        if name not in names:
+            continue
+        ratio = np.abs(x) / limit
+        k, j = (int(i) for i in np.unravel_index(int(ratio.argmax()), ratio.shape))
+        if ratio[k, j] > 1 + 1e-9:
+            symbol, factor = _SHOWN[name]
+            raise LimitError(
+                f"motion breaks the {name} limit of joint {j + 1} at t = {s.t[k]:.3f} s:"
+                f" {x[k, j] * factor:.1f} {symbol}, allowed +-{limit[j] * factor:.1f} {symbol}"
+                + (" about the middle of its range" if name == "position" else "")
+            )

@@ -1,0 +1,96 @@
+"""Base pose: Y = (x, y, z, phi_x, phi_y, phi_z) and the platform's motion in its own frame.
+
+R = Rot_z(phi_z) Rot_y(phi_y) Rot_x(phi_x): Z-Y-X angles as in Craig (thesis 2.3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array
+
+AXES = ("x", "y", "z", "phi_x", "phi_y", "phi_z")  # of Y
+SINGULAR = 1e-3  # cos(phi_y) below this is reported: Z-Y-X angles end at 90 deg
+
+
+def rotation(y: npt.ArrayLike) -> Array:
+    """(..., 6) pose -> (..., 3, 3) rotation, platform frame to inertial frame."""
+    pose = np.asarray(y, float)
+    cx, cy, cz = (np.cos(pose[..., i]) for i in (3, 4, 5))
+    sx, sy, sz = (np.sin(pose[..., i]) for i in (3, 4, 5))
+    out = np.empty((*pose.shape[:-1], 3, 3))
+    rows = (
+        (cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx),
+        (sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx),
+        (-sy, cy * sx, cy * cx),
+    )
+    for i, row in enumerate(rows):
+        for j, value in enumerate(row):
+            out[..., i, j] = value
+    return out
+
+
+def rate_matrix(y: npt.ArrayLike) -> Array:
+    """(..., 6, 6) T with twist = T Y': platform twist at its origin, in its own axes.
+
+    Upper block R^T (linear velocity), lower block the Z-Y-X angle rates.
+    """
+    pose = np.asarray(y, float)
+    cx, cy = np.cos(pose[..., 3]), np.cos(pose[..., 4])
+    sx, sy = np.sin(pose[..., 3]), np.sin(pose[..., 4])
+    out = np.zeros((*pose.shape[:-1], 6, 6))
+    out[..., :3, :3] = np.swapaxes(rotation(pose), -1, -2)
+    out[..., 3, 3] = 1.0
+    out[..., 3, 5] = -sy
+    out[..., 4, 4], out[..., 4, 5] = cx, cy * sx
+    out[..., 5, 4], out[..., 5, 5] = -sx, cy * cx
+    return out
+
+
+def twist(y: npt.ArrayLike, yd: npt.ArrayLike) -> Array:
+    """(..., 6) platform twist in its own axes from pose and pose rate."""
+    return matvec(rate_matrix(y), np.asarray(yd, float))
+
+
+def twist_rate(y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike) -> Array:
+    """(..., 6) time derivative of `twist`, as components in the turning platform axes."""
+    pose, rate = np.asarray(y, float), np.asarray(yd, float)
+    out = matvec(rate_matrix(pose), np.asarray(ydd, float))
+    v = twist(pose, rate)
+    out[..., :3] -= np.cross(v[..., 3:], v[..., :3])
+    cx, cy = np.cos(pose[..., 3]), np.cos(pose[..., 4])
+    sx, sy = np.sin(pose[..., 3]), np.sin(pose[..., 4])
+    dx, dy, dz = (rate[..., i] for i in (3, 4, 5))
+    out[..., 3] -= dz * cy * dy
+    out[..., 4] += -dy * sx * dx + dz * (cy * cx * dx - sy * sx * dy)
+    out[..., 5] += -dy * cx * dx - dz * (cy * sx * dx + sy * cx * dy)
+    return out
+
+
+def body_wrench(
+    inertia: Array, y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike
+) -> Array:
+    """(..., 6) wrench that moves a rigid body with the platform (Newton-Euler).
+
+    `inertia` (6, 6) and the wrench are at the platform origin, in platform axes.
+    """
+    v = twist(y, yd)
+    momentum = matvec(inertia, v)
+    out = matvec(inertia, twist_rate(y, yd, ydd))
+    out[..., :3] += np.cross(v[..., 3:], momentum[..., :3])
+    out[..., 3:] += np.cross(v[..., 3:], momentum[..., 3:])
+    out[..., 3:] += np.cross(v[..., :3], momentum[..., :3])
+    return out
+
+
+def matvec(matrix: Array, vector: Array) -> Array:
+    """Stacked matrix times stacked vector."""
+    out: Array = np.matmul(matrix, vector[..., None])[..., 0]
+    return out
+
+
+def quadratic(matrix: Array, vector: Array) -> Array:
+    """Half the quadratic form, 1/2 v^T M v, over leading axes."""
+    out: Array = 0.5 * np.sum(vector * matvec(matrix, vector), axis=-1)
+    return out

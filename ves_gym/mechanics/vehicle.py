@@ -1,0 +1,408 @@
+"""Vehicles: what carries the arm. A flexible beam, a satellite, or any M, D, K.
+
+A vehicle answers with `BaseModel`: the linear admittance M Y'' + D Y' + K Y = W of
+thesis eq. 2.3 in Y = (x, y, z, phi_x, phi_y, phi_z), and, for a satellite, a rigid body
+that turns with the base instead of a constant M.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ves_gym._util.params import (
+    Array,
+    Matrix,
+    ParameterError,
+    Vector,
+    finite,
+    from_plain,
+    read_table,
+    require_choice,
+    require_positive,
+    symmetric,
+    unit,
+)
+from ves_gym.mechanics.arm import Inertial, diagonal, matrix, skew
+
+_GAUSS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; the beam needs 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Oscillator:
+    """A mass on a spring that the vehicle carries, free along one fixed direction.
+
+    In its own coordinate u, its way along `direction`: mass u'' = -f, and f along the
+    direction on the vehicle, f = stiffness (u - direction . Y) + damping (u - direction . Y)'.
+    """
+
+    mass: float = unit("kg")
+    stiffness: float = unit("N/m")
+    damping: float = unit("N s/m", default=0.0)
+    direction: Vector = unit("1")  # (3,) unit vector
+
+    def __post_init__(self) -> None:
+        require_positive(self, "mass", "stiffness")
+        require_positive(self, "damping", zero=True)
+        length = float(np.linalg.norm(finite(self.direction, (3,), "Oscillator.direction")))
+        if abs(length - 1) > 1e-9:
+            raise ParameterError(
+                f"Oscillator.direction must have length 1, got {self.direction}"
+            )
+
+
+@dataclass(frozen=True)
+class BaseModel:
+    """Linear base dynamics in Y, SI units, plus an optional rigid body at the base."""
+
+    M: Array  # (6, 6) constant mass matrix [kg, kg m, kg m^2]
+    D: Array  # (6, 6) damping [N s/m, N s, N m s]
+    K: Array  # (6, 6) stiffness [N/m, N, N m]
+    body: Inertial | None = None
+    drag: Array | None = None  # (6,) c of a damping force c |Y'| Y' [N s^2/m^2, N m s^2]
+    extra: tuple[Oscillator, ...] = ()  # masses on springs that it carries
+
+    @property
+    def mass_matrix(self) -> Array:
+        """(6, 6) mass matrix at Y = 0: M plus the rigid body's inertia."""
+        return self.M if self.body is None else self.M + self.body.spatial()
+
+    def widened(self) -> tuple[Array, Array, Array]:
+        """What the oscillators add to M, D, K in (Y, u): three (6 + m, 6 + m)."""
+        m = len(self.extra)
+        M, D, K = np.zeros((3, 6 + m, 6 + m))
+        for i, one in enumerate(self.extra):
+            M[6 + i, 6 + i] = one.mass
+            way = np.zeros(6 + m)
+            way[:3], way[6 + i] = one.direction, -1.0
+            D += one.damping * np.outer(way, way)
+            K += one.stiffness * np.outer(way, way)
+        return M, D, K
+
+    def attached(self, y: Array) -> Array:
+        """(..., m) coordinates of the oscillators at rest on a vehicle at (..., 6)."""
+        out = np.zeros((*y.shape[:-1], len(self.extra)))
+        for i, one in enumerate(self.extra):
+            out[..., i] = sum(c * y[..., k] for k, c in enumerate(one.direction))
+        return out
+
+
+def modal_damping(M: Array, K: Array, ratio: float) -> Array:
+    """D that gives every mode of (K, M) the same damping ratio. M positive definite."""
+    root = np.linalg.cholesky(M)
+    inner = np.linalg.solve(root, np.linalg.solve(root, K).T)  # L^-1 K L^-T
+    squares, shapes = np.linalg.eigh((inner + inner.T) / 2)
+    modes = np.linalg.solve(root.T, shapes)
+    rates = np.diag(2 * ratio * np.sqrt(np.maximum(squares, 0)))
+    damping: Array = M @ modes @ rates @ modes.T @ M
+    return (damping + damping.T) / 2
+
+
+def elementwise_damping(M: Array, K: Array, ratio: float) -> Array:
+    """The thesis's B = 2 zeta sqrt(K M), read element by element on the diagonal (App. A.2)."""
+    return np.diag(2 * ratio * np.sqrt(np.diag(K) * np.diag(M)))
+
+
+# ---------------------------------------------------------------------------- beams
+
+
+@dataclass(frozen=True, kw_only=True)
+class Material:
+    """An isotropic elastic material."""
+
+    youngs_modulus: float = unit("Pa")
+    shear_modulus: float = unit("Pa")
+    density: float = unit("kg/m^3")
+    source: str
+
+    def __post_init__(self) -> None:
+        require_positive(self, "youngs_modulus", "shear_modulus", "density")
+
+
+ALUMINIUM = Material(
+    youngs_modulus=72e9, shear_modulus=27e9, density=2.8e3, source="thesis App. A.2"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Beam:
+    """A clamped polyline of straight tubes; the arm rides on its free end.
+
+    Compliance: exact Euler-Bernoulli statics of the polyline (derived in
+    docs/physics.md; equal to the corrected thesis tables A.2 and A.4). Mass model
+    `thesis`: half the beam's mass at the tip, m_eq L^2 about each axis (App. A), the
+    vanishing entry floored at rho J L / 3. `consistent`: kinetic energy of the beam in
+    its static deflection shapes (Guyan condensation of the consistent mass).
+    """
+
+    kind: ClassVar[str] = "beam"
+    segments: Matrix = unit("m")  # vectors from clamp to tip, one per tube
+    outer_diameter: float = unit("m")
+    wall: float = unit("m")
+    material: Material = ALUMINIUM
+    mass_model: str = "thesis"
+    damping_model: str = "modal"
+    damping_ratio: float = unit("1", default=0.05)
+    source: str = "user"
+
+    def __post_init__(self) -> None:
+        require_positive(self, "outer_diameter", "wall")
+        require_positive(self, "damping_ratio", zero=True)
+        require_choice(self, "mass_model", ("thesis", "consistent"))
+        require_choice(self, "damping_model", ("modal", "elementwise"))
+        if not self.segments:
+            raise ParameterError("Beam.segments must hold at least one vector, got none")
+        for i, segment in enumerate(self.segments):
+            if np.linalg.norm(finite(segment, (3,), f"Beam.segments[{i}]")) == 0:
+                raise ParameterError(f"Beam.segments[{i}] must not have zero length")
+        if 2 * self.wall >= self.outer_diameter:
+            raise ParameterError(
+                f"Beam.wall must be < half the outer diameter {self.outer_diameter} m,"
+                f" got {self.wall} m"
+            )
+
+    @property
+    def section(self) -> tuple[float, float, float]:
+        """Area [m^2], second moment I and polar moment J = 2 I [m^4] of the tube."""
+        outer, inner = self.outer_diameter, self.outer_diameter - 2 * self.wall
+        second = np.pi / 64 * (outer**4 - inner**4)
+        return np.pi / 4 * (outer**2 - inner**2), second, 2 * second
+
+    @property
+    def mass(self) -> float:
+        """Mass of the whole beam [kg]."""
+        length = sum(float(np.linalg.norm(s)) for s in self.segments)
+        return self.section[0] * length * self.material.density
+
+    @property
+    def nodes(self) -> Array:
+        """(s + 1, 3) corner points from clamp to tip, tip at the origin [m]."""
+        corners = np.vstack([np.zeros(3), np.cumsum(np.array(self.segments), axis=0)])
+        relative: Array = corners - corners[-1]
+        return relative
+
+    def flexibility(self, segment: int, x: float) -> Array:
+        """Displacement of a beam point per unit wrench at the tip: (6, 6).
+
+        The point lies a distance x [m] along the given segment. Rows: translation and
+        rotation of the point; columns: force and moment at the tip; platform axes.
+        """
+        nodes = self.nodes
+        out = np.zeros((6, 6))
+        for k in range(segment + 1):
+            length = float(np.linalg.norm(self.segments[k]))
+            reach = x if k == segment else length
+            along = np.array(self.segments[k]) / length
+            end = nodes[k] + reach * along
+            # what comes before moves this tube rigidly; its own bending adds to that
+            bending = self._cantilever(along, reach) @ _carry(nodes[-1] - end)
+            out = _move(end - nodes[k]) @ out + bending
+        return out
+
+    def _cantilever(self, along: Array, x: float) -> Array:
+        """(6, 6) end displacement of a straight tube of length x per wrench at its end."""
+        area, second, polar = self.section
+        E, G = self.material.youngs_modulus, self.material.shear_modulus
+        across = np.eye(3) - np.outer(along, along)
+        bend, tilt = x**3 / (3 * E * second), x**2 / (2 * E * second)
+        out = np.zeros((6, 6))
+        out[:3, :3] = bend * across + x / (E * area) * np.outer(along, along)
+        out[:3, 3:] = -tilt * skew(along)  # a moment m bends the end along m x axis
+        out[3:, :3] = tilt * skew(along)
+        out[3:, 3:] = x / (E * second) * across + x / (G * polar) * np.outer(along, along)
+        return out
+
+    def stiffness(self) -> Array:
+        """(6, 6) K at the tip."""
+        last = len(self.segments) - 1
+        tip = self.flexibility(last, float(np.linalg.norm(self.segments[last])))
+        K = np.linalg.inv((tip + tip.T) / 2)
+        # a symmetric structure has exact zeros; the inverse leaves rounding there
+        K[np.abs(K) < 1e-14 * np.abs(K).max()] = 0.0
+        return (K + K.T) / 2
+
+    def thesis_mass(self) -> Array:
+        """(6, 6) M of App. A, from the vector clamp -> tip; zero entries floored."""
+        reach = -self.nodes[0]
+        half = self.mass / 2
+        lever = reach @ reach - reach**2
+        _, _, polar = self.section
+        floor = np.zeros(3)
+        for segment in self.segments:
+            length = float(np.linalg.norm(segment))
+            axial = (np.array(segment) / length) ** 2
+            floor += self.material.density * polar * length / 3 * axial
+        return np.diag([half] * 3 + np.where(lever > 0, half * lever, floor).tolist())
+
+    def consistent_mass(self) -> Array:
+        """(6, 6) M of the beam moving in its static shapes under tip wrenches."""
+        area, _, polar = self.section
+        K, out = self.stiffness(), np.zeros((6, 6))
+        for k, segment in enumerate(self.segments):
+            length = float(np.linalg.norm(segment))
+            along = np.array(segment) / length
+            for node, weight in zip(*_GAUSS, strict=True):
+                shape = self.flexibility(k, length * (1 + node) / 2) @ K
+                twist = along @ shape[3:]
+                density = self.material.density * weight * length / 2
+                out += density * (
+                    area * shape[:3].T @ shape[:3] + polar * np.outer(twist, twist)
+                )
+        return (out + out.T) / 2
+
+    def base_model(self) -> BaseModel:
+        """M, D, K at the tip, where the arm stands."""
+        K = self.stiffness()
+        M = self.thesis_mass() if self.mass_model == "thesis" else self.consistent_mass()
+        damping = modal_damping if self.damping_model == "modal" else elementwise_damping
+        return BaseModel(M, damping(M, K, self.damping_ratio), K)
+
+
+def _move(r: Array) -> Array:
+    """Displacement of a point at offset r from that of a rigid body's origin: (6, 6)."""
+    out = np.eye(6)
+    out[:3, 3:] = -skew(r)
+    return out
+
+
+def _carry(r: Array) -> Array:
+    """Wrench at a point from the wrench at offset r from it: (6, 6)."""
+    out = np.eye(6)
+    out[3:, :3] = skew(r)
+    return out
+
+
+# ------------------------------------------------------------- matrices and satellites
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matrices:
+    """The user's own M, D, K in Y; each symmetric and positive semidefinite.
+
+    `drag`: damping that grows with speed, a force c |Y'| Y' along each axis. `extra`:
+    masses on springs that it carries.
+    """
+
+    kind: ClassVar[str] = "matrices"
+    M: Matrix = unit("kg, kg m, kg m^2")
+    D: Matrix = unit("N s/m, N s, N m s")
+    K: Matrix = unit("N/m, N, N m")
+    drag: Vector | None = unit("N s^2/m^2, N m s^2", default=None)
+    extra: tuple[Oscillator, ...] | None = None
+    source: str = "user"
+
+    def __post_init__(self) -> None:
+        for name in ("M", "D", "K"):
+            symmetric(getattr(self, name), f"Matrices.{name}")
+        if self.drag is not None and (finite(self.drag, (6,), "Matrices.drag") < 0).any():
+            raise ParameterError(f"Matrices.drag must be >= 0, got {self.drag}")
+
+    def base_model(self) -> BaseModel:
+        """The matrices as given, symmetrised to rounding."""
+        M, D, K = (symmetric(getattr(self, name), name) for name in "MDK")
+        drag = None if self.drag is None else np.array(self.drag)
+        return BaseModel(M, D, K, drag=drag, extra=self.extra or ())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Satellite:
+    """A rigid body in free space under the arm: K = D = 0.
+
+    `thrusters` False is free-floating (no outside force), True is free-flying (its jets
+    may apply a wrench: `Simulator.step(..., base_wrench=...)`).
+    """
+
+    kind: ClassVar[str] = "satellite"
+    body: Inertial
+    thrusters: bool = False
+    source: str = "user"
+
+    def base_model(self) -> BaseModel:
+        """Zero M, D, K, and the body."""
+        zero = np.zeros((6, 6))
+        return BaseModel(zero, zero, zero, self.body)
+
+
+Vehicle = Beam | Matrices | Satellite
+
+STRAIGHT_VERTICAL = Beam(
+    segments=((0.0, 0.0, 12.0),),
+    outer_diameter=0.07,
+    wall=0.006,
+    source="thesis App. A.3: 12 m aluminium tube, 70 x 6 mm, arm on top",
+)
+STRAIGHT_HORIZONTAL = Beam(
+    segments=((-12.0, 0.0, 0.0),),
+    outer_diameter=0.07,
+    wall=0.006,
+    source="thesis App. A.3: the same tube lying along -x",
+)
+BENT = Beam(
+    segments=((-8.0, 0.0, 0.0), (0.0, 0.0, 8.0)),
+    outer_diameter=0.18,
+    wall=0.007,
+    source="thesis App. A.5: 8 + 8 m; 'radius of 9 centimeters' read as 180 mm diameter",
+)
+DECOUPLED = Matrices(
+    M=diagonal(500, 500, 500, 250, 250, 250),
+    D=diagonal(500, 500, 500, 250, 250, 250),
+    K=diagonal(1500, 2500, 4000, 1500, 1000, 2000),
+    source="thesis Table 5-2",
+)
+# A nominal 500 kg satellite, a homogeneous cube of 1.5 m edge under the arm (this project).
+_CUBE = Inertial(mass=500.0, com=(0.0, 0.0, -0.75), inertia=diagonal(187.5, 187.5, 187.5))
+FREE_FLOATING = Satellite(body=_CUBE, source="nominal, this project: 500 kg cube, 1.5 m edge")
+FREE_FLYING = Satellite(
+    body=_CUBE, thrusters=True, source="nominal, this project: the same cube with jets"
+)
+
+VEHICLES: dict[str, Vehicle] = {
+    "bent": BENT,
+    "straight-vertical": STRAIGHT_VERTICAL,
+    "straight-horizontal": STRAIGHT_HORIZONTAL,
+    "decoupled": DECOUPLED,
+    "free-floating": FREE_FLOATING,
+    "free-flying": FREE_FLYING,
+}
+
+
+def has(vehicle: Vehicle, name: str) -> bool:
+    """Whether a vehicle's D or K (by name) is other than zero."""
+    if isinstance(vehicle, Beam):
+        return name != "D" or vehicle.damping_ratio > 0
+    return isinstance(vehicle, Matrices) and bool(np.any(getattr(vehicle, name)))
+
+
+def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
+    """The vehicle of another base model of the same kind (with or without a body)."""
+    if base.body is not None:
+        thrusters = isinstance(vehicle, Satellite) and vehicle.thrusters
+        return Satellite(body=base.body, thrusters=thrusters, source=vehicle.source)
+    parts = {name: matrix(getattr(base, name)) for name in "MDK"}
+    drag = None if base.drag is None else tuple(base.drag.tolist())
+    return Matrices(**parts, drag=drag, extra=base.extra or None, source=vehicle.source)
+
+
+def vehicle_from_plain(plain: Any, where: str = "vehicle") -> Vehicle:
+    """A vehicle from plain data with a `kind` entry."""
+    vehicle: Vehicle = from_plain(Vehicle, plain, where)
+    return vehicle
+
+
+def get_vehicle(name: str | os.PathLike[str]) -> Vehicle:
+    """A vehicle by name, or from a .toml or .json file.
+
+    Raises:
+        ParameterError: neither a known name nor a readable vehicle file.
+    """
+    text = os.fspath(name)
+    if text in VEHICLES:
+        return VEHICLES[text]
+    if text.endswith((".toml", ".json")):
+        return vehicle_from_plain(read_table(text), text)
+    raise ParameterError(
+        f"vehicle must be one of {', '.join(VEHICLES)}, or a .toml or .json file, got {text!r}"
+    )

@@ -1,0 +1,1 @@
+"""3-D drawing of a run, movies and windows."""

@@ -1,0 +1,323 @@
+"""A system as a picture: arm, beam or legs, base path and wrench as a MuJoCo scene.
+
+Runs in drawing processes only (`movie`, `stage`): it needs MuJoCo with its OpenGL, so MuJoCo
+is imported first and as it is, not by way of `core.engine`, which would do without.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.engine.mjcf import TO_Y, build_spec
+from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.spatial import rotation
+from ves_gym.mechanics.vehicle import Beam
+from ves_gym.planners.scenes import beam_line
+from ves_gym.system.system import System
+
+ARROW = 1.2  # m, of the longest force or moment arrow
+
+BACKGROUND = (0.075, 0.090, 0.125)
+_PALE = (0.90, 0.91, 0.93, 1.0)
+JOINT = (0.93, 0.55, 0.16, 1.0)
+_METAL = (0.52, 0.56, 0.62, 1.0)
+_DARK = (0.30, 0.33, 0.38, 1.0)
+_BEAM = (0.64, 0.70, 0.78, 1.0)
+_GHOST = (0.55, 0.62, 0.75, 0.22)
+TOOL = (0.88, 0.27, 0.27, 1.0)
+FORCE = (0.35, 0.80, 0.48, 1.0)
+MOMENT = (0.74, 0.52, 0.95, 1.0)
+PATH = (0.32, 0.72, 0.98, 1.0)
+TARGET = (0.98, 0.86, 0.30, 1.0)
+
+
+class Drawing:
+    """The structure as MuJoCo geometry, posed frame by frame."""
+
+    def __init__(self, system: System, width: int, height: int) -> None:
+        self.system, self.size = system, (width, height)
+        self.rest: Any = None  # (k, 3) centreline of a beam
+        self.feet: Any = None  # (6, 3) of legs
+        if system.mode == "emulated":  # the laboratory stands on legs instead
+            stewart = system.laboratory.stewart
+            self.feet = np.array(stewart.base) - [0.0, 0.0, stewart.home_height]
+        elif isinstance(system.vehicle, Beam):
+            lines: Any = beam_line(system.vehicle, np.vstack([np.zeros(6), np.eye(6)]))
+            self.rest, self.bend = lines[0], lines[1:] - lines[0]  # (6, k, 3) per Y
+            self.thick = system.vehicle.outer_diameter
+        self.model = self._model()
+        self.data = mujoco.MjData(self.model)
+
+    # ------------------------------------------------------------------ model
+
+    def _model(self) -> Any:
+        system = self.system
+        spec = build_spec(
+            system.arm,
+            system.base,
+            gravity=(0.0, 0.0, 0.0),
+            integrator=system.integrator,
+            physics_dt=system.physics_dt,
+        )
+        spec.add_texture(
+            name="sky",
+            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+            rgb1=BACKGROUND,
+            rgb2=BACKGROUND,
+            width=32,
+            height=192,
+        )
+        spec.visual.headlight.ambient = [0.35] * 3
+        spec.visual.headlight.diffuse = [0.35] * 3
+        spec.visual.headlight.specular = [0.1] * 3
+        spec.visual.global_.offwidth, spec.visual.global_.offheight = self.size
+        spec.visual.quality.offsamples = 4
+        spec.visual.quality.numslices, spec.visual.quality.numstacks = 20, 8  # of round shapes
+        spec.stat.center, spec.stat.extent = [0.0, 0.0, 0.0], 4.0
+        spec.visual.map.znear, spec.visual.map.zfar = 0.02, 100.0
+        spec.worldbody.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            pos=[2, -4, 6],
+            dir=[-0.35, 0.6, -0.75],
+            diffuse=[0.6] * 3,
+            castshadow=False,
+        )
+        self._add_base(spec)
+        self._add_arm(spec)
+        return spec.compile()
+
+    def _add_base(self, spec: Any) -> None:
+        platform, vehicle = spec.body("platform"), self.system.vehicle
+        r = self._radius(0)
+        _rod(platform, "CYLINDER", (0, 0, -0.06), (0, 0, 0), 3.6 * r, _METAL)
+        reach = self.system.arm.links[0].d
+        if reach > 4 * r:  # the pedestal under the first joint
+            _rod(platform, "CYLINDER", (0, 0, 0), (0, 0, 0.72 * reach), 1.25 * r, _DARK)
+        _rod(spec.worldbody, "CYLINDER", (0, 0, -0.06), (0, 0, 0), 3.6 * r, _GHOST)
+        body = self.system.base.body
+        if self.feet is not None:
+            stewart = self.system.laboratory.stewart
+            top, floor = np.array(stewart.top), stewart.home_height + 0.05
+            size = np.linalg.norm(top[:, :2], axis=1).max()
+            _rod(platform, "CYLINDER", (0, 0, top[0, 2] - 0.05), (0, 0, -0.02), size, _METAL)
+            size = 1.25 * np.linalg.norm(np.array(stewart.base)[:, :2], axis=1).max()
+            plate = (0, 0, -floor - 0.06), (0, 0, -floor)
+            _rod(spec.worldbody, "CYLINDER", *plate, size, _DARK)
+            return
+        if body is not None:
+            _box(platform, np.array(body.com), *_equal_box(body), _METAL)
+        if isinstance(vehicle, Beam):
+            clamp, along = vehicle.nodes[0], np.array(vehicle.segments[0])
+            along = along / np.linalg.norm(along)
+            size = max(0.6, 4 * vehicle.outer_diameter)
+            wall = np.array([0.12, size, size])
+            _box(spec.worldbody, clamp - 0.12 * along, wall, _frame_along(along), _DARK)
+
+    def _add_arm(self, spec: Any) -> None:
+        for i, link in enumerate(self.system.arm.links):
+            body, r = spec.body(f"link_{i + 1}"), self._radius(i)
+            end, knee = np.array([link.a, 0.0, link.d]), np.array([0.0, 0.0, link.d])
+            _rod(body, "CYLINDER", (0, 0, -1.15 * r), (0, 0, 1.15 * r), 1.2 * r, JOINT)
+            if abs(link.d) > 1e-6:
+                _rod(body, "CAPSULE", (0, 0, 0), knee, r, _PALE)
+            if abs(link.a) > 1e-6:
+                _rod(body, "CAPSULE", knee, end, 0.85 * r, _PALE)
+        r, last = self._radius(self.system.arm.n), self.system.arm.links[-1]
+        along = np.array([1.0, 0, 0]) if abs(last.a) > 1e-6 else np.array([0.0, 0, 1])
+        across = np.array([0.0, 1, 0])
+        _sphere(body, end, 1.1 * r, TOOL)
+        for side in (-1, 1):
+            root = end + side * 0.8 * r * across
+            _rod(body, "CAPSULE", root, root + 2.6 * r * along, 0.3 * r, TOOL)
+
+    @property
+    def _rim(self) -> Array:
+        """The point (3,) of the plate's rim that cameras see [m]."""
+        return 4.0 * self._radius(0) * np.array([0.64, -0.77, 0.0])
+
+    def _radius(self, i: int) -> float:
+        arm = self.system.arm
+        size = float(sum(math.hypot(k.a, k.d) for k in arm.links))
+        return 0.045 * size * (1 - 0.45 * i / arm.n)
+
+    # ------------------------------------------------------------------ frames
+
+    def pose(self, y: Array, q: Array) -> None:
+        """Put the structure there."""
+        self.data.qpos[TO_Y] = y
+        self.data.qpos[6:] = q
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+    def beam(self, y: Array) -> Array | None:
+        """Bent centreline (..., k, 3) [m] under base poses y (..., 6)."""
+        if self.rest is None:
+            return None
+        return np.asarray(self.rest + np.tensordot(y, self.bend, 1), dtype=np.float64)
+
+    def legs(self, y: Array) -> Array | None:
+        """Foot and head of every leg (..., 6, 2, 3) [m]; origin: the platform top at home."""
+        if self.feet is None:
+            return None
+        top = np.array(self.system.laboratory.stewart.top)
+        head = top @ np.swapaxes(rotation(y), -1, -2) + y[..., None, :3]
+        return np.stack([np.broadcast_to(self.feet, head.shape), head], axis=-2)
+
+    def arm(self, y: Array, q: Array) -> Array:
+        """Joints and tool (..., n + 1, 3) [m] in space."""
+        turned = joint_positions(self.system.arm, q) @ np.swapaxes(rotation(y), -1, -2)
+        return np.asarray(turned + y[..., None, :3], dtype=np.float64)
+
+    def carry(self, scene: Any, y: Array, extent: float) -> None:
+        """Add what carries the arm and is no rigid body: the bent beam, or the legs."""
+        legs, line = self.legs(y), self.beam(y)
+        if legs is not None:
+            for foot, head in legs:
+                middle = foot + 0.55 * (head - foot)
+                connect(scene, "CAPSULE", foot, middle, 0.05, _DARK)
+                connect(scene, "CAPSULE", middle, head, 0.028, _METAL)
+        elif line is not None:
+            radius = max(self.thick / 2, 0.004 * extent)
+            for a, b in itertools.pairwise(self.rest):
+                connect(scene, "CAPSULE", a, b, 0.5 * radius, _GHOST)
+            for a, b in itertools.pairwise(line):
+                connect(scene, "CAPSULE", a, b, radius, _BEAM)
+
+    def trail(self, scene: Any, past: Array, extent: float) -> None:
+        """Add the path of a point on the plate's rim; past: (N, 6) base poses."""
+        stride = max(1, (len(past) - 1) // 60)
+        past = past[::-stride][::-1]  # ends at the last
+        points = past[:, :3] + rotation(past) @ self._rim
+        for i, (a, b) in enumerate(itertools.pairwise(points)):
+            fade = (*PATH[:3], 0.15 + 0.85 * (i + 1) / len(points))
+            connect(scene, "CAPSULE", a, b, 0.005 * extent, fade)
+
+    def wrench(
+        self, scene: Any, y: Array, w: Array, most: tuple[float, float], longest: float = ARROW
+    ) -> None:
+        """Add force and moment on the base; `most`: [N], [N m] as long as `longest` [m].
+
+        They begin on the plate's rim: at its centre the arm would hide them.
+        """
+        turn = rotation(y)
+        origin = y[:3] + turn @ self._rim
+        for part, largest, rgba in zip((w[:3], w[3:]), most, (FORCE, MOMENT), strict=True):
+            arrow = longest * (turn @ part) / max(largest, 1e-12)
+            if np.linalg.norm(arrow) > 0.02:
+                connect(scene, "ARROW", origin, origin + arrow, 0.025, rgba)
+
+    def camera(
+        self, points: Array, margin: float, azimuth: float, elevation: float, aspect: float
+    ) -> Any:
+        """A camera that frames all the points, seen in a given direction [deg]."""
+        az, el = math.radians(azimuth), math.radians(elevation)
+        ahead = np.array(
+            [math.cos(az) * math.cos(el), math.sin(az) * math.cos(el), math.sin(el)]
+        )
+        right = np.array([math.sin(az), -math.cos(az), 0.0])
+        axes = np.stack([right, np.cross(right, ahead)])
+        flat = points @ axes.T
+        at = axes.T @ ((flat.min(axis=0) + flat.max(axis=0)) / 2)
+        tangent = math.tan(math.radians(self.model.vis.global_.fovy) / 2)
+        offset = points - at
+        need = (np.abs(offset @ axes.T) + margin) / (tangent * np.array([aspect, 1.0]))
+        camera = mujoco.MjvCamera()
+        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+        camera.lookat[:] = at
+        camera.distance = float((need.max(axis=1) - offset @ ahead).max())
+        camera.azimuth, camera.elevation = azimuth, elevation
+        return camera
+
+    def cameras(self, y: Array, q: Array, aspect: float) -> list[tuple[Any, float]]:
+        """A camera on everything and one on the arm, each with the size of what it sees.
+
+        Args:
+            y, q: (N, 6), (N, n) where the run takes base and joints.
+        """
+        arm = np.vstack([self.arm(y, q).reshape(-1, 3), np.zeros((1, 3))])
+        out = []
+        for points, room, azimuth, elevation in (
+            (*self.whole(arm, y), 110, -14),
+            (arm, 0.4, 130, -18),
+        ):
+            camera = self.camera(points, room, azimuth, elevation, aspect)
+            out.append((camera, float(np.ptp(points, axis=0).max())))
+        return out
+
+    def whole(self, arm: Array, y: Array) -> tuple[Array, float]:
+        """Points (m, 3) of arm and vehicle together, and the room they need around them."""
+        body, margin = self.system.base.body, 0.6
+        legs, line = self.legs(y), self.beam(y)
+        if legs is not None:
+            return np.vstack([arm, legs.reshape(-1, 3)]), margin
+        if line is not None:
+            return np.vstack([arm, line.reshape(-1, 3)]), margin
+        if body is not None:
+            margin += float(_equal_box(body)[0].max())
+            return np.vstack([arm, y[:, :3] + np.array(body.com)]), margin
+        return arm, margin
+
+
+def _add(body: Any, kind: str, rgba: Any, **options: Any) -> None:
+    """A shape that is only seen: no mass, no contact."""
+    shape = getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
+    options = {k: np.asarray(v, float).tolist() for k, v in options.items()}
+    body.add_geom(type=shape, rgba=rgba, contype=0, conaffinity=0, mass=0, **options)
+
+
+def _rod(body: Any, kind: str, a: Any, b: Any, radius: float, rgba: Any) -> None:
+    _add(body, kind, rgba, size=[radius, 0, 0], fromto=[*a, *b])
+
+
+def _sphere(body: Any, at: Any, radius: float, rgba: Any) -> None:
+    _add(body, "SPHERE", rgba, size=[radius, 0, 0], pos=at)
+
+
+def _box(body: Any, at: Any, half: Array, axes: Array, rgba: Any) -> None:
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, axes.flatten())
+    _add(body, "BOX", rgba, size=half, pos=at, quat=quat)
+
+
+def connect(scene: Any, kind: str, a: Array, b: Array, radius: float, rgba: Any) -> None:
+    """Add a shape from a to b to this frame of the scene; none where they coincide."""
+    if np.linalg.norm(b - a) < 1e-9:
+        return
+    geom, shape = scene.geoms[scene.ngeom], getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
+    zero, colour = np.zeros(3), np.array(rgba, np.float32)
+    mujoco.mjv_initGeom(geom, shape, zero, zero, np.eye(3).ravel(), colour)
+    mujoco.mjv_connector(geom, shape, radius, a, b)
+    scene.ngeom += 1
+
+
+def ball(scene: Any, at: Array, radius: float, rgba: Any) -> None:
+    """Add a sphere to this frame of the scene."""
+    geom, colour = scene.geoms[scene.ngeom], np.array(rgba, np.float32)
+    shape, size = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius)
+    mujoco.mjv_initGeom(geom, shape, size, at, np.eye(3).ravel(), colour)
+    scene.ngeom += 1
+
+
+def _frame_along(x: Array) -> Array:
+    """(3, 3) rotation whose first column is the unit vector x."""
+    helper = np.eye(3)[int(np.abs(x).argmin())]
+    y = np.cross(helper, x)
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def _equal_box(body: Any) -> tuple[Array, Array]:
+    """Half sizes (3,) [m] and axes (3, 3) of the homogeneous box with a body's inertia."""
+    moments, axes = np.linalg.eigh(np.array(body.inertia))
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    squares = 6 / max(body.mass, 1e-9) * (moments.sum() - 2 * moments)
+    return np.sqrt(np.maximum(squares, 1e-4)) / 2, axes

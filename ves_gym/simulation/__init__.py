@@ -1,0 +1,1 @@
+"""Simulator, playback of motions, the emulation loop, its stability and its calibration."""

@@ -1,0 +1,321 @@
+"""Play joint motions on a system and record them: motions in, run logs out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.motion import Motion, Samples
+from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
+from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix
+from ves_gym.simulation.emulation_loop import Event
+from ves_gym.simulation.simulator import Simulator, State
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A stack of runs on one clock. Leading axis = run."""
+
+    system: System
+    servo: JointServo
+    duration: float  # of the motions [s]
+    t: Array  # (N,) s
+    q_cmd: Array  # (n, N, joints)
+    v_cmd: Array
+    q: Array
+    v: Array
+    tau: Array  # (n, N, joints) drive torque [N m]
+    y: Array  # (n, N, 6)
+    yd: Array
+    w: Array  # (n, N, 6) wrench of the arm on the base, platform frame [N, N m]; in the
+    #           laboratory what the force sensor reports, weight included
+    wg: Array | None = None  # (n, N, 6) w less the estimated weight; laboratory only
+    y_cmd: Array | None = None  # (n, N, 6) pose the platform is told; laboratory only
+    events: tuple[Event, ...] = ()  # safety stops; a run is meaningful up to its own
+    backend: str = ""  # the engine that ran
+
+    def records(self, i: int) -> int:
+        """Records of run i up to its safety stop (that included), all N without one."""
+        stops = [e.time for e in self.events if e.simulation == i]
+        if not stops:
+            return len(self.t)
+        return max(2, int(np.searchsorted(self.t, stops[0] + 1e-9)) + 1)
+
+    def log(self, i: int, note: str = "") -> RunLog:
+        """Run i as a log that can be saved: up to its safety stop, if it had one."""
+        end = self.records(i)
+        initial = {k: getattr(self, k)[i, 0].tolist() for k in ("q", "v", "y", "yd")}
+        stops = [{"time": e.time, "reason": e.reason} for e in self.events if e.simulation == i]
+        meta: dict[str, Any] = {
+            "format": "ves-run/1",
+            "system": self.system.to_dict(),
+            "controller": {
+                "kp": list(self.servo.kp),
+                "kd": list(self.servo.kd),
+                "feedforward": self.servo.feedforward,
+            },
+            "initial": initial,
+            "noise_std": {},
+            "backend": self.backend,
+            "duration": self.duration,
+            "note": note,
+        }
+        if self.system.mode == "emulated":
+            meta["events"] = stops
+        return RunLog(
+            t=self.t[:end],
+            q_cmd=self.q_cmd[i, :end],
+            v_cmd=self.v_cmd[i, :end],
+            q=self.q[i, :end],
+            v=self.v[i, :end],
+            tau=self.tau[i, :end],
+            y=self.y[i, :end],
+            yd=self.yd[i, :end],
+            w=self.w[i, :end],
+            wg=None if self.wg is None else self.wg[i, :end],
+            y_cmd=None if self.y_cmd is None else self.y_cmd[i, :end],
+            meta=meta,
+        )
+
+
+def play_motions(
+    system: System,
+    motions: Sequence[Motion],
+    *,
+    servo: JointServo = HIGH_GAINS,
+    settle: float = 10.0,
+    record_dt: float | None = None,
+    y: npt.ArrayLike = 0.0,
+    yd: npt.ArrayLike = 0.0,
+    platform: Callable[[Array], tuple[Array, Array]] | None = None,
+    gravity: Callable[[Array], Array] | None = None,
+    seed: int = 0,
+    backend: str = "auto",
+    progress: Callable[[float], None] | None = None,
+) -> Recording:
+    """Play motions of one duration in lockstep, then hold the joints for `settle` s.
+
+    Commands run linearly through each physics step. In mode emulated a run whose platform
+    freezes goes on with the platform at rest; once all have frozen, playing ends.
+
+    Args:
+        record_dt: time between records [s], a whole number of physics steps (mode emulated:
+            of control periods); default the control period.
+        y, yd: base pose and rate at the start, broadcast to (n, 6).
+        platform: position control: instants (m,) -> pose and rate to follow, (m, 6) for all
+            runs or (n, m, 6).
+        gravity: micro-gravity emulation: instants (m,) -> gravity wrench (n, m, 6) or (m, 6)
+            that takes the place of the estimate (Learning Method).
+        seed: of sensor noise and drift.
+        backend: engine, as `Simulator` takes it.
+        progress: called with the fraction done.
+
+    Raises:
+        ParameterError: no motion, unequal durations or joints, or a record_dt that is
+            not a whole number of steps.
+        Divergence: a simulation left the meaningful range.
+    """
+    n, duration = _common(system, motions)
+    if not (settle >= 0 and math.isfinite(settle)):
+        raise ParameterError(f"settle must be >= 0 s, got {settle!r}")
+    dt, emulated = system.physics_dt, system.mode == "emulated"
+    asked = system.control_dt if record_dt is None else record_dt
+    stride = _whole(asked, dt, "record_dt", "physics steps")
+    if emulated:
+        _whole(asked, system.control_dt, "record_dt", "control periods")
+    records = int(np.ceil((duration + settle) / (stride * dt) - 1e-9)) + 1
+    sim = Simulator(
+        system, n, servo=servo, backend=backend, seed=seed, warn_at=motions[0].start
+    )
+
+    edges = np.arange((records - 1) * stride + 1, dtype=np.float64) * np.float64(dt)
+    samples = _stack(motions, edges)
+    commands = _commands(sim, samples)
+    clock = edges[:: system.substeps]
+    follow = None if platform is None else _per_run(platform, clock, n, "platform")
+    table = None if gravity is None else _tabulated(gravity, clock, n)
+
+    rows: list[tuple[Array, ...]] = []
+    periods = stride // system.substeps
+    if table is not None:
+        sim.use_gravity(table[:, :1])
+    sim.reset(q=np.stack([m.start for m in motions]), y=y, yd=yd)
+    for k in range(records):
+        state = sim.state
+        tau, ydd = sim.evaluate(commands[:, k * stride])
+        row = (*sim.measured, tau, state.y, state.yd)
+        if emulated:
+            now = sim.readings
+            rows.append((*row, now.wrench, now.wrench - now.gravity, now.y_cmd))
+            if len(sim.events) >= n:
+                break
+        else:
+            rows.append((*row, base_wrench(system, state, ydd, sim.hidden)))
+        if k + 1 < records:
+            part = slice(k * periods, (k + 1) * periods)
+            if table is not None:
+                sim.use_gravity(table[:, k * periods + 1 : (k + 1) * periods + 1])
+            sim.play(
+                commands[:, k * stride : (k + 1) * stride + 1],
+                platform=None if follow is None else follow[:, part],
+            )
+        if progress is not None and k % 32 == 0:
+            progress(k / records)
+    names = ("q", "v", "tau", "y", "yd", "w", "wg", "y_cmd")
+    stacked = (np.stack(column, axis=1) for column in zip(*rows, strict=True))
+    end = (len(rows) - 1) * stride + 1
+    return Recording(
+        system=system,
+        servo=servo,
+        duration=duration,
+        t=edges[:end:stride],
+        q_cmd=samples.q[:, :end:stride],
+        v_cmd=samples.v[:, :end:stride],
+        **dict(zip(names, stacked, strict=False)),
+        events=tuple(sim.events),
+        backend=sim.backend_name,
+    )
+
+
+def weigh_poses(
+    system: System,
+    q: npt.ArrayLike,
+    y: npt.ArrayLike,
+    *,
+    seconds: float = 1.0,
+    servo: JointServo = HIGH_GAINS,
+    seed: int = 0,
+) -> RunLog:
+    """Hold arm and platform still in each of m poses and record the force sensor.
+
+    The platform stays under position control while the wrench is measured (thesis 3.4.5),
+    one row per pose, the mean of `seconds`. The sensor's drift is that of a warm sensor,
+    independent from pose to pose.
+
+    Args:
+        system: mode emulated; its operation does not matter.
+        q: (m, joints) joint angles. y: (m, 6) platform poses.
+    """
+    angles, poses = np.atleast_2d(np.asarray(q, float)), np.atleast_2d(np.asarray(y, float))
+    # zeroed anew in each pose the sensor would show nothing
+    lab = replace(system.laboratory, operation="position", zero_at_start=False)
+    effects = tuple(e for e in system.effects if not e.kind.startswith("gravity/"))
+    still = system.replace(emulator=lab, effects=effects)
+    sim = Simulator(still, len(angles), servo=servo, seed=seed, warn_at=None)
+    sim.reset(q=angles, y=poses)
+    assert sim.laboratory is not None
+    sim.laboratory.sensor.warm_up(sim.generators)
+    rest = np.zeros_like(angles)
+    hold = rest if still.drive == "prescribed" else sim.servo_command(angles, rest)
+    total, pose, count = np.zeros((len(angles), 6)), np.zeros((len(angles), 6)), 0
+    for _ in range(max(1, round(seconds / system.control_dt))):
+        sim.step(hold, platform=poses)
+        total, pose, count = total + sim.readings.wrench, pose + sim.readings.y, count + 1
+    if sim.events:
+        event = sim.events[0]
+        raise ParameterError(f"pose {event.simulation + 1}: {event.reason}")
+    return RunLog(
+        t=np.arange(len(angles)) * np.float64(seconds),
+        q_cmd=angles,
+        v_cmd=rest,
+        q=sim.state.q,
+        y=pose / count,
+        w=total / count,
+        meta={"format": "ves-run/1", "system": still.to_dict(), "note": "static poses"},
+    )
+
+
+def _per_run(
+    follow: Callable[[Array], tuple[Array, Array]], t: Array, n: int, name: str
+) -> Array:
+    """(n, N, 12) pose and rate of a prescribed platform motion at the instants t."""
+    pose, rate = (np.asarray(part, float) for part in follow(t))
+    for part in (pose, rate):
+        if part.shape not in ((len(t), 6), (n, len(t), 6)):
+            raise ParameterError(
+                f"{name} must give poses and rates of shape ({len(t)}, 6) or ({n}, {len(t)},"
+                f" 6), got {part.shape}"
+            )
+    both = np.concatenate([pose, rate], axis=-1)
+    return np.broadcast_to(both, (n, len(t), 12))
+
+
+def _tabulated(gravity: Callable[[Array], Array], t: Array, n: int) -> Array:
+    """(n, N, 6) gravity wrench at the instants t."""
+    given = np.asarray(gravity(t), float)
+    if given.shape not in ((len(t), 6), (n, len(t), 6)):
+        raise ParameterError(
+            f"gravity must give wrenches of shape ({len(t)}, 6) or ({n}, {len(t)}, 6),"
+            f" got {given.shape}"
+        )
+    return np.broadcast_to(given, (n, len(t), 6))
+
+
+def _common(system: System, motions: Sequence[Motion]) -> tuple[int, float]:
+    if not motions:
+        raise ParameterError("need at least one motion to play, got none")
+    durations = sorted({m.duration for m in motions})
+    if len(durations) > 1:
+        raise ParameterError(f"motions must share one duration, got {durations}")
+    for motion in motions:
+        if motion.n != system.arm.n:
+            raise ParameterError(
+                f"a motion for {system.arm.name} needs {system.arm.n} joints, got {motion.n}"
+            )
+    return len(motions), durations[0]
+
+
+def _whole(period: float, dt: float, name: str, what: str) -> int:
+    ratio = period / dt
+    if not math.isfinite(ratio) or round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+        raise ParameterError(
+            f"{name} must be a whole number of {what} of {dt:g} s, got {period:g} s"
+        )
+    return round(ratio)
+
+
+def _stack(motions: Sequence[Motion], t: Array) -> Samples:
+    parts = [m.at(t) for m in motions]
+    return Samples(t, *(np.stack([p[k] for p in parts]) for k in (1, 2, 3)))
+
+
+def _commands(sim: Simulator, s: Samples) -> Array:
+    """(n, N, joints) drive command at sampled instants: torque, or acceleration."""
+    if sim.system.drive == "prescribed":
+        return s.a
+    tau = sim.servo.torque_feedforward(sim.system.arm, s)
+    return sim.servo_command(s.q, s.v, tau)
+
+
+def base_wrench(
+    system: System, state: State, ydd: Array, hidden: tuple[Array, Array] | None = None
+) -> Array:
+    """(n, 6) wrench of the arm on the base, platform axes: what the vehicle's motion takes.
+
+    `hidden`: `Simulator.hidden`, where the vehicle carries oscillators.
+    """
+    base, y, yd = system.actual.base, state.y, state.yd
+    # run by run: one matrix product over the batch would round by its size
+    force = matvec(base.M, ydd) + matvec(base.D, yd) + matvec(base.K, y)  # conjugate to Y
+    if base.drag is not None:
+        force = force + base.drag * np.abs(yd) * yd
+    if base.extra:
+        if hidden is None:
+            raise ParameterError("a vehicle that carries oscillators needs their state")
+        _, D, K = base.widened()
+        for matrix, part, rest in ((K, y, hidden[0]), (D, yd, hidden[1])):
+            whole = np.concatenate([part, rest[:, -len(base.extra) :]], axis=-1)
+            force = force + matvec(matrix[:6], whole)
+    turn = np.swapaxes(rate_matrix(y), -1, -2)
+    wrench = np.linalg.solve(turn, force[..., None])[..., 0]
+    if base.body is not None:
+        wrench = wrench + body_wrench(base.body.spatial(), y, yd, ydd)
+    return np.asarray(wrench, dtype=np.float64)

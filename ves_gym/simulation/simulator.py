@@ -1,0 +1,739 @@
+"""`Simulator`: n copies of one System in lockstep. A single simulation is a batch of one."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array, Index, Mask, ParameterError
+from ves_gym.engine.backends.base import MEANINGLESS
+from ves_gym.engine.backends.registry import make_backend
+from ves_gym.engine.batch_parameters import bodies_of, require_alike, share_base
+from ves_gym.hardware.admittance import Nonlinear
+from ves_gym.mechanics.dynamics import inertia_entries
+from ves_gym.mechanics.servo import FREE, HIGH_GAINS, JointServo
+from ves_gym.mechanics.spatial import AXES, SINGULAR, matvec, rate_matrix
+from ves_gym.simulation.emulation_loop import Event, Laboratory, Readings
+from ves_gym.simulation.joint_delays import line_of
+from ves_gym.system.system import System
+
+
+class Divergence(ArithmeticError):
+    """A simulation left the meaningful range; `ids` lists all of them."""
+
+    def __init__(self, message: str, ids: Index) -> None:
+        super().__init__(message)
+        self.ids = ids
+
+
+class State(NamedTuple):
+    """Where every simulation is. Leading axis = simulation."""
+
+    time: Array  # (n,) s
+    y: Array  # (n, 6) base pose [m, rad]
+    yd: Array  # (n, 6) its rate
+    q: Array  # (n, joints) rad
+    v: Array  # (n, joints) rad/s
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Everything needed to continue exactly from here (`Simulator.snapshot`)."""
+
+    system_hash: str
+    backend_name: str
+    backend: object
+    generators: tuple[Any, ...]
+    gains: tuple[Array, Array]  # kp, kd
+    diverged: Mask
+    laboratory: Any = None
+    assigned: Mapping[int, System] = field(default_factory=dict)
+    line: Any = None
+
+
+class Simulator:
+    """n simulations of one system, or of systems that differ in numbers (`assign`).
+
+    Args:
+        system: what to simulate.
+        n: number of simulations, >= 1.
+        servo: joint servo, or None for bare torque input; ignored by a prescribed drive.
+        backend: engine, "auto" (the compiled kernel wherever it can be had), "kernel" or
+            "mujoco"; `backend_name` says which one runs.
+        threads: threads of the engine, 0 = one per processor.
+        seed: root of the per-simulation random generators; simulation i draws the same
+            numbers whatever n is.
+        on_divergence: "raise" a `Divergence` that names simulation, time and joint, or
+            "mark" it in `diverged` and leave that simulation where it is.
+        admittance: mode emulated: a nonlinear vehicle g(X, W) -> X' that takes the place of
+            the linear one, X (n, 12) = (Y, Y'), W (n, 6) conjugate to Y (thesis eq. 2.2).
+        warn_at: mode emulated: joint angles at which the loop's stability is judged; an
+            unstable one is an `EmulationWarning`. None: not judged.
+    """
+
+    seen: State  # after the last step or reset
+
+    def __init__(
+        self,
+        system: System,
+        n: int = 1,
+        *,
+        servo: JointServo | None = HIGH_GAINS,
+        backend: str = "auto",
+        threads: int = 0,
+        seed: int = 0,
+        on_divergence: str = "raise",
+        admittance: Nonlinear | None = None,
+        warn_at: npt.ArrayLike | None = 0.0,
+    ) -> None:
+        if not isinstance(n, (int, np.integer)) or isinstance(n, bool) or n < 1:
+            raise ParameterError(f"n must be a whole number >= 1, got {n!r}")
+        if (
+            not isinstance(threads, (int, np.integer))
+            or isinstance(threads, bool)
+            or threads < 0
+        ):
+            raise ParameterError(f"threads must be a whole number >= 0, got {threads!r}")
+        if on_divergence not in ("raise", "mark"):
+            raise ParameterError(f"on_divergence must be raise or mark, got {on_divergence!r}")
+        if system.mode == "ideal" or system.actual.arm.geared:
+            _require_stable_step(system.actual)
+        if system.mode == "ideal" and admittance is not None:
+            raise ParameterError("an admittance needs mode emulated, got mode ideal")
+        self.system, self.n = system, int(n)
+        self.joints = system.arm.n
+        self.backend = make_backend(backend, system.actual, self.n, threads)
+        self._assigned: dict[int, System] = {}  # simulations with a system of their own
+        self.line = line_of(system, self.n)  # delays between joint controller and drives
+        self.on_divergence = on_divergence
+        self.generators: list[np.random.Generator] = []
+        self.seed(seed)
+        self.laboratory: Laboratory | None = None
+        if system.mode == "emulated":
+            self.laboratory = Laboratory(system, self.n, self.generators, admittance)
+        self.servo = servo if servo is not None else FREE
+        self._kp = np.zeros((n, self.joints))
+        self._kd = np.zeros((n, self.joints))
+        if system.drive == "motor" and servo is not None:
+            if len(servo.kp) != self.joints:
+                raise ParameterError(
+                    f"servo must have gains for {self.joints} joints, got {len(servo.kp)}"
+                )
+            self.set_gains(servo.kp, servo.kd)
+        if self.laboratory is not None and warn_at is not None and admittance is None:
+            from ves_gym.simulation.stability import (
+                warn_if_unstable,  # it runs simulators itself
+            )
+
+            warn_if_unstable(system, warn_at, servo)
+        self.diverged = np.zeros(n, bool)
+        self.reset()
+
+    # ------------------------------------------------------------------ state
+
+    @property
+    def backend_name(self) -> str:
+        """The engine that runs: kernel or mujoco."""
+        return self.backend.name
+
+    @property
+    def state(self) -> State:
+        """A copy of the present state."""
+        time, z, zd = self.backend.read()
+        return State(time, z[:, :6], zd[:, :6], z[:, 6:], zd[:, 6:])
+
+    def seed(self, seed: int) -> None:
+        """Restart the random generators."""
+        if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool) or seed < 0:
+            raise ParameterError(f"seed must be a whole number >= 0, got {seed!r}")
+        self.generators[:] = [
+            np.random.Generator(np.random.PCG64(np.random.SeedSequence((int(seed), i))))
+            for i in range(self.n)
+        ]
+
+    def reset(
+        self,
+        *,
+        q: npt.ArrayLike = 0.0,
+        v: npt.ArrayLike = 0.0,
+        y: npt.ArrayLike = 0.0,
+        yd: npt.ArrayLike = 0.0,
+        spread: Mapping[str, npt.ArrayLike] | None = None,
+        ids: npt.ArrayLike | None = None,
+    ) -> State:
+        """Put all or some simulations at time 0 in the given state.
+
+        Args:
+            q, v: joint angles and rates, broadcast to (k, joints).
+            y, yd: base pose and its rate, broadcast to (k, 6).
+            spread: standard deviation of a normal draw added to any of q, v, y, yd.
+            ids: which simulations (k of them), or None for all.
+        """
+        index = self._ids(ids)
+        values = {"q": q, "v": v, "y": y, "yd": yd}
+        unknown = [key for key in spread or {} if key not in values]
+        if unknown:
+            raise ParameterError(f"spread: unknown key {unknown[0]!r}; known: q, v, y, yd")
+        full = {}
+        for name, value in values.items():
+            width = self.joints if name in "qv" else 6
+            full[name] = self._broadcast(value, name, (len(index), width)).copy()
+            if spread and name in spread:
+                scale = self._broadcast(spread[name], f"spread[{name!r}]", (len(index), width))
+                for row, i in enumerate(index):
+                    full[name][row] += scale[row] * self.generators[i].standard_normal(width)
+        self.backend.write(
+            index,
+            np.zeros(len(index)),
+            np.hstack([full["y"], full["q"]]),
+            np.hstack([full["yd"], full["v"]]),
+        )
+        if self.line is not None:
+            self.line.reset(index, full["q"], full["v"])
+        if self.laboratory is not None:
+            self.laboratory.reset(index, full["q"], full["y"], full["yd"])
+        self.diverged[index] = False
+        self.seen = self.state
+        return self.seen
+
+    def snapshot(self) -> Snapshot:
+        """The complete state, random generators included; picklable."""
+        return Snapshot(
+            self.system.hash,
+            self.backend.name,
+            self.backend.get_state(),
+            tuple(copy.deepcopy(g.bit_generator.state) for g in self.generators),
+            (self._kp.copy(), self._kd.copy()),
+            self.diverged.copy(),
+            None if self.laboratory is None else self.laboratory.get_state(),
+            dict(self._assigned),
+            None if self.line is None else self.line.get_state(),
+        )
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Return to a snapshot of the same system and the same n, and to what it assigned."""
+        if snapshot.system_hash != self.system.hash or len(snapshot.diverged) != self.n:
+            raise ParameterError(
+                f"snapshot is of system {snapshot.system_hash[:12]} with n ="
+                f" {len(snapshot.diverged)}, this is {self.system.hash[:12]} with n = {self.n}"
+            )
+        if snapshot.backend_name != self.backend.name:
+            raise ParameterError(
+                f"snapshot is of backend {snapshot.backend_name}, this is {self.backend.name}"
+            )
+        then, now = snapshot.assigned, self._assigned
+        ids = [i for i in sorted(then.keys() | now.keys()) if then.get(i) is not now.get(i)]
+        if ids:
+            self.assign([then.get(i, self.system) for i in ids], ids)
+        self.backend.set_state(snapshot.backend)
+        if self.system.drive == "motor":
+            self.set_gains(*snapshot.gains)
+        for generator, state in zip(self.generators, snapshot.generators, strict=True):
+            generator.bit_generator.state = copy.deepcopy(state)
+        if self.laboratory is not None:
+            self.laboratory.set_state(snapshot.laboratory)
+        if self.line is not None:
+            self.line.set_state(snapshot.line)
+        self.diverged = snapshot.diverged.copy()
+        self.seen = self.state
+
+    @property
+    def systems(self) -> tuple[System, ...]:
+        """The n systems in force: the simulator's own, or what `assign` has put there."""
+        return tuple(self._assigned.get(i, self.system) for i in range(self.n))
+
+    def assign(self, systems: Sequence[System], ids: npt.ArrayLike | None = None) -> None:
+        """Give simulations systems of their own, which differ from the simulator's in numbers.
+
+        Simulation i then runs as in a simulator of that system alone; its neighbours run on
+        untouched, and nothing is compiled anew. What may differ: masses, centres of mass,
+        inertias, rotors and torque limits of the arm, the vehicle's M, D, K (or a satellite's
+        body) and the values of the effects, which are the same kinds in the same order.
+
+        Takes effect at once and leaves the state, servo gains included, where it is. Call
+        `reset` after it, as an environment does: the memory of sensors and platforms is that
+        of the machine before. Stability of an emulation (`warn_at`) is not judged again.
+
+        The kernel leaves out of its code what is zero in the simulator's own system. So its
+        own system is a template: a number (of the arm, of M, D, K in mode ideal, of a torque
+        law; not of an effect on the laboratory) that is zero there is zero in all of them.
+
+        Args:
+            systems: one for each of ids. Fastest where arm and vehicle are the very objects
+                that the simulation had, as `system.replace(effects=...)` leaves them.
+            ids: which simulations, or None for all.
+
+        Raises:
+            ParameterError: a system differs in more than numbers, or in a structural zero;
+                nothing has been assigned then.
+        """
+        index = self._ids(ids)
+        if isinstance(systems, System) or len(systems) != len(index):
+            got = "one System" if isinstance(systems, System) else f"{len(systems)}"
+            raise ParameterError(f"systems must be a sequence of {len(index)}, got {got}")
+        stable = {bodies_of(self.system.actual)}
+        for i, system in zip(index.tolist(), systems, strict=True):
+            if not isinstance(system, System):
+                raise ParameterError(f"systems must hold Systems, got {system!r}")
+            share_base(self.system, system)
+            require_alike(self.system, system, f"system of simulation {i}")
+            judged = system.mode == "ideal" or bool(system.actual.arm.geared)
+            if judged and bodies_of(system.actual) not in stable:
+                _require_stable_step(system.actual)
+                stable.add(bodies_of(system.actual))
+        if not len(index):
+            return
+        lab = self.laboratory
+        install = None if lab is None else lab.prepare(index, systems)
+        self.backend.assign(index, [system.actual for system in systems])
+        if install is not None:
+            install()
+        if self.line is not None:
+            state = self.state
+            self.line.assign(index, systems, state.q, state.v)
+        for i, system in zip(index.tolist(), systems, strict=True):
+            self._assigned[i] = system
+            if system is self.system:
+                del self._assigned[i]
+
+    def set_gains(
+        self, kp: npt.ArrayLike, kd: npt.ArrayLike, ids: npt.ArrayLike | None = None
+    ) -> None:
+        """Servo gains [N m/rad, N m s/rad], broadcast to (k, joints)."""
+        if self.system.drive != "motor":
+            raise ParameterError("a prescribed drive has no servo gains to set")
+        index = self._ids(ids)
+        shape = (len(index), self.joints)
+        self._kp[index] = self._broadcast(kp, "kp", shape)
+        self._kd[index] = self._broadcast(kd, "kd", shape)
+        self.backend.set_gains(index, self._kp[index], self._kd[index])
+        if self.laboratory is not None:
+            self.laboratory.kp, self.laboratory.kd = self._kp, self._kd
+
+    # ---------------------------------------------------------------- stepping
+
+    def step(
+        self,
+        command: npt.ArrayLike = 0.0,
+        *,
+        until: npt.ArrayLike | None = None,
+        base_wrench: npt.ArrayLike | None = None,
+        platform: npt.ArrayLike | None = None,
+    ) -> State:
+        """Advance one control period, the command held or running linearly to another.
+
+        Args:
+            command: (n, joints), broadcast. Motor drive: torque [N m] on top of what the
+                servo gains give around zero position and rate (see `servo_command`).
+                Prescribed drive: joint acceleration [rad/s^2].
+            until: (n, joints) command at the end of the period, linear until there;
+                None: held.
+            base_wrench: (n, 6) jets' wrench in the platform frame [N, N m]; only a
+                vehicle with thrusters accepts it.
+            platform: pose (n, 6), or pose and rate (n, 12), that the platform shall
+                follow; emulators under position control only.
+        """
+        torque = self._broadcast(command, "command", (self.n, self.joints))
+        end = None if until is None else self._broadcast(until, "until", torque.shape)
+        if self.laboratory is not None:
+            if base_wrench is not None:
+                raise ParameterError("base_wrench needs mode ideal, got mode emulated")
+            self._ride(self._nodes(torque, end), self._platform(platform, 1))
+        else:
+            if platform is not None:
+                raise ParameterError("platform needs mode emulated, got mode ideal")
+            push = self._base_force(base_wrench)
+            if self.line is not None and self.line.busy:
+                self._drive(self._nodes(torque, end), push)
+            else:
+                self.backend.step(torque, end, push, self.system.substeps, self._running())
+        self._watch()
+        self.seen = self.state
+        return self.seen
+
+    def _nodes(self, command: Array, end: Array | None) -> Array:
+        """(n, k + 1, joints) at the physics steps of a period, held or linear to `end`."""
+        nodes = np.repeat(command[:, None], self.system.substeps + 1, axis=1)
+        if end is not None:
+            share = np.arange(self.system.substeps + 1) / self.system.substeps
+            nodes += (end - command)[:, None] * share[:, None]
+        return nodes
+
+    def servo_command(self, q: Array, v: Array, tau: Array | float = 0.0) -> Array:
+        """Command that makes the servo track q, v (n, ..., joints) with feed-forward tau."""
+        middle = (slice(None), *(None,) * (np.ndim(q) - 2))
+        command: Array = self._kp[middle] * q + self._kd[middle] * v + tau
+        return command
+
+    def play(self, commands: Array, platform: npt.ArrayLike | None = None) -> None:
+        """Advance k physics steps, the commands (n, k + 1, joints) linear over each step.
+
+        In mode emulated k must be whole control periods. Under position control
+        `platform` (n, periods, 12) is the pose and rate to follow from each period's start.
+        """
+        wanted = (
+            f"commands must be numbers of shape ({self.n}, k + 1, {self.joints}), k >= 1, got"
+        )
+        given = _numbers(commands, wanted)
+        if given.ndim != 3 or given.shape[1] < 2:
+            raise ParameterError(f"{wanted} {given.shape}")
+        nodes = self._broadcast(given, "commands", (self.n, given.shape[1], self.joints))
+        self.seen = self.state
+        if self.laboratory is not None:
+            periods, rest = divmod(nodes.shape[1] - 1, self.system.substeps)
+            if rest:
+                raise ParameterError(
+                    f"in mode emulated commands must cover whole control periods of"
+                    f" {self.system.substeps} physics steps, got {nodes.shape[1] - 1} steps"
+                )
+            self._ride(nodes, self._platform(platform, periods))
+        elif self.line is not None and self.line.busy:
+            self._drive(nodes, None)
+        else:
+            self.backend.play(nodes, self._running())
+        self._watch()
+
+    def _drive(self, nodes: Array, push: Array | None) -> None:
+        """In space, with delays between joint controller and drives."""
+        assert self.line is not None
+        ids = self._running()
+        if self.line.late:
+            nodes = self.line.arriving(nodes)
+        for j in range(nodes.shape[1] - 1):
+            start, end = self._held_by(nodes[:, j], nodes[:, j + 1])
+            self.backend.step(start, end, push, 1, ids)
+
+    def _carry(self, nodes: Array, base: Array, ids: Index | None) -> Array:
+        """`Backend.ride`, with delays between joint controller and drives."""
+        line = self.line
+        if line is None or not line.busy:
+            return self.backend.ride(nodes, base, ids)
+        if line.late:
+            nodes = line.arriving(nodes)
+        if not line.old:
+            return self.backend.ride(nodes, base, ids)
+        out = []
+        for j in range(nodes.shape[1] - 1):
+            ends = self._held_by(nodes[:, j], nodes[:, j + 1])
+            felt = self.backend.ride(np.stack(ends, axis=1), base[:, j : j + 2], ids)
+            out.append(felt[:, :1])
+        return np.concatenate([*out, felt[:, 1:]], axis=1)
+
+    def _held_by(self, start: Array, end: Array) -> tuple[Array, Array]:
+        """Commands at both ends of the next physics step, by a servo that sees old joints."""
+        line = self.line
+        assert line is not None
+        if not line.old:
+            return start, end
+        _, z, zd = self.backend.read()
+        q, v = z[:, 6:], zd[:, 6:]
+        first, last = line.correction(q, v, self._kp, self._kd)
+        line.remember(q, v)
+        return start + first, end + last
+
+    def _seen(self, z: Array, zd: Array) -> Array:
+        """Joint angles (n, joints) as the laboratory sees them."""
+        if self.line is None:
+            return z[:, 6:]
+        return self.line.measured(z[:, 6:], zd[:, 6:])[0]
+
+    @property
+    def hidden(self) -> tuple[Array, Array]:
+        """Coordinates and rates (n, g + m) that no log shows.
+
+        Deflections of the gears that give way [rad], then the oscillators that the vehicle
+        carries [m] (`arm.Gear`, `vehicle.Oscillator`).
+        """
+        at, rate = self.backend.hidden()
+        if self.laboratory is None:
+            return at, rate
+        u, ud = self.laboratory.carried
+        return np.concatenate([at, u], axis=1), np.concatenate([rate, ud], axis=1)
+
+    @property
+    def measured(self) -> tuple[Array, Array]:
+        """Joint angles and rates (n, joints) as controller and log see them."""
+        state = self.state
+        if self.line is None:
+            return state.q, state.v
+        return self.line.measured(state.q, state.v)
+
+    def _ride(self, nodes: Array, platform: Array | None) -> None:
+        """Control period by control period: laboratory -> engine -> laboratory."""
+        lab, k, h = self.laboratory, self.system.substeps, self.system.physics_dt
+        assert lab is not None
+        ids = self._running()
+        for i in range((nodes.shape[1] - 1) // k):
+            _, z, zd = self.backend.read()
+            seen = self._seen(z, zd)
+            given = None if platform is None else (platform[:, i, :6], platform[:, i, 6:])
+            y, yd, ydd = lab.command(seen, given)
+            base = ydd + _catch_up(y, yd, ydd, z[:, :6], zd[:, :6], h)
+            wrench = self._carry(nodes[:, i * k : (i + 1) * k + 1], base, ids)
+            _, z, zd = self.backend.read()
+            lab.sense(wrench, self._seen(z, zd))
+
+    def _platform(self, platform: npt.ArrayLike | None, periods: int) -> Array | None:
+        assert self.laboratory is not None
+        operation = self.laboratory.spec.operation
+        if platform is None:
+            return None
+        if operation != "position":
+            raise ParameterError(
+                f"platform needs an emulator under position control, got {operation}"
+            )
+        given = _numbers(platform, "platform must be numbers of shape (n, 6) or (n, 12), got")
+        if given.ndim < 3:
+            if given.ndim and given.shape[-1] == 6:
+                given = np.concatenate([given, np.zeros_like(given)], axis=-1)
+            wide = self._broadcast(given, "platform", (self.n, 12))
+            return np.repeat(wide[:, None], periods, axis=1)
+        return self._broadcast(given, "platform", (self.n, periods, 12))
+
+    # --------------------------------------------------------------- laboratory
+
+    @property
+    def readings(self) -> Readings:
+        """Mode emulated: what force sensor, gravity estimate and platform report now."""
+        if self.laboratory is None:
+            raise ParameterError("readings need mode emulated, got mode ideal")
+        return self.laboratory.readings
+
+    @property
+    def events(self) -> list[Event]:
+        """Safety stops since the resets: platforms that froze, when and why."""
+        return [] if self.laboratory is None else list(self.laboratory.events)
+
+    def use_gravity(self, table: npt.ArrayLike | None) -> None:
+        """Take the gravity wrench from a table (n, m, 6) instead of the model.
+
+        One row per reading from the next on, the last held (Learning Method, thesis 3.3);
+        None returns to the model.
+        """
+        if self.laboratory is None or self.laboratory.spec.operation != "microgravity":
+            raise ParameterError("use_gravity needs mode emulated, operation microgravity")
+        if table is None:
+            self.laboratory.table = None
+            return
+        rows = max(1, np.shape(table)[1]) if np.ndim(table) == 3 else 1
+        given = self._broadcast(table, "table", (self.n, rows, 6))
+        self.laboratory.table = given.copy()
+
+    def zero_sensor(self, ids: npt.ArrayLike | None = None) -> None:
+        """Set the force sensors' zero from the gravity estimate (thesis App. E, step 9)."""
+        if self.laboratory is None:
+            raise ParameterError("zero_sensor needs mode emulated, got mode ideal")
+        self.laboratory.zero(self._ids(ids))
+
+    def freeze(self, ids: npt.ArrayLike | None = None) -> None:
+        """Press the platforms' panic buttons: they stand until reset (thesis App. E rule 1)."""
+        if self.laboratory is None:
+            raise ParameterError("freeze needs mode emulated, got mode ideal")
+        self.laboratory.freeze(self._ids(ids), "panic button")
+
+    def evaluate(self, command: npt.ArrayLike) -> tuple[Array, Array]:
+        """Drive torque (n, joints) [N m] and base acceleration Y'' (n, 6) at this state.
+
+        The torque is what the drives are told, the acceleration what there really is.
+        """
+        given = self._broadcast(command, "command", (self.n, self.joints))
+        if self.line is None or not self.line.busy:
+            torque, acceleration = self.backend.evaluate(given)
+            return torque, acceleration[:, :6]
+        arrived = self.line.arrived(given)
+        if self.line.old:
+            state = self.state
+            more, _ = self.line.correction(state.q, state.v, self._kp, self._kd)
+            given, arrived = given + more, arrived + more
+        told, _ = self.backend.evaluate(given)
+        return told, self.backend.evaluate(arrived)[1][:, :6]
+
+    # ----------------------------------------------------------------- helpers
+
+    def _running(self) -> Index | None:
+        return np.flatnonzero(~self.diverged) if self.diverged.any() else None
+
+    def _watch(self) -> None:
+        new = self.backend.faults()
+        if self.system.base.body is not None:
+            new |= self._tumbled()
+        if not new.any():
+            return
+        new &= ~self.diverged
+        if not new.any():
+            return
+        self.diverged |= new
+        if self.on_divergence == "raise":
+            raise Divergence(
+                self.describe_divergence(int(np.flatnonzero(new)[0])), np.flatnonzero(new)
+            )
+
+    def _tumbled(self) -> Mask:
+        """Satellites whose attitude reached the end of the Z-Y-X angles (phi_y = 90 deg)."""
+        if self.system.base.body is None:
+            return np.zeros(self.n, bool)
+        tilt: Mask = np.cos(self.state.y[:, 4]) < SINGULAR  # or beyond: a step may jump over it
+        return tilt
+
+    def describe_divergence(self, i: int) -> str:
+        """One line naming simulation, time and the worst coordinate while it was finite."""
+        time, z, zd = (part[i] for part in self.backend.read())
+        which = f"simulation {i} of {self.n} diverged at t = {time:.4f} s: "
+        if self._tumbled()[i]:
+            return which + f"phi_y = {np.rad2deg(z[4]):.1f} deg, Z-Y-X angles end at 90 deg"
+        if not (np.abs([z, zd]) < MEANINGLESS).all():  # soon every coordinate is
+            seen = self.seen
+            z, zd = np.r_[seen.y[i], seen.q[i]], np.r_[seen.yd[i], seen.v[i]]
+        size = np.maximum(np.abs(z), np.abs(zd))
+        names = [*AXES, *(f"joint {k + 1}" for k in range(self.joints))]
+        worst = int(size.argmax())
+        return which + f"{names[worst]} = {z[worst]:.3g} moving at {zd[worst]:.3g}"
+
+    def _base_force(self, wrench: npt.ArrayLike | None) -> Array | None:
+        if wrench is None:
+            return None
+        if not getattr(self.system.vehicle, "thrusters", False):
+            raise ParameterError(
+                "base_wrench needs a vehicle with thrusters (free-flying), got"
+                f" {type(self.system.vehicle).__name__}"
+            )
+        jets = self._broadcast(wrench, "base_wrench", (self.n, 6))
+        return matvec(np.swapaxes(rate_matrix(self.state.y), -1, -2), jets)
+
+    def _ids(self, ids: npt.ArrayLike | None) -> Index:
+        if ids is None:
+            return np.arange(self.n)
+        index = np.asarray(ids)
+        if index.dtype == bool and index.shape == (self.n,):
+            return np.flatnonzero(index)
+        whole = index.ndim == 1 and (np.issubdtype(index.dtype, np.integer) or not index.size)
+        if not whole or (index < 0).any() or (index >= self.n).any():
+            raise ParameterError(f"ids must be whole numbers in [0, {self.n}), got {ids!r}")
+        if (np.diff(np.sort(index)) == 0).any():  # `np.unique` would load numpy.ma
+            raise ParameterError(f"ids must name each simulation once, got {ids!r}")
+        return index.astype(np.intp)
+
+    @staticmethod
+    def _broadcast(value: npt.ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
+        wanted = f"{name} must be numbers of shape {shape}, got"
+        given = _numbers(value, wanted)
+        array = given
+        if given.shape != shape:
+            try:
+                array = np.broadcast_to(given, shape)
+            except ValueError:
+                raise ParameterError(f"{wanted} {given.shape}") from None
+        if not np.isfinite(array).all():
+            where = np.argwhere(~np.isfinite(array))[0].tolist()
+            raise ParameterError(f"{name} must be finite, got {array[tuple(where)]} at {where}")
+        return array
+
+
+def _numbers(value: npt.ArrayLike, wanted: str) -> Array:
+    """`value` as a float64 array; text, truth values, None and ragged rows are errors."""
+    try:
+        given = np.asarray(value)
+    except ValueError:
+        raise ParameterError(f"{wanted} ragged rows") from None
+    if given.dtype.kind not in "fiu":
+        raise ParameterError(f"{wanted} {value!r}")
+    return given.astype(np.float64)
+
+
+def _catch_up(y: Array, yd: Array, ydd: Array, now: Array, rate: Array, h: float) -> Array:
+    """(n, k + 1, 6) acceleration that brings the engine's platform onto its path.
+
+    The engine runs the accelerations linearly through each step. What that and its own
+    rounding leave of Y and Y' at the end of the period is taken out by a correction that
+    is linear over the period.
+    """
+    k = y.shape[1] - 1
+    t = k * h
+    # where the engine would be at the end: exact integrals of a piecewise linear Y''
+    once = np.full(k + 1, h)
+    once[[0, -1]] = h / 2
+    twice = h * h * np.arange(k, -1.0, -1.0)
+    twice[0], twice[-1] = h * h * (k / 2 - 1 / 6), h * h / 6
+    miss = y[:, -1] - (now + t * rate + np.matmul(twice, ydd))
+    miss_rate = yd[:, -1] - (rate + np.matmul(once, ydd))
+    slope = (6 * miss_rate * t - 12 * miss) / t**3
+    start = miss_rate / t - slope * t / 2
+    line = np.arange(k + 1)[:, None] * h
+    return np.asarray(start[:, None] + slope[:, None] * line, dtype=np.float64)
+
+
+def _require_stable_step(system: System) -> None:
+    """Refuse a physics step the integrator cannot take, judged at q = 0.
+
+    Joints locked, or free behind gears that give way.
+    """
+    M, damping, stiffness = _passive(system)
+    K, D = np.linalg.solve(M, stiffness), np.linalg.solve(M, damping)
+    eye, none = np.eye(len(M)), np.zeros(M.shape)
+    poles = np.linalg.eigvals(np.block([[none, eye], [-K, -D]]))
+
+    def stable(dt: float) -> bool:
+        """Whether a step lets no mode grow."""
+        if system.integrator == "rk4":
+            z = poles * dt
+            growth = np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4))))
+        else:  # rates first, coordinates with the new rates
+            implicit = system.integrator == "implicitfast"
+            left = np.linalg.inv(eye + dt * D) if implicit else eye
+            keep = left if implicit else eye - dt * D
+            rates = np.hstack([-dt * left @ K, keep])
+            step = np.vstack([np.hstack([eye, none]) + dt * rates, rates])
+            growth = np.abs(np.linalg.eigvals(step))
+        return bool(growth.max() <= 1 + 1e-7)  # rounding of a double eigenvalue 1
+
+    if stable(system.physics_dt):
+        return
+    low, high = 0.0, system.physics_dt
+    for _ in range(30):
+        middle = (low + high) / 2
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    what = "arm's or vehicle's" if system.arm.geared else "vehicle's"
+    raise ParameterError(
+        f"physics_dt must be <= {low:.3g} s for the {what} fastest mode of"
+        f" {np.abs(poles).max() / 2 / np.pi:.3g} Hz, got {system.physics_dt:g} s"
+    )
+
+
+def _passive(system: System) -> tuple[Array, Array, Array]:
+    """M, D, K of what swings by itself, at q = 0."""
+    base, arm = system.base, system.arm
+    parts = inertia_entries(arm, [0.0] * arm.n, math)
+    across: Array = np.array(parts.across).T
+    H = np.block([[np.array(parts.base), across], [across.T, np.array(parts.joints)]])
+    if not (arm.geared or base.extra):
+        return base.mass_matrix + H[:6, :6], base.D, base.K
+    n, g, m = arm.n, len(arm.geared), len(base.extra)
+    # coordinates: Y, rotors, deflections of the gears, oscillators
+    link = np.zeros((6 + n, 6 + n + g))  # velocities of base and links from theirs
+    link[:, : 6 + n] = np.eye(6 + n)
+    link[[6 + i for i in arm.geared], 6 + n + np.arange(g)] = 1.0
+    rotors = np.diag(np.r_[np.zeros(6), arm.column("rotor_inertia")])
+    M, D, K = np.zeros((3, 6 + n + g + m, 6 + n + g + m))
+    M[: 6 + n + g, : 6 + n + g] = link.T @ (H - rotors) @ link
+    M[: 6 + n, : 6 + n] += rotors
+    for k, i in enumerate(arm.geared, start=6 + n):
+        gear = arm.links[i].gear
+        assert gear is not None
+        D[k, k], K[k, k] = gear.damping, gear.stiffness
+    kept = np.arange(6, 6 + n + g)  # a platform goes where it is told
+    if system.mode == "ideal":
+        kept = np.arange(len(M))
+        at = np.r_[:6, 6 + n + g : len(M)]
+        for part, own, more in zip(
+            (M, D, K), (base.mass_matrix, base.D, base.K), base.widened(), strict=True
+        ):
+            part[at[:, None], at] += more
+            part[:6, :6] += own
+    some = kept[:, None], kept
+    return M[some], D[some], K[some]

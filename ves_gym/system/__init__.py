@@ -1,0 +1,1 @@
+"""What is described: system, effects as a concept, emulator settings, run log, energies."""

@@ -1,0 +1,237 @@
+"""`Effect`: a named physical deviation from the nominal system.
+
+One concept for error models, randomisation and diagnosis. The parameters of an effect
+have a unit, bounds and a null value at which the system is exactly the nominal one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import UserDict
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError, to_plain, unit
+
+if TYPE_CHECKING:
+    from ves_gym.mechanics.arm import Arm
+    from ves_gym.mechanics.vehicle import BaseModel
+    from ves_gym.simulation.emulation_loop import Parameters
+    from ves_gym.simulation.joint_delays import Delays
+    from ves_gym.system.system import System
+
+
+class Registry(UserDict[str, "type[Effect]"]):
+    """Effects by kind. `fill` is called once, before the first question: their modules take
+    longer to load than a nominal simulation takes to begin."""
+
+    fill: Callable[[], object] | None = None
+
+    @property
+    def data(self) -> dict[str, type[Effect]]:
+        """All kinds."""
+        if self.fill is not None:
+            fill, self.fill = self.fill, None
+            fill()
+        return self._kinds
+
+    @data.setter
+    def data(self, kinds: dict[str, type[Effect]]) -> None:
+        self._kinds = kinds
+
+
+EFFECTS = Registry()
+WAYS = ("edit", "law", "arm", "base", "wire")  # methods by which an effect acts
+# Balance of torques at the joints; force sensor; estimate of the arm's weight; vehicle, real
+# or emulated; from the platform's command to its pose.
+PORTS = ("joint", "wrench", "gravity", "admittance", "platform")
+
+
+class Effect:
+    """Base of all effects; see `register` and `parameter`.
+
+    An effect acts in one of these ways (docs/decisions/0012). `edit` changes the parameters
+    of the laboratory: it adds to them, so that several effects combine and none undoes
+    another. `law` is a torque at the joints, in space as in the laboratory: a pure function
+    of arrays written against a small namespace `xp` (tanh, exp, fabs, ...), so that one text
+    runs in NumPy and is compiled into the kernel and its derivatives. `arm` and `base` say
+    what arm and vehicle really are, while all that is computed about them - gravity
+    estimate, payload compensation, feed-forward, plans - goes by the description. `wire`
+    adds to the delays between joint controller and drives.
+
+    `port` says at which component of the loop it enters, for whoever looks for it there.
+    """
+
+    REGISTRY: ClassVar[Registry] = EFFECTS
+    kind: ClassVar[str]  # "place/name"; set by `register`
+    modes: ClassVar[tuple[str, ...]] = ("emulated",)
+    port: ClassVar[str]  # one of PORTS
+    tau_max: Any  # in `law`: (n,) torque limits of the arm as described [N m]
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            low, high = field.metadata["bounds"]
+            value = getattr(self, field.name)
+            try:
+                array = np.asarray(value)
+            except ValueError:
+                array = np.empty(0, object)
+            shape = field.metadata["shape"]
+            fits = array.dtype.kind in "fiu" and len(array.shape) == len(shape)
+            fits = fits and all(w in (None, g) for w, g in zip(shape, array.shape, strict=True))
+            inside = fits and bool(np.isfinite(array).all())
+            if not inside or (array < low).any() or (array > high).any():
+                symbol = "" if field.metadata["unit"] == "1" else f" {field.metadata['unit']}"
+                size = " x ".join("any" if k is None else str(k) for k in shape) or "one"
+                raise ParameterError(
+                    f"{self.kind}.{field.name} must be {size} number{'s' * bool(shape)} in"
+                    f" [{low:g}, {high:g}]{symbol}, got {value!r}"
+                )
+            # lists and arrays become what can be compared and hashed
+            object.__setattr__(self, field.name, _nested(array.astype(float).tolist()))
+
+    def check(self, system: System) -> None:
+        """Raise ParameterError if the effect would do nothing in this system, or not fit it."""
+
+    def edit(self, p: Parameters) -> None:
+        """Add the deviation to the machine's parameters."""
+
+    def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
+        """Torque at the joints beside the motors' [N m]: q, v, tau (..., n) -> (..., n).
+
+        tau [N m] is what the motors are told to give, within the limits of the arm as
+        described; it is what logs record. Parameters of the effect, and `tau_max`, are
+        arrays (or symbols) here, whatever they were given as: () or (n,), and (simulations,
+        1) or (simulations, n) where simulations have values of their own
+        (`Simulator.assign`) and the law is seen to broadcast.
+        """
+        raise NotImplementedError
+
+    def arm(self, arm: Arm) -> Arm:
+        """The arm that is really there, from the described one."""
+        return arm
+
+    def base(self, base: BaseModel) -> BaseModel:
+        """The vehicle that is really there (or emulated), from the described one."""
+        return base
+
+    def wire(self, delays: Delays) -> None:
+        """Add to the delays between joint controller and drives."""
+
+    @property
+    def is_on_line(self) -> bool:
+        """Whether this effect is between joint controller and drives."""
+        return type(self).wire is not Effect.wire
+
+    @property
+    def is_plant(self) -> bool:
+        """Whether this effect is a difference of arm or vehicle from their description."""
+        return type(self).arm is not Effect.arm or type(self).base is not Effect.base
+
+    @property
+    def has_law(self) -> bool:
+        """Whether this effect is a torque at the joints."""
+        return type(self).law is not Effect.law
+
+    def bound(self, values: dict[str, Any]) -> Any:
+        """The effect with arrays or symbols for parameters (and `tau_max`), as in `law`."""
+        out = object.__new__(type(self))
+        for name, value in values.items():
+            object.__setattr__(out, name, value)
+        return out
+
+    def _require(self, fits: bool, what: str) -> None:
+        if not fits:
+            raise ParameterError(f"effect {self.kind} would do nothing: it needs {what}")
+
+    def _require_per_joint(self, system: System, *names: str) -> None:
+        """One number per joint in each of the named parameters."""
+        n = system.arm.n
+        for name in names:
+            if len(getattr(self, name)) != n:
+                raise ParameterError(
+                    f"{self.kind}.{name} must be {n} numbers, one per joint, got"
+                    f" {len(getattr(self, name))}"
+                )
+
+    def _require_motor(self, system: System) -> None:
+        """A joint that follows its command exactly has no torque of its own."""
+        self._require(system.drive == "motor", f"drive motor, got drive {system.drive}")
+
+    @property
+    def is_null(self) -> bool:
+        """Whether every parameter is at the value that leaves the system nominal."""
+        return all(
+            np.all(np.asarray(getattr(self, f.name)) == f.metadata["null"])
+            for f in dataclasses.fields(self)  # type: ignore[arg-type]
+            if f.metadata["null"] is not None
+        )
+
+    def __str__(self) -> str:
+        values = {k: v for k, v in to_plain(self).items() if k != "kind"}
+        return f"{self.kind}({', '.join(f'{k}={v}' for k, v in values.items())})"
+
+
+def parameter(
+    symbol: str,
+    *,
+    bounds: tuple[float, float],
+    null: float | None = 0.0,
+    shape: tuple[int | None, ...] = (),
+    default: Any = dataclasses.MISSING,
+) -> Any:
+    """A field of an effect: unit, bounds, null value (None: has none of its own), shape.
+
+    The default is the null value, filled into the shape.
+    """
+    if default is dataclasses.MISSING and null is not None and None not in shape:
+        filled = np.full(tuple(k for k in shape if k is not None), null)
+        default = _nested(filled.tolist())
+    return unit(symbol, default=default, bounds=bounds, null=null, shape=shape)
+
+
+def _nested(value: Any) -> Any:
+    return tuple(_nested(v) for v in value) if isinstance(value, list) else value
+
+
+E = TypeVar("E", bound=type[Effect])
+
+
+def register(kind: str) -> Callable[[E], E]:
+    """Class decorator: file an effect under "place/name"; a name already taken is an error."""
+
+    def decorate(cls: E) -> E:
+        if all(getattr(cls, name) is getattr(Effect, name) for name in WAYS):
+            known = ", ".join(f"`{name}`" for name in WAYS)
+            raise ParameterError(f"effect {kind!r} must have one of {known}, got none")
+        if getattr(cls, "port", None) not in PORTS:
+            known = ", ".join(PORTS)
+            got = getattr(cls, "port", None)
+            raise ParameterError(f"effect {kind!r}: port must be one of {known}, got {got!r}")
+        if kind in EFFECTS:
+            raise ParameterError(
+                f"effect {kind!r} is already registered by {EFFECTS[kind].__name__}"
+            )
+        cls.kind = kind
+        EFFECTS[kind] = cls
+        return cls
+
+    return decorate
+
+
+def joint_torque(
+    effects: Iterable[Effect], q: Array, v: Array, tau: Array, tau_max: Array
+) -> Array:
+    """(..., n) torque of all laws among the effects [N m].
+
+    At angles and rates (..., n), under motor torques tau (..., n) of limits tau_max (n,).
+    """
+    out = np.zeros(q.shape)
+    for effect in effects:
+        if effect.has_law:
+            fields = dataclasses.fields(effect)  # type: ignore[arg-type]
+            values = {f.name: np.asarray(getattr(effect, f.name), float) for f in fields}
+            out = out + effect.bound({**values, "tau_max": tau_max}).law(np, q, v, tau)
+    return out

@@ -1,0 +1,273 @@
+"""Energy transferred to the base: the suite's measure, and the ledger that checks it.
+
+E(t) = 1/2 Y'^T M_t Y' + 1/2 Y^T K Y with M_t = M + H_b(q): what the base would keep if
+the joints were locked at that instant. `E_mean`, its mean over the motion and the ten
+seconds after it, is the primary score; docs/physics.md says why not the end value.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.spatial import quadratic, twist
+from ves_gym.system.effect import joint_torque
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
+
+TAIL = 10.0  # s after the motion that E_mean covers
+SETTLED = 0.05  # of the peak
+
+
+class BaseEnergy(NamedTuple):
+    """Energy of the base at each sample [J], shape (...,)."""
+
+    strain: Array  # 1/2 Y^T K Y
+    kinetic: Array  # 1/2 Y'^T M_t Y'
+
+    @property
+    def total(self) -> Array:
+        """E(t)."""
+        total: Array = self.strain + self.kinetic
+        return total
+
+
+@dataclass(frozen=True, kw_only=True)
+class Energies:
+    """The energy measures of one run, in J unless said."""
+
+    E_mean: float  # mean of E over the motion and the tail: the primary score
+    E_res: float  # E at the end of the motion
+    E_peak: float  # largest E
+    E_strain_peak: float  # largest strain energy
+    E_int: float  # time integral of the strain energy [J s]
+    W_port: float  # work through the base port: stored in the vehicle + dissipated
+    t_5: float  # s until E stays below 5 % of its peak; inf if it does not
+
+    def __str__(self) -> str:
+        units = {"E_int": "J s", "t_5": "s"}
+        return ", ".join(f"{k} {v:.4g} {units.get(k, 'J')}" for k, v in asdict(self).items())
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Plain numbers; None where a value is not finite."""
+        return {k: v if math.isfinite(v) else None for k, v in asdict(self).items()}
+
+
+def base_energy(
+    system: System, q: npt.ArrayLike, y: npt.ArrayLike, yd: npt.ArrayLike
+) -> BaseEnergy:
+    """Strain and kinetic energy of the base.
+
+    M_t = M + H_b(q) is that of the one system given, its arm as described. Runs of systems
+    of their own (`Simulator.assign`) need a call each, with `Simulator.systems[i]`.
+
+    Args:
+        q: (..., n) joint angles. y, yd: (..., 6) base pose and its rate.
+    """
+    base = system.base
+    pose, rate = np.asarray(y, float), np.asarray(yd, float)
+    body = inertia(system.arm, q)[..., :6, :6]
+    if base.body is not None:
+        body = body + base.body.spatial()
+    kinetic = quadratic(base.M, rate) + quadratic(body, twist(pose, rate))
+    return BaseEnergy(quadratic(base.K, pose), kinetic)
+
+
+def element_table(system: System, y: npt.ArrayLike) -> Array:
+    """(..., 6, 6) thesis 4.2: E_ij = 1/2 k_ij dx_i dx_j [J]; the sum is the strain energy."""
+    pose = np.asarray(y, float)
+    table: Array = 0.5 * system.base.K * pose[..., :, None] * pose[..., None, :]
+    return table
+
+
+def _port_energy(system: System, y: Array, yd: Array) -> tuple[Array, Array]:
+    """Energy stored in the vehicle alone, and the power it dissipates."""
+    base = system.base
+    stored = quadratic(base.M, yd) + quadratic(base.K, y)
+    if base.body is not None:
+        stored = stored + quadratic(base.body.spatial(), twist(y, yd))
+    power = 2 * quadratic(base.D, yd)
+    if base.drag is not None:
+        power = power + np.sum(base.drag * np.abs(yd) ** 3, axis=-1)
+    return stored, power
+
+
+def energies(
+    system: System,
+    t: Array,
+    q: Array,
+    y: Array,
+    yd: Array,
+    *,
+    duration: float,
+    tail: float = TAIL,
+) -> list[Energies]:
+    """Energy measures of a stack of runs of one system on one clock.
+
+    Args:
+        t: (N,) s from the start of the motion; must reach duration + tail.
+        q: (n, N, joints). y, yd: (n, N, 6).
+        duration: of the motion [s]. tail: how long after it E_mean reaches [s].
+    """
+    if t[-1] - t[0] < duration + tail - 1e-6:
+        raise ParameterError(
+            f"E_mean covers the motion and {tail:g} s after it ({duration + tail:g} s), got a"
+            f" run of {t[-1] - t[0]:g} s"
+        )
+    clock = t - t[0]
+    parts = base_energy(system, q, y, yd)
+    total = parts.total
+    stored, power = _port_energy(system, y, yd)
+    work = stored[:, -1] - stored[:, 0] + np.trapezoid(power, clock, axis=-1)
+    window = clock <= duration + tail + 1e-9
+    end = int(np.searchsorted(clock, duration - 1e-9))
+    peak = total.max(axis=-1)
+    out = []
+    for i in range(len(total)):
+        above = np.flatnonzero(total[i] > SETTLED * peak[i])
+        last = int(above[-1]) if len(above) else -1
+        settled = math.inf if last + 1 >= len(clock) else float(clock[last + 1])
+        out.append(
+            Energies(
+                E_mean=float(np.trapezoid(total[i, window], clock[window]) / clock[window][-1]),
+                E_res=float(total[i, end]),
+                E_peak=float(peak[i]),
+                E_strain_peak=float(parts.strain[i].max()),
+                E_int=float(np.trapezoid(parts.strain[i], clock)),
+                W_port=float(work[i]),
+                t_5=settled,
+            )
+        )
+    return out
+
+
+def log_energies(log: RunLog, *, duration: float | None = None, tail: float = TAIL) -> Energies:
+    """Energy measures of a run log, with the system named in its metadata.
+
+    `duration` defaults to the log's own; a log without base rates has them
+    differentiated from the pose (second-order differences).
+    """
+    system = _system(log)
+    if duration is None:
+        duration = motion_end(log)
+    yd = base_rate(log)
+    return energies(
+        system, log.t, log.q[None], log.y[None], yd[None], duration=duration, tail=tail
+    )[0]
+
+
+def _system(log: RunLog) -> System:
+    if "system" not in log.meta:
+        raise ParameterError("the energy of a log needs the entry `system` in its metadata")
+    return System.from_dict(log.meta["system"], "log metadata: system")
+
+
+def motion_end(log: RunLog) -> float:
+    """Duration of the commanded motion [s]: metadata, else the last moving command."""
+    if "duration" in log.meta:
+        return float(log.meta["duration"])
+    moving = np.flatnonzero((np.abs(log.v_cmd) > 1e-9).any(axis=1))
+    return float(log.t[moving[-1]] - log.t[0]) if len(moving) else 0.0
+
+
+def base_rate(log: RunLog) -> Array:
+    """(N, 6) base pose rate: recorded, or differentiated from the pose."""
+    if log.yd is not None:
+        return log.yd
+    return np.asarray(np.gradient(log.y, log.t, axis=0), dtype=np.float64)
+
+
+# ------------------------------------------------------------------------------ ledger
+
+
+class Ledger(NamedTuple):
+    """Energy account of a run, each (N,) [J], zero at the first sample."""
+
+    work: Array  # of the joint drives
+    kinetic: Array  # change, whole system
+    strain: Array  # change
+    dissipated: Array  # in the vehicle's damping, and by effects at the joints
+    residual: Array  # work - kinetic - strain - dissipated
+    relative: float  # largest |residual| over the largest work through the base port
+
+
+def ledger(log: RunLog) -> Ledger:
+    """Close the energy account of a run: what the drives did against where it went.
+
+    Needs the columns `tau`, `v` and `yd`; quadrature is Simpson's rule on the log's
+    samples, so record densely (the physics step) where a small residual matters. There
+    the drive's command, known to be linear between samples, is integrated as such.
+    """
+    if log.tau is None or log.v is None or log.yd is None:
+        missing = [k for k in ("tau", "v", "yd") if getattr(log, k) is None]
+        raise ParameterError(f"the energy ledger needs the columns {', '.join(missing)}")
+    system = _system(log).actual
+    if system.arm.geared or system.base.extra:
+        raise ParameterError(
+            "the energy ledger knows no gears that give way and no oscillators of the vehicle"
+        )
+    rates = np.concatenate([twist(log.y, log.yd), log.v], axis=-1)
+    body = inertia(system.arm, log.q)
+    if system.base.body is not None:
+        body[..., :6, :6] += system.base.body.spatial()
+    kinetic = quadratic(body, rates) + quadratic(system.base.M, log.yd)
+    strain = quadratic(system.base.K, log.y)
+    stored, power = _port_energy(system, log.y, log.yd)
+    dissipated = scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0)
+    laws = joint_torque(system.effects, log.q, log.v, log.tau, system.arm.column("tau_max"))
+    lost = -np.sum(laws * log.v, axis=-1)
+    in_joints = scipy.integrate.cumulative_simpson(lost, x=log.t, initial=0.0)
+    work = _drive_work(system, log)
+    residual = work - (kinetic - kinetic[0]) - (strain - strain[0]) - dissipated
+    residual = residual - in_joints
+    # the largest, not the last: a free base gives back what it took
+    port = float(np.abs(stored - stored[0] + dissipated).max())
+    relative = float(np.abs(residual).max()) / port if port > 0 else math.inf
+    return Ledger(
+        work,
+        kinetic - kinetic[0],
+        strain - strain[0],
+        dissipated + in_joints,
+        residual,
+        relative,
+    )
+
+
+def _drive_work(system: System, log: RunLog) -> Array:
+    """(N,) work of the joint drives [J].
+
+    At the physics step a servo's torque is c - kp q - kd v with the command c linear over
+    the step. Simpson's rule would take kp c for as smooth as the motion, and miss
+    h^2 / 12 of its curvature: 1e-3 of the work through the port (docs/physics.md).
+    """
+    assert log.tau is not None and log.v is not None
+    gains = log.meta.get("controller", {})
+    step = np.diff(log.t)
+    at_physics_step = len(step) > 0 and np.allclose(step, system.physics_dt, rtol=1e-6)
+    if system.drive != "motor" or not gains or not at_physics_step:
+        power = np.sum(log.tau * log.v, axis=-1)
+        return np.asarray(
+            scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0), dtype=np.float64
+        )
+    kp, kd = (np.asarray(gains[k], float) for k in ("kp", "kd"))
+    h, q, v = system.physics_dt, log.q - log.q[0], log.v
+    command = log.tau + kp * q + kd * v
+    # int c v = [c q] - c' int q, with q of both ends and their slopes known
+    area = h / 2 * (q[1:] + q[:-1]) - h**2 / 12 * np.diff(v, axis=0)
+    pushed = np.diff(command * q - kp * q**2 / 2, axis=0) - np.diff(command, axis=0) / h * area
+    damped = np.diff(
+        scipy.integrate.cumulative_simpson(kd * v**2, x=log.t, axis=0, initial=0.0), axis=0
+    )
+    # a saturated motor gives its limit, whatever the command
+    limited = np.abs(log.tau) > (1 - 1e-9) * system.arm.column("tau_max")
+    clipped = (log.tau[1:] + log.tau[:-1]) / 2 * np.diff(q, axis=0)
+    work = np.where(limited[1:] | limited[:-1], clipped, pushed - damped)
+    out: Array = np.r_[0.0, np.cumsum(work.sum(axis=-1))]
+    return out

@@ -1,0 +1,245 @@
+"""Files of a run log: strict reading and all-or-nothing writing of its columns.
+
+A fault names row and column (rows count from 1, without the CSV header); `naming` puts
+the file before it. Nothing is guessed or repaired.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import reprlib
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, write_bytes
+
+META_KEY = "ves_gym"  # of the Parquet schema's metadata
+DIGEST_KEY = "ves_gym_digest"  # beside it, in files that `save` wrote
+BASE = 6  # x, y, z, phi_x, phi_y, phi_z and their wrench
+
+# quantity -> (one column per joint, required), in the order of the columns on disk
+QUANTITIES = {
+    "q_cmd": (True, True),
+    "v_cmd": (True, True),
+    "q": (True, True),
+    "v": (True, False),
+    "tau": (True, False),
+    "y": (False, True),
+    "y_cmd": (False, False),
+    "yd": (False, False),
+    "w": (False, False),
+    "wg": (False, False),
+}
+KNOWN = ", ".join(["t", *(f"{k}_1..{'n' if j else BASE}" for k, (j, _) in QUANTITIES.items())])
+
+_COLUMN = re.compile(rf"({'|'.join(QUANTITIES)})_([1-9][0-9]{{0,5}})")
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_NUMBER_BYTES = b"0123456789+-.eE,\n"  # a CSV body without fault has no others
+# Parquet types whose every value is a float64; wider ones would be rounded
+_EXACT = {"double", "float", "int8", "int16", "int32", "uint8", "uint16", "uint32"}
+
+
+class RunLogError(ValueError):
+    """A run log breaks the format; one line names file, row and column."""
+
+
+def short(value: object) -> str:
+    """A value in a message, cut where it is long."""
+    return reprlib.repr(value)
+
+
+def suffix_of(path: Path) -> str:
+    if path.suffix not in (".parquet", ".csv"):
+        raise RunLogError(f"{path}: expected a name ending in .parquet or .csv")
+    return path.suffix
+
+
+def load_pyarrow(path: Path) -> tuple[ModuleType, ModuleType]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise RunLogError(
+            f"{path}: Parquet needs the 'report' extra: pip install 'ves-gym[report]';"
+            " or save as .csv"
+        ) from None
+    return pyarrow, pyarrow.parquet
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Put the file's name before whatever is wrong with it."""
+    try:
+        yield
+    except RunLogError as error:
+        raise RunLogError(f"{path}: {error}") from None
+
+
+def read_bytes(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RunLogError(f"expected a readable file, got {error.strerror or error}") from None
+    if not data:
+        raise RunLogError("expected part of a run log, got an empty file")
+    return data
+
+
+def write_pair(first: Path, first_text: str, second: Path, second_text: str) -> None:
+    """Write both files or neither; both are complete on disk before either is renamed."""
+    first.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=first.parent, prefix=f".{first.stem}.") as staging:
+        staged = [Path(staging) / path.name for path in (first, second)]
+        write_bytes(staged[0], first_text.encode("ascii"))
+        write_bytes(staged[1], second_text.encode("ascii"))
+        before = first.read_bytes() if first.exists() else None
+        os.replace(staged[0], first)
+        try:
+            os.replace(staged[1], second)
+        except BaseException:
+            if before is None:
+                first.unlink()
+            else:
+                write_bytes(first, before)
+            raise
+
+
+def read_parquet(path: Path) -> tuple[dict[str, Array], Any, str | None]:
+    pa, pq = load_pyarrow(path)
+    data = read_bytes(path)
+    try:
+        file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
+        schema, keys = file.schema_arrow, file.metadata.metadata or {}
+        joints = _check_names(schema.names)
+        table = file.read()
+    except RunLogError:
+        raise
+    except Exception as error:  # a damaged footer makes the decoder raise nearly anything
+        text = " ".join(str(error).split())
+        raise RunLogError(f"expected a Parquet file, got {len(data)} bytes: {text}") from None
+    for field in schema:
+        if str(field.type) not in _EXACT:
+            raise RunLogError(f"column {field.name}: expected type double, got {field.type}")
+    if META_KEY.encode() not in keys:
+        raise RunLogError(f"expected metadata under the schema key {META_KEY!r}, got none")
+    columns = {name: table[name].to_numpy() for name in schema.names}  # null becomes NaN
+    digest = (
+        keys[DIGEST_KEY.encode()].decode("latin-1") if DIGEST_KEY.encode() in keys else None
+    )
+    return _arrays(columns, joints), read_json(keys[META_KEY.encode()]), digest
+
+
+def read_csv(path: Path) -> dict[str, Array]:
+    # Latin-1 decodes any byte, so that a stray one is found as a cell, by row and column.
+    text = read_bytes(path).decode("latin-1").replace("\r\n", "\n")
+    header, _, body = text.partition("\n")
+    try:
+        names = next(csv.reader([header], strict=True), [])
+    except csv.Error as error:
+        raise RunLogError(
+            f"header: expected column names, got {short(header)}: {error}"
+        ) from None
+    joints = _check_names(names)
+    rows = body.split("\n")
+    if last := rows.pop():  # a cut number still looks like one
+        column = names[min(last.count(","), len(names) - 1)]
+        raise RunLogError(
+            f"row {len(rows) + 1}, column {column}: expected a line end after every row,"
+            " got the end of the file (cut off?)"
+        )
+    if not rows:
+        raise RunLogError("expected at least 2 rows below the header, got none")
+    try:
+        if "" in rows or body.encode("latin-1").translate(None, _NUMBER_BYTES):
+            raise ValueError("blank rows or stray characters")  # loadtxt passes over some
+        table = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
+        if table.shape != (len(rows), len(names)):
+            raise ValueError(f"a table of shape {table.shape}")
+    except ValueError as error:
+        _locate(rows, names)
+        raise RunLogError(f"expected a table of numbers, got {error}") from None
+    return _arrays(dict(zip(names, table.T, strict=True)), joints)
+
+
+def _locate(rows: Sequence[str], names: Sequence[str]) -> None:
+    """Raise for the first bad cell: slow, so only run once a fault is known."""
+    for i, row in enumerate(rows, 1):
+        cells = row.split(",")
+        if len(cells) != len(names):
+            k = min(len(cells), len(names) - 1)
+            raise RunLogError(
+                f"row {i}, column {names[k]}: expected {len(names)} cells, got {len(cells)}"
+            )
+        for name, cell in zip(names, cells, strict=True):
+            if not _NUMBER.fullmatch(cell):
+                raise RunLogError(
+                    f"row {i}, column {name}: expected a finite number, got {short(cell)}"
+                )
+
+
+def read_json(data: bytes) -> Any:
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        keys = [key for key, _ in pairs]
+        if len(set(keys)) < len(keys):
+            raise ValueError(f"a key more than once among {short(keys)}")
+        return dict(pairs)
+
+    def reject(constant: str) -> None:
+        raise ValueError(f"{constant}, which is not JSON")
+
+    try:
+        return json.loads(data, object_pairs_hook=once, parse_constant=reject)
+    except (ValueError, RecursionError) as error:  # also text that is not UTF-8
+        raise RunLogError(f"metadata: expected JSON, got {error}") from None
+
+
+def _check_names(names: Sequence[str]) -> int:
+    """Number of joints, once every name is known, single and part of a complete set."""
+    if len(names) == 0:
+        raise RunLogError(f"header: expected the columns {KNOWN}, got none")
+    found: dict[str, set[int]] = {"t": set()}
+    for name in names:
+        match = _COLUMN.fullmatch(name)
+        if name != "t" and (
+            match is None or (not QUANTITIES[match[1]][0] and int(match[2]) > BASE)
+        ):
+            raise RunLogError(f"column {short(name)}: unknown; expected {KNOWN}")
+        quantity, index = (match[1], int(match[2])) if match else ("t", 1)
+        if index in found.setdefault(quantity, set()):
+            raise RunLogError(f"column {name}: expected once, got it more than once")
+        found[quantity].add(index)
+    joints = max((max(k) for q, k in found.items() if q != "t" and QUANTITIES[q][0]), default=1)
+    if not found["t"]:
+        raise RunLogError(f"column t: missing; got {', '.join(names[:8])} ...")
+    for quantity, (per_joint, required) in QUANTITIES.items():
+        if required or quantity in found:
+            size = joints if per_joint else BASE
+            have = found.get(quantity, set())
+            lost = next((i for i in range(1, size + 1) if i not in have), None)
+            if lost is not None:
+                raise RunLogError(
+                    f"column {quantity}_{lost}: missing; expected {quantity}_1..{size},"
+                    f" got {len(have)} of them"
+                )
+    return joints
+
+
+def _arrays(columns: Mapping[str, Array], joints: int) -> dict[str, Array]:
+    """Columns by name -> the arrays of a RunLog."""
+    out = {"t": columns["t"]}
+    for quantity, (per_joint, _) in QUANTITIES.items():
+        if f"{quantity}_1" in columns:
+            size = joints if per_joint else BASE
+            out[quantity] = np.column_stack(
+                [columns[f"{quantity}_{i + 1}"] for i in range(size)]
+            )
+    return out

@@ -1,0 +1,166 @@
+"""`System`: the frozen, serialisable description of what is simulated.
+
+Everything that reproduces a result is in it; `content_hash` names it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from ves_gym._util.params import (
+    ParameterError,
+    content_hash,
+    from_plain,
+    read_table,
+    require_choice,
+    require_positive,
+    to_plain,
+    unit,
+    write_table,
+)
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.vehicle import BENT, BaseModel, Vehicle, altered, get_vehicle
+from ves_gym.system.effect import Effect
+from ves_gym.system.emulator_settings import NOMINAL, Emulator
+
+MODES = ("ideal", "emulated")
+DRIVES = ("motor", "prescribed")
+INTEGRATORS = ("rk4", "euler", "implicitfast")
+PRESCRIBED_INERTIA = 1e8  # kg m^2 added to a joint that must follow its command
+
+
+@dataclass(frozen=True, kw_only=True)
+class System:
+    """Arm + vehicle + mode + effects, and how time advances.
+
+    `mode` ideal is the space system itself: zero gravity, arm and vehicle coupled.
+    Emulated is the laboratory: full gravity, and a platform that moves as the vehicle
+    would by what its force sensor feels (`emulator`; the nominal machine by default).
+    `effects` are deviations from what is described here.
+    `drive` motor gives the joints torque-limited motors with servo gains; prescribed
+    makes them follow their command exactly, whatever the base does (a perfect servo).
+    The control period must be a whole number of physics steps.
+    """
+
+    arm: Arm = PUMA_560
+    vehicle: Vehicle = BENT
+    mode: str = "ideal"
+    emulator: Emulator | None = None
+    effects: tuple[Effect, ...] = ()
+    drive: str = "motor"
+    integrator: str = "rk4"
+    physics_dt: float = unit("s", default=1.25e-3)
+    control_dt: float = unit("s", default=12.5e-3)  # 80 Hz, thesis 2.4.2
+
+    def __post_init__(self) -> None:
+        require_choice(self, "mode", MODES)
+        require_choice(self, "drive", DRIVES)
+        require_choice(self, "integrator", INTEGRATORS)
+        require_positive(self, "physics_dt", "control_dt")
+        ratio = self.control_dt / self.physics_dt
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+            raise ParameterError(
+                f"System.control_dt must be a whole number of physics steps of"
+                f" {self.physics_dt:g} s, got {self.control_dt:g} s = {ratio:g} steps"
+            )
+        if self.mode == "emulated" and self.emulator is None:
+            object.__setattr__(self, "emulator", NOMINAL)  # the dataclass is frozen
+        if self.mode == "ideal" and self.emulator is not None:
+            raise ParameterError(
+                "System.emulator belongs to mode emulated, got one with mode ideal"
+                " (System.ideal() drops it)"
+            )
+        for effect in self.effects:
+            if not isinstance(effect, Effect):
+                raise ParameterError(f"System.effects must hold effects, got {effect!r}")
+            if self.mode not in effect.modes:
+                raise ParameterError(
+                    f"effect {effect.kind} acts in mode {', '.join(effect.modes)},"
+                    f" got mode {self.mode}"
+                )
+            effect.check(self)
+
+    @property
+    def substeps(self) -> int:
+        """Physics steps per control period."""
+        return round(self.control_dt / self.physics_dt)
+
+    @cached_property
+    def base(self) -> BaseModel:
+        """M, D, K (and satellite body) of the vehicle; arrays read-only."""
+        model = self.vehicle.base_model()
+        for array in (model.M, model.D, model.K, model.drag):
+            if array is not None:
+                array.flags.writeable = False
+        return model
+
+    @property
+    def actual(self) -> System:
+        """The system as it really is: arm and vehicle as the effects on them say.
+
+        The engine runs this one; what is computed about it goes by the description. Holds
+        the remaining effects. A system without such effects is its own.
+        """
+        return self._actual if any(e.is_plant for e in self.effects) else self
+
+    @cached_property
+    def _actual(self) -> System:
+        arm, base = self.arm, self.base
+        for effect in self.effects:
+            arm, base = effect.arm(arm), effect.base(base)
+        rest = tuple(e for e in self.effects if not e.is_plant)
+        if base is self.base:
+            out = self.replace(arm=arm, effects=rest)
+            out.__dict__["base"] = base  # cached: the vehicle is the very same
+            return out
+        return self.replace(arm=arm, vehicle=altered(self.vehicle, base), effects=rest)
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of the canonical description, 64 hexadecimal digits."""
+        return content_hash(self)
+
+    def replace(self, **changes: Any) -> System:
+        """A copy with some fields changed."""
+        return dataclasses.replace(self, **changes)
+
+    def ideal(self) -> System:
+        """The space system that this one emulates (itself, if it is ideal)."""
+        if self.mode == "ideal":
+            return self
+        kept = tuple(e for e in self.effects if "ideal" in e.modes)
+        return self.replace(mode="ideal", emulator=None, effects=kept)
+
+    @property
+    def laboratory(self) -> Emulator:
+        """The emulator of an emulated system."""
+        if self.emulator is None:
+            raise ParameterError("mode ideal has no laboratory machine: use mode emulated")
+        return self.emulator
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as written to TOML and JSON."""
+        plain: dict[str, Any] = to_plain(self)
+        return plain
+
+    @staticmethod
+    def from_dict(plain: Any, where: str = "System") -> System:
+        """Rebuild from plain data. A vehicle may be given by name."""
+        if isinstance(plain, dict) and isinstance(plain.get("vehicle"), str):
+            plain = {**plain, "vehicle": to_plain(get_vehicle(plain["vehicle"]))}
+        system: System = from_plain(System, plain, where)
+        return system
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write as .toml or .json, completely or not at all."""
+        write_table(path, self)
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> System:
+        """Read a .toml or .json file; unknown keys are an error."""
+        return System.from_dict(read_table(path), str(path))
