@@ -6,7 +6,7 @@ from types import ModuleType
 from ves_gym import envs as envs  # files every environment with Gymnasium
 from ves_gym.system.effect import EFFECTS
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 EFFECTS.fill = lambda: import_module("ves_gym.effects")  # when first asked for one by name
 
