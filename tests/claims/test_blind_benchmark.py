@@ -1,8 +1,8 @@
-"""The discrepancy workflow on sealed cases: what is published is what was sealed and answered.
+"""The diagnosis on sealed cases: what is published is what was sealed and answered.
 
 Scores come from the answers, labels from the seal, which was committed before any diagnosis;
 thresholds are still those under which the set was answered. `ves-gym diagnose-benchmark --set
-sealed --salt docs/discrepancy-salt.txt --cases 240` answers it again (an hour).
+sealed --salt docs/diagnosis-salt.txt --cases 240` answers it again (an hour).
 """
 
 import json
@@ -22,11 +22,11 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 @pytest.fixture(scope="module")
 def published():
-    return json.loads((DOCS / "discrepancy-results.json").read_text("utf-8"))
+    return json.loads((DOCS / "diagnosis-results.json").read_text("utf-8"))
 
 
 def test_labels_are_those_that_were_sealed(published):
-    sealed = json.loads((DOCS / "discrepancy-seal.json").read_text("utf-8"))
+    sealed = json.loads((DOCS / "diagnosis-seal.json").read_text("utf-8"))
     assert published["seal"]["digest"] == sealed["digest"]
     assert published["cases"] == sealed["cases"]
     labels, nonce = published["labels"], published["seal"]["nonce"]
@@ -37,7 +37,7 @@ def test_labels_are_those_that_were_sealed(published):
 
 
 def test_cases_are_the_stated_share_of_all_kinds(published):
-    root = root_seed("sealed", (DOCS / "discrepancy-salt.txt").read_text("utf-8").strip())
+    root = root_seed("sealed", (DOCS / "diagnosis-salt.txt").read_text("utf-8").strip())
     assert published["cases"] == stratified(240, root)
     order, plans = order_of(root), mix()
     for label in published["labels"]:
@@ -47,7 +47,7 @@ def test_cases_are_the_stated_share_of_all_kinds(published):
 
 def test_the_page_is_what_the_answers_score(published):
     result = {**published, "score": score(published["labels"], published["answers"])}
-    assert markdown(result) == (DOCS / "discrepancy-results.md").read_text("utf-8")
+    assert markdown(result) == (DOCS / "diagnosis-results.md").read_text("utf-8")
     assert [short(a) for a in published["answers"]] == published["answers"]
 
 

@@ -2,7 +2,7 @@
 
 With |z_g|^2 / n_g = s_g^2 after the fit, twice the negative log-likelihood of group g is
 n_g s_g^2 where the residual is no larger than noise, and n_g (1 + log s_g^2) where it is
-larger: its most probable size is then s_g^2 (derived in docs/discrepancy.md). What is left
+larger: its most probable size is then s_g^2 (derived in docs/diagnosis.md). What is left
 unexplained in a group thereby weakens, by itself, whatever else the group seems to say.
 """
 

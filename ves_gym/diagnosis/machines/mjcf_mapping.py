@@ -1,4 +1,4 @@
-"""From a mapping file to a machine in MJCF and its runs; docs/discrepancy.md has an example.
+"""From a mapping file to a machine in MJCF and its runs; docs/diagnosis.md has an example.
 
 `load_emps` and `load_tiago` read two public data sets from wherever the user has them.
 """

@@ -15,7 +15,7 @@ def deflection(
 
     free(x) is what x has beyond half the gap on either side. The torque is the one that goes
     through the gear, which the log holds; driven by the motion instead, a light link would
-    ring, and make much of noise (derived in docs/discrepancy.md).
+    ring, and make much of noise (derived in docs/diagnosis.md).
 
     Args:
         torque: (..., T) through the gear [N m].

@@ -2,5 +2,5 @@
 
 Independent of the simulator and of the selector that is judged with it: of `ves_gym` it
 uses the parameter errors and the log format, and a machine's description as plain data.
-`docs/discrepancy-blind.md` says what it models.
+`docs/diagnosis-benchmark.md` says what it models.
 """
