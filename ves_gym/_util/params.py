@@ -23,6 +23,8 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from ves_gym._util.suggest import did_you_mean
+
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
@@ -87,6 +89,7 @@ def require_choice(params: object, name: str, choices: tuple[str, ...]) -> None:
     if value not in choices:
         raise ParameterError(
             f"{type(params).__name__}.{name} must be one of {', '.join(choices)}, got {value!r}"
+            f"{did_you_mean(value, choices)}"
         )
 
 
@@ -153,8 +156,11 @@ def from_plain(cls: Any, plain: Any, where: str = "") -> Any:
     if known is not None and cls not in known.values():
         kind = plain.get("kind") if isinstance(plain, Mapping) else None
         if not isinstance(kind, str) or kind not in known:
-            names = ", ".join(sorted(known))
-            raise ParameterError(f"{where}.kind must be one of {names}, got {kind!r}")
+            names = sorted(known)
+            raise ParameterError(
+                f"{where}.kind must be one of {', '.join(names)}, got {kind!r}"
+                f"{did_you_mean(kind, names)}"
+            )
         return from_plain(known[kind], plain, where)
     if isinstance(cls, type) and dataclasses.is_dataclass(cls):
         return _from_mapping(cls, plain, where)
@@ -191,7 +197,10 @@ def _from_union(options: tuple[Any, ...], plain: Any, where: str) -> Any:
     kinds = {k.kind: k for k in options}
     kind = plain.get("kind") if isinstance(plain, Mapping) else None
     if not isinstance(kind, str) or kind not in kinds:
-        raise ParameterError(f"{where}.kind must be one of {', '.join(kinds)}, got {kind!r}")
+        raise ParameterError(
+            f"{where}.kind must be one of {', '.join(kinds)}, got {kind!r}"
+            f"{did_you_mean(kind, kinds)}"
+        )
     return from_plain(kinds[kind], plain, where)
 
 
@@ -207,7 +216,10 @@ def _from_mapping(cls: type[T], plain: Any, where: str) -> T:
         raise ParameterError(f"{where}.kind must be {kind}, got {plain['kind']!r}")
     unknown = [key for key in given if key not in fields]
     if unknown:
-        raise ParameterError(f"{where}: unknown key {unknown[0]!r}; known: {', '.join(fields)}")
+        raise ParameterError(
+            f"{where}: unknown key {unknown[0]!r}; known: {', '.join(fields)}"
+            f"{did_you_mean(unknown[0], fields)}"
+        )
     hints = typing.get_type_hints(cls)
     values = {key: from_plain(hints[key], v, f"{where}.{key}") for key, v in given.items()}
     missing = [

@@ -16,6 +16,7 @@ from ves_gym._util.params import (
     require_choice,
     to_plain,
 )
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.policy import ACTIVATIONS
 
 CONFIGS = Path(__file__).parent / "configs"
@@ -129,8 +130,11 @@ def find_configs(env: str, algorithm: str | None = None) -> list[TrainConfig]:
     every = [read_config(path) for path in sorted(CONFIGS.glob("*.toml"))]
     wanted = (None, *ALGORITHMS, *(c.label for c in every))
     if algorithm not in wanted:
-        names = ", ".join(sorted({c.label for c in every}))
-        raise ParameterError(f"algorithm must be one of {names}, got {algorithm!r}")
+        names = sorted({c.label for c in every})
+        raise ParameterError(
+            f"algorithm must be one of {', '.join(names)}, got {algorithm!r}"
+            f"{did_you_mean(algorithm, names)}"
+        )
     chosen = [c for c in every if algorithm in (None, c.label, c.algorithm)]
     found = [c for c in chosen if c.env == env]
     if not found:

@@ -15,6 +15,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.envs.control import Control, Gains, Torque
 from ves_gym.envs.rest_to_rest import RestToRest
 from ves_gym.envs.vector import VesVectorEnv
@@ -293,5 +294,6 @@ def get_controller(name: str, seed: int = 0) -> Controller:
     if name not in CONTROLLERS:
         raise ParameterError(
             f"controller must be one of {', '.join(CONTROLLERS)}, got {name!r}"
+            f"{did_you_mean(name, CONTROLLERS)}"
         )
     return CONTROLLERS[name](seed)

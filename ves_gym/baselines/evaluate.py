@@ -19,6 +19,7 @@ from gymnasium.vector import AutoresetMode
 
 from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, rate
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.policy import versions
 from ves_gym.envs.vector import VesVectorEnv
@@ -153,8 +154,10 @@ def make_vector(
     try:
         spec = gym.spec(id)
     except gym.error.Error as error:
-        known = ", ".join(sorted(k for k in gym.registry if k.startswith("ves/")))
-        raise ParameterError(f"{error}; known: {known}") from None
+        known = sorted(k for k in gym.registry if k.startswith("ves/"))
+        raise ParameterError(
+            f"{error}; known: {', '.join(known)}{did_you_mean(id, known)}"
+        ) from None
     entry: Any = spec.vector_entry_point
     if isinstance(entry, str):
         entry = load_env_creator(entry)

@@ -25,6 +25,7 @@ from gymnasium.vector import AutoresetMode
 from ves_gym._util.params import ParameterError, content_hash, write_text
 from ves_gym._util.process_pool import WorkerDied, Workers, note
 from ves_gym._util.statistics import STATISTICS, bootstrap, rate
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.checkpoint import load_state, save_state
 from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.controllers import Zero
@@ -337,7 +338,7 @@ def _model(config: TrainConfig, seed: int, venv: Any) -> Any:
     if unknown:
         raise ParameterError(
             f"{config.algorithm} has no hyper-parameter {unknown[0]!r}; known:"
-            f" {', '.join(known)}"
+            f" {', '.join(known)}{did_you_mean(unknown[0], known)}"
         )
     rate, end = given.pop("learning_rate", 3e-4), config.final_rate
     if config.her is not None:

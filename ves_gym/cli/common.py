@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ves_gym._util.params import ParameterError, Vector, from_plain, write_text
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.vehicle import VEHICLES, get_vehicle
@@ -116,7 +117,7 @@ def _platform(text: str) -> PoseServo | LegServo:
     except ValueError:
         raise ParameterError(
             f"--platform must be a bandwidth > 0 in Hz or one of {', '.join(LEG_SERVOS)},"
-            f" got {text!r}"
+            f" got {text!r}{did_you_mean(text, LEG_SERVOS)}"
         ) from None
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym._util.params import ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.controllers import CONTROLLERS, Controller, get_controller
 from ves_gym.baselines.evaluate import Evaluation, evaluate, pool, report
 from ves_gym.baselines.policy import load_policy, released
@@ -103,7 +104,7 @@ def policy_files(text: str, id: str) -> list[Path]:
         if text not in known:
             raise ParameterError(
                 f"policy {text!r} is no file, and none released for {id}: known are"
-                f" {', '.join(known) or 'none'}"
+                f" {', '.join(known) or 'none'}{did_you_mean(text, known)}"
             )
         return [known[text]]
     return [path]

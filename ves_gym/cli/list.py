@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.cli.common import write_json
 
 SCHEMA = "ves-list/1"
@@ -26,7 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print one table per kind."""
     if args.what is not None and args.what not in KINDS:
-        raise ParameterError(f"WHAT must be one of {', '.join(KINDS)}, got {args.what!r}")
+        raise ParameterError(
+            f"WHAT must be one of {', '.join(KINDS)}, got {args.what!r}"
+            f"{did_you_mean(args.what, KINDS)}"
+        )
     names = list(KINDS) if args.what is None else [args.what]
     found = {name: KINDS[name]() for name in names}
     write_json(args.json, {"schema": SCHEMA, **found})

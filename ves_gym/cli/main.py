@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from ves_gym import __version__
+from ves_gym._util.suggest import did_you_mean
 
 COMMANDS = {  # name -> what it does; the module of the same name is loaded when asked for
     "benchmark": "planners x queries x durations: table, figures, HTML report",
@@ -49,6 +50,26 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message} (see {self.prog} --help)")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse a COMMAND or ACTION that there is not, as every unknown name is refused."""
+        if action.choices is not None and value not in action.choices:
+            names = [str(k) for k in action.choices]
+            self.error(
+                f"{action.metavar or action.dest} must be one of {', '.join(names)}, got"
+                f" {value!r}{did_you_mean(value, names)}"
+            )
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Any = None, namespace: Any = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Parse; an unknown option of a command is refused beside the closest known one."""
+        out, extra = super().parse_known_args(args, namespace)
+        unknown = next((k.partition("=")[0] for k in extra if k.startswith("--")), None)
+        if unknown is not None:
+            hint = did_you_mean(unknown, self._option_string_actions)
+            self.error(f"unrecognized arguments: {' '.join(extra)}{hint}")
+        return out, extra
 
 
 def build_parser(command: str | None) -> argparse.ArgumentParser:

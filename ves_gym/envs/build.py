@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from ves_gym._util.params import ParameterError, from_plain
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.envs.control import Control, get_control
 from ves_gym.envs.randomize import Range
 from ves_gym.envs.task import TASKS, Task
@@ -63,6 +64,7 @@ def build_task(
         known = (*fields, "mode", "vehicle", "effects")
         raise ParameterError(
             f"{cls.kind}: unknown setting {unknown[0]!r}; known: {', '.join(known)}"
+            f"{did_you_mean(unknown[0], known)}"
         )
     start: Any = defaults.system if defaults is not None else fields["system"].default
     values: dict[str, Any] = {"system": _system(start, system, mode, vehicle, effects)}
@@ -92,8 +94,11 @@ def get_task(task: str | type[Task]) -> type[Task]:
     if task in _FILES:
         importlib.import_module(f"ves_gym.envs.{task}")
     if task not in TASKS:
-        names = ", ".join(dict.fromkeys((*_FILES, *TASKS)))
-        raise ParameterError(f"task must be one of {names}, or module:Class, got {task!r}")
+        names = tuple(dict.fromkeys((*_FILES, *TASKS)))
+        raise ParameterError(
+            f"task must be one of {', '.join(names)}, or module:Class, got {task!r}"
+            f"{did_you_mean(task, names)}"
+        )
     return TASKS[task]
 
 

@@ -21,6 +21,7 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, JointServo
 from ves_gym.system.system import System
@@ -313,5 +314,8 @@ class Gains(Control):
 def get_control(name: str) -> Control:
     """A control of default settings by name."""
     if name not in CONTROLS:
-        raise ParameterError(f"control must be one of {', '.join(CONTROLS)}, got {name!r}")
+        raise ParameterError(
+            f"control must be one of {', '.join(CONTROLS)}, got {name!r}"
+            f"{did_you_mean(name, CONTROLS)}"
+        )
     return CONTROLS[name]()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, from_plain
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.system.effect import EFFECTS, Effect
 from ves_gym.system.system import System
 
@@ -25,13 +26,13 @@ class Range:
         if self.effect not in EFFECTS:
             raise ParameterError(
                 f"randomize: effect must be one of {', '.join(sorted(EFFECTS))}, got"
-                f" {self.effect!r}"
+                f" {self.effect!r}{did_you_mean(self.effect, EFFECTS)}"
             )
         names = [f.name for f in dataclasses.fields(EFFECTS[self.effect])]  # type: ignore[arg-type]
         if self.parameter not in names:
             raise ParameterError(
                 f"randomize: {self.effect} has parameters {', '.join(names)}, got"
-                f" {self.parameter!r}"
+                f" {self.parameter!r}{did_you_mean(self.parameter, names)}"
             )
         try:
             low, high = np.asarray(self.low, float), np.asarray(self.high, float)

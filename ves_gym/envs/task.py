@@ -24,6 +24,7 @@ from ves_gym._util.params import (
     to_plain,
     unit,
 )
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.envs.control import Control
 from ves_gym.envs.randomize import Range
 from ves_gym.system.energy import TAIL
@@ -194,8 +195,11 @@ class Task(ABC):
                 out[name] = value
                 continue
             if name not in self.options:
-                known = ", ".join((*extra, *self.options))
-                raise ParameterError(f"reset: unknown option {name!r}; known: {known}")
+                known = (*extra, *self.options)
+                raise ParameterError(
+                    f"reset: unknown option {name!r}; known: {', '.join(known)}"
+                    f"{did_you_mean(name, known)}"
+                )
             width = 6 if name in ("y", "yd") else 3 if name == "target" else self.system.arm.n
             shape = (width,) if rows is None else (rows, width)
             out[name] = finite(value, shape, f"options[{name!r}]")

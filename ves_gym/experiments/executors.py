@@ -22,6 +22,7 @@ from typing import Any, Protocol
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.process_pool import JobTimeout, WorkerDied, Workers, one_thread, portable
+from ves_gym._util.suggest import did_you_mean
 
 EXECUTORS = ("local", "slurm", "submitit-local", "dask", "ray")
 _POLL = 0.2  # s between looks at submitit's jobs
@@ -60,7 +61,10 @@ def open_executor(
         slurm: parameters of submitit's Slurm executor, such as `slurm_partition`.
     """
     if name not in EXECUTORS:
-        raise ParameterError(f"executor must be one of {', '.join(EXECUTORS)}, got {name!r}")
+        raise ParameterError(
+            f"executor must be one of {', '.join(EXECUTORS)}, got {name!r}"
+            f"{did_you_mean(name, EXECUTORS)}"
+        )
     if workers < 1:
         raise ParameterError(f"workers must be >= 1, got {workers}")
     if address is not None and name not in ("dask", "ray"):

@@ -30,6 +30,7 @@ from ves_gym._util.params import (
     require_choice,
     write_bytes,
 )
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.experiments.executors import Executor, open_executor
 from ves_gym.experiments.spec import spec_from_plain, units_of
 from ves_gym.experiments.sweep import Report, finished, run_units
@@ -253,8 +254,10 @@ def _value(root: Path, units: list[Unit], objective: str) -> float | None:
     for unit in units:
         summary = read_result(root / "results" / f"{unit.id}.json")["summary"]
         if objective not in summary:
-            known = ", ".join(summary)
-            raise ParameterError(f"objective must be one of {known}, got {objective!r}")
+            raise ParameterError(
+                f"objective must be one of {', '.join(summary)}, got {objective!r}"
+                f"{did_you_mean(objective, summary)}"
+            )
         values.append(summary[objective])
     return None if None in values or not values else sum(values) / len(values)
 

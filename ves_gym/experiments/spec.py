@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym._util.params import ParameterError, from_plain, read_table, to_plain
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.config import CONFIGS, TrainConfig, config_from_plain
 from ves_gym.baselines.controllers import CONTROLLERS
 from ves_gym.baselines.policy import released
@@ -133,6 +134,7 @@ def _policies(text: str, env: str, base: Path) -> list[str]:
         raise ParameterError(
             f"policy {text!r} of {env} must be one of {', '.join(CONTROLLERS)}, `released`, a"
             " policy's .json file or a folder that `ves-gym train` made"
+            f"{did_you_mean(text, ('released', *CONTROLLERS))}"
         )
     return [str(file.resolve()) for file in files]
 
@@ -147,8 +149,11 @@ def _trainings(table: Trainings, base: Path) -> Iterable[Unit]:
 def _config(name: str, changes: Mapping[str, Any], base: Path) -> TrainConfig:
     path = base / name if Path(name).suffix in (".toml", ".json") else CONFIGS / f"{name}.toml"
     if path.parent == CONFIGS and not path.exists():
-        known = ", ".join(sorted(p.stem for p in CONFIGS.glob("*.toml")))
-        raise ParameterError(f"config must be a .toml file or one of {known}, got {name!r}")
+        known = sorted(p.stem for p in CONFIGS.glob("*.toml"))
+        raise ParameterError(
+            f"config must be a .toml file or one of {', '.join(known)}, got {name!r}"
+            f"{did_you_mean(name, known)}"
+        )
     return config_from_plain(_changed(read_table(path), changes), str(path))
 
 

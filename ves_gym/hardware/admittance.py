@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Inertial
 from ves_gym.mechanics.spatial import AXES, body_wrench, matvec, rate_matrix
 from ves_gym.mechanics.vehicle import BaseModel
@@ -77,7 +78,10 @@ def admittance_matrices(
     2m, 6) of (Y, u, Y', u').
     """
     if form not in FORMS:
-        raise ParameterError(f"admittance form must be one of {', '.join(FORMS)}, got {form!r}")
+        raise ParameterError(
+            f"admittance form must be one of {', '.join(FORMS)}, got {form!r}"
+            f"{did_you_mean(form, FORMS)}"
+        )
     M, D, K = base.mass_matrix, base.D, base.K
     if base.extra:
         wide = base.widened()

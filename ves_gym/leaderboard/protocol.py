@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ves_gym._util.params import ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.envs.registration import IDS
 from ves_gym.planners.suites import REACH_SEED
 
@@ -116,7 +117,10 @@ def problems(track: str) -> tuple[str, ...]:
         "discrepancy": ["blind-development", "blind-sealed"],
     }
     if track not in named:
-        raise ParameterError(f"track must be one of {', '.join(PROTOCOL)}, got {track!r:.80}")
+        raise ParameterError(
+            f"track must be one of {', '.join(PROTOCOL)}, got {track!r:.80}"
+            f"{did_you_mean(track, PROTOCOL)}"
+        )
     return tuple(name + part for name in named[track] for part in ("", QUICK))
 
 
@@ -127,7 +131,7 @@ def get_problem(track: str, name: str) -> Problem:
         shown = ", ".join(k for k in known if not k.endswith(QUICK))
         raise ParameterError(
             f"problem of track {track} must be one of {shown}, or with {QUICK} after it, got"
-            f" {name!r:.80}"
+            f" {name!r:.80}{did_you_mean(name, known)}"
         )
     return Problem(track, name)
 

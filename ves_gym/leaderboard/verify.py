@@ -16,6 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ves_gym._util.params import ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.leaderboard import fingerprint
 from ves_gym.leaderboard.archive import MANIFEST, read_members
 from ves_gym.leaderboard.bundle import digest, read_manifest
@@ -69,7 +70,10 @@ def verify(
         Rejection: what is wrong with the bundle.
     """
     if level not in LEVELS:
-        raise ParameterError(f"level must be one of {', '.join(LEVELS)}, got {level!r}")
+        raise ParameterError(
+            f"level must be one of {', '.join(LEVELS)}, got {level!r}"
+            f"{did_you_mean(level, LEVELS)}"
+        )
     members = read_members(path)
     if MANIFEST not in members:
         raise Rejection(Code.MISSING_MEMBER, f"there is no {MANIFEST}")

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import scipy
 
 from ves_gym._util.params import Array, Matrix, ParameterError, require_positive, unit
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Arm, matrix
 from ves_gym.mechanics.dynamics import inverse_dynamics
 
@@ -242,7 +243,10 @@ def require_limits(
     """
     unknown = [name for name in names if name not in _SHOWN]
     if unknown:
-        raise ParameterError(f"limits are {', '.join(_SHOWN)}, got {unknown[0]!r}")
+        raise ParameterError(
+            f"limits are {', '.join(_SHOWN)}, got {unknown[0]!r}"
+            f"{did_you_mean(unknown[0], _SHOWN)}"
+        )
     s = motion.at(np.linspace(0, motion.duration, samples))
     tau = inverse_dynamics(arm, s.q, s.v, s.a)[0]
     for name, (x, limit) in _limits(arm, s, tau).items():

@@ -26,6 +26,7 @@ from ves_gym._util.params import (
     symmetric,
     unit,
 )
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Inertial, diagonal, matrix, skew
 
 _GAUSS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; the beam needs 6
@@ -405,4 +406,5 @@ def get_vehicle(name: str | os.PathLike[str]) -> Vehicle:
         return vehicle_from_plain(read_table(text), text)
     raise ParameterError(
         f"vehicle must be one of {', '.join(VEHICLES)}, or a .toml or .json file, got {text!r}"
+        f"{did_you_mean(text, VEHICLES)}"
     )

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy.stats import qmc
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.engine.kernel.blocks import aligned
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_map
@@ -43,7 +44,10 @@ class Metric:
 
     def __init__(self, system: System, kind: str, duration: float | None = None) -> None:
         if kind not in METRICS:
-            raise ParameterError(f"metric must be one of {', '.join(METRICS)}, got {kind!r}")
+            raise ParameterError(
+                f"metric must be one of {', '.join(METRICS)}, got {kind!r}"
+                f"{did_you_mean(kind, METRICS)}"
+            )
         if kind == "qt" and not (duration is not None and 0 < duration < np.inf):
             raise ParameterError(f"metric qt needs a duration > 0 s, got {duration!r}")
         self.kind, self.system, self.n = kind, system.ideal(), system.arm.n

@@ -20,6 +20,7 @@ import scipy.linalg
 import scipy.optimize
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.engine.linear import linearise_ideal
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.coupling import blocks
@@ -311,7 +312,10 @@ def objective_of(plant: Plant, name: str, y: npt.ArrayLike = THESIS_RELEASE) -> 
         return _worst_objective(plant)
     if name == "estimator":
         return _estimator_objective
-    raise ParameterError(f"objective must be one of {', '.join(OBJECTIVES)}, got {name!r}")
+    raise ParameterError(
+        f"objective must be one of {', '.join(OBJECTIVES)}, got {name!r}"
+        f"{did_you_mean(name, OBJECTIVES)}"
+    )
 
 
 def _strain_objective(S: Array, X0: Array) -> Objective:

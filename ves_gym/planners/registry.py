@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ves_gym._util.params import ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.hotspot import BadPath, HotSpot
 from ves_gym.planners.ompl_search import OBJECTIVES, Ompl
@@ -31,5 +32,8 @@ PLANNERS: dict[str, Planner] = {planner.name: planner for planner in _ALL}
 def get_planner(name: str) -> Planner:
     """A planner by name; unknown names are an error that lists the known ones."""
     if name not in PLANNERS:
-        raise ParameterError(f"planner must be one of {', '.join(PLANNERS)}, got {name!r}")
+        raise ParameterError(
+            f"planner must be one of {', '.join(PLANNERS)}, got {name!r}"
+            f"{did_you_mean(name, PLANNERS)}"
+        )
     return PLANNERS[name]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ves_gym._util.params import ParameterError, Vector
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings
@@ -64,6 +65,7 @@ def get_suite(
     if obstacles not in OBSTACLES:
         raise ParameterError(
             f"obstacles must be one of {', '.join(OBSTACLES)}, got {obstacles!r}"
+            f"{did_you_mean(obstacles, OBSTACLES)}"
         )
     if name == "reach100":
         return reach100(system, vehicle or "bent", 10 if quick else 100, obstacles)
@@ -71,7 +73,9 @@ def get_suite(
         if obstacles != "off":
             raise ParameterError(f"suite thesis has no obstacles, got {obstacles!r}")
         return thesis(system, vehicle)
-    raise ParameterError(f"suite must be one of {', '.join(SUITES)}, got {name!r}")
+    raise ParameterError(
+        f"suite must be one of {', '.join(SUITES)}, got {name!r}{did_you_mean(name, SUITES)}"
+    )
 
 
 def uncompensated(system: System) -> System:
@@ -175,7 +179,10 @@ def thesis(system: System, vehicle: str | None) -> Suite:
         )
     if not queries:
         beams = sorted({q[0] for q in questions})
-        raise ParameterError(f"suite thesis runs on {', '.join(beams)}, got {vehicle!r}")
+        raise ParameterError(
+            f"suite thesis runs on {', '.join(beams)}, got {vehicle!r}"
+            f"{did_you_mean(vehicle, beams)}"
+        )
     return Suite(
         name="thesis",
         queries=tuple(queries),

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, to_plain, unit
+from ves_gym._util.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from ves_gym.mechanics.arm import Arm
@@ -209,7 +210,10 @@ def register(kind: str) -> Callable[[E], E]:
         if getattr(cls, "port", None) not in PORTS:
             known = ", ".join(PORTS)
             got = getattr(cls, "port", None)
-            raise ParameterError(f"effect {kind!r}: port must be one of {known}, got {got!r}")
+            raise ParameterError(
+                f"effect {kind!r}: port must be one of {known}, got {got!r}"
+                f"{did_you_mean(got, PORTS)}"
+            )
         if kind in EFFECTS:
             raise ParameterError(
                 f"effect {kind!r} is already registered by {EFFECTS[kind].__name__}"

@@ -31,6 +31,7 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym._util.process_pool import Workers
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.diagnosis.diagnose import Diagnosis, diagnose
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.model_selection import Thresholds
@@ -80,7 +81,9 @@ def trial_of(
     from ves_gym.diagnosis.benchmark.blind.cases import mix, root_seed
 
     if which not in SETS:
-        raise ParameterError(f"set must be one of {', '.join(SETS)}, got {which!r}")
+        raise ParameterError(
+            f"set must be one of {', '.join(SETS)}, got {which!r}{did_you_mean(which, SETS)}"
+        )
     sealed = which == "sealed"
     if sealed and salt is None:
         raise ParameterError("the sealed set needs a salt: give the file that holds it")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.diagnosis.machines.base import WRENCH
 from ves_gym.diagnosis.machines.drift import SlowPath
 from ves_gym.diagnosis.machines.presliding import Presliding
@@ -235,7 +236,10 @@ def without(candidates: Sequence[Candidate], kinds: Sequence[str]) -> tuple[Cand
     known = {c.kind for c in candidates}
     for kind in kinds:
         if kind not in known:
-            raise ParameterError(f"no candidate {kind!r}; known: {', '.join(sorted(known))}")
+            raise ParameterError(
+                f"no candidate {kind!r}; known: {', '.join(sorted(known))}"
+                f"{did_you_mean(kind, known)}"
+            )
     return tuple(c for c in candidates if c.kind not in kinds)
 
 

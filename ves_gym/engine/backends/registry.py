@@ -6,6 +6,7 @@ import warnings
 from typing import TYPE_CHECKING
 
 from ves_gym._util.params import ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.engine.backends.base import Backend
 
 if TYPE_CHECKING:
@@ -28,7 +29,10 @@ def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
         ParameterError: unknown name, or `kernel` where it cannot be compiled.
     """
     if name not in BACKENDS:
-        raise ParameterError(f"backend must be one of {', '.join(BACKENDS)}, got {name!r}")
+        raise ParameterError(
+            f"backend must be one of {', '.join(BACKENDS)}, got {name!r}"
+            f"{did_you_mean(name, BACKENDS)}"
+        )
     if name in ("mjx", "warp"):
         return _on_a_device(name, system, n, threads)
     if name != "mujoco":

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.engine.kernel.blocks import aligned, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_module
@@ -72,6 +73,7 @@ def rollout(
     if unknown:
         raise ParameterError(
             f"wrt: unknown parameter {unknown[0]!r}; known: {', '.join(names)}"
+            f"{did_you_mean(unknown[0], names)}"
         )
     joints = system.arm.n
     given = np.asarray(commands, float)

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.controllers import get_controller
 from ves_gym.baselines.evaluate import Evaluation
 from ves_gym.envs.damp import Damp
@@ -179,6 +180,7 @@ class Damping(Episodes):
         if method.name not in TUNERS:
             raise ParameterError(
                 f"gains must be one of {', '.join(TUNERS)}, got {method.name!r:.80}"
+                f"{did_you_mean(method.name, TUNERS)}"
             )
         system, asked = self.system(problem), releases(problem, seeds)
         out: list[list[Array]] = []

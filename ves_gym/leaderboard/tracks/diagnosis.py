@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym._util.params import ParameterError, canonical_json
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.diagnosis.benchmark import run as trials
 from ves_gym.diagnosis.benchmark.score import METHODS, OWN, fine
 from ves_gym.diagnosis.benchmark.score import Case as Answered
@@ -89,6 +90,7 @@ class Naming:
         if method.name not in METHODS:
             raise ParameterError(
                 f"selector must be one of {', '.join(METHODS)}, got {method.name!r:.80}"
+                f"{did_you_mean(method.name, METHODS)}"
             )
         asked = self.trial(problem, seeds)
         trials.run_trial(asked, self.workers, tell)

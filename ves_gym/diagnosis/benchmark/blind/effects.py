@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.suggest import did_you_mean
 from ves_gym.diagnosis.benchmark.blind import plant as cols
 from ves_gym.diagnosis.benchmark.blind.beam import Base
 from ves_gym.diagnosis.benchmark.blind.mechanics import Bodies
@@ -485,7 +486,10 @@ def drawn(kind: str, rng: np.random.Generator) -> list[Effect]:
     Kinds with few slots have each of them again, with other constants (and signs).
     """
     if kind not in TRUTHS:
-        raise ParameterError(f"effect must be one of {', '.join(TRUTHS)}, got {kind!r}")
+        raise ParameterError(
+            f"effect must be one of {', '.join(TRUTHS)}, got {kind!r}"
+            f"{did_you_mean(kind, TRUTHS)}"
+        )
     t = TRUTHS[kind]
     order = rng.permutation(len(t.slots)).tolist()
     order *= -(-TRIES // len(order))

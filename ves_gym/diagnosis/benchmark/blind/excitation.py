@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.suggest import did_you_mean
 
 KINDS = ("multisine", "moves", "sweeps", "fast")
 DURATION = 10.0  # s
@@ -110,7 +111,10 @@ def _waves(t: Array, waves: Array) -> tuple[Array, Array, Array]:
 def draw(kind: str, limits: Limits, rng: np.random.Generator) -> Motion:
     """A random motion of one kind, within the limits of position, speed and acceleration."""
     if kind not in KINDS:
-        raise ParameterError(f"excitation must be one of {', '.join(KINDS)}, got {kind!r}")
+        raise ParameterError(
+            f"excitation must be one of {', '.join(KINDS)}, got {kind!r}"
+            f"{did_you_mean(kind, KINDS)}"
+        )
     start = rng.uniform(0.35 * limits.low, 0.35 * limits.high)
     times, points, cubic, waves = [], [], [], []
     for j in range(3):
