@@ -5,7 +5,7 @@ from __future__ import annotations
 from benchmarks.timing import Pair, side_by_side
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 PERIODS = 20
@@ -13,11 +13,11 @@ CONTROL_DT, PHYSICS_DT = leg_clock(FILTERED)
 SYSTEMS = {
     "pose servo": System(mode="emulated"),
     "pose servo, plain loop": System(
-        mode="emulated", emulator=Emulator(payload_compensation=False)
+        mode="emulated", emulator=EmulatorSettings(payload_compensation=False)
     ),
     "leg servos": System(
         mode="emulated",
-        emulator=Emulator(platform=FILTERED),
+        emulator=EmulatorSettings(platform=FILTERED),
         control_dt=CONTROL_DT,
         physics_dt=PHYSICS_DT,
     ),

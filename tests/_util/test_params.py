@@ -30,7 +30,7 @@ from ves_gym._util.params import (
 )
 from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal, matrix, read_arm
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import BENT, VEHICLES, Beam, Material, Matrices, Satellite
+from ves_gym.mechanics.vehicle import BENT, VEHICLES, Beam, Material, MatrixVehicle, Satellite
 from ves_gym.system.system import DRIVES, INTEGRATORS, System
 
 ROOT = Path(__file__).parents[2]
@@ -107,7 +107,7 @@ def user_matrices(draw):
     for _ in range(3):
         root = np.array(draw(st.lists(small, min_size=36, max_size=36))).reshape(6, 6)
         found.append(matrix(root @ root.T))
-    return Matrices(M=found[0], D=found[1], K=found[2], source=draw(text))
+    return MatrixVehicle(M=found[0], D=found[1], K=found[2], source=draw(text))
 
 
 satellites = st.builds(Satellite, body=inertials(), thrusters=st.booleans(), source=text)

@@ -11,7 +11,7 @@ from ves_gym.hardware.leg_servo import FILTERED, FILTERED_FEEDBACK, LOW_GAINS, F
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import DECOUPLED
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 RELEASE = np.r_[0.2, -0.2, 0.1, np.deg2rad([10, -10, 20])]
@@ -24,7 +24,7 @@ def positioning_error(servo):
     system = System(
         vehicle=DECOUPLED,
         mode="emulated",
-        emulator=Emulator(platform=servo, payload_compensation=False),
+        emulator=EmulatorSettings(platform=servo, payload_compensation=False),
         control_dt=control_dt,
         physics_dt=physics_dt,
     )

@@ -14,7 +14,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.stability import EmulationWarning
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 LADDER = ((8.0, 80.0, 10), (20.0, 400.0, 2), (50.0, 2500.0, 1))  # Hz, Hz, steps a period
@@ -27,7 +27,7 @@ def laboratory(vehicle: str, rung: int, *, compensated: bool) -> System:
     return System(
         vehicle=VEHICLES[vehicle],
         mode="emulated",
-        emulator=Emulator(
+        emulator=EmulatorSettings(
             platform=PoseServo(bandwidth=bandwidth),
             sensor=ForceSensor(cutoff=20.0 * bandwidth / 8.0),
             payload_compensation=compensated,

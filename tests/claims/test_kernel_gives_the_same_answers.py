@@ -22,10 +22,10 @@ from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.mechanics.arm import Arm, Inertial, Link, matrix
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
-from ves_gym.mechanics.vehicle import VEHICLES, Beam, Matrices, Satellite, Vehicle
+from ves_gym.mechanics.vehicle import VEHICLES, Beam, MatrixVehicle, Satellite, Vehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.energy import base_energy, energies
 from ves_gym.system.system import System
 
@@ -122,7 +122,7 @@ def random_vehicle(rng: np.random.Generator, kind: str) -> Vehicle:
     if kind in ("full", "heavy"):
         size = 5.0 if kind == "heavy" else 1.0
         M, D, K = (matrix(spd(rng, size * scale)) for scale in (300.0, 200.0, 3000.0))
-        return Matrices(M=M, D=D, K=K, source="test")
+        return MatrixVehicle(M=M, D=D, K=K, source="test")
     if kind == "satellite":
         mass = float(rng.uniform(300, 800))
         return Satellite(body=body(rng, mass, 1.2), thrusters=True, source="test")
@@ -164,7 +164,7 @@ def machines(name: str) -> list[System]:
             vehicle=random_vehicle(rng, vehicle),
             drive=drive,
             integrator=integrator,
-            emulator=Emulator(**options),
+            emulator=EmulatorSettings(**options),
             **clock,
         )
         for _ in range(COUNT)

@@ -19,7 +19,7 @@ from ves_gym.simulation.gravity_calibration import (
     predict_errors,
 )
 from ves_gym.simulation.playback import play_motions, weigh_poses
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 SLOWLY = 180.0  # s
@@ -52,7 +52,9 @@ def table_3_1(noise, *, iterations=2, seed=1):
         return pose, rate
 
     run = play_motions(
-        System(mode="emulated", emulator=Emulator(operation="position"), effects=effects),
+        System(
+            mode="emulated", emulator=EmulatorSettings(operation="position"), effects=effects
+        ),
         [arm],
         settle=0.0,
         y=platform(np.zeros(1))[0][0],

@@ -26,7 +26,7 @@ from ves_gym.mechanics.arm import Inertial, matrix
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics, joint_positions
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.spatial import rate_matrix
-from ves_gym.mechanics.vehicle import VEHICLES, Matrices, Satellite
+from ves_gym.mechanics.vehicle import VEHICLES, MatrixVehicle, Satellite
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -34,14 +34,14 @@ STATES = 1000
 TOLERANCE = 1e-9
 
 
-def full_matrices() -> Matrices:
+def full_matrices() -> MatrixVehicle:
     """M, D, K that couple every pair of coordinates."""
     rng = np.random.default_rng(1)
     found = []
     for size in (80.0, 60.0, 900.0):
         root = rng.normal(size=(6, 6))
         found.append(matrix(size * (root @ root.T + np.eye(6))))
-    return Matrices(M=found[0], D=found[1], K=found[2], source="test")
+    return MatrixVehicle(M=found[0], D=found[1], K=found[2], source="test")
 
 
 def lopsided_satellite() -> Satellite:

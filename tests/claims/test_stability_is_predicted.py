@@ -18,10 +18,10 @@ from ves_gym.hardware.leg_servo import (
 )
 from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.vehicle import Matrices
+from ves_gym.mechanics.vehicle import MatrixVehicle
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import spectral_radius
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 PLACES = {"error": FILTERED, "feedback": FILTERED_FEEDBACK}
@@ -35,14 +35,14 @@ def emulation(ratio: float, place: str, delay: int) -> System:
     M = H_B / ratio
     control_dt, physics_dt = leg_clock(servo)
     return System(
-        vehicle=Matrices(
+        vehicle=MatrixVehicle(
             M=matrix(M),
             D=matrix(2 * ZETA * OMEGA * (M + H_B)),
             K=matrix(OMEGA**2 * (M + H_B)),
         ),
         mode="emulated",
         drive="prescribed",
-        emulator=Emulator(platform=servo, payload_compensation=False, delay=delay),
+        emulator=EmulatorSettings(platform=servo, payload_compensation=False, delay=delay),
         control_dt=control_dt,
         physics_dt=physics_dt,
     )
@@ -89,7 +89,7 @@ def test_boundary_is_near_two_with_the_filter_on_the_error():
 def test_boundary_agrees_with_the_frequency_domain(place):
     """Independent route: one leg's frequency response, sensor and computer as pure delays."""
     control_dt, _ = leg_clock(PLACES[place])
-    sensor = Emulator().sensor.lag
+    sensor = EmulatorSettings().sensor.lag
     analytic = payload_ratio_limit(PLACES[place], sensor + control_dt)
     print(place, "with a period of delay", boundary(place, 1), "frequency domain", analytic)
     assert boundary(place, 1) == pytest.approx(analytic, rel=0.1)

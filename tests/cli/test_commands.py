@@ -262,7 +262,7 @@ def test_vehicle_that_is_not_positive_definite_is_named(refused, tmp_path):
     bad[2, 2] = -3.0
     path.write_text(NOT_DEFINITE.format(M=bad.tolist(), D=eye.tolist()))
     line = refused("simulate", "--vehicle", path)
-    assert "Matrices.M" in line and "-3" in line
+    assert "MatrixVehicle.M" in line and "-3" in line
 
 
 def motion_text(duration="1", control=((0.0,) * 3,) * 6, extra=""):

@@ -10,14 +10,14 @@ from ves_gym.hardware.force_sensor import ForceSensor
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import Motion
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
 SYSTEM = System(
     mode="emulated",
     control_dt=5e-3,
-    emulator=Emulator(
+    emulator=EmulatorSettings(
         platform=PoseServo(bandwidth=10.0),
         sensor=ForceSensor(cutoff=40.0),
         payload_compensation=False,

@@ -18,12 +18,12 @@ from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING, Oscillator
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import transition
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.energy import ledger
 from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")
-STILL = Emulator(operation="position", joint_balance=False)
+STILL = EmulatorSettings(operation="position", joint_balance=False)
 SWING = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
 
 
@@ -48,7 +48,7 @@ def frequency(x, dt):
 def test_a_link_swings_on_its_gear(backend):
     """Rotor held, platform still: w^2 = stiffness / inertia of the link about its joint."""
     c = 1e-4
-    emulator = Emulator(operation="position")
+    emulator = EmulatorSettings(operation="position")
     system = System(mode="emulated", emulator=emulator, drive="prescribed", effects=(soft(c),))
     sim = Simulator(system, backend=backend, warn_at=None)
     for accel in (1.0, -1.0):
@@ -68,7 +68,7 @@ def test_a_link_swings_on_its_gear(backend):
 def test_a_soft_gear_lowers_the_frequency_of_rotor_against_link():
     """Free rotor: w^2 = stiffness (1 / rotor + 1 / link), on a kernel step by step."""
     c = 1e-4
-    emulator = Emulator(operation="position")
+    emulator = EmulatorSettings(operation="position")
     system = System(mode="emulated", emulator=emulator, effects=(soft(c),))
     sim = Simulator(system, servo=None, warn_at=None)
     hold = np.zeros((1, 2, 3))
@@ -158,7 +158,7 @@ def test_width_of_the_play(backend):
 def test_within_the_play_the_link_is_free():
     """No torque passes while the deflection stays inside: the rotor moves alone."""
     play = JointBacklash(gap=(0.0, 0.0, 0.1), damping=0.0)
-    emulator = Emulator(operation="position")
+    emulator = EmulatorSettings(operation="position")
     system = System(mode="emulated", emulator=emulator, effects=(play,))
     sim = Simulator(system, servo=None, warn_at=None)
     sim.step([0.0, 0.0, 1.0])
@@ -228,7 +228,7 @@ def test_the_admittance_is_sampled_exactly():
 
 
 def test_it_is_felt_without_compensation_too():
-    lab = Emulator(payload_compensation=False)
+    lab = EmulatorSettings(payload_compensation=False)
     heavy = System(mode="emulated", emulator=lab, effects=(EXTRA,))
     ends = []
     for system in (heavy, heavy.replace(effects=())):

@@ -21,10 +21,10 @@ from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS
-from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, Matrices
+from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, MatrixVehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.energy import ledger
 from ves_gym.system.system import System
 
@@ -76,7 +76,7 @@ def test_the_run_is_that_of_the_arm_so_described(mode, backend):
     """Without a model of the arm in the loop the two cannot be told apart, to the bit."""
     emulator = None
     if mode == "emulated":
-        emulator = Emulator(operation="admittance", payload_compensation=False)
+        emulator = EmulatorSettings(operation="admittance", payload_compensation=False)
     system = System(mode=mode, emulator=emulator, effects=PLANT)
     runs = []
     for one in (system, system.actual):
@@ -93,7 +93,7 @@ def test_the_run_is_that_of_the_arm_so_described(mode, backend):
 def test_a_payload_weighs_m_g_at_the_tool_and_the_estimate_knows_nothing_of_it(backend):
     """Closed form: force m g, moment r x m g about the platform's origin."""
     payload = PayloadMass(mass=2.0)
-    still = Emulator(operation="microgravity")
+    still = EmulatorSettings(operation="microgravity")
     seen = []
     for effects in ((), (payload,)):
         system = System(mode="emulated", emulator=still, effects=effects)
@@ -110,7 +110,7 @@ def test_a_payload_weighs_m_g_at_the_tool_and_the_estimate_knows_nothing_of_it(b
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_the_weight_felt_in_motion_is_the_weight_at_rest(backend):
     """The engine's arm and the sensor's start are one: nothing jumps after a reset."""
-    still = Emulator(operation="position")
+    still = EmulatorSettings(operation="position")
     system = System(mode="emulated", emulator=still, effects=PLANT, drive="motor")
     system = system.replace(effects=tuple(e for e in PLANT if e.port == "joint"))
     sim = Simulator(system, backend=backend, warn_at=None)
@@ -200,7 +200,7 @@ def test_an_undamped_vehicle_has_no_damping_to_be_wrong():
 def undamped():
     eye = tuple(map(tuple, np.eye(6).tolist()))
     none = tuple(map(tuple, np.zeros((6, 6)).tolist()))
-    return Matrices(M=eye, D=none, K=eye)
+    return MatrixVehicle(M=eye, D=none, K=eye)
 
 
 def test_no_rotor_is_lighter_than_nothing():

@@ -18,12 +18,12 @@ from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import linearise, spectral_radius
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.energy import ledger
 from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")
-POSITION = Emulator(operation="position", platform=PoseServo(bandwidth=8.0))
+POSITION = EmulatorSettings(operation="position", platform=PoseServo(bandwidth=8.0))
 H = System().physics_dt
 LIMIT = System().arm.column("tau_max")
 
@@ -225,7 +225,7 @@ def test_within_reach_nothing_happens():
 def test_legs_hear_late_and_end_too_soon():
     """On leg servos, and in one simulation of a batch whose own machine is as stated."""
     control, physics = leg_clock(LOW_GAINS)
-    emulator = Emulator(operation="position", platform=LOW_GAINS)
+    emulator = EmulatorSettings(operation="position", platform=LOW_GAINS)
     null = (PlatformDelay(), PlatformStroke())
     plain = System(mode="emulated", emulator=emulator, effects=null)
     plain = plain.replace(control_dt=control, physics_dt=physics)

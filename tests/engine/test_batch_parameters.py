@@ -37,10 +37,10 @@ from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.arm import Inertial, diagonal, matrix
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import PPED_GAINS, JointServo
-from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, FREE_FLYING, Matrices
+from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, FREE_FLYING, MatrixVehicle
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.effect import EFFECTS, Effect, parameter, register
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 BACKENDS = ["kernel", "mujoco"]
@@ -133,10 +133,10 @@ def other_arm(seed: int):
     return replace(PUMA_560, base=other_body(PUMA_560.base, rng), links=links)
 
 
-def other_vehicle(vehicle, seed: int) -> Matrices:
+def other_vehicle(vehicle, seed: int) -> MatrixVehicle:
     rng, base = np.random.default_rng(seed), vehicle.base_model()
     scaled = (matrix(m * rng.uniform(0.8, 1.25)) for m in (base.M, base.D, base.K))
-    return Matrices(**dict(zip("MDK", scaled, strict=True)))
+    return MatrixVehicle(**dict(zip("MDK", scaled, strict=True)))
 
 
 def with_bodies(system: System, seed: int) -> System:
@@ -280,10 +280,10 @@ def test_arms_and_vehicles(mode, vehicle, backend):
         System(integrator="implicitfast"),
         System(integrator="euler"),
         System(mode="emulated", drive="prescribed"),
-        NOMINAL.replace(emulator=Emulator(payload_compensation=False)),
-        NOMINAL.replace(emulator=Emulator(operation="admittance", zero_at_start=True)),
-        NOMINAL.replace(emulator=Emulator(operation="position")),
-        NOMINAL.replace(emulator=Emulator(delay=2, joint_balance=False)),
+        NOMINAL.replace(emulator=EmulatorSettings(payload_compensation=False)),
+        NOMINAL.replace(emulator=EmulatorSettings(operation="admittance", zero_at_start=True)),
+        NOMINAL.replace(emulator=EmulatorSettings(operation="position")),
+        NOMINAL.replace(emulator=EmulatorSettings(delay=2, joint_balance=False)),
     ],
     ids=lambda s: f"{s.mode}-{s.drive}-{s.integrator}-{getattr(s.emulator, 'operation', '')}",
 )
@@ -299,7 +299,7 @@ def test_other_settings(system, backend):
 def test_on_legs():
     control, physics = leg_clock(LOW_GAINS)
     system = NOMINAL.replace(
-        emulator=Emulator(platform=LOW_GAINS), control_dt=control, physics_dt=physics
+        emulator=EmulatorSettings(platform=LOW_GAINS), control_dt=control, physics_dt=physics
     )
     effects = (SensorBias(force=(1.0, 2.0, 3.0)), GravityMass(error=0.3))
     check(
@@ -326,7 +326,7 @@ def test_satellites(mode, backend, compensated):
 
     template = System(mode=mode, vehicle=FREE_FLOATING)
     if mode == "emulated":
-        emulator = Emulator(payload_compensation=compensated)
+        emulator = EmulatorSettings(payload_compensation=compensated)
         template = template.replace(emulator=emulator)
     systems = [template.replace(vehicle=satellite(k)) for k in range(2)]
     check(template, systems, backend, ids=[2, 0], n=3)
@@ -511,12 +511,12 @@ UNALIKE = [
     ),
     (
         NOMINAL,
-        NOMINAL.replace(emulator=Emulator(delay=2)),
+        NOMINAL.replace(emulator=EmulatorSettings(delay=2)),
         "emulator.delay must be the simulator's 1, got 2",
     ),
     (
         NOMINAL,
-        NOMINAL.replace(emulator=Emulator(platform=PoseServo(bandwidth=5.0))),
+        NOMINAL.replace(emulator=EmulatorSettings(platform=PoseServo(bandwidth=5.0))),
         "emulator.platform must be",
     ),
     (
@@ -547,7 +547,7 @@ def test_what_may_not_differ_is_named_and_nothing_is_assigned(own, given, messag
 
 def test_an_emulator_equal_in_value_is_alike():
     sim = simulator(NOMINAL, 1)
-    sim.assign([NOMINAL.replace(emulator=Emulator())])
+    sim.assign([NOMINAL.replace(emulator=EmulatorSettings())])
     sim.assign([System.from_dict(NOMINAL.to_dict())])
 
 
@@ -560,7 +560,9 @@ def test_bad_arguments():
         sim.assign([IDEAL, "bent"])
     with pytest.raises(ParameterError, match="ids must"):
         sim.assign([IDEAL], [2])
-    stiff = Matrices(M=diagonal(*[1.0] * 6), D=diagonal(*[1.0] * 6), K=diagonal(*[1e8] * 6))
+    stiff = MatrixVehicle(
+        M=diagonal(*[1.0] * 6), D=diagonal(*[1.0] * 6), K=diagonal(*[1e8] * 6)
+    )
     sim = simulator(IDEAL.replace(vehicle=DECOUPLED), 1)
     with pytest.raises(ParameterError, match="physics_dt must be <="):
         sim.assign([IDEAL.replace(vehicle=stiff)])

@@ -19,9 +19,9 @@ from ves_gym.engine.kernel.blocks import aligned
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, FREE_FLYING, Matrices
+from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, FREE_FLYING, MatrixVehicle
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 ROOT = Path(__file__).parents[2]
@@ -256,7 +256,7 @@ def full(scale=1.0):
     """A vehicle that couples every pair of coordinates."""
     root = np.random.default_rng(0).normal(size=(6, 6))
     M, D, K = (matrix(scale * s * (root @ root.T + np.eye(6))) for s in (80.0, 60.0, 900.0))
-    return Matrices(M=M, D=D, K=K, source="test")
+    return MatrixVehicle(M=M, D=D, K=K, source="test")
 
 
 SYSTEMS = {
@@ -267,7 +267,7 @@ SYSTEMS = {
     "prescribed": System(drive="prescribed"),
     "implicit": System(integrator="implicitfast"),
     "emulated": System(mode="emulated"),
-    "own weight": System(mode="emulated", emulator=Emulator(joint_balance=False)),
+    "own weight": System(mode="emulated", emulator=EmulatorSettings(joint_balance=False)),
 }
 
 
@@ -464,7 +464,7 @@ STRUCTURES = {  # other code
     "euler": System(integrator="euler"),
     "implicitfast": System(integrator="implicitfast"),
     "emulated": System(mode="emulated"),
-    "unbalanced": System(mode="emulated", emulator=Emulator(joint_balance=False)),
+    "unbalanced": System(mode="emulated", emulator=EmulatorSettings(joint_balance=False)),
 }
 
 

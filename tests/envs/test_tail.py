@@ -7,7 +7,7 @@ from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.tail import tail_energy
 from ves_gym.mechanics.servo import HIGH_GAINS
-from ves_gym.mechanics.vehicle import VEHICLES, Matrices
+from ves_gym.mechanics.vehicle import VEHICLES, MatrixVehicle
 from ves_gym.system.energy import base_energy
 from ves_gym.system.system import System
 
@@ -20,7 +20,7 @@ def diagonal(*values):
 
 
 # base modes of 17 to 44 Hz, which the closed form samples every 10 ms
-STIFF = Matrices(
+STIFF = MatrixVehicle(
     M=diagonal(50, 50, 50, 10, 10, 10),
     K=diagonal(4e6, 4e6, 4e6, 1e6, 1e6, 1e6),
     D=diagonal(1e3, 1e3, 1e3, 300, 300, 300),

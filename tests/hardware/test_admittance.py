@@ -23,7 +23,7 @@ from ves_gym.mechanics.vehicle import (
     FREE_FLOATING,
     STRAIGHT_HORIZONTAL,
     STRAIGHT_VERTICAL,
-    Matrices,
+    MatrixVehicle,
 )
 
 DT = 12.5e-3
@@ -95,7 +95,7 @@ def test_a_vehicle_without_mass_is_refused(lowest):
         ParameterError, match=f"positive definite M, got an eigenvalue {lowest:g}"
     ):
         discretise(np.diag([lowest, 1.0]), one, one, DT)
-    massless = Matrices(
+    massless = MatrixVehicle(
         M=diagonal(1, 1, 1, 1, 1, 0), D=diagonal(*[1] * 6), K=diagonal(*[1] * 6)
     )
     with pytest.raises(ParameterError, match="without mass cannot be emulated"):

@@ -19,7 +19,7 @@ from ves_gym.mechanics.vehicle import (
     VEHICLES,
     Beam,
     Material,
-    Matrices,
+    MatrixVehicle,
     elementwise_damping,
     get_vehicle,
     modal_damping,
@@ -228,29 +228,29 @@ def test_user_matrices_are_checked_by_name(name):
     crooked = np.eye(6)
     crooked[2, 3] = 0.5
     with pytest.raises(
-        ParameterError, match=rf"Matrices.{name} must be symmetric.*\[3,4\] = 0.5"
+        ParameterError, match=rf"MatrixVehicle.{name} must be symmetric.*\[3,4\] = 0.5"
     ):
-        Matrices(**{**good, name: matrix(crooked)})
+        MatrixVehicle(**{**good, name: matrix(crooked)})
     with pytest.raises(
-        ParameterError, match=rf"Matrices.{name} must be positive semidefinite.*-2"
+        ParameterError, match=rf"MatrixVehicle.{name} must be positive semidefinite.*-2"
     ):
-        Matrices(**{**good, name: diagonal(1, 1, 1, 1, 1, -2)})
-    with pytest.raises(ParameterError, match=rf"Matrices.{name} must have shape \(6, 6\)"):
-        Matrices(**{**good, name: diagonal(1, 1, 1)})
-    with pytest.raises(ParameterError, match=rf"Matrices.{name} must be finite"):
-        Matrices(**{**good, name: diagonal(1, 1, 1, 1, 1, np.inf)})
+        MatrixVehicle(**{**good, name: diagonal(1, 1, 1, 1, 1, -2)})
+    with pytest.raises(ParameterError, match=rf"MatrixVehicle.{name} must have shape \(6, 6\)"):
+        MatrixVehicle(**{**good, name: diagonal(1, 1, 1)})
+    with pytest.raises(ParameterError, match=rf"MatrixVehicle.{name} must be finite"):
+        MatrixVehicle(**{**good, name: diagonal(1, 1, 1, 1, 1, np.inf)})
 
 
 def test_rounding_is_no_asymmetry():
     """What a file with ten digits holds is taken and made symmetric."""
     K = BENT.stiffness()
     K[0, 4] *= 1 + 1e-10
-    base = Matrices(M=EYE, D=EYE, K=matrix(K)).base_model()
+    base = MatrixVehicle(M=EYE, D=EYE, K=matrix(K)).base_model()
     assert (base.K == base.K.T).all()
 
 
 def test_zero_stiffness_and_damping_are_a_vehicle():
-    free = Matrices(
+    free = MatrixVehicle(
         M=diagonal(*[500.0] * 6), D=matrix(np.zeros((6, 6))), K=diagonal(*[0.0] * 6)
     )
     assert (free.base_model().K == 0).all()

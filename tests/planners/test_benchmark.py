@@ -26,7 +26,7 @@ from ves_gym.planners.query import NoPlan, Plan, Query, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import Suite, get_suite, reach100, uncompensated
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.energy import energies
 from ves_gym.system.system import System
 
@@ -564,7 +564,7 @@ def test_leg_servos_bring_their_own_clock(lab):
     servo = LEG_SERVOS["filtered"]
     control_dt, physics_dt = leg_clock(servo)
     system = query.system.replace(
-        emulator=Emulator(platform=servo), control_dt=control_dt, physics_dt=physics_dt
+        emulator=EmulatorSettings(platform=servo), control_dt=control_dt, physics_dt=physics_dt
     )
     suite = dataclasses.replace(
         lab, queries=(("beam", dataclasses.replace(query, system=system)),), weighed=()

@@ -17,7 +17,7 @@ from ves_gym.mechanics.vehicle import (
     DECOUPLED,
     FREE_FLOATING,
     STRAIGHT_VERTICAL,
-    Matrices,
+    MatrixVehicle,
 )
 from ves_gym.planners.pped import (
     OBJECTIVES,
@@ -300,7 +300,7 @@ def test_a_base_that_no_gains_bring_to_rest_is_refused():
     one = Arm(name="one", base=PUMA_560.base, links=PUMA_560.links[:1], source="test")
     base = DECOUPLED.base_model()
     zero = matrix(np.zeros((6, 6)))
-    vehicle = Matrices(M=matrix(base.M), D=zero, K=matrix(base.K))
+    vehicle = MatrixVehicle(M=matrix(base.M), D=zero, K=matrix(base.K))
     plant = plant_at(System(arm=one, vehicle=vehicle), [0.0])
     with pytest.raises(ParameterError, match="neither its own damping nor the joints"):
         tune(plant)

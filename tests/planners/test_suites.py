@@ -21,7 +21,7 @@ from ves_gym.planners.suites import (
     reach100,
     uncompensated,
 )
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 
@@ -132,12 +132,12 @@ def test_uncompensated_is_the_same_machine_with_the_weight_left_in():
     platform = PoseServo(bandwidth=5.0)
     system = System(
         mode="emulated",
-        emulator=Emulator(platform=platform),
+        emulator=EmulatorSettings(platform=platform),
         effects=effects,
         drive="prescribed",
     )
     other = uncompensated(system)
-    lab = Emulator(platform=platform, operation="admittance", zero_at_start=True)
+    lab = EmulatorSettings(platform=platform, operation="admittance", zero_at_start=True)
     assert other == system.replace(emulator=lab, effects=effects[1:])
     assert is_compensated(system) and not is_compensated(other)
     assert is_compensated(system.ideal())

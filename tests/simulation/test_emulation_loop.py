@@ -19,9 +19,9 @@ from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.gravity import GRAVITY, GravityModel, gravity_vector
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.spatial import matvec, rate_matrix, rotation
-from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, Matrices
+from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, MatrixVehicle
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 POSE = np.array([0.01, 0.02, -0.03, 0.1, -0.2, 0.3])
@@ -45,7 +45,7 @@ def emulated(*, vehicle=DECOUPLED, effects=(), drive="motor", arm=PUMA_560, **op
         effects=effects,
         drive=drive,
         arm=arm,
-        emulator=Emulator(**options),
+        emulator=EmulatorSettings(**options),
     )
 
 
@@ -255,7 +255,7 @@ def test_balanced_joints_stay_without_motors_while_the_sensor_feels_all_the_weig
 # -------------------------------------------------------------------- operations
 
 # heavy, stiff and well damped: settles within a second
-FIRM = Matrices(
+FIRM = MatrixVehicle(
     M=diagonal(500, 500, 500, 250, 250, 250),
     D=diagonal(*[1.4e4] * 3, *[1e4] * 3),
     K=diagonal(*[1e5] * 6),
@@ -693,16 +693,18 @@ def test_bad_emulators_are_refused():
     for delay in (-1, 1.5, 1.0, True, "1", None, np.nan):
         cases.append(({"delay": delay}, f"delay must be a whole number .*got {delay!r}"))
     for options, message in cases:
-        with pytest.raises(ParameterError, match=f"Emulator.{message}"):
-            Emulator(**options)
+        with pytest.raises(ParameterError, match=f"EmulatorSettings.{message}"):
+            EmulatorSettings(**options)
     with pytest.raises(ParameterError, match="emulator belongs to mode emulated"):
-        System(emulator=Emulator())
+        System(emulator=EmulatorSettings())
     with pytest.raises(ParameterError, match="decoupled admittance form needs diagonal"):
         Simulator(emulated(vehicle=BENT, admittance_form="decoupled"))
     with pytest.raises(ParameterError, match=r"P must have 9 entries for puma560, got"):
         Simulator(emulated(gravity=GravityModel(mass=90.0, P=(1.0, 2.0))))
     with pytest.raises(ParameterError, match="without mass cannot be emulated"):
-        massless = Matrices(M=diagonal(*[0] * 6), D=diagonal(*[0] * 6), K=diagonal(*[0] * 6))
+        massless = MatrixVehicle(
+            M=diagonal(*[0] * 6), D=diagonal(*[0] * 6), K=diagonal(*[0] * 6)
+        )
         Simulator(emulated(vehicle=massless, payload_compensation=False))
     with pytest.raises(ParameterError, match="mode ideal has no laboratory machine"):
         _ = System().laboratory

@@ -14,7 +14,7 @@ from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.simulation import gravity_learning
 from ves_gym.simulation.gravity_learning import Iteration, Learning, learn_gravity
 from ves_gym.simulation.playback import play_motions, weigh_poses
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 MOTION = Motion.straight([0.0, 0.0, 0.0], [0.6, 0.5, -0.4], 1.0)
@@ -108,7 +108,9 @@ def test_a_good_first_guess_saves_iterations(learnt):
 def test_the_gravity_model_is_not_used(learnt):
     """A wrong model and a wrong mass in it change nothing of what is learnt, to the bit."""
     wrong = GravityModel(mass=10.0, P=(0.0,) * 9)
-    system = SYSTEM.replace(emulator=Emulator(gravity=wrong), effects=(GravityMass(error=5.0),))
+    system = SYSTEM.replace(
+        emulator=EmulatorSettings(gravity=wrong), effects=(GravityMass(error=5.0),)
+    )
     got = learn(system, iterations=2)
     for a, b in zip(got.iterations, learnt.iterations, strict=False):
         np.testing.assert_array_equal(a.y, b.y)
@@ -145,7 +147,7 @@ def test_converged_means_that_it_stays_so():
 
 
 def test_a_workspace_that_is_left_at_once_keeps_nothing():
-    got = learn(SYSTEM.replace(emulator=Emulator(stewart=TINY)))
+    got = learn(SYSTEM.replace(emulator=EmulatorSettings(stewart=TINY)))
     assert got.iterations == ()
     assert got.recording is None
     assert "outside the workspace" in got.aborted.reason
@@ -200,7 +202,7 @@ def test_wrong_arguments_are_refused(options, message):
 @pytest.mark.parametrize("operation", ["admittance", "position"])
 def test_other_operations_are_refused(operation):
     with pytest.raises(ParameterError, match=f"needs operation microgravity, got {operation}"):
-        learn(SYSTEM.replace(emulator=Emulator(operation=operation)))
+        learn(SYSTEM.replace(emulator=EmulatorSettings(operation=operation)))
     with pytest.raises(ParameterError, match="mode ideal has no laboratory machine"):
         learn(System())
 
@@ -218,7 +220,7 @@ POSES[3] = -0.01, 0.02, 0.01, -0.08, 0.1, 0.0
 @pytest.mark.parametrize("zeroed", [False, True])
 def test_weighing_gives_the_exact_weight_on_a_clean_machine(operation, zeroed):
     """Whatever the machine does otherwise. Tolerance: the engine's 1e-5 N of 919 N."""
-    lab = Emulator(operation=operation, zero_at_start=zeroed)
+    lab = EmulatorSettings(operation=operation, zero_at_start=zeroed)
     log = weigh_poses(SYSTEM.replace(emulator=lab), ANGLES, POSES, seconds=0.2)
     want = GravityModel.of(PUMA_560).wrench(PUMA_560, ANGLES, POSES)
     np.testing.assert_allclose(log.w, want, rtol=0, atol=1e-4)

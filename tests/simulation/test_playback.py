@@ -10,7 +10,7 @@ from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
 from ves_gym.mechanics.spatial import matvec, rotation, twist
-from ves_gym.mechanics.vehicle import FREE_FLOATING, Matrices
+from ves_gym.mechanics.vehicle import FREE_FLOATING, MatrixVehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Divergence, Simulator
 from ves_gym.system.runlog import RunLog
@@ -22,7 +22,7 @@ OTHER = Motion.straight([0.0, 0.0, 0.0], [-0.5, 0.3, 0.2], 1.0)
 
 def rigid(stiffness=1e9, **options):
     """A base that hardly moves: 1e9 N/m under a tonne, damped."""
-    vehicle = Matrices(
+    vehicle = MatrixVehicle(
         M=diagonal(*[1e3] * 6), D=diagonal(*[1e6] * 6), K=diagonal(*[stiffness] * 6)
     )
     step = 2e-4

@@ -20,7 +20,7 @@ from ves_gym.mechanics.vehicle import (
     DECOUPLED,
     FREE_FLOATING,
     STRAIGHT_VERTICAL,
-    Matrices,
+    MatrixVehicle,
 )
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import (
@@ -31,11 +31,11 @@ from ves_gym.simulation.stability import (
     spectral_radius,
     transition,
 )
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 # three translations of a tonne each, rotations that hardly move: three modes of one axis
-AXES = Matrices(
+AXES = MatrixVehicle(
     M=diagonal(1e3, 1e3, 1e3, 1e7, 1e7, 1e7),
     D=diagonal(100, 200, 300, 1e7, 1e7, 1e7),
     K=diagonal(2e3, 6e3, 2e4, 1e9, 1e9, 1e9),
@@ -49,7 +49,7 @@ def plain(vehicle=BENT, bandwidth=8.0, *, dt=12.5e-3, cutoff=20.0, **options):
         vehicle=vehicle,
         control_dt=dt,
         physics_dt=dt / 10,
-        emulator=Emulator(
+        emulator=EmulatorSettings(
             payload_compensation=False,
             platform=PoseServo(bandwidth=bandwidth),
             sensor=ForceSensor(cutoff=cutoff),
@@ -70,7 +70,7 @@ def slow_modes(system):
 
 def test_the_loops_lag_damps_slow_modes_by_the_closed_form():
     """The arm's inertia m_a felt a time L late takes m_a w^2 L y' from a mode of mass M:
-    added damping ratio m_a / (M + m_a) w L / 2, with L = `Emulator.lag`.
+    added damping ratio m_a / (M + m_a) w L / 2, with L = `EmulatorSettings.lag`.
 
     Joints prescribed. Tolerance: next order in w L, up to 10 % at 0.7 Hz (w L = 0.1).
     """
@@ -88,10 +88,14 @@ def test_the_loops_lag_damps_slow_modes_by_the_closed_form():
 def test_the_stated_lag_is_the_sum_of_its_parts():
     """sqrt(2) / w of a 20 Hz filter, half a period's hold, and of the platform."""
     dt, w = 12.5e-3, 2 * np.pi * 20
-    assert Emulator().lag(dt) == pytest.approx(np.sqrt(2) / w + dt / 2)
-    assert Emulator(delay=3).lag(dt) - Emulator(delay=1).lag(dt) == pytest.approx(2 * dt)
-    slow = Emulator(platform=PoseServo(rate_feedforward=False))
-    assert slow.lag(dt) - Emulator().lag(dt) == pytest.approx(dt / 2 + 1.4 / (16 * np.pi))
+    assert EmulatorSettings().lag(dt) == pytest.approx(np.sqrt(2) / w + dt / 2)
+    assert EmulatorSettings(delay=3).lag(dt) - EmulatorSettings(delay=1).lag(
+        dt
+    ) == pytest.approx(2 * dt)
+    slow = EmulatorSettings(platform=PoseServo(rate_feedforward=False))
+    assert slow.lag(dt) - EmulatorSettings().lag(dt) == pytest.approx(
+        dt / 2 + 1.4 / (16 * np.pi)
+    )
 
 
 def test_the_modes_become_the_ideal_ones_as_the_machine_grows_faster():
@@ -183,7 +187,7 @@ def test_a_lighter_vehicle_allows_less():
 )
 def test_payload_compensation_makes_the_beams_stable(vehicle, bandwidth):
     """The straight beam's torsion, 600 times lighter than the arm, included."""
-    emulator = Emulator(platform=PoseServo(bandwidth=bandwidth))
+    emulator = EmulatorSettings(platform=PoseServo(bandwidth=bandwidth))
     system = System(mode="emulated", vehicle=vehicle, emulator=emulator)
     assert spectral_radius(system) <= 1 + 1e-4
 
@@ -211,7 +215,7 @@ def test_the_check_reports_what_was_found():
     assert check.growth == pytest.approx(np.log(check.spectral_radius) / 12.5e-3)
     assert 6 < check.max_bandwidth < 10
     assert check.max_gain is None
-    assert check.lag == pytest.approx(Emulator().lag(12.5e-3))
+    assert check.lag == pytest.approx(EmulatorSettings().lag(12.5e-3))
     assert len(check.modes) >= 6
     assert [m.frequency for m in check.modes] == sorted(m.frequency for m in check.modes)
     unstable = check_emulation(plain(bandwidth=12.0), search=False)
@@ -232,7 +236,7 @@ def test_legs_are_judged_by_their_gain():
         control_dt=control,
         physics_dt=physics,
         drive="prescribed",
-        emulator=Emulator(platform=FILTERED, payload_compensation=False),
+        emulator=EmulatorSettings(platform=FILTERED, payload_compensation=False),
     )
 
     def scaled(factor):
@@ -303,7 +307,7 @@ def test_the_place_where_it_is_judged_counts():
 
 def test_what_was_given_as_arrays_is_judged_too():
     """Systems that hold lists or arrays have no hash of their own."""
-    vehicle = Matrices(M=500 * np.eye(6), D=500 * np.eye(6), K=1e3 * np.eye(6))
+    vehicle = MatrixVehicle(M=500 * np.eye(6), D=500 * np.eye(6), K=1e3 * np.eye(6))
     Simulator(System(mode="emulated", vehicle=vehicle, effects=list(LABORATORY_ERRORS)))
 
 
@@ -311,7 +315,7 @@ def test_what_has_no_loop_is_refused():
     for judge in (check_emulation, spectral_radius, transition, max_bandwidth):
         with pytest.raises(ParameterError, match="mode ideal has no laboratory machine"):
             judge(System())
-    position = System(mode="emulated", emulator=Emulator(operation="position"))
+    position = System(mode="emulated", emulator=EmulatorSettings(operation="position"))
     for judge in (check_emulation, spectral_radius, transition, max_bandwidth):
         with pytest.raises(ParameterError, match="operation position has no loop"):
             judge(position)

@@ -24,7 +24,7 @@ from ves_gym.mechanics.vehicle import DECOUPLED
 from ves_gym.simulation.emulation_loop import Parameters
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.effect import EFFECTS, Effect, parameter, register
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 NOMINAL = System(mode="emulated", vehicle=DECOUPLED)
@@ -162,19 +162,22 @@ def test_gravity_effects_need_an_estimate(kind, operation):
         ParameterError,
         match=f"{kind} would do nothing: it needs operation microgravity, got {operation}",
     ):
-        NOMINAL.replace(effects=(effect(kind),), emulator=Emulator(operation=operation))
+        NOMINAL.replace(effects=(effect(kind),), emulator=EmulatorSettings(operation=operation))
 
 
 def test_an_effect_that_would_do_nothing_is_refused():
     with pytest.raises(ParameterError, match="payload/inertia would do nothing: it needs payl"):
         NOMINAL.replace(
-            effects=(PayloadInertia(error=0.1),), emulator=Emulator(payload_compensation=False)
+            effects=(PayloadInertia(error=0.1),),
+            emulator=EmulatorSettings(payload_compensation=False),
         )
     for kind in ("platform/bandwidth", "platform/damping"):
         with pytest.raises(
             ParameterError, match=f"{kind} would do nothing: it needs a pose se"
         ):
-            NOMINAL.replace(effects=(effect(kind),), emulator=Emulator(platform=FILTERED))
+            NOMINAL.replace(
+                effects=(effect(kind),), emulator=EmulatorSettings(platform=FILTERED)
+            )
 
 
 def test_moments_are_one_for_each_parameter_of_the_arm():

@@ -21,7 +21,7 @@ from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.vehicle import VEHICLES, get_vehicle
 from ves_gym.simulation.gravity_calibration import read_calibration
 from ves_gym.system.effect import Effect
-from ves_gym.system.emulator_settings import OPERATIONS, Emulator
+from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
 from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
 
 
@@ -121,7 +121,7 @@ def _platform(text: str) -> PoseServo | LegServo:
         ) from None
 
 
-def _calibrated(lab: Emulator, path: str) -> Emulator:
+def _calibrated(lab: EmulatorSettings, path: str) -> EmulatorSettings:
     found = read_calibration(path)
     return replace(
         lab,

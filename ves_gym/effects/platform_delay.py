@@ -14,7 +14,7 @@ class PlatformDelay(Effect):
     """The platform gets the computer's command `delay` later than the loop assumes.
 
     Linear between two commands; the payload compensation does not know (thesis 2.4.1 has one
-    period of it, `Emulator.delay`).
+    period of it, `EmulatorSettings.delay`).
     """
 
     port = "platform"

@@ -280,7 +280,7 @@ def _carry(r: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Matrices:
+class MatrixVehicle:
     """The user's own M, D, K in Y; each symmetric and positive semidefinite.
 
     `drag`: damping that grows with speed, a force c |Y'| Y' along each axis. `extra`:
@@ -297,9 +297,9 @@ class Matrices:
 
     def __post_init__(self) -> None:
         for name in ("M", "D", "K"):
-            symmetric(getattr(self, name), f"Matrices.{name}")
-        if self.drag is not None and (finite(self.drag, (6,), "Matrices.drag") < 0).any():
-            raise ParameterError(f"Matrices.drag must be >= 0, got {self.drag}")
+            symmetric(getattr(self, name), f"MatrixVehicle.{name}")
+        if self.drag is not None and (finite(self.drag, (6,), "MatrixVehicle.drag") < 0).any():
+            raise ParameterError(f"MatrixVehicle.drag must be >= 0, got {self.drag}")
 
     def base_model(self) -> BaseModel:
         """The matrices as given, symmetrised to rounding."""
@@ -327,7 +327,7 @@ class Satellite:
         return BaseModel(zero, zero, zero, self.body)
 
 
-Vehicle = Beam | Matrices | Satellite
+Vehicle = Beam | MatrixVehicle | Satellite
 
 STRAIGHT_VERTICAL = Beam(
     segments=((0.0, 0.0, 12.0),),
@@ -347,7 +347,7 @@ BENT = Beam(
     wall=0.007,
     source="thesis App. A.5: 8 + 8 m; 'radius of 9 centimeters' read as 180 mm diameter",
 )
-DECOUPLED = Matrices(
+DECOUPLED = MatrixVehicle(
     M=diagonal(500, 500, 500, 250, 250, 250),
     D=diagonal(500, 500, 500, 250, 250, 250),
     K=diagonal(1500, 2500, 4000, 1500, 1000, 2000),
@@ -374,7 +374,7 @@ def has(vehicle: Vehicle, name: str) -> bool:
     """Whether a vehicle's D or K (by name) is other than zero."""
     if isinstance(vehicle, Beam):
         return name != "D" or vehicle.damping_ratio > 0
-    return isinstance(vehicle, Matrices) and bool(np.any(getattr(vehicle, name)))
+    return isinstance(vehicle, MatrixVehicle) and bool(np.any(getattr(vehicle, name)))
 
 
 def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
@@ -384,7 +384,7 @@ def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
         return Satellite(body=base.body, thrusters=thrusters, source=vehicle.source)
     parts = {name: matrix(getattr(base, name)) for name in "MDK"}
     drag = None if base.drag is None else tuple(base.drag.tolist())
-    return Matrices(**parts, drag=drag, extra=base.extra or None, source=vehicle.source)
+    return MatrixVehicle(**parts, drag=drag, extra=base.extra or None, source=vehicle.source)
 
 
 def vehicle_from_plain(plain: Any, where: str = "vehicle") -> Vehicle:

@@ -31,7 +31,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.gravity import GravityModel, gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.system.effect import Effect
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 _REFINE = 3  # rounds of scaling a pose to the legs' reach
@@ -56,7 +56,7 @@ class Parameters:
     platform_speed: Array  # (n,) share of the legs' speed that is missing
 
     @staticmethod
-    def nominal(arm: Arm, emulator: Emulator, n: int) -> Parameters:
+    def nominal(arm: Arm, emulator: EmulatorSettings, n: int) -> Parameters:
         """The machine as described."""
         model = emulator.gravity or GravityModel.of(arm)
         return Parameters(

@@ -1,4 +1,4 @@
-"""`Emulator`: the laboratory machine that moves the arm as the vehicle would (thesis 2)."""
+"""`EmulatorSettings`: the machine that moves the arm as the vehicle would (thesis 2)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ OPERATIONS = ("microgravity", "admittance", "position")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Emulator:
+class EmulatorSettings:
     """Settings of the Vehicle Emulation System. The sample rate is the System's control_dt.
 
     `operation` (thesis 2.2): `position`, the platform follows a given motion;
@@ -53,7 +53,7 @@ class Emulator:
         whole = isinstance(self.delay, (int, np.integer)) and not isinstance(self.delay, bool)
         if not whole or self.delay < 0:
             raise ParameterError(
-                f"Emulator.delay must be a whole number of control periods >= 0,"
+                f"EmulatorSettings.delay must be a whole number of control periods >= 0,"
                 f" got {self.delay!r}"
             )
 
@@ -67,4 +67,4 @@ class Emulator:
         return self.sensor.lag + command + hold + self.platform.lag
 
 
-NOMINAL = Emulator()
+NOMINAL = EmulatorSettings()

@@ -26,7 +26,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT, BaseModel, Vehicle, altered, get_vehicle
 from ves_gym.system.effect import Effect
-from ves_gym.system.emulator_settings import NOMINAL, Emulator
+from ves_gym.system.emulator_settings import NOMINAL, EmulatorSettings
 
 MODES = ("ideal", "emulated")
 DRIVES = ("motor", "prescribed")
@@ -50,7 +50,7 @@ class System:
     arm: Arm = PUMA_560
     vehicle: Vehicle = BENT
     mode: str = "ideal"
-    emulator: Emulator | None = None
+    emulator: EmulatorSettings | None = None
     effects: tuple[Effect, ...] = ()
     drive: str = "motor"
     integrator: str = "rk4"
@@ -137,7 +137,7 @@ class System:
         return self.replace(mode="ideal", emulator=None, effects=kept)
 
     @property
-    def laboratory(self) -> Emulator:
+    def laboratory(self) -> EmulatorSettings:
         """The emulator of an emulated system."""
         if self.emulator is None:
             raise ParameterError("mode ideal has no laboratory machine: use mode emulated")

@@ -10,10 +10,10 @@ from ves_gym.hardware.force_sensor import ForceSensor
 from ves_gym.hardware.platform import PoseFollower, PoseServo
 from ves_gym.mechanics.motion import Motion
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
-LAB = Emulator(
+LAB = EmulatorSettings(
     platform=PoseServo(bandwidth=10.0),
     sensor=ForceSensor(cutoff=40.0),
     payload_compensation=False,

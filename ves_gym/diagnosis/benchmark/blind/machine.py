@@ -7,7 +7,7 @@ from typing import Any
 from ves_gym.hardware.force_sensor import ForceSensor
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.servo import HIGH_GAINS
-from ves_gym.system.emulator_settings import Emulator
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 
@@ -20,7 +20,7 @@ def nominal() -> System:
     return System(
         mode="emulated",
         control_dt=5e-3,
-        emulator=Emulator(
+        emulator=EmulatorSettings(
             platform=PoseServo(bandwidth=10.0, damping_ratio=0.7, rate_feedforward=True),
             sensor=ForceSensor(cutoff=40.0),
             delay=1,
