@@ -14,7 +14,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.envs.registration import load_env_creator
+from gymnasium.envs.registration import EnvSpec, load_env_creator
 from gymnasium.vector import AutoresetMode
 
 from ves_gym._util.params import Array, Mask, ParameterError
@@ -147,17 +147,22 @@ def evaluate(
     return Evaluation(controller.name, id, settings, rows, about, seconds)
 
 
-def make_vector(
-    id: str, n: int, mode: AutoresetMode, threads: int = 0, **settings: Any
-) -> VesVectorEnv:
-    """The native vector environment of a registered id."""
+def spec_of(id: str) -> EnvSpec:
+    """Return what is registered under an id; an unknown one is refused with the known ones."""
     try:
-        spec = gym.spec(id)
+        return gym.spec(id)
     except gym.error.Error as error:
         known = sorted(k for k in gym.registry if k.startswith("ves/"))
         raise ParameterError(
             f"{error}; known: {', '.join(known)}{did_you_mean(id, known)}"
         ) from None
+
+
+def make_vector(
+    id: str, n: int, mode: AutoresetMode, threads: int = 0, **settings: Any
+) -> VesVectorEnv:
+    """The native vector environment of a registered id."""
+    spec = spec_of(id)
     entry: Any = spec.vector_entry_point
     if isinstance(entry, str):
         entry = load_env_creator(entry)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
+import re
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,13 +16,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ves_gym._util.params import ParameterError, Vector, from_plain, write_text
+from ves_gym._util.params import ParameterError, Vector, to_plain, write_text
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.vehicle import VEHICLES, get_vehicle
 from ves_gym.simulation.gravity_calibration import read_calibration
-from ves_gym.system.effect import Effect
+from ves_gym.system.effect import EFFECTS, Effect
 from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
 from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
 
@@ -38,12 +40,7 @@ def add_system_arguments(parser: argparse.ArgumentParser, *, vehicle: bool = Tru
     group.add_argument("--integrator", metavar="I", help=", ".join(INTEGRATORS))
     group.add_argument("--physics-dt", type=float, metavar="S", help="physics step [s]")
     group.add_argument("--control-dt", type=float, metavar="S", help="control period [s]")
-    group.add_argument(
-        "--effect",
-        metavar="E",
-        action="append",
-        help="an error, like gravity/scale:error=0.01; repeatable (`ves-gym list effects`)",
-    )
+    add_effect_argument(group)
     lab = parser.add_argument_group("laboratory (mode emulated)")
     lab.add_argument("--operation", metavar="O", help=f"{', '.join(OPERATIONS)}")
     lab.add_argument(
@@ -84,7 +81,7 @@ def _laboratory_from(args: argparse.Namespace, system: System) -> System:
     given = [k for k in options if getattr(args, k)]
     if not given:
         return system
-    effects = system.effects + tuple(_effect(text) for text in args.effect or ())
+    effects = system.effects + tuple(parse_effect(text) for text in args.effect)
     if given == ["effect"]:
         return system.replace(effects=effects)
     if system.mode != "emulated":
@@ -130,17 +127,110 @@ def _calibrated(lab: EmulatorSettings, path: str) -> EmulatorSettings:
     )
 
 
-def _effect(text: str) -> Effect:
-    """`kind:name=value,name=value`, values as in TOML: 0.01 or [1, 0, 0]."""
-    kind, _, values = text.partition(":")
-    try:
-        plain = tomllib.loads(f"_ = {{{values}}}")["_"]
-    except tomllib.TOMLDecodeError:
+def add_effect_argument(parser: argparse._ActionsContainer) -> None:
+    """--effect KIND:NAME=VALUE, repeatable."""
+    parser.add_argument(
+        "--effect",
+        metavar="E",
+        action="append",
+        default=[],
+        help="a deviation from the description, like joint/coulomb:torque=3,0,0 (a number per"
+        " joint) or gravity/scale:error=0.01; several parameters as A=1,B=2,3; repeatable"
+        " (`ves-gym list effects`)",
+    )
+
+
+_NEXT = re.compile(r",\s*(?=[A-Za-z_]\w*\s*=)")  # the comma before another NAME=
+
+
+def parse_effect(text: str) -> Effect:
+    """Return the effect that `kind:name=value,name=value` describes.
+
+    A value is a number or several with commas between them, 3,0,0; square brackets are for
+    matrices and may be written around the latter as well, [[1, 0], [0, 1]].
+
+    Raises:
+        ParameterError: unknown kind or parameter, or a value that it cannot have.
+    """
+    kind, _, rest = text.partition(":")
+    if kind not in EFFECTS:
         raise ParameterError(
-            f"--effect must be like gravity/scale:error=0.01, got {text!r}"
-        ) from None
-    effect: Effect = from_plain(Effect, {"kind": kind, **plain}, "--effect")
+            f"--effect must be one of {', '.join(sorted(EFFECTS))}, got {kind!r}"
+            f"{did_you_mean(kind, EFFECTS)}"
+        )
+    fields = {f.name: f for f in dataclasses.fields(EFFECTS[kind])}  # type: ignore[arg-type]
+    values: dict[str, Any] = {}
+    for part in _NEXT.split(rest) if rest.strip() else ():
+        name, equals, value = (k.strip() for k in part.partition("="))
+        if not equals or not value:
+            raise ParameterError(
+                f"--effect must be like {_example(kind)}, got {text!r}: no value in {part!r}"
+            )
+        if name not in fields:
+            raise ParameterError(
+                f"--effect {kind}: unknown parameter {name!r}; known:"
+                f" {', '.join(map(_described, fields.values()))}{did_you_mean(name, fields)}"
+            )
+        if name in values:
+            raise ParameterError(f"--effect {kind}: {name} is given more than once")
+        values[name] = _numbers(value, fields[name])
+    missing = [f for k, f in fields.items() if k not in values and f.default is _MISSING]
+    if missing:
+        raise ParameterError(
+            f"--effect {kind} needs {', '.join(map(_described, missing))}, like"
+            f" {_example(kind)}; got {text!r}"
+        )
+    effect: Effect = EFFECTS[kind](**values)
     return effect
+
+
+_MISSING = dataclasses.MISSING
+
+
+def _numbers(text: str, field: dataclasses.Field[Any]) -> Any:
+    """Return a parameter's value: a number, a list, or the text itself, to be refused."""
+    try:
+        if "[" in text:
+            return tomllib.loads(f"_ = {text}")["_"]
+        values = [float(k) for k in text.split(",")]
+    except ValueError:  # of TOML, too
+        return text
+    return values[0] if len(values) == 1 and not field.metadata["shape"] else values
+
+
+def _described(field: dataclasses.Field[Any]) -> str:
+    """Return name, unit and bounds of an effect's parameter."""
+    (low, high), symbol = field.metadata["bounds"], field.metadata["unit"]
+    return f"{field.name}{'' if symbol == '1' else f' [{symbol}]'} in [{low:g}, {high:g}]"
+
+
+def _example(kind: str) -> str:
+    """Return how an effect of a kind is written: its first parameter, large enough to see."""
+    field = dataclasses.fields(EFFECTS[kind])[0]  # type: ignore[arg-type]
+    low, high = field.metadata["bounds"]
+    shape = tuple(3 if k is None else k for k in field.metadata["shape"])
+    value = f"{high / 10 if high > 0 else low / 10:.1g}"
+    if len(shape) < 2:
+        return f"{kind}:{field.name}={','.join([value, *['0'] * (sum(shape) - 1)])}"
+    return f"{kind}:{field.name}={np.full(shape, float(value)).tolist()}".replace(" ", "")
+
+
+def with_effects(id: str, settings: Mapping[str, Any], texts: Sequence[str]) -> dict[str, Any]:
+    """Return an environment's settings with `--effect` beside the effects it has.
+
+    Args:
+        id: registered id of the environment.
+        settings: that it is made with.
+        texts: values of `--effect`, see `parse_effect`.
+    """
+    if not texts:
+        return dict(settings)
+    added = [to_plain(parse_effect(text)) for text in texts]
+    from ves_gym.baselines.evaluate import spec_of
+    from ves_gym.envs.build import build_task
+
+    task = build_task(**{**spec_of(id).kwargs, **settings})
+    return {**settings, "effects": [*(to_plain(e) for e in task.system.effects), *added]}
 
 
 def degrees(text: str, n: int, name: str) -> Vector:

@@ -10,7 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ves_gym._util.params import ParameterError, write_text
-from ves_gym.cli.common import out_dir, progress, write_json
+from ves_gym.cli.common import (
+    add_effect_argument,
+    out_dir,
+    parse_effect,
+    progress,
+    write_json,
+)
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
@@ -33,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--system", metavar="FILE", help="the machine as described (default: that of the logs)"
     )
+    add_effect_argument(parser)
     parser.add_argument(
         "--machine",
         metavar="FILE",
@@ -139,8 +146,15 @@ def _job(args: argparse.Namespace) -> Job:
     from ves_gym.diagnosis.inputs import mjcf_job, system_job
 
     how: dict[str, Any] = {"final": args.final, "leave_out": args.without, "band": args.band}
+    effects = [parse_effect(text) for text in args.effect]
     if args.machine is None:
-        return system_job(args.logs, System.load(args.system) if args.system else None, **how)
+        system = System.load(args.system) if args.system else None
+        return system_job(args.logs, system, effects=effects, **how)
+    if effects:
+        raise ParameterError(
+            f"--effect {effects[0].kind} belongs to a described System: leave it out, or"
+            " --machine"
+        )
     if args.system is not None:
         raise ParameterError("--system and --machine describe two machines: give one of them")
     return mjcf_job(args.logs, args.machine, **how)

@@ -13,7 +13,7 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.controllers import CONTROLLERS, Controller, get_controller
 from ves_gym.baselines.evaluate import Evaluation, evaluate, pool, report
 from ves_gym.baselines.policy import load_policy, released
-from ves_gym.cli.common import progress, write_json
+from ves_gym.cli.common import add_effect_argument, progress, with_effects, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,13 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, default=100, metavar="N", help="default 100")
     parser.add_argument("--n-envs", type=int, metavar="N", help="at once; changes no result")
     parser.add_argument("--nominal", action="store_true", help="without randomisation")
+    add_effect_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print the table and who beats whom, write JSON."""
     id = args.id if "/" in args.id else f"ves/{args.id}"
     chosen = _chosen(args, id)
-    settings: dict[str, Any] = {"randomize": {}} if args.nominal else {}
+    settings = with_effects(id, {"randomize": {}} if args.nominal else {}, args.effect)
     found: list[Evaluation] = []
     with progress() as tell:
         for name, group in chosen:

@@ -12,7 +12,7 @@ from typing import Any
 
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.config import TrainConfig, find_configs, read_config
-from ves_gym.cli.common import out_dir, write_json
+from ves_gym.cli.common import add_effect_argument, out_dir, with_effects, write_json
 
 SCHEMA = "ves-train/1"
 
@@ -31,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="seeds at once")
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoints")
+    add_effect_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -73,6 +74,8 @@ def _config(args: argparse.Namespace) -> TrainConfig:
             )
         config = found[0]
     changes: dict[str, Any] = {}
+    if args.effect:
+        changes["settings"] = with_effects(config.env, config.settings, args.effect)
     if args.steps is not None:
         changes["total_timesteps"] = args.steps
     if args.seeds is not None:

@@ -19,6 +19,7 @@ from ves_gym.diagnosis.output.common import Written
 from ves_gym.diagnosis.output.mjcf_file import described, write_machine
 from ves_gym.diagnosis.output.system_file import write_system
 from ves_gym.mechanics.arm import Arm, Inertial
+from ves_gym.system.effect import Effect
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
@@ -46,6 +47,7 @@ def system_job(
     given: Sequence[str],
     system: System | None = None,
     *,
+    effects: Sequence[Effect] = (),
     final: int | None = None,
     leave_out: Sequence[str] = (),
     band: float | None = None,
@@ -54,6 +56,7 @@ def system_job(
 
     Args:
         system: the machine as described; without one, what the logs name.
+        effects: that are described beside those of the system.
         final: how many of the last logs to hold back; without a number those that say
             `held_back`, else the last third.
         leave_out: kinds of effects.
@@ -64,7 +67,10 @@ def system_job(
     paths = _logs(given)
     logs = [RunLog.load(path) for path in paths]
     _require_one_system(logs, paths)
-    machine = SystemMachine(system or _system_of(logs, paths))
+    described = system or _system_of(logs, paths)
+    if effects:
+        described = described.replace(effects=(*described.effects, *effects))
+    machine = SystemMachine(described)
     for log, path in zip(logs, paths, strict=True):
         require_plausible(log, machine.system, path.name)
     marked = [i for i, log in enumerate(logs) if log.meta.get("held_back")]
