@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ves_gym._util.process_pool import Workers
-from ves_gym.baselines.controllers import CONTROLLERS
 from ves_gym.baselines.policy import released
+from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.diagnosis.benchmark.score import METHODS
 from ves_gym.envs.registration import IDS
 from ves_gym.leaderboard import fingerprint
@@ -36,8 +36,8 @@ from ves_gym.leaderboard.journal import append, read
 from ves_gym.leaderboard.page import write_page
 from ves_gym.leaderboard.protocol import DURATIONS, MODES, QUICK
 from ves_gym.leaderboard.run import make_bundle
-from ves_gym.leaderboard.tracks.base import get_track
 from ves_gym.leaderboard.tracks.damping import TUNERS
+from ves_gym.leaderboard.tracks.registry import get_track
 from ves_gym.leaderboard.verify import bundle_manifest, verify
 
 PLACE = Path(__file__).parent / "leaderboard"

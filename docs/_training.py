@@ -20,9 +20,10 @@ import gymnasium as gym
 
 from ves_gym._util.params import ParameterError, write_bytes, write_text
 from ves_gym.baselines.config import CONFIGS, TrainConfig, read_config
-from ves_gym.baselines.controllers import CONTROLLERS, Controller, get_controller
+from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.evaluate import evaluate, pool, report
 from ves_gym.baselines.policy import RELEASED, Policy, load_policy, released
+from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.envs.registration import IDS
 
 DOCS = Path(__file__).parent

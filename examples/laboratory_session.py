@@ -34,7 +34,7 @@ print(f"stable: {check.stable}; slowest mode {check.modes[0].emulated_frequency:
 q, y = calibration_poses(machine.arm, 47)
 poses = weigh_poses(machine, q, y)
 found = fit(machine.arm, poses.q, poses.y, poses.w)
-lab = machine.laboratory
+lab = machine.emulator_settings
 calibrated = machine.replace(
     emulator=replace(
         lab,

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.baselines.controllers import CONTROLLERS, gains_action, get_controller
+from ves_gym.baselines.controllers import gains_action
 from ves_gym.baselines.evaluate import evaluate, ratio
+from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.envs.control import Gains
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS

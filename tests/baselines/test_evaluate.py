@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.baselines.controllers import get_controller
 from ves_gym.baselines.evaluate import Evaluation, beats, evaluate, pool, ratio, report
+from ves_gym.baselines.registry import get_controller
 
 REST = "ves/PumaRestToRest-v0"
 

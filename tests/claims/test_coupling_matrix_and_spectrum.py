@@ -11,6 +11,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from ves_gym.mechanics.modes import quintic_spectrum
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT, STRAIGHT_VERTICAL
 from ves_gym.planners.coupling import (
@@ -20,7 +21,6 @@ from ves_gym.planners.coupling import (
     coupling_matrix,
     invariant_directions,
     modes,
-    quintic_spectrum,
 )
 from ves_gym.planners.prediction import spectral_energy
 from ves_gym.simulation.playback import play_motions

@@ -12,8 +12,8 @@ from ves_gym.hardware.force_sensor import ForceSensor
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import VEHICLES
+from ves_gym.simulation.loop_linearisation import EmulationWarning
 from ves_gym.simulation.playback import play_motions
-from ves_gym.simulation.stability import EmulationWarning
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
@@ -70,7 +70,7 @@ def test_error_stays_small_for_ten_seconds(vehicle):
         assert error <= limit
 
 
-@pytest.mark.filterwarnings("ignore::ves_gym.simulation.stability.EmulationWarning")
+@pytest.mark.filterwarnings("ignore::ves_gym.simulation.loop_linearisation.EmulationWarning")
 def test_plain_loop_beside_it():
     """Better with faster hardware on the bent beam, and behind the compensated loop."""
     plain = [base_error(laboratory("bent", k, compensated=False), 1.5) for k in (0, 1)]

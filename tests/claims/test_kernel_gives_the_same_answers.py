@@ -215,7 +215,7 @@ def run(system: System, seed: int, backend: str) -> Run:
     if system.drive == "motor":
         share = 0.3 if system.mode == "emulated" or system.base.body else 1.1
         size = share * system.arm.column("tau_max") * 0.8 ** np.arange(joints)
-    told = system.mode == "emulated" and system.laboratory.operation == "position"
+    told = system.mode == "emulated" and system.emulator_settings.operation == "position"
     jets = system.mode == "ideal" and system.base.body is not None
     rest, sway = sim.state.y, rng.uniform(-0.01, 0.01, (n, 6))
     states, torques, ydds, readings = [sim.state], [], [], []
@@ -239,7 +239,7 @@ def run(system: System, seed: int, backend: str) -> Run:
             torque, ydd = sim.evaluate(rng.uniform(-1, 1, (n, joints)) * size)
             torques.append(torque)
             ydds.append(ydd)
-        if sim.laboratory is not None:
+        if sim.emulation_loop is not None:
             readings.append(sim.readings)
     parts = zip(states[0]._fields, zip(*states, strict=True), strict=True)
     what = (

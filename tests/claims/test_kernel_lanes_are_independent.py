@@ -88,7 +88,7 @@ def bits(states: list[State], i: int) -> bytes:
 def report(sim: Simulator, i: int) -> bytes:
     """What one simulation reports besides its state."""
     parts = sim.evaluate(1.0)
-    if sim.laboratory is not None:
+    if sim.emulation_loop is not None:
         parts += sim.readings
     return b"".join(part[i].tobytes() for part in parts)
 

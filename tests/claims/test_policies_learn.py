@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ves_gym.baselines.config import CONFIGS, read_config
-from ves_gym.baselines.controllers import get_controller
 from ves_gym.baselines.evaluate import beats, evaluate, ratio
 from ves_gym.baselines.policy import load_policy, released
+from ves_gym.baselines.registry import get_controller
 
 pytestmark = pytest.mark.slow
 pytest.importorskip("safetensors")

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ves_gym.baselines.controllers import CONTROLLERS
 from ves_gym.baselines.policy import released
+from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.leaderboard.board import current, make_board
 from ves_gym.leaderboard.journal import check
 from ves_gym.leaderboard.run import make_bundle

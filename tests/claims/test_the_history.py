@@ -19,12 +19,7 @@ from ves_gym.mechanics.arm import Arm, Inertial, ParameterError, diagonal
 from ves_gym.mechanics.dynamics import frames, inertia, inverse_dynamics
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT, STRAIGHT_VERTICAL, Beam
-from ves_gym.planners.coupling import (
-    blocks,
-    coupling_length,
-    coupling_matrix,
-    modes,
-)
+from ves_gym.planners.coupling import blocks, coupling_length, coupling_matrix, modes
 from ves_gym.system.system import System
 
 Q45 = np.deg2rad([45.0, 0.0, 0.0])

@@ -125,7 +125,7 @@ def test_weigh_then_calibrate_then_run(call, tmp_path):
     )
     assert status == 0 and result["base_error"] < 0.3
     system = System.load(tmp_path / "out" / "system.toml")
-    assert system.laboratory.gravity.mass == pytest.approx(found["M_total"])
+    assert system.emulator_settings.gravity.mass == pytest.approx(found["M_total"])
 
 
 def test_friction_in_space(call):

@@ -199,7 +199,7 @@ def test_a_short_stroke_stops_the_platform_silently():
     """Along x a leg stretches by the cosine it makes with it; here 0.4 m * 2 % of stroke."""
     effects = (PlatformStroke(travel=0.98),)
     system = System(mode="emulated", emulator=POSITION, effects=effects)
-    stewart = system.laboratory.stewart
+    stewart = system.emulator_settings.stewart
     x = ride(effects, 0.05, 120)[-1]
     pose = np.array([x, 0, 0, 0, 0, 0])
     stretch = np.abs(stewart.leg_lengths(pose) - stewart.home_lengths).max()
@@ -211,7 +211,7 @@ def test_slow_legs_limit_the_rate():
     """The fastest leg moves at 2 % of what it should, once the platform has set off."""
     x = ride((PlatformStroke(speed=0.98),), 0.05, 120)
     system = System(mode="emulated", emulator=POSITION)
-    stewart, poses = system.laboratory.stewart, np.zeros((120, 6))
+    stewart, poses = system.emulator_settings.stewart, np.zeros((120, 6))
     poses[:, 0] = x
     rate = np.abs(np.diff(stewart.leg_lengths(poses), axis=0)).max(axis=1) / system.control_dt
     np.testing.assert_allclose(rate[60:], 0.02 * stewart.speed_max, rtol=0.01)

@@ -182,7 +182,7 @@ def advance(sim: Simulator, periods: int = 6) -> list[np.ndarray]:
         else:
             sim.step(nodes[:, 0])
         out += [*sim.state, *sim.evaluate(nodes[:, 0])]
-        if sim.laboratory is not None:
+        if sim.emulation_loop is not None:
             out += [*sim.readings]
     return [*out, sim.diverged.copy()]
 
@@ -403,7 +403,7 @@ def test_state_gains_and_memory_stay(system, backend):
     put(sim, range(3))
     sim.step(3.0)
     before = sim.state
-    readings = sim.readings if sim.laboratory else None
+    readings = sim.readings if sim.emulation_loop else None
     gains = sim.evaluate(0.0)[0]
     sim.assign([with_bodies(on_time(with_effects(template, 1)), 1)], [1])
     assert all(a.tobytes() == b.tobytes() for a, b in zip(sim.state, before, strict=True))

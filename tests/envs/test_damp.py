@@ -8,7 +8,7 @@ from scipy.linalg import solve_discrete_are
 
 from tests.envs.runs import EMULATED, controlled, unscaled
 from ves_gym._util.params import ParameterError
-from ves_gym.baselines.controllers import get_controller
+from ves_gym.baselines.registry import get_controller
 from ves_gym.engine.linear import linearise_ideal
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv

@@ -7,7 +7,7 @@ from gymnasium.utils.env_checker import check_env
 
 from tests.envs.runs import EMULATED, controlled, unscaled
 from ves_gym._util.params import ParameterError
-from ves_gym.baselines.controllers import get_controller
+from ves_gym.baselines.registry import get_controller
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.simulation.stability import in_space, poles_in_space

@@ -332,7 +332,7 @@ def test_sources_are_told_apart():
     assert one != fingerprint.sources(("leaderboard/tracks/paths.py",))
     assert fingerprint.sources(("leaderboard",)) != fingerprint.sources(("mechanics",))
     for track in protocol.PROTOCOL:
-        from ves_gym.leaderboard.tracks.base import get_track
+        from ves_gym.leaderboard.tracks.registry import get_track
 
         for part in get_track(track).sources:
             assert (fingerprint._ROOT / part).exists(), part

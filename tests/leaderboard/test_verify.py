@@ -11,8 +11,8 @@ import pytest
 
 from tests.leaderboard.bundles import PATHS, POLICY, Bundle, path_bundle, policy_bundle
 from ves_gym._util.params import ParameterError
-from ves_gym.baselines.controllers import get_controller
 from ves_gym.baselines.evaluate import evaluate
+from ves_gym.baselines.registry import get_controller
 from ves_gym.leaderboard import lower_bounds, protocol
 from ves_gym.leaderboard.energy_audit import Account
 from ves_gym.leaderboard.entry import check_entry

@@ -9,6 +9,7 @@ import scipy.linalg
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.modes import quintic_spectrum
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import (
     BENT,
@@ -26,7 +27,6 @@ from ves_gym.planners.coupling import (
     invariant_directions,
     metric,
     modes,
-    quintic_spectrum,
 )
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System

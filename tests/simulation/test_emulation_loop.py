@@ -87,7 +87,7 @@ def test_the_engines_platform_is_where_the_follower_is(drive):
     off = rate = 0.0
     for k in range(320):
         swing(sim, 1, k)
-        follower, state = sim.laboratory.follower, sim.state
+        follower, state = sim.emulation_loop.follower, sim.state
         off = max(off, np.abs(state.y - follower.y).max())
         rate = max(rate, np.abs(state.yd - follower.yd).max())
     assert np.abs(state.y).max() > 1e-3
@@ -113,7 +113,7 @@ def test_a_given_motion_is_followed_after_the_delay(delay):
     sim.reset(y=start[:6], yd=start[6:])
     # what was commanded before the start is still on its way
     for k in range(delay):
-        sim.laboratory.state.queue[0, k] = path((k - delay) * dt)
+        sim.emulation_loop.state.queue[0, k] = path((k - delay) * dt)
     worst = 0.0
     for k in range(400):
         state = sim.step(0.0, platform=path(k * dt)[None])
@@ -540,7 +540,7 @@ def test_a_vehicle_that_goes_out_of_hand_is_frozen():
         fast.step(hold(fast, np.zeros(3)))
     assert [e.simulation for e in fast.events] == [0]
     assert "outside the workspace" in fast.events[0].reason
-    assert VES.outside(fast.laboratory.state.sent[:, :6])[0].tolist() == [False, False]
+    assert VES.outside(fast.emulation_loop.state.sent[:, :6])[0].tolist() == [False, False]
     assert np.abs(fast.state.yd[0]).max() < 1e-9
     assert fast.state.y[1, 0] == pytest.approx(0.04, rel=0.01)
 
@@ -564,7 +564,7 @@ def test_leg_servos_run_on_their_own_clock():
     sim = Simulator(legs_system(), 2)
     for k in range(80):
         swing(sim, 1, k)
-        pose = sim.laboratory.follower.get_state()[1]
+        pose = sim.emulation_loop.follower.get_state()[1]
         np.testing.assert_allclose(sim.state.y, pose, rtol=0, atol=1e-9)
     assert np.abs(sim.state.y).max() > 1e-4
     assert sim.events == []
@@ -706,8 +706,8 @@ def test_bad_emulators_are_refused():
             M=diagonal(*[0] * 6), D=diagonal(*[0] * 6), K=diagonal(*[0] * 6)
         )
         Simulator(emulated(vehicle=massless, payload_compensation=False))
-    with pytest.raises(ParameterError, match="mode ideal has no laboratory machine"):
-        _ = System().laboratory
+    with pytest.raises(ParameterError, match="mode ideal has no emulator"):
+        _ = System().emulator_settings
 
 
 def test_calls_that_do_not_fit_the_mode_are_refused_and_leave_no_trace():

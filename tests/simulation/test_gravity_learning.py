@@ -161,9 +161,9 @@ def test_a_workspace_that_is_left_later_keeps_what_was_learnt(call, monkeypatch,
     calls = []
 
     def play(system, *args, **options):
-        calls.append(system.laboratory.operation)
+        calls.append(system.emulator_settings.operation)
         if len(calls) > call:
-            lab = dataclasses.replace(system.laboratory, stewart=TINY)
+            lab = dataclasses.replace(system.emulator_settings, stewart=TINY)
             system = system.replace(emulator=lab)
         return play_motions(system, *args, **options)
 
@@ -203,7 +203,7 @@ def test_wrong_arguments_are_refused(options, message):
 def test_other_operations_are_refused(operation):
     with pytest.raises(ParameterError, match=f"needs operation microgravity, got {operation}"):
         learn(SYSTEM.replace(emulator=EmulatorSettings(operation=operation)))
-    with pytest.raises(ParameterError, match="mode ideal has no laboratory machine"):
+    with pytest.raises(ParameterError, match="mode ideal has no emulator"):
         learn(System())
 
 

@@ -22,9 +22,9 @@ from ves_gym.mechanics.vehicle import (
     STRAIGHT_VERTICAL,
     MatrixVehicle,
 )
+from ves_gym.simulation.loop_linearisation import EmulationWarning
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import (
-    EmulationWarning,
     check_emulation,
     max_bandwidth,
     max_gain,
@@ -75,7 +75,7 @@ def test_the_loops_lag_damps_slow_modes_by_the_closed_form():
     Joints prescribed. Tolerance: next order in w L, up to 10 % at 0.7 Hz (w L = 0.1).
     """
     system = plain(AXES, drive="prescribed")
-    L, ma = system.laboratory.lag(system.control_dt), PUMA_560.mass
+    L, ma = system.emulator_settings.lag(system.control_dt), PUMA_560.mass
     total = 1e3 + ma
     for mode, k, d in zip(slow_modes(system), (2e3, 6e3, 2e4), (100, 200, 300), strict=True):
         w = np.sqrt(k / total)
@@ -240,7 +240,7 @@ def test_legs_are_judged_by_their_gain():
     )
 
     def scaled(factor):
-        lab = dataclasses.replace(system.laboratory, platform=FILTERED.scaled(factor))
+        lab = dataclasses.replace(system.emulator_settings, platform=FILTERED.scaled(factor))
         return system.replace(emulator=lab)
 
     gain = max_gain(system)
@@ -257,11 +257,11 @@ def test_noise_and_quantisation_do_not_disturb_the_judgement():
     """The loop with them is linearised without; the map is bitwise that of a clean one."""
     clean = plain(bandwidth=4.0)
     sensor = ForceSensor(force_resolution=5.0, moment_resolution=5.0)
-    lab = dataclasses.replace(clean.laboratory, sensor=sensor)
+    lab = dataclasses.replace(clean.emulator_settings, sensor=sensor)
     for other in (clean.replace(effects=LABORATORY_ERRORS), clean.replace(emulator=lab)):
         assert transition(other).tobytes() == transition(clean).tobytes()
     # nor do tight safety limits
-    tight = dataclasses.replace(clean.laboratory, force_max=1.0)
+    tight = dataclasses.replace(clean.emulator_settings, force_max=1.0)
     assert transition(clean.replace(emulator=tight)).tobytes() == transition(clean).tobytes()
 
 
@@ -290,7 +290,7 @@ def test_an_unstable_emulation_is_a_warning_and_a_stable_one_is_not():
         Simulator(unstable, warn_at=None)
         Simulator(plain(bandwidth=4.0))
         Simulator(System(mode="emulated"))
-        position = dataclasses.replace(unstable.laboratory, operation="position")
+        position = dataclasses.replace(unstable.emulator_settings, operation="position")
         Simulator(unstable.replace(emulator=position))
         Simulator(System())
 
@@ -313,7 +313,7 @@ def test_what_was_given_as_arrays_is_judged_too():
 
 def test_what_has_no_loop_is_refused():
     for judge in (check_emulation, spectral_radius, transition, max_bandwidth):
-        with pytest.raises(ParameterError, match="mode ideal has no laboratory machine"):
+        with pytest.raises(ParameterError, match="mode ideal has no emulator"):
             judge(System())
     position = System(mode="emulated", emulator=EmulatorSettings(operation="position"))
     for judge in (check_emulation, spectral_radius, transition, max_bandwidth):

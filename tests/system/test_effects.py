@@ -21,8 +21,8 @@ from ves_gym.effects import (
 )
 from ves_gym.hardware.leg_servo import FILTERED
 from ves_gym.mechanics.vehicle import DECOUPLED
-from ves_gym.simulation.emulation_loop import Parameters
 from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import EFFECTS, Effect, parameter, register
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
@@ -245,7 +245,7 @@ def test_an_effect_of_ones_own_acts(monkeypatch):
 
 
 def edited(*effects):
-    p = Parameters.nominal(NOMINAL.arm, NOMINAL.laboratory, 2)
+    p = LoopParameters.nominal(NOMINAL.arm, NOMINAL.emulator_settings, 2)
     for one in effects:
         one.edit(p)
     return p
@@ -253,7 +253,7 @@ def edited(*effects):
 
 def same(a, b):
     """Equal parameters but for rounding."""
-    for field in dataclasses.fields(Parameters):
+    for field in dataclasses.fields(LoopParameters):
         x, y = getattr(a, field.name), getattr(b, field.name)
         if field.name == "sensor":
             for part in dataclasses.fields(x):

@@ -7,7 +7,6 @@ others decide by the observation alone, as a policy does.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, Protocol
 
@@ -15,13 +14,12 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from ves_gym._util.params import Array, Index, ParameterError
-from ves_gym._util.suggest import did_you_mean
 from ves_gym.envs.control import Control, Gains, Torque
 from ves_gym.envs.rest_to_rest import RestToRest
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS, JointServo
+from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 
 _PLANNED_JERK = 4000.0  # rad/s^3: twice what planners begin their motions with
 _FOLLOW = 24.0  # 1/s: how fast a follower takes back its distance from the plan
@@ -267,33 +265,3 @@ def _now(env: VesVectorEnv, table: Array, ahead: int = 0) -> Array:
     """Rows of a table (n, steps, ...) for each episode's present step."""
     at = np.minimum(env.batch.episodes.steps + ahead, table.shape[1] - 1)
     return table[np.arange(env.num_envs), at]
-
-
-def _resolved() -> Controller:
-    from ves_gym.baselines.resolved import Resolved  # it builds on this module
-
-    return Resolved()
-
-
-CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
-    "zero": lambda seed: Zero(),
-    "random": Random,
-    "hold": lambda seed: Hold(),
-    "high": lambda seed: Hold("high", HIGH_GAINS),
-    "pped": lambda seed: Hold("pped", PPED_GAINS),
-    "straight": lambda seed: Follow("straight", "straight", seed),
-    "hotspot": lambda seed: Follow("hotspot", "hotspot-qt", seed),
-    "direct": lambda seed: Follow("direct", "direct", seed),
-    "lqr": lambda seed: Optimal(),
-    "resolved": lambda seed: _resolved(),
-}
-
-
-def get_controller(name: str, seed: int = 0) -> Controller:
-    """A built-in controller by name."""
-    if name not in CONTROLLERS:
-        raise ParameterError(
-            f"controller must be one of {', '.join(CONTROLLERS)}, got {name!r}"
-            f"{did_you_mean(name, CONTROLLERS)}"
-        )
-    return CONTROLLERS[name](seed)

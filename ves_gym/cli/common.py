@@ -86,7 +86,7 @@ def _laboratory_from(args: argparse.Namespace, system: System) -> System:
         return system.replace(effects=effects)
     if system.mode != "emulated":
         raise ParameterError(f"--{given[0].replace('_', '-')} needs --mode emulated")
-    lab, clock = system.laboratory, {}
+    lab, clock = system.emulator_settings, {}
     if args.operation:
         lab = replace(lab, operation=args.operation)
     if args.platform:

@@ -71,7 +71,7 @@ def _print(system: System, check: EmulationCheck, searched: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    lab = system.laboratory
+    lab = system.emulator_settings
     console = Console(width=None if sys.stdout.isatty() else 100, markup=False)
     verdict = "stable" if check.stable else "UNSTABLE"
     console.print(
@@ -127,7 +127,7 @@ def _figures(args: argparse.Namespace, system: System, at: Any) -> list[Path]:
         return []
     folder = out_dir(args, "out/emulation-check")
     files = write_loop_figures(folder, system, at, GAINS[args.gains])
-    platform = system.laboratory.platform
+    platform = system.emulator_settings.platform
     if isinstance(platform, LegServo):
         servos = dict(LEG_SERVOS)
         if platform not in servos.values():

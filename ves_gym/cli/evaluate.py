@@ -10,9 +10,10 @@ from typing import Any
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.baselines.controllers import CONTROLLERS, Controller, get_controller
+from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.evaluate import Evaluation, evaluate, pool, report
 from ves_gym.baselines.policy import load_policy, released
+from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.cli.common import add_effect_argument, progress, with_effects, write_json
 
 

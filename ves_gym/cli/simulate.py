@@ -174,9 +174,10 @@ def _check_experiment(args: argparse.Namespace, system: System) -> None:
         raise ParameterError(
             "--platform-motion says where the platform starts: leave out --disturb"
         )
-    if args.platform_motion and system.laboratory.operation != "position":
+    if args.platform_motion and system.emulator_settings.operation != "position":
         raise ParameterError(
-            f"--platform-motion needs --operation position, got {system.laboratory.operation}"
+            "--platform-motion needs --operation position, got"
+            f" {system.emulator_settings.operation}"
         )
 
 
@@ -237,7 +238,7 @@ def _in_space(
     recording: Recording,
 ) -> Recording | None:
     """The same run in space, beside an emulation of it."""
-    if system.mode == "ideal" or system.laboratory.operation == "position":
+    if system.mode == "ideal" or system.emulator_settings.operation == "position":
         return None
     return play_motions(
         system.ideal(),

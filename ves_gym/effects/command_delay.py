@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ves_gym.simulation.joint_delays import Delays
+from ves_gym.system.deviations import Delays
 from ves_gym.system.effect import Effect, parameter, register
 
 

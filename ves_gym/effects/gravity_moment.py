@@ -8,7 +8,7 @@ import numpy as np
 
 from ves_gym._util.params import ParameterError, Vector
 from ves_gym.mechanics.gravity import minimal_model
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 from ves_gym.system.system import System
 
@@ -23,7 +23,7 @@ class GravityMoment(Effect):
 
     def check(self, system: System) -> None:
         """One number per parameter of this arm; only micro-gravity subtracts an estimate."""
-        operation = system.laboratory.operation
+        operation = system.emulator_settings.operation
         self._require(operation == "microgravity", f"operation microgravity, got {operation}")
         arm, size = system.arm, minimal_model(system.arm).size
         if len(self.error) != size:
@@ -32,6 +32,6 @@ class GravityMoment(Effect):
                 f" got {len(self.error)}"
             )
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         p.gravity_P = p.gravity_P + np.array(self.error)

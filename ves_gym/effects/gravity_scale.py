@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 from ves_gym.system.system import System
 
@@ -19,10 +19,10 @@ class GravityScale(Effect):
 
     def check(self, system: System) -> None:
         """Only micro-gravity emulation subtracts an estimate."""
-        operation = system.laboratory.operation
+        operation = system.emulator_settings.operation
         self._require(operation == "microgravity", f"operation microgravity, got {operation}")
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         p.gravity_mass = p.gravity_mass * (1 + self.error)
         p.gravity_P = p.gravity_P * (1 + self.error)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Vector
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 from ves_gym.system.system import System
 
@@ -22,9 +22,9 @@ class GravityTilt(Effect):
 
     def check(self, system: System) -> None:
         """Only micro-gravity emulation subtracts an estimate."""
-        operation = system.laboratory.operation
+        operation = system.emulator_settings.operation
         self._require(operation == "microgravity", f"operation microgravity, got {operation}")
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         p.gravity_tilt = p.gravity_tilt + np.array(self.angles)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Vector
-from ves_gym.simulation.joint_delays import Delays
+from ves_gym.system.deviations import Delays
 from ves_gym.system.effect import Effect, parameter, register
 from ves_gym.system.system import System
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 from ves_gym.system.system import System
 
@@ -19,8 +19,8 @@ class PayloadInertia(Effect):
 
     def check(self, system: System) -> None:
         """Only a compensated loop has a model of the arm's inertia."""
-        self._require(system.laboratory.payload_compensation, "payload_compensation")
+        self._require(system.emulator_settings.payload_compensation, "payload_compensation")
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         p.payload_scale = p.payload_scale + self.error

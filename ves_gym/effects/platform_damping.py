@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ves_gym.hardware.platform import PoseServo
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 from ves_gym.system.system import System
 
@@ -20,9 +20,9 @@ class PlatformDamping(Effect):
 
     def check(self, system: System) -> None:
         """Legs have gains of their own instead."""
-        servo = system.laboratory.platform
+        servo = system.emulator_settings.platform
         self._require(isinstance(servo, PoseServo), f"a pose servo, got {servo.kind}")
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         p.damping = p.damping + self.error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 
 
@@ -20,6 +20,6 @@ class PlatformDelay(Effect):
     port = "platform"
     delay: float = parameter("s", bounds=(0.0, 0.2))
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         p.platform_delay = p.platform_delay + self.delay

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 
 
@@ -24,7 +24,7 @@ class PlatformStroke(Effect):
     travel: float = parameter("1", bounds=(0.0, 0.9999))
     speed: float = parameter("1", bounds=(0.0, 0.9999))
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Tighten the machine's limits."""
         p.platform_travel = np.maximum(p.platform_travel, self.travel)
         p.platform_speed = np.maximum(p.platform_speed, self.speed)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Vector
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 
 
@@ -20,6 +20,6 @@ class SensorBias(Effect):
     force: Vector = parameter("N", bounds=(-100.0, 100.0), shape=(3,))
     moment: Vector = parameter("N m", bounds=(-50.0, 50.0), shape=(3,))
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         p.sensor.bias = p.sensor.bias + np.array([*self.force, *self.moment])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Matrix
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 
 
@@ -21,6 +21,6 @@ class SensorCalibration(Effect):
     port = "wrench"
     error: Matrix = parameter("1", bounds=(-0.5, 0.5), shape=(6, 6))
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         p.sensor.matrix = p.sensor.matrix + np.array(self.error)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import ParameterError, Vector
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 from ves_gym.system.system import System
 
@@ -32,7 +32,7 @@ class SensorDrift(Effect):
             known = ", ".join(f"{t:g} s" for t in sorted(times))
             raise ParameterError(f"effects {self.kind} must share one time, got {known}")
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         if self.is_null:
             return

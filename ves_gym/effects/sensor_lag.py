@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 
 
@@ -16,6 +16,6 @@ class SensorLag(Effect):
     port = "wrench"
     error: float = parameter("1", bounds=(-0.9, 10.0))
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         p.sensor.cutoff = p.sensor.cutoff * (1 + self.error)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Vector
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 
 
@@ -20,7 +20,7 @@ class SensorNoise(Effect):
     force: Vector = parameter("N", bounds=(0.0, 20.0), shape=(3,))
     moment: Vector = parameter("N m", bounds=(0.0, 10.0), shape=(3,))
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         more = np.array([*self.force, *self.moment])
         p.sensor.noise = np.sqrt(p.sensor.noise**2 + more**2)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ves_gym._util.params import Vector
 from ves_gym.mechanics.arm import skew
-from ves_gym.simulation.emulation_loop import Parameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, parameter, register
 
 
@@ -20,7 +20,7 @@ class SensorRotation(Effect):
     port = "wrench"
     angles: Vector = parameter("rad", bounds=(-0.1, 0.1), shape=(3,))
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         turn = np.zeros((6, 6))
         turn[:3, :3] = turn[3:, 3:] = -skew(np.array(self.angles))

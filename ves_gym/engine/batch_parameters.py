@@ -61,8 +61,8 @@ def require_alike(own: System, other: System, which: str) -> None:
         if jets[0] != jets[1]:
             refuse("thrusters", *jets)
     if other.emulator is not own.emulator:
-        for field in dataclasses.fields(own.laboratory):
-            a, b = (getattr(s.laboratory, field.name) for s in (own, other))
+        for field in dataclasses.fields(own.emulator_settings):
+            a, b = (getattr(s.emulator_settings, field.name) for s in (own, other))
             if a is not b and content_hash(a) != content_hash(b):
                 refuse(f"emulator.{field.name}", a, b)
 
@@ -162,7 +162,7 @@ class Bodies:
         base, weight = system.actual.base, GravityModel.of(system.actual.arm)
         phi, gamma = np.zeros((12, 12)), np.zeros((12, 6))
         if linear:
-            form = system.laboratory.admittance_form
+            form = system.emulator_settings.admittance_form
             phi, gamma = admittance_matrices(base, system.control_dt, form)
         body = np.zeros((6, 6)) if base.body is None else base.body.spatial()
         drag = np.zeros(6) if base.drag is None else base.drag

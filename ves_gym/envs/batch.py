@@ -220,8 +220,8 @@ class Batch:
         last = e.steps >= task.steps
         failed = diverged | task.failed(s)
         if self._emulated:  # after a safety stop the platform stands still for good
-            assert self.sim.laboratory is not None
-            stopped = self.sim.laboratory.state.frozen.copy()
+            assert self.sim.emulation_loop is not None
+            stopped = self.sim.emulation_loop.state.frozen.copy()
             failed |= stopped
         if over is not None:
             last, failed = last & ~over, failed & ~over
@@ -288,8 +288,8 @@ class Batch:
         s.time, s.y, s.yd, s.q, s.v = sim.seen
         s.y_seen, s.yd_seen = s.y, s.yd
         if self._emulated:
-            assert sim.laboratory is not None
-            s.y_seen, s.yd_seen = sim.readings.y, sim.laboratory.state.X[:, 6:].copy()
+            assert sim.emulation_loop is not None
+            s.y_seen, s.yd_seen = sim.readings.y, sim.emulation_loop.state.X[:, 6:].copy()
         s.energies, s.tool, s.tool_seen = self._scenes(s.q, s.v, s.y, s.yd, s.y_seen)
 
     def _tail(self, ids: Index) -> tuple[Array, Array]:

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy.linalg
 
 from ves_gym._util.params import Array, Mask, ParameterError, Vector, require_positive, unit
 from ves_gym.envs.control import Control, Torque
@@ -21,6 +20,7 @@ from ves_gym.envs.joints import (
 )
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.servo import PPED_GAINS
 from ves_gym.mechanics.spatial import quadratic
 
@@ -93,8 +93,8 @@ class Damp(Task):
         """Y and Y' (6,) -> root of strain and of kinetic energy of every mode, arm at home."""
         base = self.system.ideal().base
         Mt = base.mass_matrix + inertia(self.system.arm, self._middle)[:6, :6]
-        squares, shapes = scipy.linalg.eigh(base.K, Mt)
-        return Mt @ shapes * np.sqrt(squares / 2), Mt @ shapes / np.sqrt(2)
+        omega, shapes = natural_modes(base.K, Mt)
+        return Mt @ shapes * omega / np.sqrt(2), Mt @ shapes / np.sqrt(2)
 
     @cached_property
     def _middle(self) -> Array:

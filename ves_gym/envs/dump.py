@@ -27,7 +27,7 @@ def wrench_on_base(batch: Batch, acceleration: Array | None = None) -> Array:
     the base's acceleration (n, 6) where that is known already.
     """
     sim = batch.sim
-    if sim.laboratory is not None:
+    if sim.emulation_loop is not None:
         return np.asarray(sim.readings.wrench - sim.readings.gravity, dtype=np.float64)
     if acceleration is None:
         acceleration = sim.evaluate(batch.scene.tau)[1]
@@ -84,7 +84,7 @@ class Recorder:
         row = [s.time[:, None], s.ref[:, 0], s.ref[:, 1], s.q, s.v, tau, s.y, s.yd]
         with np.errstate(all="ignore"):  # a diverged state has no wrench, and is cut off
             felt = wrench_on_base(batch, acceleration)
-        if sim.laboratory is None:
+        if sim.emulation_loop is None:
             return np.concatenate([*row, felt], axis=1)
         return np.concatenate([*row, sim.readings.wrench, felt, sim.readings.y_cmd], axis=1)
 

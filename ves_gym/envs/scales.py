@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.modes import inertia_blocks, natural_modes
 from ves_gym.mechanics.motion import quintic
 from ves_gym.system.system import System
 
@@ -63,14 +63,9 @@ def motion_energy(system: System, q: Array, dt: float, tail: float) -> Array:
 def _modes(system: System, q: Array) -> tuple[Array, Array]:
     """Couplings (k, 6, joints) of the base's modes to the joints, their frequencies (k, 6)."""
     base = system.base
-    H = inertia(system.arm, q)
-    Mt = H[:, :6, :6] + base.mass_matrix
-    root = np.linalg.cholesky(Mt)
-    inner = np.linalg.solve(root, np.broadcast_to(base.K, Mt.shape))
-    inner = np.linalg.solve(root, np.swapaxes(inner, -1, -2))
-    squares, shapes = np.linalg.eigh(inner)
-    g = np.swapaxes(shapes, -1, -2) @ np.linalg.solve(root, H[:, :6, 6:])
-    return g, np.clip(np.sqrt(np.maximum(squares, 0.0)), _RIGID, _STIFF)
+    blocks = inertia_blocks(system.arm, base.mass_matrix, q)
+    omega, shapes = natural_modes(base.K, blocks.Mt)
+    return np.swapaxes(shapes, -1, -2) @ blocks.Hbm, np.clip(omega, _RIGID, _STIFF)
 
 
 def _response(duration: float, tail: float) -> Array:

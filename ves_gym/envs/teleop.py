@@ -200,7 +200,7 @@ class Teleop:
         move = 1e3 * np.linalg.norm(s.y[0, :3])
         pace = f"{100 * SPEEDS[self.pace]:.0f} %"
         lines = [f"q {angles} deg  base {move:.1f} mm  speed {pace}"]
-        if sim.laboratory is not None:
+        if sim.emulation_loop is not None:
             now = sim.readings
             for name, w in (("measured ", now.wrench[0]), ("estimated", now.gravity[0])):
                 w = w.round(1) + 0.0  # no -0.0

@@ -11,8 +11,8 @@ from typing import Any
 from ves_gym._util.params import ParameterError, from_plain, read_table, to_plain
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.config import CONFIGS, TrainConfig, config_from_plain
-from ves_gym.baselines.controllers import CONTROLLERS
 from ves_gym.baselines.policy import released
+from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.experiments.units import Unit, evaluate_unit, plan_unit, train_unit
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import get_suite

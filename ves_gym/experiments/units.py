@@ -37,9 +37,9 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym.baselines.config import TrainConfig, config_from_plain
-from ves_gym.baselines.controllers import CONTROLLERS, get_controller
 from ves_gym.baselines.evaluate import STATISTICS, evaluate
 from ves_gym.baselines.policy import load_policy, versions
+from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.envs.build import build_task
 from ves_gym.planners.benchmark import run_query
 from ves_gym.planners.query import Query

@@ -17,6 +17,7 @@ import scipy.linalg
 from ves_gym._util.params import Array
 from ves_gym.leaderboard.errors import Code, Rejection
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.modes import natural_modes
 from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
 
@@ -90,8 +91,7 @@ def _momentum(system: System) -> list[tuple[Array, float]]:
     parts = (body[:, :3, :3], body[:, 3:, 3:])
     moving, turning = (np.linalg.eigvalsh(k)[:, -1].max() for k in parts)
     m = base.mass_matrix + 2 * np.diag([moving] * 3 + [turning] * 3)
-    squares, shapes = scipy.linalg.eigh(base.K, m)  # shapes^T m shapes = 1
-    omega = np.sqrt(np.maximum(squares, 0.0))
+    omega, shapes = natural_modes(base.K, m)
     lighter = np.linalg.inv(scipy.linalg.sqrtm(base.mass_matrix).real)
     damping = shapes.T @ base.D @ lighter
     out = []

@@ -12,8 +12,9 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from ves_gym._util.params import ParameterError, to_plain
-from ves_gym.baselines.controllers import Controller, get_controller
+from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.policy import load_policy
+from ves_gym.baselines.registry import get_controller
 from ves_gym.leaderboard import fingerprint
 from ves_gym.leaderboard.archive import MANIFEST, write_members
 from ves_gym.leaderboard.bundle import SCHEMA, digest, sealed
@@ -26,18 +27,12 @@ from ves_gym.leaderboard.protocol import (
     get_problem,
     seeds_of,
 )
-from ves_gym.leaderboard.tracks.base import (
-    Answers,
-    Method,
-    Progress,
-    Track,
-    get_track,
-    repeated,
-)
+from ves_gym.leaderboard.tracks.base import Answers, Method, Progress, Track, repeated
 from ves_gym.leaderboard.tracks.damping import Damping
 from ves_gym.leaderboard.tracks.diagnosis import Naming
 from ves_gym.leaderboard.tracks.paths import Paths
 from ves_gym.leaderboard.tracks.policies import Episodes, chosen_settings
+from ves_gym.leaderboard.tracks.registry import get_track
 from ves_gym.planners.query import Planner
 from ves_gym.planners.registry import get_planner
 

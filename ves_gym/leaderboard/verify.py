@@ -35,8 +35,9 @@ from ves_gym.leaderboard.protocol import (
     seeds_of,
 )
 from ves_gym.leaderboard.run import spec_of
-from ves_gym.leaderboard.tracks.base import Case, Method, Row, Track, get_track, repeated
+from ves_gym.leaderboard.tracks.base import Case, Method, Row, Track, repeated
 from ves_gym.leaderboard.tracks.policies import require_fit, require_settings
+from ves_gym.leaderboard.tracks.registry import get_track
 
 _EXACT = ("success", "failed")
 _NUMBERS = ("score", "E_mean", "E_peak", "E_res", "E_int")

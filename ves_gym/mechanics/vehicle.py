@@ -28,6 +28,7 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Inertial, diagonal, matrix, skew
+from ves_gym.mechanics.modes import natural_modes
 
 _GAUSS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; the beam needs 6
 
@@ -93,11 +94,8 @@ class BaseModel:
 
 def modal_damping(M: Array, K: Array, ratio: float) -> Array:
     """D that gives every mode of (K, M) the same damping ratio. M positive definite."""
-    root = np.linalg.cholesky(M)
-    inner = np.linalg.solve(root, np.linalg.solve(root, K).T)  # L^-1 K L^-T
-    squares, shapes = np.linalg.eigh((inner + inner.T) / 2)
-    modes = np.linalg.solve(root.T, shapes)
-    rates = np.diag(2 * ratio * np.sqrt(np.maximum(squares, 0)))
+    omega, modes = natural_modes(K, M)
+    rates = np.diag(2 * ratio * omega)
     damping: Array = M @ modes @ rates @ modes.T @ M
     return (damping + damping.T) / 2
 
@@ -408,3 +406,26 @@ def get_vehicle(name: str | os.PathLike[str]) -> Vehicle:
         f"vehicle must be one of {', '.join(VEHICLES)}, or a .toml or .json file, got {text!r}"
         f"{did_you_mean(text, VEHICLES)}"
     )
+
+
+def beam_line(vehicle: object, y: Array, points: int = 7) -> Array | None:
+    """Return the bent centreline of a beam, None of a vehicle that is none.
+
+    Args:
+        vehicle: what carries the arm.
+        y: (N, 6) base poses [m, rad].
+        points: of each segment, both ends included.
+
+    Returns:
+        (N, k, 3) points [m].
+    """
+    if not isinstance(vehicle, Beam):
+        return None
+    nodes, K = vehicle.nodes, vehicle.stiffness()
+    line = [np.broadcast_to(nodes[0], (len(y), 3))]
+    for s, segment in enumerate(vehicle.segments):
+        length = float(np.linalg.norm(segment))
+        for x in np.linspace(0, length, points)[1:]:
+            shape = (vehicle.flexibility(s, float(x)) @ K)[:3]
+            line.append(nodes[s] + x / length * np.array(segment) + y @ shape.T)
+    return np.stack(line, axis=1)

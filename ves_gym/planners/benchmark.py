@@ -530,7 +530,7 @@ def _systems(suite: Suite) -> dict[str, dict[str, str]]:
 
 def _machine(system: System) -> dict[str, str]:
     """The laboratory in words."""
-    lab = system.laboratory
+    lab = system.emulator_settings
     if isinstance(lab.platform, LegServo):
         platform = next((k for k, v in LEG_SERVOS.items() if v == lab.platform), "own")
         platform = f"six legs, {platform} servo"

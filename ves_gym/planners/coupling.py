@@ -14,12 +14,17 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy.optimize
-from scipy.special import spherical_jn
 from scipy.stats import qmc
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.kernel.maps import coupling_matrices
-from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.modes import (
+    InertiaBlocks,
+    Modes,
+    inertia_blocks,
+    natural_modes,
+    quintic_spectrum,
+)
 from ves_gym.mechanics.vehicle import BaseModel
 from ves_gym.system.system import System
 
@@ -27,41 +32,15 @@ _MANY = 3000  # angles from which compiled code pays, its first use included
 _SAME = 0.2  # rad: spots nearer than this are one
 
 
-class Blocks(NamedTuple):
-    """Inertia blocks at Y = 0, over leading axes."""
-
-    Mt: Array  # (..., 6, 6) base mass with the joints locked, M + H_b
-    Hbm: Array  # (..., 6, n) base momentum per unit joint rate
-    Hm: Array  # (..., n, n) joint inertia
-
-
-def blocks(system: System, q: npt.ArrayLike, base: BaseModel | None = None) -> Blocks:
-    """Inertia blocks of arm and vehicle at configurations q (..., n)."""
-    H = inertia(system.arm, q)
-    mass = (base or system.base).mass_matrix
-    return Blocks(H[..., :6, :6] + mass, H[..., :6, 6:], H[..., 6:, 6:])
-
-
-class Modes(NamedTuple):
-    """Modes of the base with the joints locked, slowest first."""
-
-    omega: Array  # (..., 6) rad/s
-    shapes: Array  # (..., 6, 6) columns, normalised so that shapes^T M_t shapes = 1
+def blocks(system: System, q: npt.ArrayLike, base: BaseModel | None = None) -> InertiaBlocks:
+    """Return the inertia blocks of arm and vehicle at configurations q (..., n)."""
+    return inertia_blocks(system.arm, (base or system.base).mass_matrix, q)
 
 
 def modes(system: System, q: npt.ArrayLike) -> Modes:
-    """Natural modes of (K, M + H_b(q)), undamped."""
+    """Return the natural modes of (K, M + H_b(q)), undamped."""
     base = system.base
-    return _modes(base.K, blocks(system, q, base).Mt)
-
-
-def _modes(K: Array, Mt: Array) -> Modes:
-    root = np.linalg.cholesky(Mt)
-    half = np.linalg.solve(root, np.broadcast_to(K, Mt.shape))
-    reduced = np.linalg.solve(root, np.swapaxes(half, -1, -2))
-    squares, vectors = np.linalg.eigh((reduced + np.swapaxes(reduced, -1, -2)) / 2)
-    shapes = np.linalg.solve(np.swapaxes(root, -1, -2), vectors)
-    return Modes(np.sqrt(np.maximum(squares, 0.0)), shapes)
+    return natural_modes(base.K, blocks(system, q, base).Mt)
 
 
 def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
@@ -81,20 +60,6 @@ def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
     return np.swapaxes(A, -1, -2) @ (base.K @ A)
 
 
-def quintic_spectrum(x: npt.ArrayLike) -> Array:
-    """|int_0^1 e^(-j x u) s'(u) du| of the rest-to-rest quintic s, x = omega T.
-
-    Closed form 15 j_2(x/2) / (x/2)^2 with the spherical Bessel function j_2, by
-    Poisson's integral (derived in docs/physics.md).
-    """
-    half = np.asarray(x, float) / 2
-    small = np.abs(half) < 1e-2  # there the series is exact to rounding
-    safe = np.where(small, 1.0, half)
-    series = 1 - half**2 / 14 + half**4 / 504
-    out: Array = np.where(small, series, np.abs(15 * spherical_jn(2, safe) / safe**2))
-    return out
-
-
 def band_limited(system: System, q: npt.ArrayLike, duration: float) -> Array:
     """Q_T(q): Q with each base mode weighted by what a quintic of this duration excites.
 
@@ -104,7 +69,7 @@ def band_limited(system: System, q: npt.ArrayLike, duration: float) -> Array:
         raise ParameterError(f"duration must be > 0 s, got {duration!r}")
     base = system.base
     b = blocks(system, q, base)
-    m = _modes(base.K, b.Mt)
+    m = natural_modes(base.K, b.Mt)
     weight = m.omega * quintic_spectrum(m.omega * duration)
     rows = weight[..., :, None] * (np.swapaxes(m.shapes, -1, -2) @ b.Hbm)
     return np.swapaxes(rows, -1, -2) @ rows
@@ -146,7 +111,7 @@ def invariant_directions(
 
 
 def _modes_of(K: Array, M: Array) -> tuple[Array, Array]:
-    found = _modes(K, M)
+    found = natural_modes(K, M)
     return found.omega**2, found.shapes
 
 

@@ -171,7 +171,7 @@ def _band_limited(Mt: list[list[Any]], K: list[list[Any]], u: Any, duration: Any
 
 
 def _weight(square: Any, duration: Any) -> Any:
-    """omega^2 S(omega T)^2 with S of `coupling.quintic_spectrum`, from omega^2."""
+    """omega^2 S(omega T)^2 with S of `modes.quintic_spectrum`, from omega^2."""
     import casadi as ca
 
     square = ca.fmax(square, 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from ves_gym._util.params import Array, to_plain
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.spatial import rotation
-from ves_gym.mechanics.vehicle import Beam
+from ves_gym.mechanics.vehicle import beam_line
 from ves_gym.planners.coupling import CouplingMap, coupling_map
 from ves_gym.planners.query import Plan
 from ves_gym.simulation.playback import Recording
@@ -141,20 +141,6 @@ def scene(vehicle: str, runs: list[Shown]) -> dict[str, Any]:
             }
         )
     return data
-
-
-def beam_line(vehicle: object, y: Array, points: int = 7) -> Array | None:
-    """Bent centreline of a beam under base poses y (N, 6): (N, k, 3) [m]; None without one."""
-    if not isinstance(vehicle, Beam):
-        return None
-    nodes, K = vehicle.nodes, vehicle.stiffness()
-    line = [np.broadcast_to(nodes[0], (len(y), 3))]
-    for s, segment in enumerate(vehicle.segments):
-        length = float(np.linalg.norm(segment))
-        for x in np.linspace(0, length, points)[1:]:
-            shape = (vehicle.flexibility(s, float(x)) @ K)[:3]
-            line.append(nodes[s] + x / length * np.array(segment) + y @ shape.T)
-    return np.stack(line, axis=1)
 
 
 def _degrees(values: Array) -> list[float]:

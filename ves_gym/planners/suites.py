@@ -83,14 +83,14 @@ def uncompensated(system: System) -> System:
 
     Errors of the gravity estimate act on nothing there, and go.
     """
-    lab = replace(system.laboratory, operation="admittance", zero_at_start=True)
+    lab = replace(system.emulator_settings, operation="admittance", zero_at_start=True)
     effects = tuple(e for e in system.effects if not e.kind.startswith("gravity/"))
     return system.replace(emulator=lab, effects=effects)
 
 
 def is_compensated(system: System) -> bool:
     """Whether the arm does not weigh on the vehicle: in space, or by subtraction (eq. 2.1)."""
-    return system.mode == "ideal" or system.laboratory.operation == "microgravity"
+    return system.mode == "ideal" or system.emulator_settings.operation == "microgravity"
 
 
 def reach100(

@@ -17,8 +17,7 @@ from ves_gym._util.params import Array
 from ves_gym.engine.mjcf import TO_Y, build_spec
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.spatial import rotation
-from ves_gym.mechanics.vehicle import Beam
-from ves_gym.planners.scenes import beam_line
+from ves_gym.mechanics.vehicle import Beam, beam_line
 from ves_gym.system.system import System
 
 ARROW = 1.2  # m, of the longest force or moment arrow
@@ -45,7 +44,7 @@ class Drawing:
         self.rest: Any = None  # (k, 3) centreline of a beam
         self.feet: Any = None  # (6, 3) of legs
         if system.mode == "emulated":  # the laboratory stands on legs instead
-            stewart = system.laboratory.stewart
+            stewart = system.emulator_settings.stewart
             self.feet = np.array(stewart.base) - [0.0, 0.0, stewart.home_height]
         elif isinstance(system.vehicle, Beam):
             lines: Any = beam_line(system.vehicle, np.vstack([np.zeros(6), np.eye(6)]))
@@ -103,7 +102,7 @@ class Drawing:
         _rod(spec.worldbody, "CYLINDER", (0, 0, -0.06), (0, 0, 0), 3.6 * r, _GHOST)
         body = self.system.base.body
         if self.feet is not None:
-            stewart = self.system.laboratory.stewart
+            stewart = self.system.emulator_settings.stewart
             top, floor = np.array(stewart.top), stewart.home_height + 0.05
             size = np.linalg.norm(top[:, :2], axis=1).max()
             _rod(platform, "CYLINDER", (0, 0, top[0, 2] - 0.05), (0, 0, -0.02), size, _METAL)
@@ -167,7 +166,7 @@ class Drawing:
         """Foot and head of every leg (..., 6, 2, 3) [m]; origin: the platform top at home."""
         if self.feet is None:
             return None
-        top = np.array(self.system.laboratory.stewart.top)
+        top = np.array(self.system.emulator_settings.stewart.top)
         head = top @ np.swapaxes(rotation(y), -1, -2) + y[..., None, :3]
         return np.stack([np.broadcast_to(self.feet, head.shape), head], axis=-2)
 

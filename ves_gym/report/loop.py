@@ -13,7 +13,8 @@ from ves_gym.hardware.leg_servo import LegServo
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.spatial import AXES
 from ves_gym.report.figures import _COLOURS, _panels, write_figure
-from ves_gym.simulation.stability import Linearised, in_space, linearise, poles_in_space
+from ves_gym.simulation.loop_linearisation import Linearised
+from ves_gym.simulation.stability import in_space, linearise, poles_in_space
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def pole_figure(system: System, loop: Linearised, space: tuple[Array, Array, Arr
     if not inside.all():
         wide.plot(*_parts(z[~inside]), "X", color="#d11", ms=9, label="unstable")
     wide.plot(*_parts(np.exp(ideal * loop.dt)), "o", mfc="none", color=_SPACE, label="in space")
-    platform = system.laboratory.platform
+    platform = system.emulator_settings.platform
     if isinstance(platform, LegServo):
         at = np.exp(2j * np.pi * np.linspace(platform.mode_long, platform.mode_short) * loop.dt)
         wide.plot(at.real, at.imag, color=_COLOURS[2], lw=5, alpha=0.4, label="leg modes")

@@ -1,6 +1,6 @@
 """The laboratory at work: reading -> admittance -> platform, n times, once per period.
 
-`Laboratory` is the tick loop of thesis 2.4.2 (Figure 2-8), vectorised over simulations.
+`EmulationLoop` is the tick loop of thesis 2.4.2 (Figure 2-8), vectorised over simulations.
 It never touches the engine: `Simulator` carries its commands there and the wrench back.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,98 +24,17 @@ from ves_gym.hardware.admittance import (
     rigid_bodies,
     rigid_body,
 )
-from ves_gym.hardware.force_sensor import LowPass, Sensor, SensorErrors
+from ves_gym.hardware.force_sensor import LowPass, Sensor
 from ves_gym.hardware.leg_servo import Legs, LegServo
 from ves_gym.hardware.platform import Follower, PoseFollower, PoseServo
-from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.gravity import GravityModel, gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import matvec, rate_matrix
+from ves_gym.system.deviations import ARRAYS, LoopParameters
 from ves_gym.system.effect import Effect
-from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 _REFINE = 3  # rounds of scaling a pose to the legs' reach
 _STEP = 1e-6  # of the differences that linearise a vehicle [m, rad] and their rates
-
-
-@dataclass
-class Parameters:
-    """What effects may change, per simulation (leading axis n)."""
-
-    arm: Arm
-    gravity_mass: Array  # (n,) of the gravity estimate [kg]
-    gravity_P: Array  # (n, p) of the gravity estimate [kg m]
-    gravity_tilt: Array  # (n, 3) error of the platform angles it is given [rad]
-    gravity_delay: Array  # (n,) age of the estimate [s]
-    sensor: SensorErrors
-    bandwidth: Array  # (n,) relative change of the platform's bandwidth
-    damping: Array  # (n,) relative change of its damping ratio
-    payload_scale: Array  # (n,) relative error of the compensated arm inertia
-    platform_delay: Array  # (n,) of the command on its way to the platform [s]
-    platform_travel: Array  # (n,) share of the legs' stroke that is missing
-    platform_speed: Array  # (n,) share of the legs' speed that is missing
-
-    @staticmethod
-    def nominal(arm: Arm, emulator: EmulatorSettings, n: int) -> Parameters:
-        """The machine as described."""
-        model = emulator.gravity or GravityModel.of(arm)
-        return Parameters(
-            arm=arm,
-            gravity_mass=np.full(n, model.mass),
-            gravity_P=np.tile(np.asarray(model.P, float), (n, 1)),
-            gravity_tilt=np.zeros((n, 3)),
-            gravity_delay=np.zeros(n),
-            sensor=SensorErrors.none(emulator.sensor, n),
-            bandwidth=np.zeros(n),
-            damping=np.zeros(n),
-            payload_scale=np.zeros(n),
-            platform_delay=np.zeros(n),
-            platform_travel=np.zeros(n),
-            platform_speed=np.zeros(n),
-        )
-
-    @property
-    def as_stated(self) -> bool:
-        """Whether every platform is as described."""
-        parts = (self.bandwidth, self.damping, self.platform_delay)
-        return not any(
-            part.any() for part in (*parts, self.platform_travel, self.platform_speed)
-        )
-
-    def edited(self, system: System) -> Parameters:
-        """The same, with the effects of a system added.
-
-        Raises:
-            ParameterError: relative changes that add up to -1 or less.
-        """
-        for effect in system.effects:
-            effect.edit(self)
-        for name in ("bandwidth", "damping", "payload_scale"):
-            least = float(getattr(self, name).min())
-            if least <= -1:
-                raise ParameterError(
-                    f"the effects together change {name} by {least:.3g}, must be > -1"
-                )
-        return self
-
-    def copy(self) -> Parameters:
-        """Arrays of its own."""
-        sensor = SensorErrors(*(part.copy() for part in self.sensor.parts()))
-        return replace(self, sensor=sensor, **{k: getattr(self, k).copy() for k in _ARRAYS})
-
-    @staticmethod
-    def stacked(rows: Sequence[Parameters]) -> Parameters:
-        """Parameters of several simulations, one after the other."""
-        sensors = zip(*(row.sensor.parts() for row in rows), strict=True)
-        return Parameters(
-            arm=rows[0].arm,
-            sensor=SensorErrors(*(np.concatenate(parts) for parts in sensors)),
-            **{k: np.concatenate([getattr(row, k) for row in rows]) for k in _ARRAYS},
-        )
-
-
-# fields of Parameters that are an array each
-_ARRAYS = [k.name for k in fields(Parameters) if k.name not in ("arm", "sensor")]
 
 
 class Event(NamedTuple):
@@ -158,7 +77,7 @@ class _State:
     time: Array  # (n,) s since the reset
 
 
-class Laboratory:
+class EmulationLoop:
     """n emulators at work on one system."""
 
     def __init__(
@@ -168,10 +87,10 @@ class Laboratory:
         generators: list[np.random.Generator],
         admittance: Nonlinear | None = None,
     ) -> None:
-        emulator, arm = system.laboratory, system.arm
+        emulator, arm = system.emulator_settings, system.arm
         self.system, self.n, self.spec = system, n, emulator
         self.generators = generators
-        self.parameters = p = Parameters.nominal(arm, emulator, n).edited(system)
+        self.parameters = p = LoopParameters.nominal(arm, emulator, n).edited(system)
         self.dt, self.nodes = (
             system.control_dt,
             np.arange(system.substeps + 1) * np.float64(system.physics_dt),
@@ -189,7 +108,7 @@ class Laboratory:
         if self._nonlinear is None:
             self._linear = admittance_matrices(base, self.dt, emulator.admittance_form)
         # a machine as stated is its own model: one of them does for both
-        nominal = Parameters.nominal(arm, emulator, n)
+        nominal = LoopParameters.nominal(arm, emulator, n)
         self.model = self.follower if p.as_stated else self._follower(nominal)
         self._model_filter = LowPass(np.full(n, emulator.sensor.cutoff), self.nodes)
         self._weight = (1 + p.payload_scale)[:, None, None]
@@ -203,7 +122,9 @@ class Laboratory:
         self._systems = [system] * n
         self._bodies: Bodies | None = None  # where arms or vehicles differ
         self._inertias: Inertias | None = None
-        self._start: Parameters | None = None  # one row before effects, of the last arm asked
+        self._start: LoopParameters | None = (
+            None  # one row before effects, of the last arm asked
+        )
         self.kp, self.kd = np.zeros((2, n, arm.n))  # of the joint servo, for the compensation
         self.table: Array | None = None  # (n, m, 6): replaces the estimate, row by row
         self.events: list[Event] = []
@@ -224,7 +145,7 @@ class Laboratory:
             time=zero(n),
         )
 
-    def _follower(self, p: Parameters) -> Follower:
+    def _follower(self, p: LoopParameters) -> Follower:
         servo, system = self.spec.platform, self.system
         if isinstance(servo, LegServo):
             return Legs(servo, self.spec.stewart, self.n, system.control_dt, system.physics_dt)
@@ -258,7 +179,7 @@ class Laboratory:
         Memory stays: until the next reset it is that of the machine before.
         """
         pairs = list(zip(ids.tolist(), systems, strict=True))
-        p = Parameters.stacked([self._parameters_of(system) for system in systems])
+        p = LoopParameters.stacked([self._parameters_of(system) for system in systems])
         others = [(i, k) for i, k in pairs if _all_bodies(k) != _all_bodies(self._systems[i])]
         if self.custom is not None and any(
             k.vehicle is not self.system.vehicle for _, k in pairs
@@ -297,21 +218,21 @@ class Laboratory:
 
         return install
 
-    def _parameters_of(self, system: System) -> Parameters:
+    def _parameters_of(self, system: System) -> LoopParameters:
         """One row."""
         if self._start is None or self._start.arm is not system.arm:
-            self._start = Parameters.nominal(system.arm, self.spec, 1)
+            self._start = LoopParameters.nominal(system.arm, self.spec, 1)
         return self._start.copy().edited(system)
 
-    def _install(self, ids: Index, p: Parameters) -> None:
+    def _install(self, ids: Index, p: LoopParameters) -> None:
         """Put parameters (m, ...) in place, with all that follows from them."""
-        for name in _ARRAYS:
+        for name in ARRAYS:
             getattr(self.parameters, name)[ids] = getattr(p, name)
         self.sensor.put(ids, p.sensor)
         self._weight[ids] = (1 + p.payload_scale)[:, None, None]
         servo = self.spec.platform
         if self.model is self.follower and not p.as_stated:  # the model stays as stated
-            nominal = Parameters.nominal(self.system.arm, self.spec, self.n)
+            nominal = LoopParameters.nominal(self.system.arm, self.spec, self.n)
             self.model = self._follower(nominal)
             self.model.set_state(self.follower.get_state())
         apart = self.model is not self.follower

@@ -82,7 +82,7 @@ def learn_gravity(
         ParameterError: the system is not a micro-gravity emulation, slow < 1, or a number
             of iterations < 1.
     """
-    lab = system.laboratory
+    lab = system.emulator_settings
     if lab.operation != "microgravity":
         raise ParameterError(
             f"the Learning Method needs operation microgravity, got {lab.operation}"

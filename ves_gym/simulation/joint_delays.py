@@ -8,37 +8,15 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array, Index
+from ves_gym.system.deviations import Delays
 from ves_gym.system.system import System
 
 _WHOLE = 1e-9  # of a physics step: a delay as near as that to whole steps is whole
-
-
-@dataclass
-class Delays:
-    """What effects may delay, in seconds (n,)."""
-
-    command: Array  # from the controller's command to the drive
-    measurement: Array  # age of the angles and rates that controller and log see
-    lag: Array  # (n, joints) time constant of the low-pass through which they see rates
-
-    @staticmethod
-    def of(system: System, n: int = 1) -> Delays:
-        """Those of a system, n times."""
-        out = Delays(np.zeros(n), np.zeros(n), np.zeros((n, system.arm.n)))
-        for effect in system.effects:
-            effect.wire(out)
-        return out
-
-    def put(self, ids: Index, other: Delays) -> None:
-        """Replace rows by those of `other`."""
-        for field in fields(self):
-            getattr(self, field.name)[ids] = getattr(other, field.name)
 
 
 class JointLine:

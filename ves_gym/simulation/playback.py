@@ -206,13 +206,13 @@ def weigh_poses(
     """
     angles, poses = np.atleast_2d(np.asarray(q, float)), np.atleast_2d(np.asarray(y, float))
     # zeroed anew in each pose the sensor would show nothing
-    lab = replace(system.laboratory, operation="position", zero_at_start=False)
+    lab = replace(system.emulator_settings, operation="position", zero_at_start=False)
     effects = tuple(e for e in system.effects if not e.kind.startswith("gravity/"))
     still = system.replace(emulator=lab, effects=effects)
     sim = Simulator(still, len(angles), servo=servo, seed=seed, warn_at=None)
     sim.reset(q=angles, y=poses)
-    assert sim.laboratory is not None
-    sim.laboratory.sensor.warm_up(sim.generators)
+    assert sim.emulation_loop is not None
+    sim.emulation_loop.sensor.warm_up(sim.generators)
     rest = np.zeros_like(angles)
     hold = rest if still.drive == "prescribed" else sim.servo_command(angles, rest)
     total, pose, count = np.zeros((len(angles), 6)), np.zeros((len(angles), 6)), 0

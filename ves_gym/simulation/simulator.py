@@ -19,8 +19,9 @@ from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.dynamics import inertia_entries
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, JointServo
 from ves_gym.mechanics.spatial import AXES, SINGULAR, matvec, rate_matrix
-from ves_gym.simulation.emulation_loop import Event, Laboratory, Readings
+from ves_gym.simulation.emulation_loop import EmulationLoop, Event, Readings
 from ves_gym.simulation.joint_delays import line_of
+from ves_gym.simulation.loop_linearisation import warn_if_unstable
 from ves_gym.system.system import System
 
 
@@ -52,7 +53,7 @@ class Snapshot:
     generators: tuple[Any, ...]
     gains: tuple[Array, Array]  # kp, kd
     diverged: Mask
-    laboratory: Any = None
+    emulation_loop: Any = None
     assigned: Mapping[int, System] = field(default_factory=dict)
     line: Any = None
 
@@ -114,9 +115,9 @@ class Simulator:
         self.on_divergence = on_divergence
         self.generators: list[np.random.Generator] = []
         self.seed(seed)
-        self.laboratory: Laboratory | None = None
+        self.emulation_loop: EmulationLoop | None = None
         if system.mode == "emulated":
-            self.laboratory = Laboratory(system, self.n, self.generators, admittance)
+            self.emulation_loop = EmulationLoop(system, self.n, self.generators, admittance)
         self.servo = servo if servo is not None else FREE
         self._kp = np.zeros((n, self.joints))
         self._kd = np.zeros((n, self.joints))
@@ -126,12 +127,8 @@ class Simulator:
                     f"servo must have gains for {self.joints} joints, got {len(servo.kp)}"
                 )
             self.set_gains(servo.kp, servo.kd)
-        if self.laboratory is not None and warn_at is not None and admittance is None:
-            from ves_gym.simulation.stability import (
-                warn_if_unstable,  # it runs simulators itself
-            )
-
-            warn_if_unstable(system, warn_at, servo)
+        if self.emulation_loop is not None and warn_at is not None and admittance is None:
+            warn_if_unstable(type(self), system, warn_at, servo)
         self.diverged = np.zeros(n, bool)
         self.reset()
 
@@ -196,8 +193,8 @@ class Simulator:
         )
         if self.line is not None:
             self.line.reset(index, full["q"], full["v"])
-        if self.laboratory is not None:
-            self.laboratory.reset(index, full["q"], full["y"], full["yd"])
+        if self.emulation_loop is not None:
+            self.emulation_loop.reset(index, full["q"], full["y"], full["yd"])
         self.diverged[index] = False
         self.seen = self.state
         return self.seen
@@ -211,7 +208,7 @@ class Simulator:
             tuple(copy.deepcopy(g.bit_generator.state) for g in self.generators),
             (self._kp.copy(), self._kd.copy()),
             self.diverged.copy(),
-            None if self.laboratory is None else self.laboratory.get_state(),
+            None if self.emulation_loop is None else self.emulation_loop.get_state(),
             dict(self._assigned),
             None if self.line is None else self.line.get_state(),
         )
@@ -236,8 +233,8 @@ class Simulator:
             self.set_gains(*snapshot.gains)
         for generator, state in zip(self.generators, snapshot.generators, strict=True):
             generator.bit_generator.state = copy.deepcopy(state)
-        if self.laboratory is not None:
-            self.laboratory.set_state(snapshot.laboratory)
+        if self.emulation_loop is not None:
+            self.emulation_loop.set_state(snapshot.emulation_loop)
         if self.line is not None:
             self.line.set_state(snapshot.line)
         self.diverged = snapshot.diverged.copy()
@@ -289,7 +286,7 @@ class Simulator:
                 stable.add(bodies_of(system.actual))
         if not len(index):
             return
-        lab = self.laboratory
+        lab = self.emulation_loop
         install = None if lab is None else lab.prepare(index, systems)
         self.backend.assign(index, [system.actual for system in systems])
         if install is not None:
@@ -313,8 +310,8 @@ class Simulator:
         self._kp[index] = self._broadcast(kp, "kp", shape)
         self._kd[index] = self._broadcast(kd, "kd", shape)
         self.backend.set_gains(index, self._kp[index], self._kd[index])
-        if self.laboratory is not None:
-            self.laboratory.kp, self.laboratory.kd = self._kp, self._kd
+        if self.emulation_loop is not None:
+            self.emulation_loop.kp, self.emulation_loop.kd = self._kp, self._kd
 
     # ---------------------------------------------------------------- stepping
 
@@ -341,7 +338,7 @@ class Simulator:
         """
         torque = self._broadcast(command, "command", (self.n, self.joints))
         end = None if until is None else self._broadcast(until, "until", torque.shape)
-        if self.laboratory is not None:
+        if self.emulation_loop is not None:
             if base_wrench is not None:
                 raise ParameterError("base_wrench needs mode ideal, got mode emulated")
             self._ride(self._nodes(torque, end), self._platform(platform, 1))
@@ -385,7 +382,7 @@ class Simulator:
             raise ParameterError(f"{wanted} {given.shape}")
         nodes = self._broadcast(given, "commands", (self.n, given.shape[1], self.joints))
         self.seen = self.state
-        if self.laboratory is not None:
+        if self.emulation_loop is not None:
             periods, rest = divmod(nodes.shape[1] - 1, self.system.substeps)
             if rest:
                 raise ParameterError(
@@ -451,9 +448,9 @@ class Simulator:
         carries [m] (`arm.Gear`, `vehicle.Oscillator`).
         """
         at, rate = self.backend.hidden()
-        if self.laboratory is None:
+        if self.emulation_loop is None:
             return at, rate
-        u, ud = self.laboratory.carried
+        u, ud = self.emulation_loop.carried
         return np.concatenate([at, u], axis=1), np.concatenate([rate, ud], axis=1)
 
     @property
@@ -466,7 +463,7 @@ class Simulator:
 
     def _ride(self, nodes: Array, platform: Array | None) -> None:
         """Control period by control period: laboratory -> engine -> laboratory."""
-        lab, k, h = self.laboratory, self.system.substeps, self.system.physics_dt
+        lab, k, h = self.emulation_loop, self.system.substeps, self.system.physics_dt
         assert lab is not None
         ids = self._running()
         for i in range((nodes.shape[1] - 1) // k):
@@ -480,8 +477,8 @@ class Simulator:
             lab.sense(wrench, self._seen(z, zd))
 
     def _platform(self, platform: npt.ArrayLike | None, periods: int) -> Array | None:
-        assert self.laboratory is not None
-        operation = self.laboratory.spec.operation
+        assert self.emulation_loop is not None
+        operation = self.emulation_loop.spec.operation
         if platform is None:
             return None
         if operation != "position":
@@ -501,14 +498,14 @@ class Simulator:
     @property
     def readings(self) -> Readings:
         """Mode emulated: what force sensor, gravity estimate and platform report now."""
-        if self.laboratory is None:
+        if self.emulation_loop is None:
             raise ParameterError("readings need mode emulated, got mode ideal")
-        return self.laboratory.readings
+        return self.emulation_loop.readings
 
     @property
     def events(self) -> list[Event]:
         """Safety stops since the resets: platforms that froze, when and why."""
-        return [] if self.laboratory is None else list(self.laboratory.events)
+        return [] if self.emulation_loop is None else list(self.emulation_loop.events)
 
     def use_gravity(self, table: npt.ArrayLike | None) -> None:
         """Take the gravity wrench from a table (n, m, 6) instead of the model.
@@ -516,26 +513,26 @@ class Simulator:
         One row per reading from the next on, the last held (Learning Method, thesis 3.3);
         None returns to the model.
         """
-        if self.laboratory is None or self.laboratory.spec.operation != "microgravity":
+        if self.emulation_loop is None or self.emulation_loop.spec.operation != "microgravity":
             raise ParameterError("use_gravity needs mode emulated, operation microgravity")
         if table is None:
-            self.laboratory.table = None
+            self.emulation_loop.table = None
             return
         rows = max(1, np.shape(table)[1]) if np.ndim(table) == 3 else 1
         given = self._broadcast(table, "table", (self.n, rows, 6))
-        self.laboratory.table = given.copy()
+        self.emulation_loop.table = given.copy()
 
     def zero_sensor(self, ids: npt.ArrayLike | None = None) -> None:
         """Set the force sensors' zero from the gravity estimate (thesis App. E, step 9)."""
-        if self.laboratory is None:
+        if self.emulation_loop is None:
             raise ParameterError("zero_sensor needs mode emulated, got mode ideal")
-        self.laboratory.zero(self._ids(ids))
+        self.emulation_loop.zero(self._ids(ids))
 
     def freeze(self, ids: npt.ArrayLike | None = None) -> None:
         """Press the platforms' panic buttons: they stand until reset (thesis App. E rule 1)."""
-        if self.laboratory is None:
+        if self.emulation_loop is None:
             raise ParameterError("freeze needs mode emulated, got mode ideal")
-        self.laboratory.freeze(self._ids(ids), "panic button")
+        self.emulation_loop.freeze(self._ids(ids), "panic button")
 
     def evaluate(self, command: npt.ArrayLike) -> tuple[Array, Array]:
         """Drive torque (n, joints) [N m] and base acceleration Y'' (n, 6) at this state.

@@ -19,8 +19,7 @@ from ves_gym._util.suggest import did_you_mean
 if TYPE_CHECKING:
     from ves_gym.mechanics.arm import Arm
     from ves_gym.mechanics.vehicle import BaseModel
-    from ves_gym.simulation.emulation_loop import Parameters
-    from ves_gym.simulation.joint_delays import Delays
+    from ves_gym.system.deviations import Delays, LoopParameters
     from ves_gym.system.system import System
 
 
@@ -96,14 +95,14 @@ class Effect:
     def check(self, system: System) -> None:
         """Raise ParameterError if the effect would do nothing in this system, or not fit it."""
 
-    def edit(self, p: Parameters) -> None:
+    def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
 
     def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
         """Torque at the joints beside the motors' [N m]: q, v, tau (..., n) -> (..., n).
 
         tau [N m] is what the motors are told to give, within the limits of the arm as
-        described; it is what logs record. Parameters of the effect, and `tau_max`, are
+        described; it is what logs record. LoopParameters of the effect, and `tau_max`, are
         arrays (or symbols) here, whatever they were given as: () or (n,), and (simulations,
         1) or (simulations, n) where simulations have values of their own
         (`Simulator.assign`) and the law is seen to broadcast.

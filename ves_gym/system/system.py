@@ -137,10 +137,10 @@ class System:
         return self.replace(mode="ideal", emulator=None, effects=kept)
 
     @property
-    def laboratory(self) -> EmulatorSettings:
+    def emulator_settings(self) -> EmulatorSettings:
         """The emulator of an emulated system."""
         if self.emulator is None:
-            raise ParameterError("mode ideal has no laboratory machine: use mode emulated")
+            raise ParameterError("mode ideal has no emulator: use mode emulated")
         return self.emulator
 
     def to_dict(self) -> dict[str, Any]:

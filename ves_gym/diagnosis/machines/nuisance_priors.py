@@ -106,7 +106,7 @@ def tolerances(system: System) -> Iterator[Nuisance]:
 
 def _of_the_laboratory(system: System, effect: Callable[..., Nuisance]) -> Iterator[Nuisance]:
     weight = GravityModel.of(system.arm).wrench(system.arm, np.zeros(system.arm.n), np.zeros(6))
-    rest = system.laboratory.sensor.frame @ weight
+    rest = system.emulator_settings.sensor.frame @ weight
     for i in range(6):
 
         def six(value: float, i: int = i) -> dict[str, tuple[float, ...]]:
@@ -121,7 +121,7 @@ def _of_the_laboratory(system: System, effect: Callable[..., Nuisance]) -> Itera
         zero = SensorBias(**six(-0.01 * float(rest[i])))  # it was zeroed under the arm
         yield effect(f"gain of {axis}", "wrench", 0.01, _GAIN, gain, zero)
     yield effect("sensor filter", "wrench", 0.01, _FILTER, SensorLag(error=0.01))
-    if system.laboratory.operation == "microgravity":
+    if system.emulator_settings.operation == "microgravity":
         yield effect("weight estimate", "gravity", 0.1, _WEIGHT, GravityMass(error=0.1))
         minimal = minimal_model(system.arm)
         for k, name in enumerate(minimal.names):
@@ -133,6 +133,6 @@ def _of_the_laboratory(system: System, effect: Callable[..., Nuisance]) -> Itera
                 _MOMENT,
                 GravityMoment(error=moment),
             )
-    if isinstance(system.laboratory.platform, PoseServo):
+    if isinstance(system.emulator_settings.platform, PoseServo):
         for kind, name in ((PlatformBandwidth, "bandwidth"), (PlatformDamping, "damping")):
             yield effect(f"platform {name}", "platform", 0.01, _FILTER, kind(error=0.01))

@@ -28,7 +28,8 @@ from ves_gym.mechanics.dynamics import inverse_dynamics, newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import AXES, body_wrench, matvec, rate_matrix, twist, twist_rate
 from ves_gym.mechanics.vehicle import Oscillator
-from ves_gym.simulation.emulation_loop import Laboratory, Parameters
+from ves_gym.simulation.emulation_loop import EmulationLoop
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import Effect, joint_torque
 from ves_gym.system.system import System
 
@@ -85,7 +86,7 @@ class SystemMachine:
             ),
             Port("wrench", "sensor reading less the arm's wrench", WRENCH, _N, ("q", "y", "w")),
         ]
-        if system.mode == "emulated" and system.laboratory.operation == "microgravity":
+        if system.mode == "emulated" and system.emulator_settings.operation == "microgravity":
             ports.append(
                 Port(
                     "gravity",
@@ -143,7 +144,7 @@ class SystemMachine:
         told = [np.reshape(run["y_cmd"], (-1, 6)) for run in runs if "y_cmd" in run]
         if self.system.mode != "emulated" or not told:
             return 0.0
-        stewart = self.system.laboratory.stewart
+        stewart = self.system.emulator_settings.stewart
         home = stewart.home_lengths
         change = stewart.leg_lengths(np.concatenate(told)) - home
         room = np.where(change > 0, stewart.length_max - home, home - stewart.length_min)
@@ -218,7 +219,7 @@ class SystemMachine:
             q, v, a = differentiated(run["q"], run.dt, run.band, ahead=old)
         rotors = arm.column("rotor_inertia")
         weighty = system.mode == "emulated"
-        balanced = weighty and system.laboratory.joint_balance
+        balanced = weighty and system.emulator_settings.joint_balance
         links = Kinematics(q, v, a)
         base = _kept(run, "base", lambda: _base_motion(run.base))
         tau, wrench = _dynamics(arm, links, run.base.x, base, weighty)
@@ -255,8 +256,12 @@ class SystemMachine:
 
     def _sensed(self, system: System, wrench: Array, dt: float) -> Array:
         """What the sensor would report of a wrench (..., T, 6)."""
-        spec = system.laboratory.sensor
-        p = Parameters.nominal(system.arm, system.laboratory, 1).edited(system).sensor
+        spec = system.emulator_settings.sensor
+        p = (
+            LoopParameters.nominal(system.arm, system.emulator_settings, 1)
+            .edited(system)
+            .sensor
+        )
         filtered = _butterworth(wrench, float(p.cutoff[0]), dt)
         to_signal = (np.eye(6) + p.matrix[0]) @ spec.frame
         signal = filtered @ to_signal.T + p.bias[0] - np.array(spec.zero)
@@ -267,13 +272,13 @@ class SystemMachine:
         """(6, 6) from the sensor's signals to the wrench that is logged."""
         if self.system.mode == "ideal":
             return np.eye(6)
-        spec = self.system.laboratory.sensor
+        spec = self.system.emulator_settings.sensor
         return np.asarray(np.linalg.solve(spec.frame, np.array(spec.calibration)))
 
     def _gravity(self, run: Run, system: System) -> Array:
         """Estimate subtracted by the machine less the stated estimate, (..., T, 6)."""
-        spec, q, y = system.laboratory, run.joints.x, run.base.x
-        p = Parameters.nominal(system.arm, spec, 1).edited(system)
+        spec, q, y = system.emulator_settings, run.joints.x, run.base.x
+        p = LoopParameters.nominal(system.arm, spec, 1).edited(system)
         late = float(p.gravity_delay[0])
         if late:
             q, y = (
@@ -289,7 +294,7 @@ class SystemMachine:
     def _vehicle(self, run: Run, system: System) -> Array:
         """Wrench taken in less what moves the vehicle (..., T, 6)."""
         base = system.actual.base
-        late = system.laboratory.delay if system.mode == "emulated" else 0
+        late = system.emulator_settings.delay if system.mode == "emulated" else 0
         motion, turn, force = _kept(
             run, ("vehicle", system.mode, late), lambda: _moved(run, system.mode, late)
         )
@@ -308,7 +313,7 @@ class SystemMachine:
         """Pose less the platform's answer to its command (m, ..., T, 6), all models at once."""
         copies, length = run["y"].shape[:-2], run.length
         k, m = int(np.prod(copies, dtype=int)), len(systems)
-        lab = Laboratory(self.system, m * k, [np.random.default_rng(0)] * (m * k))
+        lab = EmulationLoop(self.system, m * k, [np.random.default_rng(0)] * (m * k))
         if any(s.effects for s in systems):
             lab.prepare(np.arange(m * k), [s for s in systems for _ in range(k)])()
 
@@ -339,7 +344,7 @@ class SystemMachine:
         return out.reshape(m, *copies, length, 6)
 
 
-def _hold_back(lab: Laboratory, command: Array) -> None:
+def _hold_back(lab: EmulationLoop, command: Array) -> None:
     """Keep commands (n, T, 12) within what the legs can do, in place."""
     travel, speed = lab.parameters.platform_travel, lab.parameters.platform_speed
     for i in np.flatnonzero((travel > 0) & (speed == 0)):  # each sample for itself

@@ -57,7 +57,7 @@ def why_not(system: System, runs: Sequence[Run]) -> str:
     told = [run.meta["controller"] for run in runs if "controller" in run]
     if len(told) < len(runs) or any(k != told[0] for k in told):
         return "the logs do not name one controller"
-    posed = system.mode == "emulated" and system.laboratory.operation == "position"
+    posed = system.mode == "emulated" and system.emulator_settings.operation == "position"
     if posed and not all("y_cmd" in run for run in runs):
         return "the logs have no y_cmd"
     return ""
@@ -97,7 +97,7 @@ def free_runs(
     samples = Samples(t, q, v, np.gradient(v, system.physics_dt, axis=1))
     commands = sim.servo_command(q, v, servo.torque_feedforward(system.arm, samples))
     follow = None
-    if system.mode == "emulated" and system.laboratory.operation == "position":
+    if system.mode == "emulated" and system.emulator_settings.operation == "position":
         pose = np.stack([_at(t[:-1:k], run, run["y_cmd"]) for run in runs])
         rate = np.gradient(pose, system.control_dt, axis=1)
         follow = np.concatenate([pose, rate], axis=-1)

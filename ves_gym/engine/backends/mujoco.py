@@ -52,7 +52,7 @@ def model_spec(system: System, whole: bool = False) -> mujoco.MjSpec:
         spec = build_laboratory_spec(
             system.arm,
             gravity=(0.0, 0.0, -GRAVITY),
-            balance=system.laboratory.joint_balance,
+            balance=system.emulator_settings.joint_balance,
             integrator=system.integrator,
             physics_dt=system.physics_dt,
         )

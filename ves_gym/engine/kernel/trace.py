@@ -198,7 +198,7 @@ def structure(system: System) -> str:
     """What the compiled code of a system depends on: its graph's shape, not its values."""
     names, _ = parameters(system)
     step = system.physics_dt if system.integrator == "implicitfast" else None
-    balance = system.mode == "emulated" and system.laboratory.joint_balance
+    balance = system.mode == "emulated" and system.emulator_settings.joint_balance
     laws = _laws(system) if any(e.has_law for e in system.effects) else None
     what = (names, laws, system.mode, system.integrator, step, balance)
     return f"{geometry(system.arm)} {what!r}"
@@ -224,11 +224,12 @@ def _laws(system: System) -> str:
 @lru_cache(maxsize=1)
 def _source() -> str:
     """Digest of the text that writes the code, so that a changed one is compiled anew."""
-    from ves_gym.engine.kernel import emit, mechanics, scene
     from ves_gym.mechanics import dynamics, gravity
 
-    files = [__file__, *(str(m.__file__) for m in (dynamics, gravity, emit, mechanics, scene))]
-    text = b"".join(Path(name).read_bytes() for name in files)
+    beside = ("trace.py", "emit.py", "mechanics.py", "scene.py")  # by name: scene builds on us
+    files = [Path(__file__).with_name(name) for name in beside]
+    files += [Path(str(module.__file__)) for module in (dynamics, gravity)]
+    text = b"".join(path.read_bytes() for path in files)
     return hashlib.sha256(text).hexdigest()
 
 
@@ -249,7 +250,7 @@ def equations(system: System) -> Equations:
 
     def accelerations(implicit: list[list[Any]]) -> tuple[list[Any], list[Any]]:
         if system.mode == "emulated":
-            balance = system.laboratory.joint_balance
+            balance = system.emulator_settings.joint_balance
             return on_platform(model, z, zd, base, joint, implicit, balance, ca)
         return in_space(model, z, zd, base, joint, implicit, ca), []
 
@@ -296,7 +297,7 @@ def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
     loose = [[0.0] * len(pose) for _ in pose]
     wrench: list[Any] = []
     if system.mode == "emulated":
-        balance = system.laboratory.joint_balance
+        balance = system.emulator_settings.joint_balance
         found, wrench = on_platform(inner, pose, moving, base, joints, loose, balance, ca)
     else:
         jets = [a + b for a, b in zip(base, push, strict=True)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from ves_gym.leaderboard.protocol import Problem, Seeds
@@ -155,19 +154,3 @@ def repeated(rows: Sequence[Row], groups: int) -> tuple[int, int] | None:
 def finite_or_none(value: float | None) -> float | None:
     """A number, or None for what is none."""
     return float(value) if value is not None and math.isfinite(value) else None
-
-
-def get_track(name: str, folder: Path | None = None, workers: int = 1) -> Track:
-    """A track by name; see `Paths` and `Naming`."""
-    if name == "paths":
-        from ves_gym.leaderboard.tracks.paths import Paths
-
-        return Paths(workers)
-    if name == "discrepancy":
-        from ves_gym.leaderboard.tracks.diagnosis import Naming
-
-        return Naming(folder, workers)
-    from ves_gym.leaderboard.tracks.damping import Damping
-    from ves_gym.leaderboard.tracks.policies import Episodes
-
-    return Episodes() if name == "policies" else Damping()

@@ -13,8 +13,8 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.baselines.controllers import get_controller
 from ves_gym.baselines.evaluate import Evaluation
+from ves_gym.baselines.registry import get_controller
 from ves_gym.envs.damp import Damp
 from ves_gym.leaderboard import lower_bounds
 from ves_gym.leaderboard.errors import Code, Rejection

@@ -9,9 +9,10 @@ import gymnasium as gym
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.baselines.controllers import Controller, get_controller
+from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.evaluate import Evaluation, evaluate
 from ves_gym.baselines.policy import Policy
+from ves_gym.baselines.registry import get_controller
 from ves_gym.envs.build import build_task
 from ves_gym.envs.task import Task
 from ves_gym.leaderboard import lower_bounds

@@ -1,0 +1,42 @@
+"""The built-in controllers by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ves_gym._util.params import ParameterError
+from ves_gym._util.suggest import did_you_mean
+from ves_gym.baselines.controllers import Controller, Follow, Hold, Optimal, Random, Zero
+from ves_gym.baselines.resolved import Resolved
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
+
+CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
+    "zero": lambda seed: Zero(),
+    "random": Random,
+    "hold": lambda seed: Hold(),
+    "high": lambda seed: Hold("high", HIGH_GAINS),
+    "pped": lambda seed: Hold("pped", PPED_GAINS),
+    "straight": lambda seed: Follow("straight", "straight", seed),
+    "hotspot": lambda seed: Follow("hotspot", "hotspot-qt", seed),
+    "direct": lambda seed: Follow("direct", "direct", seed),
+    "lqr": lambda seed: Optimal(),
+    "resolved": lambda seed: Resolved(),
+}
+
+
+def get_controller(name: str, seed: int = 0) -> Controller:
+    """Return a built-in controller.
+
+    Args:
+        name: one of `CONTROLLERS`.
+        seed: of controllers that draw or plan.
+
+    Raises:
+        ParameterError: unknown name.
+    """
+    if name not in CONTROLLERS:
+        raise ParameterError(
+            f"controller must be one of {', '.join(CONTROLLERS)}, got {name!r}"
+            f"{did_you_mean(name, CONTROLLERS)}"
+        )
+    return CONTROLLERS[name](seed)

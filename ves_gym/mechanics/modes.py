@@ -1,0 +1,71 @@
+"""Modes of the base with the joints locked, and what a motion's time law excites of them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from ves_gym._util.params import Array
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import inertia
+
+
+class InertiaBlocks(NamedTuple):
+    """Inertia blocks of arm and vehicle at Y = 0, over leading axes."""
+
+    Mt: Array  # (..., 6, 6) base mass with the joints locked, M + H_b
+    Hbm: Array  # (..., 6, n) base momentum per unit joint rate
+    Hm: Array  # (..., n, n) joint inertia
+
+
+def inertia_blocks(arm: Arm, mass: Array, q: npt.ArrayLike) -> InertiaBlocks:
+    """Return the inertia blocks at joint angles q.
+
+    Args:
+        arm: the arm.
+        mass: (6, 6) mass matrix of the vehicle, at the platform-top origin.
+        q: (..., n) joint angles [rad].
+    """
+    H = inertia(arm, q)
+    return InertiaBlocks(H[..., :6, :6] + mass, H[..., :6, 6:], H[..., 6:, 6:])
+
+
+class Modes(NamedTuple):
+    """Natural modes, slowest first."""
+
+    omega: Array  # (..., k) rad/s
+    shapes: Array  # (..., k, k) columns, normalised so that shapes^T M shapes = 1
+
+
+def natural_modes(K: Array, M: Array) -> Modes:
+    """Solve K x = omega^2 M x by M's Cholesky factor.
+
+    Args:
+        K: (k, k) stiffness, symmetric.
+        M: (..., k, k) mass, symmetric positive definite.
+    """
+    root = np.linalg.cholesky(M)
+    half = np.linalg.solve(root, np.broadcast_to(K, M.shape))
+    reduced = np.linalg.solve(root, np.swapaxes(half, -1, -2))
+    squares, vectors = np.linalg.eigh((reduced + np.swapaxes(reduced, -1, -2)) / 2)
+    shapes = np.linalg.solve(np.swapaxes(root, -1, -2), vectors)
+    return Modes(np.sqrt(np.maximum(squares, 0.0)), shapes)
+
+
+def quintic_spectrum(x: npt.ArrayLike) -> Array:
+    """Return |int_0^1 e^(-j x u) s'(u) du| of the rest-to-rest quintic s, x = omega T.
+
+    Closed form 15 j_2(x/2) / (x/2)^2 with the spherical Bessel function j_2, by
+    Poisson's integral (derived in docs/physics.md).
+    """
+    half = np.asarray(x, float) / 2
+    small = np.abs(half) < 1e-2  # there the series is exact to rounding
+    safe = np.where(small, 1.0, half)
+    series = 1 - half**2 / 14 + half**4 / 504
+    out: Array = np.where(
+        small, series, np.abs(15 * scipy.special.spherical_jn(2, safe) / safe**2)
+    )
+    return out

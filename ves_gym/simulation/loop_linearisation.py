@@ -1,0 +1,232 @@
+"""The emulation loop linearised by central differences of the simulator that runs it.
+
+What is judged is what will run. The simulator is handed in, so that it can itself ask for
+this judgement; `stability` has the questions that users ask.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array, ParameterError, content_hash, finite
+from ves_gym.hardware.leg_servo import LegServo
+from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
+from ves_gym.system.system import System
+
+SimulatorFactory = Callable[..., Any]  # `Simulator`, or what builds one like it
+SLACK = 1e-4  # of |z| <= 1: a free base has a double eigenvalue 1, which differences of 1e-9
+# relative accuracy move by its square root
+_STEP = 1e-5  # of the central differences, m, rad, N, ... in turn
+_RADII: dict[str, float] = {}  # spectral radii of systems judged before
+
+
+class EmulationWarning(UserWarning):
+    """An emulation that is unstable or leaves its assumptions."""
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """The whole loop about rest: x+ = A (x + E w), Y+ = C (x + E w).
+
+    x stacks joint angles and rates and the memory of the laboratory; w (6,) is a wrench
+    [N, N m] added to the sensor's reading, Y (6,) the platform's measured pose.
+    """
+
+    A: Array  # (s, s)
+    E: Array  # (s, 6)
+    C: Array  # (6, s)
+    dt: float  # s, the control period
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest eigenvalue magnitude of A."""
+        return float(np.abs(np.linalg.eigvals(self.A)).max())
+
+    def compliance(self, f: npt.ArrayLike) -> npt.NDArray[np.complex128]:
+        """(m, 6, 6) pose per wrench at frequencies f [Hz]."""
+        z = np.exp(2j * np.pi * np.asarray(f, float) * self.dt)
+        eye = np.eye(len(self.A))
+        inner = np.linalg.solve(z[:, None, None] * eye - self.A, self.A @ self.E)
+        return np.asarray(self.C @ (inner + self.E) / z[:, None, None], np.complex128)
+
+    def step(self, wrench: npt.ArrayLike, periods: int) -> Array:
+        """(periods + 1, 6) pose after a wrench (6,) that sets in at 0 and stays."""
+        x, push = np.zeros(len(self.A)), self.E @ np.asarray(wrench, float)
+        out = np.zeros((periods + 1, 6))
+        for k in range(periods):
+            out[k + 1] = self.C @ (x + push)
+            x = self.A @ (x + push)
+        return out
+
+
+def linearise(
+    simulator: SimulatorFactory,
+    system: System,
+    q: npt.ArrayLike = 0.0,
+    *,
+    servo: JointServo | None = HIGH_GAINS,
+) -> Linearised:
+    """Linearise the whole loop about rest at joint angles q (ideal mode: `engine/linear.py`).
+
+    Noise, drift and the quantisation of transducers and sensor are left out.
+
+    Args:
+        simulator: makes the simulator whose steps are differentiated.
+        system: an emulated system, in operation microgravity or gravity.
+        q: joint angles [rad], broadcast to (joints,).
+        servo: joint servo, None for bare torques.
+
+    Returns:
+        The transition over one control period, see `Linearised`.
+
+    Raises:
+        ParameterError: the system is not emulated, or the platform is position controlled.
+    """
+    angles, lab = joint_angles(system, q), system.emulator_settings
+    if lab.operation == "position":
+        raise ParameterError("operation position has no loop that could be unstable")
+    sensor = replace(lab.sensor, force_resolution=0.0, moment_resolution=0.0)
+    platform = lab.platform
+    if isinstance(platform, LegServo):
+        platform = replace(platform, resolution=0.0)
+    # far from every safety limit
+    smooth = replace(lab, sensor=sensor, platform=platform, force_max=1e12, moment_max=1e12)
+    quiet = system.replace(emulator=smooth)
+    size = _Loop(simulator(quiet, 1, servo=servo, warn_at=None), angles).size
+    loop = _Loop(simulator(quiet, 2 * size, servo=servo, warn_at=None), angles)
+    after = loop.step(_STEP * np.vstack([np.eye(size), -np.eye(size)]))
+    slope = (after[:size] - after[size:]).T / (2 * _STEP)
+    return Linearised(
+        slope[:size], np.eye(size)[:, loop.reading], slope[size:], system.control_dt
+    )
+
+
+class _Loop:
+    """A simulator whose whole state is read and written as one vector per simulation."""
+
+    def __init__(self, sim: Any, angles: Array) -> None:
+        sim.emulation_loop.sensor.silence()
+        sim.reset(q=angles)
+        self.sim, self.lab, self.angles = sim, sim.emulation_loop, angles
+        # only what the loop acts on: anything else would be an eigenvalue 1 of its own
+        self.joints = sim.joints if sim.system.drive == "motor" else 0
+        self.names = ["X", "sent", "queue", "reading", "estimate", "past"]
+        if sim.emulation_loop.compensating:
+            self.names += ["sway", "felt", "payload"]
+        elif sim.emulation_loop.carried[0].size:
+            self.names += ["sway"]
+        lab = sim.emulation_loop  # a model of its own, or the machine itself
+        self._gears = bool(sim.system.actual.arm.geared)
+        self._ages = sim.line is not None and sim.line.old
+        self._modelled = lab.compensating and lab.model is not lab.follower
+        self.rest = [part.copy() for part in self._parts()]
+        self.size = 2 * self.joints + sum(part[0].size for part in self.rest)
+        before = 2 * self.joints + sum(part[0].size for part in self.rest[:3])
+        self.reading = slice(before, before + 6)  # X, sent and queue come first
+        self.hold = sim.servo_command(
+            np.broadcast_to(angles, (sim.n, sim.joints)), np.zeros((sim.n, sim.joints))
+        )
+        if sim.system.drive == "prescribed":
+            self.hold = np.zeros_like(self.hold)
+
+    def _parts(self) -> Iterator[Array]:
+        """Arrays of the laboratory that carry over to the next period."""
+        for name in self.names:
+            yield getattr(self.lab.state, name)
+        if self.lab.state.late.shape[1]:
+            yield self.lab.state.late
+        if self._ages:
+            yield self.sim.line.past
+        if self._gears:
+            yield np.stack(self.sim.backend.hidden(), axis=1)
+        yield self.lab.sensor.state.filter
+        yield from self.lab.follower.get_state()
+        if self._modelled:
+            yield from self.lab.model.get_state()
+
+    def _vector(self) -> Array:
+        state = self.sim.state
+        moving = [state.q, state.v] if self.joints else []
+        parts = [*moving, *self._parts()]
+        return np.concatenate([p.reshape(self.sim.n, -1) for p in parts], axis=1)
+
+    def step(self, offsets: Array) -> Array:
+        """State and measured pose (n, s + 6) one period after rest + offsets (n, s)."""
+        sim, lab, n, m = self.sim, self.lab, self.sim.n, self.joints
+        shifted, at = [], 2 * m
+        for part in self.rest:
+            width = part[0].size
+            shifted.append(part + offsets[:, at : at + width].reshape(part.shape))
+            at += width
+        s = lab.state
+        for name in self.names:
+            setattr(s, name, shifted.pop(0))
+        if s.late.shape[1]:
+            s.late = shifted.pop(0)
+        if self._ages:
+            sim.line.past = shifted.pop(0)
+        bent = shifted.pop(0) if self._gears else None
+        lab.sensor.state.filter = shifted.pop(0)
+        held = len(lab.follower.get_state())
+        lab.follower.set_state(tuple(shifted[:held]))
+        if self._modelled:
+            lab.model.set_state(tuple(shifted[held:]))
+        # the engine's platform stands where the follower's does
+        kept = lab.follower.get_state()
+        y, yd, _ = lab.follower.advance(s.sent[:, :6], s.sent[:, 6:])
+        lab.follower.set_state(kept)
+        q, v = np.tile(self.angles, (n, 1)), np.zeros((n, sim.joints))
+        q[:, :m] += offsets[:, :m]
+        v[:, :m] = offsets[:, m : 2 * m]
+        sim.backend.write(
+            np.arange(n), np.zeros(n), np.hstack([y[:, 0], q]), np.hstack([yd[:, 0], v])
+        )
+        if bent is not None:
+            sim.backend.bend(bent[:, 0], bent[:, 1])
+        sim.step(self.hold)
+        return np.hstack([self._vector(), lab.follower.measured()])
+
+
+def joint_angles(system: System, q: npt.ArrayLike) -> Array:
+    """Return angles q [rad] as a finite (joints,), or raise a ParameterError."""
+    try:
+        wide = np.broadcast_to(np.asarray(q, float), (system.arm.n,))
+    except ValueError:
+        wide = np.asarray(q, float)
+    return finite(wide, (system.arm.n,), "q")
+
+
+def warn_if_unstable(
+    simulator: SimulatorFactory,
+    system: System,
+    q: npt.ArrayLike,
+    servo: JointServo | None,
+    stacklevel: int = 3,
+) -> None:
+    """Issue an `EmulationWarning` for an emulation that is unstable at q.
+
+    Args:
+        simulator, system, q, servo: see `linearise`.
+        stacklevel: of the warning, 3 for the caller of the simulator.
+    """
+    if system.emulator_settings.operation == "position":
+        return
+    # by content: a system may hold arrays, which have no hash of their own
+    key = content_hash((system, servo, joint_angles(system, q).tolist()))
+    if key not in _RADII:
+        _RADII[key] = linearise(simulator, system, q, servo=servo).spectral_radius
+    radius = _RADII[key]
+    if radius > 1 + SLACK:
+        warnings.warn(
+            f"unstable emulation: each control period multiplies its least stable mode by"
+            f" {radius:.6g}. A slower platform, a heavier vehicle or payload_compensation"
+            " makes it stable; `ves-gym emulation-check` finds the limit",
+            EmulationWarning,
+            stacklevel=stacklevel,
+        )

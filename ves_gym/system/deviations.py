@@ -1,0 +1,124 @@
+"""Numbers that effects deviate from the description, per simulation.
+
+`LoopParameters` are those of the emulation loop, `Delays` those between joint controller and
+drives. Effects add to them; the simulation reads them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym.hardware.force_sensor import SensorErrors
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.gravity import GravityModel
+from ves_gym.system.emulator_settings import EmulatorSettings
+
+if TYPE_CHECKING:
+    from ves_gym.system.system import System
+
+
+@dataclass
+class LoopParameters:
+    """What effects may change, per simulation (leading axis n)."""
+
+    arm: Arm
+    gravity_mass: Array  # (n,) of the gravity estimate [kg]
+    gravity_P: Array  # (n, p) of the gravity estimate [kg m]
+    gravity_tilt: Array  # (n, 3) error of the platform angles it is given [rad]
+    gravity_delay: Array  # (n,) age of the estimate [s]
+    sensor: SensorErrors
+    bandwidth: Array  # (n,) relative change of the platform's bandwidth
+    damping: Array  # (n,) relative change of its damping ratio
+    payload_scale: Array  # (n,) relative error of the compensated arm inertia
+    platform_delay: Array  # (n,) of the command on its way to the platform [s]
+    platform_travel: Array  # (n,) share of the legs' stroke that is missing
+    platform_speed: Array  # (n,) share of the legs' speed that is missing
+
+    @staticmethod
+    def nominal(arm: Arm, emulator: EmulatorSettings, n: int) -> LoopParameters:
+        """The machine as described."""
+        model = emulator.gravity or GravityModel.of(arm)
+        return LoopParameters(
+            arm=arm,
+            gravity_mass=np.full(n, model.mass),
+            gravity_P=np.tile(np.asarray(model.P, float), (n, 1)),
+            gravity_tilt=np.zeros((n, 3)),
+            gravity_delay=np.zeros(n),
+            sensor=SensorErrors.none(emulator.sensor, n),
+            bandwidth=np.zeros(n),
+            damping=np.zeros(n),
+            payload_scale=np.zeros(n),
+            platform_delay=np.zeros(n),
+            platform_travel=np.zeros(n),
+            platform_speed=np.zeros(n),
+        )
+
+    @property
+    def as_stated(self) -> bool:
+        """Whether every platform is as described."""
+        parts = (self.bandwidth, self.damping, self.platform_delay)
+        return not any(
+            part.any() for part in (*parts, self.platform_travel, self.platform_speed)
+        )
+
+    def edited(self, system: System) -> LoopParameters:
+        """The same, with the effects of a system added.
+
+        Raises:
+            ParameterError: relative changes that add up to -1 or less.
+        """
+        for effect in system.effects:
+            effect.edit(self)
+        for name in ("bandwidth", "damping", "payload_scale"):
+            least = float(getattr(self, name).min())
+            if least <= -1:
+                raise ParameterError(
+                    f"the effects together change {name} by {least:.3g}, must be > -1"
+                )
+        return self
+
+    def copy(self) -> LoopParameters:
+        """Arrays of its own."""
+        sensor = SensorErrors(*(part.copy() for part in self.sensor.parts()))
+        return replace(self, sensor=sensor, **{k: getattr(self, k).copy() for k in ARRAYS})
+
+    @staticmethod
+    def stacked(rows: Sequence[LoopParameters]) -> LoopParameters:
+        """LoopParameters of several simulations, one after the other."""
+        sensors = zip(*(row.sensor.parts() for row in rows), strict=True)
+        return LoopParameters(
+            arm=rows[0].arm,
+            sensor=SensorErrors(*(np.concatenate(parts) for parts in sensors)),
+            **{k: np.concatenate([getattr(row, k) for row in rows]) for k in ARRAYS},
+        )
+
+
+# fields of LoopParameters that are an array each
+ARRAYS = [k.name for k in fields(LoopParameters) if k.name not in ("arm", "sensor")]
+
+
+@dataclass
+class Delays:
+    """What effects may delay, in seconds (n,)."""
+
+    command: Array  # from the controller's command to the drive
+    measurement: Array  # age of the angles and rates that controller and log see
+    lag: Array  # (n, joints) time constant of the low-pass through which they see rates
+
+    @staticmethod
+    def of(system: System, n: int = 1) -> Delays:
+        """Those of a system, n times."""
+        out = Delays(np.zeros(n), np.zeros(n), np.zeros((n, system.arm.n)))
+        for effect in system.effects:
+            effect.wire(out)
+        return out
+
+    def put(self, ids: Index, other: Delays) -> None:
+        """Replace rows by those of `other`."""
+        for field in fields(self):
+            getattr(self, field.name)[ids] = getattr(other, field.name)
