@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from ves_gym import __version__
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -25,7 +27,10 @@ def wheel(tmp_path_factory):
 
 def test_wheel_holds_only_the_package_and_its_data(wheel):
     names = zipfile.ZipFile(wheel).namelist()
-    assert {name.split("/")[0] for name in names} == {"ves_gym", "ves_gym-0.1.0.dist-info"}
+    assert {name.split("/")[0] for name in names} == {
+        "ves_gym",
+        f"ves_gym-{__version__}.dist-info",
+    }
     kept = {
         "py.typed",
         "report/page.html",
