@@ -64,14 +64,31 @@ HEAVY = {
 # ------------------------------------------------------------------ packaging
 
 
-def test_extras_are_declared():
+def declared() -> dict:
     with open(ROOT / "pyproject.toml", "rb") as file:
-        extras = tomllib.load(file)["project"]["optional-dependencies"]
-    assert {"rl", "report", "scale", "dev", "all"} <= extras.keys()
+        return tomllib.load(file)["project"]
 
 
-def test_known_good_versions_carry_hashes_and_no_address():
-    text = (ROOT / "constraints.txt").read_text()
+def test_extras_are_declared():
+    extras = declared()["optional-dependencies"].keys()
+    assert {"rl", "report", "movie", "parquet", "pinocchio", "scale", "dev", "all"} <= extras
+
+
+KNOWN_GOOD = ("constraints.txt", "constraints-run.txt")  # everything; what a benchmark needs
+
+
+def known_good(file: str) -> dict[str, tuple[str, set[str]]]:
+    """Name -> version and hashes of a file of known-good versions."""
+    pinned = {}
+    for requirement in (ROOT / file).read_text().replace("\\\n", " ").splitlines():
+        name, version = re.match(r"([\w.-]+)==([\w.+!-]+)", requirement).groups()
+        pinned[name] = version, set(re.findall(r"--hash=(\S+)", requirement))
+    return pinned
+
+
+@pytest.mark.parametrize("file", KNOWN_GOOD)
+def test_known_good_versions_carry_hashes_and_no_address(file):
+    text = (ROOT / file).read_text()
     assert not re.search(r"https?:|file:|://|^-", text, re.MULTILINE)
 
     requirements = text.replace("\\\n", " ").splitlines()
@@ -79,6 +96,16 @@ def test_known_good_versions_carry_hashes_and_no_address():
     for requirement in requirements:
         assert re.match(r"[\w.-]+==[\w.+!-]+[ ;]", requirement), requirement[:80]
         assert re.search(r"--hash=sha256:[0-9a-f]{64}\b", requirement), requirement[:80]
+
+
+def test_what_the_benchmark_needs_is_part_of_everything():
+    everything, lean = (known_good(file) for file in KNOWN_GOOD)
+    assert lean.items() <= everything.items()
+
+    project = declared()
+    texts = [*project["dependencies"], *project["optional-dependencies"]["report"]]
+    assert {re.match(r"[\w.-]+", text)[0] for text in texts} <= lean.keys()
+    assert not {"torch", "triton", "pyarrow", "pin", "imageio-ffmpeg", "mypy"} & lean.keys()
 
 
 @pytest.mark.parametrize("name", LINKS)

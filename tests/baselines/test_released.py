@@ -19,7 +19,7 @@ EVERY = [read_config(path) for path in sorted(CONFIGS.glob("*.toml"))]
 
 @pytest.fixture(scope="module")
 def training():
-    spec = importlib.util.spec_from_file_location("training", ROOT / "docs" / "_training.py")
+    spec = importlib.util.spec_from_file_location("training", ROOT / "scripts" / "training.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -74,5 +74,5 @@ def test_a_policy_beats_doing_nothing_and_chance(config):
 
 
 def test_the_page_is_up_to_date(training):
-    """Else: `python docs/_training.py`."""
+    """Else: `python scripts/training.py`."""
     assert (ROOT / "docs" / "training.md").read_text("utf-8") == training.page()

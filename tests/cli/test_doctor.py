@@ -51,6 +51,57 @@ def test_missing_and_old_packages_are_named():
 
 
 @pytest.mark.parametrize(
+    ("marker", "expected"),
+    [
+        ("", True),
+        ("sys_platform == 'linux'", True),
+        ("sys_platform != 'win32'", True),
+        ("(sys_platform == 'linux' and python_version < '3.14')", False),
+        ('python_version >= "3.9"', True),
+    ],
+)
+def test_environment_markers(marker, expected, monkeypatch):
+    monkeypatch.setattr(doctor.sys, "platform", "linux")
+    monkeypatch.setattr(doctor.platform, "python_version", lambda: "3.14.0")
+    assert doctor.applies(marker) is expected
+
+
+def test_every_declared_marker_is_understood():
+    core, extras, _ = doctor.requirements()
+    texts = [*core, *(text for extra in extras.values() for text in extra)]
+    markers = [text.partition(";")[2] for text in texts if ";" in text]
+    assert len(markers) == 2
+    for marker in markers:
+        doctor.applies(marker)
+    with pytest.raises(ValueError, match="got \"os_name == 'nt'\""):
+        doctor.applies("os_name == 'nt'")
+
+
+def test_a_package_without_wheels_here_is_no_failure():
+    check = doctor.check_version("no-such-package>=1.0; sys_platform == 'plan9'")
+    assert check.status == NOTE and "sys_platform == 'plan9'" in check.detail
+
+
+def test_requirements_of_an_installed_wheel(monkeypatch, tmp_path):
+    """Without pyproject.toml: the core, each extra, and where a package is asked for."""
+    monkeypatch.setattr(doctor, "_ROOT", tmp_path)
+    lines = [
+        "numpy<3,>=2.0",
+        "ompl<3,>=2.0.1; sys_platform == 'linux' and python_version < '3.14'",
+        "pin<5,>=4.0; (sys_platform != 'win32') and extra == 'pinocchio'",
+        "pyarrow>=17; extra == 'parquet'",
+        "pyarrow>=17; extra == 'dev'",
+    ]
+    monkeypatch.setattr(doctor.importlib.metadata, "requires", lambda name: lines)
+    core, extras, python = doctor.requirements()
+    assert core == lines[:2] and python.startswith(">=3")
+    assert extras == {
+        "pinocchio": ["pin<5,>=4.0; sys_platform != 'win32'"],
+        "parquet": ["pyarrow>=17"],
+    }
+
+
+@pytest.mark.parametrize(
     ("code", "expected"),
     [
         ("import os; os.abort()", "crashes with signal 6"),

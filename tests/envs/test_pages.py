@@ -14,7 +14,7 @@ PLACE = ROOT / "docs" / "environments"
 @pytest.fixture(scope="module")
 def pages():
     """File name -> text, as the generator writes it."""
-    spec = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "_generate.py")
+    spec = importlib.util.spec_from_file_location("generate", ROOT / "scripts" / "generate.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module.pages()
@@ -27,5 +27,5 @@ def test_there_is_a_page_per_id(pages):
 
 @pytest.mark.parametrize("name", ["README", *IDS])
 def test_page_is_up_to_date(name, pages):
-    """Else: `python docs/_generate.py`."""
+    """Else: `python scripts/generate.py`."""
     assert (PLACE / f"{name}.md").read_text("utf-8") == pages[f"{name}.md"]

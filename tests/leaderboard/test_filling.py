@@ -13,12 +13,12 @@ from ves_gym.leaderboard.protocol import get_problem, problems
 from ves_gym.planners.registry import PLANNERS
 
 ROOT = Path(__file__).parents[2]
-PROGRAM = ROOT / "docs/_leaderboard.py"
+PROGRAM = ROOT / "scripts/leaderboard.py"
 
 
 @pytest.fixture(scope="module")
 def filling():
-    spec = importlib.util.spec_from_file_location("_leaderboard", PROGRAM)
+    spec = importlib.util.spec_from_file_location("leaderboard_script", PROGRAM)
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look there
     spec.loader.exec_module(module)

@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from ves_gym._util.optional import installed
 from ves_gym.cli.common import progress, write_json
 
 SCHEMA = "ves-doctor/1"
@@ -61,8 +62,9 @@ def _checks(out: Path) -> Iterator[tuple[float, Check]]:
     parts = (
         lambda: [check_python(python), check_processor()],
         lambda: [check_version(text) for text in core],
-        lambda: [check_import("mujoco", "mujoco"), check_import("pin", "pinocchio")],
-        lambda: [check_import("ompl", "ompl.geometric")],
+        lambda: [check_import("mujoco", "mujoco")],
+        lambda: [check_import("ompl", "ompl.geometric")] if installed("ompl") else [],
+        lambda: [check_import("pin", "pinocchio", NOTE)] if installed("pinocchio") else [],
         check_stepping,
         lambda: [check_opengl()],
         lambda: [check_extra(name, texts) for name, texts in extras.items()],
@@ -94,11 +96,39 @@ def requirements() -> tuple[list[str], dict[str, list[str]], str]:
         core, extras, python = [], {}, str(metadata["Requires-Python"])
         for text in importlib.metadata.requires("ves-gym") or []:
             requirement, _, condition = text.partition(";")
-            extra = re.search(r"extra\s*==\s*['\"]([^'\"]+)['\"]", condition)
-            group = core if extra is None else extras.setdefault(extra[1], [])
+            clauses = [part.strip(" ()") for part in condition.split(" and ")]
+            named = [re.fullmatch(r"extra\s*==\s*['\"]([^'\"]+)['\"]", c) for c in clauses]
+            extra = next((match[1] for match in named if match), None)
+            group = core if extra is None else extras.setdefault(extra, [])
+            where = [c for c, match in zip(clauses, named, strict=True) if c and not match]
             if not requirement.startswith("ves-gym"):
-                group.append(requirement.strip())
-    return core, {k: v for k, v in extras.items() if v and k not in ("dev", "all")}, python
+                group.append(
+                    "; ".join(filter(None, [requirement.strip(), " and ".join(where)]))
+                )
+    own = ("all", "build", "dev")  # of other extras, or for those who change the package
+    return core, {k: v for k, v in extras.items() if v and k not in own}, python
+
+
+def applies(marker: str) -> bool:
+    """Return whether an environment marker is true here.
+
+    Args:
+        marker: clauses on `sys_platform` and `python_version` joined by `and`; "" is true.
+
+    Raises:
+        ValueError: the marker says something else.
+    """
+    for clause in filter(None, (part.strip(" ()") for part in marker.split(" and "))):
+        match = re.fullmatch(r"(\w+)\s*(>=|<=|==|!=|>|<)\s*['\"]([^'\"]+)['\"]", clause)
+        if match is None or match[1] not in ("sys_platform", "python_version"):
+            raise ValueError(f"markers look like python_version < '3.14', got {clause!r}")
+        if match[1] == "python_version":
+            true = inside(platform.python_version(), match[2] + match[3])
+        else:
+            true = _COMPARE[match[2]](sys.platform, match[3])
+        if not true:
+            return False
+    return True
 
 
 _COMPARE = {
@@ -139,12 +169,15 @@ def check_python(ranges: str) -> Check:
 
 def check_version(requirement: str) -> Check:
     """A distribution's version against its range."""
+    requirement, _, marker = (part.strip() for part in requirement.partition(";"))
     match = re.match(r"([\w.-]+)\s*(.*)", requirement)
     assert match is not None, requirement
     name, ranges = match[1], match[2]
     try:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
+        if not applies(marker):
+            return Check(name, NOTE, f"not installed: has wheels where {marker}")
         return Check(name, FAIL, f"not installed (needs {ranges}): pip install '{requirement}'")
     if not inside(version, ranges):
         return Check(name, FAIL, f"{version}, needs {ranges}: pip install '{requirement}'")
@@ -185,15 +218,21 @@ def _child(code: str, timeout: float = _PATIENCE) -> tuple[bool, str]:
     return done.returncode == 0, lines[-1] if lines else f"exit status {done.returncode}"
 
 
-def check_import(name: str, module: str) -> Check:
-    """Whether a native library loads."""
+def check_import(name: str, module: str, otherwise: str = FAIL) -> Check:
+    """Load a native library.
+
+    Args:
+        name: its distribution.
+        module: what is imported.
+        otherwise: status if it does not load.
+    """
     good, words = _child(f"import {module}; print('loads')")
     if good:
         return Check(f"import {module}", OK, words)
     hint = ""
     if module == "mujoco" and "MUJOCO_GL" in os.environ:
         hint = f" (MUJOCO_GL is {os.environ['MUJOCO_GL']!r}; MuJoCo reads it when it loads)"
-    return Check(f"import {module}", FAIL, words + hint)
+    return Check(f"import {module}", otherwise, words + hint)
 
 
 _STEP = """

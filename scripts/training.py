@@ -1,7 +1,7 @@
 """Release what `make policies` trained, and write docs/training.md from it.
 
-`python docs/_training.py RUNS [NAME ...]` takes the runs in RUNS (all configurations, or those
-named): learning curves to docs/training, the best policy of each to the package, their
+`python scripts/training.py RUNS [NAME ...]` takes the runs in RUNS (all configurations, or
+those named): learning curves to docs/training, the best policy of each to the package, their
 figures on the test episodes to docs/training/NAME.json, an animation to docs/pictures.
 Without arguments the page and the figure of the curves are written again from what is there.
 """
@@ -26,7 +26,7 @@ from ves_gym.baselines.policy import RELEASED, Policy, load_policy, released
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.envs.registration import IDS
 
-DOCS = Path(__file__).parent
+DOCS = Path(__file__).parents[1] / "docs"
 PLACE, PICTURES = DOCS / "training", DOCS / "pictures"
 EPISODES = 200  # seeds 0, 1, ...: none of them is trained on or chosen by
 LAB_EPISODES = 100  # of the same on the ...Emulated twin

@@ -1,4 +1,4 @@
-"""Fill the board in docs/leaderboard: `python docs/_leaderboard.py [--workers N]`.
+"""Fill the board in docs/leaderboard: `python scripts/leaderboard.py [--workers N]`.
 
 Every entry of the table below is answered, bundled (in out/leaderboard/bundles), verified and
 appended to docs/leaderboard/board.jsonl; then docs/leaderboard/index.html is written. What is
@@ -40,7 +40,7 @@ from ves_gym.leaderboard.tracks.damping import TUNERS
 from ves_gym.leaderboard.tracks.registry import get_track
 from ves_gym.leaderboard.verify import bundle_manifest, verify
 
-PLACE = Path(__file__).parent / "leaderboard"
+PLACE = Path(__file__).parents[1] / "docs" / "leaderboard"
 BUNDLES = Path("out/leaderboard/bundles")
 AUTHOR = "ves_gym"
 

@@ -1,4 +1,4 @@
-"""Write docs/environments from the code: `python docs/_generate.py`.
+"""Write docs/environments from the code: `python scripts/generate.py`.
 
 Of README.md only the table of ids. tests/envs/test_pages.py compares: no page goes stale.
 """
@@ -24,7 +24,7 @@ from ves_gym.envs.registration import IDS
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.vehicle import VEHICLES
 
-DOCS = Path(__file__).parent
+DOCS = Path(__file__).parents[1] / "docs"
 PLACE = DOCS / "environments"
 
 HISTORY = {"v0": "first version"}  # what changed in dynamics, reward or spaces
@@ -238,7 +238,7 @@ def _page(name: str) -> str:
             f" `{achieved}`, `desired_goal` is `{desired}`, `observation` the rest."
             " `compute_reward(achieved, desired, info)` takes any leading axes.\n"
         )
-    text = f"""<!-- written by docs/_generate.py: change the code instead -->
+    text = f"""<!-- written by scripts/generate.py: change the code instead -->
 # ves/{name}-v0, ves/{name}Emulated-v0
 
 {title}
