@@ -30,16 +30,16 @@ PLACE = DOCS / "environments"
 HISTORY = {"v0": "first version"}  # what changed in dynamics, reward or spaces
 
 INFO = {
-    "episode": "reset: (seed, index, number) that the episode's random numbers come from",
+    "episode_id": "reset: (seed, index, number) that the episode's random numbers come from",
     "randomized/...": "reset: parameters drawn for this episode, by effect and name",
-    "reward_terms": "the terms; they sum to the reward exactly, in their order",
+    "reward/...": "the terms below; they sum to the reward exactly, in their order",
     "success": "whether the episode would count as solved if it ended here",
     "success_once": "whether it would have at any time",
     "clipped": "actions of this episode that were out of [-1, 1]",
     "diverged": "whether the numbers ran away: the episode has failed",
     "stopped": "laboratory: whether a safety stop froze the platform: the episode has failed",
     "dump": "with the argument `dump`: run log of an episode that diverged",
-    "energy": "at the end: the energies below",
+    "energy/...": "at the end: the energies below",
 }
 COMMON = {
     "duration": "of an episode",
@@ -164,17 +164,19 @@ def _info(env: VesEnv) -> str:
         *_, terminated, truncated, told = env.step(np.zeros(env.action_space.shape))
         if terminated or truncated:
             break
-    assert list(told["energy"]) == list(ENERGY)
-    keys = [re.sub("^randomized/.*", "randomized/...", key) for key in (*begin, *told)]
+    names = [k.removeprefix("energy/") for k in told if k.startswith("energy/")]
+    assert names == list(ENERGY)
+    keys = [re.sub("^(randomized|reward|energy)/.*", r"\1/...", key) for key in (*begin, *told)]
     unknown = set(keys) - set(INFO)
     assert not unknown, f"say in INFO what these are: {unknown}"
     known = [k for k in INFO if k in keys or k == "dump"]
-    terms = ", ".join(f"`{k}`" for k in told["reward_terms"])
+    terms = ", ".join(f"`{k}`" for k in told if k.startswith("reward/"))
     return (
-        f"Terms of the reward: {terms}. `failure` is -2 once, where an episode fails.\n\n"
+        f"Terms of the reward: {terms}. `reward/failure` is -2 once, where an episode fails."
+        "\n\n"
         + _table(("info", "what"), [(f"`{k}`", INFO[k]) for k in known])
         + "\n\n"
-        + _table(("energy", "what"), [(f"`{k}`", v) for k, v in ENERGY.items()])
+        + _table(("energy", "what"), [(f"`energy/{k}`", v) for k, v in ENERGY.items()])
     )
 
 
@@ -209,7 +211,7 @@ while not over:
     action = env.action_space.sample()
     observation, reward, terminated, truncated, info = env.step(action)
     over = terminated or truncated
-print(info["success"], info["energy"]["E_mean"])
+print(info["success"], info["energy/E_mean"])
 ```
 """
 

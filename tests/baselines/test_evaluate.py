@@ -36,7 +36,7 @@ def test_episode_k_is_what_a_single_environment_begins_with_its_seed():
             _, reward, over, _, info = env.step(np.zeros(3))
             total += reward
         assert row["return"] == pytest.approx(total, rel=1e-12)
-        assert row["E_mean"] == info["energy"]["E_mean"]
+        assert row["E_mean"] == info["energy/E_mean"]
         assert row["success"] is info["success"] is True
         assert row["length"] == env.unwrapped.task.steps
 
@@ -119,5 +119,5 @@ def test_bad_arguments_are_refused():
         evaluate(zero, "ves/Nothing-v0", episodes=1)
     with pytest.raises(ParameterError, match="no vector environment of ves_gym"):
         evaluate(zero, "CartPole-v1", episodes=1)
-    with pytest.raises(ParameterError, match="unknown setting 'speed'"):
+    with pytest.raises(ParameterError, match="unexpected keyword argument 'speed'"):
         evaluate(zero, REST, episodes=1, speed=3)

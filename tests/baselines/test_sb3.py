@@ -4,9 +4,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from tests.envs.walks import IDS
 from ves_gym._util.params import ParameterError
 
 pytest.importorskip("stable_baselines3")
+from stable_baselines3.common.env_checker import check_env
+
 from ves_gym.baselines.sb3 import Sb3VecEnv
 
 SHORT = {"duration": 0.5, "tail": 0.5}  # 40 steps
@@ -48,7 +51,7 @@ def test_gives_what_the_environment_gives():
             assert info["episode"]["l"] == 40 and info["episode"]["t"] > 0
             final = wanted[4]["final_info"]
             assert info["is_success"] == final["success"][i]
-            assert info["energy"]["E_mean"] == final["energy"]["E_mean"][i]
+            assert info["energy/E_mean"] == final["energy/E_mean"][i]
         total[done] = 0
 
 
@@ -185,3 +188,12 @@ def test_smooth_rewards_tell_how_far_a_goal_is():
     np.testing.assert_array_equal(plain.step(action)[1], [-2, -2, -2])
     with pytest.raises(ParameterError, match="smooth"):
         Sb3VecEnv(vector(), smooth=0.1)
+
+
+@pytest.mark.parametrize("id", IDS)
+def test_check_env_has_nothing_to_say(id):
+    """Stable-Baselines3's own check, warnings being errors; and goals only where they are."""
+    env = gym.make(id)
+    assert hasattr(env.unwrapped, "compute_reward") == ("Goal" in id)
+    check_env(env)
+    check_env(env.unwrapped)

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -194,6 +195,26 @@ def test_list_names_everything(call):
     assert names["commands"] == set(COMMANDS)
     assert "ves/PumaDamp-v0" in {row["environment"] for row in result["policies"]}
     assert "[Hz]" in out  # a unit in a heading is not markup
+
+
+def test_list_environments(call):
+    """The spaces and lengths listed are those of the environments, one line each."""
+    status, out, _, result = call("list", "environments")
+    assert status == 0
+    rows = {row["name"]: row for row in result["environments"]}
+    assert set(rows) == {k for k in gym.registry if k.startswith("ves/")}
+    for id, row in rows.items():
+        env = gym.make(id)
+        space = env.observation_space
+        if isinstance(space, gym.spaces.Dict):
+            assert row["observation"] == {k: list(v.shape) for k, v in space.items()}
+        else:
+            assert row["observation"] == list(space.shape)
+        assert row["action"] == list(env.action_space.shape)
+        assert row["max_episode_steps"] == env.unwrapped.task.steps
+        assert row["task"] == env.unwrapped.task.kind and row["version"] == env.spec.version
+        assert sum(f" {id} " in line for line in out.splitlines()) == 1
+    assert "max episode steps" in out
 
 
 # ------------------------------------------------------------------------- bad input

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tests.envs.walks import part
 from ves_gym.baselines.resolved import Resolved
 from ves_gym.envs.vector import VesVectorEnv
 
@@ -34,7 +35,7 @@ def controlled(controller, n, task, seed=0, **settings):
         action = controller.act(env, observation)
         observation, reward, terminated, truncated, info = env.step(action)
         total += reward
-        for name, term in info["reward_terms"].items():
+        for name, term in part(info, "reward").items():
             terms[name] = terms.get(name, 0.0) + term
     assert (terminated | truncated).all()
     return env, total, terms, info

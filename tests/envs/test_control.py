@@ -76,7 +76,7 @@ def test_guided_zero_leaves_the_energy_of_the_planning_benchmark():
     )["rows"]
     for name in ("E_mean", "E_peak", "E_res"):
         expected = np.array([row[name] for row in rows])
-        error = np.abs(info["energy"][name] / expected - 1)
+        error = np.abs(info[f"energy/{name}"] / expected - 1)
         print(f"{name}: largest deviation {error.max():.1e}")
         assert error.max() <= 0.01
 

@@ -134,7 +134,7 @@ def test_reward_is_minus_the_strain_integral():
     env, total, terms, info = controlled(get_controller("random"), 8, "damp", duration=2.0)
     assert set(terms) == {"energy", "astray", "failure"}
     np.testing.assert_allclose(sum(terms.values()), total, rtol=1e-12)
-    E = info["energy"]["E_int"] / 25.0
+    E = info["energy/E_int"] / 25.0
     np.testing.assert_allclose(-terms["energy"], E, atol=0.5 * env.batch.dt + 2e-3)
 
 
@@ -151,10 +151,10 @@ def test_leaving_the_box_costs_and_the_limit_fails():
     astray = []
     for _ in range(80):
         _, _, terminated, _, info = env.step([0, 1, 0])
-        astray.append(info["reward_terms"]["astray"])
+        astray.append(info["reward/astray"])
         if terminated:
             break
-    assert terminated and info["reward_terms"]["failure"] == -2
+    assert terminated and info["reward/failure"] == -2
     expected = -0.2 * 0.0125 * np.deg2rad(45.0)
     assert astray[0] == pytest.approx(expected, rel=0.01)
     assert (np.diff(astray) < 0).all()
@@ -170,7 +170,7 @@ def test_feedback_damps_better_than_gains(settings):
     high = controlled(get_controller("high"), 24, "damp", **held)[3]
     pped = controlled(get_controller("pped"), 24, "damp", **held)[3]
     _, total, _, best = controlled(Feedback(), 24, "damp", **settings)
-    E = [info["energy"]["E_int"].sum() for info in (best, pped, high)]
+    E = [info["energy/E_int"].sum() for info in (best, pped, high)]
     solved = [info["success"].mean() for info in (best, high)]
     print(f"over high gains: feedback {E[0] / E[2]:.3f}, pped {E[1] / E[2]:.3f}", solved)
     assert E[0] < 0.65 * E[2]

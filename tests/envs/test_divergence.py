@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from tests.envs.walks import IDS, actions, flat, same, walk
+from tests.envs.walks import IDS, actions, flat, part, same, walk
 from ves_gym.envs.batch import Batch
 
 each_id = pytest.mark.parametrize("name", IDS)
@@ -28,8 +28,8 @@ def test_divergence_ends_the_episode_as_a_failure(name):
     assert (terminated, truncated) == (True, False)
     assert info["diverged"] is True and info["success"] is False
     assert np.isfinite(reward)
-    assert info["reward_terms"]["failure"] < 0
-    assert sum(info["reward_terms"].values()) == reward
+    assert info["reward/failure"] < 0
+    assert sum(part(info, "reward").values()) == reward
     assert np.isfinite(flat(observation)).all()
     assert env.observation_space.contains(observation)
     with pytest.raises(gym.error.ResetNeeded):
@@ -70,7 +70,7 @@ def test_neighbours_notice_nothing(name, mode):
             continue
         assert ours[2].tolist() == [False, True, False]
         assert ours[4]["diverged"].tolist() == [False, True, False]
-        assert ours[4]["_energy"].tolist() == [False, True, False]
+        assert ours[4]["_energy/E_mean"].tolist() == [False, True, False]
         if mode is AutoresetMode.SAME_STEP:
             assert np.isfinite(flat(ours[4]["final_obs"])).all()
         if mode is AutoresetMode.DISABLED:
@@ -105,7 +105,7 @@ def test_a_safety_stop_ends_the_episode_as_a_failure():
     assert ours[2].tolist() == [False, True]
     assert ours[4]["stopped"].tolist() == [False, True]
     assert not ours[4]["diverged"].any() and not ours[4]["success"].any()
-    assert ours[4]["reward_terms"]["failure"][1] < 0
+    assert ours[4]["reward/failure"][1] < 0
     assert same(ours[0][0], theirs[0][0]) and not theirs[4]["stopped"].any()
     env.step(np.zeros((2, 3)))
     assert not env.step(np.zeros((2, 3)))[4]["stopped"].any()  # the next episode

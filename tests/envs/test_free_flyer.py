@@ -154,7 +154,7 @@ def test_tumbling_is_a_failure():
         if terminated:
             break
     y = env.unwrapped.batch.scene.y[0]
-    assert terminated and info["reward_terms"]["failure"] == -2
+    assert terminated and info["reward/failure"] == -2
     assert 0.01 < np.abs(y[3:]).max() < 0.02
 
 

@@ -6,6 +6,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.envs.runs import EMULATED, controlled, unscaled
+from tests.envs.walks import part
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.registry import get_controller
 from ves_gym.envs.build import build_task
@@ -150,7 +151,7 @@ def test_measured_cost_is_that_of_the_closed_form():
             action = -best.gains[k] @ state(task, observation) / full
             observation, reward, terminated, truncated, info = env.step(action)
             total, k, over = total + reward, k + 1, terminated or truncated
-            assert sum(info["reward_terms"].values()) == reward
+            assert sum(part(info, "reward").values()) == reward
         assert terminated and not truncated and k == task.steps
         assert info["clipped"] == 0
         measured.append(-total * task.unit_cost)

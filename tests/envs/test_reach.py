@@ -88,7 +88,7 @@ def test_reward_is_distance_and_energy():
     env, total, terms, info = controlled(Resolved(), 8, "reach")
     np.testing.assert_allclose(sum(terms.values()), total, rtol=1e-12)
     scale = env.batch.scene.goal[:, 3]
-    expected = -env.task.thrift * info["energy"]["E_mean"] / scale
+    expected = -env.task.thrift * info["energy/E_mean"] / scale
     np.testing.assert_allclose(terms["energy"] + terms["tail"], expected, rtol=1e-2)
     assert (terms["failure"] == 0).all()
 
@@ -141,7 +141,7 @@ def test_a_joint_limit_ends_the_episode():
         *_, terminated, _, info = env.step([1.0, 0.0, 0.0])
         if terminated:
             break
-    assert terminated and info["reward_terms"]["failure"] < 0
+    assert terminated and info["reward/failure"] < 0
     assert env.batch.episodes.steps[0] < env.task.steps
 
 
@@ -234,7 +234,7 @@ def test_goal_variant_ends_at_the_deadline_only():
     env.reset(seed=0)
     outcomes = [env.step([1.0, 1.0, -1.0]) for _ in range(env.task.steps)]
     assert [o[2] for o in outcomes] == [False] * (len(outcomes) - 1) + [True]
-    assert outcomes[-1][4]["energy"]["E_mean"] > 0
+    assert outcomes[-1][4]["energy/E_mean"] > 0
     with pytest.raises(ParameterError, match="reach_goal: control must be acceleration or pd"):
         build_task("reach_goal", control="torque")
     with pytest.raises(ParameterError, match="no goal-conditioned variant"):

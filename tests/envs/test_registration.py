@@ -146,7 +146,15 @@ def test_a_registration_of_the_user_stays():
 def test_unknown_ids_and_settings_are_refused_by_name():
     with pytest.raises(gym.error.Error, match="PumaRestToRest"):
         gym.make("ves/PumaRestToRset-v0")
-    with pytest.raises(Exception, match=r"unknown setting 'durations'; known: .*duration"):
-        gym.make(IDS[0], durations=1.0)
+    expected = (
+        r"unexpected keyword argument 'durations'; known: .*duration.*you mean \"duration\""
+    )
+    for make in (gym.make, gym.make_vec):
+        with pytest.raises(TypeError, match=expected):
+            make(IDS[0], durations=1.0)
+    with pytest.raises(TypeError, match=r"'back_end'; known: .*\bbackend.*mean \"backend\""):
+        gym.make(IDS[0], back_end="kernel")
+    with pytest.raises(TypeError, match=r"'render_mode'; known: (?!.*render_mode)"):
+        gym.make_vec(IDS[0], render_mode="rgb_array")
     with pytest.raises(Exception, match="task must be one of rest_to_rest"):
         gym.make(IDS[0], task="dance")

@@ -21,7 +21,7 @@ def straight(**settings):
     for _ in range(batch.task.steps):
         reward, *_, info = batch.step(np.zeros((N, 3)))
         total += reward
-    return info["energy"]["E_mean"] / batch.scene.goal[:, 3], total
+    return info["energy/E_mean"] / batch.scene.goal[:, 3], total
 
 
 @pytest.mark.parametrize("duration", [0.5, 1.0, 2.0])

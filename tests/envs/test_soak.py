@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from tests.envs.walks import IDS, SHORT, flat
+from tests.envs.walks import IDS, SHORT, flat, part
 from ves_gym._util.params import ParameterError, from_plain
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.effect import EFFECTS, Effect
@@ -76,7 +76,7 @@ def soak(name, n, steps, settings, seed):
         diverged += int((info["diverged"] & ended).sum())
         if ended.any():
             sound = ended & ~info["diverged"]
-            assert all(np.isfinite(e[sound]).all() for e in info["energy"].values())
+            assert all(np.isfinite(e[sound]).all() for e in part(info, "energy").values())
     env.close()
     return (k + 1) * n, episodes, diverged
 

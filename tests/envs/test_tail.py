@@ -94,9 +94,9 @@ def test_tail_of_an_episode_is_part_of_its_mean():
     away = s.q - s.ref[:, 0]
     tail, _ = tail_energy(batch.system, s.q, state(s, away), s.kp, s.kd, seconds=TAIL)
     mean = (during + tail) / (batch.task.duration + TAIL)
-    np.testing.assert_allclose(info["energy"]["E_mean"], mean, rtol=1e-12)
+    np.testing.assert_allclose(info["energy/E_mean"], mean, rtol=1e-12)
     scale = s.goal[:, 3] * (batch.task.duration + TAIL)
-    np.testing.assert_allclose(info["reward_terms"]["tail"], -tail / scale, rtol=1e-12)
+    np.testing.assert_allclose(info["reward/tail"], -tail / scale, rtol=1e-12)
 
 
 def test_free_joints_are_caught_where_they_are():

@@ -58,7 +58,7 @@ def test_paths_are_closed_smooth_and_within_reach():
 def test_the_energy_scale_is_that_of_the_motion():
     """`motion_energy` within a factor of 2.5 of what tracking the path leaves (E_mean)."""
     env, *_, info = controlled(Blind(), 100, "track")
-    ratio = info["energy"]["E_mean"] / env.batch.scene.goal[:, 0]
+    ratio = info["energy/E_mean"] / env.batch.scene.goal[:, 0]
     print(f"median {np.median(ratio):.2f}, {ratio.min():.2f} to {ratio.max():.2f}")
     assert (np.abs(np.log(ratio)) < np.log(2.5)).mean() >= 0.95
 
@@ -99,7 +99,7 @@ def test_reward_is_error_and_energy():
     env, total, terms, info = controlled(Resolved(), 8, "track")
     np.testing.assert_allclose(sum(terms.values()), total, rtol=1e-12)
     scale = env.batch.scene.goal[:, 0]
-    expected = -env.task.thrift * info["energy"]["E_mean"] / scale
+    expected = -env.task.thrift * info["energy/E_mean"] / scale
     np.testing.assert_allclose(terms["energy"] + terms["tail"], expected, rtol=1e-2)
     assert (terms["failure"] == 0).all()
 
@@ -112,7 +112,7 @@ def test_error_is_quadratic_near_and_linear_far():
     error = 0.0
     for _ in range(task.steps):
         *_, info = env.step(np.zeros((4, 3)))
-        error = error + info["reward_terms"]["error"]
+        error = error + info["reward/error"]
     away = np.linalg.norm(path[:, 1:] - path[:, :1], axis=2)
     expected = 1 - np.sqrt(1 + (away / task.near) ** 2).mean(axis=1)
     np.testing.assert_allclose(error, expected, rtol=1e-9)

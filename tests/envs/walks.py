@@ -32,6 +32,12 @@ def same(a, b) -> bool:
     return a == b
 
 
+def part(info, group: str) -> dict:
+    """The entries `group/name` of an info by their names."""
+    start = f"{group}/"
+    return {k.removeprefix(start): v for k, v in info.items() if k.startswith(start)}
+
+
 def flat(observation) -> np.ndarray:
     """Observations (..., size), those of goal variants with their parts side by side."""
     if isinstance(observation, dict):

@@ -193,8 +193,8 @@ def _begin(env: VesVectorEnv, ended: Mask, running: Array, queue: list[int]) -> 
 def _rows(
     env: VesVectorEnv, which: Mask, running: Array, info: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    e, energy = env.batch.episodes, info["energy"]
-    failed = (info["reward_terms"]["failure"] < 0) | info["diverged"]
+    e = env.batch.episodes
+    failed = (info["reward/failure"] < 0) | info["diverged"]
     out = []
     for i in np.flatnonzero(which).tolist():
         row = {
@@ -207,7 +207,7 @@ def _rows(
             "failed": bool(failed[i]),
         }
         for name in ENERGIES:
-            value = float(energy[name][i])
+            value = float(info[f"energy/{name}"][i])
             row[name] = value if np.isfinite(value) else float("inf")
         out.append(row)
     return out

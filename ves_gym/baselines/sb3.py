@@ -19,8 +19,9 @@ class Sb3VecEnv(VecEnv):
 
     A step does no Python work per environment but for those whose episode ended. Their info
     holds `terminal_observation`, `TimeLimit.truncated`, `episode` ({"r", "l", "t"}: return,
-    length in control periods, seconds since this object was made), `is_success` and `energy`;
-    all others' is an empty dictionary, the same object every time.
+    length in control periods, seconds since this object was made), `is_success` and the
+    energies (`energy/E_mean` ...); all others' is an empty dictionary, the same object every
+    time.
 
     `seed(s)` makes s the root of every episode from the next `reset` on. `stepping` is the
     time [s] spent in the environment.
@@ -98,7 +99,7 @@ class Sb3VecEnv(VecEnv):
             )
             ended = terminated | truncated
             if ended.any():
-                failed = info["reward_terms"]["failure"] < 0
+                failed = info["reward/failure"] < 0
                 limit = ~failed if self.endless else truncated & ~terminated
                 infos = self._tell(infos, ended, limit, info)
                 done |= ended
@@ -115,6 +116,7 @@ class Sb3VecEnv(VecEnv):
         out = infos.copy()
         final, e = self._observe(), self.env.batch.episodes
         seconds = round(time.perf_counter() - self._begin, 6)
+        energies = [(k, v) for k, v in info.items() if k.startswith("energy/")]
         for i in np.flatnonzero(ended).tolist():
             last = {k: v[i] for k, v in final.items()} if self.env.goal else final[i]
             out[i] = {
@@ -122,7 +124,7 @@ class Sb3VecEnv(VecEnv):
                 "TimeLimit.truncated": bool(truncated[i]),
                 "episode": {"r": float(e.total[i]), "l": int(e.steps[i]), "t": seconds},
                 "is_success": bool(info["success"][i]),
-                "energy": {k: float(v[i]) for k, v in info["energy"].items()},
+                **{k: float(v[i]) for k, v in energies},
             }
         return out
 

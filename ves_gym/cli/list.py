@@ -15,6 +15,7 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.cli.common import write_json
 
 SCHEMA = "ves-list/1"
+UNITS = {"hz": "Hz", "s": "s"}  # endings of the keys of quantities
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -118,6 +119,36 @@ def _platforms() -> Rows:
     return rows
 
 
+def _environments() -> Rows:
+    import gymnasium as gym
+
+    from ves_gym.envs.build import build_task
+    from ves_gym.envs.registration import ENTRY_POINT
+    from ves_gym.envs.spaces import goal_space, observation_space
+
+    out = []
+    for id, spec in gym.registry.items():
+        if spec.entry_point != ENTRY_POINT:  # another package's, or the user's own
+            continue
+        settings = dict(spec.kwargs)
+        goal = settings.pop("goal", False)
+        task = build_task(**settings)
+        box = observation_space(task)
+        parts = goal_space(task, box) if goal else {"": box}
+        shapes = {name: list(part.shape or ()) for name, part in parts.items()}
+        out.append(
+            {
+                "name": id,
+                "version": spec.version,
+                "task": task.kind,
+                "observation": shapes if goal else shapes[""],
+                "action": [task.control.width(task.system.arm)],
+                "max_episode_steps": spec.max_episode_steps,
+            }
+        )
+    return out
+
+
 def _backends() -> Rows:
     from ves_gym.engine.backends.registry import BACKENDS
 
@@ -156,6 +187,7 @@ KINDS: dict[str, Callable[[], Rows]] = {
     "suites": _suites,
     "effects": _effects,
     "platforms": _platforms,
+    "environments": _environments,
     "backends": _backends,
     "policies": _policies,
     "commands": _commands,
@@ -169,7 +201,8 @@ def _print_table(title: str, rows: Rows) -> None:
     note = "frequencies: arm at q = 0, joints locked" if title == "vehicles" else None
     table = Table(title=title, title_justify="left", caption=note, caption_justify="left")
     for key in rows[0]:
-        table.add_column(key.replace("_hz", " [Hz]").replace("_s", " [s]"))
+        name, _, last = key.rpartition("_")
+        table.add_column(f"{name} [{UNITS[last]}]" if last in UNITS else key.replace("_", " "))
     for row in rows:
         table.add_row(*(_shown(value) for value in row.values()))
     Console(width=None if sys.stdout.isatty() else 140, markup=False).print(table)
@@ -178,4 +211,6 @@ def _print_table(title: str, rows: Rows) -> None:
 def _shown(value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in value) or "-"
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {_shown(v)}" for k, v in value.items())
     return str(value)

@@ -165,7 +165,7 @@ class Batch:
         """What is told of the episodes at their beginning. Leading axis n."""
         e = self.episodes
         info: dict[str, Any] = {
-            "episode": np.column_stack(
+            "episode_id": np.column_stack(
                 [e.root, e.index.astype(np.uint64), e.number.astype(np.uint64)]
             )
         }
@@ -233,14 +233,15 @@ class Batch:
             if task.tail:
                 good = np.flatnonzero(ended & ~diverged)
                 s.tail[good], tail_strain[good] = self._tail(good)
-            info["energy"] = {
+            energies = {
                 "E_mean": (e.sums[:, 0] + s.tail) / (e.steps * self.dt + task.tail),
                 "E_res": s.energy.copy(),
                 "E_peak": e.peaks[:, 0].copy(),
                 "E_strain_peak": e.peaks[:, 1].copy(),
                 "E_int": e.sums[:, 1] + tail_strain,
             }
-            info["_energy"] = ended
+            for name, energy in energies.items():
+                info[f"energy/{name}"], info[f"_energy/{name}"] = energy, ended
         terms = task.reward(s, self.dt, last & ~failed)
         terms["failure"] = np.where(failed, _FAILURE, 0.0)
         if astray or over is not None:
@@ -254,7 +255,8 @@ class Batch:
             solved &= ~over
         e.once |= solved
         e.total += reward
-        info["reward_terms"], info["success"] = terms, solved
+        info.update((f"reward/{name}", term) for name, term in terms.items())
+        info["success"] = solved
         info["success_once"] = e.once.copy()
         info["clipped"] = e.clipped.copy()
         info["diverged"] = diverged.copy()

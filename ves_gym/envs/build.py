@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import inspect
 import os
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from ves_gym._util.params import ParameterError, from_plain
@@ -27,6 +28,41 @@ _FILES = (
     "free_flyer",
     "lqr",
 )  # of `ves_gym.envs`
+
+
+class UnknownKeywordError(ParameterError, TypeError):
+    """A keyword that an environment does not take.
+
+    A `TypeError` as Python's own, with its words: TorchRL tries `frameskip` and goes on
+    without it after "unexpected keyword argument 'frameskip'".
+    """
+
+
+def require_keywords(
+    function: Callable[..., Any], task: str | type[Task] | Task, settings: Mapping[str, Any]
+) -> None:
+    """Refuse settings that are neither fields of a task nor keywords of `build_task`.
+
+    Args:
+        function: whose own keywords are named with the others.
+        task: as in `build_task`.
+        settings: what `function` received besides its own keywords.
+
+    Raises:
+        UnknownKeywordError: one that is unknown, the known ones, and the closest of them.
+    """
+    cls = type(task) if isinstance(task, Task) else get_task(task)
+    names = dict.fromkeys(f.name for f in dataclasses.fields(cls))
+    for signature in (inspect.signature(build_task), inspect.signature(function)):
+        for name, parameter in signature.parameters.items():
+            if parameter.kind in (parameter.KEYWORD_ONLY, parameter.POSITIONAL_OR_KEYWORD):
+                names.setdefault(name)
+    for key in settings:
+        if key not in names:
+            raise UnknownKeywordError(
+                f"{function.__name__} of task {cls.kind} got an unexpected keyword argument"
+                f" {key!r}; known: {', '.join(names)}{did_you_mean(key, names)}"
+            )
 
 
 def build_task(
@@ -54,18 +90,13 @@ def build_task(
         settings: other fields of the task.
 
     Raises:
-        ParameterError: anything unknown or that does not fit, with what was expected.
+        UnknownKeywordError: a keyword that is unknown.
+        ParameterError: a value that is unknown or does not fit, with what was expected.
     """
     defaults = task if isinstance(task, Task) else None
     cls = type(task) if isinstance(task, Task) else get_task(task)
     fields = {f.name: f for f in dataclasses.fields(cls)}
-    unknown = [key for key in settings if key not in fields]
-    if unknown:
-        known = (*fields, "mode", "vehicle", "effects")
-        raise ParameterError(
-            f"{cls.kind}: unknown setting {unknown[0]!r}; known: {', '.join(known)}"
-            f"{did_you_mean(unknown[0], known)}"
-        )
+    require_keywords(build_task, cls, settings)
     start: Any = defaults.system if defaults is not None else fields["system"].default
     values: dict[str, Any] = {"system": _system(start, system, mode, vehicle, effects)}
     if control is not None:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
+from gymnasium.envs.registration import EnvSpec
 
 from ves_gym._util.params import ParameterError
 from ves_gym.envs.batch import Batch, checked
-from ves_gym.envs.build import build_task
+from ves_gym.envs.build import build_task, require_keywords
+from ves_gym.envs.deadline import DeadlineSpec, with_deadline
 from ves_gym.envs.rendering import Renderer, render_modes, require_display
 from ves_gym.envs.spaces import (
     goal_space,
@@ -37,6 +40,7 @@ class VesEnv(gym.Env[Any, Any]):
         settings: see `build_task`: mode, vehicle, effects, control, randomize, ...
     """
 
+    _spec: DeadlineSpec | None = None
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 80}
 
     def __init__(
@@ -53,6 +57,7 @@ class VesEnv(gym.Env[Any, Any]):
             raise ValueError(
                 f"render_mode must be None, human or rgb_array, got {render_mode!r}"
             )
+        require_keywords(type(self), task, settings)
         self.task = build_task(task, **settings)
         self.render_mode, self.backend, self.goal = render_mode, backend, goal
         self._dump = dump
@@ -123,10 +128,34 @@ class VesEnv(gym.Env[Any, Any]):
         row = self.batch.observe()[0]
         return split_goals(self.task, row) if self.goal else row
 
-    def compute_reward(
+    @property
+    def spec(self) -> DeadlineSpec | None:  # type: ignore[override]
+        """Specification with the steps of an episode of these settings."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = None if spec is None else with_deadline(spec, self.task.steps)
+
+    @property
+    def compute_reward(self) -> Callable[[npt.ArrayLike, npt.ArrayLike, Any], Any]:
+        """Reward of goals, of a goal variant only (HER): others have no such attribute."""
+        if not self.goal:  # libraries ask `hasattr(env, "compute_reward")`
+            raise AttributeError(f"{self.task.kind} without goals has no compute_reward")
+        return self._goal_reward
+
+    def _goal_reward(
         self, achieved_goal: npt.ArrayLike, desired_goal: npt.ArrayLike, info: Any
     ) -> Any:
-        """Reward of a goal variant; leading axes of the goals are kept (HER)."""
+        """Return the reward of goals.
+
+        Args:
+            achieved_goal, desired_goal: (..., g) in the units of the observation.
+            info: not used.
+
+        Returns:
+            (...,) rewards.
+        """
         return self.task.goal_reward(np.asarray(achieved_goal), np.asarray(desired_goal))
 
     # ---------------------------------------------------------------- snapshot
@@ -169,7 +198,5 @@ class VesEnv(gym.Env[Any, Any]):
 
 
 def _first(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _first(v) for k, v in value.items()}
     item = value[0]
     return item.item() if isinstance(item, np.generic) else item

@@ -6,6 +6,8 @@ from typing import Any
 
 import gymnasium as gym
 
+from ves_gym.envs.deadline import UNLIMITED, Deadline, with_deadline
+
 # What every laboratory id adds: sensor noise and drift of the nominal budget, and a gravity
 # estimate that is wrong by up to half a percent, another one in every episode (thesis 3.2.2).
 _LABORATORY: dict[str, Any] = {
@@ -13,6 +15,8 @@ _LABORATORY: dict[str, Any] = {
     "effects": "laboratory",
     "randomize": {"gravity/scale": {"error": [-0.005, 0.005]}},
 }
+
+ENTRY_POINT = "ves_gym.envs.env:VesEnv"
 
 # name: task, settings
 IDS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -26,6 +30,18 @@ IDS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
+# Control periods of an episode of default settings: no task's module is loaded to tell them.
+STEPS = {
+    "PumaRestToRest": 160,
+    "PumaReach": 320,
+    "PumaReachGoal": 320,
+    "PumaTrack": 480,
+    "PumaDamp": 640,
+    "FreeFlyerReach": 400,
+    "BeamLQR": 320,
+}
+
+
 def register() -> None:
     """File every id with Gymnasium; ids that are there already stay."""
     for name, (task, settings) in IDS.items():
@@ -34,11 +50,14 @@ def register() -> None:
             if id not in gym.registry:
                 gym.register(
                     id,
-                    entry_point="ves_gym.envs.env:VesEnv",
+                    entry_point=ENTRY_POINT,
                     vector_entry_point="ves_gym.envs.vector:VesVectorEnv",
+                    max_episode_steps=Deadline(STEPS[name]),
+                    additional_wrappers=(UNLIMITED,),
                     kwargs={"task": task, **settings, **more},
                     # `VesEnv` asks for a reset itself, and Gymnasium's passive checker breaks
                     # the first step after a refused seed (tests/envs/test_contract.py)
                     order_enforce=False,
                     disable_env_checker=True,
                 )
+                gym.registry[id] = with_deadline(gym.registry[id], STEPS[name])

@@ -8,12 +8,14 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ves_gym._util.params import Mask
+from ves_gym._util.params import Mask, ParameterError
 from ves_gym.envs.batch import Batch
-from ves_gym.envs.build import build_task
+from ves_gym.envs.build import build_task, require_keywords
+from ves_gym.envs.deadline import Deadline, DeadlineSpec, with_deadline
 from ves_gym.envs.spaces import goal_space, observation_space, require_seed, split_goals
 from ves_gym.envs.task import Task
 
@@ -28,12 +30,15 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         backend, threads: engine and its threads, see `Simulator`.
         goal: observations of a goal-conditioned task as a dictionary.
         dump: folder for run logs of episodes that diverge (`info["dump"]` names the files).
+        max_episode_steps: truncate after so many steps, as `TimeLimit` does around a single
+            environment; None or -1: nothing but the task's own end.
         settings: see `build_task`.
 
     `info` holds arrays with the leading axis num_envs; what exists only at the end of an
-    episode has its mask beside it (`energy`, `_energy`), as in Gymnasium.
+    episode has its mask beside it (`energy/E_mean`, `_energy/E_mean`), as in Gymnasium.
     """
 
+    _spec: DeadlineSpec | None = None
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
@@ -46,8 +51,11 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         threads: int = 0,
         goal: bool = False,
         dump: str | os.PathLike[str] | None = None,
+        max_episode_steps: int | None = None,
         **settings: Any,
     ) -> None:
+        require_keywords(type(self), task, settings)
+        self._limit = _step_limit(max_episode_steps)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.task = build_task(task, **settings)
@@ -126,6 +134,9 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         if over is not None:  # their action was only the call for the next episode
             self.batch.reset(np.flatnonzero(over))
             info.update(self._begun(over))
+        if self._limit is not None:
+            late = self.batch.episodes.steps >= self._limit
+            truncated |= late if over is None else late & ~over
         ended = terminated | truncated
         self._over = ended
         if mode is AutoresetMode.SAME_STEP and ended.any():
@@ -145,6 +156,15 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     def _observation(self) -> Any:
         rows = self.batch.observe()
         return split_goals(self.task, rows) if self.goal else rows
+
+    @property
+    def spec(self) -> DeadlineSpec | None:  # type: ignore[override]
+        """Specification with the steps of an episode of these settings."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = None if spec is None else with_deadline(spec, self.task.steps)
 
     def snapshot(self) -> Any:
         """The complete state, random generators included; picklable."""
@@ -168,6 +188,20 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """Nothing outlives the arrays."""
+
+
+def _step_limit(limit: Any) -> int | None:
+    """Return a limit of the caller's, None where there is none but the task's own."""
+    if limit is None or isinstance(limit, Deadline):
+        return None
+    whole = isinstance(limit, (int, np.integer)) and not isinstance(limit, bool)
+    if whole and limit == -1:
+        return None
+    if not whole or limit < 1:
+        raise ParameterError(
+            f"max_episode_steps must be a whole number >= 1, or -1 for none, got {limit!r}"
+        )
+    return int(limit)
 
 
 def _mask(given: Any, n: int) -> Mask:
