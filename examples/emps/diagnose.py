@@ -14,14 +14,14 @@ import numpy as np
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.diagnose import added, diagnose
 from ves_gym.diagnosis.inference.model_selection import Thresholds
-from ves_gym.diagnosis.machines.mjcf import MjcfMachine, Variant
+from ves_gym.diagnosis.machines.mjcf import MjcfMachine, MjcfVariant
 from ves_gym.diagnosis.machines.mjcf_mapping import load_emps, read_machine
 from ves_gym.effects import JointCoulomb, JointTorqueOffset, JointViscous
 
 MAPPING = Path(__file__).with_name("emps.toml")
 
 
-def force_error(machine: MjcfMachine, run: Run, variant: Variant) -> float:
+def force_error(machine: MjcfMachine, run: Run, variant: MjcfVariant) -> float:
     """Size of the force that is not explained over that of the force, up to the run's band."""
     left = machine.residuals(run, [variant], ["joint"])["joint"][0]
     spectra = (run.window.spectrum(x) for x in (left, run["tau"]))

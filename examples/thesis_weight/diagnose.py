@@ -151,7 +151,7 @@ def verdict(
 def stretched(found: Diagnosis) -> list[tuple[str, float]]:
     """Tolerances that the answer takes beyond 3 times their size, largest first."""
     sizes: Array = found.selection.fit.nuisances
-    pairs = zip((k.name for k in found.evidence.nuisances), sizes.tolist(), strict=True)
+    pairs = zip((k.name for k in found.residuals.nuisances), sizes.tolist(), strict=True)
     return sorted((p for p in pairs if abs(p[1]) > 3), key=lambda p: -abs(p[1]))
 
 
@@ -160,7 +160,7 @@ def show(found: Diagnosis) -> None:
     print(found.sentence)
     for step in found.selection.steps:
         print(" ", step)
-    for f in found.found:
+    for f in found.explanations:
         if f.candidate.kind != "sensor/drift":  # 8 numbers a run
             pairs = zip(f.candidate.names, f.values, f.candidate.units, strict=True)
             print(f"  {f.candidate.name}:", ", ".join(f"{n} {v:.4f} {u}" for n, v, u in pairs))

@@ -12,7 +12,7 @@ import pytest
 
 from ves_gym.diagnosis.benchmark.blind.cases import mix, order_of, root_seed
 from ves_gym.diagnosis.benchmark.blind.write import seal
-from ves_gym.diagnosis.benchmark.run import short, stratified, thresholds_hash
+from ves_gym.diagnosis.benchmark.run import scored_part, stratified, thresholds_hash
 from ves_gym.diagnosis.benchmark.score import score
 from ves_gym.diagnosis.benchmark.score_page import markdown
 from ves_gym.diagnosis.inference.model_selection import Thresholds
@@ -48,7 +48,7 @@ def test_cases_are_the_stated_share_of_all_kinds(published):
 def test_the_page_is_what_the_answers_score(published):
     result = {**published, "score": score(published["labels"], published["answers"])}
     assert markdown(result) == (DOCS / "diagnosis-results.md").read_text("utf-8")
-    assert [short(a) for a in published["answers"]] == published["answers"]
+    assert [scored_part(a) for a in published["answers"]] == published["answers"]
 
 
 def test_thresholds_are_still_those_of_the_answers(published):

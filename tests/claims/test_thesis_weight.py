@@ -80,7 +80,7 @@ def test_no_body_of_1_4_kg_and_no_tilt_makes_the_lateral_moment():
 
 def test_what_is_missing_is_not_in_the_library(files):
     found = verdict(MEASURED, read_runs(files))
-    print(found.sentence, [f.candidate.name for f in found.found], stretched(found))
+    print(found.sentence, [f.candidate.name for f in found.explanations], stretched(found))
     assert found.verdict == UNKNOWN
     assert added(found) == ()
     # where the weight itself went: into a tolerance, far beyond what that allows
@@ -90,7 +90,7 @@ def test_what_is_missing_is_not_in_the_library(files):
 
 def test_the_arm_that_made_the_logs_is_left_alone(files):
     found = verdict(IDENTIFIED, read_runs(files))
-    assert not found.found and found.remaining == 0
+    assert not found.explanations and found.remaining == 0
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_the_arm_that_made_the_logs_is_left_alone(files):
 def test_other_bands_leave_much_without_a_name(files, band):
     """The library imitates about half of it: which side of half depends on the band."""
     found = verdict(MEASURED, read_runs(files, band))
-    print(found.verdict, [f.candidate.name for f in found.found], stretched(found))
+    print(found.verdict, [f.candidate.name for f in found.explanations], stretched(found))
     assert found.verdict in (UNKNOWN, MORE)
     assert found.remaining > 2 * found.limits.remains
 

@@ -37,7 +37,7 @@ def test_scores_are_printed_and_written(call, tmp_path, monkeypatch):
         "seconds": {"total": 3.0},
         "baselines": {key: [] for key in METHODS[1:]},
     }
-    monkeypatch.setattr(run, "run_trial", lambda *a: None)
+    monkeypatch.setattr(run, "run_benchmark", lambda *a: None)
     monkeypatch.setattr(run, "read_truth", lambda t: [label])
     monkeypatch.setattr(run, "read_answers", lambda t: [known])
     page = tmp_path / "results.md"

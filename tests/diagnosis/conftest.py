@@ -10,8 +10,8 @@ from ves_gym.system.runlog import RunLog
 def hidden():
     """(kinds and slots and magnitudes, seed) -> logs, the last held back."""
     pytest.importorskip("numba")
-    from ves_gym.diagnosis.benchmark.blind.cases import Case, Plan, Runner
-    from ves_gym.diagnosis.benchmark.blind.effects import Effect
+    from ves_gym.diagnosis.benchmark.blind.cases import BlindCase, CasePlan, Runner
+    from ves_gym.diagnosis.benchmark.blind.effects import HiddenEffect
     from ves_gym.diagnosis.benchmark.blind.machine import controller, nominal
     from ves_gym.diagnosis.benchmark.blind.noise import digital, draw_noise, stamps
     from ves_gym.diagnosis.benchmark.blind.setup import with_nuisance
@@ -27,11 +27,11 @@ def hidden():
         motions = [runner.safe_motion(kind, rng) for kind in kinds]
         broken = digital(machine)
         for kind, slot, size, constants in effects:
-            broken = Effect(kind, slot, size, constants).applied(broken)
+            broken = HiddenEffect(kind, slot, size, constants).applied(broken)
         noises = [draw_noise(runner.samples, rng) for _ in motions]
         records = runner.records(broken, motions, noises)
         t = [stamps(runner.samples, machine.dt, machine.clock, rng) for _ in motions]
-        case = Case(0, Plan("null", (), ()), (), (), t, records, motions)
+        case = BlindCase(0, CasePlan("null", (), ()), (), (), t, records, motions)
         return logs_of(case, runner.description, controller())
 
     return make

@@ -10,8 +10,12 @@ from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.data.measured_run import require_plausible, run_of
 from ves_gym.diagnosis.inference.candidates import library, without
 from ves_gym.diagnosis.inference.fit import Fit, _FilteredNoise
-from ves_gym.diagnosis.inference.model_selection import Thresholds, _lasts, _needed
-from ves_gym.diagnosis.inference.whitened_residuals import Evidence
+from ves_gym.diagnosis.inference.model_selection import (
+    Thresholds,
+    _acts_long_enough,
+    _required_gain,
+)
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.effects import JointElasticity
 from ves_gym.system.system import System
@@ -30,19 +34,19 @@ def diagnosed(logs, leave_out=()):
 
 
 def names(found):
-    return {(f.candidate.kind, f.candidate.slot) for f in found.found}
+    return {(f.candidate.kind, f.candidate.slot) for f in found.explanations}
 
 
 def test_a_correct_description_is_left_alone(hidden):
     _, found = diagnosed(hidden(seed=1))
     assert found.verdict == d.NOTHING
-    assert found.found == ()
+    assert found.explanations == ()
 
 
 def test_a_gain_is_named_and_the_gap_shrinks(hidden):
     machine, found = diagnosed(hidden(("joint/drive_gain", 1, 0.03, {"sign": 1.0}), seed=2))
     assert names(found) == {("joint/drive_gain", "joint 2")}
-    assert found.found[0].values[0] == pytest.approx(0.03, rel=0.1)
+    assert found.explanations[0].values[0] == pytest.approx(0.03, rel=0.1)
     before, after = (
         np.array([getattr(g, side) for g in found.final]) for side in ("before", "after")
     )
@@ -70,45 +74,45 @@ def test_a_friction_of_another_form_gets_one_name(hidden, hidden_one):
     """The generator's friction builds up over a distance, which no law of the library does."""
     _, found = diagnosed(hidden(hidden_one, seed=6))
     assert names(found) == {(hidden_one[0], f"joint {hidden_one[1] + 1}")}
-    assert found.found[0].values[0] == pytest.approx(hidden_one[2], rel=0.15)
+    assert found.explanations[0].values[0] == pytest.approx(hidden_one[2], rel=0.15)
 
 
 def test_a_gear_gains_nothing_by_damping_noise(hidden):
     machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
     runs = [run_of(log, f"run-{i}") for i, log in enumerate(hidden(seed=1)[:2])]
-    evidence = Evidence(machine, runs)
+    residuals = WhitenedResiduals(machine, runs)
     soft = JointElasticity(compliance=(0.0, 2e-5, 0.0), damping=(0.0, 30.0, 0.0))
     model = machine.model([soft])
-    noise = evidence.noise(model, ["joint", "wrench"])
+    noise = residuals.noise(model, ["joint", "wrench"])
     highest = ("joint", 1, runs[0].band)  # of the ranges of frequency
-    group = next(g for g in evidence.groups if (g.port, g.channel, g.high) == highest)
-    moved = evidence.residual([model], ["joint", "wrench"])[0][group.part]
-    plain = np.mean(evidence.null[group.part] ** 2)
+    group = next(g for g in residuals.groups if (g.port, g.channel, g.high) == highest)
+    moved = residuals.under([model], ["joint", "wrench"])[0][group.part]
+    plain = np.mean(residuals.null[group.part] ** 2)
     assert np.mean(moved**2) < 0.85 * plain  # the gear is not there, and yet
     assert np.mean(moved**2 / noise[group.part]) > 0.95 * plain
-    untouched = evidence.part("platform")
+    untouched = residuals.part("platform")
     assert (noise[untouched] == 1).all()
 
 
 def test_a_fit_follows_the_noise_that_a_gear_passes_on(hidden):
     machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
-    evidence = Evidence(machine, [run_of(log, "run") for log in hidden(seed=1)[:1]])
+    residuals = WhitenedResiduals(machine, [run_of(log, "run") for log in hidden(seed=1)[:1]])
     every = library(machine.system.arm.n, ["joint", "wrench"], "emulated", ["run"])
     gear = next(c for c in every if c.name == "joint/elasticity at joint 2")
-    noise = _FilteredNoise(evidence, [gear])
+    noise = _FilteredNoise(residuals, [gear])
     noise.measure(np.array([2e-5, 30.0]))
     before, softer = np.array([2e-5, 30.0]), np.array([2.4e-5, 30.0])
-    fresh = np.sqrt(evidence.noise(machine.model([gear.effect(softer)]), gear.ports))
+    fresh = np.sqrt(residuals.noise(machine.model([gear.effect(softer)]), gear.ports))
     assert fresh.min() < 0.8
     misses = [np.abs(noise.scale(x) - fresh).max() for x in (softer, before)]
     assert misses[0] < 0.5 * misses[1]
-    left, step = 3.0 * np.ones(evidence.size), np.array([1e-9, 0.0])
+    left, step = 3.0 * np.ones(residuals.size), np.array([1e-9, 0.0])
     change = np.log(noise.scale(softer + step) / noise.scale(softer)) / step[0]
     slopes = noise.slopes(softer, left)
     assert np.abs(change).max() > 1e3
     assert slopes[:, 0] == pytest.approx(left * change, rel=1e-3, abs=1.0)
     assert (slopes[:, 1] == 0).all()
-    plain = _FilteredNoise(evidence, [c for c in every if c.kind == "joint/viscous"])
+    plain = _FilteredNoise(residuals, [c for c in every if c.kind == "joint/viscous"])
     plain.measure(np.ones(3))
     assert plain.scale(np.ones(3)) is None
 
@@ -116,7 +120,7 @@ def test_a_fit_follows_the_noise_that_a_gear_passes_on(hidden):
 def test_a_limit_must_act_longer_than_a_step_between_samples(hidden):
     machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
     run = run_of(hidden(seed=1)[0], "run")
-    evidence = Evidence(machine, [run])
+    residuals = WhitenedResiduals(machine, [run])
     every = library(machine.system.arm.n, ["joint"], "emulated")
     limit = next(c for c in every if c.name == "joint/torque_limit at joint 2")
     highest = np.sort(np.abs(run["tau"][:, 1]))[::-1]
@@ -125,8 +129,8 @@ def test_a_limit_must_act_longer_than_a_step_between_samples(hidden):
         ceiling = 1 - 0.5 * (highest[samples - 1] + highest[samples]) / most
         one = types.SimpleNamespace(candidates=[limit], values=[np.array([ceiling])])
         model = machine.model([limit.effect(one.values[0])])
-        assert evidence.acts(model, limit.ports) == pytest.approx(samples * run.dt)
-        assert _lasts(evidence, one, 0) == long_enough
+        assert residuals.acts(model, limit.ports) == pytest.approx(samples * run.dt)
+        assert _acts_long_enough(residuals, one, 0) == long_enough
 
 
 @pytest.mark.slow
@@ -139,7 +143,7 @@ def test_a_stroke_a_little_too_short_is_named(hidden):
     logs = hidden(("platform/stroke", 0, travel, {}), seed=7)
     _, found = diagnosed(logs)
     assert names(found) == {("platform/stroke", "")}
-    assert 1 - found.found[0].values[0] == pytest.approx(1 - travel, rel=0.03)
+    assert 1 - found.explanations[0].values[0] == pytest.approx(1 - travel, rel=0.03)
 
 
 def test_coordinates_about_zero_cost_nothing():
@@ -162,16 +166,16 @@ def test_coordinates_about_zero_cost_nothing():
 
 def test_an_error_of_the_vehicle_needs_no_guard_where_the_computer_moves_it():
     limits = Thresholds()
-    evidence = types.SimpleNamespace(size=17000)
+    residuals = types.SimpleNamespace(size=17000)
 
     def needed(name, port, mode):
         every = library(3, ["wrench", port], mode)
         one = next(c for c in every if c.name == name)
-        bank = types.SimpleNamespace(candidates=every)
+        signatures = types.SimpleNamespace(candidates=every)
         f = types.SimpleNamespace(
             candidates=(one,), price=lambda i, size: one.price * np.log(size)
         )
-        return _needed(evidence, bank, limits, f, 0)
+        return _required_gain(residuals, signatures, limits, f, 0)
 
     emulated = ("admittance", "emulated")
     assert needed("payload/mass", *emulated) > limits.gain

@@ -38,7 +38,7 @@ def test_friction_of_the_emps_axis_is_named():
         candidates=machine.candidates(),
         limits=Thresholds(most=5),
     )
-    named = {f.candidate.kind: f.values for f in found.found}
+    named = {f.candidate.kind: f.values for f in found.explanations}
     assert {"joint/coulomb", "joint/viscous", "joint/asymmetry"} <= set(named)
     assert named["joint/coulomb"][0] == pytest.approx(20.39, rel=0.05)  # published
     assert named["joint/viscous"][0] == pytest.approx(203.5, rel=0.05)
@@ -58,11 +58,11 @@ def test_the_low_pass_of_the_tiago_drives_is_named():
     run = load(folder)
     every = machine.candidates()
     found = d.diagnose(machine, [run], candidates=every)
-    first = found.found[0]
+    first = found.explanations[0]
     assert (first.candidate.kind, first.candidate.slot) == ("joint/velocity_lag", "")
     assert first.values[0] == pytest.approx(0.195, rel=0.05)
     own = [c for c in every if c.kind == "joint/velocity_lag" and c.slot]
-    each = fit(found.evidence, own, [np.array([0.1])] * 8)  # every joint by itself
+    each = fit(found.residuals, own, [np.array([0.1])] * 8)  # every joint by itself
     assert np.ravel(each.values) == pytest.approx([0.195] * 8, rel=0.05)
     models = [machine.nominal, machine.model([first.candidate.effect(first.values)])]
     before, after = (

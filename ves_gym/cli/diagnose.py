@@ -20,7 +20,7 @@ from ves_gym.cli.common import (
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
-    from ves_gym.diagnosis.inputs import Job
+    from ves_gym.diagnosis.inputs import DiagnosisInputs
 
 SCHEMA = "ves-diagnose/1"
 _SHOWN = 12  # channels in the table
@@ -80,44 +80,44 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose, print the verdict, write the better description and the report."""
     from ves_gym import __version__
     from ves_gym.diagnosis import diagnose as d
-    from ves_gym.diagnosis.data.sanity_checks import doubt, require_as_logged
-    from ves_gym.diagnosis.inference.cache import Kept
+    from ves_gym.diagnosis.data.sanity_checks import require_as_logged, suspected_mistake
+    from ves_gym.diagnosis.inference.cache import AnswerCache
     from ves_gym.diagnosis.inference.model_selection import Thresholds
 
-    job = _job(args)
+    inputs = _inputs(args)
     if not 1 <= args.most <= _MOST:
         raise ParameterError(f"--most must be 1 to {_MOST}, got {args.most}")
     if not args.as_logged:
-        require_as_logged(job.machine, job.runs, job.mistakes)
+        require_as_logged(inputs.machine, inputs.runs, inputs.mistakes)
     folder = out_dir(args, "out/diagnose")
-    kept = Kept(folder, [job.described, job.digests])
-    if kept.known:
-        print(f"going on: {kept.known} answers are known from before", file=sys.stderr)
+    cache = AnswerCache(folder, [inputs.described, inputs.digests])
+    if cache.n_restored:
+        print(f"going on: {cache.n_restored} answers are known from before", file=sys.stderr)
     try:
         with progress() as tell:
             found = d.diagnose(
-                job.machine,
-                job.runs,
-                job.final,
-                candidates=job.candidates,
+                inputs.machine,
+                inputs.runs,
+                inputs.final,
+                candidates=inputs.candidates,
                 limits=Thresholds(most=args.most),
                 progress=lambda done, what: tell("diagnose", done),
                 seed=args.seed,
-                kept=kept,
+                cache=cache,
             )
     except KeyboardInterrupt:
         print("ves-gym: what is done is kept: run the command again", file=sys.stderr)
         raise
-    late = () if args.as_logged else job.final
-    doubts = [doubt(job.machine, run, job.mistakes) for run in late]
-    written = job.write(d.added(found), folder, not args.no_free_run)
+    late = () if args.as_logged else inputs.final
+    doubts = [suspected_mistake(inputs.machine, run, inputs.mistakes) for run in late]
+    written = inputs.write(d.added(found), folder, not args.no_free_run)
     result = {
         "schema": SCHEMA,
         **d.plain(found),
-        "logs": job.digests,
-        "held_back": [run.name for run in job.final],
-        "machine": job.machine.name,
-        "described": job.described,
+        "logs": inputs.digests,
+        "held_back": [run.name for run in inputs.final],
+        "machine": inputs.machine.name,
+        "described": inputs.described,
         "better": written.digest,
         **written.plain,
         "files": [path.name for path in written.files],
@@ -135,21 +135,21 @@ def run(args: argparse.Namespace) -> int:
     shown = list(written.files)
     if not args.no_figures:
         shown += _report({**result, "diff": written.diff}, found, folder / "diagnosis.html")
-    kept.done()
+    cache.done()
     _print(found, result)
     for path in shown:
         print(path)
     return 1 if found.verdict in (d.UNKNOWN, d.MORE, d.WEAK) else 0
 
 
-def _job(args: argparse.Namespace) -> Job:
-    from ves_gym.diagnosis.inputs import mjcf_job, system_job
+def _inputs(args: argparse.Namespace) -> DiagnosisInputs:
+    from ves_gym.diagnosis.inputs import mjcf_inputs, system_inputs
 
     how: dict[str, Any] = {"final": args.final, "leave_out": args.without, "band": args.band}
     effects = [parse_effect(text) for text in args.effect]
     if args.machine is None:
         system = System.load(args.system) if args.system else None
-        return system_job(args.logs, system, effects=effects, **how)
+        return system_inputs(args.logs, system, effects=effects, **how)
     if effects:
         raise ParameterError(
             f"--effect {effects[0].kind} belongs to a described System: leave it out, or"
@@ -157,7 +157,7 @@ def _job(args: argparse.Namespace) -> Job:
         )
     if args.system is not None:
         raise ParameterError("--system and --machine describe two machines: give one of them")
-    return mjcf_job(args.logs, args.machine, **how)
+    return mjcf_inputs(args.logs, args.machine, **how)
 
 
 def _report(result: dict[str, Any], found: Any, path: Path) -> list[Path]:
@@ -168,7 +168,7 @@ def _report(result: dict[str, Any], found: Any, path: Path) -> list[Path]:
     from ves_gym.diagnosis.inference.explanations import overlays
     from ves_gym.report.diagnosis import write_page
 
-    write_page({**result, "overlays": overlays(found.selection, found.evidence)}, path)
+    write_page({**result, "overlays": overlays(found.selection, found.residuals)}, path)
     return [path]
 
 
@@ -182,9 +182,9 @@ def _print(found: Any, result: dict[str, Any]) -> None:
     console.print(found.sentence, style="bold")
     for experiment in result["experiments"] if found.verdict == ONE_OF else ():
         console.print(f"next experiment: {experiment['sentence']}")
-    if found.verdict == UNKNOWN and found.found:
+    if found.verdict == UNKNOWN and found.explanations:
         console.print("the best that the library can do, not a name:")
-    for f in found.found:
+    for f in found.explanations:
         numbers = ", ".join(
             f"{name} = {value:.4g} +- {WIDE * std:.2g} {unit}"
             for name, value, std, unit in zip(

@@ -47,24 +47,27 @@ def run(args: argparse.Namespace) -> int:
     cases = t.QUICK if args.quick else _cases(args.cases)
     salt = Path(args.salt) if args.salt else None
     folder = Path(args.out or f"out/diagnose-benchmark-{args.set}")
-    trial = t.trial_of(folder, args.set, salt, cases)
+    benchmark = t.benchmark_run(folder, args.set, salt, cases)
     out_dir(args, str(folder))
     with progress() as tell:
-        t.run_trial(trial, args.workers, tell)
-    truth, answers = t.read_truth(trial), [t.short(a) for a in t.read_answers(trial)]
+        t.run_benchmark(benchmark, args.workers, tell)
+    truth, answers = (
+        t.read_truth(benchmark),
+        [t.scored_part(a) for a in t.read_answers(benchmark)],
+    )
     result: dict[str, Any] = {
         "schema": SCHEMA,
         "set": args.set,
-        "cases": list(trial.cases),
+        "cases": list(benchmark.cases),
         "command": _command(args),
         "version": __version__,
         "thresholds": t.thresholds_hash(Thresholds()),
         "seal": None,
         "score": score(truth, answers),
     }
-    if trial.sealed:
+    if benchmark.sealed:
         digest = read_table(folder / "seal.json")["digest"]
-        nonce = read_table(trial.labels / "nonce.json")["nonce"]
+        nonce = read_table(benchmark.labels / "nonce.json")["nonce"]
         result["seal"] = {"digest": digest, "nonce": nonce}
     page = markdown(result)
     print(page, end="")

@@ -17,18 +17,18 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.data.quality import Fault, faults
-from ves_gym.diagnosis.inference.cache import Kept, KeptEvidence
+from ves_gym.diagnosis.inference.cache import AnswerCache, CachedResiduals
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.explanations import (
     Experiment,
-    Ranked,
+    RankedCandidate,
     classes,
     experiments,
     likeness,
     ranked,
-    when,
+    residual_over_time,
 )
-from ves_gym.diagnosis.inference.fit import Fit, residuals_of
+from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals
 from ves_gym.diagnosis.inference.intervals import intervals, stretches
 from ves_gym.diagnosis.inference.model_selection import (
     Rival,
@@ -37,14 +37,14 @@ from ves_gym.diagnosis.inference.model_selection import (
     select,
     unexplained,
 )
-from ves_gym.diagnosis.inference.signatures import Bank
-from ves_gym.diagnosis.inference.whitened_residuals import Evidence
+from ves_gym.diagnosis.inference.signatures import Signatures
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine, untestable
 from ves_gym.diagnosis.machines.drift import SlowPath
 
 NOTHING, NAMED, ONE_OF = "nothing missing", "named", "one of"
 MORE, UNKNOWN, WEAK = "named, more remains", "not in the library", "excitation too weak"
-SPEAKS = (NAMED, ONE_OF, MORE)  # verdicts that give names
+NAMING_VERDICTS = (NAMED, ONE_OF, MORE)  # verdicts that give names
 VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK)
 
 # What any motion of a joint that is worth the name shows; where it does not, others may hide.
@@ -58,7 +58,7 @@ Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
-class Found:
+class Explanation:
     """An effect that the data ask for, and what could stand in its place."""
 
     candidate: Candidate
@@ -101,7 +101,7 @@ class Diagnosis:
     """The answer."""
 
     verdict: str
-    found: tuple[Found, ...]
+    explanations: tuple[Explanation, ...]
     gaps: tuple[Gap, ...]  # on the runs that were fitted
     final: tuple[Gap, ...]  # on the runs held back
     untestable: dict[str, tuple[str, ...]]
@@ -109,23 +109,23 @@ class Diagnosis:
     faults: tuple[Fault, ...]  # of the recording
     remaining: float  # deviance above that of noise, after
     selection: Selection
-    evidence: Evidence
-    bank: Bank
+    residuals: WhitenedResiduals
+    signatures: Signatures
     limits: Thresholds = field(default_factory=Thresholds)
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
     def sentence(self) -> str:
         """The verdict in one sentence."""
-        names = " and ".join(_named(f) for f in self.found)
+        names = " and ".join(_named(f) for f in self.explanations)
         why = "".join(f"; {f.sentence}" for f in self.faults)
         if self.verdict == NOTHING:
             return "Nothing is missing: description and data agree within noise and tolerances."
         if self.verdict == WEAK:
-            begin = "There is a disagreement" if self.found else "No disagreement"
+            begin = "There is a disagreement" if self.explanations else "No disagreement"
             return (
-                f"{begin}, but these runs cannot show {_some(self.weak)}: the excitation is"
-                " too weak."
+                f"{begin}, but these runs cannot show {_abbreviated(self.weak)}: the excitation"
+                " is too weak."
             )
         if self.verdict == UNKNOWN:
             return f"Something is missing, and it is not in the library{why}."
@@ -134,24 +134,24 @@ class Diagnosis:
         return f"Missing: {names}."
 
 
-def _named(found: Found) -> str:
-    if len(found.kinds) > 1:
-        names = ", ".join(dict.fromkeys(r.candidate.name for r in found.rivals))
+def _named(explanation: Explanation) -> str:
+    if len(explanation.kinds) > 1:
+        names = ", ".join(dict.fromkeys(r.candidate.name for r in explanation.rivals))
         return f"one of {{{names}}}"
-    c = found.candidate
-    path = c.effect(found.values)
+    c = explanation.candidate
+    path = c.effect(explanation.values)
     if isinstance(path, SlowPath):
         return f"{c.name} (root mean square {path.size:.3g} {c.units[0]})"
     values = ", ".join(
         f"{name} {value:.4g}{'' if unit == '1' else ' ' + unit}"
-        for name, value, unit in zip(c.names, found.values, c.units, strict=True)
+        for name, value, unit in zip(c.names, explanation.values, c.units, strict=True)
     )
     return f"{c.name} ({values})"
 
 
-def _some(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:3])
-    return shown + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+def _abbreviated(names: Sequence[str]) -> str:
+    listed = ", ".join(names[:3])
+    return listed + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def diagnose(
@@ -163,7 +163,7 @@ def diagnose(
     limits: Thresholds | None = None,
     progress: Progress = lambda done, what: None,
     seed: int = 0,
-    kept: Kept | None = None,
+    cache: AnswerCache | None = None,
 ) -> Diagnosis:
     """Find where machine and runs disagree and name what is missing.
 
@@ -183,47 +183,51 @@ def diagnose(
         seconds[name] = clock[-1] - clock[-2]
 
     progress(0.0, "residuals")
-    if kept is None:
-        evidence = Evidence(machine, runs, seed)
+    if cache is None:
+        residuals = WhitenedResiduals(machine, runs, seed)
     else:
-        evidence = KeptEvidence(machine, runs, seed, kept)
+        residuals = CachedResiduals(machine, runs, seed, cache)
     lap("locate")
-    bank = Bank(evidence, candidates, lambda done: progress(0.1 + 0.5 * done, "signatures"))
+    signatures = Signatures(
+        residuals, candidates, lambda done: progress(0.1 + 0.5 * done, "signatures")
+    )
     lap("screen")
-    selection = select(evidence, bank, limits, lambda text: progress(0.7, text))
+    selection = select(residuals, signatures, limits, lambda text: progress(0.7, text))
     lap("name")
-    found = tuple(_found(selection, i, limits) for i in range(len(selection.rivals)))
-    remaining = unexplained(selection.fit, evidence, limits.imperfect)
-    tested = {p.name for p in evidence.ports}
+    explanations = tuple(
+        _explanation(selection, i, limits) for i in range(len(selection.rivals))
+    )
+    remaining = unexplained(selection.fit, residuals, limits.imperfect)
+    tested = {p.name for p in residuals.ports}
     faint = [
         c
-        for i, c in enumerate(bank.candidates)
-        if c.kind in _BASIC and tested & set(c.ports) and bank.visible(i) < limits.power
+        for i, c in enumerate(signatures.candidates)
+        if c.kind in _BASIC and tested & set(c.ports) and signatures.visible(i) < limits.power
     ]
     weak = tuple(c.name for c in faint)
-    hidden = any(f.candidate.slot in _still(faint) for f in found)
+    hidden = any(f.candidate.slot in _motionless_joints(faint) for f in explanations)
     faulty = faults(runs)
     gained = selection.null.deviance - selection.fit.deviance
     share = remaining / max(remaining + gained, 1e-9)
-    verdict = _verdict(found, remaining, share, bool(weak), hidden, limits)
+    verdict = _verdict(explanations, remaining, share, bool(weak), hidden, limits)
     if faulty:
-        verdict = _despite(verdict, faulty, found, machine)
+        verdict = _verdict_despite_faults(verdict, faulty, explanations, machine)
     progress(0.9, "runs held back")
-    chosen = selection.fit if verdict in SPEAKS else selection.null
-    gaps = _gaps(evidence, chosen, chosen.nuisances, selection.null.nuisances)
+    chosen = selection.fit if verdict in NAMING_VERDICTS else selection.null
+    gaps = _gaps(residuals, chosen, chosen.nuisances, selection.null.nuisances)
     after: tuple[Gap, ...] = ()
     if final:
-        last = Evidence(machine, final, seed + 1)
+        last = WhitenedResiduals(machine, final, seed + 1)
         after = _gaps(last, chosen, chosen.nuisances, selection.null.nuisances)
         much = verdict == MORE and remaining > limits.more  # not but a tone beside
-        if much and _left(after) > limits.held_back:  # names that do not hold
+        if much and _remaining_share(after) > limits.held_back:  # names that do not hold
             verdict, without = UNKNOWN, selection.null
-            gaps = _gaps(evidence, without, without.nuisances, without.nuisances)
+            gaps = _gaps(residuals, without, without.nuisances, without.nuisances)
             after = _gaps(last, without, without.nuisances, without.nuisances)
     lap("verify")
     return Diagnosis(
         verdict=verdict,
-        found=found,
+        explanations=explanations,
         gaps=gaps,
         final=after,
         untestable=untestable(machine, runs),
@@ -231,24 +235,24 @@ def diagnose(
         faults=faulty,
         remaining=remaining,
         selection=selection,
-        evidence=evidence,
-        bank=bank,
+        residuals=residuals,
+        signatures=signatures,
         limits=limits,
         seconds=seconds,
     )
 
 
-def _found(selection: Selection, i: int, limits: Thresholds) -> Found:
+def _explanation(selection: Selection, i: int, limits: Thresholds) -> Explanation:
     rivals = selection.rivals[i]
     near = tuple(r for r in rivals if r.cost - rivals[0].cost < limits.alike)
     first = rivals[0]
     p = sum(r.probability for r in rivals if r.candidate.kind == first.candidate.kind)
     std = limits.spread * selection.fit.std[i]
-    return Found(first.candidate, first.values, std, p, near)
+    return Explanation(first.candidate, first.values, std, p, near)
 
 
 def _verdict(
-    found: Sequence[Found],
+    explanations: Sequence[Explanation],
     remaining: float,
     share: float,
     weak: bool,
@@ -257,23 +261,23 @@ def _verdict(
 ) -> str:
     if hidden:
         return WEAK
-    if remaining > limits.remains and (not found or share > limits.explained):
+    if remaining > limits.remains and (not explanations or share > limits.explained):
         return UNKNOWN
-    if not found:
+    if not explanations:
         return WEAK if weak else NOTHING
     if remaining > limits.more:
         return MORE
-    return ONE_OF if any(len(f.kinds) > 1 for f in found) else NAMED
+    return ONE_OF if any(len(f.kinds) > 1 for f in explanations) else NAMED
 
 
-def _still(faint: Sequence[Candidate]) -> set[str]:
+def _motionless_joints(faint: Sequence[Candidate]) -> set[str]:
     """Joints that barely move: more than one of the basic effects could not be seen there."""
     places = [c.slot for c in faint]
     return {place for place in places if places.count(place) > 1}
 
 
-def _despite(
-    verdict: str, faulty: Sequence[Fault], found: Sequence[Found], machine: Machine
+def _verdict_despite_faults(
+    verdict: str, faulty: Sequence[Fault], explanations: Sequence[Explanation], machine: Machine
 ) -> str:
     """The verdict where the recording has faults: names, if what tells them is in order.
 
@@ -282,12 +286,12 @@ def _despite(
     """
     lost = {f.signal for f in faulty if f.kind == "repeats"}
     spoilt = {p.name for p in machine.ports if lost & set(p.needs)}
-    if not found or any(spoilt & set(f.candidate.ports) for f in found):
+    if not explanations or any(spoilt & set(f.candidate.ports) for f in explanations):
         return UNKNOWN
-    return MORE if verdict in SPEAKS and not all(f.shared for f in faulty) else verdict
+    return MORE if verdict in NAMING_VERDICTS and not all(f.shared for f in faulty) else verdict
 
 
-def _left(gaps: Sequence[Gap]) -> float:
+def _remaining_share(gaps: Sequence[Gap]) -> float:
     """Part of the gap above noise that is left, all channels together."""
     before, after = (
         sum(max(getattr(g, side) ** 2 - 1, 0.0) for g in gaps) for side in ("before", "after")
@@ -295,17 +299,17 @@ def _left(gaps: Sequence[Gap]) -> float:
     return after / before if before else 0.0
 
 
-def _gaps(evidence: Evidence, fit: Fit, eta: Array, eta0: Array) -> tuple[Gap, ...]:
+def _gaps(residuals: WhitenedResiduals, fit: Fit, eta: Array, eta0: Array) -> tuple[Gap, ...]:
     """Before and after per channel, effects and nuisances as they were found."""
-    z = residuals_of(evidence, fit.candidates, [fit.values])[0]
-    before = evidence.null + evidence.slopes @ eta0
-    after = z + evidence.slopes @ eta
+    z = evaluate_residuals(residuals, fit.candidates, [fit.values])[0]
+    before = residuals.null + residuals.slopes @ eta0
+    after = z + residuals.slopes @ eta
     out = []
-    for port in evidence.ports:
+    for port in residuals.ports:
         for i, channel in enumerate(port.channels):
-            groups = [g for g in evidence.groups if (g.port, g.channel) == (port.name, i)]
+            groups = [g for g in residuals.groups if (g.port, g.channel) == (port.name, i)]
             count = sum(g.n for g in groups)
-            sums = [np.concatenate(stretches(evidence, groups, x)) for x in (before, after)]
+            sums = [np.concatenate(stretches(residuals, groups, x)) for x in (before, after)]
             rms = [float(np.sqrt(s.sum() / count)) for s in sums]
             out.append(Gap(port.name, channel, rms[0], rms[1], *intervals(count, sums)))
     return tuple(out)
@@ -316,7 +320,7 @@ def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
 
     What has no name is not added: the best the library can do would only hide it.
     """
-    if diagnosis.verdict not in SPEAKS:
+    if diagnosis.verdict not in NAMING_VERDICTS:
         return ()
     return tuple(
         e.effect if isinstance(e, SlowPath) else e for e in diagnosis.selection.fit.effects
@@ -326,34 +330,36 @@ def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
 def plain(diagnosis: Diagnosis) -> dict[str, Any]:
     """As data for JSON; a number that is not known is None."""
     ranking = ranked(
-        diagnosis.bank, diagnosis.selection.null, [f.candidate.name for f in diagnosis.found]
+        diagnosis.signatures,
+        diagnosis.selection.null,
+        [f.candidate.name for f in diagnosis.explanations],
     )
-    some = ranking[:_COMPARED]
-    names = [r.candidate.name for r in some]
-    alike = likeness(diagnosis.bank, [r.index for r in some])
+    compared = ranking[:_COMPARED]
+    names = [r.candidate.name for r in compared]
+    alike = likeness(diagnosis.signatures, [r.index for r in compared])
     tried = experiments(
-        diagnosis.bank,
+        diagnosis.signatures,
         diagnosis.selection,
         diagnosis.limits.alike,
         list(diagnosis.untestable),
     )
-    effects = [_effect(f) for f in diagnosis.found]
+    effects = [_explanation_to_plain(f) for f in diagnosis.explanations]
     unknown = diagnosis.verdict == UNKNOWN
     return {
         "verdict": diagnosis.verdict,
         "sentence": diagnosis.sentence,
         "effects": [] if unknown else effects,
         "closest": effects if unknown else [],  # the best the library can do: no names
-        "ranking": [_ranked(r, diagnosis) for r in ranking],
+        "ranking": [_ranked_to_plain(r, diagnosis) for r in ranking],
         "likeness": {
             "names": names,
             "matrix": alike.tolist(),
             "classes": classes(names, alike),
         },
-        "experiments": [_experiment(e) for e in tried],
-        "where": _where(diagnosis),
-        "when": when(
-            diagnosis.evidence,
+        "experiments": [_experiment_to_plain(e) for e in tried],
+        "where": _residual_map(diagnosis),
+        "when": residual_over_time(
+            diagnosis.residuals,
             diagnosis.selection.null,
             None if unknown else diagnosis.selection.fit,
         ),
@@ -391,7 +397,7 @@ def _intervals(gaps: Sequence[Gap]) -> dict[str, dict[str, tuple[float, float]]]
     }
 
 
-def _effect(f: Found) -> dict[str, Any]:
+def _explanation_to_plain(f: Explanation) -> dict[str, Any]:
     c = f.candidate
     return {
         "kind": c.kind,
@@ -399,21 +405,21 @@ def _effect(f: Found) -> dict[str, Any]:
         "name": c.name,
         "value": dict(zip(c.names, f.values.tolist(), strict=True)),
         "std": dict(zip(c.names, map(_finite, f.std), strict=True)),
-        "interval": dict(zip(c.names, _likely(f), strict=True)),  # 90 %
+        "interval": dict(zip(c.names, _intervals_90(f), strict=True)),  # 90 %
         "unit": dict(zip(c.names, c.units, strict=True)),
         "probability": f.probability,
         "class": [r.candidate.name for r in f.rivals],
     }
 
 
-def _likely(f: Found) -> list[tuple[float, float] | None]:
+def _intervals_90(f: Explanation) -> list[tuple[float, float] | None]:
     """90 % interval of each number, inside what it may be; None where nothing is known."""
     out: list[tuple[float, float] | None] = []
     for x, std, low, high in zip(
         f.values.tolist(), f.std.tolist(), f.candidate.low, f.candidate.high, strict=True
     ):
-        known = np.isfinite(std)
-        out.append((max(low, x - WIDE * std), min(high, x + WIDE * std)) if known else None)
+        finite = np.isfinite(std)
+        out.append((max(low, x - WIDE * std), min(high, x + WIDE * std)) if finite else None)
     return out
 
 
@@ -421,7 +427,7 @@ def _finite(x: float) -> float | None:
     return float(x) if np.isfinite(x) else None
 
 
-def _ranked(r: Ranked, diagnosis: Diagnosis) -> dict[str, Any]:
+def _ranked_to_plain(r: RankedCandidate, diagnosis: Diagnosis) -> dict[str, Any]:
     every = [k for rivals in diagnosis.selection.rivals for k in rivals]
     return {
         "name": r.candidate.name,
@@ -432,11 +438,11 @@ def _ranked(r: Ranked, diagnosis: Diagnosis) -> dict[str, Any]:
         "gain_error": r.error,
         "p": r.chance,
         "probability": next((k.probability for k in every if k.candidate is r.candidate), None),
-        "chosen": any(f.candidate is r.candidate for f in diagnosis.found),
+        "chosen": any(f.candidate is r.candidate for f in diagnosis.explanations),
     }
 
 
-def _experiment(e: Experiment) -> dict[str, Any]:
+def _experiment_to_plain(e: Experiment) -> dict[str, Any]:
     return {
         "between": list(e.between),
         "sentence": e.sentence,
@@ -446,9 +452,9 @@ def _experiment(e: Experiment) -> dict[str, Any]:
     }
 
 
-def _where(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+def _residual_map(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Mean square of every group, in variances of noise, before and after."""
-    ports = {p.name: p for p in diagnosis.evidence.ports}
+    ports = {p.name: p for p in diagnosis.residuals.ports}
     null = fit = diagnosis.selection.null.size
     if diagnosis.verdict != UNKNOWN:
         fit = diagnosis.selection.fit.size
@@ -461,5 +467,5 @@ def _where(diagnosis: Diagnosis) -> list[dict[str, Any]]:
             "before": float(before),
             "after": float(after),
         }
-        for g, before, after in zip(diagnosis.evidence.groups, null, fit, strict=True)
+        for g, before, after in zip(diagnosis.residuals.groups, null, fit, strict=True)
     ]

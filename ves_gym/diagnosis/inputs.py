@@ -15,7 +15,7 @@ from ves_gym.diagnosis.inference.candidates import Candidate, library, without
 from ves_gym.diagnosis.machines.base import Machine
 from ves_gym.diagnosis.machines.mjcf_mapping import read_machine
 from ves_gym.diagnosis.machines.system import SystemMachine
-from ves_gym.diagnosis.output.common import Written
+from ves_gym.diagnosis.output.common import DescriptionFiles
 from ves_gym.diagnosis.output.mjcf_file import described, write_machine
 from ves_gym.diagnosis.output.system_file import write_system
 from ves_gym.mechanics.arm import Arm, Inertial
@@ -30,7 +30,7 @@ _MASSES = (  # what may be wrong with the masses described, factor that puts it 
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
+class DiagnosisInputs:
     """Runs of one machine, those held back apart, and its library."""
 
     machine: Machine
@@ -39,19 +39,21 @@ class Job:
     candidates: tuple[Candidate, ...]
     digests: dict[str, str]  # of the logs, SHA-256
     described: str  # SHA-256 of the description
-    write: Callable[[Sequence[Any], Path, bool], Written]  # effects, folder, free runs too
+    write: Callable[
+        [Sequence[Any], Path, bool], DescriptionFiles
+    ]  # effects, folder, free runs too
     mistakes: tuple[tuple[str, Machine], ...] = ()  # usual ones in a description
 
 
-def system_job(
-    given: Sequence[str],
+def system_inputs(
+    sources: Sequence[str],
     system: System | None = None,
     *,
     effects: Sequence[Effect] = (),
     final: int | None = None,
     leave_out: Sequence[str] = (),
     band: float | None = None,
-) -> Job:
+) -> DiagnosisInputs:
     """Run logs of a system, and folders of them.
 
     Args:
@@ -64,7 +66,7 @@ def system_job(
     Raises:
         ParameterError: logs that cannot be of one machine as it stands.
     """
-    paths = _logs(given)
+    paths = _logs(sources)
     logs = [RunLog.load(path) for path in paths]
     _require_one_system(logs, paths)
     described = system or _system_of(logs, paths)
@@ -74,61 +76,65 @@ def system_job(
     for log, path in zip(logs, paths, strict=True):
         require_plausible(log, machine.system, path.name)
     marked = [i for i, log in enumerate(logs) if log.meta.get("held_back")]
-    fitted, held = _split(len(logs), marked, final)
+    fitted, held_back = _split(len(logs), marked, final)
     runs = [
         run_of(log, path.name, BAND if band is None else band)
         for log, path in zip(logs, paths, strict=True)
     ]
-    own, ports = machine.system, [p.name for p in machine.ports]
-    some = [runs[i] for i in fitted]
-    names = [r.name for r in some]
-    candidates = library(own.arm.n, ports, own.mode, names, machine.stretch(some))
+    nominal, ports = machine.system, [p.name for p in machine.ports]
+    fitted_runs = [runs[i] for i in fitted]
+    names = [r.name for r in fitted_runs]
+    candidates = library(
+        nominal.arm.n, ports, nominal.mode, names, machine.stretch(fitted_runs)
+    )
 
-    def write(effects: Sequence[Any], folder: Path, free: bool) -> Written:
+    def write(effects: Sequence[Any], folder: Path, free: bool) -> DescriptionFiles:
         better = machine.model(effects).system
-        return write_system(own, better, folder, some, [runs[i] for i in held], free)
+        return write_system(
+            nominal, better, folder, fitted_runs, [runs[i] for i in held_back], free
+        )
 
-    return Job(
+    return DiagnosisInputs(
         machine=machine,
-        runs=tuple(some),
-        final=tuple(runs[i] for i in held),
+        runs=tuple(fitted_runs),
+        final=tuple(runs[i] for i in held_back),
         candidates=tuple(without(candidates, leave_out)),
         digests={p.name: log.digest for p, log in zip(paths, logs, strict=True)},
-        described=own.hash,
+        described=nominal.hash,
         write=write,
         mistakes=tuple(
-            (text, SystemMachine(own.replace(arm=_heavier(own.arm, factor))))
+            (text, SystemMachine(nominal.replace(arm=_heavier(nominal.arm, factor))))
             for text, factor in _MASSES
         ),
     )
 
 
-def mjcf_job(
-    given: Sequence[str],
+def mjcf_inputs(
+    sources: Sequence[str],
     mapping: str,
     *,
     final: int | None = None,
     leave_out: Sequence[str] = (),
     band: float | None = None,
-) -> Job:
+) -> DiagnosisInputs:
     """Data of a machine in MJCF: each a file, or a folder whose files belong together.
 
     Raises:
         ParameterError: as the mapping file's `read_machine`.
     """
     machine, load = read_machine(mapping, band)
-    paths = [Path(text) for text in given]
+    paths = [Path(text) for text in sources]
     _require_distinct(paths)
     runs = [load(path) for path in paths]
-    fitted, held = _split(len(runs), (), final)
+    fitted, held_back = _split(len(runs), (), final)
 
-    def write(effects: Sequence[Any], folder: Path, free: bool) -> Written:
+    def write(effects: Sequence[Any], folder: Path, free: bool) -> DescriptionFiles:
         return write_machine(Path(mapping), machine, effects, folder, runs)
 
-    return Job(
+    return DiagnosisInputs(
         machine=machine,
         runs=tuple(runs[i] for i in fitted),
-        final=tuple(runs[i] for i in held),
+        final=tuple(runs[i] for i in held_back),
         candidates=tuple(without(machine.candidates(), leave_out)),
         digests={run.name: digest_of(run) for run in runs},
         described=described(Path(mapping)),
@@ -137,9 +143,9 @@ def mjcf_job(
     )
 
 
-def _logs(given: Sequence[str]) -> list[Path]:
+def _logs(sources: Sequence[str]) -> list[Path]:
     out: list[Path] = []
-    for text in given:
+    for text in sources:
         path = Path(text)
         if path.is_dir():
             inside = sorted([*path.glob("*.parquet"), *path.glob("*.csv")])
@@ -174,10 +180,10 @@ def _require_one_system(logs: Sequence[RunLog], paths: Sequence[Path]) -> None:
         for log, path in zip(logs, paths, strict=True)
         if "system" in log.meta
     ]
-    for path, own in named:
-        if own != named[0][1]:
+    for path, digest in named:
+        if digest != named[0][1]:
             raise ParameterError(
-                f"{path}: is of another system than {named[0][0]} ({own[:12]},"
+                f"{path}: is of another system than {named[0][0]} ({digest[:12]},"
                 f" {named[0][1][:12]}): one machine at a time"
             )
 
@@ -197,14 +203,14 @@ def _split(count: int, marked: Sequence[int], final: int | None) -> tuple[list[i
     """Runs to fit, and runs to hold back."""
     every = list(range(count))
     if final is None:
-        held = list(marked) or every[count - count // 3 :]
+        held_back = list(marked) or every[count - count // 3 :]
     else:
         if not 0 <= final < count:
             raise ParameterError(
                 f"--final must leave a log to fit: 0 to {count - 1}, got {final}"
             )
-        held = every[count - final :]
-    fitted = [i for i in every if i not in held]
+        held_back = every[count - final :]
+    fitted = [i for i in every if i not in held_back]
     if not fitted:
         raise ParameterError("every log is held back: none is left to fit")
-    return fitted, held
+    return fitted, held_back

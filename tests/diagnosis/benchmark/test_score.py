@@ -4,7 +4,7 @@ import pytest
 
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.benchmark import score as s
-from ves_gym.diagnosis.benchmark.labels import given_name, numbers, true_name
+from ves_gym.diagnosis.benchmark.labels import answer_name, label_name, numbers
 from ves_gym.diagnosis.benchmark.score_page import markdown
 
 
@@ -175,7 +175,7 @@ def test_confusion_has_columns_for_no_name():
 def test_slots_of_labels_and_candidates_are_the_same_names(label, given):
     kind, slot, _ = label
     other, at, value = given
-    assert true_name({"kind": kind, "slot": slot}) == given_name(
+    assert label_name({"kind": kind, "slot": slot}) == answer_name(
         {"kind": other, "slot": at, "value": value}
     )
 
@@ -191,10 +191,10 @@ def test_every_label_can_be_named_by_some_candidate():
     for c in known:
         for axis in c.names:
             value = {**dict.fromkeys(c.names, 0.0), axis: 1.0}
-            names.add(given_name({"kind": c.kind, "slot": c.slot, "value": value}))
+            names.add(answer_name({"kind": c.kind, "slot": c.slot, "value": value}))
     for kind in LIBRARY:
         for slot in TRUTHS[kind].slots:
-            assert true_name({"kind": kind, "slot": slot}) in names
+            assert label_name({"kind": kind, "slot": slot}) in names
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis.data.measured_run import require_plausible, run_of, run_of_signals
-from ves_gym.diagnosis.data.sanity_checks import doubt, require_as_logged
+from ves_gym.diagnosis.data.sanity_checks import require_as_logged, suspected_mistake
 from ves_gym.diagnosis.inputs import _heavier
 from ves_gym.diagnosis.machines.mjcf import MjcfJoint, MjcfMachine
 from ves_gym.diagnosis.machines.system import SystemMachine
@@ -25,7 +25,7 @@ def log(hidden):
 def asked(log):
     system = System.from_dict(log.meta["system"])
     require_plausible(log, system, "run")
-    question = doubt(SystemMachine(system), run_of(log, "run"))
+    question = suspected_mistake(SystemMachine(system), run_of(log, "run"))
     return question and question.text
 
 
@@ -101,8 +101,8 @@ def test_a_rate_in_degrees_is_asked_about():
     machine = MjcfMachine("two", [MjcfJoint("a"), MjcfJoint("b")])
     noise = 1e-6 * np.random.default_rng(0).standard_normal(q.shape)
     good, bad = (run_of_signals(t, {"q": q + noise, "v": x}, "run") for x in (v, np.rad2deg(v)))
-    assert doubt(machine, good) is None
-    assert doubt(machine, bad).text == "is v in degrees, not rad"
+    assert suspected_mistake(machine, good) is None
+    assert suspected_mistake(machine, bad).text == "is v in degrees, not rad"
     with pytest.raises(
         ParameterError, match=r"run: is v in degrees, not rad\? At port velocity"
     ):

@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ves_gym.diagnosis.data.signals import (
-    Band,
-    Noise,
+    SensorNoiseModel,
+    SpectralWindow,
     differentiated,
-    held,
+    estimate_noise,
     margin,
-    noise_of,
     on_uniform_clock,
+    zero_order_hold,
 )
 
 DT, TOP = 5e-3, 12.0
@@ -48,22 +48,22 @@ def test_ahead_is_a_shift_by_any_time():
 
 def test_held_is_late_by_delay_and_half_a_period():
     w, delay = 2 * np.pi * 2.0, DT
-    out = held(np.sin(w * T)[:, None], DT, TOP, delay)
+    out = zero_order_hold(np.sin(w * T)[:, None], DT, TOP, delay)
     expected = np.sinc(w * DT / 2 / np.pi) * np.sin(w * (T - delay - DT / 2))
     assert np.abs(out[INNER, 0] - expected[INNER]).max() < 1e-4
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.4, 0.8])
 def test_noise_is_told_from_motion(correlation):
-    noise = Noise(np.array([0.3]), np.array([correlation]))
+    noise = SensorNoiseModel(np.array([0.3]), np.array([correlation]))
     x = noise.draw(np.random.default_rng(1), 1, 2000)[0]
-    found = noise_of(x + 50 * np.sin(2 * np.pi * 1.3 * T)[:, None])
+    found = estimate_noise(x + 50 * np.sin(2 * np.pi * 1.3 * T)[:, None])
     assert found.std[0] == pytest.approx(0.3, rel=0.25)
     assert found.correlation[0] == pytest.approx(correlation, abs=0.12)
 
 
 def test_white_noise_has_unit_power_in_the_spectrum():
-    band = Band(2000, DT, TOP, margin(DT, TOP))
+    band = SpectralWindow(2000, DT, TOP, margin(DT, TOP))
     x = np.random.default_rng(0).standard_normal((200, 2000, 1))
     assert np.mean(np.abs(band.spectrum(x)) ** 2) == pytest.approx(1.0, rel=0.05)
 

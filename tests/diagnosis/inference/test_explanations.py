@@ -31,9 +31,9 @@ def found(hidden):
 
 def test_the_best_candidate_is_ranked_as_a_full_fit_has_it(found):
     """Reference: the non-linear fit; its residual is linear in a gain to 3 % of the gain."""
-    best = ranked(found.bank, found.selection.null)[0]
+    best = ranked(found.signatures, found.selection.null)[0]
     assert best.candidate.name == "joint/drive_gain at joint 2"
-    full = fit(found.evidence, [best.candidate], [best.values])
+    full = fit(found.residuals, [best.candidate], [best.values])
     assert best.values == pytest.approx(full.values[0], rel=0.05)
     best_gain = found.selection.null.deviance - full.deviance
     assert [best.screen, best.gain] == pytest.approx([best_gain] * 2, rel=0.05)
@@ -44,32 +44,32 @@ def test_the_best_candidate_is_ranked_as_a_full_fit_has_it(found):
 
 def test_what_is_chosen_but_scores_too_low_alone_is_fitted_alone(found, monkeypatch):
     """Effects that only show beside others have no score of their own."""
-    scores, name = found.bank.scores, "joint/drive_gain at joint 2"
+    scores, name = found.signatures.scores, "joint/drive_gain at joint 2"
 
     def low(*args):
         return [
             replace(s, deviance=np.inf)
-            if found.bank.candidates[s.candidate].name == name
+            if found.signatures.candidates[s.candidate].name == name
             else s
             for s in scores(*args)
         ]
 
-    monkeypatch.setattr(found.bank, "scores", low)
-    last = ranked(found.bank, found.selection.null, [name])[-1]
+    monkeypatch.setattr(found.signatures, "scores", low)
+    last = ranked(found.signatures, found.selection.null, [name])[-1]
     assert (last.candidate.name, last.screen) == (name, None)
     assert last.values[0] == pytest.approx(0.03, rel=0.1) and last.gain > 100
 
 
 def test_what_is_chosen_is_ranked_however_it_does(found):
-    name = found.bank.candidates[0].name
-    assert [r.candidate.name for r in ranked(found.bank, found.selection.null, [name], 0)] == [
-        name
-    ]
+    name = found.signatures.candidates[0].name
+    assert [
+        r.candidate.name for r in ranked(found.signatures, found.selection.null, [name], 0)
+    ] == [name]
 
 
 def test_rivals_come_with_an_experiment_and_the_map_with_every_group(found):
     told = d.plain(found)
-    assert {g["port"] for g in told["where"]} == {p.name for p in found.evidence.ports}
+    assert {g["port"] for g in told["where"]} == {p.name for p in found.residuals.ports}
     worst = max(told["where"], key=lambda g: g["before"])
     assert (worst["port"], worst["channel"]) == ("joint", "tau_2")
     assert worst["after"] < 2 < worst["before"]
@@ -86,7 +86,7 @@ def test_rivals_come_with_an_experiment_and_the_map_with_every_group(found):
 
 
 def test_an_overlay_shows_the_channel_that_is_explained_and_its_noise(found):
-    first, second = overlays(found.selection, found.evidence)
+    first, second = overlays(found.selection, found.residuals)
     assert (first["port"], first["channel"], first["unit"]) == ("joint", "tau_2", "N m")
     assert (second["port"], second["channel"]) != ("joint", "tau_2")
     before, after = (np.array(first[f"noise_{k}"]) for k in ("before", "after"))

@@ -5,7 +5,7 @@ import pytest
 
 from ves_gym.diagnosis.data.measured_run import run_of_signals
 from ves_gym.diagnosis.inference.intervals import intervals, stretches
-from ves_gym.diagnosis.inference.whitened_residuals import Evidence
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.mjcf import MjcfJoint, MjcfMachine
 
 
@@ -29,9 +29,9 @@ def test_a_burst_is_found_when_it_happens_and_nothing_is_lost():
         if late:
             v[2400:2600] += 0.05
         runs.append(run_of_signals(t, {"q": q, "v": v}, f"run {late}"))
-    evidence = Evidence(MjcfMachine("one", [MjcfJoint("a")]), runs)
-    first, second = stretches(evidence, evidence.groups, evidence.null)
-    total = sum(float(np.sum(evidence.null[g.part] ** 2)) for g in evidence.groups)
+    residuals = WhitenedResiduals(MjcfMachine("one", [MjcfJoint("a")]), runs)
+    first, second = stretches(residuals, residuals.groups, residuals.null)
+    total = sum(float(np.sum(residuals.null[g.part] ** 2)) for g in residuals.groups)
     assert first.sum() + second.sum() == pytest.approx(total)
     step = (runs[1].length - 2 * runs[1].window.skip) * runs[1].dt / len(second)
     loudest = runs[1].window.skip * runs[1].dt + (np.argmax(second) + 0.5) * step

@@ -10,7 +10,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.cli.main import main
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.data.measured_run import run_of_signals
-from ves_gym.diagnosis.inference.cache import Kept
+from ves_gym.diagnosis.inference.cache import AnswerCache
 from ves_gym.diagnosis.machines.mjcf import MjcfJoint, MjcfMachine
 from ves_gym.diagnosis.machines.mjcf_mapping import read_machine
 from ves_gym.diagnosis.output.mjcf_file import write_machine
@@ -94,7 +94,7 @@ def test_friction_hidden_in_the_joints_is_named_in_their_units(machine):
         [moved(3, shoulder='damping="2.0"', reach='damping="30"')],
         candidates=only_force(machine),
     )
-    named = {(f.candidate.kind, f.candidate.slot): f for f in found.found}
+    named = {(f.candidate.kind, f.candidate.slot): f for f in found.explanations}
     assert set(named) == {("joint/viscous", "shoulder"), ("joint/viscous", "reach")}
     for (_, slot), want, symbol in zip(
         sorted(named), (30.0, 2.0), ("N s/m", "N m s/rad"), strict=True
@@ -157,7 +157,7 @@ def test_a_machine_in_mjcf_goes_from_command_to_files_that_play_the_same(tmp_pat
     machine, load = read_machine(out / "machine.toml")
     assert [e.kind for e in machine.nominal.effects] == ["joint/drive_gain"]
     again = d.diagnose(machine, [load(tmp_path / "run-3.csv")], candidates=only_force(machine))
-    assert again.found == (), again.sentence
+    assert again.explanations == (), again.sentence
     assert main([*words, str(out / "machine.toml"), "--out", str(out)]) == 2
     assert "would overwrite" in capsys.readouterr().err
 
@@ -220,31 +220,31 @@ def test_a_diagnosis_that_is_interrupted_goes_on(machine, tmp_path):
 
     def answer(interrupted=False):
         asked = []
-        kept = Kept(tmp_path, "arm")
+        cache = AnswerCache(tmp_path, "arm")
 
         def put(key, x):
             asked.append(key)
-            Kept.put(kept, key, x)
+            AnswerCache.put(cache, key, x)
             if interrupted and len(asked) == 9:
                 raise KeyboardInterrupt
 
-        kept.put = put
-        found = d.diagnose(machine, [run], candidates=only_force(machine), kept=kept)
-        return kept, asked, found
+        cache.put = put
+        found = d.diagnose(machine, [run], candidates=only_force(machine), cache=cache)
+        return cache, asked, found
 
     with pytest.raises(KeyboardInterrupt):
         answer(interrupted=True)
     files = sorted((tmp_path / "unfinished").rglob("*.bin"))
     assert len(files) == 9
     files[0].write_bytes(files[0].read_bytes()[:-8])
-    kept, asked, found = answer()
-    assert kept.known == 9 and files[0].stem in asked
+    cache, asked, found = answer()
+    assert cache.n_restored == 9 and files[0].stem in asked
     assert not {f.stem for f in files[1:]} & set(asked)
     plain = d.diagnose(machine, [run], candidates=only_force(machine))
     assert found.sentence == plain.sentence
     assert found.selection.fit.deviance == plain.selection.fit.deviance
     assert answer()[1] == []
-    kept.done()
+    cache.done()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -19,13 +19,13 @@ BY_AXIS = ("payload/com", "sensor/rotation", "gravity/tilt")
 INTERVAL = 1.645  # standard deviations to either side, 90 %
 
 
-def true_name(effect: Plain) -> Name:
+def label_name(effect: Plain) -> Name:
     """Kind and slot of a label's effect, as a candidate has them."""
     slot = str(effect["slot"])
     return str(effect["kind"]), SLOTS.get(slot, slot)
 
 
-def given_name(effect: Plain) -> Name:
+def answer_name(effect: Plain) -> Name:
     """Kind and slot of an effect in an answer, its axis told by the clearest number."""
     kind, value, std = str(effect["kind"]), effect["value"], effect.get("std") or {}
     if kind in BY_AXIS:
@@ -33,14 +33,14 @@ def given_name(effect: Plain) -> Name:
     return kind, str(effect["slot"])
 
 
-def numbers(label: Plain, given: Plain) -> list[tuple[float, float, float | None]]:
+def numbers(label: Plain, answer: Plain) -> list[tuple[float, float, float | None]]:
     """(true, found, standard deviation or None) of every number that both sides state.
 
     Drift has none: its label is a process, its candidate a path.
     """
-    value: Mapping[str, float] = given["value"]
-    std: Mapping[str, float | None] = given.get("std") or {}
-    kind, slot = true_name(label)
+    value: Mapping[str, float] = answer["value"]
+    std: Mapping[str, float | None] = answer.get("std") or {}
+    kind, slot = label_name(label)
     out: list[tuple[float, float, float | None]] = []
     for name, true in label["parameters"].items():
         if kind in BY_AXIS:

@@ -35,7 +35,7 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.diagnosis.diagnose import Diagnosis, diagnose
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.model_selection import Thresholds
-from ves_gym.diagnosis.inputs import system_job
+from ves_gym.diagnosis.inputs import system_inputs
 
 FAILED = "failed"
 QUICK = 30
@@ -47,7 +47,7 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class Trial:
+class BenchmarkRun:
     """Some cases of a set, and the folder where they live."""
 
     folder: Path
@@ -60,15 +60,15 @@ class Trial:
         """Folder of the truth."""
         return self.folder / "labels"
 
-    def answer(self, index: int) -> Path:
+    def answer_file(self, index: int) -> Path:
         """File of a case's answer."""
         return self.folder / "answers" / f"case-{index:03d}.json"
 
 
-def trial_of(
+def benchmark_run(
     folder: Path, which: str, salt: Path | None = None, cases: Sequence[int] | int | None = None
-) -> Trial:
-    """A trial on a set.
+) -> BenchmarkRun:
+    """A benchmark on a set.
 
     Args:
         which: "development" or "sealed".
@@ -94,17 +94,17 @@ def trial_of(
     except (OSError, UnicodeDecodeError) as error:
         raise ParameterError(f"{salt}: cannot be read: {error}") from None
     root = root_seed(which, secret)
-    whole = len(mix())
+    total = len(mix())
     if isinstance(cases, int):
-        some: Sequence[int] = stratified(cases, root)
+        chosen: Sequence[int] = stratified(cases, root)
     else:
-        some = range(whole) if cases is None else cases
-    wrong = [i for i in some if not 0 <= i < whole]
-    if wrong or not some:
+        chosen = range(total) if cases is None else cases
+    wrong = [i for i in chosen if not 0 <= i < total]
+    if wrong or not chosen:
         raise ParameterError(
-            f"cases must be of 0 to {whole - 1}, got {wrong[0] if wrong else 'none'}"
+            f"cases must be of 0 to {total - 1}, got {wrong[0] if wrong else 'none'}"
         )
-    return Trial(folder, root, sealed, tuple(sorted(set(some))))
+    return BenchmarkRun(folder, root, sealed, tuple(sorted(set(chosen))))
 
 
 def stratified(count: int, root: int) -> list[int]:
@@ -117,46 +117,53 @@ def stratified(count: int, root: int) -> list[int]:
     places: dict[str, list[int]] = {}
     for k, plan in enumerate(plans):
         places.setdefault(plan.category, []).append(k)
-    exact = {name: count * len(some) / len(plans) for name, some in places.items()}
+    exact = {name: count * len(members) / len(plans) for name, members in places.items()}
     share = {name: int(x) for name, x in exact.items()}
     by_rest = sorted(exact, key=lambda name: share[name] - exact[name])
     for name in by_rest[: count - sum(share.values())]:
         share[name] += 1
     chosen = set()
-    for name, some in places.items():
-        step = len(some) / max(share[name], 1)  # one of every stretch, not at a fixed beat
-        chosen |= {some[int((i + (i * _GOLDEN) % 1.0) * step)] for i in range(share[name])}
+    for name, members in places.items():
+        step = len(members) / max(share[name], 1)  # one of every stretch, not at a fixed beat
+        chosen |= {members[int((i + (i * _GOLDEN) % 1.0) * step)] for i in range(share[name])}
     return [i for i, k in enumerate(order_of(root)) if k in chosen]
 
 
 # ----------------------------------------------------------------------------- running
 
 
-def run_trial(trial: Trial, workers: int = 1, tell: Progress = lambda what, done: None) -> None:
+def run_benchmark(
+    benchmark: BenchmarkRun, workers: int = 1, progress: Progress = lambda what, done: None
+) -> None:
     """Make what is missing, seal it, diagnose what has no answer yet.
 
     Raises:
-        ParameterError: answers or a seal in the folder are of another trial.
+        ParameterError: answers or a seal in the folder are of another benchmark.
         ChildProcessError: a worker was killed.
     """
     mark = thresholds_hash(Thresholds())
-    todo = [i for i in trial.cases if not _finished(trial, i, mark)]
-    unmade = [i for i in trial.cases if not (trial.labels / f"case-{i:03d}.json").exists()]
+    todo = [i for i in benchmark.cases if not _finished(benchmark, i, mark)]
+    unmade = [
+        i for i in benchmark.cases if not (benchmark.labels / f"case-{i:03d}.json").exists()
+    ]
     _in_processes(
-        [(make, str(trial.folder), trial.root, i) for i in unmade],
+        [(make_case, str(benchmark.folder), benchmark.root, i) for i in unmade],
         workers,
-        lambda done: tell("making logs", done),
+        lambda done: progress("making logs", done),
     )
-    if trial.sealed:
-        seal_labels(trial)
+    if benchmark.sealed:
+        seal_labels(benchmark)
     _in_processes(
-        [(answer, str(trial.folder / "logs"), i, str(trial.answer(i))) for i in todo],
+        [
+            (answer_case, str(benchmark.folder / "logs"), i, str(benchmark.answer_file(i)))
+            for i in todo
+        ],
         workers,
-        lambda done: tell("diagnosing", done),
+        lambda done: progress("diagnosing", done),
     )
 
 
-def make(folder: str, root: int, index: int) -> None:
+def make_case(folder: str, root: int, index: int) -> None:
     """Write one case's logs and label."""
     from ves_gym.diagnosis.benchmark.blind.machine import controller
     from ves_gym.diagnosis.benchmark.blind.write import write_set
@@ -174,46 +181,46 @@ def _runner() -> Any:
     return Runner(nominal().to_dict(), controller())
 
 
-def seal_labels(trial: Trial) -> str:
-    """The digest of the trial's labels, written to `seal.json` unless it is there already.
+def seal_labels(benchmark: BenchmarkRun) -> str:
+    """The digest of the benchmark's labels, written to `seal.json` unless it is there already.
 
     Raises:
         ParameterError: the seal there is of other cases or other labels.
     """
     from ves_gym.diagnosis.benchmark.blind.write import seal
 
-    labels = read_truth(trial)
-    file, secret = trial.folder / "seal.json", trial.labels / "nonce.json"
+    labels = read_truth(benchmark)
+    file, secret = benchmark.folder / "seal.json", benchmark.labels / "nonce.json"
     if file.exists():
-        known = read_table(file)
-        if known["cases"] != list(trial.cases):
+        sealed = read_table(file)
+        if sealed["cases"] != list(benchmark.cases):
             raise ParameterError(f"{file}: seals other cases; take another folder")
-        if seal(labels, read_table(secret)["nonce"])[0] != known["digest"]:
+        if seal(labels, read_table(secret)["nonce"])[0] != sealed["digest"]:
             raise ParameterError(f"{file}: the labels are not those that were sealed")
-        return str(known["digest"])
-    if any(trial.answer(i).exists() for i in trial.cases):
+        return str(sealed["digest"])
+    if any(benchmark.answer_file(i).exists() for i in benchmark.cases):
         raise ParameterError(f"{file}: is gone, and there are answers already")
     digest, nonce = seal(labels)
     write_text(secret, canonical_json({"nonce": nonce}) + "\n")
-    write_text(file, canonical_json({"cases": list(trial.cases), "digest": digest}) + "\n")
+    write_text(file, canonical_json({"cases": list(benchmark.cases), "digest": digest}) + "\n")
     return digest
 
 
-def read_truth(trial: Trial) -> list[dict[str, Any]]:
-    """The labels of the trial's cases, in order."""
-    return [read_table(trial.labels / f"case-{i:03d}.json") for i in trial.cases]
+def read_truth(benchmark: BenchmarkRun) -> list[dict[str, Any]]:
+    """The labels of the benchmark's cases, in order."""
+    return [read_table(benchmark.labels / f"case-{i:03d}.json") for i in benchmark.cases]
 
 
-def read_answers(trial: Trial) -> list[dict[str, Any]]:
-    """The answers to the trial's cases, in order."""
-    return [read_table(trial.answer(i)) for i in trial.cases]
+def read_answers(benchmark: BenchmarkRun) -> list[dict[str, Any]]:
+    """The answers to the benchmark's cases, in order."""
+    return [read_table(benchmark.answer_file(i)) for i in benchmark.cases]
 
 
-def short(answer: dict[str, Any]) -> dict[str, Any]:
+def scored_part(answer: dict[str, Any]) -> dict[str, Any]:
     """What of an answer is scored, numbers to six digits."""
-    kept = {k: answer[k] for k in _SCORED if k in answer}
-    kept["seconds"] = {"total": answer["seconds"]["total"]}
-    out: dict[str, Any] = _rounded(kept)
+    scored = {k: answer[k] for k in _SCORED if k in answer}
+    scored["seconds"] = {"total": answer["seconds"]["total"]}
+    out: dict[str, Any] = _rounded(scored)
     return out
 
 
@@ -230,33 +237,33 @@ def thresholds_hash(limits: Thresholds) -> str:
     return content_hash(dataclasses.asdict(limits))
 
 
-def _finished(trial: Trial, index: int, mark: str) -> bool:
-    path = trial.answer(index)
+def _finished(benchmark: BenchmarkRun, index: int, mark: str) -> bool:
+    path = benchmark.answer_file(index)
     if not path.exists():
         return False
-    known = read_table(path)
-    if known["thresholds"] != mark:
+    record = read_table(path)
+    if record["thresholds"] != mark:
         raise ParameterError(f"{path}: was found with other thresholds; take another folder")
-    return bool(known["verdict"] != FAILED)
+    return bool(record["verdict"] != FAILED)
 
 
 def _in_processes(
-    jobs: Sequence[tuple[Any, ...]], workers: int, tell: Callable[[float], None]
+    calls: Sequence[tuple[Any, ...]], workers: int, progress: Callable[[float], None]
 ) -> None:
     """Call functions in processes with one thread each."""
-    if not jobs:
+    if not calls:
         return
-    with Workers(min(workers, len(jobs))) as pool:
-        running: list[Future[None]] = [pool.submit(f, *rest) for f, *rest in jobs]
+    with Workers(min(workers, len(calls))) as pool:
+        running: list[Future[None]] = [pool.submit(f, *arguments) for f, *arguments in calls]
         for k, future in enumerate(as_completed(running)):
             future.result()
-            tell((k + 1) / len(jobs))
+            progress((k + 1) / len(calls))
 
 
 # --------------------------------------------------------------------------- diagnosing
 
 
-def answer(logs: str, index: int, path: str) -> None:
+def answer_case(logs: str, index: int, path: str) -> None:
     """Diagnose one case from its logs alone and write the answer.
 
     A diagnosis that fails is an answer, too, and a wrong one.
@@ -265,7 +272,7 @@ def answer(logs: str, index: int, path: str) -> None:
     begin = time.perf_counter()
     out: dict[str, Any] = {"index": index, "thresholds": thresholds_hash(limits)}
     try:
-        out |= diagnosed(Path(logs) / f"case-{index:03d}", limits)
+        out |= diagnose_case(Path(logs) / f"case-{index:03d}", limits)
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
         out |= {"verdict": FAILED, "why": why, "effects": [], "final": [], "baselines": {}}
@@ -273,40 +280,43 @@ def answer(logs: str, index: int, path: str) -> None:
     write_text(path, canonical_json(out) + "\n")
 
 
-def diagnosed(folder: Path, limits: Thresholds) -> dict[str, Any]:
+def diagnose_case(folder: Path, limits: Thresholds) -> dict[str, Any]:
     """The answer to the logs of a folder, plain data, with those of the baselines."""
     from ves_gym.diagnosis.benchmark.baselines import Baselines
 
     begin = time.perf_counter()
-    job = system_job([str(folder)])
-    found = diagnose(job.machine, job.runs, job.final, candidates=job.candidates, limits=limits)
-    seconds = {**found.seconds, "total": time.perf_counter() - begin}
-    plain = Baselines(found.evidence, found.bank)
-    tolerant = Baselines(found.evidence, found.bank, tolerances=True)
+    inputs = system_inputs([str(folder)])
+    diagnosis = diagnose(
+        inputs.machine, inputs.runs, inputs.final, candidates=inputs.candidates, limits=limits
+    )
+    seconds = {**diagnosis.seconds, "total": time.perf_counter() - begin}
+    plain = Baselines(diagnosis.residuals, diagnosis.signatures)
+    tolerant = Baselines(diagnosis.residuals, diagnosis.signatures, tolerances=True)
     others = {
         "stepwise": plain.stepwise(),
         "stepwise, tolerances": tolerant.stepwise(),
         "smallest error": plain.smallest_error(),
     }
     return {
-        "verdict": found.verdict,
-        "sentence": found.sentence,
-        "effects": [_effect(found, i) for i in range(len(found.found))],
-        "remaining": found.remaining,
-        "weak": list(found.weak),
-        "steps": list(found.selection.steps),
-        "final": [[g.port, g.channel, g.before, g.after] for g in found.final],
-        "gaps": [[g.port, g.channel, g.before, g.after] for g in found.gaps],
+        "verdict": diagnosis.verdict,
+        "sentence": diagnosis.sentence,
+        "effects": [_effect(diagnosis, i) for i in range(len(diagnosis.explanations))],
+        "remaining": diagnosis.remaining,
+        "weak": list(diagnosis.weak),
+        "steps": list(diagnosis.selection.steps),
+        "final": [[g.port, g.channel, g.before, g.after] for g in diagnosis.final],
+        "gaps": [[g.port, g.channel, g.before, g.after] for g in diagnosis.gaps],
         "seconds": seconds,
         "baselines": {
-            name: [_named(n.candidate, n.values) for n in some] for name, some in others.items()
+            name: [_named(n.candidate, n.values) for n in effects]
+            for name, effects in others.items()
         },
     }
 
 
-def _effect(found: Diagnosis, i: int) -> dict[str, Any]:
+def _effect(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
     """An effect named, with all its rivals; those of its class are `near`."""
-    f, rivals = found.found[i], found.selection.rivals[i]
+    f, rivals = diagnosis.explanations[i], diagnosis.selection.rivals[i]
     return {
         **_named(f.candidate, f.values),
         "std": {

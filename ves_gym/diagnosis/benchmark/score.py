@@ -14,8 +14,16 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ves_gym.diagnosis.benchmark.labels import INTERVAL, Name, given_name, numbers, true_name
-from ves_gym.diagnosis.diagnose import MORE, NAMED, NOTHING, ONE_OF, SPEAKS, UNKNOWN, WEAK
+from ves_gym.diagnosis.benchmark.labels import INTERVAL, Name, answer_name, label_name, numbers
+from ves_gym.diagnosis.diagnose import (
+    MORE,
+    NAMED,
+    NAMING_VERDICTS,
+    NOTHING,
+    ONE_OF,
+    UNKNOWN,
+    WEAK,
+)
 
 OWN = "ves-gym"
 METHODS = (OWN, "stepwise", "stepwise, tolerances", "smallest error")
@@ -32,7 +40,7 @@ Plain = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Row:
+class TargetRow:
     """A quantity with its target."""
 
     name: str
@@ -54,7 +62,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Case:
+class ScoredCase:
     """A label and the answer of one method."""
 
     label: Plain
@@ -73,19 +81,21 @@ class Case:
         return min((float(e["wanted"]) for e in self.label["effects"]), default=0.0)
 
     @cached_property
-    def true(self) -> list[Name]:
+    def true_names(self) -> list[Name]:
         """What is there."""
-        return [true_name(e) for e in self.label["effects"]]
+        return [label_name(e) for e in self.label["effects"]]
 
     @cached_property
-    def given(self) -> list[Name]:
+    def answered_names(self) -> list[Name]:
         """What is said to be there."""
-        return [given_name(e) for e in self.effects]
+        return [answer_name(e) for e in self.effects]
 
     @property
-    def right(self) -> bool:
+    def correct(self) -> bool:
         """Exactly what is there, by kind and slot."""
-        return set(self.given) == set(self.true) and len(self.given) == len(self.true)
+        return set(self.answered_names) == set(self.true_names) and len(
+            self.answered_names
+        ) == len(self.true_names)
 
     @property
     def in_class(self) -> bool:
@@ -93,7 +103,7 @@ class Case:
         if len(self.effects) != 1:
             return False
         near = [r for r in self.effects[0].get("rivals", ()) if r["near"]]
-        return self.true[0] in {given_name(e) for e in (self.effects[0], *near)}
+        return self.true_names[0] in {answer_name(e) for e in (self.effects[0], *near)}
 
     @property
     def belief(self) -> float:
@@ -101,26 +111,26 @@ class Case:
         best = 0.0
         for e in self.effects:
             rivals = e.get("rivals") or ({**e, "probability": 1.0},)
-            mine = (r["probability"] for r in rivals if given_name(r) == self.true[0])
+            mine = (r["probability"] for r in rivals if answer_name(r) == self.true_names[0])
             best = max(best, sum(mine))
         return best
 
 
 def cases_of(
     labels: Sequence[Plain], answers: Sequence[Plain], method: str = OWN
-) -> list[Case]:
+) -> list[ScoredCase]:
     """Labels paired with what a method says; a baseline always gives names or nothing."""
     out = []
     for label, answer in zip(labels, answers, strict=True):
         if method == OWN:
             verdict = answer["verdict"]
-            effects = answer["effects"] if verdict in SPEAKS else []
+            effects = answer["effects"] if verdict in NAMING_VERDICTS else []
         elif "why" in answer:  # failed before a baseline had its evidence
             verdict, effects = answer["verdict"], []
         else:
             effects = answer["baselines"][method]
             verdict = NAMED if effects else NOTHING
-        out.append(Case(label, verdict, effects, answer))
+        out.append(ScoredCase(label, verdict, effects, answer))
     return out
 
 
@@ -135,10 +145,10 @@ def score(labels: Sequence[Plain], answers: Sequence[Plain]) -> dict[str, Any]:
             "by_kind": by_kind(cases),
             "confusion": confusion(cases),
         }
-    own = cases_of(labels, answers)
-    out["cases"] = {k: sum(c.category == k for c in own) for k in _CATEGORIES}
+    scored = cases_of(labels, answers)
+    out["cases"] = {k: sum(c.category == k for c in scored) for k in _CATEGORIES}
     out["failed"] = [a["index"] for a in answers if "why" in a]
-    out["missed"] = [missed(c) for c in own if not fine(c)]
+    out["missed"] = [missed(c) for c in scored if not is_correct(c)]
     return out
 
 
@@ -153,35 +163,35 @@ def bounds(hits: int, n: int) -> tuple[float, float]:
     return low, high
 
 
-def share(name: str, hits: Iterable[bool], **target: float) -> Row:
+def share(name: str, hits: Iterable[bool], **target: float) -> TargetRow:
     """A share of cases, with its bounds."""
     list_ = list(hits)
     if not list_:
-        return Row(name, None, 0, **target)  # type: ignore[arg-type]
+        return TargetRow(name, None, 0, **target)  # type: ignore[arg-type]
     k, n = sum(list_), len(list_)
     low, high = bounds(k, n)
-    return Row(name, k / n, n, low, high, **target)  # type: ignore[arg-type]
+    return TargetRow(name, k / n, n, low, high, **target)  # type: ignore[arg-type]
 
 
-def _middle(name: str, values: Sequence[float], unit: str = "1", **target: float) -> Row:
+def _middle(name: str, values: Sequence[float], unit: str = "1", **target: float) -> TargetRow:
     value = float(np.median(values)) if values else None
-    return Row(name, value, len(values), unit=unit, **target)  # type: ignore[arg-type]
+    return TargetRow(name, value, len(values), unit=unit, **target)  # type: ignore[arg-type]
 
 
-def rows(cases: Sequence[Case], own: bool = True) -> list[Row]:
+def rows(cases: Sequence[ScoredCase], with_probabilities: bool = True) -> list[TargetRow]:
     """The target table; `own`: with what only answers that hold probabilities can have."""
     of = {k: [c for c in cases if c.category == k] for k in _CATEGORIES}
     owed = [c for c in of["single"] if c.ratio >= VISIBLE]
     pairs = of["pair"]
-    out = [share("single, 3x noise and more: name", (c.right for c in owed), least=0.90)]
-    if own:
+    out = [share("single, 3x noise and more: name", (c.correct for c in owed), least=0.90)]
+    if with_probabilities:
         out += [
             share(
                 "single, 3x and more: in the class named",
-                (c.right or c.in_class for c in owed),
+                (c.correct or c.in_class for c in owed),
                 least=0.97,
             ),
-            Row(
+            TargetRow(
                 "single, 3x and more: mean probability of the truth",
                 float(np.mean([c.belief for c in owed])) if owed else None,
                 len(owed),
@@ -191,33 +201,41 @@ def rows(cases: Sequence[Case], own: bool = True) -> list[Row]:
     out += [
         share(
             "single, 3x and more: right one named, others beside it",
-            (len(c.given) > 1 and c.true[0] in c.given for c in owed),
+            (len(c.answered_names) > 1 and c.true_names[0] in c.answered_names for c in owed),
         ),
         share(
             "single, 3x and more: right, but more said to remain",
-            (c.right and c.verdict == MORE for c in owed),
+            (c.correct and c.verdict == MORE for c in owed),
         ),
         share("null: false alarm", (c.verdict not in _QUIET for c in of["null"]), most=1 / 120),
-        share("outside: a wrong name", (bool(c.given) for c in of["outside"]), most=0.05),
+        share(
+            "outside: a wrong name", (bool(c.answered_names) for c in of["outside"]), most=0.05
+        ),
     ]
-    if own:
+    if with_probabilities:
         unknown = (c.verdict == UNKNOWN for c in of["outside"])
         out.append(share("outside: said to be unknown", unknown, least=0.85))
     out.append(
-        share("pair: both named", (set(c.true) <= set(c.given) for c in pairs), least=0.75)
+        share(
+            "pair: both named",
+            (set(c.true_names) <= set(c.answered_names) for c in pairs),
+            least=0.75,
+        )
     )
     out += _retrieval(pairs)
     out.append(share("right slot where the kind is right", _slots(cases), least=0.95))
-    if own:
-        out += _only_own(cases, owed, of["weak"])
+    if with_probabilities:
+        out += _probability_rows(cases, owed, of["weak"])
     return out
 
 
-def _only_own(cases: Sequence[Case], owed: Sequence[Case], weak: Sequence[Case]) -> list[Row]:
+def _probability_rows(
+    cases: Sequence[ScoredCase], owed: Sequence[ScoredCase], weak: Sequence[ScoredCase]
+) -> list[TargetRow]:
     large = [c for c in owed if c.ratio >= LARGE]
-    found = [p for c in owed if c.right for p in _numbers(c)]
-    inside = [abs(f - t) <= INTERVAL * s for t, f, s in found if s is not None]
-    off = [abs(f - t) / abs(t) for t, f, _ in found if t]
+    pairs = [p for c in owed if c.correct for p in _numbers(c)]
+    inside = [abs(f - t) <= INTERVAL * s for t, f, s in pairs if s is not None]
+    off = [abs(f - t) / abs(t) for t, f, _ in pairs if t]
     removed = [r for c in large if (r := removed_gap(c.answer["final"])) is not None]
     seconds = [float(c.answer["seconds"]["total"]) for c in cases]
     return [
@@ -233,49 +251,52 @@ def _only_own(cases: Sequence[Case], owed: Sequence[Case], weak: Sequence[Case])
     ]  # fmt: skip
 
 
-def _numbers(case: Case) -> list[tuple[float, float, float | None]]:
+def _numbers(case: ScoredCase) -> list[tuple[float, float, float | None]]:
     return numbers(case.label["effects"][0], case.effects[0])
 
 
-def _retrieval(pairs: Sequence[Case]) -> list[Row]:
+def _retrieval(pairs: Sequence[ScoredCase]) -> list[TargetRow]:
     """Precision, recall and F1 over all effects of the pairs."""
-    hits = sum(len(set(c.true) & set(c.given)) for c in pairs)
-    given, true = sum(len(c.given) for c in pairs), sum(len(c.true) for c in pairs)
-    precision = hits / given if given else None
-    recall = hits / true if true else None
-    f1 = 2 * hits / (given + true) if true else None
+    hits = sum(len(set(c.true_names) & set(c.answered_names)) for c in pairs)
+    n_answered, n_true = (
+        sum(len(c.answered_names) for c in pairs),
+        sum(len(c.true_names) for c in pairs),
+    )
+    precision = hits / n_answered if n_answered else None
+    recall = hits / n_true if n_true else None
+    f1 = 2 * hits / (n_answered + n_true) if n_true else None
     return [
-        Row("pair: precision", precision, given),
-        Row("pair: recall", recall, true),
-        Row("pair: F1", f1, len(pairs), least=0.88),
+        TargetRow("pair: precision", precision, n_answered),
+        TargetRow("pair: recall", recall, n_true),
+        TargetRow("pair: F1", f1, len(pairs), least=0.88),
     ]
 
 
-def _slots(cases: Sequence[Case]) -> list[bool]:
+def _slots(cases: Sequence[ScoredCase]) -> list[bool]:
     """Of effects named with the right kind, where a kind has several slots."""
     out = []
     for c in cases:
-        for kind, slot in c.true:
-            same = [g for g in c.given if g[0] == kind]
+        for kind, slot in c.true_names:
+            same = [g for g in c.answered_names if g[0] == kind]
             if slot and same:
                 out.append((kind, slot) in same)
     return out
 
 
-def _calibration(cases: Sequence[Case]) -> Row:
+def _calibration(cases: Sequence[ScoredCase]) -> TargetRow:
     """Expected calibration error of the probabilities of all kinds named, in ten bins."""
     p = np.array([e["probability"] for c in cases for e in c.effects], float)
-    kinds = [(e["kind"], {k for k, _ in c.true}) for c in cases for e in c.effects]
-    right = np.array([kind in true for kind, true in kinds], float)
+    kinds = [(e["kind"], {k for k, _ in c.true_names}) for c in cases for e in c.effects]
+    hits = np.array([kind in kinds_true for kind, kinds_true in kinds], float)
     name = "calibration error of probabilities"
     if not len(p):
-        return Row(name, None, 0, most=0.05)
+        return TargetRow(name, None, 0, most=0.05)
     which = np.minimum((p * _BINS).astype(int), _BINS - 1)
     error = sum(
-        np.sum(which == b) / len(p) * abs(p[which == b].mean() - right[which == b].mean())
+        np.sum(which == b) / len(p) * abs(p[which == b].mean() - hits[which == b].mean())
         for b in np.unique(which)
     )
-    return Row(name, float(error), len(p), most=0.05)
+    return TargetRow(name, float(error), len(p), most=0.05)
 
 
 def removed_gap(final: Sequence[Sequence[Any]]) -> float | None:
@@ -295,49 +316,49 @@ def _worse(final: Sequence[Sequence[Any]]) -> bool:
     return any(after > _WORSE * max(before, 1.0) for *_, before, after in final)
 
 
-def by_ratio(cases: Sequence[Case]) -> list[dict[str, Any]]:
+def by_ratio(cases: Sequence[ScoredCase]) -> list[dict[str, Any]]:
     """Right names of single cases by gap over noise."""
     singles = [c for c in cases if c.category == "single"]
     out = []
     for ratio in sorted({c.ratio for c in singles}):
-        some = [c for c in singles if c.ratio == ratio]
-        out.append({"ratio": ratio, "n": len(some)} | _counts(some))
+        group = [c for c in singles if c.ratio == ratio]
+        out.append({"ratio": ratio, "n": len(group)} | _counts(group))
     return out
 
 
-def by_kind(cases: Sequence[Case]) -> list[dict[str, Any]]:
+def by_kind(cases: Sequence[ScoredCase]) -> list[dict[str, Any]]:
     """Single cases of every kind: right of all by gap, and the least gap named right."""
     singles = [c for c in cases if c.category == "single"]
     out = []
-    for kind in sorted({c.true[0][0] for c in singles}):
-        some = [c for c in singles if c.true[0][0] == kind]
-        seen = [c.label["effects"][0]["reached"] for c in some if c.right]
-        ratios = sorted({c.ratio for c in some})
+    for kind in sorted({c.true_names[0][0] for c in singles}):
+        group = [c for c in singles if c.true_names[0][0] == kind]
+        gaps = [c.label["effects"][0]["reached"] for c in group if c.correct]
+        ratios = sorted({c.ratio for c in group})
         out.append(
             {
                 "kind": kind,
                 "right": {
-                    f"{r:g}": [sum(c.right for c in some if c.ratio == r),
-                               sum(c.ratio == r for c in some)]
+                    f"{r:g}": [sum(c.correct for c in group if c.ratio == r),
+                               sum(c.ratio == r for c in group)]
                     for r in ratios
                 },
-                "least": min(seen, default=None),
+                "least": min(gaps, default=None),
             }
         )  # fmt: skip
     return out
 
 
-def _counts(some: Sequence[Case]) -> dict[str, int]:
-    tests: dict[str, Callable[[Case], bool]] = {
-        "right": lambda c: c.right,
-        "in class": lambda c: c.right or c.in_class,
+def _counts(group: Sequence[ScoredCase]) -> dict[str, int]:
+    tests: dict[str, Callable[[ScoredCase], bool]] = {
+        "right": lambda c: c.correct,
+        "in class": lambda c: c.correct or c.in_class,
         "nothing": lambda c: c.verdict in _QUIET,
         "unknown": lambda c: c.verdict == UNKNOWN,
     }
-    return {name: sum(map(test, some)) for name, test in tests.items()}
+    return {name: sum(map(test, group)) for name, test in tests.items()}
 
 
-def column(case: Case) -> str:
+def column(case: ScoredCase) -> str:
     """Under what an answer to a case without pairs is counted."""
     if case.verdict in _QUIET:
         return NOTHING_COLUMN
@@ -345,24 +366,24 @@ def column(case: Case) -> str:
         return UNKNOWN_COLUMN if case.verdict == UNKNOWN else case.verdict
     if case.verdict == ONE_OF:
         return AMBIGUOUS_COLUMN
-    kinds = [k for k, _ in case.given]
-    true = [k for k, _ in case.true if k in kinds]
-    return (true or kinds)[0]
+    kinds = [k for k, _ in case.answered_names]
+    true_names = [k for k, _ in case.true_names if k in kinds]
+    return (true_names or kinds)[0]
 
 
-def confusion(cases: Sequence[Case], least: float = VISIBLE) -> dict[str, dict[str, int]]:
+def confusion(cases: Sequence[ScoredCase], least: float = VISIBLE) -> dict[str, dict[str, int]]:
     """True kind -> what was answered -> cases; all but pairs and gaps below `least`."""
     out: dict[str, dict[str, int]] = {}
     for c in cases:
         if c.category == "pair" or (c.category == "single" and c.ratio < least):
             continue
-        kind = c.true[0][0] if c.true else NOTHING_COLUMN
+        kind = c.true_names[0][0] if c.true_names else NOTHING_COLUMN
         row = out.setdefault(kind if c.category != "weak" else f"{kind} (weak)", {})
         row[column(c)] = row.get(column(c), 0) + 1
     return {k: dict(sorted(out[k].items())) for k in sorted(out)}
 
 
-def fine(case: Case) -> bool:
+def is_correct(case: ScoredCase) -> bool:
     """Whether an answer is what the table wants of its case."""
     if case.category == "null":
         return case.verdict in _QUIET
@@ -370,19 +391,19 @@ def fine(case: Case) -> bool:
         return case.verdict == UNKNOWN
     if case.category == "weak":
         return case.verdict == WEAK
-    return case.right
+    return case.correct
 
 
-def missed(case: Case) -> dict[str, Any]:
+def missed(case: ScoredCase) -> dict[str, Any]:
     """A case that was not answered as wanted."""
     return {
         "index": case.label["index"],
         "category": case.category,
         "true": [
             {"kind": k, "slot": s, "gap": e["reached"]}
-            for (k, s), e in zip(case.true, case.label["effects"], strict=True)
+            for (k, s), e in zip(case.true_names, case.label["effects"], strict=True)
         ],
         "verdict": case.verdict,
-        "given": [{"kind": k, "slot": s} for k, s in case.given],
+        "given": [{"kind": k, "slot": s} for k, s in case.answered_names],
         "in_class": case.category == "single" and case.in_class,
     }

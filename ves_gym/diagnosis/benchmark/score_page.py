@@ -12,9 +12,9 @@ Plain = Mapping[str, Any]
 
 def markdown(result: Plain) -> str:
     """The page of a benchmark's result."""
-    own = result["score"]["methods"][OWN]
-    parts = [_head(result), _targets(result["score"]["methods"]), _curve(own), _kinds(own)]
-    parts += [_confusion(own["confusion"]), _missed(result["score"])]
+    ours = result["score"]["methods"][OWN]
+    parts = [_head(result), _targets(result["score"]["methods"]), _curve(ours), _kinds(ours)]
+    parts += [_confusion(ours["confusion"]), _missed(result["score"])]
     return "\n\n".join(p for p in parts if p) + "\n"
 
 
@@ -42,25 +42,25 @@ def _head(result: Plain) -> str:
 
 def _targets(methods: Mapping[str, Plain]) -> str:
     others = [k for k in methods if k != OWN]
-    known = {k: {r["name"]: r for r in methods[k]["rows"]} for k in others}
+    by_name = {k: {r["name"]: r for r in methods[k]["rows"]} for k in others}
     head = ["quantity", "result", "95 % bounds", "n", "target", "met", *others]
     lines = []
     for r in methods[OWN]["rows"]:
         low = "" if r["low"] is None else f"{_value(r['low'], r)} to {_value(r['high'], r)}"
         met = {True: "yes", False: "**no**", None: ""}[r["met"]]
         beside = [
-            _value(known[k][r["name"]]["value"], r) if r["name"] in known[k] else ""
+            _value(by_name[k][r["name"]]["value"], r) if r["name"] in by_name[k] else ""
             for k in others
         ]
-        line = [r["name"], _value(r["value"], r), low, str(r["n"]), _target(r), met]
-        lines.append([*line, *beside])
+        cells = [r["name"], _value(r["value"], r), low, str(r["n"]), _target(r), met]
+        lines.append([*cells, *beside])
     wrong = [r["name"] for r in methods[OWN]["rows"] if r["met"] is False]
-    said = f"Not met: {'; '.join(wrong)}." if wrong else "No target is missed."
+    summary = f"Not met: {'; '.join(wrong)}." if wrong else "No target is missed."
     return (
         "## Targets\n\n" + _table(head, lines) + "\n\nBounds are one-sided (Clopper-Pearson)."
         " Baselines, on the same residuals: forward selection by the plain Bayesian information"
         " criterion, without and with the description's tolerances fitted along, and always the"
-        f" one candidate of least error. {said}"
+        f" one candidate of least error. {summary}"
     )
 
 
@@ -79,20 +79,20 @@ def _target(row: Plain) -> str:
     return f"<= {_value(most, row)}" if most is not None else ""
 
 
-def _curve(own: Plain) -> str:
-    if not own["by_ratio"]:
+def _curve(ours: Plain) -> str:
+    if not ours["by_ratio"]:
         return ""
     head = ["gap / noise", "cases", "right", "in class", "nothing", "unknown"]
     lines = [
-        [f"{r['ratio']:g}", *(str(r[k]) for k in ("n", *head[2:]))] for r in own["by_ratio"]
+        [f"{r['ratio']:g}", *(str(r[k]) for k in ("n", *head[2:]))] for r in ours["by_ratio"]
     ]
     return "## Single effects by size\n\n" + _table(head, lines)
 
 
-def _kinds(own: Plain) -> str:
-    if not own["by_kind"]:
+def _kinds(ours: Plain) -> str:
+    if not ours["by_kind"]:
         return ""
-    ratios = sorted({r for k in own["by_kind"] for r in k["right"]}, key=float)
+    ratios = sorted({r for k in ours["by_kind"] for r in k["right"]}, key=float)
     head = ["effect", *(f"{r}x" for r in ratios), "least gap named right"]
     lines = [
         [
@@ -100,7 +100,7 @@ def _kinds(own: Plain) -> str:
             *("/".join(map(str, k["right"][r])) if r in k["right"] else "" for r in ratios),
             "none" if k["least"] is None else f"{k['least']:.1f}",
         ]
-        for k in own["by_kind"]
+        for k in ours["by_kind"]
     ]
     return "## Single effects, right of all\n\n" + _table(head, lines)
 
@@ -114,10 +114,10 @@ def _confusion(rows: Mapping[str, Mapping[str, int]]) -> str:
     lines = []
     for kind, row in rows.items():
         bare = kind.removesuffix(" (weak)")
-        rest = {k: n for k, n in row.items() if k != bare and k not in extra}
-        right = str(row.get(bare, 0)) if bare != "nothing" else ""
-        taken = ", ".join(f"{k} ({n})" for k, n in rest.items())
-        lines.append([kind, right, *(str(row.get(k, 0)) for k in extra), taken])
+        mistaken = {k: n for k, n in row.items() if k != bare and k not in extra}
+        correct = str(row.get(bare, 0)) if bare != "nothing" else ""
+        taken = ", ".join(f"{k} ({n})" for k, n in mistaken.items())
+        lines.append([kind, correct, *(str(row.get(k, 0)) for k in extra), taken])
     return (
         "## Confusion\n\nSingle effects of 3 times the noise and more, and cases with none, or"
         " none of the library.\n\n" + _table(head, lines)
@@ -131,8 +131,8 @@ def _missed(score: Plain) -> str:
     lines = []
     for m in score["missed"]:
         true = " + ".join(f"{_name(t)} ({t['gap']:.1f})" for t in m["true"])
-        given = " + ".join(map(_name, m["given"])) + (" (in class)" if m["in_class"] else "")
-        lines.append([str(m["index"]), m["category"], true, m["verdict"], given])
+        named = " + ".join(map(_name, m["given"])) + (" (in class)" if m["in_class"] else "")
+        lines.append([str(m["index"]), m["category"], true, m["verdict"], named])
     return "## Missed\n\n" + _table(head, lines)
 
 

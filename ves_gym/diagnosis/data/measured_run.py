@@ -11,11 +11,11 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.diagnosis.data.signals import (
-    Band,
-    Noise,
+    SensorNoiseModel,
+    SpectralWindow,
     differentiated,
+    estimate_noise,
     margin,
-    noise_of,
     on_uniform_clock,
     repeats,
 )
@@ -52,7 +52,7 @@ class Run:
     dt: float  # s
     signals: Mapping[str, Array]  # (..., T, c) by the names of the run log; for wg, `weight`:
     #                               what was subtracted from w
-    noise: Mapping[str, Noise]
+    noise: Mapping[str, SensorNoiseModel]
     meta: Mapping[str, Any]
     band: float = BAND  # Hz
     repeats: Mapping[str, float] = field(default_factory=dict)  # share of samples that stay
@@ -64,9 +64,9 @@ class Run:
         return int(next(iter(self.signals.values())).shape[-2])
 
     @property
-    def window(self) -> Band:
+    def window(self) -> SpectralWindow:
         """The frequencies that are compared."""
-        return Band(self.length, self.dt, self.band, margin(self.dt, self.band))
+        return SpectralWindow(self.length, self.dt, self.band, margin(self.dt, self.band))
 
     def __getitem__(self, name: str) -> Array:
         return self.signals[name]
@@ -109,15 +109,15 @@ def run_of(log: RunLog, name: str, band: float = BAND) -> Run:
         ParameterError: too short, or sampled too slowly for the band.
     """
     names = ("q_cmd", "v_cmd", "q", "v", "tau", "y", "y_cmd", "yd", "w")
-    given = {k: getattr(log, k) for k in names if getattr(log, k) is not None}
+    signals = {k: getattr(log, k) for k in names if getattr(log, k) is not None}
     if log.w is not None and log.wg is not None:  # both contain the same noise
-        given["weight"] = log.w - log.wg
-    return run_of_signals(log.t, given, name, band, log.meta)
+        signals["weight"] = log.w - log.wg
+    return run_of_signals(log.t, signals, name, band, log.meta)
 
 
 def run_of_signals(
     t: Array,
-    given: Mapping[str, Array],
+    signals: Mapping[str, Array],
     name: str,
     band: float = BAND,
     meta: Mapping[str, Any] | None = None,
@@ -128,8 +128,8 @@ def run_of_signals(
         ParameterError: too short, or sampled too slowly for the band.
     """
     meta = {} if meta is None else meta
-    whole = np.concatenate(list(given.values()), axis=1)
-    dt, even = on_uniform_clock(t, whole)
+    stacked = np.concatenate(list(signals.values()), axis=1)
+    dt, even = on_uniform_clock(t, stacked)
     if 1 / dt < _PER_BAND * band:
         raise ParameterError(
             f"{name}: sampled at {1 / dt:.4g} Hz, comparing up to {band:g} Hz needs at least"
@@ -139,18 +139,18 @@ def run_of_signals(
         raise ParameterError(
             f"{name}: {t[-1] - t[0]:.3g} s is too short, need {4 * margin(dt, band) * dt:.3g} s"
         )
-    signals, noise, at = {}, {}, 0
+    uniform, noise, at = {}, {}, 0
     stated = meta.get("noise_std", {})
-    for key, x in given.items():
-        signals[key] = even[:, at : at + x.shape[1]]
+    for key, x in signals.items():
+        uniform[key] = even[:, at : at + x.shape[1]]
         at += x.shape[1]
-        seen = noise_of(signals[key])
+        estimate = estimate_noise(uniform[key])
         if key in stated:
             std = np.broadcast_to(np.asarray(stated[key], float), (x.shape[1],))
-            seen = Noise(std.copy(), seen.correlation)
-        noise[key] = seen
-    measured = {k: x for k, x in given.items() if k in MEASURED}
-    return Run(name, dt, signals, noise, meta, band, repeats(measured))
+            estimate = SensorNoiseModel(std.copy(), estimate.correlation)
+        noise[key] = estimate
+    measured = {k: x for k, x in signals.items() if k in MEASURED}
+    return Run(name, dt, uniform, noise, meta, band, repeats(measured))
 
 
 def require_plausible(log: RunLog, system: System, name: str) -> None:
@@ -165,16 +165,16 @@ def require_plausible(log: RunLog, system: System, name: str) -> None:
             f"{name}: has {log.n_joints} joints, {system.arm.name} has {system.arm.n}"
         )
     require_steady(log.t, name)
-    for key, most, here, there in _UNITS:
+    for key, most, expected, suspected in _UNITS:
         x = getattr(log, key)
         if x is None:
             continue
-        columns = x[:, 3:] if here == "rad" and key.startswith("y") else x
-        columns = x[:, :3] if here == "m" else columns
+        columns = x[:, 3:] if expected == "rad" and key.startswith("y") else x
+        columns = x[:, :3] if expected == "m" else columns
         far = float(np.abs(columns).max())
         if far > most:
             raise ParameterError(
-                f"{name}: {key} reaches {far:.4g}; is it in {there}? {here} is expected"
+                f"{name}: {key} reaches {far:.4g}; is it in {suspected}? {expected} is expected"
             )
 
 

@@ -54,9 +54,9 @@ def faults(runs: Sequence[Run]) -> tuple[Fault, ...]:
     for name, heights in spectra.items():
         at = int(np.argmax(heights))
         if heights[at] > _TONE:
-            seen = max((x[at] for k, x in spectra.items() if k != name), default=0.0)
+            elsewhere = max((x[at] for k, x in spectra.items() if k != name), default=0.0)
             hertz = float(_GRID[at] / runs[0].dt)
-            out.append(Fault(name, "tone", float(heights[at]), hertz, bool(seen > _SEEN)))
+            out.append(Fault(name, "tone", float(heights[at]), hertz, bool(elsewhere > _SEEN)))
     return tuple(out)
 
 

@@ -27,12 +27,12 @@ def read_columns(path: str | os.PathLike[str]) -> dict[str, Array]:
         return _folder(path)
     if path.suffix == ".mat":
         try:
-            found = scipy.io.loadmat(path)
+            table = scipy.io.loadmat(path)
         except (OSError, ValueError, NotImplementedError) as error:
             raise ParameterError(f"{path}: cannot be read: {error}") from None
         return {
             name: np.ravel(np.asarray(value, float))
-            for name, value in found.items()
+            for name, value in table.items()
             if not name.startswith("__") and np.asarray(value).dtype.kind in "fiu"
         }
     if path.suffix == ".csv":

@@ -103,32 +103,34 @@ def require_as_logged(
         ParameterError: the question.
     """
     for run in runs:
-        question = doubt(machine, run, others)
+        question = suspected_mistake(machine, run, others)
         if question is not None:
             raise ParameterError(question.sentence)
 
 
-def doubt(
+def suspected_mistake(
     machine: Machine, run: Run, others: Sequence[tuple[str, Machine]] = ()
 ) -> Question | None:
     """The mistake that explains a run best, if it does so far better than none."""
     ports = testable(machine, [run])
-    now = _sizes(machine, run, [p.name for p in ports])
-    bad = {name: x > _BADLY.get(name, _BAD) for name, x in now.items()}
-    if not any(some.any() for some in bad.values()):
+    current = _sizes(machine, run, [p.name for p in ports])
+    bad = {name: x > _BADLY.get(name, _BAD) for name, x in current.items()}
+    if not any(flags.any() for flags in bad.values()):
         return None
     best: tuple[float, Question] | None = None
     for mistake in _mistakes(machine, run, others):
-        here = [p for p in ports if not mistake.signals or mistake.signals & set(p.needs)]
-        names = [p.name for p in here if mistake.signals or bad[p.name].any()]
+        touched = [p for p in ports if not mistake.signals or mistake.signals & set(p.needs)]
+        names = [p.name for p in touched if mistake.signals or bad[p.name].any()]
         if not any(bad[name].any() for name in names):
             continue
         changed = run
         if mistake.change is not None:
             signals = {**run.signals, **mistake.change(run)}
             changed = replace(run, signals=signals, memory={})
-        then = _sizes(mistake.machine or machine, changed, names)
-        before, after = (np.concatenate([x[name] for name in names]) for x in (now, then))
+        revised = _sizes(mistake.machine or machine, changed, names)
+        before, after = (
+            np.concatenate([x[name] for name in names]) for x in (current, revised)
+        )
         worst = np.concatenate([bad[name] for name in names])
         healed = worst & (after < np.minimum(_FAR * before, _GOOD))
         spoiled = after > np.maximum(_SPOILED * before, _GOOD)
@@ -137,7 +139,7 @@ def doubt(
         gain = float(np.log(np.maximum(before, _LEAST) / np.maximum(after, _LEAST)).sum())
         if best is None or gain > best[0] + 1e-9:
             k = int(np.argmax(np.where(healed, before / np.maximum(after, 1e-9), 0.0)))
-            labels = [(p.name, c) for p in here if p.name in names for c in p.channels]
+            labels = [(p.name, c) for p in touched if p.name in names for c in p.channels]
             port, channel = labels[k]
             values = float(before[k]), float(after[k])
             best = gain, Question(run.name, mistake.text, port, channel, *values)
@@ -146,17 +148,19 @@ def doubt(
 
 def _sizes(machine: Machine, run: Run, ports: Sequence[str]) -> dict[str, Array]:
     """(c,) per port: size of the residual over that of the channel's movement."""
-    found = machine.residuals(run, [machine.nominal], ports)
+    residuals = machine.residuals(run, [machine.nominal], ports)
     out = {}
     for name in ports:
-        left, seen = (
+        residual_size, signal_size = (
             np.linalg.norm(run.window.spectrum(x)[1:], axis=0)
-            for x in (found[name][0], _logged(run, _SEEN[name]))
+            for x in (residuals[name][0], _logged(run, _SEEN[name]))
         )
-        size = np.where(np.isfinite(left), left, np.inf) / np.maximum(seen, 1e-300)
-        if len(seen) == 6:  # a channel that hardly moves beside its kind says nothing
-            most = np.repeat(seen.reshape(2, 3).max(axis=1), 3)
-            size[seen < _MOVING * most] = 0.0
+        size = np.where(np.isfinite(residual_size), residual_size, np.inf) / np.maximum(
+            signal_size, 1e-300
+        )
+        if len(signal_size) == 6:  # a channel that hardly moves beside its kind says nothing
+            most = np.repeat(signal_size.reshape(2, 3).max(axis=1), 3)
+            size[signal_size < _MOVING * most] = 0.0
         out[name] = size
     return out
 
@@ -174,25 +178,27 @@ def _mistakes(
         have = tuple(k for k in keys if k in run)
         if not have or (name != "joint" and name not in have):
             continue
-        whole = name == "joint"
-        labels = [f"joint {i + 1}" if whole else f"{name}_{i + 1}" for i in range(n)]
+        all_joints = name == "joint"
+        labels = [f"joint {i + 1}" if all_joints else f"{name}_{i + 1}" for i in range(n)]
         yield from _orders(have, labels, [range(n)])
-        units = _TORQUE + _FORCE[:2] if name == "tau" else () if whole else _ANGLE + _LENGTH
-        for factor, said in units:
-            yield _scaled(have, slice(None), factor, f"is {name} in {said}")
+        units = (
+            _TORQUE + _FORCE[:2] if name == "tau" else () if all_joints else _ANGLE + _LENGTH
+        )
+        for factor, wording in units:
+            yield _scaled(have, slice(None), factor, f"is {name} in {wording}")
             for i in range(n) if n > 1 else ():
-                yield _scaled(have, slice(i, i + 1), factor, f"is {labels[i]} in {said}")
+                yield _scaled(have, slice(i, i + 1), factor, f"is {labels[i]} in {wording}")
     angles = tuple(k for k in _JOINT[:4] if k in run)
-    for factor, said in _ANGLE:
-        yield _scaled(angles, slice(None), factor, f"are all joint angles in {said}")
+    for factor, wording in _ANGLE:
+        yield _scaled(angles, slice(None), factor, f"are all joint angles in {wording}")
     for keys, name in ((("y",), "y"), (("y_cmd",), "y_cmd"), (("y", "y_cmd"), "y and y_cmd")):
         if not all(k in run for k in keys):
             continue
         yield from _orders(keys, [f"{name} {a}" for a in AXES], [range(3), range(3, 6)])
-        for factor, said in _LENGTH:
-            yield _scaled(keys, slice(0, 3), factor, f"is the position in {name} in {said}")
-        for factor, said in _ANGLE:
-            yield _scaled(keys, slice(3, 6), factor, f"are the angles in {name} in {said}")
+        for factor, wording in _LENGTH:
+            yield _scaled(keys, slice(0, 3), factor, f"is the position in {name} in {wording}")
+        for factor, wording in _ANGLE:
+            yield _scaled(keys, slice(3, 6), factor, f"are the angles in {name} in {wording}")
     for keys, name in ((("w",), "w"), (("wg",), "wg"), (("w", "wg"), "w and wg")):
         if "w" not in run or ("wg" in keys and "weight" not in run):
             continue
@@ -203,10 +209,10 @@ def _mistakes(
             _changed(keys),
             _picked(keys, np.eye(6)[swapped]),
         )
-        for factor, said in _FORCE:
-            yield _scaled(keys, slice(0, 3), factor, f"are the forces in {name} in {said}")
-        for factor, said in _TORQUE:
-            yield _scaled(keys, slice(3, 6), factor, f"are the moments in {name} in {said}")
+        for factor, wording in _FORCE:
+            yield _scaled(keys, slice(0, 3), factor, f"are the forces in {name} in {wording}")
+        for factor, wording in _TORQUE:
+            yield _scaled(keys, slice(3, 6), factor, f"are the moments in {name} in {wording}")
 
 
 def _orders(

@@ -56,16 +56,16 @@ def _correlated(x: Array, kernels: Sequence[Array]) -> list[Array]:
     first, last = x[..., :1, :], x[..., -1:, :]
     before = 2 * first - x[..., reach:0:-1, :]
     after = 2 * last - x[..., -2 : -reach - 2 : -1, :]
-    whole = np.concatenate([before, x, after], axis=-2)
+    extended = np.concatenate([before, x, after], axis=-2)
     cut = slice(m - reach, len(kernels[0]) - (m - reach))
     shape = (1,) * (x.ndim - 2) + (-1, 1)
     return [
-        scipy.signal.fftconvolve(whole, k[cut].reshape(shape), mode="valid", axes=-2)
+        scipy.signal.fftconvolve(extended, k[cut].reshape(shape), mode="valid", axes=-2)
         for k in kernels
     ]
 
 
-def held(x: Array, dt: float, band: float, delay: float) -> Array:
+def zero_order_hold(x: Array, dt: float, band: float, delay: float) -> Array:
     """A signal (..., T, c) that a computer holds for a period and passes on `delay` s late.
 
     Both act inside the band as the mean over a period of the signal that came before.
@@ -110,7 +110,7 @@ def _kernels(dt: float, band: float, ahead: float) -> tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True)
-class Noise:
+class SensorNoiseModel:
     """First-order coloured noise of one quantity: x[k + 1] = correlation x[k] + fresh."""
 
     std: Array  # (c,)
@@ -127,7 +127,7 @@ class Noise:
         return out * self.std
 
 
-def noise_of(x: Array, quiet: float = _QUIET) -> Noise:
+def estimate_noise(x: Array, quiet: float = _QUIET) -> SensorNoiseModel:
     """Noise of a sampled signal (T, c), told from its motion by frequency.
 
     Above `quiet`, a part of the sampling rate, there is no motion: first-order noise is
@@ -144,7 +144,7 @@ def noise_of(x: Array, quiet: float = _QUIET) -> Noise:
     variance = np.maximum(ratio.mean(axis=0), 1e-300)
     misfit = np.log(variance) + np.log(shape).mean(axis=0)[:, None]
     best = np.argmin(misfit, axis=0)
-    return Noise(np.sqrt(variance[best, np.arange(x.shape[1])]), grid[best])
+    return SensorNoiseModel(np.sqrt(variance[best, np.arange(x.shape[1])]), grid[best])
 
 
 def repeats(signals: Mapping[str, Array]) -> dict[str, float]:
@@ -153,10 +153,10 @@ def repeats(signals: Mapping[str, Array]) -> dict[str, float]:
     Twice or more in a row: coarse readings repeat by chance. Less what chance has of that.
     """
     stays = {k: np.diff(x, axis=0) == 0 for k, x in signals.items()}
-    whole = {k: x.all(axis=1) for k, x in stays.items()}
+    all_repeat = {k: x.all(axis=1) for k, x in stays.items()}
     out = {}
-    for name, same in whole.items():
-        others = [x for k, x in whole.items() if k != name]
+    for name, same in all_repeat.items():
+        others = [x for k, x in all_repeat.items() if k != name]
         alone = same & ~np.any(others, axis=0) if others else same
         twice = alone[1:] & alone[:-1]
         lost = np.append(twice, False) | np.insert(twice, 0, False)
@@ -166,7 +166,7 @@ def repeats(signals: Mapping[str, Array]) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class Band:
+class SpectralWindow:
     """The spectral window of runs of one length: (..., T, c) <-> coefficients (..., K, c)."""
 
     length: int

@@ -22,7 +22,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, canonical_json, content_hash
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.inference.whitened_residuals import Evidence
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine
 
 FOLDER = "unfinished"
@@ -39,7 +39,7 @@ _SOURCES = (
 )
 
 
-class Kept:
+class AnswerCache:
     """Answers of one diagnosis, in a folder of their own.
 
     Args:
@@ -50,7 +50,7 @@ class Kept:
     def __init__(self, folder: Path, about: Any) -> None:
         mark = content_hash([about, _source()])
         self.folder = folder / FOLDER / mark[:16]
-        self.known = len(list(self.folder.glob("*.bin")))  # answers there from before
+        self.n_restored = len(list(self.folder.glob("*.bin")))  # answers there from before
 
     def get(self, key: str) -> Array | None:
         """The answer to a question, if it is there and whole."""
@@ -79,31 +79,33 @@ class Kept:
             self.folder.parent.rmdir()
 
 
-class KeptEvidence(Evidence):
+class CachedResiduals(WhitenedResiduals):
     """Evidence whose questions to the machine are answered once."""
 
-    def __init__(self, machine: Machine, runs: Sequence[Run], seed: int, kept: Kept) -> None:
-        self._kept = kept
+    def __init__(
+        self, machine: Machine, runs: Sequence[Run], seed: int, cache: AnswerCache
+    ) -> None:
+        self._cache = cache
         self._name = content_hash([seed, [digest_of(run) for run in runs]])
         super().__init__(machine, runs, seed)
 
-    def residual_at(self, port: str, models: Sequence[Any]) -> Array:
+    def at_port(self, port: str, models: Sequence[Any]) -> Array:
         """As `Evidence`."""
         about = ("residual", port, *map(canonical_json, models))
-        return self._once(about, lambda: Evidence.residual_at(self, port, models))
+        return self._once(about, lambda: WhitenedResiduals.at_port(self, port, models))
 
     def noise(self, model: Any, ports: Sequence[str]) -> Array:
         """As `Evidence`."""
         about = ("noise", *sorted(ports), canonical_json(model))
-        return self._once(about, lambda: Evidence.noise(self, model, ports))
+        return self._once(about, lambda: WhitenedResiduals.noise(self, model, ports))
 
-    def _once(self, about: Sequence[str], answer: Callable[[], Array]) -> Array:
+    def _once(self, about: Sequence[str], compute: Callable[[], Array]) -> Array:
         key = hashlib.sha256("\n".join((self._name, *about)).encode()).hexdigest()
-        found = self._kept.get(key)
-        if found is None:
-            found = answer()
-            self._kept.put(key, found)
-        return found
+        answer = self._cache.get(key)
+        if answer is None:
+            answer = compute()
+            self._cache.put(key, answer)
+        return answer
 
 
 def digest_of(run: Run) -> str:

@@ -80,12 +80,12 @@ class Candidate:
         return self.make(np.clip(values, self.low, self.high))
 
 
-class _Shelf:
+class _Library:
     """Collects candidates of kinds that exist and are wanted."""
 
     def __init__(self, ports: Iterable[str], mode: str | None) -> None:
         self.ports, self.mode = frozenset(ports), mode
-        self.found: list[Candidate] = []
+        self.candidates: list[Candidate] = []
 
     def add(
         self,
@@ -106,8 +106,8 @@ class _Shelf:
         `fixed`: those that give a shape, not a size, as numbers without a null do.
         """
         cls = EFFECTS[kind]
-        here = tuple(p for p in ports.split() if p in self.ports)
-        if not here or (self.mode is not None and self.mode not in cls.modes):
+        active_ports = tuple(p for p in ports.split() if p in self.ports)
+        if not active_ports or (self.mode is not None and self.mode not in cls.modes):
             return
         meta = {f.name: f.metadata for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
         ranges = []
@@ -118,11 +118,11 @@ class _Shelf:
                 ranges.append((*meta[name]["bounds"], meta[name]["unit"]))
         grids = [v if isinstance(v, tuple) else (v,) for v in free.values()]
         starts = np.stack(np.meshgrid(*grids, indexing="ij"), -1).reshape(-1, len(free))
-        self.found.append(
+        self.candidates.append(
             Candidate(
                 kind=kind,
                 slot=slot,
-                ports=here,
+                ports=active_ports,
                 names=tuple(free),
                 units=tuple(r[2] for r in ranges),
                 starts=tuple(map(tuple, starts.tolist())),
@@ -158,7 +158,7 @@ def library(
         runs: names of the runs, each of which a drifting sensor goes through in its own way.
         stretch: how far a leg of the platform is told to go in them, in parts of its stroke.
     """
-    shelf = _Shelf(ports, mode)
+    shelf = _Library(ports, mode)
     for j in range(n):
         _joint(shelf, j, n)
     shelf.add("joint/measurement_delay", "joint wrench", "", _same("delay"), delay=5e-3)
@@ -175,7 +175,7 @@ def library(
     )
     _sensor(shelf)
     if "wrench" in shelf.ports and runs:
-        shelf.found += [_drift(i, runs) for i in range(6)]
+        shelf.candidates += [_drift(i, runs) for i in range(6)]
     shelf.add("gravity/mass", "gravity", "", _same("error"), error=1.0)
     shelf.add("gravity/scale", "gravity", "", _same("error"), error=0.01)
     shelf.add(
@@ -224,7 +224,7 @@ def library(
     shelf.add("platform/delay", "platform", "", _same("delay"), delay=5e-3)
     lacking = tuple(1 - stretch * (1 - part) for part in _SHORT)  # more shows in no run
     shelf.add("platform/stroke", "platform", "", _same("travel"), sets_in=True, travel=lacking)
-    return tuple(shelf.found)
+    return tuple(shelf.candidates)
 
 
 def without(candidates: Sequence[Candidate], kinds: Sequence[str]) -> tuple[Candidate, ...]:
@@ -233,17 +233,17 @@ def without(candidates: Sequence[Candidate], kinds: Sequence[str]) -> tuple[Cand
     Raises:
         ParameterError: a kind that is not in it.
     """
-    known = {c.kind for c in candidates}
+    available = {c.kind for c in candidates}
     for kind in kinds:
-        if kind not in known:
+        if kind not in available:
             raise ParameterError(
-                f"no candidate {kind!r}; known: {', '.join(sorted(known))}"
-                f"{did_you_mean(kind, known)}"
+                f"no candidate {kind!r}; known: {', '.join(sorted(available))}"
+                f"{did_you_mean(kind, available)}"
             )
     return tuple(c for c in candidates if c.kind not in kinds)
 
 
-def _joint(shelf: _Shelf, j: int, n: int) -> None:
+def _joint(shelf: _Library, j: int, n: int) -> None:
     """What may be wrong with joint j of n."""
 
     def at(value: float, elsewhere: float = 0.0) -> tuple[float, ...]:
@@ -251,16 +251,16 @@ def _joint(shelf: _Shelf, j: int, n: int) -> None:
         out[j] = float(value)
         return tuple(out)
 
-    def each(*names: str) -> Fields:
+    def joint_fields(*names: str) -> Fields:
         return lambda x: {name: at(x[i]) for i, name in enumerate(names)}
 
     slot = f"joint {j + 1}"
 
-    def add(kind: str, fields: Fields, ports: str = "joint", **more: Any) -> None:
-        shelf.add(f"joint/{kind}", ports, slot, fields, **more)
+    def add(kind: str, fields: Fields, ports: str = "joint", **options: Any) -> None:
+        shelf.add(f"joint/{kind}", ports, slot, fields, **options)
 
-    add("coulomb", each("torque"), blurs=[Presliding], torque=2.0)
-    add("viscous", each("damping"), damping=3.0)
+    add("coulomb", joint_fields("torque"), blurs=[Presliding], torque=2.0)
+    add("viscous", joint_fields("damping"), damping=3.0)
     add(
         "stribeck",
         lambda x: {
@@ -276,9 +276,15 @@ def _joint(shelf: _Shelf, j: int, n: int) -> None:
         breakaway=1.0,
         fade_speed=(0.05, 0.2),
     )
-    add("asymmetry", each("coulomb", "viscous"), blurs=[Presliding], coulomb=1.0, viscous=0.5)
-    add("torque_offset", each("torque"), torque=1.0)
-    add("load_friction", each("coefficient"), blurs=[Presliding], coefficient=0.1)
+    add(
+        "asymmetry",
+        joint_fields("coulomb", "viscous"),
+        blurs=[Presliding],
+        coulomb=1.0,
+        viscous=0.5,
+    )
+    add("torque_offset", joint_fields("torque"), torque=1.0)
+    add("load_friction", joint_fields("coefficient"), blurs=[Presliding], coefficient=0.1)
     add(
         "elasticity",
         lambda x: {"compliance": at(x[0]), "damping": at(x[1], elsewhere=5.0)},
@@ -289,7 +295,7 @@ def _joint(shelf: _Shelf, j: int, n: int) -> None:
     )
     add(
         "backlash",
-        each("gap"),
+        joint_fields("gap"),
         "joint wrench",
         limits={"gap": (2e-4, 0.1, "rad")},  # less is the teeth's own compliance
         sets_in=True,
@@ -307,10 +313,15 @@ def _joint(shelf: _Shelf, j: int, n: int) -> None:
         cosine=1.0,
         cycles=_CYCLES,
     )
-    add("rotor_inertia", each("added"), added=0.3)
-    add("drive_gain", each("error"), error=0.05)
-    add("torque_limit", each("fraction"), sets_in=True, fraction=_CEILINGS)
-    add("velocity_lag", each("time_constant"), "velocity", time_constant=(0.02, 0.005, 0.2))
+    add("rotor_inertia", joint_fields("added"), added=0.3)
+    add("drive_gain", joint_fields("error"), error=0.05)
+    add("torque_limit", joint_fields("fraction"), sets_in=True, fraction=_CEILINGS)
+    add(
+        "velocity_lag",
+        joint_fields("time_constant"),
+        "velocity",
+        time_constant=(0.02, 0.005, 0.2),
+    )
 
 
 def _elsewhere(i: int) -> Callable[[Any], Any]:
@@ -323,7 +334,7 @@ def _elsewhere(i: int) -> Callable[[Any], Any]:
 _PLACES = tuple(_elsewhere(i) for i in range(3))
 
 
-def _sensor(shelf: _Shelf) -> None:
+def _sensor(shelf: _Library) -> None:
     """What may be wrong with the force sensor."""
     for i, axis in enumerate(WRENCH):
         what, unit = ("force", "N") if i < 3 else ("moment", "N m")
@@ -341,8 +352,8 @@ def _sensor(shelf: _Shelf) -> None:
 
         shelf.add("sensor/bias", "wrench", axis, bias, {"bias": (-far, far, unit)}, bias=2.0)
         mixed = dict.fromkeys(WRENCH, (-0.5, 0.5, "1"))
-        few = _equal(WRENCH, 0.02)
-        shelf.add("sensor/calibration", "wrench", axis, row, mixed, sparse=True, **few)
+        small = _equal(WRENCH, 0.02)
+        shelf.add("sensor/calibration", "wrench", axis, row, mixed, sparse=True, **small)
     shelf.add(
         "sensor/rotation",
         "wrench",
@@ -361,8 +372,8 @@ def _drift(i: int, runs: Sequence[str]) -> Candidate:
     unit = "N" if i < 3 else "N m"
 
     def path(x: Array) -> SlowPath:
-        each = np.reshape(x, (len(runs), _WAVES)).tolist()
-        return SlowPath(i, tuple((r, tuple(w)) for r, w in zip(runs, each, strict=True)))
+        weights = np.reshape(x, (len(runs), _WAVES)).tolist()
+        return SlowPath(i, tuple((r, tuple(w)) for r, w in zip(runs, weights, strict=True)))
 
     return Candidate(
         kind="sensor/drift",

@@ -14,12 +14,12 @@ import scipy
 
 from ves_gym._util.params import Array, Index
 from ves_gym.diagnosis.inference.candidates import Candidate
-from ves_gym.diagnosis.inference.fit import Fit, fit, residuals_of
+from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals, fit
 from ves_gym.diagnosis.inference.intervals import stretches
 from ves_gym.diagnosis.inference.model_selection import Selection
-from ves_gym.diagnosis.inference.signatures import Bank
+from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.variance_groups import products, solve
-from ves_gym.diagnosis.inference.whitened_residuals import Evidence, Group
+from ves_gym.diagnosis.inference.whitened_residuals import VarianceGroup, WhitenedResiduals
 
 ALIKE = 0.95  # likeness above which two candidates are one class on these runs
 CLEAR = 5.0  # standard deviations at which two candidates are apart
@@ -30,7 +30,7 @@ _FILTER = 4  # order of the low-pass that overlays go through
 
 
 @dataclass(frozen=True)
-class Ranked:
+class RankedCandidate:
     """A candidate alone on the residual of the description, with the numbers of its linear
     score."""
 
@@ -44,7 +44,7 @@ class Ranked:
 
 
 @dataclass(frozen=True)
-class Apart:
+class Separation:
     """How far two candidates are apart in one run, or at one port."""
 
     where: str
@@ -57,19 +57,19 @@ class Experiment:
     """What would tell two candidates apart."""
 
     between: tuple[str, str]
-    runs: tuple[Apart, ...]
-    ports: tuple[Apart, ...]
+    runs: tuple[Separation, ...]
+    ports: tuple[Separation, ...]
     untested: tuple[str, ...]  # ports at which only one of the two acts, which no log can show
 
     @property
     def sentence(self) -> str:
         """What to measure, in words."""
-        one, other = self.between
+        first, second = self.between
         best = max(self.runs, key=lambda a: a.sigma)
         port = max(self.ports, key=lambda a: a.sigma).where
         text = (
-            f"{one} or {other}: of the runs at hand {best.where} tells them apart best, at port"
-            f" {port} (likeness {best.likeness:.3f}: at its usual size the first stands"
+            f"{first} or {second}: of the runs at hand {best.where} tells them apart best, at"
+            f" port {port} (likeness {best.likeness:.3f}: at its usual size the first stands"
             f" {best.sigma:.1f} standard deviations out of the best imitation by the second)"
         )
         if best.sigma >= CLEAR:
@@ -86,37 +86,41 @@ class Experiment:
         return text
 
 
-def ranked(bank: Bank, null: Fit, chosen: Sequence[str] = (), most: int = 12) -> list[Ranked]:
+def ranked(
+    signatures: Signatures, null: Fit, chosen: Sequence[str] = (), most: int = 12
+) -> list[RankedCandidate]:
     """The candidates that score best alone, less what their numbers cost; those chosen too."""
-    evidence = bank.evidence
-    scores = bank.scores(null.residual, null.tangents, null.size)
-    known = [s for s in scores if np.isfinite(s.deviance)]
-    price = float(np.log(evidence.size))
-    known.sort(key=lambda s: s.deviance + bank.candidates[s.candidate].price * price)
-    some = [
+    residuals = signatures.residuals
+    scores = signatures.scores(null.residual, null.tangents, null.size)
+    screened = [s for s in scores if np.isfinite(s.deviance)]
+    price = float(np.log(residuals.size))
+    screened.sort(key=lambda s: s.deviance + signatures.candidates[s.candidate].price * price)
+    selected = [
         s
-        for rank, s in enumerate(known)
+        for rank, s in enumerate(screened)
         if (rank < most and null.deviance - s.deviance > _LEAST)
-        or bank.candidates[s.candidate].name in chosen
+        or signatures.candidates[s.candidate].name in chosen
     ]
     unscored = [s for s in scores if not np.isfinite(s.deviance)]
-    some += [s for s in unscored if bank.candidates[s.candidate].name in chosen]
-    none = np.zeros((evidence.size, 0))
-    left = null.residual + evidence.slopes @ null.nuisances
-    base = _by_run(evidence, left, null.size)
+    selected += [s for s in unscored if signatures.candidates[s.candidate].name in chosen]
+    none = np.zeros((residuals.size, 0))
+    adjusted = null.residual + residuals.slopes @ null.nuisances
+    base = _by_run(residuals, adjusted, null.size)
     out = []
-    for s in some:
-        candidate = bank.candidates[s.candidate]
+    for s in selected:
+        candidate = signatures.candidates[s.candidate]
         scored = bool(np.isfinite(s.deviance))
-        values = s.values if scored else fit(evidence, [candidate], [s.values]).values[0]
-        z = residuals_of(evidence, [candidate], [[values]])[0]
-        now = solve(products(evidence, z, none), len(evidence.nuisances))
-        gain = null.deviance - now.deviance
-        by_run = base - _by_run(evidence, z + evidence.slopes @ now.x, now.size)
+        values = s.values if scored else fit(residuals, [candidate], [s.values]).values[0]
+        z = evaluate_residuals(residuals, [candidate], [[values]])[0]
+        solution = solve(products(residuals, z, none), len(residuals.nuisances))
+        gain = null.deviance - solution.deviance
+        by_run = base - _by_run(residuals, z + residuals.slopes @ solution.x, solution.size)
         error = float(np.sqrt(len(by_run)) * by_run.std(ddof=1)) if len(by_run) > 1 else None
-        chance = len(bank.candidates) * float(scipy.stats.chi2.sf(max(gain, 0), candidate.k))
+        chance = len(signatures.candidates) * float(
+            scipy.stats.chi2.sf(max(gain, 0), candidate.k)
+        )
         out.append(
-            Ranked(
+            RankedCandidate(
                 index=s.candidate,
                 candidate=candidate,
                 values=values,
@@ -129,19 +133,19 @@ def ranked(bank: Bank, null: Fit, chosen: Sequence[str] = (), most: int = 12) ->
     return out
 
 
-def _by_run(evidence: Evidence, z: Array, size: Array) -> Array:
+def _by_run(residuals: WhitenedResiduals, z: Array, size: Array) -> Array:
     """(R,) deviance of each run under the sizes (G,) of the groups."""
-    out = np.zeros(len(evidence.runs))
-    for group, v in zip(evidence.groups, np.maximum(size, 1.0), strict=True):
+    out = np.zeros(len(residuals.runs))
+    for group, v in zip(residuals.groups, np.maximum(size, 1.0), strict=True):
         for i, part in enumerate(group.runs):
             out[i] += (part.stop - part.start) * np.log(v) + z[part] @ z[part] / v
     return out
 
 
-def likeness(bank: Bank, some: Sequence[int]) -> Array:
+def likeness(signatures: Signatures, indices: Sequence[int]) -> Array:
     """(n, n) how well the candidate of a column imitates that of a row, 0 to 1."""
-    return np.array([[bank.likeness(i, j) for j in some] for i in some]).reshape(
-        2 * (len(some),)
+    return np.array([[signatures.likeness(i, j) for j in indices] for i in indices]).reshape(
+        2 * (len(indices),)
     )
 
 
@@ -156,7 +160,7 @@ def classes(names: Sequence[str], alike: Array) -> list[list[str]]:
 
 
 def experiments(
-    bank: Bank, selection: Selection, alike: float, untestable: Sequence[str]
+    signatures: Signatures, selection: Selection, alike: float, untestable: Sequence[str]
 ) -> list[Experiment]:
     """For every place in the answer that several kinds fill as well: what tells them apart.
 
@@ -164,49 +168,54 @@ def experiments(
         alike: difference in cost below which two candidates are one class.
         untestable: ports whose signals the logs lack.
     """
-    evidence, index = bank.evidence, {c.name: i for i, c in enumerate(bank.candidates)}
+    residuals, index = (
+        signatures.residuals,
+        {c.name: i for i, c in enumerate(signatures.candidates)},
+    )
     runs = [
-        (run.name, _within(bank, np.r_[*(g.runs[i] for g in evidence.groups)]))
-        for i, run in enumerate(evidence.runs)
+        (run.name, _within(signatures, np.r_[*(g.runs[i] for g in residuals.groups)]))
+        for i, run in enumerate(residuals.runs)
     ]
-    ports = [(p.name, _within(bank, np.r_[evidence.part(p.name)])) for p in evidence.ports]
+    ports = [
+        (p.name, _within(signatures, np.r_[residuals.part(p.name)])) for p in residuals.ports
+    ]
     out = []
     for rivals in selection.rivals:
-        first, seen = rivals[0].candidate, {rivals[0].candidate.kind}
+        first, kinds = rivals[0].candidate, {rivals[0].candidate.kind}
         for rival in rivals[1:]:
             second = rival.candidate
-            if rival.cost - rivals[0].cost >= alike or second.kind in seen:
+            if rival.cost - rivals[0].cost >= alike or second.kind in kinds:
                 continue
-            seen.add(second.kind)
+            kinds.add(second.kind)
             i, j = index[first.name], index[second.name]
             only = set(first.ports) ^ set(second.ports)
             out.append(
                 Experiment(
                     (first.name, second.name),
-                    tuple(_apart(name, part, i, j) for name, part in runs),
-                    tuple(_apart(name, part, i, j) for name, part in ports),
+                    tuple(_separation(name, part, i, j) for name, part in runs),
+                    tuple(_separation(name, part, i, j) for name, part in ports),
                     tuple(p for p in untestable if p in only),
                 )
             )
     return out
 
 
-def _within(bank: Bank, rows: Index) -> Bank:
+def _within(signatures: Signatures, rows: Index) -> Signatures:
     """The bank as some rows of its evidence alone would have it."""
-    J = bank.evidence.slopes[rows]
-    S = bank.columns[rows].astype(float)
+    J = signatures.residuals.slopes[rows]
+    S = signatures.columns[rows].astype(float)
     inside = J.T @ J + np.eye(J.shape[1])
-    out = copy.copy(bank)
+    out = copy.copy(signatures)
     out.inner = S.T @ S - S.T @ J @ np.linalg.solve(inside, J.T @ S)
     return out
 
 
-def _apart(where: str, bank: Bank, i: int, j: int) -> Apart:
-    alike = bank.likeness(i, j)
-    return Apart(where, alike, bank.visible(i) * math.sqrt(1 - alike**2))
+def _separation(where: str, signatures: Signatures, i: int, j: int) -> Separation:
+    alike = signatures.likeness(i, j)
+    return Separation(where, alike, signatures.visible(i) * math.sqrt(1 - alike**2))
 
 
-def overlays(selection: Selection, evidence: Evidence) -> list[dict[str, Any]]:
+def overlays(selection: Selection, residuals: WhitenedResiduals) -> list[dict[str, Any]]:
     """Residuals of the channel whose gap falls most and, of the others, of that with the
     largest gap, each over the run that shows it most.
 
@@ -217,37 +226,37 @@ def overlays(selection: Selection, evidence: Evidence) -> list[dict[str, Any]]:
         taken off.
     """
     null, fit = selection.null, selection.fit
-    left = [f.residual + evidence.slopes @ f.nuisances for f in (null, fit)]
-    gap: dict[tuple[str, int], list[Group]] = {}
-    for group in evidence.groups:
+    adjusted = [f.residual + residuals.slopes @ f.nuisances for f in (null, fit)]
+    gap: dict[tuple[str, int], list[VarianceGroup]] = {}
+    for group in residuals.groups:
         gap.setdefault((group.port, group.channel), []).append(group)
 
-    def size(groups: list[Group], z: Array) -> float:
+    def size(groups: list[VarianceGroup], z: Array) -> float:
         return float(np.mean(np.concatenate([z[g.part] for g in groups]) ** 2))
 
-    largest = sorted(gap, key=lambda k: -size(gap[k], left[0]))
-    first = max(largest, key=lambda k: size(gap[k], left[0]) - size(gap[k], left[1]))
-    shown = [first, *(k for k in largest if k != first)][:_SHOWN]
+    largest = sorted(gap, key=lambda k: -size(gap[k], adjusted[0]))
+    first = max(largest, key=lambda k: size(gap[k], adjusted[0]) - size(gap[k], adjusted[1]))
+    channels = [first, *(k for k in largest if k != first)][:_SHOWN]
 
-    models = [evidence.machine.nominal, evidence.machine.model(fit.effects)]
+    models = [residuals.machine.nominal, residuals.machine.model(fit.effects)]
     out = []
-    for name, channel in shown:
+    for name, channel in channels:
         groups = gap[name, channel]
-        each = [
-            sum(float(left[0][g.runs[i]] @ left[0][g.runs[i]]) for g in groups)
-            for i in range(len(evidence.runs))
+        power_by_run = [
+            sum(float(adjusted[0][g.runs[i]] @ adjusted[0][g.runs[i]]) for g in groups)
+            for i in range(len(residuals.runs))
         ]
-        i = int(np.argmax(each))
-        run = evidence.runs[i]
-        port = next(p for p in evidence.ports if p.name == name)
-        x = evidence.machine.residuals(run, models, [name])[name][..., channel]
-        loud = [g.high for g in groups if size([g], left[0]) > _LOUD]
+        i = int(np.argmax(power_by_run))
+        run = residuals.runs[i]
+        port = next(p for p in residuals.ports if p.name == name)
+        x = residuals.machine.residuals(run, models, [name])[name][..., channel]
+        loud = [g.high for g in groups if size([g], adjusted[0]) > _LOUD]
         top = max(loud, default=run.band)  # above it is nothing but noise, and much of it
         low = scipy.signal.butter(_FILTER, top, fs=1 / run.dt, output="sos")
         skip = run.window.skip
         inner = scipy.signal.sosfiltfilt(low, x, axis=-1)[:, skip : run.length - skip]
         t = (skip + np.arange(inner.shape[1])) * run.dt
-        some = [np.concatenate([_power(z[g.runs[i]]) for g in groups]) for z in left]
+        spectra = [np.concatenate([_power(z[g.runs[i]]) for g in groups]) for z in adjusted]
         out.append(
             {
                 "port": name,
@@ -258,15 +267,17 @@ def overlays(selection: Selection, evidence: Evidence) -> list[dict[str, Any]]:
                 "t": t.tolist(),
                 "before": inner[0].tolist(),
                 "after": inner[1].tolist(),
-                "f": run.window.frequencies[: len(some[0])].tolist(),
-                "noise_before": np.sqrt(some[0]).tolist(),
-                "noise_after": np.sqrt(some[1]).tolist(),
+                "f": run.window.frequencies[: len(spectra[0])].tolist(),
+                "noise_before": np.sqrt(spectra[0]).tolist(),
+                "noise_after": np.sqrt(spectra[1]).tolist(),
             }
         )
     return out
 
 
-def when(evidence: Evidence, null: Fit, fit: Fit | None) -> list[dict[str, Any]]:
+def residual_over_time(
+    residuals: WhitenedResiduals, null: Fit, fit: Fit | None
+) -> list[dict[str, Any]]:
     """Every channel of every run over the time elapsed.
 
     Args:
@@ -276,13 +287,13 @@ def when(evidence: Evidence, null: Fit, fit: Fit | None) -> list[dict[str, Any]]
         Per channel and run: port, channel, run; step [s] of the stretches; before, after: mean
         square in each, in variances of noise, tolerances taken off.
     """
-    left = [f.residual + evidence.slopes @ f.nuisances for f in (null, fit or null)]
+    adjusted = [f.residual + residuals.slopes @ f.nuisances for f in (null, fit or null)]
     out = []
-    for port in evidence.ports:
+    for port in residuals.ports:
         for i, channel in enumerate(port.channels):
-            groups = [g for g in evidence.groups if (g.port, g.channel) == (port.name, i)]
-            before, after = (stretches(evidence, groups, z) for z in left)
-            for k, run in enumerate(evidence.runs):
+            groups = [g for g in residuals.groups if (g.port, g.channel) == (port.name, i)]
+            before, after = (stretches(residuals, groups, z) for z in adjusted)
+            for k, run in enumerate(residuals.runs):
                 a, b = before[k], after[k]
                 n = sum(g.runs[k].stop - g.runs[k].start for g in groups) / len(a)
                 out.append(

@@ -12,7 +12,7 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.variance_groups import Solution, products, solve
-from ves_gym.diagnosis.inference.whitened_residuals import QUIETEST, Evidence
+from ves_gym.diagnosis.inference.whitened_residuals import QUIETEST, WhitenedResiduals
 from ves_gym.system.effect import Effect
 
 _STEP = 1e-3  # of differences, in parts of a number's usual size
@@ -42,12 +42,12 @@ class Fit:
         Bayesian information criterion; for the choice of some coordinates among several that
         of Chen and Chen (Biometrika 95, 2008).
         """
-        one, count = self.candidates[i], self.candidates[i].price
+        candidate, count = self.candidates[i], self.candidates[i].price
         choice = 0.0
-        if one.sparse:
+        if candidate.sparse:
             clear = np.abs(self.values[i]) > _CLEAR * self.std[i]
             count = max(count, int(np.count_nonzero(clear)))
-            choice = 2 * float(np.log(math.comb(one.k, count)))
+            choice = 2 * float(np.log(math.comb(candidate.k, count)))
         return count * float(np.log(size)) + choice
 
     @property
@@ -62,13 +62,17 @@ class Fit:
         return bool(((v <= low) | (v >= high)).any())
 
 
-def fit(evidence: Evidence, candidates: Sequence[Candidate], start: Sequence[Array]) -> Fit:
+def fit(
+    residuals: WhitenedResiduals, candidates: Sequence[Candidate], start: Sequence[Array]
+) -> Fit:
     """Gauss-Newton with halved steps, nuisances and group sizes eliminated in every round."""
-    p = len(evidence.nuisances)
+    p = len(residuals.nuisances)
     if not candidates:
-        none = np.zeros((evidence.size, 0))
-        found = solve(products(evidence, evidence.null, none), p)
-        return Fit((), (), found.deviance, (), found.size, found.x, evidence.null, none)
+        none = np.zeros((residuals.size, 0))
+        solution = solve(products(residuals, residuals.null, none), p)
+        return Fit(
+            (), (), solution.deviance, (), solution.size, solution.x, residuals.null, none
+        )
     forms = [(k, blur) for k, c in enumerate(candidates) for blur in c.blurs]
     low = np.concatenate([c.low for c in candidates])
     high = np.concatenate([c.high for c in candidates])
@@ -77,63 +81,67 @@ def fit(evidence: Evidence, candidates: Sequence[Candidate], start: Sequence[Arr
     edges = np.cumsum([c.k for c in candidates])[:-1]
     x = np.clip(np.concatenate(list(start)), low, high)
 
-    def residuals(points: Sequence[Array]) -> Array:
-        return residuals_of(evidence, candidates, [np.split(x, edges) for x in points])
+    def residuals_at(points: Sequence[Array]) -> Array:
+        return evaluate_residuals(residuals, candidates, [np.split(x, edges) for x in points])
 
     def blurs(x: Array, z: Array) -> Array:
         """(N, b) what another form of each effect would change; each may be there in part."""
         if not forms:
             return np.zeros((len(z), 0))
         values = np.split(x, edges)
-        others = [_reshaped(evidence, candidates, values, k, blur) for k, blur in forms]
+        others = [
+            _residual_of_form(residuals, candidates, values, k, blur) for k, blur in forms
+        ]
         return np.stack(others, axis=1) - z[:, None]
 
-    noise = _FilteredNoise(evidence, candidates)
+    noise = _FilteredNoise(residuals, candidates)
 
     def judged(x: Array, z: Array, B: Array) -> Solution:
-        return solve(products(evidence, z, B, noise.scale(x)), p + B.shape[1])
+        return solve(products(residuals, z, B, noise.scale(x)), p + B.shape[1])
 
-    z = residuals([x])[0]
+    z = residuals_at([x])[0]
     for turn in range(_ROUNDS):
         if turn < 2:  # later x changes little
             B = blurs(x, z)
         noise.measure(x, turn < 2)
-        now = judged(x, z, B)
+        current = judged(x, z, B)
         ways = np.where(x + step > high, -step, step)  # differences stay inside
-        moved = residuals(
+        moved = residuals_at(
             [x + way * unit for way, unit in zip(ways, np.eye(len(x)), strict=True)]
         )
         S = ((moved - z) / ways[:, None]).T
         b = p + B.shape[1]
-        left = z + evidence.slopes @ now.x[:p] + B @ now.x[p:]
-        both = products(evidence, z, np.hstack([B, S - noise.slopes(x, left)]), noise.scale(x))
-        found = solve(both, b, low - x, high - x)
-        toward = found.x[b:]
+        remaining = z + residuals.slopes @ current.x[:p] + B @ current.x[p:]
+        both = products(
+            residuals, z, np.hstack([B, S - noise.slopes(x, remaining)]), noise.scale(x)
+        )
+        solution = solve(both, b, low - x, high - x)
+        toward = solution.x[b:]
         better = None
         for halving in range(_HALVINGS):
             y = np.clip(x + toward / 2**halving, low, high)
-            tried = residuals([y])[0]
-            then = judged(y, tried, B)
-            if then.deviance < now.deviance:
-                better = y, tried, then
+            trial = residuals_at([y])[0]
+            proposed = judged(y, trial, B)
+            if proposed.deviance < current.deviance:
+                better = y, trial, proposed
                 break
         if better is None:
             break
-        gained = now.deviance - better[2].deviance
-        x, z, now = better
+        gained = current.deviance - better[2].deviance
+        x, z, current = better
         if gained < _ENOUGH:
             break
-    if noise.some:  # x has moved on since
+    if noise.filters:  # x has moved on since
         noise.measure(x)
-        now = judged(x, z, B)
-    deviation = np.sqrt(np.maximum(np.diag(found.covariance)[b:], 0.0))
+        current = judged(x, z, B)
+    deviation = np.sqrt(np.maximum(np.diag(solution.covariance)[b:], 0.0))
     return Fit(
         candidates=tuple(candidates),
         values=tuple(np.split(x, edges)),
-        deviance=now.deviance,
+        deviance=current.deviance,
         std=tuple(np.split(deviation, edges)),
-        size=now.size,
-        nuisances=now.x[:p],
+        size=current.size,
+        nuisances=current.x[:p],
         residual=z,
         tangents=np.hstack([B, S]),
     )
@@ -145,92 +153,96 @@ class _FilteredNoise:
     A fit that took it for constant would go on damping noise beyond what the effect is.
     """
 
-    def __init__(self, evidence: Evidence, candidates: Sequence[Candidate]) -> None:
-        self._evidence, self._candidates = evidence, candidates
+    def __init__(self, residuals: WhitenedResiduals, candidates: Sequence[Candidate]) -> None:
+        self._evidence, self._candidates = residuals, candidates
         self._edges = np.cumsum([c.k for c in candidates])[:-1]
         first = [0, *self._edges.tolist()]
-        self.some = [(k, first[k]) for k, c in enumerate(candidates) if c.filters]
+        self.filters = [(k, first[k]) for k, c in enumerate(candidates) if c.filters]
         self._at = np.zeros(0)
         self._change: list[Array] = []  # (N,) of the mean square at `_at`
 
     def measure(self, x: Array, anyway: bool = True) -> None:
         """Draw noise through each of the effects, unless little has changed."""
-        at = np.array([x[i] for _, i in self.some])
+        at = np.array([x[i] for _, i in self.filters])
         if not anyway and (np.abs(at - self._at) <= _NEAR * np.abs(self._at)).all():
             return
-        values, evidence = np.split(x, self._edges), self._evidence
+        values, residuals = np.split(x, self._edges), self._evidence
         self._at, self._change = at, []
-        for k, _ in self.some:
-            one = self._candidates[k]
-            effect = one.effect(values[k])
-            if effect not in evidence.passed:  # fits begin where others have ended
-                model = evidence.machine.model([effect])
-                evidence.passed[effect] = evidence.noise(model, sorted(one.ports)) - 1
-            self._change.append(evidence.passed[effect])
+        for k, _ in self.filters:
+            candidate = self._candidates[k]
+            effect = candidate.effect(values[k])
+            if effect not in residuals.passed:  # fits begin where others have ended
+                model = residuals.machine.model([effect])
+                residuals.passed[effect] = residuals.noise(model, sorted(candidate.ports)) - 1
+            self._change.append(residuals.passed[effect])
 
     def scale(self, x: Array) -> Array | None:
         """(N,) size of the noise; None where it is that of the description."""
-        return np.sqrt(self._square(x)) if self.some else None
+        return np.sqrt(self._square(x)) if self.filters else None
 
-    def slopes(self, x: Array, left: Array) -> Array:
+    def slopes(self, x: Array, residual: Array) -> Array:
         """(N, k) by which residuals `left` (N,) shrink because noise grows with x (k,)."""
-        out = np.zeros((len(left), len(x)))
-        for (_, i), at, change in zip(self.some, self._at, self._change, strict=True):
+        out = np.zeros((len(residual), len(x)))
+        for (_, i), at, change in zip(self.filters, self._at, self._change, strict=True):
             if at > 0:
-                out[:, i] = left * change / at / (2 * self._square(x))
+                out[:, i] = residual * change / at / (2 * self._square(x))
         return out
 
     def _square(self, x: Array) -> Array:
         out = np.ones(self._evidence.size)
-        for (_, i), at, change in zip(self.some, self._at, self._change, strict=True):
+        for (_, i), at, change in zip(self.filters, self._at, self._change, strict=True):
             if at > 0:
                 out += change * (x[i] / at)
         return np.maximum(out, QUIETEST)
 
 
-def _reshaped(
-    evidence: Evidence,
+def _residual_of_form(
+    residuals: WhitenedResiduals,
     candidates: Sequence[Candidate],
     values: Sequence[Array],
     k: int,
     blur: Callable[[Any], Any],
 ) -> Array:
     """(N,) residual with the k-th effect in another form."""
-    made = [c.effect(v) for c, v in zip(candidates, values, strict=True)]
-    out = residuals_of(evidence, candidates, [values])[0]
-    for port in (p.name for p in evidence.ports if p.name in candidates[k].ports):
-        here = [
+    effects = [c.effect(v) for c, v in zip(candidates, values, strict=True)]
+    out = evaluate_residuals(residuals, candidates, [values])[0]
+    for port in (p.name for p in residuals.ports if p.name in candidates[k].ports):
+        at_port = [
             blur(e) if j == k else e
-            for j, (c, e) in enumerate(zip(candidates, made, strict=True))
+            for j, (c, e) in enumerate(zip(candidates, effects, strict=True))
             if port in c.ports
         ]
-        out[evidence.part(port)] = _residuals_at(evidence, port, [tuple(here)])[0]
+        out[residuals.part(port)] = _evaluate_port(residuals, port, [tuple(at_port)])[0]
     return out
 
 
-def residuals_of(
-    evidence: Evidence, candidates: Sequence[Candidate], points: Sequence[Sequence[Array]]
+def evaluate_residuals(
+    residuals: WhitenedResiduals,
+    candidates: Sequence[Candidate],
+    points: Sequence[Sequence[Array]],
 ) -> Array:
     """(m, N) residuals under m sets of numbers; a port is asked about its own effects only."""
-    out = np.tile(evidence.null, (len(points), 1))
+    out = np.tile(residuals.null, (len(points), 1))
     effects = [
         [c.effect(v) for c, v in zip(candidates, values, strict=True)] for values in points
     ]
-    for port in (p.name for p in evidence.ports):
-        here = [k for k, c in enumerate(candidates) if port in c.ports]
-        if here:
-            sets = [tuple(row[k] for k in here) for row in effects]
-            out[:, evidence.part(port)] = _residuals_at(evidence, port, sets)
+    for port in (p.name for p in residuals.ports):
+        active = [k for k, c in enumerate(candidates) if port in c.ports]
+        if active:
+            sets = [tuple(row[k] for k in active) for row in effects]
+            out[:, residuals.part(port)] = _evaluate_port(residuals, port, sets)
     return out
 
 
-def _residuals_at(evidence: Evidence, port: str, sets: Sequence[tuple[Effect, ...]]) -> Array:
+def _evaluate_port(
+    residuals: WhitenedResiduals, port: str, sets: Sequence[tuple[Effect, ...]]
+) -> Array:
     """Residuals of a port, each set of effects evaluated once for all fits."""
-    memory = evidence.memory
+    memory = residuals.memory
     missing = [k for k in dict.fromkeys(sets) if (port, k) not in memory]
     if missing:
-        models = [evidence.machine.model(k) for k in missing]
-        for key, row in zip(missing, evidence.residual_at(port, models), strict=True):
+        models = [residuals.machine.model(k) for k in missing]
+        for key, row in zip(missing, residuals.at_port(port, models), strict=True):
             memory[port, key] = row
     out = np.stack([memory[port, k] for k in sets])
     while len(memory) > _REMEMBERED:

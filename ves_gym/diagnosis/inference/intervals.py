@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array, Index
-from ves_gym.diagnosis.inference.whitened_residuals import Evidence, Group
+from ves_gym.diagnosis.inference.whitened_residuals import VarianceGroup, WhitenedResiduals
 
 _BLOCK = 1.0  # s
 _DRAWS = 1000
@@ -22,7 +22,9 @@ _SURE = 0.95
 _MOST = 30.0  # of the logarithm of an interval's end
 
 
-def stretches(evidence: Evidence, groups: Sequence[Group], z: Array) -> list[Array]:
+def stretches(
+    residuals: WhitenedResiduals, groups: Sequence[VarianceGroup], z: Array
+) -> list[Array]:
     """(b,) sum of squares of a channel's whitened numbers in each stretch, run by run.
 
     Args:
@@ -30,15 +32,15 @@ def stretches(evidence: Evidence, groups: Sequence[Group], z: Array) -> list[Arr
         z: (N,) whitened residual.
     """
     out = []
-    for i, run in enumerate(evidence.runs):
+    for i, run in enumerate(residuals.runs):
         parts = [z[g.runs[i]].reshape(2, -1) for g in groups]
         spectrum = np.concatenate([real + 1j * imag for real, imag in parts])
         power = np.fft.irfft(spectrum, 4 * len(spectrum)) ** 2
         seconds = (run.length - 2 * run.window.skip) * run.dt
         pieces = np.array_split(power, max(2, round(seconds / _BLOCK)))
         sums = np.array([p.sum() for p in pieces])
-        whole = float(sum(np.sum(p**2) for p in parts))
-        out.append(sums * (whole / max(sums.sum(), 1e-300)))
+        energy = float(sum(np.sum(p**2) for p in parts))
+        out.append(sums * (energy / max(sums.sum(), 1e-300)))
     return out
 
 
@@ -56,12 +58,12 @@ def intervals(
     """
     b = len(sums[0])
     draws = np.random.default_rng(seed).integers(0, b, (_DRAWS, b))
-    whole = np.arange(b)[None]
-    found, drawn = (_sizes(count, sums, rows) for rows in (whole, draws))
+    identity = np.arange(b)[None]
+    estimates, resampled = (_sizes(count, sums, rows) for rows in (identity, draws))
     wide = scipy.stats.t.ppf((1 + _SURE) / 2, b - 1) * np.sqrt(b / (b - 1))
     out = []
-    for size, some in zip(found, drawn, strict=True):
-        reach = wide * float(np.std(np.log(np.maximum(some, 1e-300))))
+    for size, replicates in zip(estimates, resampled, strict=True):
+        reach = wide * float(np.std(np.log(np.maximum(replicates, 1e-300))))
         x = float(size[0])
         out.append((x * float(np.exp(-reach)), x * float(np.exp(min(reach, _MOST)))))
     return tuple(out)

@@ -16,16 +16,16 @@ import scipy
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.fit import Fit, fit
-from ves_gym.diagnosis.inference.signatures import Bank
+from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.variance_groups import products, solve
-from ves_gym.diagnosis.inference.whitened_residuals import Evidence
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 FINALISTS = 6
 _OTHERS, _EXCHANGES = 3, 4  # tried in a place on the way; exchanges at the end
 # What the computer takes in and gives out is known to the last digit, and these have tolerances
 _COMPUTED = ("base/stiffness", "base/virtual_mass", "base/damping")
 _HOPELESS = 30.0  # cost by which a screen's runner-up is not worth a full fit
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -67,162 +67,197 @@ class Selection:
     steps: list[str] = field(default_factory=list)
 
 
-def cost(f: Fit, evidence: Evidence) -> float:
+def cost(f: Fit, residuals: WhitenedResiduals) -> float:
     """Deviance and what its numbers cost."""
-    return f.deviance + sum(f.price(i, evidence.size) for i in range(len(f.candidates)))
+    return f.deviance + sum(f.price(i, residuals.size) for i in range(len(f.candidates)))
 
 
 def select(
-    evidence: Evidence, bank: Bank, limits: Thresholds, tell: Tell = lambda text: None
+    residuals: WhitenedResiduals,
+    signatures: Signatures,
+    limits: Thresholds,
+    report: Report = lambda text: None,
 ) -> Selection:
     """Effects named one by one."""
-    null = now = fit(evidence, (), ())
+    null = current = fit(residuals, (), ())
     steps: list[str] = []
-    while (at := len(now.candidates)) < limits.most:
-        tried = _tried(evidence, bank, now, at, {c.name for c in now.candidates}, FINALISTS)
+    while (at := len(current.candidates)) < limits.most:
+        tried = _candidate_fits(
+            residuals, signatures, current, at, {c.name for c in current.candidates}, FINALISTS
+        )
         if not tried:
             break
-        best = min(tried, key=lambda f: cost(f, evidence))
-        gained, needed = now.deviance - best.deviance, _needed(evidence, bank, limits, best, at)
+        best = min(tried, key=lambda f: cost(f, residuals))
+        gained, needed = (
+            current.deviance - best.deviance,
+            _required_gain(residuals, signatures, limits, best, at),
+        )
         new = best.candidates[at].name
         steps.append(f"{new}: gain {gained:.1f} of {needed:.1f} needed")
-        tell(steps[-1])
+        report(steps[-1])
         if gained < needed:
             break
-        now = best
+        current = best
         for i in range(at):  # what came in before may now be another
-            now = _in_place(evidence, bank, limits, now, i, _OTHERS)[0]
-    for i in reversed(range(len(now.candidates))):  # or none at all
-        rest = _without(evidence, now, i)
-        lost, needed = rest.deviance - now.deviance, _needed(evidence, bank, limits, now, i)
+            current = _alternatives(residuals, signatures, limits, current, i, _OTHERS)[0]
+    for i in reversed(range(len(current.candidates))):  # or none at all
+        reduced = _without(residuals, current, i)
+        lost, needed = (
+            reduced.deviance - current.deviance,
+            _required_gain(residuals, signatures, limits, current, i),
+        )
         if lost < needed:
-            steps.append(f"{now.candidates[i].name}: worth {lost:.1f} of {needed:.1f}, dropped")
-            tell(steps[-1])
-            now = rest
-    now, places = _weighed(evidence, bank, limits, now)
-    rivals = tuple(_rivals(fits, i, evidence, limits) for i, fits in enumerate(places))
-    return Selection(null, now, rivals, steps)
+            steps.append(
+                f"{current.candidates[i].name}: worth {lost:.1f} of {needed:.1f}, dropped"
+            )
+            report(steps[-1])
+            current = reduced
+    current, places = _exchange_members(residuals, signatures, limits, current)
+    rivals = tuple(_rivals(fits, i, residuals, limits) for i, fits in enumerate(places))
+    return Selection(null, current, rivals, steps)
 
 
-def _needed(evidence: Evidence, bank: Bank, limits: Thresholds, f: Fit, i: int) -> float:
+def _required_gain(
+    residuals: WhitenedResiduals, signatures: Signatures, limits: Thresholds, f: Fit, i: int
+) -> float:
     """Gain in deviance for which the effect in place i is worth its numbers."""
-    one = f.candidates[i]
-    by_chance = float(scipy.stats.chi2.isf(limits.chance / len(bank.candidates), one.k))
+    candidate = f.candidates[i]
+    by_chance = float(
+        scipy.stats.chi2.isf(limits.chance / len(signatures.candidates), candidate.k)
+    )
     # No law is quite the machine's: what one leaves behind is not another effect.
-    near = [j for j, c in enumerate(f.candidates) if j != i and c.slot == one.slot != ""]
+    near = [j for j, c in enumerate(f.candidates) if j != i and c.slot == candidate.slot != ""]
     echo = 0.0
     if near:
-        rest = _without(evidence, f, i)
-        alone = [_without(evidence, rest, j - (j > i)).deviance for j in near]
-        echo = limits.echo * (max(alone) - rest.deviance)
-    guard = 0.0 if one.kind in _COMPUTED and "admittance" in one.ports else limits.gain
-    return max(by_chance, echo, guard + f.price(i, evidence.size) / 2)
+        reduced = _without(residuals, f, i)
+        alone = [_without(residuals, reduced, j - (j > i)).deviance for j in near]
+        echo = limits.echo * (max(alone) - reduced.deviance)
+    guard = (
+        0.0 if candidate.kind in _COMPUTED and "admittance" in candidate.ports else limits.gain
+    )
+    return max(by_chance, echo, guard + f.price(i, residuals.size) / 2)
 
 
-def unexplained(f: Fit, evidence: Evidence, imperfect: float = 1.0) -> float:
+def unexplained(f: Fit, residuals: WhitenedResiduals, imperfect: float = 1.0) -> float:
     """Deviance of groups that are larger than noise, above that of noise."""
-    n = np.array([g.n for g in evidence.groups], float)
+    n = np.array([g.n for g in residuals.groups], float)
     return float((n * np.log(np.maximum(f.size / imperfect, 1.0))).sum())
 
 
-def _without(evidence: Evidence, now: Fit, i: int) -> Fit:
+def _without(residuals: WhitenedResiduals, full: Fit, i: int) -> Fit:
     """The fit of all but the effect in place i."""
-    others = [c for j, c in enumerate(now.candidates) if j != i]
-    return fit(evidence, others, [v for j, v in enumerate(now.values) if j != i])
+    others = [c for j, c in enumerate(full.candidates) if j != i]
+    return fit(residuals, others, [v for j, v in enumerate(full.values) if j != i])
 
 
-def _tried(
-    evidence: Evidence, bank: Bank, rest: Fit, i: int, taken: set[str], count: int
+def _candidate_fits(
+    residuals: WhitenedResiduals,
+    signatures: Signatures,
+    reduced: Fit,
+    i: int,
+    taken: set[str],
+    count: int,
 ) -> list[Fit]:
     """Full fits of what scores best beside `rest`, put in place i, best first by score."""
-    price = float(np.log(evidence.size))
-    scores = bank.scores(rest.residual, rest.tangents, rest.size)
-    ahead = rest.deviance - _screened(evidence, rest)  # full fits know noise passed on
-    costs = [s.deviance + ahead + bank.candidates[s.candidate].price * price for s in scores]
+    price = float(np.log(residuals.size))
+    scores = signatures.scores(reduced.residual, reduced.tangents, reduced.size)
+    ahead = reduced.deviance - _screened(residuals, reduced)  # full fits know noise passed on
+    costs = [
+        s.deviance + ahead + signatures.candidates[s.candidate].price * price for s in scores
+    ]
     out: list[Fit] = []
-    free = [j for j in np.argsort(costs).tolist() if bank.candidates[j].name not in taken]
+    free = [j for j in np.argsort(costs).tolist() if signatures.candidates[j].name not in taken]
     for j in free[:count]:
-        candidate = bank.candidates[j]
-        if out and costs[j] > min(cost(f, evidence) for f in out) + _HOPELESS:
+        candidate = signatures.candidates[j]
+        if out and costs[j] > min(cost(f, residuals) for f in out) + _HOPELESS:
             break
-        some = (*rest.candidates[:i], candidate, *rest.candidates[i:])
-        start = (*rest.values[:i], scores[j].values, *rest.values[i:])
-        tried = fit(evidence, some, start)
-        if not tried.on_bound(i) and _lasts(evidence, tried, i):
+        extended = (*reduced.candidates[:i], candidate, *reduced.candidates[i:])
+        start = (*reduced.values[:i], scores[j].values, *reduced.values[i:])
+        tried = fit(residuals, extended, start)
+        if not tried.on_bound(i) and _acts_long_enough(residuals, tried, i):
             out.append(tried)
     return out
 
 
-def _screened(evidence: Evidence, f: Fit) -> float:
+def _screened(residuals: WhitenedResiduals, f: Fit) -> float:
     """Deviance of a fit by the measure of the bank's scores."""
     if not any(c.filters for c in f.candidates):
         return f.deviance
-    some = products(evidence, f.residual, f.tangents)
-    return solve(some, len(evidence.nuisances)).deviance
+    inner = products(residuals, f.residual, f.tangents)
+    return solve(inner, len(residuals.nuisances)).deviance
 
 
-def _lasts(evidence: Evidence, f: Fit, i: int) -> bool:
+def _acts_long_enough(residuals: WhitenedResiduals, f: Fit, i: int) -> bool:
     """Whether the effect in place i acts for as long as the band resolves: half a period.
 
     A step between two samples looks like a limit that cuts a few of them.
     """
-    one = f.candidates[i]
-    if not one.sets_in:
+    candidate = f.candidates[i]
+    if not candidate.sets_in:
         return True
-    model = evidence.machine.model([one.effect(f.values[i])])
-    return evidence.acts(model, one.ports) > 0.5 / evidence.runs[0].band
+    model = residuals.machine.model([candidate.effect(f.values[i])])
+    return residuals.acts(model, candidate.ports) > 0.5 / residuals.runs[0].band
 
 
-def _weighed(
-    evidence: Evidence, bank: Bank, limits: Thresholds, now: Fit
+def _exchange_members(
+    residuals: WhitenedResiduals, signatures: Signatures, limits: Thresholds, best: Fit
 ) -> tuple[Fit, list[list[Fit]]]:
     """The cheapest fit that exchanging single members leads to, and all that was tried."""
     places: list[list[Fit]] = []
     for _ in range(_EXCHANGES):
         places = []
-        for i in range(len(now.candidates)):
-            places.append(_in_place(evidence, bank, limits, now, i, FINALISTS))
-            if places[-1][0] is not now:
-                now = places[-1][0]
+        for i in range(len(best.candidates)):
+            places.append(_alternatives(residuals, signatures, limits, best, i, FINALISTS))
+            if places[-1][0] is not best:
+                best = places[-1][0]
                 break
         else:
             break
     else:  # it still changes: weigh what there is
         places = [
-            [now, *(f for f in some if f is not now)]
-            for i in range(len(now.candidates))
-            for some in [_in_place(evidence, bank, limits, now, i, FINALISTS)]
+            [best, *(f for f in fits if f is not best)]
+            for i in range(len(best.candidates))
+            for fits in [_alternatives(residuals, signatures, limits, best, i, FINALISTS)]
         ]
-    return now, places
+    return best, places
 
 
-def _in_place(
-    evidence: Evidence, bank: Bank, limits: Thresholds, now: Fit, i: int, count: int
+def _alternatives(
+    residuals: WhitenedResiduals,
+    signatures: Signatures,
+    limits: Thresholds,
+    current: Fit,
+    i: int,
+    count: int,
 ) -> list[Fit]:
     """The fit and those with another candidate in place i, cheapest first."""
-    rest = _without(evidence, now, i)
-    tried = _tried(evidence, bank, rest, i, {c.name for c in now.candidates}, count)
-    fits = sorted([now, *tried], key=lambda f: cost(f, evidence))
-    return [f for f in fits if not _elaborate(f, fits, rest, i, limits)]
+    reduced = _without(residuals, current, i)
+    tried = _candidate_fits(
+        residuals, signatures, reduced, i, {c.name for c in current.candidates}, count
+    )
+    fits = sorted([current, *tried], key=lambda f: cost(f, residuals))
+    return [f for f in fits if not _is_overelaborate(f, fits, reduced, i, limits)]
 
 
-def _elaborate(f: Fit, fits: list[Fit], rest: Fit, i: int, limits: Thresholds) -> bool:
+def _is_overelaborate(
+    f: Fit, fits: list[Fit], reduced: Fit, i: int, limits: Thresholds
+) -> bool:
     """Whether a simpler kind in place i explains about as much as this one."""
-    own = f.candidates[i]
+    candidate = f.candidates[i]
     simpler = [
         g.deviance
         for g in fits
-        if own.within == g.candidates[i].kind and own.slot == g.candidates[i].slot
+        if candidate.within == g.candidates[i].kind and candidate.slot == g.candidates[i].slot
     ]
     least = 1 + limits.echo
-    return any(rest.deviance - f.deviance < least * (rest.deviance - d) for d in simpler)
+    return any(reduced.deviance - f.deviance < least * (reduced.deviance - d) for d in simpler)
 
 
 def _rivals(
-    fits: list[Fit], i: int, evidence: Evidence, limits: Thresholds
+    fits: list[Fit], i: int, residuals: WhitenedResiduals, limits: Thresholds
 ) -> tuple[Rival, ...]:
     """What could stand in place i, most probable first."""
-    costs = np.array([cost(f, evidence) for f in fits])
+    costs = np.array([cost(f, residuals) for f in fits])
     weight = np.exp(-(costs - costs.min()) / (2 * limits.temperature))
     weight /= weight.sum()
     return tuple(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.diagnosis.inference.whitened_residuals import Evidence
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 _PASSES = 6  # of reweighting
 _RIDGE = 1e-10
@@ -21,7 +21,7 @@ _FARTHEST = 5.0  # standard deviations: farther off it is no tolerance any more
 
 
 @dataclass(frozen=True)
-class Products:
+class InnerProducts:
     """Inner products of columns and residual, group by group."""
 
     n: Array  # (G,)
@@ -40,33 +40,35 @@ class Solution:
     covariance: Array  # (c, c)
 
 
-def products(evidence: Evidence, z: Array, X: Array, scale: Array | None = None) -> Products:
+def products(
+    residuals: WhitenedResiduals, z: Array, X: Array, scale: Array | None = None
+) -> InnerProducts:
     """Products of a residual z (N,) and columns X (N, c), after those of the nuisances.
 
     Args:
         scale: (N,) size of the noise, where it is not 1.
     """
-    p, c = evidence.slopes.shape[1], X.shape[1]
-    groups = evidence.groups
+    p, c = residuals.slopes.shape[1], X.shape[1]
+    groups = residuals.groups
     xz, xx = np.empty((len(groups), p + c)), np.empty((len(groups), p + c, p + c))
-    xx[:, :p, :p] = evidence.gram
+    xx[:, :p, :p] = residuals.gram
     zz = np.empty(len(groups))
     for k, g in enumerate(groups):
-        a, J, x = z[g.part], evidence.slopes[g.part], X[g.part]
+        a, J, x = z[g.part], residuals.slopes[g.part], X[g.part]
         if scale is not None and (scale[g.part] != 1).any():
-            one = 1 / scale[g.part]
-            a, J, x = a * one, J * one[:, None], x * one[:, None]
+            weight = 1 / scale[g.part]
+            a, J, x = a * weight, J * weight[:, None], x * weight[:, None]
             xx[k, :p, :p] = J.T @ J
         zz[k] = a @ a
         xz[k, :p], xz[k, p:] = J.T @ a, x.T @ a
         xx[k, p:, :p] = x.T @ J
         xx[k, :p, p:] = xx[k, p:, :p].T
         xx[k, p:, p:] = x.T @ x
-    return Products(np.array([g.n for g in groups], float), zz, xz, xx)
+    return InnerProducts(np.array([g.n for g in groups], float), zz, xz, xx)
 
 
 def solve(
-    p: Products, nuisances: int, low: Array | None = None, high: Array | None = None
+    p: InnerProducts, nuisances: int, low: Array | None = None, high: Array | None = None
 ) -> Solution:
     """The most probable x; the first `nuisances` have a unit normal prior, cut off far out.
 
@@ -90,8 +92,8 @@ def solve(
         A = A + _RIDGE * np.diag(np.diag(A) + 1e-30)
         b = -weight @ p.xz
         x = _within(A, b, np.linalg.solve(A, b), lows, highs)
-        left = p.zz + 2 * p.xz @ x + np.einsum("i,gij,j->g", x, p.xx, x)
-        size = np.maximum(left / p.n, 1e-12)
+        remaining = p.zz + 2 * p.xz @ x + np.einsum("i,gij,j->g", x, p.xx, x)
+        size = np.maximum(remaining / p.n, 1e-12)
     return Solution(
         x, deviance(p.n, size) + float(prior @ x**2), size, np.asarray(np.linalg.inv(A), float)
     )
@@ -114,6 +116,6 @@ def _within(A: Array, b: Array, x: Array, low: Array, high: Array) -> Array:
         fixed |= out
         x = at.copy()
         open_ = ~fixed
-        rest = b[open_] - A[np.ix_(open_, fixed)] @ at[fixed]
-        x[open_] = np.linalg.solve(A[np.ix_(open_, open_)], rest)
+        rhs = b[open_] - A[np.ix_(open_, fixed)] @ at[fixed]
+        x[open_] = np.linalg.solve(A[np.ix_(open_, open_)], rhs)
     return np.asarray(x)

@@ -29,7 +29,7 @@ Model = Any  # a machine's own: the description with some effects
 
 
 @dataclass(frozen=True)
-class Group:
+class VarianceGroup:
     """A channel of a port in a range of frequencies."""
 
     port: str
@@ -45,7 +45,7 @@ class Group:
         return self.part.stop - self.part.start
 
 
-class Evidence:
+class WhitenedResiduals:
     """Whitened residuals of several runs of one machine."""
 
     def __init__(self, machine: Machine, runs: Sequence[Run], seed: int = 0) -> None:
@@ -64,9 +64,9 @@ class Evidence:
             rng = np.random.default_rng([seed, i])
             noisy: dict[str, Array] = {}
             for exact in sorted({p.exact for p in self.ports}):
-                some = [p.name for p in self.ports if p.exact == exact]
+                port_names = [p.name for p in self.ports if p.exact == exact]
                 copies = run.with_noise(rng, _DRAWS, exact)
-                noisy |= machine.residuals(copies, [machine.nominal], some)
+                noisy |= machine.residuals(copies, [machine.nominal], port_names)
             window = run.window
             self._whiten.append(
                 {
@@ -80,18 +80,20 @@ class Evidence:
         self.null = np.concatenate(
             [self._whitened(name, [r[name] for r in raw])[0] for name in names]
         )
-        here = set(names)
-        self.nuisances = [k for k in machine.nuisances if here & set(k.ports)]
+        tested = set(names)
+        self.nuisances = [k for k in machine.nuisances if tested & set(k.ports)]
         self.slopes = np.zeros((self.size, len(self.nuisances)))
         for j, nuisance in enumerate(self.nuisances):
-            moved = self.residual([nuisance.model], nuisance.ports)[0]
+            moved = self.under([nuisance.model], nuisance.ports)[0]
             self.slopes[:, j] = (moved - self.null) * (nuisance.std / nuisance.step)
         parts = [self.slopes[g.part] for g in self.groups]
         self.gram = np.stack([J.T @ J for J in parts])  # (G, p, p)
 
-    def _layout(self) -> tuple[list[Group], list[dict[str, list[tuple[Index, slice, int]]]]]:
+    def _layout(
+        self,
+    ) -> tuple[list[VarianceGroup], list[dict[str, list[tuple[Index, slice, int]]]]]:
         """Groups, and per run and port: (frequencies taken, where to, channel)."""
-        groups: list[Group] = []
+        groups: list[VarianceGroup] = []
         rows: list[dict[str, list[tuple[Index, slice, int]]]] = [
             {p.name: [] for p in self.ports} for _ in self.runs
         ]
@@ -108,7 +110,7 @@ class Evidence:
                         at += 2 * len(take)
                     top = self.runs[0].band
                     groups.append(
-                        Group(
+                        VarianceGroup(
                             port.name,
                             channel,
                             low * top,
@@ -124,26 +126,26 @@ class Evidence:
         mine = [g.part for g in self.groups if g.port == port]
         return slice(mine[0].start, mine[-1].stop)
 
-    def residual_at(self, port: str, models: Sequence[Model]) -> Array:
+    def at_port(self, port: str, models: Sequence[Model]) -> Array:
         """(m, n) whitened residuals of one port under m models."""
-        found = [self.machine.residuals(run, models, [port]) for run in self.runs]
-        return self._whitened(port, [k[port] for k in found])
+        by_run = [self.machine.residuals(run, models, [port]) for run in self.runs]
+        return self._whitened(port, [k[port] for k in by_run])
 
-    def residual(self, models: Sequence[Model], ports: Sequence[str]) -> Array:
+    def under(self, models: Sequence[Model], ports: Sequence[str]) -> Array:
         """(m, N) whitened residuals; those of ports not named are the nominal ones."""
         out = np.tile(self.null, (len(models), 1))
         for port in (p.name for p in self.ports if p.name in ports):
-            out[:, self.part(port)] = self.residual_at(port, models)
+            out[:, self.part(port)] = self.at_port(port, models)
         return out
 
     def acts(self, model: Model, ports: Sequence[str]) -> float:
         """Seconds, over all runs, in which a model differs from the description at ports."""
         out = 0.0
         for run in self.runs:
-            here = [p.name for p in self.ports if p.name in ports]
-            found = self.machine.residuals(run, [model, self.machine.nominal], here)
-            apart = [(k[0] != k[1]).any(axis=-1) for k in found.values()]
-            out += run.dt * float(np.count_nonzero(np.any(apart, axis=0)))
+            port_names = [p.name for p in self.ports if p.name in ports]
+            residuals = self.machine.residuals(run, [model, self.machine.nominal], port_names)
+            differs = [(k[0] != k[1]).any(axis=-1) for k in residuals.values()]
+            out += run.dt * float(np.count_nonzero(np.any(differs, axis=0)))
         return out
 
     def noise(self, model: Model, ports: Sequence[str]) -> Array:
@@ -173,28 +175,28 @@ class Evidence:
             )
             drawn.append(noisy - raw)
         power = np.square(self._whitened(port.name, drawn)).mean(axis=0)
-        whole = self.part(port.name)
+        span = self.part(port.name)
         for rows in self._rows:
             for take, part, _ in rows[port.name]:
-                at = slice(part.start - whole.start, part.stop - whole.start)
+                at = slice(part.start - span.start, part.stop - span.start)
                 both = power[at].reshape(2, len(take)).mean(axis=0)
                 smooth = scipy.ndimage.uniform_filter1d(both, 2 * _POOL + 1, mode="nearest")
                 power[at] = np.tile(smooth, 2)
         return power
 
-    def _whitened(self, port: str, found: Sequence[Array]) -> Array:
+    def _whitened(self, port: str, by_run: Sequence[Array]) -> Array:
         """(m, n) numbers of a port from residuals (m, T, c) of every run."""
-        whole = self.part(port)
-        out = np.empty((len(found[0]), whole.stop - whole.start))
+        span = self.part(port)
+        out = np.empty((len(by_run[0]), span.stop - span.start))
         for run, rows, whiten, residual in zip(
-            self.runs, self._rows, self._whiten, found, strict=True
+            self.runs, self._rows, self._whiten, by_run, strict=True
         ):
             x = run.window.spectrum(residual)  # (m, K, c)
             z = np.sqrt(2) * np.einsum("kij,mkj->mki", whiten[port], x)
             for take, part, channel in rows[port]:
-                some = z[:, take, channel]
-                at = slice(part.start - whole.start, part.stop - whole.start)
-                out[:, at] = np.concatenate([some.real, some.imag], axis=1)
+                selected = z[:, take, channel]
+                at = slice(part.start - span.start, part.stop - span.start)
+                out[:, at] = np.concatenate([selected.real, selected.imag], axis=1)
         return out
 
 
@@ -204,8 +206,8 @@ def _whitener(spectra: Array, floor: Array) -> Array:
     The symmetric root: every number stays with the channel it comes from.
     """
     draws, K, _ = spectra.shape
-    each = np.einsum("dki,dkj->kij", spectra, spectra.conj()) / draws
+    cross = np.einsum("dki,dkj->kij", spectra, spectra.conj()) / draws
     reach = np.abs(np.arange(K)[:, None] - np.arange(K)) <= _POOL
-    pooled = np.einsum("kl,lij->kij", reach / reach.sum(axis=1, keepdims=True), each)
+    pooled = np.einsum("kl,lij->kij", reach / reach.sum(axis=1, keepdims=True), cross)
     value, vector = np.linalg.eigh(pooled + np.diag(floor**2))
     return np.asarray((vector / np.sqrt(value)[:, None, :]) @ np.conj(vector.swapaxes(-1, -2)))

@@ -28,7 +28,9 @@ class SlowPath:
     @property
     def size(self) -> float:
         """Root mean square over the runs."""
-        power = [each[0] ** 2 + sum(w * w for w in each[1:]) / 2 for _, each in self.weights]
+        power = [
+            series[0] ** 2 + sum(w * w for w in series[1:]) / 2 for _, series in self.weights
+        ]
         return float(np.sqrt(np.mean(power)))
 
     @property

@@ -54,7 +54,11 @@ _ON_RACK = {  # unit of a turning joint -> unit of a slide, power of the radius 
     "rad/s": ("m/s", 1),
     "rad": ("m", 1),
 }
-HELD = ("damping", "frictionloss", "armature")  # what laws of the library say of a model, too
+JOINT_PROPERTIES = (
+    "damping",
+    "frictionloss",
+    "armature",
+)  # what laws of the library say of a model, too
 _OFF = {  # flags that take it away
     "damping": (mujoco.mjtDisableBit.mjDSBL_DAMPER,),
     "frictionloss": (
@@ -113,7 +117,7 @@ class RateError:
 
 
 @dataclass(frozen=True)
-class Variant:
+class MjcfVariant:
     """The description with effects and bodies that are heavier."""
 
     effects: tuple[Effect, ...] = ()
@@ -148,7 +152,7 @@ class MjcfMachine:
         self.name, self.joints, self.mjcf = name, tuple(joints), model
         self.tolerance = tolerance or Tolerance()
         _require_computed(effects, rates, len(self.joints))
-        self.nominal = Variant(tuple(effects), rates=tuple(rates))
+        self.nominal = MjcfVariant(tuple(effects), rates=tuple(rates))
         self._radius = np.array([j.radius for j in self.joints])
         names = tuple(j.name for j in self.joints)
         if len(set(names)) < len(names) or not names:
@@ -157,7 +161,9 @@ class MjcfMachine:
         ports = []
         if model is not None:
             self._qpos, self.dof = _addresses(model, self.joints)
-            self.held = {name: held_by(model, name)[self.dof] for name in HELD}
+            self.joint_properties = {
+                name: joint_property(model, name)[self.dof] for name in JOINT_PROPERTIES
+            }
             ports.append(
                 Port(
                     "joint",
@@ -178,12 +184,12 @@ class MjcfMachine:
         )
         self.ports = tuple(ports)
 
-    def model(self, effects: Sequence[Effect | RateError]) -> Variant:
+    def model(self, effects: Sequence[Effect | RateError]) -> MjcfVariant:
         """The description with effects added."""
         rates = tuple(e for e in effects if isinstance(e, RateError))
-        more = tuple(e for e in effects if not isinstance(e, RateError))
-        own = self.nominal
-        return Variant((*own.effects, *more), rates=(*own.rates, *rates))
+        added = tuple(e for e in effects if not isinstance(e, RateError))
+        nominal = self.nominal
+        return MjcfVariant((*nominal.effects, *added), rates=(*nominal.rates, *rates))
 
     def heavier(self, factor: float) -> MjcfMachine:
         """The machine with all masses and inertias by a factor."""
@@ -196,8 +202,8 @@ class MjcfMachine:
 
     def floor(self, run: Run, port: str) -> Array:
         """(n,) standard deviation below which a residual of the port means nothing."""
-        seen = run["tau" if port == "joint" else "v"]
-        return _LEAST * np.maximum(np.asarray(seen.std(axis=-2)), 1e-12)
+        signal = run["tau" if port == "joint" else "v"]
+        return _LEAST * np.maximum(np.asarray(signal.std(axis=-2)), 1e-12)
 
     def candidates(self) -> tuple[Candidate, ...]:
         """The library as far as it applies, each effect in the units of its joint."""
@@ -230,32 +236,32 @@ class MjcfMachine:
                 out.append(Nuisance(name, ("joint",), model, 0.01, allowed.inertia))
         for i, joint in enumerate(self.joints):
 
-            def one(value: float, i: int = i) -> tuple[float, ...]:
+            def at_joint(value: float, i: int = i) -> tuple[float, ...]:
                 return tuple(value if k == i else 0.0 for k in range(n))
 
             for what, effect, step, std in (
-                ("gain", JointDriveGain(error=one(0.01)), 0.01, allowed.gain),
-                ("friction", JointCoulomb(torque=one(0.1)), 0.1, allowed.friction),
-                ("damping", JointViscous(damping=one(0.1)), 0.1, allowed.friction),
-                ("zero", JointTorqueOffset(torque=one(0.1)), 0.1, allowed.friction),
+                ("gain", JointDriveGain(error=at_joint(0.01)), 0.01, allowed.gain),
+                ("friction", JointCoulomb(torque=at_joint(0.1)), 0.1, allowed.friction),
+                ("damping", JointViscous(damping=at_joint(0.1)), 0.1, allowed.friction),
+                ("zero", JointTorqueOffset(torque=at_joint(0.1)), 0.1, allowed.friction),
             ):
-                model, name = Variant(effects=(effect,)), f"{what} of {joint.name}"
+                model, name = MjcfVariant(effects=(effect,)), f"{what} of {joint.name}"
                 out.append(Nuisance(name, ("joint",), model, step, std))
-            model = Variant(rates=(RateError(one(0.01), one(0.0)),))
+            model = MjcfVariant(rates=(RateError(at_joint(0.01), at_joint(0.0)),))
             name = f"gain of the rate of {joint.name}"
             out.append(Nuisance(name, ("velocity",), model, 0.01, allowed.gain))
         return tuple(out)
 
     def residuals(
-        self, run: Run, models: Sequence[Variant], ports: Sequence[str]
+        self, run: Run, models: Sequence[MjcfVariant], ports: Sequence[str]
     ) -> dict[str, Array]:
         """(m, ..., T, n) per port: the residual under each of m models."""
-        each = {"joint": self._joint, "velocity": self._velocity}
-        return {name: np.stack([each[name](run, m) for m in models]) for name in ports}
+        residual_of = {"joint": self._joint, "velocity": self._velocity}
+        return {name: np.stack([residual_of[name](run, m) for m in models]) for name in ports}
 
     # ----------------------------------------------------------------- ports
 
-    def _joint(self, run: Run, variant: Variant) -> Array:
+    def _joint(self, run: Run, variant: MjcfVariant) -> Array:
         """Motor force less what the motion takes (..., T, n)."""
         r, tau = self._radius, run["tau"]
         late = float(_total(variant, "joint/measurement_delay", "delay"))
@@ -265,8 +271,14 @@ class MjcfMachine:
             load = differentiated(load, run.dt, run.band, ahead=late)[0]
         q, v, a = motion
         rotor = _total(variant, "joint/rotor_inertia", "added") / r**2
-        dry = JointCoulomb(torque=(0.0,) * len(r)).bound({"torque": self.held["frictionloss"]})
-        needed = load + (self.held["armature"] + rotor) * a + self.held["damping"] * v
+        dry = JointCoulomb(torque=(0.0,) * len(r)).bound(
+            {"torque": self.joint_properties["frictionloss"]}
+        )
+        needed = (
+            load
+            + (self.joint_properties["armature"] + rotor) * a
+            + self.joint_properties["damping"] * v
+        )
         needed = needed - dry.law(np, q / r, v / r, 0.0)
         # what the force does not scale stays out of differences by the force
         steady = [e for e in variant.effects if e.kind not in SCALING]
@@ -290,8 +302,8 @@ class MjcfMachine:
             model.body_inertia[body] *= factor
         if heavier:
             mujoco.mj_setConst(model, mujoco.MjData(model))
-        for name in HELD:
-            getattr(model, f"dof_{name}")[held_by(model, name) != 0] = 0.0
+        for name in JOINT_PROPERTIES:
+            getattr(model, f"dof_{name}")[joint_property(model, name) != 0] = 0.0
         data = mujoco.MjData(model)
         n, qpos, dof = len(self.joints), self._qpos, self.dof
         q, v, a = (x.reshape(-1, n) for x in run.joints)
@@ -304,29 +316,29 @@ class MjcfMachine:
         run.memory[key] = out.reshape(run["q"].shape)
         return np.asarray(run.memory[key])
 
-    def _velocity(self, run: Run, variant: Variant) -> Array:
+    def _velocity(self, run: Run, variant: MjcfVariant) -> Array:
         """Rate logged less the rate of the position logged (..., T, n)."""
         logged, rate = run["v"], run.joints.v.copy()
         delay = np.sum([e.delay for e in variant.rates], axis=0)
         for i in np.flatnonzero(delay):
-            one = run["q"][..., i : i + 1]
-            late = differentiated(one, run.dt, run.band, ahead=-float(delay[i]))[1]
+            position = run["q"][..., i : i + 1]
+            late = differentiated(position, run.dt, run.band, ahead=-float(delay[i]))[1]
             rate[..., i] = late[..., 0]
         rate = rate * (1 + np.sum([e.gain for e in variant.rates], axis=0))
         lag = np.broadcast_to(
             _total(variant, "joint/velocity_lag", "time_constant"), self._radius.shape
         )
-        seen = rate.copy()
+        reported = rate.copy()
         for i in np.flatnonzero(lag):
             low = ([1.0], [float(lag[i]), 1.0])
             b, a, _ = scipy.signal.cont2discrete(low, run.dt, method="foh")
             b = np.ravel(b)
             start = logged[..., :1, i] - b[0] * rate[..., :1, i]  # it begins as logged
-            seen[..., i] = scipy.signal.lfilter(b, a, rate[..., i], axis=-1, zi=start)[0]
-        return np.asarray(logged - seen)
+            reported[..., i] = scipy.signal.lfilter(b, a, rate[..., i], axis=-1, zi=start)[0]
+        return np.asarray(logged - reported)
 
 
-def held_by(model: mujoco.MjModel, name: str) -> Array:
+def joint_property(model: mujoco.MjModel, name: str) -> Array:
     """(nv,) damping, frictionloss or armature as far as it acts and is one number per joint."""
     value = np.array(getattr(model, f"dof_{name}"))
     if any(model.opt.disableflags & int(flag) for flag in _OFF.get(name, ())):
@@ -338,27 +350,27 @@ def held_by(model: mujoco.MjModel, name: str) -> Array:
 
 def _addresses(model: mujoco.MjModel, joints: Sequence[MjcfJoint]) -> tuple[Any, Any]:
     """Where each joint is in qpos and qvel, (n,) each."""
-    known = {model.joint(i).name: i for i in range(model.njnt)}
-    for name, i in known.items():
+    indices = {model.joint(i).name: i for i in range(model.njnt)}
+    for name, i in indices.items():
         if int(model.jnt_type[i]) not in _TYPES:
             raise ParameterError(
                 f"joint {name or i} of the model is neither hinge nor slide: only machines on"
                 " a fixed base, of hinges and slides, are understood"
             )
     for joint in joints:
-        if joint.name not in known:
+        if joint.name not in indices:
             raise ParameterError(
-                f"the model has no joint {joint.name!r}; it has {', '.join(known)}"
+                f"the model has no joint {joint.name!r}; it has {', '.join(indices)}"
             )
-        found = _TYPES[int(model.jnt_type[known[joint.name]])]
-        if found != joint.type:
+        actual = _TYPES[int(model.jnt_type[indices[joint.name]])]
+        if actual != joint.type:
             raise ParameterError(
-                f"joint {joint.name} is a {found} in the model, a {joint.type} here"
+                f"joint {joint.name} is a {actual} in the model, a {joint.type} here"
             )
-    beside = sorted(set(known) - {j.name for j in joints})
+    beside = sorted(set(indices) - {j.name for j in joints})
     if beside:
         raise ParameterError(f"joints of the model without columns: {', '.join(beside)}")
-    ids = [known[j.name] for j in joints]
+    ids = [indices[j.name] for j in joints]
     return model.jnt_qposadr[ids].copy(), model.jnt_dofadr[ids].copy()
 
 
@@ -370,11 +382,11 @@ def _require_computed(
             raise ParameterError(
                 f"effect {effect.kind} is not computed for MJCF; these are: {', '.join(KINDS)}"
             )
-    for each in (*effects, *rates):
-        for field in dataclasses.fields(each):  # type: ignore[arg-type]
-            value = getattr(each, field.name)
+    for entry in (*effects, *rates):
+        for field in dataclasses.fields(entry):  # type: ignore[arg-type]
+            value = getattr(entry, field.name)
             if isinstance(value, tuple) and len(value) != joints:
-                kind = getattr(each, "kind", "rate")
+                kind = getattr(entry, "kind", "rate")
                 raise ParameterError(
                     f"effect {kind}.{field.name} must have {joints} numbers, got {len(value)}"
                 )
@@ -410,10 +422,10 @@ def _rates(what: str, slot: str, where: tuple[float, ...]) -> Candidate:
     none = (0.0,) * len(where)
 
     def make(x: Array) -> Any:
-        here = tuple(float(x[0]) * w for w in where)
+        values = tuple(float(x[0]) * w for w in where)
         if what == "lag":
-            return JointVelocityLag(time_constant=here)
-        return RateError(here, none) if what == "gain" else RateError(none, here)
+            return JointVelocityLag(time_constant=values)
+        return RateError(values, none) if what == "gain" else RateError(none, values)
 
     name, symbol, starts, low, high = {
         "gain": ("gain", "1", (0.05,), -0.5, 0.5),
@@ -457,7 +469,7 @@ def _placed(candidate: Candidate, joint: MjcfJoint) -> Candidate:
     )
 
 
-def _total(variant: Variant, kind: str, field: str) -> Any:
+def _total(variant: MjcfVariant, kind: str, field: str) -> Any:
     """Sum of a field over the effects of a kind; 0.0 where there is none."""
-    found = [np.array(getattr(e, field), float) for e in variant.effects if e.kind == kind]
-    return sum(found[1:], found[0]) if found else 0.0
+    parts = [np.array(getattr(e, field), float) for e in variant.effects if e.kind == kind]
+    return sum(parts[1:], parts[0]) if parts else 0.0

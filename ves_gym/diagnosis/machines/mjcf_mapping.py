@@ -72,8 +72,8 @@ class NoiseLevel:
     force: float | None = None
 
     def __post_init__(self) -> None:
-        given = [f.name for f in fields(self) if getattr(self, f.name) is not None]
-        require_positive(self, *given)
+        stated = [f.name for f in fields(self) if getattr(self, f.name) is not None]
+        require_positive(self, *stated)
 
     @property
     def by_signal(self) -> dict[str, float]:
@@ -125,14 +125,14 @@ class MachineFile:
             parts["v"] = [j.velocity.of(columns, name) for j in self.joint if j.velocity]
         if self.joint[0].force:
             parts["tau"] = [sum_of(j.force, columns, name) for j in self.joint]
-        for key, some in parts.items():
-            for joint, x in zip(self.joint, some, strict=True):
+        for key, series in parts.items():
+            for joint, x in zip(self.joint, series, strict=True):
                 if x.shape != t.shape:
                     raise ParameterError(
                         f"{name}: {key} of {joint.name} has {len(x)} rows, the clock {len(t)}"
                     )
         require_steady(t, name)
-        signals = {key: np.stack(some, axis=1) for key, some in parts.items()}
+        signals = {key: np.stack(series, axis=1) for key, series in parts.items()}
         return run_of_signals(t, signals, name, self.band, {"noise_std": self.noise.by_signal})
 
 

@@ -40,25 +40,25 @@ _INNER, _RESIDUAL = (8.0, 8.5, 9.5), 0.7  # Hz, kg: modes that the vehicle's mod
 _BASE, _LOSS = 0.0012, 0.006  # relative, of the base's mass and stiffness; of its damping
 
 
-def tolerances(system: System) -> Iterator[Nuisance]:
+def system_nuisances(system: System) -> Iterator[Nuisance]:
     """What any description of such a machine is off by; each model is a `System`."""
     arm = system.arm
     both = ("joint", "wrench")
 
     def heavier(i: int, **changes: Any) -> System:
         links = list(arm.links)
-        own = dataclasses.replace(links[i].inertial, **changes)
-        links[i] = dataclasses.replace(links[i], inertial=own)
+        inertial = dataclasses.replace(links[i].inertial, **changes)
+        links[i] = dataclasses.replace(links[i], inertial=inertial)
         return system.replace(arm=dataclasses.replace(arm, links=tuple(links)))
 
-    def effect(name: str, ports: str, step: float, std: float, *made: Effect) -> Nuisance:
-        model = system.replace(effects=(*system.effects, *made))
+    def effect(name: str, ports: str, step: float, std: float, *effects: Effect) -> Nuisance:
+        model = system.replace(effects=(*system.effects, *effects))
         return Nuisance(name, tuple(ports.split()), model, step, std)
 
     for i, link in enumerate(arm.links):
         body, where = link.inertial, f"of link {i + 1}"
-        more = heavier(i, mass=1.01 * body.mass)
-        yield Nuisance(f"mass {where}", both, more, 0.01, _MASS)
+        heavier_link = heavier(i, mass=1.01 * body.mass)
+        yield Nuisance(f"mass {where}", both, heavier_link, 0.01, _MASS)
         moments = np.array(body.inertia) * 1.1
         grown = heavier(i, inertia=tuple(map(tuple, moments.tolist())))
         yield Nuisance(f"inertia {where}", both, grown, 0.1, _INERTIA)
@@ -68,7 +68,7 @@ def tolerances(system: System) -> Iterator[Nuisance]:
             shifted = heavier(i, com=tuple(com))
             yield Nuisance(f"centre of mass {axis} {where}", both, shifted, 1e-3, _COM)
 
-        def one(value: float, i: int = i) -> tuple[float, ...]:
+        def at_joint(value: float, i: int = i) -> tuple[float, ...]:
             return tuple(value if k == i else 0.0 for k in range(arm.n))
 
         where, joint = f"of joint {i + 1}", "joint"
@@ -78,15 +78,21 @@ def tolerances(system: System) -> Iterator[Nuisance]:
             joint,
             small,
             _INERTIA * link.rotor_inertia + 1e-6,
-            JointRotorInertia(added=one(small)),
+            JointRotorInertia(added=at_joint(small)),
         )
-        yield effect(f"gain {where}", joint, 0.01, _GAIN, JointDriveGain(error=one(0.01)))
-        yield effect(f"friction {where}", joint, 0.1, _FRICTION, JointCoulomb(torque=one(0.1)))
-        yield effect(f"damping {where}", joint, 0.1, _FRICTION, JointViscous(damping=one(0.1)))
-        yield effect(f"zero {where}", joint, 0.1, _FRICTION, JointTorqueOffset(torque=one(0.1)))
+        yield effect(f"gain {where}", joint, 0.01, _GAIN, JointDriveGain(error=at_joint(0.01)))
+        yield effect(
+            f"friction {where}", joint, 0.1, _FRICTION, JointCoulomb(torque=at_joint(0.1))
+        )
+        yield effect(
+            f"damping {where}", joint, 0.1, _FRICTION, JointViscous(damping=at_joint(0.1))
+        )
+        yield effect(
+            f"zero {where}", joint, 0.1, _FRICTION, JointTorqueOffset(torque=at_joint(0.1))
+        )
     base = dataclasses.replace(arm.base, mass=1.01 * arm.base.mass)
-    whole = system.replace(arm=dataclasses.replace(arm, base=base))
-    yield Nuisance("mass of the arm's foot", ("wrench",), whole, 0.01, _MASS)
+    heavier_foot = system.replace(arm=dataclasses.replace(arm, base=base))
+    yield Nuisance("mass of the arm's foot", ("wrench",), heavier_foot, 0.01, _MASS)
     if system.mode == "emulated":
         yield from _of_the_laboratory(system, effect)
     for k, axis in enumerate("xyz"):  # a vehicle of six coordinates has no inner modes
@@ -106,7 +112,7 @@ def tolerances(system: System) -> Iterator[Nuisance]:
 
 def _of_the_laboratory(system: System, effect: Callable[..., Nuisance]) -> Iterator[Nuisance]:
     weight = GravityModel.of(system.arm).wrench(system.arm, np.zeros(system.arm.n), np.zeros(6))
-    rest = system.emulator_settings.sensor.frame @ weight
+    resting = system.emulator_settings.sensor.frame @ weight
     for i in range(6):
 
         def six(value: float, i: int = i) -> dict[str, tuple[float, ...]]:
@@ -118,7 +124,7 @@ def _of_the_laboratory(system: System, effect: Callable[..., Nuisance]) -> Itera
         error = np.zeros((6, 6))
         error[i, i] = 0.01
         gain = SensorCalibration(error=tuple(map(tuple, error.tolist())))
-        zero = SensorBias(**six(-0.01 * float(rest[i])))  # it was zeroed under the arm
+        zero = SensorBias(**six(-0.01 * float(resting[i])))  # it was zeroed under the arm
         yield effect(f"gain of {axis}", "wrench", 0.01, _GAIN, gain, zero)
     yield effect("sensor filter", "wrench", 0.01, _FILTER, SensorLag(error=0.01))
     if system.emulator_settings.operation == "microgravity":

@@ -16,10 +16,10 @@ import scipy
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Kinematics, Run
-from ves_gym.diagnosis.data.signals import differentiated, held
+from ves_gym.diagnosis.data.signals import differentiated, zero_order_hold
 from ves_gym.diagnosis.machines.base import WRENCH, Nuisance, Port
 from ves_gym.diagnosis.machines.drift import SlowPath
-from ves_gym.diagnosis.machines.nuisance_priors import tolerances
+from ves_gym.diagnosis.machines.nuisance_priors import system_nuisances
 from ves_gym.diagnosis.machines.presliding import Presliding
 from ves_gym.diagnosis.machines.torque_balance import torque_residual
 from ves_gym.hardware.platform import PoseFollower
@@ -51,7 +51,7 @@ _SEEN = {  # port -> the signal that its residual is a part of
 
 
 @dataclass(frozen=True)
-class Variant:
+class SystemVariant:
     """A system, and what of it has no place in one: courses of drift, forms of friction."""
 
     system: System
@@ -64,7 +64,7 @@ class SystemMachine:
 
     def __init__(self, system: System) -> None:
         self.system = system
-        self.nominal = Variant(system)
+        self.nominal = SystemVariant(system)
         n = system.arm.n
         joints = tuple(f"tau_{i + 1}" for i in range(n))
         self.name = f"{system.arm.name} on {system.vehicle.kind}, {system.mode}"
@@ -121,32 +121,32 @@ class SystemMachine:
             )
         self.ports = tuple(ports)
 
-    def model(self, effects: Sequence[Effect | SlowPath | Presliding]) -> Variant:
+    def model(self, effects: Sequence[Effect | SlowPath | Presliding]) -> SystemVariant:
         """The description with effects added."""
         paths = tuple(e for e in effects if isinstance(e, SlowPath))
         grown = tuple(e for e in effects if isinstance(e, Presliding))
-        more = tuple(e for e in effects if isinstance(e, Effect))
+        added = tuple(e for e in effects if isinstance(e, Effect))
         system = self.system
-        if more:
-            system = system.replace(effects=(*system.effects, *more))
-        return Variant(system, paths, grown)
+        if added:
+            system = system.replace(effects=(*system.effects, *added))
+        return SystemVariant(system, paths, grown)
 
     def floor(self, run: Run, port: str) -> Array:
         """(c,) standard deviation below which a residual of the port means nothing."""
-        seen = run[_SEEN[port]]
-        size = np.asarray(seen.std(axis=-2))
+        signal = run[_SEEN[port]]
+        size = np.asarray(signal.std(axis=-2))
         kinds = np.array_split(size, max(1, len(size) // 3))  # forces and moments apart
         share = _FLOOR.get(port, _LEAST)
         return share * np.concatenate([np.full(len(k), max(k.max(), 1e-12)) for k in kinds])
 
     def stretch(self, runs: Sequence[Run]) -> float:
         """How far a leg is told to go in the runs, in parts of its stroke; 0 without legs."""
-        told = [np.reshape(run["y_cmd"], (-1, 6)) for run in runs if "y_cmd" in run]
-        if self.system.mode != "emulated" or not told:
+        commands = [np.reshape(run["y_cmd"], (-1, 6)) for run in runs if "y_cmd" in run]
+        if self.system.mode != "emulated" or not commands:
             return 0.0
         stewart = self.system.emulator_settings.stewart
         home = stewart.home_lengths
-        change = stewart.leg_lengths(np.concatenate(told)) - home
+        change = stewart.leg_lengths(np.concatenate(commands)) - home
         room = np.where(change > 0, stewart.length_max - home, home - stewart.length_min)
         return float((np.abs(change) / room).max())
 
@@ -154,15 +154,16 @@ class SystemMachine:
     def nuisances(self) -> tuple[Nuisance, ...]:
         """Small errors of any description of such a machine."""
         return tuple(
-            dataclasses.replace(k, model=Variant(k.model)) for k in tolerances(self.system)
+            dataclasses.replace(k, model=SystemVariant(k.model))
+            for k in system_nuisances(self.system)
         )
 
     def residuals(
-        self, run: Run, models: Sequence[Variant], ports: Sequence[str]
+        self, run: Run, models: Sequence[SystemVariant], ports: Sequence[str]
     ) -> dict[str, Array]:
         """(m, ..., T, c) per port: the residual under each of m models."""
         systems = [m.system for m in models]
-        each = {
+        residual_of = {
             "servo": self._servo,
             "wrench": self._wrench,
             "gravity": self._gravity,
@@ -170,9 +171,9 @@ class SystemMachine:
             "base": self._vehicle,
         }
         out = {
-            name: np.stack([each[name](run, system) for system in systems])
+            name: np.stack([residual_of[name](run, system) for system in systems])
             for name in ports
-            if name in each
+            if name in residual_of
         }
         if "joint" in ports:
             out["joint"] = np.stack([self._joint(run, model) for model in models])
@@ -180,13 +181,13 @@ class SystemMachine:
             out["platform"] = self._platform(run, systems)
         for k, model in enumerate(models):
             for path in model.paths if "wrench" in ports else ():
-                felt = self._to_wrench[:, path.channel]
-                out["wrench"][k] -= path.of(run)[:, None] * felt
+                direction = self._to_wrench[:, path.channel]
+                out["wrench"][k] -= path.of(run)[:, None] * direction
         return out
 
     # ------------------------------------------------------------------- arm
 
-    def _joint(self, run: Run, model: Variant) -> Array:
+    def _joint(self, run: Run, model: SystemVariant) -> Array:
         """Motor torque less what the motion takes (..., T, n)."""
         q, v, _ = run.joints
         effects, most = model.system.effects, self.system.arm.column("tau_max")
@@ -211,9 +212,9 @@ class SystemMachine:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
         arm = system.actual.arm
         old = _total(system, "joint/measurement_delay", "delay")
-        known = _kept(run, "loads", dict)
-        if (arm, old) in known:
-            return known[arm, old]  # type: ignore[no-any-return]
+        loads = _memoized(run, "loads", dict)
+        if (arm, old) in loads:
+            return loads[arm, old]  # type: ignore[no-any-return]
         q, v, a = run.joints
         if old:
             q, v, a = differentiated(run["q"], run.dt, run.band, ahead=old)
@@ -221,38 +222,38 @@ class SystemMachine:
         weighty = system.mode == "emulated"
         balanced = weighty and system.emulator_settings.joint_balance
         links = Kinematics(q, v, a)
-        base = _kept(run, "base", lambda: _base_motion(run.base))
+        base = _memoized(run, "base", lambda: _base_motion(run.base))
         tau, wrench = _dynamics(arm, links, run.base.x, base, weighty)
         if any(link.gear is not None for link in arm.links):  # links lag their motors
-            given = tau  # what rigid links would take, where no torque is logged
+            torque = tau  # what rigid links would take, where no torque is logged
             if "tau" in run:
-                given = run["tau"]
+                torque = run["tau"]
                 if balanced:
-                    given = given + _weight(self.system.arm, q, run.base.x)
-            bent = _deflections(arm, given - rotors * a, run.dt)
-            more = differentiated(bent, run.dt, run.band)
-            links = Kinematics(*(x - d for x, d in zip(links, more, strict=True)))
+                    torque = torque + _weight(self.system.arm, q, run.base.x)
+            bent = _deflections(arm, torque - rotors * a, run.dt)
+            gear_motion = differentiated(bent, run.dt, run.band)
+            links = Kinematics(*(x - d for x, d in zip(links, gear_motion, strict=True)))
             tau, wrench = _dynamics(arm, links, run.base.x, base, weighty)
             tau = tau + rotors * (a - links.a)  # rotors move with the motors
         if balanced:
             tau = tau - _weight(self.system.arm, q, run.base.x)
-        known[arm, old] = tau, wrench
-        if len(known) > _LOADS:
-            del known[list(known)[1]]  # the first is the description's own
+        loads[arm, old] = tau, wrench
+        if len(loads) > _LOADS:
+            del loads[list(loads)[1]]  # the first is the description's own
         return tau, wrench
 
     def _servo(self, run: Run, system: System) -> Array:
         """Motor torque less what the controller asks for (..., T, n)."""
         arm = self.system.arm
-        told = run.meta["controller"]
+        gains = run.meta["controller"]
         late = _total(system, "command/delay", "delay")
         command = differentiated(run["q_cmd"], run.dt, run.band, ahead=-late)
         q, v, _ = run.joints
-        asked = (command[0] - q) * told["kp"] + (command[1] - v) * told["kd"]
-        if told.get("feedforward", False):
-            asked = asked + inverse_dynamics(arm, *command)[0]
+        demand = (command[0] - q) * gains["kp"] + (command[1] - v) * gains["kd"]
+        if gains.get("feedforward", False):
+            demand = demand + inverse_dynamics(arm, *command)[0]
         most = arm.column("tau_max")
-        return np.asarray(run["tau"] - np.clip(asked, -most, most))
+        return np.asarray(run["tau"] - np.clip(demand, -most, most))
 
     def _sensed(self, system: System, wrench: Array, dt: float) -> Array:
         """What the sensor would report of a wrench (..., T, 6)."""
@@ -295,7 +296,7 @@ class SystemMachine:
         """Wrench taken in less what moves the vehicle (..., T, 6)."""
         base = system.actual.base
         late = system.emulator_settings.delay if system.mode == "emulated" else 0
-        motion, turn, force = _kept(
+        motion, turn, force = _memoized(
             run, ("vehicle", system.mode, late), lambda: _moved(run, system.mode, late)
         )
         y, yd, ydd = motion
@@ -321,13 +322,13 @@ class SystemMachine:
             x = run[name].reshape(k, length, 6)
             return np.broadcast_to(x, (m, k, length, 6)).reshape(m * k, length, 6)
 
-        y, told = rows("y"), rows("y_cmd")
+        y, y_cmd = rows("y"), rows("y_cmd")
         delay = lab.parameters.platform_delay
-        command = np.empty((*told.shape[:2], 12))
+        command = np.empty((*y_cmd.shape[:2], 12))
         for late in np.unique(delay):
-            some = delay == late
-            x, rate, _ = differentiated(told[some], run.dt, run.band, ahead=-float(late))
-            command[some] = np.concatenate([x if late else told[some], rate], axis=-1)
+            selected = delay == late
+            x, rate, _ = differentiated(y_cmd[selected], run.dt, run.band, ahead=-float(late))
+            command[selected] = np.concatenate([x if late else y_cmd[selected], rate], axis=-1)
         start = differentiated(y[:, : 4 * run.window.skip], run.dt, run.band)[1][:, 0]
         everyone = np.arange(lab.n)
         lab.reset(everyone, np.zeros((lab.n, self.system.arm.n)), y[:, 0], start)
@@ -335,8 +336,8 @@ class SystemMachine:
         lab.follower.reset(everyone, y[:, 0], start)
         out = np.zeros_like(y)
         if isinstance(lab.follower, PoseFollower):
-            found = lab.follower.poses(command[:, 1:, :6], command[:, 1:, 6:])
-            out[:, 1:] = y[:, 1:] - found
+            predicted = lab.follower.poses(command[:, 1:, :6], command[:, 1:, 6:])
+            out[:, 1:] = y[:, 1:] - predicted
         else:
             for t in range(1, length):
                 lab.follower.advance(command[:, t, :6], command[:, t, 6:])
@@ -348,9 +349,9 @@ def _hold_back(lab: EmulationLoop, command: Array) -> None:
     """Keep commands (n, T, 12) within what the legs can do, in place."""
     travel, speed = lab.parameters.platform_travel, lab.parameters.platform_speed
     for i in np.flatnonzero((travel > 0) & (speed == 0)):  # each sample for itself
-        wanted = command[i, :, :6].copy()
-        command[i, :, :6] = lab.shortened(wanted, np.full(len(wanted), travel[i]))
-        late = np.flatnonzero((command[i, 1:, :6] != wanted[1:]).any(axis=1)) + 1
+        commanded = command[i, :, :6].copy()
+        command[i, :, :6] = lab.shortened(commanded, np.full(len(commanded), travel[i]))
+        late = np.flatnonzero((command[i, 1:, :6] != commanded[1:]).any(axis=1)) + 1
         command[i, late, 6:] = (command[i, late, :6] - command[i, late - 1, :6]) / lab.dt
     slow = np.flatnonzero(speed > 0)
     for t in range(command.shape[1]) if len(slow) else ():
@@ -358,7 +359,7 @@ def _hold_back(lab: EmulationLoop, command: Array) -> None:
         lab.state.told[slow] = command[slow, t]
 
 
-def _kept(run: Run, key: Any, make: Callable[[], Any]) -> Any:
+def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
     """What follows from a run's signals alone, worked out once."""
     if key not in run.memory:
         run.memory[key] = make()
@@ -380,7 +381,7 @@ def _moved(run: Run, mode: str, late: int) -> tuple[Kinematics, Array, Array]:
     turn = np.swapaxes(rate_matrix(motion.x), -1, -2)
     force = matvec(turn, force)
     if mode == "emulated":  # a reading acts for one period, `late` periods later
-        force = held(force, run.dt, run.band, late * run.dt)
+        force = zero_order_hold(force, run.dt, run.band, late * run.dt)
     return motion, turn, force
 
 
@@ -421,8 +422,8 @@ def _dynamics(
 def _weight(arm: Arm, q: Array, pose: Array) -> Array:
     """Joint torque (..., T, n) that carries the links."""
     still = Kinematics(q, np.zeros_like(q), np.zeros_like(q))
-    rest = np.zeros((*pose.shape[:-1], 3))
-    out: Array = _dynamics(arm, still, pose, (rest, rest, rest), True)[0]
+    zeros = np.zeros((*pose.shape[:-1], 3))
+    out: Array = _dynamics(arm, still, pose, (zeros, zeros, zeros), True)[0]
     return out
 
 

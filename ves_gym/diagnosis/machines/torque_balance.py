@@ -25,9 +25,9 @@ def torque_residual(
         tau: logged; needed: what the motion takes, by the motors and by `laws`.
         laws: torque logged -> torque that the effects add to it.
     """
-    own = laws(tau)
-    balance = tau + own - needed
+    added = laws(tau)
+    balance = tau + added - needed
     if not any(e.kind in SCALING for e in effects):
         return balance
     push = _PUSH * np.maximum(np.abs(tau), 1.0)
-    return np.asarray(balance / (1 + (laws(tau + push) - own) / push))
+    return np.asarray(balance / (1 + (laws(tau + push) - added) / push))

@@ -29,17 +29,17 @@ _FORCE = ("N",) * 3 + ("N m",) * 3
 
 
 @dataclass(frozen=True)
-class FreeRuns:
+class ClosedLoopReplay:
     """The loop as described and as found, left to itself on some runs."""
 
     runs: tuple[str, ...]
-    gaps: tuple[FreeGap, ...]
+    gaps: tuple[ReplayGap, ...]
     difference: float  # of what is read back from what was found, in parts of a signal
     why_not: str  # where there are none
 
 
 @dataclass(frozen=True)
-class FreeGap:
+class ReplayGap:
     """Root mean square up to the band, of a channel that was left to itself."""
 
     signal: str
@@ -54,8 +54,8 @@ def why_not(system: System, runs: Sequence[Run]) -> str:
     """What free runs lack; empty where they can be made."""
     if system.drive != "motor":
         return f"the drive is {system.drive}"
-    told = [run.meta["controller"] for run in runs if "controller" in run]
-    if len(told) < len(runs) or any(k != told[0] for k in told):
+    controllers = [run.meta["controller"] for run in runs if "controller" in run]
+    if len(controllers) < len(runs) or any(k != controllers[0] for k in controllers):
         return "the logs do not name one controller"
     posed = system.mode == "emulated" and system.emulator_settings.operation == "position"
     if posed and not all("y_cmd" in run for run in runs):
@@ -63,7 +63,7 @@ def why_not(system: System, runs: Sequence[Run]) -> str:
     return ""
 
 
-def free_runs(
+def replay_runs(
     system: System, runs: Sequence[Run], seconds: float = np.inf
 ) -> list[dict[str, Array]]:
     """Simulated q, tau (T, n), y, w (T, 6) at the instants of each run, all in lockstep.
@@ -81,12 +81,14 @@ def free_runs(
     lacks = why_not(system, runs)
     if lacks:
         raise ParameterError(f"no free run: {lacks}")
-    told = runs[0].meta["controller"]
+    gains = runs[0].meta["controller"]
     servo = JointServo(
-        kp=tuple(told["kp"]), kd=tuple(told["kd"]), feedforward=told.get("feedforward", False)
+        kp=tuple(gains["kp"]),
+        kd=tuple(gains["kd"]),
+        feedforward=gains.get("feedforward", False),
     )
     sim, k = Simulator(system, len(runs), servo=servo, warn_at=None), system.substeps
-    q, v, y, yd = (np.stack(each) for each in zip(*map(_start, runs), strict=True))
+    q, v, y, yd = (np.stack(series) for series in zip(*map(_start, runs), strict=True))
     sim.reset(q=q, v=v, y=y, yd=yd)
 
     last = min(seconds, max((run.length - 1) * run.dt for run in runs))
@@ -111,8 +113,8 @@ def free_runs(
             wrench = base_wrench(system, state, ydd, sim.hidden)
         rows.append((sim.measured[0].copy(), tau.copy(), state.y.copy(), wrench.copy()))
         if i < periods:
-            here = None if follow is None else follow[:, i : i + 1]
-            sim.play(commands[:, i * k : (i + 1) * k + 1], platform=here)
+            platform = None if follow is None else follow[:, i : i + 1]
+            sim.play(commands[:, i * k : (i + 1) * k + 1], platform=platform)
     ticks = _clock(periods + 1, system.control_dt)
     every: list[Array] = [np.stack(x, axis=1) for x in zip(*rows, strict=True)]
     return [
@@ -124,33 +126,35 @@ def free_runs(
     ]
 
 
-def compared(described: System, better: System, again: System, runs: Sequence[Run]) -> FreeRuns:
+def compare_replays(
+    described: System, better: System, reloaded: System, runs: Sequence[Run]
+) -> ClosedLoopReplay:
     """Free runs of the description, of the better one, and of the better one as read back
     (that for its first seconds)."""
     names = tuple(run.name for run in runs)
     lacks = why_not(described, runs)
     if lacks:
-        return FreeRuns(names, (), 0.0, lacks)
+        return ClosedLoopReplay(names, (), 0.0, lacks)
     try:
-        after = free_runs(better, runs)
-        before = after if better == described else free_runs(described, runs)
-        repeated = free_runs(again, runs, _REPEATED)
+        after = replay_runs(better, runs)
+        before = after if better == described else replay_runs(described, runs)
+        repeated = replay_runs(reloaded, runs, _REPEATED)
     except Divergence as error:
-        return FreeRuns(names, (), 0.0, str(error))
-    apart = 0.0
+        return ClosedLoopReplay(names, (), 0.0, str(error))
+    largest = 0.0
     for run, a, b in zip(runs, after, repeated, strict=True):
-        some = slice(int(_REPEATED / run.dt))
+        window = slice(int(_REPEATED / run.dt))
         for name in SIGNALS:
             size = max(np.abs(a[name]).max(), 1e-300)
-            apart = max(apart, float(np.abs(a[name] - b[name])[some].max() / size))
-    return FreeRuns(names, free_gaps(runs, before, after), apart, "")
+            largest = max(largest, float(np.abs(a[name] - b[name])[window].max() / size))
+    return ClosedLoopReplay(names, replay_gaps(runs, before, after), largest, "")
 
 
 def _start(run: Run) -> list[Array]:
     """q, v, y, yd where a run begins: as its metadata say, else as measured."""
-    told = run.meta.get("initial", {})
-    seen = {"q": run.joints.x, "v": run.joints.v, "y": run.base.x, "yd": run.base.v}
-    return [np.asarray(told.get(k, x[0]), float) for k, x in seen.items()]
+    initial = run.meta.get("initial", {})
+    measured = {"q": run.joints.x, "v": run.joints.v, "y": run.base.x, "yd": run.base.v}
+    return [np.asarray(initial.get(k, x[0]), float) for k, x in measured.items()]
 
 
 def _clock(count: int, dt: float) -> Array:
@@ -166,11 +170,11 @@ def _between(t: Array, clock: Array, x: Array) -> Array:
     return np.stack([np.interp(t, clock, c) for c in x.T], axis=1)
 
 
-def free_gaps(
+def replay_gaps(
     runs: Sequence[Run],
     before: Sequence[Mapping[str, Array]],
     after: Sequence[Mapping[str, Array]],
-) -> tuple[FreeGap, ...]:
+) -> tuple[ReplayGap, ...]:
     """Measured less simulated, over all runs, of the channels that the logs hold."""
     out = []
     n = runs[0]["q"].shape[1]
@@ -183,14 +187,14 @@ def free_gaps(
     }
     for name in (s for s in SIGNALS if all(s in run for run in runs)):
         sizes = [
-            _size(runs, [run[name] - x[name] for run, x in zip(runs, some, strict=True)])
-            for some in (before, after)
+            _size(runs, [run[name] - x[name] for run, x in zip(runs, simulated, strict=True)])
+            for simulated in (before, after)
         ]
         rng = np.random.default_rng(0)
         noise = _size(runs, [run.noise[name].draw(rng, _DRAWS, run.length) for run in runs])
         for i, (channel, unit) in enumerate(zip(*labels[name], strict=True)):
             row = [float(x[i]) for x in (*sizes, noise)]
-            out.append(FreeGap(name, channel, unit, *row))
+            out.append(ReplayGap(name, channel, unit, *row))
     return tuple(out)
 
 
@@ -198,7 +202,7 @@ def _size(runs: Sequence[Run], parts: Sequence[Array]) -> Array:
     """(c,) root mean square inside the band of signals (..., T, c) of every run."""
     power = []
     for run, x in zip(runs, parts, strict=True):
-        some = np.abs(run.window.spectrum(x)) ** 2
+        spectrum = np.abs(run.window.spectrum(x)) ** 2
         share = 2 * run.dt / (run.length * run.dt)  # of the whole spectrum, per coefficient
-        power.append(some.sum(axis=-2).reshape(-1, x.shape[-1]).mean(axis=0) * share)
+        power.append(spectrum.sum(axis=-2).reshape(-1, x.shape[-1]).mean(axis=0) * share)
     return np.asarray(np.sqrt(np.mean(power, axis=0)))

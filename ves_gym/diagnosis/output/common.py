@@ -19,7 +19,7 @@ SAME = 1e-9  # of a channel's size: two descriptions are one
 
 
 @dataclass(frozen=True)
-class Written:
+class DescriptionFiles:
     """Files of a better description."""
 
     files: tuple[Path, ...]
@@ -32,40 +32,43 @@ class Written:
 
 
 def difference(
-    one: Machine, model: Any, other: Machine, again: Any, runs: Sequence[Run]
+    machine: Machine, model: Any, other: Machine, other_model: Any, runs: Sequence[Run]
 ) -> float:
     """Largest difference of any port's residual under two models, in parts of the largest
     number of its channel's kind that the ports see."""
     worst = 0.0
-    ports = [p.name for p in testable(one, runs)]
+    ports = [p.name for p in testable(machine, runs)]
     for run in runs:
-        a, b = one.residuals(run, [model], ports), other.residuals(run, [again], ports)
+        a, b = (
+            machine.residuals(run, [model], ports),
+            other.residuals(run, [other_model], ports),
+        )
         for name in ports:
-            size = one.floor(run, name) * 1e3  # the floor is a thousandth of what is seen
+            size = machine.floor(run, name) * 1e3  # the floor is a thousandth of what is seen
             worst = max(worst, float(np.max(np.abs(a[name] - b[name]) / size)))
     return worst
 
 
-def require_same(found: float, where: Path) -> None:
+def require_same(deviation: float, where: Path) -> None:
     """Refuse a file that does not say what was found.
 
     Raises:
         ParameterError: the difference is above `SAME`.
     """
-    if not found <= SAME:
+    if not deviation <= SAME:
         raise ParameterError(
-            f"{where}: read back, it differs from what was found by {found:.2g} of a channel"
-            f" (at most {SAME:g}); nothing is written"
+            f"{where}: read back, it differs from what was found by {deviation:.2g} of a"
+            f" channel (at most {SAME:g}); nothing is written"
         )
 
 
-def diff_of(old: str, new: str, names: tuple[str, str]) -> str:
+def unified_diff(old: str, new: str, names: tuple[str, str]) -> str:
     """A unified diff."""
     lines = difflib.unified_diff(old.splitlines(), new.splitlines(), *names, n=2, lineterm="")
     return "\n".join(lines)
 
 
-def moved(pairs: Sequence[tuple[Path, Path]]) -> None:
+def rename_files(pairs: Sequence[tuple[Path, Path]]) -> None:
     """Give files their names, the last one last."""
-    for here, there in pairs:
-        os.replace(here, there)
+    for source, target in pairs:
+        os.replace(source, target)

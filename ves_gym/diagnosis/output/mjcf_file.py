@@ -31,13 +31,19 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.machines.mjcf import MjcfMachine, RateError, held_by
+from ves_gym.diagnosis.machines.mjcf import MjcfMachine, RateError, joint_property
 from ves_gym.diagnosis.machines.mjcf_mapping import machine_of
-from ves_gym.diagnosis.output.common import Written, diff_of, difference, moved, require_same
+from ves_gym.diagnosis.output.common import (
+    DescriptionFiles,
+    difference,
+    rename_files,
+    require_same,
+    unified_diff,
+)
 from ves_gym.system.effect import Effect
 
 MAPPING, MODEL = "machine.toml", "model.xml"
-_HELD = {  # effect -> (its numbers, attribute of a joint, power of a slide's radius)
+_MJCF_ATTRIBUTES = {  # effect -> (its numbers, attribute of a joint, power of a slide's radius)
     "joint/viscous": ("damping", "damping", -2),
     "joint/coulomb": ("torque", "frictionloss", -1),
     "joint/rotor_inertia": ("added", "armature", -2),
@@ -60,7 +66,7 @@ def write_machine(
     effects: Sequence[Effect | RateError],
     folder: Path,
     runs: Sequence[Run],
-) -> Written:
+) -> DescriptionFiles:
     """Write the machine of a mapping file with effects: `machine.toml` and `model.xml`.
 
     Both are read back, and every port is played again on the runs, before they get their
@@ -75,15 +81,19 @@ def write_machine(
     for name, read in ((MAPPING, mapping), (MODEL, source)):
         if read is not None and (folder / name).resolve() == read.resolve():
             raise ParameterError(f"--out {folder} would overwrite {read}: take another folder")
-    own = [e for e in effects if not isinstance(e, RateError)]
+    model_effects = [e for e in effects if not isinstance(e, RateError)]
     rates = [e for e in effects if isinstance(e, RateError)]
-    found = machine.model(effects)
-    inside = _split(source, machine, own)
-    beside = _Split(None, tuple(own), ()) if source is None else _plain(source, own)
+    variant = machine.model(effects)
+    inside = _split(source, machine, model_effects)
+    beside = (
+        _Split(None, tuple(model_effects), ())
+        if source is None
+        else _plain(source, model_effects)
+    )
     last: ParameterError | None = None
     for part in (inside, beside) if inside.model is not None else (beside,):
         try:
-            return _written(table, mapping, source, part, rates, folder, machine, found, runs)
+            return _written(table, mapping, source, part, rates, folder, machine, variant, runs)
         except ParameterError as error:
             last = error
     assert last is not None
@@ -98,16 +108,16 @@ def _written(
     rates: Sequence[RateError],
     folder: Path,
     machine: MjcfMachine,
-    found: Any,
+    variant: Any,
     runs: Sequence[Run],
-) -> Written:
+) -> DescriptionFiles:
     import tomli_w
 
-    more = {
+    additions = {
         "effect": [*table.get("effect", ()), *map(to_plain, part.table)],
         "rate": [*table.get("rate", ()), *map(to_plain, rates)],
     }
-    new = {**table, **{key: some for key, some in more.items() if some}}
+    new = {**table, **{key: entries for key, entries in additions.items() if entries}}
     if source is not None:
         new["model"] = MODEL
     text = tomli_w.dumps(new)
@@ -121,22 +131,22 @@ def _written(
             write_text(near, _text(_moved(part.model, source.parent, Path(inner))))
             pairs.insert(0, (near, folder / MODEL))
         write_text(pairs[-1][0], text)
-        again = machine_of(tomllib.loads(text), pairs[-1][0])[1]
-        apart = difference(machine, found, again, again.nominal, runs)
-        require_same(apart, folder / MAPPING)
+        reloaded = machine_of(tomllib.loads(text), pairs[-1][0])[1]
+        deviation = difference(machine, variant, reloaded, reloaded.nominal, runs)
+        require_same(deviation, folder / MAPPING)
         if source is not None:
             write_text(pairs[0][0], model_text)
-        moved(pairs)
-    diff = [diff_of(tomli_w.dumps(table), text, (mapping.name, MAPPING))]
+        rename_files(pairs)
+    diff = [unified_diff(tomli_w.dumps(table), text, (mapping.name, MAPPING))]
     if source is not None:
-        diff.append(diff_of(_text(_read(source)), model_text, (source.name, MODEL)))
+        diff.append(unified_diff(_text(_read(source)), model_text, (source.name, MODEL)))
     files = tuple(there for _, there in reversed(pairs))
-    return Written(
+    return DescriptionFiles(
         files=files,
         digest=content_hash([new, model_text]),
         plain={"machine_file": new, "model": model_text},
         diff="\n".join(d for d in diff if d),
-        difference=apart,
+        difference=deviation,
         notes=part.notes,
     )
 
@@ -166,38 +176,38 @@ def _split(source: Path | None, machine: MjcfMachine, effects: Sequence[Effect])
     root = _read(source)
     joints = [_only(root, j.name) for j in machine.joints]
     radius = np.array([j.radius for j in machine.joints])
-    rest, notes = [], []
-    more: dict[str, Array] = {}
+    remaining, notes = [], []
+    additions: dict[str, Array] = {}
     for effect in effects:
-        known = _HELD.get(effect.kind)
-        if known is None:
-            rest.append(effect)
+        attribute_of = _MJCF_ATTRIBUTES.get(effect.kind)
+        if attribute_of is None:
+            remaining.append(effect)
             scaled = _geared(root, machine, effect) if effect.kind == "joint/drive_gain" else []
             notes.append(
                 f"{effect.kind}: in {MAPPING}"
                 + (f"; gear of {', '.join(scaled)} in {MODEL}" if scaled else "")
             )
             continue
-        number, attribute, power = known
+        number, attribute, power = attribute_of
         value = np.array(getattr(effect, number)) * radius**power
-        more[attribute] = more.get(attribute, np.zeros(len(radius))) + value
+        additions[attribute] = additions.get(attribute, np.zeros(len(radius))) + value
         notes.append(f"{effect.kind}: {attribute} in {MODEL}")
-    for attribute, value in more.items():
-        held = held_by(machine.mjcf, attribute)[machine.dof]
-        for joint, now, add in zip(joints, held, value, strict=True):
+    for attribute, value in additions.items():
+        present = joint_property(machine.mjcf, attribute)[machine.dof]
+        for joint, base_value, add in zip(joints, present, value, strict=True):
             if add and joint is None:  # named by <attach> or <replicate>
                 return _Split(None, tuple(effects), ())
             if add and joint is not None:
-                joint.set(attribute, repr(float(now + add)))
-    return _Split(root, tuple(rest), tuple(notes))
+                joint.set(attribute, repr(float(base_value + add)))
+    return _Split(root, tuple(remaining), tuple(notes))
 
 
 def _only(root: ET.Element, name: str) -> ET.Element | None:
     """The joint of a body by its name, if there is exactly one."""
     tags = ("joint", "hinge", "slide")
     bodies = root.iter("body")
-    some = [k for b in bodies for k in b if k.tag in tags and k.get("name") == name]
-    return some[0] if len(some) == 1 else None
+    matches = [k for b in bodies for k in b if k.tag in tags and k.get("name") == name]
+    return matches[0] if len(matches) == 1 else None
 
 
 def _geared(root: ET.Element, machine: MjcfMachine, effect: Effect) -> list[str]:
@@ -254,13 +264,13 @@ def _moved(root: ET.Element, old: Path, new: Path) -> ET.Element:
             return folder
         return Path(os.path.relpath((old / folder).resolve(), new.resolve())).as_posix()
 
-    given = False
+    declared = False
     for compiler in root.iter("compiler"):
         for key in _FOLDERS:
             if key in compiler.attrib:
                 compiler.set(key, there(compiler.attrib[key]))
-                given = True
-    if not given:
+                declared = True
+    if not declared:
         root.insert(0, ET.Element("compiler", {"assetdir": there(".")}))
     return root
 

@@ -9,8 +9,14 @@ from pathlib import Path
 
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.machines.system import SystemMachine
-from ves_gym.diagnosis.output.closed_loop_replay import compared
-from ves_gym.diagnosis.output.common import Written, diff_of, difference, moved, require_same
+from ves_gym.diagnosis.output.closed_loop_replay import compare_replays
+from ves_gym.diagnosis.output.common import (
+    DescriptionFiles,
+    difference,
+    rename_files,
+    require_same,
+    unified_diff,
+)
 from ves_gym.system.system import System
 
 NAME = "system.toml"
@@ -23,7 +29,7 @@ def write_system(
     runs: Sequence[Run],
     final: Sequence[Run],
     free: bool = True,
-) -> Written:
+) -> DescriptionFiles:
     """Write a system and prove that the file says what was found.
 
     Args:
@@ -38,20 +44,24 @@ def write_system(
     with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as inner:
         near = Path(inner) / NAME
         better.save(near)
-        again = System.load(near)
-        here, there = SystemMachine(better), SystemMachine(again)
-        apart = difference(here, here.nominal, there, there.nominal, [*runs, *final])
-        require_same(apart, folder / NAME)
-        played = compared(described, better, again, final or runs[:1]) if free else None
+        reloaded = System.load(near)
+        original, restored = SystemMachine(better), SystemMachine(reloaded)
+        deviation = difference(
+            original, original.nominal, restored, restored.nominal, [*runs, *final]
+        )
+        require_same(deviation, folder / NAME)
+        played = (
+            compare_replays(described, better, reloaded, final or runs[:1]) if free else None
+        )
         if played is not None and played.gaps:
             require_same(played.difference, folder / NAME)
-        moved([(near, folder / NAME)])
+        rename_files([(near, folder / NAME)])
     old, new = (tomli_w.dumps(s.to_dict()) for s in (described, better))
-    return Written(
+    return DescriptionFiles(
         files=(folder / NAME,),
         digest=better.hash,
         plain={"system": better.to_dict()},
-        diff=diff_of(old, new, ("described", NAME)),
-        difference=apart,
+        diff=unified_diff(old, new, ("described", NAME)),
+        difference=deviation,
         free=None if played is None else dataclasses.asdict(played),
     )

@@ -16,9 +16,8 @@ from typing import Any
 
 from ves_gym._util.params import ParameterError, canonical_json
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.diagnosis.benchmark import run as trials
-from ves_gym.diagnosis.benchmark.score import METHODS, OWN, fine
-from ves_gym.diagnosis.benchmark.score import Case as Answered
+from ves_gym.diagnosis.benchmark import run as blind_benchmark
+from ves_gym.diagnosis.benchmark.score import METHODS, OWN, ScoredCase, is_correct
 from ves_gym.diagnosis.diagnose import MORE, NAMED, NOTHING, ONE_OF, UNKNOWN, WEAK
 from ves_gym.leaderboard import fingerprint
 from ves_gym.leaderboard.entry import number, text
@@ -27,7 +26,7 @@ from ves_gym.leaderboard.protocol import PLANNED_SHARE, Problem, Seeds
 from ves_gym.leaderboard.tracks.base import Answers, Case, Method, Progress, Row, row
 from ves_gym.system.system import System
 
-VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK, trials.FAILED)
+VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK, blind_benchmark.FAILED)
 _SPEAK = (NAMED, ONE_OF, MORE)
 _MOST = 20  # effects named in an answer
 _FOLDER = Path("out/leaderboard/blind")
@@ -56,7 +55,7 @@ class Naming:
 
         return nominal()
 
-    def trial(self, problem: Problem, seeds: Seeds) -> trials.Trial:
+    def benchmark(self, problem: Problem, seeds: Seeds) -> blind_benchmark.BenchmarkRun:
         """The cases, in a folder that is theirs alone, and that of these sources."""
         from ves_gym.diagnosis.benchmark.blind.cases import mix
 
@@ -66,14 +65,16 @@ class Naming:
         cases = (
             range(whole)
             if problem.count == whole
-            else trials.stratified(problem.count, seeds.root)
+            else blind_benchmark.stratified(problem.count, seeds.root)
         )
         sealed = seeds.which == "official"
-        return trials.Trial(self.folder / name, seeds.root, sealed, tuple(sorted(cases)))
+        return blind_benchmark.BenchmarkRun(
+            self.folder / name, seeds.root, sealed, tuple(sorted(cases))
+        )
 
     def seed_list(self, problem: Problem, seeds: Seeds) -> list[int]:
         """See `Track`."""
-        return list(self.trial(problem, seeds).cases)
+        return list(self.benchmark(problem, seeds).cases)
 
     def cases(self, problem: Problem, seeds: Seeds, method: Method, group: int) -> list[Case]:
         """See `Track`."""
@@ -92,13 +93,13 @@ class Naming:
                 f"selector must be one of {', '.join(METHODS)}, got {method.name!r:.80}"
                 f"{did_you_mean(method.name, METHODS)}"
             )
-        asked = self.trial(problem, seeds)
-        trials.run_trial(asked, self.workers, tell)
-        answers = [_short(a, method.name) for a in trials.read_answers(asked)]
+        benchmark = self.benchmark(problem, seeds)
+        blind_benchmark.run_benchmark(benchmark, self.workers, tell)
+        answers = [_short(a, method.name) for a in blind_benchmark.read_answers(benchmark)]
         data = (canonical_json({"answers": answers}) + "\n").encode()
         rows = [row_ | {"length": 1} for row_ in self._rows(problem, seeds, method, answers)]
         if method.name == OWN:
-            for line, answer in zip(rows, trials.read_answers(asked), strict=True):
+            for line, answer in zip(rows, blind_benchmark.read_answers(benchmark), strict=True):
                 line["seconds"] = float(answer["seconds"]["total"])
         return Answers(rows, data, method)
 
@@ -132,15 +133,15 @@ class Naming:
         """See `Track`. Elsewhere most answers must agree, not all."""
         if method.name not in METHODS:
             raise Rejection(Code.NOT_REPRODUCIBLE, f"no selector {method.name!r:.80}")
-        asked = self.trial(problem, seeds)
+        benchmark = self.benchmark(problem, seeds)
         with tempfile.TemporaryDirectory() as folder:  # nothing that was found before
-            fresh = replace(asked, folder=Path(folder))
-            trials.run_trial(fresh, self.workers)
-            mine = [_short(a, method.name) for a in trials.read_answers(fresh)]
-        its = _read(members[self.payload(problem)], list(asked.cases))
+            fresh = replace(benchmark, folder=Path(folder))
+            blind_benchmark.run_benchmark(fresh, self.workers)
+            mine = [_short(a, method.name) for a in blind_benchmark.read_answers(fresh)]
+        its = _read(members[self.payload(problem)], list(benchmark.cases))
         agree = [_said(a) == _said(b) for a, b in zip(mine, its, strict=True)]
         if sum(agree) < (1.0 if same else PLANNED_SHARE) * len(agree):
-            first = asked.cases[agree.index(False)]
+            first = benchmark.cases[agree.index(False)]
             raise Rejection(Code.NOT_REPRODUCED, f"case {first}: another answer is found")
 
     def _rows(
@@ -150,16 +151,20 @@ class Naming:
         method: Method,
         answers: Sequence[dict[str, Any]],
     ) -> list[Row]:
-        asked = self.trial(problem, seeds)
-        for i in asked.cases:
-            if not (asked.labels / f"case-{i:03d}.json").exists():
-                trials.make(str(asked.folder), asked.root, i)
+        benchmark = self.benchmark(problem, seeds)
+        for i in benchmark.cases:
+            if not (benchmark.labels / f"case-{i:03d}.json").exists():
+                blind_benchmark.make_case(str(benchmark.folder), benchmark.root, i)
         out = []
         cases = self.cases(problem, seeds, method, 0)
-        for case, label, answer in zip(cases, trials.read_truth(asked), answers, strict=True):
-            failed = answer["verdict"] == trials.FAILED
+        for case, label, answer in zip(
+            cases, blind_benchmark.read_truth(benchmark), answers, strict=True
+        ):
+            failed = answer["verdict"] == blind_benchmark.FAILED
             effects = answer["effects"] if answer["verdict"] in _SPEAK else []
-            right = not failed and fine(Answered(label, answer["verdict"], effects, answer))
+            right = not failed and is_correct(
+                ScoredCase(label, answer["verdict"], effects, answer)
+            )
             out.append(
                 row(
                     case,
@@ -177,7 +182,7 @@ class Naming:
 def _short(answer: Mapping[str, Any], method: str) -> dict[str, Any]:
     """What a score needs of an answer, in one form for every method."""
     verdict, effects = answer["verdict"], answer["effects"]
-    if method != OWN and verdict != trials.FAILED:
+    if method != OWN and verdict != blind_benchmark.FAILED:
         effects = answer["baselines"][method]
         verdict = NAMED if effects else NOTHING
     kept = [{k: e[k] for k in ("kind", "slot", "value")} for e in effects]

@@ -86,7 +86,7 @@ def test_gap_over_noise_is_as_wanted(runner, kind, wanted):
     from ves_gym.diagnosis.benchmark.blind.simulate import silent
 
     motions = [draw(k, runner.limits, np.random.default_rng(3)) for k in KINDS[:2]]
-    plan = cases.Plan("single", (kind,), (wanted,))
+    plan = cases.CasePlan("single", (kind,), (wanted,))
     (effect,), (reached,) = runner.effects(
         plan, runner.nominal, motions, np.random.default_rng(0)
     )
@@ -99,7 +99,7 @@ def test_gap_over_noise_is_as_wanted(runner, kind, wanted):
 
 def test_runs_held_back_do_not_size_an_effect(runner):
     motions = [draw(k, runner.limits, np.random.default_rng(3)) for k in KINDS[:2]]
-    plan = cases.Plan("single", ("joint/viscous",), (3.0,))
+    plan = cases.CasePlan("single", ("joint/viscous",), (3.0,))
 
     def sized(held_back):
         rng = np.random.default_rng(0)
@@ -200,11 +200,11 @@ def test_set_is_resumed_case_by_case(tmp_path, runner, gains, monkeypatch):
 
         def case(self, index, root):
             made.append(index)
-            plan = cases.Plan("null", (), ())
+            plan = cases.CasePlan("null", (), ())
             motion = draw("moves", runner.limits, np.random.default_rng(1))
             records = [np.zeros((3, 33))] * 6
             t = [np.arange(3) * 5e-3] * 6
-            return cases.Case(index, plan, (), (), t, records, [motion] * 6)
+            return cases.BlindCase(index, plan, (), (), t, records, [motion] * 6)
 
     pytest.importorskip("pyarrow")
     for wanted in ([0, 1], [0, 1, 2]):

@@ -7,7 +7,7 @@ pytest.importorskip("numba")
 
 from ves_gym.diagnosis.benchmark.blind.mechanics import (
     GRAVITY,
-    Bodies,
+    BodyParameters,
     conjugate,
     fill_trig,
     inverse_dynamics,
@@ -35,7 +35,7 @@ def pendulum(mass=2.0, length=0.7, inertia=0.05):
     """One link that turns about the platform's z, its mass at the far end."""
     moments = np.zeros((2, 3, 3))
     moments[1] = inertia * np.eye(3)
-    return Bodies(
+    return BodyParameters(
         dh=np.array([[0.0, length, 0.0, 0.0]]),
         mass=np.array([0.0, mass]),
         com=np.zeros((2, 3)),

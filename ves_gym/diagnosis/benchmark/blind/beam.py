@@ -19,7 +19,7 @@ MODES = 4  # inner modes kept
 FRAME_SHARE = 0.15  # of the beam's mass in the frame; the rest is a body at the tip
 
 
-class Base(NamedTuple):
+class BaseMatrices(NamedTuple):
     """M Z'' + D Z' + K Z = (wrench, 0), Z = (tip pose, inner modes), size 6 + m."""
 
     M: Array
@@ -27,7 +27,7 @@ class Base(NamedTuple):
     K: Array
 
 
-def base_of(vehicle: dict[str, Any], modes: int = MODES) -> Base:
+def base_of(vehicle: dict[str, Any], modes: int = MODES) -> BaseMatrices:
     """The base that a vehicle description of kind "beam" stands for.
 
     The stated 6x6 mass is that of a light frame and of a body at its tip: base and
@@ -42,7 +42,7 @@ def base_of(vehicle: dict[str, Any], modes: int = MODES) -> Base:
     D[:6, :6] = modal(lumped, Kr[:6, :6], ratio)
     inner = np.arange(6, 6 + modes)
     D[inner, inner] = 2 * ratio * np.sqrt(Kr[inner, inner])
-    return Base(Mr, D, Kr)
+    return BaseMatrices(Mr, D, Kr)
 
 
 def section(vehicle: dict[str, Any]) -> tuple[float, float]:
@@ -80,7 +80,9 @@ def axes(along: Array) -> Array:
     return np.stack([along, second, np.cross(along, second)])
 
 
-def element(length: float, EA: float, EI: float, GJ: float, line: float) -> tuple[Array, Array]:
+def element(
+    length: float, EA: float, EI: float, GJ: float, line_density: float
+) -> tuple[Array, Array]:
     """Stiffness and mass (12, 12) of a frame element in its own axes, twist inertia aside.
 
     Rows: displacement and rotation (6) of either end. `line`: mass per length [kg/m].
@@ -89,7 +91,7 @@ def element(length: float, EA: float, EI: float, GJ: float, line: float) -> tupl
     pair = np.array([[1.0, -1.0], [-1.0, 1.0]])
     k[np.ix_([0, 6], [0, 6])] = EA / length * pair
     k[np.ix_([3, 9], [3, 9])] = GJ / length * pair
-    m[np.ix_([0, 6], [0, 6])] = line * length / 6 * np.array([[2, 1], [1, 2]])
+    m[np.ix_([0, 6], [0, 6])] = line_density * length / 6 * np.array([[2, 1], [1, 2]])
     a = length
     bend = np.array(
         [
@@ -111,7 +113,7 @@ def element(length: float, EA: float, EI: float, GJ: float, line: float) -> tupl
         rows = np.ix_([w, slope, w + 6, slope + 6], [w, slope, w + 6, slope + 6])
         flip = np.diag([1, sign, 1, sign])
         k[rows] += EI / length**3 * flip @ bend @ flip
-        m[rows] += line * length / 420 * flip @ heavy @ flip
+        m[rows] += line_density * length / 420 * flip @ heavy @ flip
     return k, m
 
 
@@ -119,10 +121,10 @@ def reduced(K: Array, M: Array, modes: int) -> tuple[Array, Array]:
     """K, M (6 + modes, ...) in the tip's coordinates and the frame's modes with it held."""
     inner = slice(0, len(K) - 6)
     shapes = -np.linalg.solve(K[inner, inner], K[inner, -6:])
-    _, own = scipy.linalg.eigh(K[inner, inner], M[inner, inner])
+    _, fixed_modes = scipy.linalg.eigh(K[inner, inner], M[inner, inner])
     basis = np.zeros((len(K), 6 + modes))
     basis[inner, :6], basis[-6:, :6] = shapes, np.eye(6)
-    basis[inner, 6:] = own[:, :modes]
+    basis[inner, 6:] = fixed_modes[:, :modes]
     out = [basis.T @ matrix @ basis for matrix in (K, M)]
     return (out[0] + out[0].T) / 2, (out[1] + out[1].T) / 2
 
@@ -145,5 +147,5 @@ def stated_mass(vehicle: dict[str, Any], consistent: Array) -> Array:
 def modal(M: Array, K: Array, ratio: float) -> Array:
     """D that gives every mode of (K, M) the damping ratio."""
     squares, shapes = scipy.linalg.eigh(K, M)
-    left = M @ shapes
-    return np.asarray(left @ np.diag(2 * ratio * np.sqrt(squares)) @ left.T)
+    weighted = M @ shapes
+    return np.asarray(weighted @ np.diag(2 * ratio * np.sqrt(squares)) @ weighted.T)

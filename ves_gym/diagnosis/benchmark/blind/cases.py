@@ -21,16 +21,21 @@ from ves_gym.diagnosis.benchmark.blind.effects import (
     OUTSIDE,
     TRIES,
     TRUTHS,
-    Effect,
+    HiddenEffect,
     drawn,
 )
-from ves_gym.diagnosis.benchmark.blind.excitation import KINDS, Motion
+from ves_gym.diagnosis.benchmark.blind.excitation import KINDS, ExcitationMotion
 from ves_gym.diagnosis.benchmark.blind.magnitude import gap, search
 from ves_gym.diagnosis.benchmark.blind.noise import converted, digital, draw_noise, stamps
-from ves_gym.diagnosis.benchmark.blind.setup import LARGE, Setup, nominal_setup, with_nuisance
+from ves_gym.diagnosis.benchmark.blind.setup import (
+    LARGE,
+    MachineSetup,
+    nominal_setup,
+    with_nuisance,
+)
 from ves_gym.diagnosis.benchmark.blind.simulate import (
     SEARCH_STEP,
-    Noise,
+    NoiseSamples,
     samples_of,
     silent,
     simulate,
@@ -52,7 +57,7 @@ RUNAWAY = 200.0  # gap over noise of effects that upset the loop
 DEVELOPMENT = "development"
 
 
-class Plan(NamedTuple):
+class CasePlan(NamedTuple):
     """What a case is to be, before its machine is drawn."""
 
     category: str  # single, null, outside, pair or weak
@@ -61,61 +66,61 @@ class Plan(NamedTuple):
     variant: str = ""
 
 
-class Case(NamedTuple):
+class BlindCase(NamedTuple):
     """A machine and its runs, and the truth about it."""
 
     number: int  # its index in the set
-    plan: Plan
-    effects: tuple[Effect, ...]
+    plan: CasePlan
+    effects: tuple[HiddenEffect, ...]
     reached: tuple[float, ...]  # gap over noise of each effect alone
     t: list[Array]
     records: list[Array]
-    motions: list[Motion]
+    motions: list[ExcitationMotion]
 
 
 def table_effects() -> list[tuple[str, ...]]:
     """The 27 effects of the table; kinds that share one line take turns."""
     shared = {kind: group for group in SHARED.values() for kind in group}
-    lines: list[tuple[str, ...]] = []
+    rows: list[tuple[str, ...]] = []
     for kind in LIBRARY:
-        line = shared.get(kind, (kind,))
-        if line not in lines:
-            lines.append(line)
-    return lines
+        row = shared.get(kind, (kind,))
+        if row not in rows:
+            rows.append(row)
+    return rows
 
 
 @lru_cache(maxsize=1)
-def mix() -> tuple[Plan, ...]:
+def mix() -> tuple[CasePlan, ...]:
     """All 600 plans in order: 324 single, 120 null, 60 outside, 84 pairs, 12 weak."""
     plans = []
-    for line in table_effects():
+    for row in table_effects():
         for k in range(len(RATIOS) * SEEDS):
-            plans.append(Plan("single", (line[k % len(line)],), (RATIOS[k // SEEDS],)))
-    plans += [Plan("null", (), (), "large" if k % 2 else "usual") for k in range(120)]
+            plans.append(CasePlan("single", (row[k % len(row)],), (RATIOS[k // SEEDS],)))
+    plans += [CasePlan("null", (), (), "large" if k % 2 else "usual") for k in range(120)]
     for k in range(60):
-        plans.append(Plan("outside", (OUTSIDE[k % 6],), (3.0 if k < 30 else 10.0,)))
+        plans.append(CasePlan("outside", (OUTSIDE[k % 6],), (3.0 if k < 30 else 10.0,)))
     plans += _pairs(84)
     for k in range(12):
-        plans.append(Plan("weak", (WEAK_KINDS[k % 4],), (3.0,)))
+        plans.append(CasePlan("weak", (WEAK_KINDS[k % 4],), (3.0,)))
     return tuple(plans)
 
 
-def _pairs(count: int) -> list[Plan]:
+def _pairs(count: int) -> list[CasePlan]:
     """Two effects each; half of the pairs enter at the same port."""
     rng = np.random.default_rng(27)
     ports = {kind: TRUTHS[kind].port for kind in LIBRARY}
-    seen: set[frozenset[str]] = set()
-    plans: list[Plan] = []
+    chosen: set[frozenset[str]] = set()
+    plans: list[CasePlan] = []
     while len(plans) < count:
         same = len(plans) % 2 == 0
         a, b = (str(k) for k in rng.choice(LIBRARY, 2, replace=False))
-        if (ports[a] == ports[b]) != same or frozenset((a, b)) in seen:
+        if (ports[a] == ports[b]) != same or frozenset((a, b)) in chosen:
             continue
         if any({a, b} <= set(group) for group in SHARED.values()):
             continue
-        seen.add(frozenset((a, b)))
+        chosen.add(frozenset((a, b)))
         ratios = tuple(float(r) for r in rng.choice((3.0, 10.0), 2))
-        plans.append(Plan("pair", (a, b), ratios, "same port" if same else "two ports"))
+        plans.append(CasePlan("pair", (a, b), ratios, "same port" if same else "two ports"))
     return plans
 
 
@@ -134,7 +139,7 @@ def order_of(root: int) -> list[int]:
     return order
 
 
-def plan_of(index: int, root: int) -> Plan:
+def plan_of(index: int, root: int) -> CasePlan:
     """The plan that a set's shuffle puts at an index."""
     plans = mix()
     if not 0 <= index < len(plans):
@@ -151,7 +156,7 @@ class Runner:
         self.limits = excitation.limits_of(description["arm"])
         self.samples = samples_of(self.nominal.dt)
 
-    def case(self, index: int, root: int) -> Case:
+    def case(self, index: int, root: int) -> BlindCase:
         """The case of a set at an index, the same every time."""
         plan = plan_of(index, root)
         seeds = np.random.SeedSequence((root, 1 + index)).spawn(5)
@@ -171,15 +176,15 @@ class Runner:
         noises = [draw_noise(self.samples, disturb, share) for _ in motions]
         records = [converted(r) for r in self.records(broken, motions, noises)]
         t = [stamps(self.samples, setup.dt, setup.clock, clock) for _ in motions]
-        return Case(index, plan, effects, reached, t, records, motions)
+        return BlindCase(index, plan, effects, reached, t, records, motions)
 
-    def motions(self, rng: np.random.Generator) -> list[Motion]:
+    def motions(self, rng: np.random.Generator) -> list[ExcitationMotion]:
         """Six runs: every kind of the menu once in the first four, two more to hold back."""
         first = rng.permutation(KINDS).tolist()
         last = rng.choice(KINDS, FINAL, replace=False).tolist()
         return [self.safe_motion(kind, rng) for kind in first + last]
 
-    def safe_motion(self, kind: str, rng: np.random.Generator) -> Motion:
+    def safe_motion(self, kind: str, rng: np.random.Generator) -> ExcitationMotion:
         """A motion during which the healthy platform stays inside its legs' range."""
         stewart = self.description["emulator"]["stewart"]
         motion = excitation.draw(kind, self.limits, rng)
@@ -207,9 +212,9 @@ class Runner:
 
     def records(
         self,
-        setup: Setup,
-        motions: Sequence[Motion],
-        noises: Sequence[Noise],
+        setup: MachineSetup,
+        motions: Sequence[ExcitationMotion],
+        noises: Sequence[NoiseSamples],
         step: float | None = None,
     ) -> list[Array]:
         """The record of every run, drift drawn anew for each."""
@@ -224,50 +229,50 @@ class Runner:
 
     def effects(
         self,
-        plan: Plan,
-        setup: Setup,
-        motions: Sequence[Motion],
+        plan: CasePlan,
+        setup: MachineSetup,
+        motions: Sequence[ExcitationMotion],
         rng: np.random.Generator,
-        held_back: Sequence[Motion] = (),
-    ) -> tuple[tuple[Effect, ...], tuple[float, ...]]:
+        held_back: Sequence[ExcitationMotion] = (),
+    ) -> tuple[tuple[HiddenEffect, ...], tuple[float, ...]]:
         """The plan's effects, each as large as wanted, and the gaps they reach.
 
         Gaps are those of `motions`, the runs that are fitted; that the loop stays stable is
         asked of all.
         """
-        found, reached = [], []
+        sized, reached = [], []
         every = [*motions, *held_back]
         if plan.kinds:
             quiet = [silent(self.samples) for _ in every]
             healthy = self.records(setup, every, quiet, SEARCH_STEP)
             plain = healthy[: len(motions)]
-        for kind, wanted in zip(plan.kinds, plan.ratios, strict=True):
-            best: tuple[float, Effect, float] | None = None
+        for kind, target in zip(plan.kinds, plan.ratios, strict=True):
+            best: tuple[float, HiddenEffect, float] | None = None
             for effect in drawn(kind, rng)[:TRIES]:
                 drawing = int(rng.integers(2**63))
 
-                def measure(m: float, e: Effect = effect, seed: int = drawing) -> float:
+                def measure(m: float, e: HiddenEffect = effect, seed: int = drawing) -> float:
                     return self._gap(e._replace(magnitude=m), setup, motions, plain, seed)
 
-                m, got = search(measure, wanted, effect.magnitude, effect.truth.most)
-                miss = abs(np.log(max(got, 1e-9) / wanted))
+                m, got = search(measure, target, effect.magnitude, effect.truth.most)
+                miss = abs(np.log(max(got, 1e-9) / target))
                 if best is None or miss < best[0]:
                     best = (miss, effect._replace(magnitude=m), got)
                 if miss < 0.14:
                     break
             assert best is not None
-            found.append(best[1])
+            sized.append(best[1])
             reached.append(best[2])
-        while found and not self._stands(found, setup, every, healthy):
-            found = [e._replace(magnitude=0.7 * e.magnitude) for e in found]
-            reached = [self._gap(e, setup, motions, plain, 0) for e in found]
-        return tuple(found), tuple(reached)
+        while sized and not self._stands(sized, setup, every, healthy):
+            sized = [e._replace(magnitude=0.7 * e.magnitude) for e in sized]
+            reached = [self._gap(e, setup, motions, plain, 0) for e in sized]
+        return tuple(sized), tuple(reached)
 
     def _stands(
         self,
-        effects: Sequence[Effect],
-        setup: Setup,
-        motions: Sequence[Motion],
+        effects: Sequence[HiddenEffect],
+        setup: MachineSetup,
+        motions: Sequence[ExcitationMotion],
         plain: Sequence[Array],
     ) -> bool:
         """Whether the loop stays stable with all effects at once."""
@@ -278,9 +283,9 @@ class Runner:
 
     def _gap(
         self,
-        effect: Effect,
-        setup: Setup,
-        motions: Sequence[Motion],
+        effect: HiddenEffect,
+        setup: MachineSetup,
+        motions: Sequence[ExcitationMotion],
         plain: Sequence[Array],
         seed: int,
     ) -> float:

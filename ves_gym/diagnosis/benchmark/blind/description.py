@@ -8,19 +8,19 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.diagnosis.benchmark.blind.beam import Base, base_of
-from ves_gym.diagnosis.benchmark.blind.mechanics import Bodies
-from ves_gym.diagnosis.benchmark.blind.plant import Plant
+from ves_gym.diagnosis.benchmark.blind.beam import BaseMatrices, base_of
+from ves_gym.diagnosis.benchmark.blind.mechanics import BodyParameters
+from ves_gym.diagnosis.benchmark.blind.plant import BlindPlant
 
 NEVER = 1e9  # of a limit that is not met
 BRISTLE_LENGTH = 8e-4  # rad over which a joint's friction builds up
 
 
-def bodies_of(arm: dict[str, Any]) -> Bodies:
+def bodies_of(arm: dict[str, Any]) -> BodyParameters:
     """Geometry and masses of an arm description."""
     links = arm["links"]
     parts = [arm["base"], *(link["inertial"] for link in links)]
-    return Bodies(
+    return BodyParameters(
         dh=np.array([[link[k] for k in ("d", "a", "alpha", "offset")] for link in links]),
         mass=np.array([part["mass"] for part in parts], float),
         com=np.array([part["com"] for part in parts], float),
@@ -28,7 +28,9 @@ def bodies_of(arm: dict[str, Any]) -> Bodies:
     )
 
 
-def plant_of(description: dict[str, Any], controller: dict[str, Any]) -> tuple[Plant, Base]:
+def plant_of(
+    description: dict[str, Any], controller: dict[str, Any]
+) -> tuple[BlindPlant, BaseMatrices]:
     """The healthy machine, and the base behind its admittance.
 
     Args:
@@ -37,7 +39,7 @@ def plant_of(description: dict[str, Any], controller: dict[str, Any]) -> tuple[P
         controller: `kp` and `kd` of the joint servo.
     """
     lab = description.get("emulator") or {}
-    wanted = {
+    required = {
         "mode": (description["mode"], "emulated"),
         "operation": (lab.get("operation"), "microgravity"),
         "payload_compensation": (lab.get("payload_compensation"), False),
@@ -47,9 +49,9 @@ def plant_of(description: dict[str, Any], controller: dict[str, Any]) -> tuple[P
         "joints": (len(description["arm"]["links"]), 3),
         "effects": (len(description["effects"]), 0),
     }
-    for name, (given, expected) in wanted.items():
-        if given != expected:
-            raise ParameterError(f"generator: {name} must be {expected!r}, got {given!r}")
+    for name, (actual, expected) in required.items():
+        if actual != expected:
+            raise ParameterError(f"generator: {name} must be {expected!r}, got {actual!r}")
     bodies, links = bodies_of(description["arm"]), description["arm"]["links"]
     base = base_of(description["vehicle"])
     phi, gamma = sampled(base, description["control_dt"])
@@ -60,7 +62,7 @@ def plant_of(description: dict[str, Any], controller: dict[str, Any]) -> tuple[P
     friction = np.zeros((3, 8))
     friction[:, 2], friction[:, 7] = 0.1, BRISTLE_LENGTH
     limit = np.array([link["tau_max"] for link in links])
-    plant = Plant(
+    plant = BlindPlant(
         bodies=bodies,
         rotor=np.array([link["rotor_inertia"] for link in links]),
         kp=np.asarray(controller["kp"], float),
@@ -110,7 +112,7 @@ def plant_of(description: dict[str, Any], controller: dict[str, Any]) -> tuple[P
     return plant, base
 
 
-def sampled(base: Base, dt: float) -> tuple[Array, Array]:
+def sampled(base: BaseMatrices, dt: float) -> tuple[Array, Array]:
     """Phi (2z, 2z) and Gamma (2z, 6): the base over one period under a held wrench."""
     size = len(base.M)
     generator = np.zeros((2 * size + 6, 2 * size + 6))

@@ -17,9 +17,9 @@ import scipy
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.diagnosis.benchmark.blind import plant as cols
-from ves_gym.diagnosis.benchmark.blind.beam import Base
-from ves_gym.diagnosis.benchmark.blind.mechanics import Bodies
-from ves_gym.diagnosis.benchmark.blind.setup import Setup
+from ves_gym.diagnosis.benchmark.blind.beam import BaseMatrices
+from ves_gym.diagnosis.benchmark.blind.mechanics import BodyParameters
+from ves_gym.diagnosis.benchmark.blind.setup import MachineSetup
 
 Constants = dict[str, Any]
 JOINTS = ("joint 1", "joint 2", "joint 3")
@@ -38,12 +38,12 @@ class Truth(NamedTuple):
     slots: tuple[str, ...]
     start: float  # magnitude the search starts from
     most: float  # largest magnitude that still is this effect
-    apply: Callable[[Setup, int, float, Constants], Setup]
+    apply: Callable[[MachineSetup, int, float, Constants], MachineSetup]
     parameters: Callable[[float, Constants], dict[str, Any]]  # as the library names them
     draw: Callable[[np.random.Generator], Constants]
 
 
-class Effect(NamedTuple):
+class HiddenEffect(NamedTuple):
     """One effect in one machine."""
 
     kind: str
@@ -56,7 +56,7 @@ class Effect(NamedTuple):
         """Its kind's definition."""
         return TRUTHS[self.kind]
 
-    def applied(self, setup: Setup) -> Setup:
+    def applied(self, setup: MachineSetup) -> MachineSetup:
         """The machine with the effect."""
         return self.truth.apply(setup, self.slot, self.magnitude, self.constants)
 
@@ -93,10 +93,10 @@ def truth(
     parameters: Callable[[float, Constants], dict[str, Any]] | str,
     draw: Callable[[np.random.Generator], Constants] = _nothing,
     port: str = "",
-) -> Callable[[Callable[[Setup, int, float, Constants], Setup]], Any]:
+) -> Callable[[Callable[[MachineSetup, int, float, Constants], MachineSetup]], Any]:
     """File an effect; the decorated function applies it."""
 
-    def file(apply: Callable[[Setup, int, float, Constants], Setup]) -> Any:
+    def file(apply: Callable[[MachineSetup, int, float, Constants], MachineSetup]) -> Any:
         named = _named(parameters) if isinstance(parameters, str) else parameters
         place = port or {"sensor": "wrench", "gravity": "wrench", "base": "admittance"}.get(
             kind.partition("/")[0], kind.partition("/")[0]
@@ -117,13 +117,13 @@ def _put(array: Array, where: Any, value: Any) -> Array:
 
 
 @truth("joint/coulomb", JOINTS, 1.0, 25.0, "torque")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     f = s.plant.friction
     return s.edit(friction=_put(f, (j, cols.COULOMB), f[j, cols.COULOMB] + m))
 
 
 @truth("joint/viscous", JOINTS, 3.0, 60.0, "damping")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     f = s.plant.friction
     return s.edit(friction=_put(f, (j, cols.VISCOUS), f[j, cols.VISCOUS] + m))
 
@@ -140,7 +140,7 @@ def _stribeck(rng: np.random.Generator) -> Constants:
     lambda m, c: {"coulomb": m, "stiction": m * c["ratio"], "fade_speed": c["fade"]},
     _stribeck,
 )
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     f = s.plant.friction.copy()
     f[j, cols.COULOMB] += m
     f[j, cols.STICTION], f[j, cols.FADE] = m * (c["ratio"] - 1), c["fade"]
@@ -148,12 +148,12 @@ def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
 
 
 @truth("joint/asymmetry", JOINTS, 1.0, 15.0, "coulomb", _sign)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(friction=_put(s.plant.friction, (j, cols.ONE_WAY), c["sign"] * m))
 
 
 @truth("joint/load_friction", JOINTS, 0.03, 0.4, "coefficient")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(friction=_put(s.plant.friction, (j, cols.LOAD), m))
 
 
@@ -169,7 +169,7 @@ def _gear(rng: np.random.Generator) -> Constants:
     lambda m, c: {"compliance": m, "damping": c["damping"]},
     _gear,
 )
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(
         stiffness=_put(s.plant.stiffness, j, 1 / m),
         loss=_put(s.plant.loss, j, c["damping"]),
@@ -177,7 +177,7 @@ def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
 
 
 @truth("joint/backlash", JOINTS, 1e-3, 6e-2, "gap")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(
         stiffness=_put(s.plant.stiffness, j, CONTACT),
         loss=_put(s.plant.loss, j, 0.1 * np.sqrt(CONTACT * s.plant.rotor[j])),
@@ -200,32 +200,32 @@ def _ripple(rng: np.random.Generator) -> Constants:
     lambda m, c: {"amplitude": m, "cycles": c["cycles"], "phase": c["phase"]},
     _ripple,
 )
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(ripple=_put(s.plant.ripple, j, [m, c["cycles"], c["phase"]]))
 
 
 @truth("joint/rotor_inertia", JOINTS, 0.3, 4.0, "added")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(rotor=_put(s.plant.rotor, j, s.plant.rotor[j] + m))
 
 
 @truth("joint/drive_gain", JOINTS, 0.05, 0.45, "error", _sign)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(gain=_put(s.plant.gain, j, s.plant.gain[j] * (1 + c["sign"] * m)))
 
 
 @truth("joint/torque_limit", JOINTS, 0.6, 0.97, "fraction")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(ceiling=_put(s.plant.ceiling, j, (1 - m) * s.plant.limit[j]))
 
 
 @truth("command/delay", WHOLE, 2e-3, 0.08, "delay", port="joint")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s._replace(drive=s.drive._replace(late=m))
 
 
 @truth("joint/measurement_delay", WHOLE, 2e-3, 0.08, "delay")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(age=m)
 
 
@@ -244,22 +244,22 @@ def _place(rng: np.random.Generator) -> Constants:
     lambda m, c: {"mass": m, "position": c["position"]},
     _place,
 )
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     b, place = s.plant.bodies, np.array(c["position"])
     d = place - b.com[-1]
-    whole = b.mass[-1] + m
-    spread = b.mass[-1] * m / whole * ((d @ d) * np.eye(3) - np.outer(d, d))
-    heavier = Bodies(
+    total = b.mass[-1] + m
+    spread = b.mass[-1] * m / total * ((d @ d) * np.eye(3) - np.outer(d, d))
+    heavier = BodyParameters(
         b.dh,
-        _put(b.mass, -1, whole),
-        _put(b.com, -1, (b.mass[-1] * b.com[-1] + m * place) / whole),
+        _put(b.mass, -1, total),
+        _put(b.com, -1, (b.mass[-1] * b.com[-1] + m * place) / total),
         _put(b.inertia, -1, b.inertia[-1] + spread),
     )
     return s.edit(bodies=heavier)
 
 
 @truth("payload/com", ("x", "y", "z"), 0.01, 0.25, "offset", _sign)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     b = s.plant.bodies
     moved = _put(b.com, (-1, j), b.com[-1, j] + c["sign"] * m)
     return s.edit(bodies=b._replace(com=moved))
@@ -269,7 +269,7 @@ def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
 
 
 @truth("sensor/bias", SIGNALS, 1.0, 60.0, "offset", _sign)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(offset=_put(s.plant.offset, j, s.plant.offset[j] + c["sign"] * m))
 
 
@@ -290,14 +290,14 @@ def _source(j: int, c: Constants) -> int:
     lambda m, c: {"error": c["sign"] * m, "from": c["shift"]},
     _calibration,
 )
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     error = np.eye(6)
     error[j, _source(j, c)] += c["sign"] * m
     return s.edit(to_signal=error @ s.plant.to_signal)
 
 
 @truth("sensor/rotation", ("x", "y", "z"), 2e-3, 0.1, "angles", _sign)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     angles = c["sign"] * m * np.eye(3)[j]
     # a vector seen from a frame that is turned by the angles
     turn = scipy.spatial.transform.Rotation.from_rotvec(-angles).as_matrix()
@@ -309,27 +309,27 @@ def _drift(rng: np.random.Generator) -> Constants:
 
 
 @truth("sensor/drift", SIGNALS, 1.0, 18.0, lambda m, c: {"std": m, "time": c["time"]}, _drift)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(creep=_put(s.plant.creep, j, m), creep_time=c["time"])
 
 
 @truth("sensor/lag", WHOLE, 0.2, 0.85, lambda m, c: {"error": -m})
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(filter=s.plant.filter * (1 - m))
 
 
 @truth("gravity/mass", WHOLE, 0.2, 15.0, "error", _sign)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(surplus=s.plant.surplus + c["sign"] * m)
 
 
 @truth("gravity/tilt", ("x", "y"), 1e-3, 0.08, "angles", _sign)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(tilt=_put(s.plant.tilt, j, c["sign"] * m))
 
 
 @truth("gravity/scale", WHOLE, 2e-3, 0.15, "error", _sign)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(scale=s.plant.scale * (1 + c["sign"] * m))
 
 
@@ -337,12 +337,12 @@ def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
 
 
 @truth("platform/delay", WHOLE, 3e-3, 0.03, "delay")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(late=m)
 
 
 @truth("platform/bandwidth", WHOLE, 0.15, 0.7, "error", _sign)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     w = s.plant.servo[0] * (1 + c["sign"] * m)
     return s.edit(servo=_put(s.plant.servo, 0, w))
 
@@ -351,17 +351,17 @@ HALF_STROKE = 0.4  # m, of the legs about home; a fraction of it is lacking
 
 
 @truth("platform/stroke", WHOLE, 0.96, 0.9995, "travel")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(stroke=np.full(6, (1 - m) * HALF_STROKE))
 
 
 @truth("base/virtual_mass", WHOLE, 0.05, 0.6, "error", _sign)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s._replace(base=s.base._replace(M=s.base.M * (1 + c["sign"] * m)))
 
 
 @truth("base/stiffness", WHOLE, 0.03, 0.6, "error", _sign)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s._replace(base=s.base._replace(K=s.base.K * (1 + c["sign"] * m)))
 
 
@@ -371,12 +371,12 @@ def _loss(m: float, c: Constants) -> float:
 
 
 @truth("base/damping", WHOLE, 0.3, 5.0, lambda m, c: {"error": _loss(m, c)}, _sign)
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s._replace(base=s.base._replace(D=s.base.D * (1 + _loss(m, c))))
 
 
 @truth("base/amplitude_damping", AXES[:3], 300.0, 1e5, "coefficient")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(drag=_put(s.plant.drag, j, m))
 
 
@@ -396,14 +396,14 @@ def _mode(rng: np.random.Generator) -> Constants:
     },
     _mode,
 )
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     """A mass on a spring at the tip, moving along one axis."""
     n, w = len(s.base.M), 2 * np.pi * c["frequency"]
     M, D, K = (np.pad(k, (0, 1)) for k in s.base)
     M[j, j] += m
     M[j, n] = M[n, j] = M[n, n] = m
     K[n, n], D[n, n] = m * w**2, 2 * c["damping_ratio"] * w * m
-    return s._replace(base=Base(M, D, K))
+    return s._replace(base=BaseMatrices(M, D, K))
 
 
 LIBRARY = tuple(TRUTHS)
@@ -412,7 +412,7 @@ LIBRARY = tuple(TRUTHS)
 
 
 @truth("outside/packet_loss", WHOLE, 0.1, 0.8, "share", port="wrench")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s  # the run's noise carries the losses
 
 
@@ -425,7 +425,7 @@ def _mains(rng: np.random.Generator) -> Constants:
 
 
 @truth("outside/mains_pickup", WHOLE, 1.0, 60.0, "amplitude", _mains, port="wrench")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(
         pickup=m * np.array(c["share"]),
         mains=np.array([2 * np.pi * c["frequency"], c["phase"]]),
@@ -433,7 +433,7 @@ def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
 
 
 @truth("outside/dwell_stiction", JOINTS, 4.0, 60.0, "torque", port="joint")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(friction=_put(s.plant.friction, (j, cols.RESTING), m))
 
 
@@ -447,7 +447,7 @@ def _floor(rng: np.random.Generator) -> Constants:
 
 
 @truth("outside/floor_vibration", WHOLE, 0.01, 1.0, "acceleration", _floor, port="platform")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     rows = [
         [m * a, 2 * np.pi * f, p, np.cos(c["direction"]), np.sin(c["direction"])]
         for a, f, p in zip(c["share"], c["frequency"], c["phase"], strict=True)
@@ -461,7 +461,7 @@ def _hose(rng: np.random.Generator) -> Constants:
 
 
 @truth("outside/hose_drag", WHOLE, 2.0, 80.0, "stiffness", _hose, port="joint")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(hose=np.array([m, *c["share"], c["slack"], 0.2]))
 
 
@@ -473,14 +473,14 @@ def _rolling(rng: np.random.Generator) -> Constants:
 
 
 @truth("outside/rolling_base", WHOLE, 1e-3, 0.05, "angle", _rolling, port="platform")
-def _(s: Setup, j: int, m: float, c: Constants) -> Setup:
+def _(s: MachineSetup, j: int, m: float, c: Constants) -> MachineSetup:
     return s.edit(rock=np.array([m, 2 * np.pi * c["frequency"], c["phase"]]))
 
 
 OUTSIDE = tuple(k for k in TRUTHS if k not in LIBRARY)
 
 
-def drawn(kind: str, rng: np.random.Generator) -> list[Effect]:
+def drawn(kind: str, rng: np.random.Generator) -> list[HiddenEffect]:
     """Tries of a kind, as large as the search starts: its slots in random order.
 
     Kinds with few slots have each of them again, with other constants (and signs).
@@ -493,4 +493,4 @@ def drawn(kind: str, rng: np.random.Generator) -> list[Effect]:
     t = TRUTHS[kind]
     order = rng.permutation(len(t.slots)).tolist()
     order *= -(-TRIES // len(order))
-    return [Effect(kind, slot, t.start, t.draw(rng)) for slot in order]
+    return [HiddenEffect(kind, slot, t.start, t.draw(rng)) for slot in order]

@@ -18,7 +18,7 @@ _MARGIN = 0.9  # of the joints' limits
 _LEAST = 0.25  # s, shortest move
 
 
-class Samples(NamedTuple):
+class MotionSamples(NamedTuple):
     """Commanded joint motion, (N, 3) each."""
 
     q: Array
@@ -26,7 +26,7 @@ class Samples(NamedTuple):
     a: Array
 
 
-class Limits(NamedTuple):
+class JointLimits(NamedTuple):
     """Of the joints, (3,) each."""
 
     low: Array
@@ -35,9 +35,9 @@ class Limits(NamedTuple):
     acceleration: Array
 
 
-def limits_of(arm: dict[str, Any]) -> Limits:
+def limits_of(arm: dict[str, Any]) -> JointLimits:
     """Joint limits of an arm description."""
-    return Limits(
+    return JointLimits(
         *(
             np.array([link[k] for link in arm["links"]])
             for k in ("q_min", "q_max", "v_max", "a_max")
@@ -45,7 +45,7 @@ def limits_of(arm: dict[str, Any]) -> Limits:
     )
 
 
-class Motion(NamedTuple):
+class ExcitationMotion(NamedTuple):
     """Joint j: polynomial moves between way-points, plus sines under a smooth start."""
 
     times: list[Array]  # per joint (k,) instants of the way-points
@@ -53,16 +53,16 @@ class Motion(NamedTuple):
     cubic: list[bool]  # per joint: rest-to-rest cubic or quintic
     waves: list[Array]  # per joint (m, 3) amplitude [rad], rad/s, phase
 
-    def at(self, t: Array) -> Samples:
+    def at(self, t: Array) -> MotionSamples:
         """Position, rate and acceleration at instants t (N,), held outside."""
         q, v, a = np.zeros((3, len(t), len(self.times)))
         for j in range(len(self.times)):
             q[:, j], v[:, j], a[:, j] = _moves(t, self.times[j], self.points[j], self.cubic[j])
             for part, add in zip((q, v, a), _waves(t, self.waves[j]), strict=True):
                 part[:, j] += add
-        return Samples(q, v, a)
+        return MotionSamples(q, v, a)
 
-    def scaled(self, factor: Array) -> Motion:
+    def scaled(self, factor: Array) -> ExcitationMotion:
         """Joint j's motion about its first way-point times factor[j]."""
         return self._replace(
             points=[p[0] + f * (p - p[0]) for p, f in zip(self.points, factor, strict=True)],
@@ -108,7 +108,7 @@ def _waves(t: Array, waves: Array) -> tuple[Array, Array, Array]:
     return q, v, a
 
 
-def draw(kind: str, limits: Limits, rng: np.random.Generator) -> Motion:
+def draw(kind: str, limits: JointLimits, rng: np.random.Generator) -> ExcitationMotion:
     """A random motion of one kind, within the limits of position, speed and acceleration."""
     if kind not in KINDS:
         raise ParameterError(
@@ -127,7 +127,7 @@ def draw(kind: str, limits: Limits, rng: np.random.Generator) -> Motion:
         else:
             times[j], points[j] = _legs(kind, start[j], j, limits, rng)
             cubic[j] = kind == "fast" and bool(rng.random() < 0.3)
-    return fitted(Motion(times, points, cubic, waves), limits)
+    return fitted(ExcitationMotion(times, points, cubic, waves), limits)
 
 
 def _multisine(rng: np.random.Generator) -> Array:
@@ -138,11 +138,11 @@ def _multisine(rng: np.random.Generator) -> Array:
 
 
 def _legs(
-    kind: str, start: float, j: int, limits: Limits, rng: np.random.Generator
+    kind: str, start: float, j: int, limits: JointLimits, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """Way-points with dwells between them."""
     low, high = 0.6 * limits.low[j], 0.6 * limits.high[j]
-    share, rest = {"moves": (0.6, 0.4), "sweeps": (0.25, 0.8), "fast": (0.95, 0.25)}[kind]
+    share, dwell = {"moves": (0.6, 0.4), "sweeps": (0.25, 0.8), "fast": (0.95, 0.25)}[kind]
     t, q = [0.0, rng.uniform(0.1, 0.4)], [start, start]
     side = 1.0 if rng.random() < 0.5 else -1.0
     while t[-1] < DURATION - 1.2:
@@ -159,14 +159,14 @@ def _legs(
         length = max(float(slow), float(hard), _LEAST)
         if t[-1] + length > DURATION - 0.3:
             break
-        t += [t[-1] + length, t[-1] + length + rng.uniform(0.3, 1.0) * rest]
+        t += [t[-1] + length, t[-1] + length + rng.uniform(0.3, 1.0) * dwell]
         q += [goal, goal]
     t.append(max(DURATION, t[-1] + 0.1))
     q.append(q[-1])
     return np.array(t), np.array(q)
 
 
-def fitted(motion: Motion, limits: Limits) -> Motion:
+def fitted(motion: ExcitationMotion, limits: JointLimits) -> ExcitationMotion:
     """The motion, made smaller where it would break a limit."""
     for _ in range(20):
         s = motion.at(np.linspace(0, DURATION, 4001))

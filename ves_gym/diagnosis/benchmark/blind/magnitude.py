@@ -37,7 +37,7 @@ def gap(changed: Sequence[Array], plain: Sequence[Array]) -> float:
 
 
 def search(
-    measure: Callable[[float], float], wanted: float, start: float, most: float
+    measure: Callable[[float], float], target: float, start: float, most: float
 ) -> tuple[float, float]:
     """Magnitude whose gap is `wanted`, and the gap it has; `most` where that is too little.
 
@@ -48,27 +48,27 @@ def search(
     points: list[tuple[float, float]] = []
     for _ in range(ROUNDS):
         reached = measure(x)
-        if abs(np.log(max(reached, 1e-12) / wanted)) < abs(
-            np.log(max(best[1], 1e-12) / wanted)
+        if abs(np.log(max(reached, 1e-12) / target)) < abs(
+            np.log(max(best[1], 1e-12) / target)
         ):
             best = (x, reached)
-        if abs(reached / wanted - 1) <= TOLERANCE:
+        if abs(reached / target - 1) <= TOLERANCE:
             break
-        if reached < wanted:
+        if reached < target:
             low = max(low, x)
         else:
             high = min(high, x)
-        known = np.isfinite(reached) and reached > 0
+        usable = np.isfinite(reached) and reached > 0
         guess = np.nan
-        if known:
-            points.append((np.log(x), np.log(reached / wanted)))
+        if usable:
+            points.append((np.log(x), np.log(reached / target)))
             (a, fa), (b, fb) = points[-2:] if len(points) > 1 else [(0.0, 0.0), points[-1]]
             slope = np.clip((fb - fa) / (b - a), 0.3, 30.0) if len(points) > 1 else 1.0
             guess = b - fb / slope
         x = float(np.exp(guess))
         if not low < x < high:
             x = float(np.sqrt(low * high))
-            if known and guess >= np.log(high) and high == most:
+            if usable and guess >= np.log(high) and high == most:
                 x = most
         if high / low < 1 + 1e-6:
             break

@@ -18,7 +18,7 @@ from ves_gym.diagnosis.benchmark.blind.compiled import compiled
 GRAVITY = 9.81  # m/s^2
 
 
-class Bodies(NamedTuple):
+class BodyParameters(NamedTuple):
     """Geometry and mass of base link (row 0) and links."""
 
     dh: Array  # (n, 4) d [m], a [m], alpha [rad], offset [rad]
@@ -233,7 +233,9 @@ def conjugate(pose, wrench, force):  # type: ignore[no-untyped-def]
     force[5] = -sy * a + cy * sx * b + cy * cx * c
 
 
-def inverse_dynamics(bodies: Bodies, rotor: Array, q: Array, v: Array, a: Array) -> Array:
+def inverse_dynamics(
+    bodies: BodyParameters, rotor: Array, q: Array, v: Array, a: Array
+) -> Array:
     """(N, n) motor torque of motions (N, n) on a base at rest, weight aside [N m]."""
     out = np.empty_like(q)
     _series(bodies, q, v, a, out)

@@ -6,8 +6,8 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array
-from ves_gym.diagnosis.benchmark.blind.setup import Setup
-from ves_gym.diagnosis.benchmark.blind.simulate import CHANNELS, Noise
+from ves_gym.diagnosis.benchmark.blind.setup import MachineSetup
+from ves_gym.diagnosis.benchmark.blind.simulate import CHANNELS, NoiseSamples
 
 # standard deviation per channel [rad, rad/s, N m, m and rad, N and N m]
 STD: dict[str, Array] = {
@@ -38,12 +38,12 @@ def coloured(std: Array, colour: float, samples: int, rng: np.random.Generator) 
     return np.asarray(path * std)
 
 
-def draw_noise(samples: int, rng: np.random.Generator, lost: float = 0.0) -> Noise:
+def draw_noise(samples: int, rng: np.random.Generator, lost: float = 0.0) -> NoiseSamples:
     """Noise of one run; `lost` is the share of wrench packets lost."""
     std = dict(STD)
     std["q"] = np.sqrt(STD["q"] ** 2 - ENCODER**2 / 12)
     parts = {k: coloured(std[k], COLOUR[k], samples, rng) for k in STD}
-    return Noise(**parts, lost=losses(samples, lost, rng))
+    return NoiseSamples(**parts, lost=losses(samples, lost, rng))
 
 
 def losses(samples: int, share: float, rng: np.random.Generator) -> Array:
@@ -63,7 +63,7 @@ def converted(record: Array) -> Array:
     return out
 
 
-def digital(setup: Setup) -> Setup:
+def digital(setup: MachineSetup) -> MachineSetup:
     """The machine with encoders and converters of finite resolution."""
     return setup.edit(
         encoder=np.full(3, ENCODER),

@@ -14,7 +14,7 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.benchmark.blind.compiled import compiled
 from ves_gym.diagnosis.benchmark.blind.mechanics import (
-    Bodies,
+    BodyParameters,
     conjugate,
     fill_trig,
     newton_euler,
@@ -30,10 +30,10 @@ Q, V, TH, OM, BR, AGE, Y, YD, FILT, FILTD, SIZE = 0, 3, 6, 9, 12, 15, 18, 24, 30
 COULOMB, STICTION, FADE, VISCOUS, ONE_WAY, LOAD, RESTING, BRISTLE = range(8)
 
 
-class Plant(NamedTuple):
+class BlindPlant(NamedTuple):
     """Numbers of one machine; joints n = 3."""
 
-    bodies: Bodies
+    bodies: BodyParameters
     rotor: Array  # (3,) kg m^2, reflected
     kp: Array  # (3,) N m/rad
     kd: Array  # (3,) N m s/rad
@@ -65,7 +65,7 @@ class Plant(NamedTuple):
     drag: Array  # (6,) against the base's speed squared [N s^2/m^2, N m s^2]
     floor: Array  # (k, 5) m/s^2, rad/s, phase, direction x, direction z
     rock: Array  # (3,) rad about x, rad/s, phase
-    estimate: Bodies  # what the gravity compensation believes
+    estimate: BodyParameters  # what the gravity compensation believes
     surplus: float  # kg too much in its force
     tilt: Array  # (3,) rad, error of the pose it is given
     scale: float  # of the whole estimate
@@ -74,7 +74,7 @@ class Plant(NamedTuple):
     delay: int  # periods from reading to command
 
 
-class Inputs(NamedTuple):
+class PlantInputs(NamedTuple):
     """What happens to it in one run of N samples."""
 
     q: Array  # (M, 3) commanded angle at half steps, warm-up included [rad]
@@ -128,8 +128,8 @@ def scratch() -> Scratch:
 @compiled
 def servo_torque(p, s, q, v, ff, j):  # type: ignore[no-untyped-def]
     """Torque the drive asks its motor for, within the limit [N m]."""
-    asked = p.kp[j] * (q[j] - s.angle[j]) + p.kd[j] * (v[j] - s.pace[j]) + ff[j]
-    return min(max(asked, -p.limit[j]), p.limit[j])
+    torque = p.kp[j] * (q[j] - s.angle[j]) + p.kd[j] * (v[j] - s.pace[j]) + ff[j]
+    return min(max(torque, -p.limit[j]), p.limit[j])
 
 
 @compiled
@@ -221,7 +221,7 @@ def rates(p, x, q, v, ff, goal, speed, t, dx, s):  # type: ignore[no-untyped-def
 
 
 @compiled
-def told(p, sent, k, dt, t, goal, speed):  # type: ignore[no-untyped-def]
+def platform_command(p, sent, k, dt, t, goal, speed):  # type: ignore[no-untyped-def]
     """Pose and rate the platform's servo follows at time t of period k, delay and stroke in."""
     when = (t - p.late) / dt
     row = min(math.floor(when), k)
@@ -283,7 +283,7 @@ def run_plant(p, u, x, s, out):  # type: ignore[no-untyped-def]
     z = np.zeros(len(p.phi))
     sent, queue = np.zeros((samples + 1, 12)), np.zeros((p.delay + 1, 12))
     reading, static, net, force = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
-    signal, seen, pose = np.zeros(6), np.zeros(3), np.zeros(6)
+    signal, q_meas, pose = np.zeros(6), np.zeros(3), np.zeros(6)
     turning, torque = np.zeros(3), np.zeros(3)
     past = np.zeros(((samples + u.warm) * u.substeps + 1, 9))
     row, half = 0, 0  # index of the step, of the half step reached
@@ -297,11 +297,11 @@ def run_plant(p, u, x, s, out):  # type: ignore[no-untyped-def]
                 angle = s.angle[j] + p.zero[j] + u.noise_q[tick, j]
                 if p.encoder[j] > 0:
                     angle = round(angle / p.encoder[j]) * p.encoder[j]
-                seen[j] = angle
-                asked = servo_torque(p, s, u.q[half], u.v[half], u.ff[half], j)
+                q_meas[j] = angle
+                drive_torque = servo_torque(p, s, u.q[half], u.v[half], u.ff[half], j)
                 out[tick, j] = angle
                 out[tick, 3 + j] = s.pace[j] + u.noise_v[tick, j]
-                out[tick, 6 + j] = asked + u.noise_tau[tick, j]
+                out[tick, 6 + j] = drive_torque + u.noise_tau[tick, j]
             for i in range(6):
                 out[tick, 9 + i] = x[Y + i] + u.noise_y[tick, i]
                 out[tick, 15 + i] = sent[max(tick - 1, 0), i]
@@ -323,7 +323,7 @@ def run_plant(p, u, x, s, out):  # type: ignore[no-untyped-def]
                         value += p.to_wrench[i, j] * signal[j]
                     reading[i] = value
             platform_motion(pose, s.zero6, s.zero6, s.spin, turning, s.pull)
-            fill_trig(p.estimate, seen, s.trig)
+            fill_trig(p.estimate, q_meas, s.trig)
             newton_euler(
                 p.estimate,
                 s.trig,
@@ -355,14 +355,14 @@ def run_plant(p, u, x, s, out):  # type: ignore[no-untyped-def]
         period = max(tick, 0)
         for step in range(u.substeps):
             start = t + step * h
-            told(p, sent, period, u.dt, start + 1e-9, goal, speed)
+            platform_command(p, sent, period, u.dt, start + 1e-9, goal, speed)
             observe(p, x, past, row, 0.0, h, s)
             rates(p, x, u.q[half], u.v[half], u.ff[half], goal, speed, start, k1, s)
             for j in range(3):
                 past[row, 6 + j] = k1[OM + j]
             for i in range(SIZE):
                 mid[i] = x[i] + h / 2 * k1[i]
-            told(p, sent, period, u.dt, start + h / 2, goal, speed)
+            platform_command(p, sent, period, u.dt, start + h / 2, goal, speed)
             a, b, c = u.q[half + 1], u.v[half + 1], u.ff[half + 1]
             observe(p, mid, past, row, h / 2, h, s)
             rates(p, mid, a, b, c, goal, speed, start + h / 2, k2, s)
@@ -372,7 +372,7 @@ def run_plant(p, u, x, s, out):  # type: ignore[no-untyped-def]
             rates(p, mid, a, b, c, goal, speed, start + h / 2, k3, s)
             for i in range(SIZE):
                 mid[i] = x[i] + h * k3[i]
-            told(p, sent, period, u.dt, start + h - 1e-9, goal, speed)
+            platform_command(p, sent, period, u.dt, start + h - 1e-9, goal, speed)
             a, b, c = u.q[half + 2], u.v[half + 2], u.ff[half + 2]
             observe(p, mid, past, row, h, h, s)
             rates(p, mid, a, b, c, goal, speed, start + h, k4, s)

@@ -7,10 +7,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.diagnosis.benchmark.blind.beam import Base
+from ves_gym.diagnosis.benchmark.blind.beam import BaseMatrices
 from ves_gym.diagnosis.benchmark.blind.description import plant_of, sampled
-from ves_gym.diagnosis.benchmark.blind.mechanics import GRAVITY, Bodies, fill_trig, newton_euler
-from ves_gym.diagnosis.benchmark.blind.plant import Plant, scratch
+from ves_gym.diagnosis.benchmark.blind.mechanics import (
+    GRAVITY,
+    BodyParameters,
+    fill_trig,
+    newton_euler,
+)
+from ves_gym.diagnosis.benchmark.blind.plant import BlindPlant, scratch
 from ves_gym.diagnosis.benchmark.blind.simulate import Drive
 
 # Each number is drawn uniformly within +-size; `large` draws are twice as wide.
@@ -36,16 +41,16 @@ NUISANCE: dict[str, tuple[float, str]] = {
 LARGE = 2.0
 
 
-class Setup(NamedTuple):
+class MachineSetup(NamedTuple):
     """A machine, before its admittance is sampled."""
 
-    plant: Plant
+    plant: BlindPlant
     drive: Drive
-    base: Base
+    base: BaseMatrices
     dt: float  # s, control period
     clock: float  # relative error of the time stamps
 
-    def finished(self) -> Plant:
+    def finished(self) -> BlindPlant:
         """The plant with the admittance of its base."""
         phi, gamma = sampled(self.base, self.dt)
         plant = self.plant._replace(phi=phi, gamma=gamma)
@@ -56,18 +61,20 @@ class Setup(NamedTuple):
         }
         return plant._replace(**solid)
 
-    def edit(self, **changes: Any) -> Setup:
+    def edit(self, **changes: Any) -> MachineSetup:
         """With other numbers in the plant."""
         return self._replace(plant=self.plant._replace(**changes))
 
 
-def nominal_setup(description: dict[str, Any], controller: dict[str, Any]) -> Setup:
+def nominal_setup(description: dict[str, Any], controller: dict[str, Any]) -> MachineSetup:
     """The machine exactly as described."""
     plant, base = plant_of(description, controller)
-    return Setup(plant, Drive(plant.bodies, plant.rotor), base, description["control_dt"], 0.0)
+    return MachineSetup(
+        plant, Drive(plant.bodies, plant.rotor), base, description["control_dt"], 0.0
+    )
 
 
-def resting(bodies: Bodies) -> Array:
+def resting(bodies: BodyParameters) -> Array:
     """(6,) weight of the arm on the level platform at q = 0."""
     room, zero = scratch(), np.zeros(3)
     fill_trig(bodies, zero, room.trig)
@@ -78,7 +85,9 @@ def resting(bodies: Bodies) -> Array:
     return room.wrench
 
 
-def with_nuisance(setup: Setup, rng: np.random.Generator, factor: float = 1.0) -> Setup:
+def with_nuisance(
+    setup: MachineSetup, rng: np.random.Generator, factor: float = 1.0
+) -> MachineSetup:
     """The machine with every nuisance drawn, `factor` times as wide as listed."""
 
     def draw(name: str, *shape: int) -> Array:
@@ -86,7 +95,7 @@ def with_nuisance(setup: Setup, rng: np.random.Generator, factor: float = 1.0) -
         return np.asarray(rng.uniform(-size, size, shape))
 
     p, base = setup.plant, setup.base
-    true = Bodies(
+    true = BodyParameters(
         dh=p.bodies.dh,
         mass=p.bodies.mass * (1 + draw("link mass", 4)),
         com=p.bodies.com + draw("link centre of mass", 4, 3) * [[0.0], [1.0], [1.0], [1.0]],
@@ -117,5 +126,7 @@ def with_nuisance(setup: Setup, rng: np.random.Generator, factor: float = 1.0) -
     )
     clock = float(draw("clock"))
     return setup._replace(
-        plant=plant, base=Base(base.M * mass, base.D * loss, base.K * spring), clock=clock
+        plant=plant,
+        base=BaseMatrices(base.M * mass, base.D * loss, base.K * spring),
+        clock=clock,
     )

@@ -7,18 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.diagnosis.benchmark.blind.excitation import DURATION, Motion
+from ves_gym.diagnosis.benchmark.blind.excitation import DURATION, ExcitationMotion
 from ves_gym.diagnosis.benchmark.blind.mechanics import (
     GRAVITY,
-    Bodies,
+    BodyParameters,
     fill_trig,
     inverse_dynamics,
     newton_euler,
 )
 from ves_gym.diagnosis.benchmark.blind.plant import (
     SIZE,
-    Inputs,
-    Plant,
+    BlindPlant,
+    PlantInputs,
     Scratch,
     run_plant,
     scratch,
@@ -39,7 +39,7 @@ STEP = 6.25e-4  # s, finest integration step
 SEARCH_STEP = 1.25e-3  # s, of runs that only compare
 
 
-class Noise(NamedTuple):
+class NoiseSamples(NamedTuple):
     """Disturbances of the readings, one row per sample."""
 
     q: Array
@@ -50,16 +50,16 @@ class Noise(NamedTuple):
     lost: Array
 
 
-def silent(samples: int) -> Noise:
+def silent(samples: int) -> NoiseSamples:
     """No noise at all."""
     three, six = np.zeros((samples, 3)), np.zeros((samples, 6))
-    return Noise(q=three, v=three, tau=three, y=six, w=six, lost=np.zeros(samples))
+    return NoiseSamples(q=three, v=three, tau=three, y=six, w=six, lost=np.zeros(samples))
 
 
 class Drive(NamedTuple):
     """What the joint servo knows of the arm, for its feed-forward, and its own delay."""
 
-    bodies: Bodies
+    bodies: BodyParameters
     rotor: Array
     late: float = 0.0  # s, from a command to the servo
 
@@ -70,7 +70,12 @@ def samples_of(dt: float) -> int:
 
 
 def simulate(
-    plant: Plant, drive: Drive, motion: Motion, noise: Noise, dt: float, step: float = STEP
+    plant: BlindPlant,
+    drive: Drive,
+    motion: ExcitationMotion,
+    noise: NoiseSamples,
+    dt: float,
+    step: float = STEP,
 ) -> Array:
     """(N, WIDTH) record of a run, columns as in `CHANNELS`, every dt [s]."""
     samples, substeps, warm = len(noise.q), round(dt / step), round(WARM / dt)
@@ -81,7 +86,7 @@ def simulate(
     start = command.q[0]
     room = scratch()
     _settle(plant, start, x, room)
-    inputs = Inputs(
+    inputs = PlantInputs(
         q=command.q, v=command.v, ff=ff, warm=warm, substeps=substeps, dt=dt,
         noise_q=noise.q, noise_v=noise.v, noise_tau=noise.tau, noise_y=noise.y,
         noise_w=noise.w, lost=noise.lost,
@@ -91,7 +96,7 @@ def simulate(
     return out
 
 
-def _settle(plant: Plant, start: Array, x: Array, room: Scratch) -> None:
+def _settle(plant: BlindPlant, start: Array, x: Array, room: Scratch) -> None:
     """Joints sagging under their weight, sensor under that of the arm."""
     pull, zero = np.array([0.0, 0.0, GRAVITY]), np.zeros(3)
     tau, wrench = np.zeros(3), np.zeros(6)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import canonical_json, read_table, write_text
-from ves_gym.diagnosis.benchmark.blind.cases import FINAL, Case, Runner
+from ves_gym.diagnosis.benchmark.blind.cases import FINAL, BlindCase, Runner
 from ves_gym.diagnosis.benchmark.blind.magnitude import SCALE
 from ves_gym.diagnosis.benchmark.blind.simulate import CHANNELS
 from ves_gym.system.runlog import RunLog
@@ -21,13 +21,15 @@ LABELS = "labels.json"
 
 
 def logs_of(
-    case: Case, description: dict[str, Any], controller: dict[str, Any]
+    case: BlindCase, description: dict[str, Any], controller: dict[str, Any]
 ) -> list[RunLog]:
     """The case's runs as logs; nothing in them says what is in the machine."""
     return [_log(case, k, description, controller) for k in range(len(case.records))]
 
 
-def _log(case: Case, k: int, description: dict[str, Any], controller: dict[str, Any]) -> RunLog:
+def _log(
+    case: BlindCase, k: int, description: dict[str, Any], controller: dict[str, Any]
+) -> RunLog:
     record, t = case.records[k], case.t[k]
     nominal = np.arange(len(t)) * description["control_dt"]
     command = case.motions[k].at(nominal)
@@ -49,15 +51,15 @@ def _log(case: Case, k: int, description: dict[str, Any], controller: dict[str, 
     return RunLog(t=t, q_cmd=command.q, v_cmd=command.v, meta=meta, **columns)
 
 
-def label_of(case: Case) -> dict[str, Any]:
+def label_of(case: BlindCase) -> dict[str, Any]:
     """The truth about a case, plain data."""
     return {
         "index": case.number,
         "category": case.plan.category,
         "variant": case.plan.variant,
         "effects": [
-            {**effect.label(), "wanted": wanted, "reached": reached}
-            for effect, wanted, reached in zip(
+            {**effect.label(), "wanted": target, "reached": reached}
+            for effect, target, reached in zip(
                 case.effects, case.plan.ratios, case.reached, strict=True
             )
         ],
@@ -71,7 +73,7 @@ def case_name(index: int) -> str:
 
 def write_case(
     folder: str | os.PathLike[str],
-    case: Case,
+    case: BlindCase,
     description: dict[str, Any],
     controller: dict[str, Any],
 ) -> None:
