@@ -9,7 +9,7 @@ import ves_gym.effects  # noqa: F401  (fills the registry)
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import parse_effect
 from ves_gym.cli.main import main
-from ves_gym.diagnosis.inputs import system_job
+from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.mechanics.motion import Motion
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.effect import EFFECTS
@@ -130,7 +130,7 @@ def test_diagnose_takes_it_as_described(call, run_log, tmp_path):
     logs = [tmp_path / f"{k}.csv" for k in range(2)]
     for k, path in enumerate(logs):
         played.log(k).save(path)
-    plain, with_it = (system_job(logs, effects=e) for e in ((), [parse_effect(COULOMB)]))
+    plain, with_it = (system_inputs(logs, effects=e) for e in ((), [parse_effect(COULOMB)]))
     assert plain.described == System().hash
     assert with_it.described == System(effects=(parse_effect(COULOMB),)).hash
 
