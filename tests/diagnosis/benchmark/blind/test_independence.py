@@ -9,7 +9,12 @@ import ves_gym.diagnosis.benchmark.blind
 
 PACKAGE = Path(ves_gym.diagnosis.benchmark.blind.__file__).parent
 ROOT = PACKAGE.parents[2]
-SHARED = {"ves_gym._util.params", "ves_gym.system.runlog", "ves_gym.system.runlog_files"}
+SHARED = {
+    "ves_gym._util.params",
+    "ves_gym._util.suggest",
+    "ves_gym.system.runlog",
+    "ves_gym.system.runlog_files",
+}
 # what `machine.py` may read: the description, from which it copies numbers
 NOMINAL = ("ves_gym._util.", "ves_gym.mechanics.", "ves_gym.hardware.", "ves_gym.system.")
 OUTSIDE = {"numpy", "scipy", "numba"}

@@ -2,7 +2,8 @@
 
 Standard Denavit-Hartenberg frames at the far ends of the links; body 0 is the base link in
 the platform-top frame. Everything in the frame of the body it belongs to (Luh, Walker, Paul,
-J. Dyn. Sys. Meas. Control 102, 1980).
+J. Dyn. Sys. Meas. Control 102, 1980). Frictionless and rigid: gears and friction are in
+`plant.py`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The machine in motion: joints, platform, force sensor and control loop, stepped in time.
 
 One state vector, classical Runge-Kutta, a control tick per sample. What a healthy machine
-has none of (elasticity, friction, backlash, ...) is a number that is zero.
+has none of (elasticity, friction, backlash, ...) is a number that is zero. Functions work in
+place on preallocated arrays: the loop is compiled by numba.
 """
 
 from __future__ import annotations
