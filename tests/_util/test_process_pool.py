@@ -153,7 +153,7 @@ def test_notes_come_back_in_order():
     told = []
     with Workers(2) as workers:
         jobs = [
-            workers.submit(report, 30, told=lambda *words, k=k: told.append((k, *words)))
+            workers.submit(report, 30, on_note=lambda *words, k=k: told.append((k, *words)))
             for k in range(2)
         ]
         assert [job.result() for job in jobs] == [30, 30]
@@ -167,7 +167,7 @@ def test_a_listener_that_fails_fails_its_job_alone():
 
     with Workers(1) as workers:
         with pytest.raises(KeyError, match="listener"):
-            workers.submit(report, 3, told=listen).result()
+            workers.submit(report, 3, on_note=listen).result()
         assert workers.submit(square, 2).result() == 4
 
 

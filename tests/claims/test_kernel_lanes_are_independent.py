@@ -223,7 +223,7 @@ def test_simulations_not_named_stay_where_they_are(name):
     nodes = np.ones((11, k + 1, 3))
     for engine, some in ((sim.backend, ids), (twin.backend, None)):
         if sim.system.mode == "emulated":
-            engine.ride(nodes, np.full((11, k + 1, 6), 0.1), some)
+            engine.step_on_platform(nodes, np.full((11, k + 1, 6), 0.1), some)
         else:
             engine.step(command, None, None, k, some)
         engine.play(nodes, some)

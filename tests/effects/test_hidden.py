@@ -75,7 +75,7 @@ def test_a_soft_gear_lowers_the_frequency_of_rotor_against_link():
     for k in range(800):  # pushed for a moment
         hold[0, :, 2] = 20.0 if k < 4 else 0.0
         hold[0, 0, 2] = hold[0, 1, 2]
-        sim.backend.ride(hold, np.zeros((1, 2, 6)), None)
+        sim.backend.step_on_platform(hold, np.zeros((1, 2, 6)), None)
         if k == 10:
             path = []
         if k > 10:
@@ -251,7 +251,7 @@ def test_the_gears_are_in_the_loop_that_is_judged(backend):
     rates = np.abs(np.log(z[np.abs(z) > 0.5])) / system.control_dt
     assert np.abs(rates / want - 1).min() < 0.02
     sim = Simulator(system, 2, backend=backend, warn_at=None)
-    sim.backend.bend(np.array([[0.01], [0.02]]), np.array([[0.3], [0.4]]))
+    sim.backend.set_gear_state(np.array([[0.01], [0.02]]), np.array([[0.3], [0.4]]))
     np.testing.assert_array_equal(np.hstack(sim.hidden), [[0.01, 0.3], [0.02, 0.4]])
 
 

@@ -181,7 +181,7 @@ def test_the_engines_wrench_is_that_of_newton_and_euler(arm, balance):
     still = emulated(arm=arm, drive="prescribed", operation="position", joint_balance=balance)
     sim = Simulator(still, 2)
     sim.reset(q=q, y=POSE)
-    felt = sim.backend.ride(np.zeros((2, 11, n)), np.zeros((2, 11, 6)), None)
+    felt = sim.backend.step_on_platform(np.zeros((2, 11, n)), np.zeros((2, 11, 6)), None)
     gravity = tuple(gravity_vector(POSE).tolist())
     by_statics = GravityModel.of(arm).wrench(arm, q, POSE)
     by_dynamics = inverse_dynamics(arm, q, 0 * q, 0 * q, gravity)[1]
@@ -196,7 +196,7 @@ def test_the_engines_wrench_is_that_of_newton_and_euler(arm, balance):
     for _ in range(2):  # accelerations that change over the step
         z, zd = np.tile(np.r_[POSE, q], (2, 1)), np.hstack([yd, v])
         sim.backend.write(ids, np.zeros(2), z, zd)
-        felt = sim.backend.ride(a, ydd, None)
+        felt = sim.backend.step_on_platform(a, ydd, None)
         _, later, later_rate = sim.backend.read()
         for i in range(2):
             first = rnea(arm, POSE, yd[i], ydd[i, 0], q, v[i], a[i, 0])
@@ -225,7 +225,7 @@ def test_a_platform_that_accelerates_is_a_change_of_gravity():
     sim.backend.write(
         np.arange(1), np.zeros(1), np.r_[POSE, ANGLES][None], np.r_[0 * POSE, v][None]
     )
-    felt = sim.backend.ride(np.tile(a, (1, 2, 1)), ydd, None)
+    felt = sim.backend.step_on_platform(np.tile(a, (1, 2, 1)), ydd, None)
     fall = gravity_vector(POSE) - rotation(POSE).T @ ydd[0, 0, :3]
     want = inverse_dynamics(PUMA_560, ANGLES, v, a, tuple(fall.tolist()))[1]
     np.testing.assert_allclose(felt[0, 0], want, rtol=0, atol=1e-3)
@@ -540,7 +540,10 @@ def test_a_vehicle_that_goes_out_of_hand_is_frozen():
         fast.step(hold(fast, np.zeros(3)))
     assert [e.simulation for e in fast.events] == [0]
     assert "outside the workspace" in fast.events[0].reason
-    assert VES.outside(fast.emulation_loop.state.sent[:, :6])[0].tolist() == [False, False]
+    assert VES.outside(fast.emulation_loop.state.command_sent[:, :6])[0].tolist() == [
+        False,
+        False,
+    ]
     assert np.abs(fast.state.yd[0]).max() < 1e-9
     assert fast.state.y[1, 0] == pytest.approx(0.04, rel=0.01)
 

@@ -11,13 +11,13 @@ import os
 try:
     import mujoco
 except (ImportError, RuntimeError, AttributeError):
-    asked = os.environ.get("MUJOCO_GL")
-    if asked is None:
+    requested = os.environ.get("MUJOCO_GL")
+    if requested is None:
         raise
     os.environ["MUJOCO_GL"] = "disable"
     try:
         import mujoco
     finally:
-        os.environ["MUJOCO_GL"] = asked
+        os.environ["MUJOCO_GL"] = requested
 
 __all__ = ["mujoco"]

@@ -54,12 +54,12 @@ def units(cls: type) -> dict[str, str]:
 def finite(value: object, shape: tuple[int, ...], name: str) -> Array:
     """`value` as a float64 array of exactly `shape`, or a ParameterError that says why not."""
     try:
-        given = np.asarray(value)
+        raw = np.asarray(value)
     except ValueError:  # ragged
-        given = np.empty(0, object)
-    if given.dtype.kind not in "fiu":  # text, truth values and None are no numbers
+        raw = np.empty(0, object)
+    if raw.dtype.kind not in "fiu":  # text, truth values and None are no numbers
         raise ParameterError(f"{name} must be numbers of shape {shape}, got {value!r}")
-    array = np.array(given, dtype=np.float64)
+    array = np.array(raw, dtype=np.float64)
     if array.shape != shape:
         raise ParameterError(
             f"{name} must have shape {shape}, got shape {array.shape}: {value!r}"
@@ -152,16 +152,16 @@ def from_plain(cls: Any, plain: Any, where: str = "") -> Any:
     origin = typing.get_origin(cls)
     if origin in (typing.Union, types.UnionType):
         return _from_union(typing.get_args(cls), plain, where)
-    known = getattr(cls, "REGISTRY", None)  # an open family, told apart by the entry `kind`
-    if known is not None and cls not in known.values():
+    registry = getattr(cls, "REGISTRY", None)  # an open family, told apart by the entry `kind`
+    if registry is not None and cls not in registry.values():
         kind = plain.get("kind") if isinstance(plain, Mapping) else None
-        if not isinstance(kind, str) or kind not in known:
-            names = sorted(known)
+        if not isinstance(kind, str) or kind not in registry:
+            names = sorted(registry)
             raise ParameterError(
                 f"{where}.kind must be one of {', '.join(names)}, got {kind!r}"
                 f"{did_you_mean(kind, names)}"
             )
-        return from_plain(known[kind], plain, where)
+        return from_plain(registry[kind], plain, where)
     if isinstance(cls, type) and dataclasses.is_dataclass(cls):
         return _from_mapping(cls, plain, where)
     if origin is tuple:
@@ -210,18 +210,18 @@ def _from_mapping(cls: type[T], plain: Any, where: str) -> T:
             f"{where} must be a table of {cls.__name__} entries, got {plain!r}"
         )
     fields = {f.name: f for f in dataclasses.fields(cls) if f.init}  # type: ignore[arg-type]
-    given = dict(plain)
+    entries = dict(plain)
     kind = cls.__dict__.get("kind")
-    if kind is not None and "kind" not in fields and given.pop("kind", kind) != kind:
+    if kind is not None and "kind" not in fields and entries.pop("kind", kind) != kind:
         raise ParameterError(f"{where}.kind must be {kind}, got {plain['kind']!r}")
-    unknown = [key for key in given if key not in fields]
+    unknown = [key for key in entries if key not in fields]
     if unknown:
         raise ParameterError(
             f"{where}: unknown key {unknown[0]!r}; known: {', '.join(fields)}"
             f"{did_you_mean(unknown[0], fields)}"
         )
     hints = typing.get_type_hints(cls)
-    values = {key: from_plain(hints[key], v, f"{where}.{key}") for key, v in given.items()}
+    values = {key: from_plain(hints[key], v, f"{where}.{key}") for key, v in entries.items()}
     missing = [
         name
         for name, f in fields.items()

@@ -45,7 +45,7 @@ _END = 5.0  # s that an idle process may take to end by itself
 # ask at once how a process ended: only one of them is told.
 _BUSY = threading.Lock()
 
-_here: Connection | None = None  # in a worker: the way back to whoever submitted
+_parent: Connection | None = None  # in a worker: the way back to whoever submitted
 
 
 class WorkerDied(ChildProcessError):
@@ -65,8 +65,8 @@ def note(*words: Any) -> None:
 
     Outside a worker it does nothing.
     """
-    if _here is not None:
-        _here.send_bytes(pickle.dumps(("note", words)))
+    if _parent is not None:
+        _parent.send_bytes(pickle.dumps(("note", words)))
 
 
 class Workers:
@@ -98,7 +98,7 @@ class Workers:
         self,
         function: Callable[..., Any],
         *args: Any,
-        told: Callable[..., None] | None = None,
+        on_note: Callable[..., None] | None = None,
     ) -> Future[Any]:
         """Run `function(*args)` in a worker.
 
@@ -109,7 +109,7 @@ class Workers:
         Returns:
             A future with the result, or the job's exception, `WorkerDied` or `JobTimeout`.
         """
-        job = _Job(pickle.dumps((function, args)), told)
+        job = _Job(pickle.dumps((function, args)), on_note)
         with self._change:
             if self._over:
                 raise RuntimeError("the workers are closed")
@@ -179,11 +179,11 @@ class Workers:
                 self._jobs.appendleft(job)
                 self._change.notify()
 
-    def tell(self, job: _Job, words: tuple[Any, ...]) -> None:
+    def notify(self, job: _Job, words: tuple[Any, ...]) -> None:
         """Pass a note on."""
-        if job.told is not None:
+        if job.on_note is not None:
             with self._telling:
-                job.told(*words)
+                job.on_note(*words)
 
 
 class _NoStart(Exception):
@@ -191,8 +191,8 @@ class _NoStart(Exception):
 
 
 class _Job:
-    def __init__(self, call: bytes, told: Callable[..., None] | None) -> None:
-        self.call, self.told = call, told
+    def __init__(self, call: bytes, on_note: Callable[..., None] | None) -> None:
+        self.call, self.on_note = call, on_note
         self.future: Future[Any] = Future()
         self.deaths = 0
 
@@ -204,7 +204,7 @@ class _Post:
         self.workers = workers
         self.process: SpawnProcess | None = None
         self.pipe: Connection | None = None
-        self.thread = threading.Thread(target=self._keep, daemon=True)
+        self.thread = threading.Thread(target=self._supervise, daemon=True)
         self.thread.start()
 
     def kill(self) -> None:
@@ -214,14 +214,14 @@ class _Post:
             with contextlib.suppress(ValueError, AttributeError):  # closed, not yet started
                 process.kill()
 
-    def _keep(self) -> None:
+    def _supervise(self) -> None:
         try:
             while (job := self.workers.take()) is not None:
                 try:
                     self._run(job)
                 except BaseException as error:  # also of `told`: the job's, not the pool's
                     job.future.set_exception(error)
-                    self._end(now=True)
+                    self._end(kill=True)
         finally:
             self._end()
 
@@ -240,24 +240,24 @@ class _Post:
             self.workers.lost(job, self._end(), 0.0)
             return
         while True:
-            left = None if limit is None else max(0.0, begin + allowed - time.monotonic())
-            if not wait([pipe, process.sentinel], left):
-                self._end(now=True)
+            remaining = None if limit is None else max(0.0, begin + allowed - time.monotonic())
+            if not wait([pipe, process.sentinel], remaining):
+                self._end(kill=True)
                 text = f"took longer than {allowed:g} s and was killed"
                 job.future.set_exception(JobTimeout(text))
                 return
             try:  # what was said before a death counts
-                said = pipe.recv_bytes() if pipe.poll() else b""
+                message = pipe.recv_bytes() if pipe.poll() else b""
             except (EOFError, OSError):
-                said = b""
-            if not said:
+                message = b""
+            if not message:
                 self.workers.lost(job, self._end(), time.monotonic() - begin)
                 return
-            kind, what = pickle.loads(said)
+            kind, what = pickle.loads(message)
             if kind == "begun":
                 begin, allowed = time.monotonic(), limit or 0.0
             elif kind == "note":
-                self.workers.tell(job, what)
+                self.workers.notify(job, what)
             elif kind == "result":
                 job.future.set_result(what)
                 return
@@ -281,12 +281,12 @@ class _Post:
                 how = str(error)
                 continue
             if self.workers.killed:  # before there was a process to kill
-                raise _NoStart(self._end(now=True))
+                raise _NoStart(self._end(kill=True))
             if wait([pipe, process.sentinel], _START) and pipe.poll():
                 with contextlib.suppress(EOFError, OSError):
                     pipe.recv_bytes()
                     return pipe, process
-            how = self._end(now=True)
+            how = self._end(kill=True)
         raise _NoStart(f"it does not start, {how}")
 
     def _start(self) -> tuple[Connection, SpawnProcess]:
@@ -305,12 +305,12 @@ class _Post:
         self.pipe, self.process = pipe, process
         return pipe, process
 
-    def _end(self, now: bool = False) -> str:
+    def _end(self, kill: bool = False) -> str:
         """Let the process go, if there is one; how it ended."""
         process, pipe = self.process, self.pipe
         if process is None or pipe is None:
             return ""
-        if now:
+        if kill:
             self.kill()
         pipe.close()  # a worker ends when it would read the next job
         wait([process.sentinel], _END)
@@ -344,11 +344,11 @@ def one_thread() -> Iterator[None]:
 
 def _serve(pipe: Connection) -> None:
     """Run jobs until there are no more."""
-    global _here
+    global _parent
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's Ctrl-C is the parent's
     threading.Thread(target=_end_with_parent, daemon=True).start()
     pipe.send_bytes(b"")
-    _here = pipe
+    _parent = pipe
     while True:
         try:
             call = pipe.recv_bytes()

@@ -50,9 +50,9 @@ def bootstrap(strata: Sequence[Array], statistic: Statistic) -> Estimate:
             such as the same episode under m policies.
         statistic: of the last axis.
     """
-    whole = np.concatenate([g.ravel() for g in strata])
+    pooled = np.concatenate([g.ravel() for g in strata])
     with np.errstate(invalid="ignore"):  # inf - inf inside a median
-        value = float(statistic(whole))
+        value = float(statistic(pooled))
     low, high = interval(resample(strata, statistic))
     return Estimate(value, float(low), float(high))
 

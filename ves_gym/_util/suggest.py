@@ -9,7 +9,7 @@ _ALIKE = 0.6  # difflib's ratio: a slip or two in a short name, an ending left o
 _LONGEST = 80  # characters: what is longer comes from a file that is no name at all
 
 
-def did_you_mean(name: object, known: Iterable[str]) -> str:
+def did_you_mean(name: object, choices: Iterable[str]) -> str:
     """Return the end of an error message that offers the closest known name.
 
     Capitals and the kind of dash do not count. A part of a name between slashes stands for
@@ -24,7 +24,7 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     """
     if not isinstance(name, str) or not 0 < len(name) <= _LONGEST:
         return ""
-    names = {_plain(k): k for k in reversed([str(k) for k in known])}  # the first of equals
+    names = {_plain(k): k for k in reversed([str(k) for k in choices])}  # the first of equals
     word = _plain(name)
     parts = [k for k in names if word in k.split("/")]
     if len(parts) == 1:

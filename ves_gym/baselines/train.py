@@ -499,7 +499,7 @@ def train_seeds(
         }
     with Workers(min(workers, len(seeds))) as pool:
         jobs = {
-            seed: pool.submit(_job, config, seed, folder / f"seed-{seed}", told=tell)
+            seed: pool.submit(_job, config, seed, folder / f"seed-{seed}", on_note=tell)
             for seed in seeds
         }
         try:

@@ -28,12 +28,12 @@ class BaseAmplitudeDamping(Effect):
 
     def check(self, system: System) -> None:
         """Nothing holds a satellite."""
-        found = not isinstance(system.vehicle, Satellite)
-        self._require(found, "a vehicle of M, D, K, got a satellite")
+        fits = not isinstance(system.vehicle, Satellite)
+        self._require(fits, "a vehicle of M, D, K, got a satellite")
 
     def base(self, base: BaseModel) -> BaseModel:
         """Drag + coefficient."""
         if self.is_null:
             return base
-        more: Array = np.array(self.coefficient)
-        return replace(base, drag=more if base.drag is None else base.drag + more)
+        drag: Array = np.array(self.coefficient)
+        return replace(base, drag=drag if base.drag is None else base.drag + drag)

@@ -48,10 +48,10 @@ class BaseExtraMode(Effect):
             return base
         rate = 2 * np.pi * self.frequency
         way: Array = np.array(self.direction) / np.linalg.norm(self.direction)
-        more = Oscillator(
+        oscillator = Oscillator(
             mass=self.mass,
             stiffness=self.mass * rate**2,
             damping=2 * self.damping_ratio * self.mass * rate,
             direction=tuple(way.tolist()),
         )
-        return replace(base, extra=(*base.extra, more))
+        return replace(base, extra=(*base.extra, oscillator))

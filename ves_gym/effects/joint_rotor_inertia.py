@@ -27,11 +27,11 @@ class JointRotorInertia(Effect):
         """One number per joint, on motors, and none that leaves less than no rotor."""
         self._require_per_joint(system, "added")
         self._require_motor(system)
-        for i, (link, more) in enumerate(zip(system.arm.links, self.added, strict=True)):
-            if link.rotor_inertia + more < 0:
+        for i, (link, added) in enumerate(zip(system.arm.links, self.added, strict=True)):
+            if link.rotor_inertia + added < 0:
                 raise ParameterError(
                     f"{self.kind}.added of joint {i + 1} must be >= -{link.rotor_inertia:g}"
-                    f" kg m^2, the rotor's own, got {more:g}"
+                    f" kg m^2, the rotor's own, got {added:g}"
                 )
 
     def arm(self, arm: Arm) -> Arm:
@@ -39,7 +39,7 @@ class JointRotorInertia(Effect):
         if self.is_null:
             return arm
         links = (
-            replace(link, rotor_inertia=link.rotor_inertia + more)
-            for link, more in zip(arm.links, self.added, strict=True)
+            replace(link, rotor_inertia=link.rotor_inertia + added)
+            for link, added in zip(arm.links, self.added, strict=True)
         )
         return replace(arm, links=tuple(links))

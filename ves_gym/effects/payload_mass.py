@@ -32,14 +32,14 @@ class PayloadMass(Effect):
         if not self.mass:
             return arm
         last = arm.links[-1]
-        old, more = last.inertial, self.mass
+        old, extra = last.inertial, self.mass
         com, place = np.array(old.com), np.array(self.position)
-        whole, d = old.mass + more, place - com
+        total, d = old.mass + extra, place - com
         spread = np.eye(3) * (d @ d) - np.outer(d, d)
         inertial = replace(
             old,
-            mass=whole,
-            com=tuple(((old.mass * com + more * place) / whole).tolist()),
-            inertia=matrix(np.array(old.inertia) + old.mass * more / whole * spread),
+            mass=total,
+            com=tuple(((old.mass * com + extra * place) / total).tolist()),
+            inertia=matrix(np.array(old.inertia) + old.mass * extra / total * spread),
         )
         return replace(arm, links=(*arm.links[:-1], replace(last, inertial=inertial)))

@@ -29,13 +29,13 @@ class SensorDrift(Effect):
         """A sensor has one correlation time."""
         times = {e.time for e in system.effects if isinstance(e, SensorDrift) and not e.is_null}
         if len(times) > 1:
-            known = ", ".join(f"{t:g} s" for t in sorted(times))
-            raise ParameterError(f"effects {self.kind} must share one time, got {known}")
+            stated = ", ".join(f"{t:g} s" for t in sorted(times))
+            raise ParameterError(f"effects {self.kind} must share one time, got {stated}")
 
     def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
         if self.is_null:
             return
-        more = np.array([*self.force, *self.moment])
-        p.sensor.drift = np.sqrt(p.sensor.drift**2 + more**2)
+        added = np.array([*self.force, *self.moment])
+        p.sensor.drift = np.sqrt(p.sensor.drift**2 + added**2)
         p.sensor.drift_time = np.full_like(p.sensor.drift_time, self.time)

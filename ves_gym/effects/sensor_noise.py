@@ -22,5 +22,5 @@ class SensorNoise(Effect):
 
     def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
-        more = np.array([*self.force, *self.moment])
-        p.sensor.noise = np.sqrt(p.sensor.noise**2 + more**2)
+        added = np.array([*self.force, *self.moment])
+        p.sensor.noise = np.sqrt(p.sensor.noise**2 + added**2)

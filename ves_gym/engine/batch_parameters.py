@@ -23,7 +23,7 @@ _SETTINGS = ("mode", "drive", "integrator", "physics_dt", "control_dt")
 _GEOMETRY = ("d", "a", "alpha", "offset")
 
 
-def require_alike(own: System, other: System, which: str) -> None:
+def require_alike(template: System, other: System, which: str) -> None:
     """Raise a ParameterError naming what differs in more than numbers; `which` is other's name.
 
     Masses, centres of mass, inertias, rotors, torque limits, M, D, K, a satellite's body and
@@ -31,46 +31,48 @@ def require_alike(own: System, other: System, which: str) -> None:
     that is the very same object.
     """
 
-    def refuse(what: str, mine: Any, given: Any) -> None:
-        raise ParameterError(f"{which}: {what} must be the simulator's {mine}, got {given}")
+    def refuse(what: str, mine: Any, theirs: Any) -> None:
+        raise ParameterError(f"{which}: {what} must be the simulator's {mine}, got {theirs}")
 
     for name in _SETTINGS:
-        if getattr(own, name) != getattr(other, name):
-            refuse(name, repr(getattr(own, name)), repr(getattr(other, name)))
-    kinds = tuple([e.kind for e in s.effects] for s in (own, other))
+        if getattr(template, name) != getattr(other, name):
+            refuse(name, repr(getattr(template, name)), repr(getattr(other, name)))
+    kinds = tuple([e.kind for e in s.effects] for s in (template, other))
     if kinds[0] != kinds[1]:
         refuse("the kinds of effects", *(", ".join(k) or "none" for k in kinds))
-    if other.arm is not own.arm:
-        if other.arm.n != own.arm.n:
-            refuse("number of joints", own.arm.n, other.arm.n)
-        for i, (a, b) in enumerate(zip(own.arm.links, other.arm.links, strict=True), start=1):
+    if other.arm is not template.arm:
+        if other.arm.n != template.arm.n:
+            refuse("number of joints", template.arm.n, other.arm.n)
+        for i, (a, b) in enumerate(
+            zip(template.arm.links, other.arm.links, strict=True), start=1
+        ):
             for name in _GEOMETRY:
                 if getattr(a, name) != getattr(b, name):
                     refuse(f"{name} of link {i}", getattr(a, name), getattr(b, name))
-    if own.actual.arm.geared != other.actual.arm.geared:
-        mine, given = ([i + 1 for i in s.actual.arm.geared] for s in (own, other))
-        refuse("joints whose gears give way", mine or "none", given or "none")
-    carried = tuple(len(s.actual.base.extra) for s in (own, other))
+    if template.actual.arm.geared != other.actual.arm.geared:
+        mine, theirs = ([i + 1 for i in s.actual.arm.geared] for s in (template, other))
+        refuse("joints whose gears give way", mine or "none", theirs or "none")
+    carried = tuple(len(s.actual.base.extra) for s in (template, other))
     if carried[0] != carried[1]:
         refuse("the number of oscillators on the vehicle", *carried)
-    if other.vehicle is not own.vehicle:
-        bodies = tuple("a body" if s.base.body else "no body" for s in (own, other))
+    if other.vehicle is not template.vehicle:
+        bodies = tuple("a body" if s.base.body else "no body" for s in (template, other))
         if bodies[0] != bodies[1]:
             refuse("the vehicle's kind", *bodies)
-        jets = tuple(getattr(s.vehicle, "thrusters", False) for s in (own, other))
+        jets = tuple(getattr(s.vehicle, "thrusters", False) for s in (template, other))
         if jets[0] != jets[1]:
             refuse("thrusters", *jets)
-    if other.emulator is not own.emulator:
-        for field in dataclasses.fields(own.emulator_settings):
-            a, b = (getattr(s.emulator_settings, field.name) for s in (own, other))
+    if other.emulator is not template.emulator:
+        for field in dataclasses.fields(template.emulator_settings):
+            a, b = (getattr(s.emulator_settings, field.name) for s in (template, other))
             if a is not b and content_hash(a) != content_hash(b):
                 refuse(f"emulator.{field.name}", a, b)
 
 
-def share_base(own: System, other: System) -> None:
+def share_base(template: System, other: System) -> None:
     """Spare `other` the computation of M, D, K where its vehicle is the same object."""
-    if other.vehicle is own.vehicle:
-        other.__dict__.setdefault("base", own.base)
+    if other.vehicle is template.vehicle:
+        other.__dict__.setdefault("base", template.base)
 
 
 def bodies_of(system: System) -> tuple[int, int]:
@@ -178,10 +180,10 @@ class Bodies:
         """A single row, n times."""
         return Bodies(*(np.repeat(part, n, axis=0) for part in self.parts()))
 
-    def put(self, i: int, one: Bodies) -> None:
+    def put(self, i: int, row: Bodies) -> None:
         """Replace row i by a single row."""
-        for mine, given in zip(self.parts(), one.parts(), strict=True):
-            mine[i] = given[0]
+        for mine, theirs in zip(self.parts(), row.parts(), strict=True):
+            mine[i] = theirs[0]
 
 
 class Inertias:
@@ -226,7 +228,7 @@ class Laws:
             for effect in laws
         ]
         # they keep the arrays, whose rows may change
-        self._together = _bound(laws, self._values)
+        self._stacked = _bound(laws, self._values)
         self._stackable = _stackable(laws, joints)
 
     def put(self, i: int, system: System) -> None:
@@ -240,7 +242,7 @@ class Laws:
     def torque(self, q: Array, v: Array, tau: Array) -> Array:
         """(n, joints) torque [N m], under motor torques tau (n, joints)."""
         if self._stackable:
-            return joint_torque(self._together, q, v, tau, self._limits)
+            return joint_torque(self._stacked, q, v, tau, self._limits)
         rows = zip(self._alone, q, v, tau, self._limits, strict=True)
         return np.stack([joint_torque(*row) for row in rows])
 
@@ -250,7 +252,7 @@ def _names(effect: Effect) -> list[str]:
 
 
 def _bound(laws: list[Effect], values: list[dict[str, Array]]) -> list[Effect]:
-    return [effect.bound(given) for effect, given in zip(laws, values, strict=True)]
+    return [effect.bound(fields) for effect, fields in zip(laws, values, strict=True)]
 
 
 def _stackable(laws: list[Effect], joints: int) -> bool:
@@ -263,17 +265,23 @@ def _stackable(laws: list[Effect], joints: int) -> bool:
     q, v, tau = np.linspace([0.3, -0.4, 0.7], [0.9, 1.1, -1.9], joints, axis=1)
     limit = np.full(joints, 0.6)
     rng = np.random.default_rng(0)
-    made = [{k: rng.uniform(0.5, 2.0, (2, *s)) for k, s in given.items()} for given in shapes]
-    stacked = [{k: values.reshape(2, -1) for k, values in given.items()} for given in made]
-    rows = [[{k: values[i] for k, values in given.items()} for given in made] for i in (0, 1)]
+    values_of = [
+        {k: rng.uniform(0.5, 2.0, (2, *s)) for k, s in fields.items()} for fields in shapes
+    ]
+    stacked = [
+        {k: values.reshape(2, -1) for k, values in fields.items()} for fields in values_of
+    ]
+    rows = [
+        [{k: values[i] for k, values in fields.items()} for fields in values_of] for i in (0, 1)
+    ]
     try:
         both = np.stack([q, v]), np.stack([v, q]), np.stack([tau, q])
-        together = joint_torque(_bound(laws, stacked), *both, limit)
+        stacked_torque = joint_torque(_bound(laws, stacked), *both, limit)
     except (ValueError, IndexError):
         return False
     states = ((q, v, tau), (v, q, q))
     alone = [joint_torque(_bound(laws, rows[i]), *states[i], limit) for i in (0, 1)]
-    same: bool = together.shape == (2, joints) and np.allclose(
-        together, alone, rtol=1e-9, atol=0
+    same: bool = stacked_torque.shape == (2, joints) and np.allclose(
+        stacked_torque, alone, rtol=1e-9, atol=0
     )
     return same

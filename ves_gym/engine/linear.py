@@ -98,7 +98,7 @@ def linearise_ideal(
     if command is None:
         command = kp * points((q, n, "q"))
     at = points((y, 6, "y"), (q, n, "q"), (command, n, "command"))
-    found = evaluate(
+    jacobian = evaluate(
         f"linearisation {structure(system)}",
         lambda: linearisation(system),
         at,
@@ -106,13 +106,13 @@ def linearise_ideal(
         size * (1 + 2 * size + n),
     )
     batch = at.shape[:-1]
-    found = found.reshape(*batch, 1 + 2 * size + n, size)
-    slope = np.swapaxes(found[..., 1:, :], -1, -2)
+    jacobian = jacobian.reshape(*batch, 1 + 2 * size + n, size)
+    slope = np.swapaxes(jacobian[..., 1:, :], -1, -2)
     A, B = np.zeros((*batch, 2 * size, 2 * size)), np.zeros((*batch, 2 * size, n))
     drift, x0 = np.zeros((2, *batch, 2 * size))
     A[..., :size, size:] = np.eye(size)
     A[..., size:, :], B[..., size:, :] = slope[..., : 2 * size], slope[..., 2 * size :]
-    drift[..., size:], x0[..., :size] = found[..., 0, :], at[..., :size]
+    drift[..., size:], x0[..., :size] = jacobian[..., 0, :], at[..., :size]
     return Linear(A=A, B=B, drift=drift, x0=x0, u0=at[..., size:])
 
 

@@ -60,17 +60,24 @@ def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
     """Springs of the gears; drag and oscillators of a vehicle. The last tendons and joints."""
     if base is not None:
         add_drag(spec, base)
-        for i, one in enumerate(base.extra, start=1):
+        for i, oscillator in enumerate(base.extra, start=1):
             body = spec.worldbody.add_body(name=f"extra_{i}")
-            body.mass, body.ipos, body.inertia = one.mass, [0, 0, 0], [one.mass] * 3
+            body.mass, body.ipos, body.inertia = (
+                oscillator.mass,
+                [0, 0, 0],
+                [oscillator.mass] * 3,
+            )
             body.explicitinertial = True
             body.add_joint(name=f"u_{i}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
             tendon = spec.add_tendon(name=f"extra_{i}")
             tendon.wrap_joint(f"u_{i}", 1.0)
-            for axis, part in zip("xyz", one.direction, strict=True):
+            for axis, part in zip("xyz", oscillator.direction, strict=True):
                 tendon.wrap_joint(axis, -part)
             tendon.springlength = [0.0, 0.0]
-            tendon.stiffness, tendon.damping = [one.stiffness, 0, 0], [one.damping, 0, 0]
+            tendon.stiffness, tendon.damping = (
+                [oscillator.stiffness, 0, 0],
+                [oscillator.damping, 0, 0],
+            )
     for i in arm.geared:
         gear = arm.links[i].gear
         assert gear is not None

@@ -97,5 +97,5 @@ def gravity_regressor(arm: Arm, q: npt.ArrayLike, g: npt.ArrayLike) -> Array:
 def _regressor(arm: Arm, moving: bool, columns: int, x: Array) -> Array:
     rows = 6 + arm.n
     key, graph = f"regressor {moving} {geometry(arm)}", partial(regressor, arm, moving)
-    found = evaluate(key, graph, x, np.zeros(0), rows * columns)
-    return np.swapaxes(found.reshape(*x.shape[:-1], columns, rows), -1, -2)
+    jacobian = evaluate(key, graph, x, np.zeros(0), rows * columns)
+    return np.swapaxes(jacobian.reshape(*x.shape[:-1], columns, rows), -1, -2)

@@ -287,7 +287,7 @@ class Batch:
     def _look(self) -> None:
         """Read the state into the scene."""
         s, sim = self.scene, self.sim
-        s.time, s.y, s.yd, s.q, s.v = sim.seen
+        s.time, s.y, s.yd, s.q, s.v = sim.last_state
         s.y_seen, s.yd_seen = s.y, s.yd
         if self._emulated:
             assert sim.emulation_loop is not None

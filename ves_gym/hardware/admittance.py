@@ -85,10 +85,10 @@ def admittance_matrices(
     M, D, K = base.mass_matrix, base.D, base.K
     if base.extra:
         wide = base.widened()
-        for own, more in zip((M, D, K), wide, strict=True):
-            more[:6, :6] += own
-        whole, driven = discretise(*wide, dt)
-        return whole, driven[:, :6]
+        for matrix, block in zip((M, D, K), wide, strict=True):
+            block[:6, :6] += matrix
+        transition, driven = discretise(*wide, dt)
+        return transition, driven[:, :6]
     if form == "coupled":
         return discretise(M, D, K, dt)
     sets = coupled_axes(M, D, K)
@@ -148,6 +148,6 @@ def implicit_step(M: Array, D: Array, K: Array, X: Array, W: Array, dt: float) -
     y, yd = np.split(X, 2, axis=-1)
     loss = dt / 2 * D + dt**2 / 4 * K
     # Y+ = Y + dt (Y' + Y'+) / 2 put into the sampled balance of momentum
-    right = matvec(M - loss, yd) + dt * (W - matvec(K, y))
-    rate = np.linalg.solve(M + loss, right[..., None])[..., 0]
+    push = matvec(M - loss, yd) + dt * (W - matvec(K, y))
+    rate = np.linalg.solve(M + loss, push[..., None])[..., 0]
     return np.concatenate([y + dt / 2 * (yd + rate), rate], axis=-1)

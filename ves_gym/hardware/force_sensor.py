@@ -126,8 +126,8 @@ class LowPass:
         self._cutoff, self._nodes = cutoff.copy(), nodes
         kinds, which = np.unique(cutoff, return_inverse=True)
         parts = [_butterworth(float(f), nodes) for f in kinds]
-        one = len(kinds) == 1  # all alike: one matrix serves the batch
-        pick = np.zeros(1, np.intp) if one else which
+        alike = len(kinds) == 1  # all alike: one matrix serves the batch
+        pick = np.zeros(1, np.intp) if alike else which
         self._hold = np.stack([p[0] for p in parts])[pick]  # (1 or n, 2, 2)
         self._input = np.stack([p[1] for p in parts])[pick]  # (1 or n, 2, k + 1)
 
@@ -149,9 +149,9 @@ class LowPass:
     def carry(self, state: Array, nodes: Array, factor: Array, steady: Array) -> Array:
         """`advance` under inputs factor @ nodes + steady, factor (n, 6, 6), steady (n, 6)."""
         driven = np.swapaxes(self._input @ nodes, -1, -2)  # (n, 6, 2)
-        whole = self._input.sum(axis=-1)[:, None, :]  # of an input that holds
-        held = state @ np.swapaxes(self._hold, -1, -2)
-        out: Array = held + factor @ driven + steady[..., None] * whole
+        total = self._input.sum(axis=-1)[:, None, :]  # of an input that holds
+        response = state @ np.swapaxes(self._hold, -1, -2)
+        out: Array = response + factor @ driven + steady[..., None] * total
         return out
 
 
@@ -164,11 +164,11 @@ def _butterworth(cutoff: float, nodes: Array) -> tuple[Array, Array]:
     step = scipy.linalg.expm(generator * h)
     A = step[:2, :2]
     ahead = step[:2, 3] / h  # weight of the input at the end of a step
-    now = step[:2, 2] - ahead
+    present = step[:2, 2] - ahead
     weights = np.zeros((2, k + 1))
     hold = np.eye(2)
     for j in reversed(range(k)):
-        weights[:, j] += hold @ now
+        weights[:, j] += hold @ present
         weights[:, j + 1] += hold @ ahead
         hold = hold @ A
     return hold, weights
@@ -207,16 +207,16 @@ class Sensor:
     def put(self, ids: Index, errors: SensorErrors) -> None:
         """Give some sensors (m,) other departures; their memory stays as it is."""
         e = self.errors
-        again = ids[errors.cutoff != e.cutoff[ids]]
-        for mine, given in zip(e.parts(), errors.parts(), strict=True):
-            mine[ids] = given
+        refiltered = ids[errors.cutoff != e.cutoff[ids]]
+        for mine, changed in zip(e.parts(), errors.parts(), strict=True):
+            mine[ids] = changed
         self._low_pass.put(ids, errors.cutoff)
         self._to_signal[ids] = (np.eye(6) + errors.matrix) @ self.spec.frame
         self._noisy[ids] = errors.random()
-        if len(again):
-            (hold, kick), start = _noise_steps(e.cutoff[again], self._period)
+        if len(refiltered):
+            (hold, kick), start = _noise_steps(e.cutoff[refiltered], self._period)
             (holds, kicks), starts = self._noise_step
-            holds[again], kicks[again], starts[again] = hold, kick, start
+            holds[refiltered], kicks[refiltered], starts[refiltered] = hold, kick, start
         self._drift_hold[ids] = np.exp(-self._period / errors.drift_time)[:, None]
 
     def reset(self, ids: Index, wrench: Array, generators: list[np.random.Generator]) -> None:
@@ -242,11 +242,11 @@ class Sensor:
         noisy = np.flatnonzero(self._noisy)
         if len(noisy):  # the others draw no numbers
             draws = np.stack([generators[i].standard_normal(18) for i in noisy])
-            some = noisy if len(noisy) < len(s.noise) else slice(None)
-            hold, kick = (np.swapaxes(part[some], -1, -2) for part in self._noise_step[0])
-            s.noise[some] = s.noise[some] @ hold + draws[:, :12].reshape(-1, 6, 2) @ kick
-            a = self._drift_hold[some]
-            s.drift[some] = a * s.drift[some] + np.sqrt(1 - a**2) * draws[:, 12:]
+            rows = noisy if len(noisy) < len(s.noise) else slice(None)
+            hold, kick = (np.swapaxes(part[rows], -1, -2) for part in self._noise_step[0])
+            s.noise[rows] = s.noise[rows] @ hold + draws[:, :12].reshape(-1, 6, 2) @ kick
+            a = self._drift_hold[rows]
+            s.drift[rows] = a * s.drift[rows] + np.sqrt(1 - a**2) * draws[:, 12:]
 
     def signal(self) -> Array:
         """(n, 6) strain signals in the sensor frame, as converted, before the zero."""
@@ -264,8 +264,8 @@ class Sensor:
 
     def zero_to(self, ids: Index, wrench: Array) -> None:
         """Set the zero so that the present reading becomes `wrench` (m, 6) (App. E step 9)."""
-        wanted = np.linalg.solve(self._to_wrench, wrench[..., None])[..., 0]
-        self.state.zero[ids] = self.signal()[ids] - wanted
+        target = np.linalg.solve(self._to_wrench, wrench[..., None])[..., 0]
+        self.state.zero[ids] = self.signal()[ids] - target
 
 
 def _noise_steps(cutoff: Array, dt: float) -> tuple[tuple[Array, Array], Array]:

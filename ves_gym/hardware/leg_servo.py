@@ -57,7 +57,7 @@ _SPEED, _ACCELERATION, _ROD, _BEND, _BEND_RATE = range(5)
 _PLANT = 5
 
 
-def _whole(name: str, value: float, period: float, *, divides: bool = False) -> int:
+def _whole_steps(name: str, value: float, period: float, *, divides: bool = False) -> int:
     """How many leg periods make `value` [s] (or how many of it a leg period), exactly.
 
     Raises:
@@ -132,7 +132,7 @@ class LegServo:
             self, "K2", "delay", "resolution", "mode_damping", "participation", zero=True
         )
         if self.delay:
-            _whole("LegServo.delay", self.delay, 1 / self.rate)
+            _whole_steps("LegServo.delay", self.delay, 1 / self.rate)
         if self.filter is not None and 2 * self.filter.corner >= self.rate:
             raise ParameterError(
                 f"LegServo.filter.corner must be < half the rate {self.rate} Hz,"
@@ -231,15 +231,15 @@ class _Leg:
         length, step = self.sensed(x), self.servo.resolution
         return np.multiply(np.round(length / step), step) if step else length
 
-    def rest(self, length: Array) -> Array:
+    def steady_state(self, length: Array) -> Array:
         """State (s, ...) of a leg at rest at its commanded length (...) [m]."""
         x = np.zeros((self.size, *length.shape))
         x[_ROD] = length
         measured = self.measure(x)
         if self.servo.filter is not None:
-            held = measured if self.servo.filter.place == "feedback" else length - measured
+            fed_back = measured if self.servo.filter.place == "feedback" else length - measured
             memory = scipy.signal.lfilter_zi(self.b, self.a)
-            x[_PLANT : self.last] = np.multiply.outer(memory, held)
+            x[_PLANT : self.last] = np.multiply.outer(memory, fed_back)
         x[self.last] = measured
         return x
 
@@ -308,8 +308,8 @@ class Legs:
                 no whole number of physics steps (to 1e-9).
         """
         period = 1 / servo.rate
-        self.samples = _whole("control_dt", control_dt, period)
-        steps = _whole("physics_dt", physics_dt, period, divides=True)
+        self.samples = _whole_steps("control_dt", control_dt, period)
+        steps = _whole_steps("physics_dt", physics_dt, period, divides=True)
         extension = (stewart.home_lengths.mean() - stewart.length_min) / (
             stewart.length_max - stewart.length_min
         )
@@ -325,7 +325,7 @@ class Legs:
         Hydraulic legs start from rest, whatever rate `yd` the vehicle has.
         """
         self._pose[ids] = y
-        self._x[:, ids] = self.leg.rest(self.stewart.leg_lengths(self._pose[ids]))
+        self._x[:, ids] = self.leg.steady_state(self.stewart.leg_lengths(self._pose[ids]))
 
     def advance(
         self, y_cmd: npt.ArrayLike, yd_cmd: npt.ArrayLike = 0.0
@@ -505,6 +505,6 @@ def _filter_response(leg: _Leg, z: Complex) -> Complex:
 def _response(A: Array, B: Array, C: Array, z: Complex) -> Complex:
     """C (z - A)^-1 B at points z (...)."""
     resolvent = z[..., None, None] * np.eye(len(A)) - A
-    right = np.broadcast_to(B.astype(complex)[:, None], (*z.shape, len(B), 1))
-    out: Complex = np.linalg.solve(resolvent, right)[..., 0] @ C
+    inputs = np.broadcast_to(B.astype(complex)[:, None], (*z.shape, len(B), 1))
+    out: Complex = np.linalg.solve(resolvent, inputs)[..., 0] @ C
     return out

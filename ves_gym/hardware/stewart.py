@@ -187,11 +187,11 @@ class Stewart:
         """
         goal, pose = np.asarray(lengths, float), np.array(start, float)
         rows = np.flatnonzero(np.isfinite(pose).all(axis=-1) & np.isfinite(goal).all(axis=-1))
-        found = np.zeros(len(pose), bool)
+        solved = np.zeros(len(pose), bool)
         for _ in range(_ITERATIONS):
             error = goal[rows] - self.leg_lengths(pose[rows])
             near = np.abs(error).max(axis=-1, initial=0.0) < TOLERANCE
-            found[rows[near]] = True
+            solved[rows[near]] = True
             rows, error = rows[~near], error[~near]
             if not len(rows):
                 break
@@ -199,7 +199,7 @@ class Stewart:
             good = np.abs(step).max(axis=-1) < 1.0  # False for NaN
             rows = rows[good]
             pose[rows] += step[good]
-        pose[~found] = np.nan
+        pose[~solved] = np.nan
         return pose
 
     def motion(

@@ -128,9 +128,9 @@ def minimal_model(arm: Arm) -> MinimalModel:
     better determined. Link i's far end moves everything beyond it by d z' + a x.
     """
     width = 3 * (arm.n + 1) + arm.n
-    kept = [(0, 0), (0, 1), (0, 2)]
-    rows = [np.zeros(width) for _ in kept]
-    terms: list[list[str]] = [[] for _ in kept]
+    chosen = [(0, 0), (0, 1), (0, 2)]
+    rows = [np.zeros(width) for _ in chosen]
+    terms: list[list[str]] = [[] for _ in chosen]
 
     def lump(where: dict[int, float], column: int, factor: float, text: str) -> None:
         """Add factor * (mass parameter `column`), which points along `where`, to P."""
@@ -143,16 +143,20 @@ def minimal_model(arm: Arm) -> MinimalModel:
     z: dict[int, float] = {2: 1.0}  # the joint axis by kept directions
     for i, link in enumerate(arm.links, start=1):
         c, s = round(float(np.cos(link.alpha)), 15), round(float(np.sin(link.alpha)), 15)
-        x, other = len(kept), len(kept) + 1
-        keep = 1 if abs(c) >= abs(s) else 2
-        kept += [(i, 0), (i, keep)]
+        x, other = len(chosen), len(chosen) + 1
+        axis_kept = 1 if abs(c) >= abs(s) else 2
+        chosen += [(i, 0), (i, axis_kept)]
         rows += [np.zeros(width), np.zeros(width)]
         terms += [[], []]
-        mine, lost = (s, c) if keep == 1 else (c, s)  # z' = mine * kept + lost * left out
-        rest = {j: part / lost for j, part in z.items()}
+        mine, lost = (s, c) if axis_kept == 1 else (c, s)  # z' = mine * kept + lost * left out
+        remainder = {j: part / lost for j, part in z.items()}
         if mine:
-            rest[other] = -mine / lost
-        along = [{x: 1.0}, {other: 1.0}, rest] if keep == 1 else [{x: 1.0}, rest, {other: 1.0}]
+            remainder[other] = -mine / lost
+        along = (
+            [{x: 1.0}, {other: 1.0}, remainder]
+            if axis_kept == 1
+            else [{x: 1.0}, remainder, {other: 1.0}]
+        )
         for k in range(3):
             lump(along[k], 3 * i + k, 1.0, f"m{i} r{i}{'xyz'[k]}")
         beyond = [f"m{j}" for j in range(i, arm.n + 1)]
@@ -163,13 +167,13 @@ def minimal_model(arm: Arm) -> MinimalModel:
                     rows[j][3 * (arm.n + 1) + i - 1 :] += length * part
                     terms[j].append(_term(part, f"{weight} {name}{i}"))
         z = along[2]
-    names = tuple(f"m{body} r{body}{'xyz'[axis]}" for body, axis in kept)
+    names = tuple(f"m{body} r{body}{'xyz'[axis]}" for body, axis in chosen)
     described = tuple(" ".join(t).removeprefix("+ ") for t in terms)
     combination = np.array(rows)
     combination.flags.writeable = False
     return MinimalModel(
         arm=arm,
-        directions=tuple(kept),
+        directions=tuple(chosen),
         combination=combination,
         names=names,
         descriptions=described,

@@ -65,9 +65,9 @@ def joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> tuple[Ar
     """
     low, high = arm.column("q_min"), arm.column("q_max")
     grid = low + (high - low) * np.array(list(itertools.product(_GUESSES, repeat=arm.n)))
-    here = np.asarray(near, float)[:, None]
-    wide = np.broadcast_to(grid, (len(here), *grid.shape))
-    q = np.clip(np.concatenate([here, wide], axis=1), low, high)
+    start = np.asarray(near, float)[:, None]
+    wide = np.broadcast_to(grid, (len(start), *grid.shape))
+    q = np.clip(np.concatenate([start, wide], axis=1), low, high)
     goal = np.asarray(points, float)[:, None]
     for _ in range(_ROUNDS):
         error = goal - joint_positions(arm, q)[..., -1, :]
@@ -81,7 +81,7 @@ def joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> tuple[Ar
         q = np.clip(q + step * (_STEP / np.maximum(fastest, _STEP)), low, high)
     miss = np.linalg.norm(goal - joint_positions(arm, q)[..., -1, :], axis=-1)
     # the best, and of the solved ones the soonest
-    way = (np.abs(q - here) / arm.column("v_max")).max(axis=-1)
+    way = (np.abs(q - start) / arm.column("v_max")).max(axis=-1)
     pick = np.where(miss <= _CLOSE, -1 / (1 + way), miss).argmin(axis=1)
     rows = np.arange(len(q))
     return q[rows, pick], miss[rows, pick]

@@ -143,9 +143,9 @@ class Motion:
         times = np.asarray(t, float)
         inside = np.clip(times, 0.0, self.duration)
         position, velocity, acceleration = (spline(inside) for spline in self._splines)
-        held = (times < 0) | (times > self.duration)
-        velocity[held] = 0.0
-        acceleration[held] = 0.0
+        outside = (times < 0) | (times > self.duration)
+        velocity[outside] = 0.0
+        acceleration[outside] = 0.0
         return Samples(times, position, velocity, acceleration)
 
     def retimed(self, duration: float) -> Motion:
@@ -156,12 +156,12 @@ class Motion:
 def _points(value: Any, name: str, least: int) -> Array:
     """(k >= least, n >= 1) finite numbers."""
     try:
-        given = np.asarray(value)
+        raw = np.asarray(value)
     except ValueError:  # ragged
-        given = np.empty(0, object)
-    if given.dtype.kind not in "fiu":
+        raw = np.empty(0, object)
+    if raw.dtype.kind not in "fiu":
         raise ParameterError(f"{name} must be rows of n numbers, got {value!r}")
-    points: Array = given.astype(np.float64)
+    points: Array = raw.astype(np.float64)
     if points.ndim != 2 or len(points) < least or points.shape[1] < 1:
         raise ParameterError(f"{name} must have shape (>= {least}, n), got {points.shape}")
     if not np.isfinite(points).all():

@@ -76,19 +76,19 @@ class BaseModel:
         """What the oscillators add to M, D, K in (Y, u): three (6 + m, 6 + m)."""
         m = len(self.extra)
         M, D, K = np.zeros((3, 6 + m, 6 + m))
-        for i, one in enumerate(self.extra):
-            M[6 + i, 6 + i] = one.mass
+        for i, oscillator in enumerate(self.extra):
+            M[6 + i, 6 + i] = oscillator.mass
             way = np.zeros(6 + m)
-            way[:3], way[6 + i] = one.direction, -1.0
-            D += one.damping * np.outer(way, way)
-            K += one.stiffness * np.outer(way, way)
+            way[:3], way[6 + i] = oscillator.direction, -1.0
+            D += oscillator.damping * np.outer(way, way)
+            K += oscillator.stiffness * np.outer(way, way)
         return M, D, K
 
     def attached(self, y: Array) -> Array:
         """(..., m) coordinates of the oscillators at rest on a vehicle at (..., 6)."""
         out = np.zeros((*y.shape[:-1], len(self.extra)))
-        for i, one in enumerate(self.extra):
-            out[..., i] = sum(c * y[..., k] for k, c in enumerate(one.direction))
+        for i, oscillator in enumerate(self.extra):
+            out[..., i] = sum(c * y[..., k] for k, c in enumerate(oscillator.direction))
         return out
 
 
@@ -422,10 +422,10 @@ def beam_line(vehicle: object, y: Array, points: int = 7) -> Array | None:
     if not isinstance(vehicle, Beam):
         return None
     nodes, K = vehicle.nodes, vehicle.stiffness()
-    line = [np.broadcast_to(nodes[0], (len(y), 3))]
+    points_along = [np.broadcast_to(nodes[0], (len(y), 3))]
     for s, segment in enumerate(vehicle.segments):
         length = float(np.linalg.norm(segment))
         for x in np.linspace(0, length, points)[1:]:
             shape = (vehicle.flexibility(s, float(x)) @ K)[:3]
-            line.append(nodes[s] + x / length * np.array(segment) + y @ shape.T)
-    return np.stack(line, axis=1)
+            points_along.append(nodes[s] + x / length * np.array(segment) + y @ shape.T)
+    return np.stack(points_along, axis=1)

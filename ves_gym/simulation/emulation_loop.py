@@ -62,16 +62,17 @@ class _State:
     """Memory of the tick loop; every array has the leading axis n."""
 
     X: Array  # (n, 12) admittance: Y, Y' (thesis eq. 2.4)
-    sent: Array  # (n, 12) command the platform follows
+    command_sent: Array  # (n, 12) command the platform follows
     queue: Array  # (n, delay, 12) commands on their way
-    late: Array  # (n, m, 12) earlier `sent`, newest first, where the platform hears late
-    told: Array  # (n, 12) what the platform heard last, where it cannot follow all
+    # (n, m, 12) earlier `command_sent`, newest first, where the platform hears late
+    command_history: Array
+    command_received: Array  # (n, 12) what the platform heard last, where it cannot follow all
     reading: Array  # (n, 6)
     estimate: Array  # (n, 6) gravity wrench in use
-    past: Array  # (n, m, 6) earlier estimates, newest first
-    sway: Array  # (n, 2 (joints + m)) the joints' answer to the base's motion, in the
+    estimate_history: Array  # (n, m, 6) earlier estimates, newest first
+    coupled_state: Array  # (n, 2 (joints + m)) the joints' answer to the base's motion, in the
     #              admittance, and the m oscillators that the vehicle carries
-    felt: Array  # (n, 2 joints) the same by the model of the platform
+    arm_response: Array  # (n, 2 joints) the same by the model of the platform
     payload: Array  # (n, 6, 2) predicted inertia wrench of the arm, as the sensor shows it
     frozen: Mask  # (n,)
     time: Array  # (n,) s since the reset
@@ -131,15 +132,15 @@ class EmulationLoop:
         zero = np.zeros
         self.state = _State(
             X=zero((n, 12)),
-            sent=zero((n, 12)),
+            command_sent=zero((n, 12)),
             queue=zero((n, emulator.delay, 12)),
-            late=zero((n, self._oldest_command(), 12)),
-            told=zero((n, 12)),
+            command_history=zero((n, self._oldest_command(), 12)),
+            command_received=zero((n, 12)),
             reading=zero((n, 6)),
             estimate=zero((n, 6)),
-            past=zero((n, self._ages + 1, 6)),
-            sway=zero((n, 2 * (self._moving + self._carried))),
-            felt=zero((n, 2 * self._moving)),
+            estimate_history=zero((n, self._ages + 1, 6)),
+            coupled_state=zero((n, 2 * (self._moving + self._carried))),
+            arm_response=zero((n, 2 * self._moving)),
             payload=zero((n, 6, 2)),
             frozen=zero(n, bool),
             time=zero(n),
@@ -189,7 +190,7 @@ class EmulationLoop:
                 " with the vehicle of the simulator's own"
             )
         bodies, inertias = self._bodies, self._inertias
-        known: dict[tuple[int, ...], Bodies] = {}  # a row of each arm and vehicle seen
+        rows_of: dict[tuple[int, ...], Bodies] = {}  # a row of each arm and vehicle seen
         if others:
             names = ParameterRows(self.system) if self.compensating else None
 
@@ -199,8 +200,8 @@ class EmulationLoop:
                 return Bodies.of(system, self._linear is not None, numbers)
 
             for i, k in others:
-                if _all_bodies(k) not in known:
-                    known[_all_bodies(k)] = row(k, f"system of simulation {i}")
+                if _all_bodies(k) not in rows_of:
+                    rows_of[_all_bodies(k)] = row(k, f"system of simulation {i}")
             if bodies is None:
                 bodies = row(self.system, "own system").repeated(self.n)
                 inertias = Inertias(self.system, self.n) if self.compensating else None
@@ -209,7 +210,7 @@ class EmulationLoop:
             self._bodies, self._inertias = bodies, inertias
             for i, system in others:
                 assert bodies is not None
-                bodies.put(i, known[_all_bodies(system)])
+                bodies.put(i, rows_of[_all_bodies(system)])
                 if inertias is not None:
                     inertias.arms[i] = system.arm
             for i, system in pairs:
@@ -235,20 +236,31 @@ class EmulationLoop:
             nominal = LoopParameters.nominal(self.system.arm, self.spec, self.n)
             self.model = self._follower(nominal)
             self.model.set_state(self.follower.get_state())
-        apart = self.model is not self.follower
-        if apart and isinstance(self.follower, PoseFollower) and isinstance(servo, PoseServo):
+        separate = self.model is not self.follower
+        if (
+            separate
+            and isinstance(self.follower, PoseFollower)
+            and isinstance(servo, PoseServo)
+        ):
             w = servo.bandwidth * (1 + p.bandwidth)
             self.follower.put(ids, w, servo.damping_ratio * (1 + p.damping))
         self._ages, self._short = self._oldest(), self._falling_short()
         s = self.state
-        missing = self._ages + 1 - s.past.shape[1]
+        missing = self._ages + 1 - s.estimate_history.shape[1]
         if missing > 0:
-            older = np.repeat(s.past[:, -1:], missing, axis=1)  # the oldest that is known
-            s.past = np.concatenate([s.past, older], axis=1)
-        missing = self._oldest_command() - s.late.shape[1]
+            # the oldest that is known
+            older = np.repeat(s.estimate_history[:, -1:], missing, axis=1)
+            s.estimate_history = np.concatenate([s.estimate_history, older], axis=1)
+        missing = self._oldest_command() - s.command_history.shape[1]
         if missing > 0:
-            oldest = s.late[:, -1:] if s.late.shape[1] else s.sent[:, None]
-            s.late = np.concatenate([s.late, np.repeat(oldest, missing, axis=1)], axis=1)
+            oldest = (
+                s.command_history[:, -1:]
+                if s.command_history.shape[1]
+                else s.command_sent[:, None]
+            )
+            s.command_history = np.concatenate(
+                [s.command_history, np.repeat(oldest, missing, axis=1)], axis=1
+            )
 
     # ------------------------------------------------------------------ state
 
@@ -256,14 +268,17 @@ class EmulationLoop:
         """Platforms at pose y moving at yd, sensors at rest under the arm's weight."""
         s = self.state
         X = np.concatenate([y, yd], axis=-1)
-        s.X[ids], s.sent[ids], s.queue[ids] = X, X, X[:, None]
-        s.late[ids], s.told[ids] = X[:, None], X
-        s.sway[ids], s.felt[ids], s.payload[ids] = 0.0, 0.0, 0.0
+        s.X[ids], s.command_sent[ids], s.queue[ids] = X, X, X[:, None]
+        s.command_history[ids], s.command_received[ids] = X[:, None], X
+        s.coupled_state[ids], s.arm_response[ids], s.payload[ids] = 0.0, 0.0, 0.0
         if self._carried:
             at, moving = self._carrying
             for i, row, rate in zip(ids.tolist(), y, yd, strict=True):
                 carried = self._systems[i].actual.base
-                s.sway[i, at], s.sway[i, moving] = carried.attached(row), carried.attached(rate)
+                s.coupled_state[i, at], s.coupled_state[i, moving] = (
+                    carried.attached(row),
+                    carried.attached(rate),
+                )
         s.frozen[ids], s.time[ids] = False, 0.0
         self.events = [e for e in self.events if e.simulation not in set(ids.tolist())]
         self.follower.reset(ids, y, yd)
@@ -271,26 +286,28 @@ class EmulationLoop:
             self.model.reset(ids, y, yd)
         self.sensor.reset(ids, self._weight_of(q, y, ids), self.generators)
         estimate = self._estimate(q, self.follower.measured()[ids], ids)
-        s.past[ids] = estimate[:, None]
+        s.estimate_history[ids] = estimate[:, None]
         s.estimate[ids] = estimate
         if self.compensating:  # the state runs behind by what the platform is told ahead
             H = self._arm_inertia(q, ids)
             free = np.zeros((len(ids), 6))
-            M, D, K, whole, W = self._together(H, X, s.sway[ids], free, ids)
-            s.X[ids], s.sway[ids] = self._apart(implicit_step(M, D, K, whole, W, -self._lag))
+            M, D, K, state, W = self._coupled(H, X, s.coupled_state[ids], free, ids)
+            s.X[ids], s.coupled_state[ids] = self._split(
+                implicit_step(M, D, K, state, W, -self._lag)
+            )
         if self.spec.zero_at_start:
             self.zero(ids)
         s.reading[ids] = self.sensor.reading()[ids]
 
     def get_state(self) -> Any:
         """Everything needed to continue exactly from here; picklable."""
-        kept = self.state, self.sensor.state, self.events, self.table
-        return copy.deepcopy(kept), self.follower.get_state(), self.model.get_state()
+        memory = self.state, self.sensor.state, self.events, self.table
+        return copy.deepcopy(memory), self.follower.get_state(), self.model.get_state()
 
     def set_state(self, state: Any) -> None:
         """Return to a state handed out by `get_state`."""
-        kept, follower, model = state
-        self.state, self.sensor.state, self.events, self.table = copy.deepcopy(kept)
+        memory, follower, model = state
+        self.state, self.sensor.state, self.events, self.table = copy.deepcopy(memory)
         self.model.set_state(model)
         self.follower.set_state(follower)  # last: the two may be one
 
@@ -312,52 +329,63 @@ class EmulationLoop:
         elif platform is not None:
             fresh = np.concatenate(platform, axis=-1)
         else:  # nowhere else to go
-            fresh = np.concatenate([s.sent[:, :6], np.zeros((self.n, 6))], axis=-1)
+            fresh = np.concatenate([s.command_sent[:, :6], np.zeros((self.n, 6))], axis=-1)
         s.queue = np.concatenate([s.queue, fresh[:, None]], axis=1)
-        wanted = s.queue[:, 0]
+        command = s.queue[:, 0]
         s.queue = s.queue[:, 1:]
-        self._check(wanted)
-        held = np.concatenate([s.sent[:, :6], np.zeros_like(s.sent[:, 6:])], axis=-1)
-        s.sent = np.where(s.frozen[:, None], held, wanted)
-        s.X = np.where(s.frozen[:, None], held, s.X)
+        self._check(command)
+        standstill = np.concatenate(
+            [s.command_sent[:, :6], np.zeros_like(s.command_sent[:, 6:])], axis=-1
+        )
+        s.command_sent = np.where(s.frozen[:, None], standstill, command)
+        s.X = np.where(s.frozen[:, None], standstill, s.X)
         heard = self._heard()
         path = self.follower.advance(heard[:, :6], heard[:, 6:])
         if self.compensating:
             same = self.model is self.follower
-            self._predict(H, path if same else self.model.advance(s.sent[:, :6], s.sent[:, 6:]))
+            self._predict(
+                H,
+                path
+                if same
+                else self.model.advance(s.command_sent[:, :6], s.command_sent[:, 6:]),
+            )
         return path
 
     def _heard(self) -> Array:
         """(n, 12) the command as it reaches the platforms: late, or as far as they can go."""
         s, p = self.state, self.parameters
-        out = s.sent
-        if s.late.shape[1]:
-            nodes = np.concatenate([out[:, None], s.late], axis=1)
+        out = s.command_sent
+        if s.command_history.shape[1]:
+            nodes = np.concatenate([out[:, None], s.command_history], axis=1)
             age = p.platform_delay / self.dt
             low, rows = np.floor(age).astype(int), np.arange(self.n)
             part = (age - low)[:, None]
-            late = (1 - part) * nodes[rows, low] + part * nodes[rows, low + 1]
-            out = np.where(age[:, None] > 0, late, out)
-            s.late = nodes[:, :-1]
+            delayed = (1 - part) * nodes[rows, low] + part * nodes[rows, low + 1]
+            out = np.where(age[:, None] > 0, delayed, out)
+            s.command_history = nodes[:, :-1]
         if len(self._short):
             out = out.copy()
             out[self._short] = self.within_reach(out[self._short], self._short)
-        s.told = out
+        s.command_received = out
         return out
 
-    def within_reach(self, wanted: Array, ids: Index) -> Array:
+    def within_reach(self, command: Array, ids: Index) -> Array:
         """(m, 12) commands (m, 12) held back on their way, as far as the legs go."""
-        p, stewart, before = self.parameters, self.spec.stewart, self.state.told[ids]
+        p, stewart, before = (
+            self.parameters,
+            self.spec.stewart,
+            self.state.command_received[ids],
+        )
         travel, speed = p.platform_travel[ids], p.platform_speed[ids]
-        pose = self.shortened(wanted[:, :6], travel)
+        pose = self.shortened(command[:, :6], travel)
         step = np.abs(stewart.leg_lengths(pose) - stewart.leg_lengths(before[:, :6])).max(
             axis=1
         )
         haste = step / (self.dt * stewart.speed_max * (1 - speed))
         slower = before[:, :6].T + (pose - before[:, :6]).T / haste.clip(1)
         pose = np.where((speed > 0) & (haste > 1), slower, pose.T).T
-        held = (pose != wanted[:, :6]).any(axis=1)[:, None]
-        rate = np.where(held, (pose - before[:, :6]) / self.dt, wanted[:, 6:])
+        shortened = (pose != command[:, :6]).any(axis=1)[:, None]
+        rate = np.where(shortened, (pose - before[:, :6]) / self.dt, command[:, 6:])
         return np.concatenate([pose, rate], axis=-1)
 
     def shortened(self, pose: Array, travel: Array) -> Array:
@@ -387,13 +415,16 @@ class EmulationLoop:
         fresh = self._estimate(q, self.follower.measured(), everyone)
         if self.table is not None and self.table.shape[1] > 1:
             self.table = self.table[:, 1:]
-        s.past = np.concatenate([fresh[:, None], s.past[:, :-1]], axis=1)
+        s.estimate_history = np.concatenate(
+            [fresh[:, None], s.estimate_history[:, :-1]], axis=1
+        )
         if self._ages > 1:
             age = self.parameters.gravity_delay / self.dt
             low = np.floor(age).astype(int)
             part = (age - low)[:, None]
-            late = (1 - part) * s.past[everyone, low] + part * s.past[everyone, low + 1]
-            s.estimate = np.where(age[:, None] > 0, late, fresh)
+            older, newer = (s.estimate_history[everyone, k] for k in (low + 1, low))
+            delayed = (1 - part) * newer + part * older
+            s.estimate = np.where(age[:, None] > 0, delayed, fresh)
         else:
             s.estimate = fresh
 
@@ -402,11 +433,13 @@ class EmulationLoop:
         """What the controller knows now."""
         s = self.state
         y = self.follower.measured()
-        return Readings(s.reading.copy(), s.estimate.copy(), y.copy(), s.sent[:, :6].copy())
+        return Readings(
+            s.reading.copy(), s.estimate.copy(), y.copy(), s.command_sent[:, :6].copy()
+        )
 
     @property
     def _carrying(self) -> tuple[slice, slice]:
-        """Where coordinates and rates of the vehicle's oscillators are in `sway`."""
+        """Where coordinates and rates of the vehicle's oscillators are in `coupled_state`."""
         m, e = self._moving, self._carried
         return slice(m, m + e), slice(2 * m + e, 2 * (m + e))
 
@@ -414,7 +447,9 @@ class EmulationLoop:
     def carried(self) -> tuple[Array, Array]:
         """Coordinates and rates (n, m) of the oscillators that the vehicle carries."""
         at, moving = self._carrying
-        return self.state.sway[:, at].copy(), self.state.sway[:, moving].copy()
+        return self.state.coupled_state[:, at].copy(), self.state.coupled_state[
+            :, moving
+        ].copy()
 
     def zero(self, ids: Index) -> None:
         """Set the sensors' zero from the gravity estimate (App. E step 9)."""
@@ -433,33 +468,33 @@ class EmulationLoop:
         if self._inertias is None or self._bodies is None:
             H = self._inertia(q)[:, :size, :size]
         else:
-            some = np.arange(self.n) if ids is None else ids
-            H = self._inertias(q, some, self._bodies.numbers[some])[:, :size, :size]
+            rows = np.arange(self.n) if ids is None else ids
+            H = self._inertias(q, rows, self._bodies.numbers[rows])[:, :size, :size]
         weight = self._weight if ids is None else self._weight[ids]
         return np.multiply(weight, H, dtype=np.float64)
 
     def _weight_of(self, q: Array, y: Array, ids: Index) -> Array:
         """True static wrench (m, 6) of the arm on the platform."""
-        arm, own = self.system.actual.arm, self._bodies
-        if own is None:
+        arm, bodies = self.system.actual.arm, self._bodies
+        if bodies is None:
             return GravityModel.of(arm).wrench(arm, q, y)
-        return gravity_wrench(arm, q, gravity_vector(y), own.mass[ids], own.P[ids])
+        return gravity_wrench(arm, q, gravity_vector(y), bodies.mass[ids], bodies.P[ids])
 
     def _drag(self, ids: Index) -> Array | None:
         """Quadratic damping (m, 6) of the vehicles; None where no vehicle has any."""
-        own = self._bodies
-        if own is None:
+        bodies = self._bodies
+        if bodies is None:
             drag = self.system.actual.base.drag
             return None if drag is None else np.broadcast_to(drag, (len(ids), 6))
-        return own.drag[ids] if own.drag.any() else None
+        return bodies.drag[ids] if bodies.drag.any() else None
 
     def _vehicle(self, ids: Index) -> Nonlinear:
         """g(X, W) of nonlinear vehicles `ids` (m,)."""
         assert self._nonlinear is not None
-        own = self._bodies
-        if own is None or self.custom is not None:
+        bodies = self._bodies
+        if bodies is None or self.custom is not None:
             return self._nonlinear
-        return rigid_bodies(own.body[ids], own.M[ids], own.D[ids], own.K[ids])
+        return rigid_bodies(bodies.body[ids], bodies.M[ids], bodies.D[ids], bodies.K[ids])
 
     def _estimate(self, q: Array, y: Array, ids: Index) -> Array:
         """Gravity estimate (m, 6) from measured joints and pose (thesis eq. 3.5, 3.9)."""
@@ -489,8 +524,8 @@ class EmulationLoop:
             force = matvec(turned, s.reading - s.estimate + s.payload[..., 0])
             return self._admit_together(H, force)
         elif self._linear is not None:
-            own = self._bodies
-            phi, gamma = self._linear if own is None else (own.phi, own.gamma)
+            bodies = self._bodies
+            phi, gamma = self._linear if bodies is None else (bodies.phi, bodies.gamma)
             force = matvec(turned, s.reading - s.estimate)
             drag = self._drag(np.arange(self.n))
             if drag is not None:
@@ -498,10 +533,15 @@ class EmulationLoop:
             # row by row: one matrix product over the batch would round by its size
             if self._carried:
                 at, moving = self._carrying
-                parts = (s.X[:, :6], s.sway[:, at], s.X[:, 6:], s.sway[:, moving])
-                whole = matvec(phi, np.concatenate(parts, axis=-1)) + matvec(gamma, force)
-                y, s.sway[:, at], yd, s.sway[:, moving] = np.split(
-                    whole, np.cumsum([6, self._carried, 6]), axis=-1
+                parts = (
+                    s.X[:, :6],
+                    s.coupled_state[:, at],
+                    s.X[:, 6:],
+                    s.coupled_state[:, moving],
+                )
+                state = matvec(phi, np.concatenate(parts, axis=-1)) + matvec(gamma, force)
+                y, s.coupled_state[:, at], yd, s.coupled_state[:, moving] = np.split(
+                    state, np.cumsum([6, self._carried, 6]), axis=-1
                 )
                 s.X = np.concatenate([y, yd], axis=-1)
             else:
@@ -514,17 +554,17 @@ class EmulationLoop:
     def _admit_together(self, H: Array, force: Array) -> Array:
         """One period of vehicle and arm together (docs/physics.md, payload compensation)."""
         s = self.state
-        M, D, K, X, W = self._together(H, s.X, s.sway, force, np.arange(self.n))
+        M, D, K, X, W = self._coupled(H, s.X, s.coupled_state, force, np.arange(self.n))
         X = implicit_step(M, D, K, X, W, self.dt)
-        s.X, s.sway = self._apart(X)
+        s.X, s.coupled_state = self._split(X)
         # sensor, computer and platform delay motion by a known time: send it ahead by that
-        return self._apart(implicit_step(M, D, K, X, W, self._lag))[0]
+        return self._split(implicit_step(M, D, K, X, W, self._lag))[0]
 
-    def _together(
-        self, H: Array, X: Array, sway: Array, force: Array, ids: Index
+    def _coupled(
+        self, H: Array, X: Array, coupled_state: Array, force: Array, ids: Index
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Matrices, state and force of vehicle and servo-held joints as one linear system."""
-        base, own, m = self.system.actual.base, self._bodies, self._moving
+        base, bodies, m = self.system.actual.base, self._bodies, self._moving
         k = m + self._carried
         M, D, K = np.zeros((3, len(ids), 6 + k, 6 + k))
         turn = np.broadcast_to(np.eye(6 + m), H.shape).copy()
@@ -532,33 +572,37 @@ class EmulationLoop:
         M[:, : 6 + m, : 6 + m] = np.swapaxes(turn, -1, -2) @ H @ turn
         if self._nonlinear is None:
             parts = (base.M, base.D, base.K)
-            if own is not None:
-                parts = (own.M[ids], own.D[ids], own.K[ids])
+            if bodies is not None:
+                parts = (bodies.M[ids], bodies.D[ids], bodies.K[ids])
             M[:, :6, :6] += parts[0]
             D[:, :6, :6], K[:, :6, :6] = parts[1:]
             drag = self._drag(ids)
             if drag is not None:  # by its secant
                 D[:, range(6), range(6)] += drag * np.abs(X[:, 6:])
         else:  # linearised about this instant; a force held would feed energy into a spring
-            mobility, rest, by_y, by_yd = _linearised(
+            mobility, offset, by_y, by_yd = _linearised(
                 self._vehicle(ids), X, stacked=self.custom is None
             )
             body = np.linalg.inv(mobility).astype(np.float64)
             M[:, :6, :6] += body
             K[:, :6, :6], D[:, :6, :6] = -body @ by_y, -body @ by_yd
-            rest = rest - matvec(by_y, X[:, :6]) - matvec(by_yd, X[:, 6:])
-            force = np.add(force, matvec(body, rest))
+            offset = offset - matvec(by_y, X[:, :6]) - matvec(by_yd, X[:, 6:])
+            force = np.add(force, matvec(body, offset))
         joints = np.arange(6, 6 + m)
         D[:, joints, joints], K[:, joints, joints] = self.kd[ids, :m], self.kp[ids, :m]
         if self._carried:
             at = np.r_[:6, 6 + m : 6 + k]
-            wide = self._wide[:, None] if own is None else np.swapaxes(own.wide[ids], 0, 1)
-            for part, more in zip((M, D, K), wide, strict=True):
-                part[:, at[:, None], at] += more
-        whole = np.concatenate([X[:, :6], sway[:, :k], X[:, 6:], sway[:, k:]], axis=-1)
-        return M, D, K, whole, np.concatenate([force, np.zeros((len(ids), k))], axis=-1)
+            wide = (
+                self._wide[:, None] if bodies is None else np.swapaxes(bodies.wide[ids], 0, 1)
+            )
+            for part, block in zip((M, D, K), wide, strict=True):
+                part[:, at[:, None], at] += block
+        state = np.concatenate(
+            [X[:, :6], coupled_state[:, :k], X[:, 6:], coupled_state[:, k:]], axis=-1
+        )
+        return M, D, K, state, np.concatenate([force, np.zeros((len(ids), k))], axis=-1)
 
-    def _apart(self, X: Array) -> tuple[Array, Array]:
+    def _split(self, X: Array) -> tuple[Array, Array]:
         """State of the vehicle (n, 12) and of all else (n, 2m) from that of both."""
         m = self._moving + self._carried
         base = np.concatenate([X[:, :6], X[:, 6 + m : 12 + m]], axis=-1)
@@ -581,15 +625,17 @@ class EmulationLoop:
                 self.kp.T,
             )
             push = -matvec(np.swapaxes(across, -1, -2), mean)
-            felt = implicit_step(H[:, 6:, 6:], gains[0], gains[1], s.felt, push, self.dt)
-            steady = matvec(across, (felt[:, m:] - s.felt[:, m:]) / self.dt)
-            s.felt = felt
+            arm_response = implicit_step(
+                H[:, 6:, 6:], gains[0], gains[1], s.arm_response, push, self.dt
+            )
+            steady = matvec(across, (arm_response[:, m:] - s.arm_response[:, m:]) / self.dt)
+            s.arm_response = arm_response
         s.payload = self._model_filter.carry(s.payload, ydd, H[:, :6, :6] @ T, steady)
 
-    def _check(self, wanted: Array) -> None:
+    def _check(self, command: Array) -> None:
         """Freeze platforms that may not go on, and say why (thesis 2.4.2)."""
         s, spec, stewart = self.state, self.spec, self.spec.stewart
-        poses = np.stack([s.sent[:, :6], wanted[:, :6]])
+        poses = np.stack([s.command_sent[:, :6], command[:, :6]])
         before, after = stewart.leg_lengths(poses)
         outside, far, length = stewart.beyond(after)
         hasty, fast, speed = stewart.too_fast(before, after, self.dt)
@@ -652,8 +698,8 @@ def _linearised(g: Nonlinear, X: Array, stacked: bool) -> tuple[Array, Array, Ar
     if stacked:
         out = g(*(np.stack(part) for part in zip(*tries, strict=True)))[..., 6:]
     else:
-        out = np.stack([g(*one) for one in tries])[..., 6:]
-    rest = out[0]
-    change = np.moveaxis(out[1:] - rest, 0, -1)
+        out = np.stack([g(*point) for point in tries])[..., 6:]
+    offset = out[0]
+    change = np.moveaxis(out[1:] - offset, 0, -1)
     slope = change[..., 6:] / _STEP
-    return change[..., :6], rest, slope[..., :6], slope[..., 6:]
+    return change[..., :6], offset, slope[..., :6], slope[..., 6:]

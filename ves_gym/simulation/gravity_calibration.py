@@ -253,9 +253,9 @@ _FREE: Array = np.linalg.svd(_GAUGE.reshape(5, 36))[2][5:].reshape(31, 6, 6)
 
 def _to_gauge(C: Array) -> Array:
     """The matrix L C, equivalent to C, whose gauge is that of the manufacturer's matrix."""
-    shown = np.einsum("jab,kac,cb->jk", _GAUGE, _GAUGE, C)
-    wanted = np.einsum("jaa->j", _GAUGE)
-    L = np.tensordot(np.linalg.solve(shown, wanted), _GAUGE, axes=1)
+    projection = np.einsum("jab,kac,cb->jk", _GAUGE, _GAUGE, C)
+    traces = np.einsum("jaa->j", _GAUGE)
+    L = np.tensordot(np.linalg.solve(projection, traces), _GAUGE, axes=1)
     out: Array = L @ C
     return out
 
@@ -334,7 +334,7 @@ class _Problem:
         return condition
 
     def _refuse(self, missing: list[str]) -> None:
-        more = f" and {len(missing) - 4} more" if len(missing) > 4 else ""
+        others = f" and {len(missing) - 4} more" if len(missing) > 4 else ""
         joints = [str(i + 1) for i in np.flatnonzero(np.std(self.q, axis=0) < STILL)]
         tilts = [
             f"phi_{k}" for k, v in zip("xy", self.y.T[3:5], strict=True) if np.std(v) < STILL
@@ -342,7 +342,7 @@ class _Problem:
         advice = [f"vary joint {' and '.join(joints)}"] if joints else []
         advice += [f"tilt the platform in {' and '.join(tilts)}"] if tilts else []
         raise ParameterError(
-            f"the {self.count} poses do not determine {', '.join(missing[:4])}{more}:"
+            f"the {self.count} poses do not determine {', '.join(missing[:4])}{others}:"
             f" {'; '.join(advice) or 'take more poses, spread further'}"
         )
 

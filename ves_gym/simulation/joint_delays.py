@@ -19,70 +19,73 @@ from ves_gym.system.system import System
 _WHOLE = 1e-9  # of a physics step: a delay as near as that to whole steps is whole
 
 
-class JointLine:
+class JointDelays:
     """n lines at work. Ask `busy` before use: without a delay there is nothing to do."""
 
     def __init__(self, system: System, n: int) -> None:
         self.dt, self.joints, self.n = system.physics_dt, system.arm.n, n
         self.delays = Delays.of(system, n)
         self._fresh = np.ones(n, bool)  # no command since the reset
-        self._sent = np.zeros((n, 0, 2, self.joints))  # commands at both ends of past steps
+        # commands at both ends of past steps
+        self.command_history = np.zeros((n, 0, 2, self.joints))
         # angles, rates as seen through the low-pass, and rates, at past nodes
-        self.past = np.zeros((n, 0, 3, self.joints))
+        self.measurement_history = np.zeros((n, 0, 3, self.joints))
         self._fit()
 
-    def _apart(self, delay: Array) -> tuple[Index, Array]:
+    def _whole_and_part(self, delay: Array) -> tuple[Index, Array]:
         """Whole physics steps of a delay, and the part of one that is left."""
         steps = delay / self.dt
         near = np.round(steps)
         steps = np.where(np.abs(steps - near) < _WHOLE, near, steps)
-        whole = np.floor(steps).astype(np.intp)
-        return whole, steps - whole
+        steps_back = np.floor(steps).astype(np.intp)
+        return steps_back, steps - steps_back
 
     @property
     def busy(self) -> bool:
         """Whether there is any delay."""
-        return self.late or self.old
+        return self.commands_late or self.measurements_late
 
     @property
-    def late(self) -> bool:
+    def commands_late(self) -> bool:
         """Whether a command arrives late anywhere."""
         return bool(self.delays.command.any())
 
     @property
-    def old(self) -> bool:
+    def measurements_late(self) -> bool:
         """Whether a measurement is old anywhere, or a rate behind."""
         return bool(self.delays.measurement.any() or self.delays.lag.any())
 
     def _fit(self) -> None:
         """As much memory as the longest delays need; what is older was as the oldest known."""
         for name, delay, used in (
-            ("_sent", self.delays.command, self.late),
-            ("past", self.delays.measurement, self.old),
+            ("command_history", self.delays.command, self.commands_late),
+            ("measurement_history", self.delays.measurement, self.measurements_late),
         ):
-            kept: Array = getattr(self, name)
-            need = int(self._apart(delay)[0].max()) + 2 if used else 0
-            missing = need - kept.shape[1]
+            history: Array = getattr(self, name)
+            need = int(self._whole_and_part(delay)[0].max()) + 2 if used else 0
+            missing = need - history.shape[1]
             if missing > 0:
-                shape = (self.n, missing, *kept.shape[2:])
-                older = np.broadcast_to(kept[:, :1], shape) if kept.size else np.zeros(shape)
-                setattr(self, name, np.concatenate([older, kept], axis=1))
+                shape = (self.n, missing, *history.shape[2:])
+                older = (
+                    np.broadcast_to(history[:, :1], shape) if history.size else np.zeros(shape)
+                )
+                setattr(self, name, np.concatenate([older, history], axis=1))
 
     def assign(self, ids: Index, systems: Sequence[System], q: Array, v: Array) -> None:
         """Give simulations the delays of their own systems; all (n, joints) are at q, v."""
         for i, system in zip(ids.tolist(), systems, strict=True):
             self.delays.put(np.array([i]), Delays.of(system))
-        first = not self._sent.shape[1], not self.past.shape[1]
+        first = not self.command_history.shape[1], not self.measurement_history.shape[1]
         self._fit()
         if first[0]:
             self._fresh[:] = True
         if first[1]:
-            self.past[:] = np.stack([q, v, v], axis=1)[:, None]
+            self.measurement_history[:] = np.stack([q, v, v], axis=1)[:, None]
 
     def reset(self, ids: Index, q: Array, v: Array) -> None:
         """Joints (m, joints) were where they are, and are told what they will be told first."""
         self._fresh[ids] = True
-        self.past[ids] = np.stack([q, v, v], axis=1)[:, None]
+        self.measurement_history[ids] = np.stack([q, v, v], axis=1)[:, None]
 
     # ---------------------------------------------------------------- commands
 
@@ -90,44 +93,48 @@ class JointLine:
         """What reaches the drives over k steps while (n, k + 1, joints) is sent."""
         new = np.stack([nodes[:, :-1], nodes[:, 1:]], axis=2)
         self._begin(nodes[:, 0])
-        whole = np.concatenate([self._sent, new], axis=1)
-        k, held = new.shape[1], self._sent.shape[1]
-        out = np.stack([self._at(whole, held + j, j > 0) for j in range(k + 1)], axis=1)
-        self._sent = whole[:, k:]
+        history = np.concatenate([self.command_history, new], axis=1)
+        k, stored = new.shape[1], self.command_history.shape[1]
+        out = np.stack([self._at(history, stored + j, j > 0) for j in range(k + 1)], axis=1)
+        self.command_history = history[:, k:]
         return np.where(self.delays.command[:, None, None] > 0, out, nodes)
 
     def arrived(self, command: Array) -> Array:
         """(n, joints) what is at the drives now, where `command` is being sent."""
-        if not self.late:
+        if not self.commands_late:
             return command
-        past = np.where(self._fresh[:, None, None, None], command[:, None, None], self._sent)
-        now = self._at(past, past.shape[1], True)
-        return np.where(self.delays.command[:, None] > 0, now, command)
+        history = np.where(
+            self._fresh[:, None, None, None], command[:, None, None], self.command_history
+        )
+        arrived = self._at(history, history.shape[1], True)
+        return np.where(self.delays.command[:, None] > 0, arrived, command)
 
     def _begin(self, first: Array) -> None:
         if self._fresh.any():
-            self._sent[self._fresh] = first[self._fresh][:, None, None]
+            self.command_history[self._fresh] = first[self._fresh][:, None, None]
             self._fresh[:] = False
 
     def _at(self, segments: Array, node: int, before: bool) -> Array:
         """Command sent one delay before a node; `before` a jump at that instant, or after."""
-        whole, part = self._apart(self.delays.command)
-        back = whole + (before | (part > 0))
+        steps_back, part = self._whole_and_part(self.delays.command)
+        back = steps_back + (before | (part > 0))
         ends = segments[np.arange(self.n), np.clip(node - back, 0, segments.shape[1] - 1)]
-        share = np.where(back > whole, 1 - part, 0.0)[:, None]
+        share = np.where(back > steps_back, 1 - part, 0.0)[:, None]
         return np.asarray((1 - share) * ends[:, 0] + share * ends[:, 1], dtype=np.float64)
 
     # ------------------------------------------------------------ measurements
 
     def measured(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Angles and rates (n, joints) as they are seen, where they really are q and v."""
-        if not self.old:
+        if not self.measurements_late:
             return q, v
-        return self._seen(np.concatenate([self.past, self._node(q, v)], axis=1))
+        return self._measured(
+            np.concatenate([self.measurement_history, self._node(q, v)], axis=1)
+        )
 
     def _node(self, q: Array, v: Array) -> Array:
         """(n, 1, 3, joints) a step after the last node remembered."""
-        return self._after(self.past[:, -1], q, v)[:, None]
+        return self._after(self.measurement_history[:, -1], q, v)[:, None]
 
     def _after(self, before: Array, q: Array, v: Array) -> Array:
         """The node (n, 3, joints) one step after another; exact for rates linear between."""
@@ -137,15 +144,15 @@ class JointLine:
         x = self.dt / np.where(lag > 0, lag, 1.0)
         share = -np.expm1(-x) / x  # mean weight of the step's start in what the filter forgets
         follows = before[:, 1] * np.exp(-x) + before[:, 2] * (share - np.exp(-x))
-        seen = np.where(lag > 0, follows + v * (1 - share), v)
-        return np.stack([q, seen, v], axis=1)
+        filtered = np.where(lag > 0, follows + v * (1 - share), v)
+        return np.stack([q, filtered, v], axis=1)
 
-    def _seen(self, nodes: Array) -> tuple[Array, Array]:
+    def _measured(self, nodes: Array) -> tuple[Array, Array]:
         """One delay before the last of nodes (n, m, 3, joints)."""
-        whole, part = self._apart(self.delays.measurement)
-        rows, now = np.arange(self.n), nodes.shape[1] - 1 - whole
+        steps_back, part = self._whole_and_part(self.delays.measurement)
+        rows, at = np.arange(self.n), nodes.shape[1] - 1 - steps_back
         share = part[:, None, None]
-        out = (1 - share) * nodes[rows, now] + share * nodes[rows, np.maximum(now - 1, 0)]
+        out = (1 - share) * nodes[rows, at] + share * nodes[rows, np.maximum(at - 1, 0)]
         return out[:, 0], out[:, 1]
 
     def correction(self, q: Array, v: Array, kp: Array, kd: Array) -> tuple[Array, Array]:
@@ -155,35 +162,37 @@ class JointLine:
         makes it one that does not. The end of the step is foreseen with the present
         acceleration, which costs an error of second order in the step.
         """
-        rate = 2 * v - self.past[:, -1, 2]
+        rate = 2 * v - self.measurement_history[:, -1, 2]
         further = q + self.dt / 2 * (v + rate)
-        now = self._node(q, v)
-        ahead = self._after(now[:, 0], further, rate)[:, None]
-        nodes = np.concatenate([self.past, now], axis=1)
-        whole = np.concatenate([nodes, ahead], axis=1)
+        present = self._node(q, v)
+        ahead = self._after(present[:, 0], further, rate)[:, None]
+        nodes = np.concatenate([self.measurement_history, present], axis=1)
+        extended = np.concatenate([nodes, ahead], axis=1)
         out = []
-        for (q_there, v_there), seen in (
-            ((q, v), self._seen(nodes)),
-            ((further, rate), self._seen(whole)),
+        for (q_there, v_there), filtered in (
+            ((q, v), self._measured(nodes)),
+            ((further, rate), self._measured(extended)),
         ):
-            out.append(kp * (q_there - seen[0]) + kd * (v_there - seen[1]))
+            out.append(kp * (q_there - filtered[0]) + kd * (v_there - filtered[1]))
         return out[0], out[1]
 
     def remember(self, q: Array, v: Array) -> None:
         """Angles and rates (n, joints) at the start of a step that is over."""
-        self.past = np.concatenate([self.past[:, 1:], self._node(q, v)], axis=1)
+        self.measurement_history = np.concatenate(
+            [self.measurement_history[:, 1:], self._node(q, v)], axis=1
+        )
 
     # ------------------------------------------------------------------- state
 
     def get_state(self) -> Any:
         """Everything needed to continue exactly from here."""
-        return copy.deepcopy((self._fresh, self._sent, self.past))
+        return copy.deepcopy((self._fresh, self.command_history, self.measurement_history))
 
     def set_state(self, state: Any) -> None:
         """Return to a state handed out by `get_state`."""
-        self._fresh, self._sent, self.past = copy.deepcopy(state)
+        self._fresh, self.command_history, self.measurement_history = copy.deepcopy(state)
 
 
-def line_of(system: System, n: int) -> JointLine | None:
+def joint_delays_of(system: System, n: int) -> JointDelays | None:
     """n lines, or None where no effect is on them."""
-    return JointLine(system, n) if any(e.is_on_line for e in system.effects) else None
+    return JointDelays(system, n) if any(e.is_on_line for e in system.effects) else None

@@ -116,19 +116,19 @@ class _Loop:
         self.sim, self.lab, self.angles = sim, sim.emulation_loop, angles
         # only what the loop acts on: anything else would be an eigenvalue 1 of its own
         self.joints = sim.joints if sim.system.drive == "motor" else 0
-        self.names = ["X", "sent", "queue", "reading", "estimate", "past"]
+        self.names = ["X", "command_sent", "queue", "reading", "estimate", "estimate_history"]
         if sim.emulation_loop.compensating:
-            self.names += ["sway", "felt", "payload"]
+            self.names += ["coupled_state", "arm_response", "payload"]
         elif sim.emulation_loop.carried[0].size:
-            self.names += ["sway"]
+            self.names += ["coupled_state"]
         lab = sim.emulation_loop  # a model of its own, or the machine itself
         self._gears = bool(sim.system.actual.arm.geared)
-        self._ages = sim.line is not None and sim.line.old
+        self._ages = sim.joint_delays is not None and sim.joint_delays.measurements_late
         self._modelled = lab.compensating and lab.model is not lab.follower
-        self.rest = [part.copy() for part in self._parts()]
-        self.size = 2 * self.joints + sum(part[0].size for part in self.rest)
-        before = 2 * self.joints + sum(part[0].size for part in self.rest[:3])
-        self.reading = slice(before, before + 6)  # X, sent and queue come first
+        self.rest_parts = [part.copy() for part in self._parts()]
+        self.size = 2 * self.joints + sum(part[0].size for part in self.rest_parts)
+        before = 2 * self.joints + sum(part[0].size for part in self.rest_parts[:3])
+        self.reading = slice(before, before + 6)  # X, command_sent, queue come first
         self.hold = sim.servo_command(
             np.broadcast_to(angles, (sim.n, sim.joints)), np.zeros((sim.n, sim.joints))
         )
@@ -139,12 +139,12 @@ class _Loop:
         """Arrays of the laboratory that carry over to the next period."""
         for name in self.names:
             yield getattr(self.lab.state, name)
-        if self.lab.state.late.shape[1]:
-            yield self.lab.state.late
+        if self.lab.state.command_history.shape[1]:
+            yield self.lab.state.command_history
         if self._ages:
-            yield self.sim.line.past
+            yield self.sim.joint_delays.measurement_history
         if self._gears:
-            yield np.stack(self.sim.backend.hidden(), axis=1)
+            yield np.stack(self.sim.backend.internal_state(), axis=1)
         yield self.lab.sensor.state.filter
         yield from self.lab.follower.get_state()
         if self._modelled:
@@ -160,7 +160,7 @@ class _Loop:
         """State and measured pose (n, s + 6) one period after rest + offsets (n, s)."""
         sim, lab, n, m = self.sim, self.lab, self.sim.n, self.joints
         shifted, at = [], 2 * m
-        for part in self.rest:
+        for part in self.rest_parts:
             width = part[0].size
             shifted.append(part + offsets[:, at : at + width].reshape(part.shape))
             at += width
@@ -170,17 +170,17 @@ class _Loop:
         if s.late.shape[1]:
             s.late = shifted.pop(0)
         if self._ages:
-            sim.line.past = shifted.pop(0)
+            sim.joint_delays.measurement_history = shifted.pop(0)
         bent = shifted.pop(0) if self._gears else None
         lab.sensor.state.filter = shifted.pop(0)
-        held = len(lab.follower.get_state())
-        lab.follower.set_state(tuple(shifted[:held]))
+        split = len(lab.follower.get_state())
+        lab.follower.set_state(tuple(shifted[:split]))
         if self._modelled:
-            lab.model.set_state(tuple(shifted[held:]))
+            lab.model.set_state(tuple(shifted[split:]))
         # the engine's platform stands where the follower's does
-        kept = lab.follower.get_state()
+        memory = lab.follower.get_state()
         y, yd, _ = lab.follower.advance(s.sent[:, :6], s.sent[:, 6:])
-        lab.follower.set_state(kept)
+        lab.follower.set_state(memory)
         q, v = np.tile(self.angles, (n, 1)), np.zeros((n, sim.joints))
         q[:, :m] += offsets[:, :m]
         v[:, :m] = offsets[:, m : 2 * m]
@@ -188,7 +188,7 @@ class _Loop:
             np.arange(n), np.zeros(n), np.hstack([y[:, 0], q]), np.hstack([yd[:, 0], v])
         )
         if bent is not None:
-            sim.backend.bend(bent[:, 0], bent[:, 1])
+            sim.backend.set_gear_state(bent[:, 0], bent[:, 1])
         sim.step(self.hold)
         return np.hstack([self._vector(), lab.follower.measured()])
 

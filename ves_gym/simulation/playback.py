@@ -127,10 +127,10 @@ def play_motions(
     if not (settle >= 0 and math.isfinite(settle)):
         raise ParameterError(f"settle must be >= 0 s, got {settle!r}")
     dt, emulated = system.physics_dt, system.mode == "emulated"
-    asked = system.control_dt if record_dt is None else record_dt
-    stride = _whole(asked, dt, "record_dt", "physics steps")
+    interval = system.control_dt if record_dt is None else record_dt
+    stride = _whole_multiple(interval, dt, "record_dt", "physics steps")
     if emulated:
-        _whole(asked, system.control_dt, "record_dt", "control periods")
+        _whole_multiple(interval, system.control_dt, "record_dt", "control periods")
     records = int(np.ceil((duration + settle) / (stride * dt) - 1e-9)) + 1
     sim = Simulator(
         system, n, servo=servo, backend=backend, seed=seed, warn_at=motions[0].start
@@ -153,8 +153,10 @@ def play_motions(
         tau, ydd = sim.evaluate(commands[:, k * stride])
         row = (*sim.measured, tau, state.y, state.yd)
         if emulated:
-            now = sim.readings
-            rows.append((*row, now.wrench, now.wrench - now.gravity, now.y_cmd))
+            readings = sim.readings
+            rows.append(
+                (*row, readings.wrench, readings.wrench - readings.gravity, readings.y_cmd)
+            )
             if len(sim.events) >= n:
                 break
         else:
@@ -213,8 +215,8 @@ def weigh_poses(
     sim.reset(q=angles, y=poses)
     assert sim.emulation_loop is not None
     sim.emulation_loop.sensor.warm_up(sim.generators)
-    rest = np.zeros_like(angles)
-    hold = rest if still.drive == "prescribed" else sim.servo_command(angles, rest)
+    zeros = np.zeros_like(angles)
+    hold = zeros if still.drive == "prescribed" else sim.servo_command(angles, zeros)
     total, pose, count = np.zeros((len(angles), 6)), np.zeros((len(angles), 6)), 0
     for _ in range(max(1, round(seconds / system.control_dt))):
         sim.step(hold, platform=poses)
@@ -225,7 +227,7 @@ def weigh_poses(
     return RunLog(
         t=np.arange(len(angles)) * np.float64(seconds),
         q_cmd=angles,
-        v_cmd=rest,
+        v_cmd=zeros,
         q=sim.state.q,
         y=pose / count,
         w=total / count,
@@ -250,13 +252,13 @@ def _per_run(
 
 def _tabulated(gravity: Callable[[Array], Array], t: Array, n: int) -> Array:
     """(n, N, 6) gravity wrench at the instants t."""
-    given = np.asarray(gravity(t), float)
-    if given.shape not in ((len(t), 6), (n, len(t), 6)):
+    values = np.asarray(gravity(t), float)
+    if values.shape not in ((len(t), 6), (n, len(t), 6)):
         raise ParameterError(
             f"gravity must give wrenches of shape ({len(t)}, 6) or ({n}, {len(t)}, 6),"
-            f" got {given.shape}"
+            f" got {values.shape}"
         )
-    return np.broadcast_to(given, (n, len(t), 6))
+    return np.broadcast_to(values, (n, len(t), 6))
 
 
 def _common(system: System, motions: Sequence[Motion]) -> tuple[int, float]:
@@ -273,7 +275,7 @@ def _common(system: System, motions: Sequence[Motion]) -> tuple[int, float]:
     return len(motions), durations[0]
 
 
-def _whole(period: float, dt: float, name: str, what: str) -> int:
+def _whole_multiple(period: float, dt: float, name: str, what: str) -> int:
     ratio = period / dt
     if not math.isfinite(ratio) or round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
         raise ParameterError(
@@ -311,9 +313,9 @@ def base_wrench(
         if hidden is None:
             raise ParameterError("a vehicle that carries oscillators needs their state")
         _, D, K = base.widened()
-        for matrix, part, rest in ((K, y, hidden[0]), (D, yd, hidden[1])):
-            whole = np.concatenate([part, rest[:, -len(base.extra) :]], axis=-1)
-            force = force + matvec(matrix[:6], whole)
+        for matrix, part, internal in ((K, y, hidden[0]), (D, yd, hidden[1])):
+            stacked = np.concatenate([part, internal[:, -len(base.extra) :]], axis=-1)
+            force = force + matvec(matrix[:6], stacked)
     turn = np.swapaxes(rate_matrix(y), -1, -2)
     wrench = np.linalg.solve(turn, force[..., None])[..., 0]
     if base.body is not None:

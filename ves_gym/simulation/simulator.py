@@ -20,7 +20,7 @@ from ves_gym.mechanics.dynamics import inertia_entries
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, JointServo
 from ves_gym.mechanics.spatial import AXES, SINGULAR, matvec, rate_matrix
 from ves_gym.simulation.emulation_loop import EmulationLoop, Event, Readings
-from ves_gym.simulation.joint_delays import line_of
+from ves_gym.simulation.joint_delays import joint_delays_of
 from ves_gym.simulation.loop_linearisation import warn_if_unstable
 from ves_gym.system.system import System
 
@@ -55,7 +55,7 @@ class Snapshot:
     diverged: Mask
     emulation_loop: Any = None
     assigned: Mapping[int, System] = field(default_factory=dict)
-    line: Any = None
+    joint_delays: Any = None
 
 
 class Simulator:
@@ -78,7 +78,7 @@ class Simulator:
             unstable one is an `EmulationWarning`. None: not judged.
     """
 
-    seen: State  # after the last step or reset
+    last_state: State  # after the last step or reset
 
     def __init__(
         self,
@@ -111,7 +111,7 @@ class Simulator:
         self.joints = system.arm.n
         self.backend = make_backend(backend, system.actual, self.n, threads)
         self._assigned: dict[int, System] = {}  # simulations with a system of their own
-        self.line = line_of(system, self.n)  # delays between joint controller and drives
+        self.joint_delays = joint_delays_of(system, self.n)  # None where there can be none
         self.on_divergence = on_divergence
         self.generators: list[np.random.Generator] = []
         self.seed(seed)
@@ -191,13 +191,13 @@ class Simulator:
             np.hstack([full["y"], full["q"]]),
             np.hstack([full["yd"], full["v"]]),
         )
-        if self.line is not None:
-            self.line.reset(index, full["q"], full["v"])
+        if self.joint_delays is not None:
+            self.joint_delays.reset(index, full["q"], full["v"])
         if self.emulation_loop is not None:
             self.emulation_loop.reset(index, full["q"], full["y"], full["yd"])
         self.diverged[index] = False
-        self.seen = self.state
-        return self.seen
+        self.last_state = self.state
+        return self.last_state
 
     def snapshot(self) -> Snapshot:
         """The complete state, random generators included; picklable."""
@@ -210,7 +210,7 @@ class Simulator:
             self.diverged.copy(),
             None if self.emulation_loop is None else self.emulation_loop.get_state(),
             dict(self._assigned),
-            None if self.line is None else self.line.get_state(),
+            None if self.joint_delays is None else self.joint_delays.get_state(),
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -224,8 +224,10 @@ class Simulator:
             raise ParameterError(
                 f"snapshot is of backend {snapshot.backend_name}, this is {self.backend.name}"
             )
-        then, now = snapshot.assigned, self._assigned
-        ids = [i for i in sorted(then.keys() | now.keys()) if then.get(i) is not now.get(i)]
+        then, current = snapshot.assigned, self._assigned
+        ids = [
+            i for i in sorted(then.keys() | current.keys()) if then.get(i) is not current.get(i)
+        ]
         if ids:
             self.assign([then.get(i, self.system) for i in ids], ids)
         self.backend.set_state(snapshot.backend)
@@ -235,10 +237,10 @@ class Simulator:
             generator.bit_generator.state = copy.deepcopy(state)
         if self.emulation_loop is not None:
             self.emulation_loop.set_state(snapshot.emulation_loop)
-        if self.line is not None:
-            self.line.set_state(snapshot.line)
+        if self.joint_delays is not None:
+            self.joint_delays.set_state(snapshot.joint_delays)
         self.diverged = snapshot.diverged.copy()
-        self.seen = self.state
+        self.last_state = self.state
 
     @property
     def systems(self) -> tuple[System, ...]:
@@ -291,9 +293,9 @@ class Simulator:
         self.backend.assign(index, [system.actual for system in systems])
         if install is not None:
             install()
-        if self.line is not None:
+        if self.joint_delays is not None:
             state = self.state
-            self.line.assign(index, systems, state.q, state.v)
+            self.joint_delays.assign(index, systems, state.q, state.v)
         for i, system in zip(index.tolist(), systems, strict=True):
             self._assigned[i] = system
             if system is self.system:
@@ -346,13 +348,13 @@ class Simulator:
             if platform is not None:
                 raise ParameterError("platform needs mode emulated, got mode ideal")
             push = self._base_force(base_wrench)
-            if self.line is not None and self.line.busy:
+            if self.joint_delays is not None and self.joint_delays.busy:
                 self._drive(self._nodes(torque, end), push)
             else:
                 self.backend.step(torque, end, push, self.system.substeps, self._running())
         self._watch()
-        self.seen = self.state
-        return self.seen
+        self.last_state = self.state
+        return self.last_state
 
     def _nodes(self, command: Array, end: Array | None) -> Array:
         """(n, k + 1, joints) at the physics steps of a period, held or linear to `end`."""
@@ -374,71 +376,73 @@ class Simulator:
         In mode emulated k must be whole control periods. Under position control
         `platform` (n, periods, 12) is the pose and rate to follow from each period's start.
         """
-        wanted = (
+        expected = (
             f"commands must be numbers of shape ({self.n}, k + 1, {self.joints}), k >= 1, got"
         )
-        given = _numbers(commands, wanted)
-        if given.ndim != 3 or given.shape[1] < 2:
-            raise ParameterError(f"{wanted} {given.shape}")
-        nodes = self._broadcast(given, "commands", (self.n, given.shape[1], self.joints))
-        self.seen = self.state
+        numbers = _numbers(commands, expected)
+        if numbers.ndim != 3 or numbers.shape[1] < 2:
+            raise ParameterError(f"{expected} {numbers.shape}")
+        nodes = self._broadcast(numbers, "commands", (self.n, numbers.shape[1], self.joints))
+        self.last_state = self.state
         if self.emulation_loop is not None:
-            periods, rest = divmod(nodes.shape[1] - 1, self.system.substeps)
-            if rest:
+            periods, remainder = divmod(nodes.shape[1] - 1, self.system.substeps)
+            if remainder:
                 raise ParameterError(
                     f"in mode emulated commands must cover whole control periods of"
                     f" {self.system.substeps} physics steps, got {nodes.shape[1] - 1} steps"
                 )
             self._ride(nodes, self._platform(platform, periods))
-        elif self.line is not None and self.line.busy:
+        elif self.joint_delays is not None and self.joint_delays.busy:
             self._drive(nodes, None)
         else:
-            self.backend.play(nodes, self._running())
+            self.backend.step_sequence(nodes, self._running())
         self._watch()
 
     def _drive(self, nodes: Array, push: Array | None) -> None:
         """In space, with delays between joint controller and drives."""
-        assert self.line is not None
+        assert self.joint_delays is not None
         ids = self._running()
-        if self.line.late:
-            nodes = self.line.arriving(nodes)
+        if self.joint_delays.commands_late:
+            nodes = self.joint_delays.arriving(nodes)
         for j in range(nodes.shape[1] - 1):
             start, end = self._held_by(nodes[:, j], nodes[:, j + 1])
             self.backend.step(start, end, push, 1, ids)
 
     def _carry(self, nodes: Array, base: Array, ids: Index | None) -> Array:
-        """`Backend.ride`, with delays between joint controller and drives."""
-        line = self.line
-        if line is None or not line.busy:
-            return self.backend.ride(nodes, base, ids)
-        if line.late:
-            nodes = line.arriving(nodes)
-        if not line.old:
-            return self.backend.ride(nodes, base, ids)
+        """`Backend.step_on_platform`, with delays between joint controller and drives."""
+        joint_delays = self.joint_delays
+        if joint_delays is None or not joint_delays.busy:
+            return self.backend.step_on_platform(nodes, base, ids)
+        if joint_delays.commands_late:
+            nodes = joint_delays.arriving(nodes)
+        if not joint_delays.measurements_late:
+            return self.backend.step_on_platform(nodes, base, ids)
         out = []
         for j in range(nodes.shape[1] - 1):
             ends = self._held_by(nodes[:, j], nodes[:, j + 1])
-            felt = self.backend.ride(np.stack(ends, axis=1), base[:, j : j + 2], ids)
-            out.append(felt[:, :1])
-        return np.concatenate([*out, felt[:, 1:]], axis=1)
+            wrench = self.backend.step_on_platform(
+                np.stack(ends, axis=1), base[:, j : j + 2], ids
+            )
+            out.append(wrench[:, :1])
+        return np.concatenate([*out, wrench[:, 1:]], axis=1)
 
     def _held_by(self, start: Array, end: Array) -> tuple[Array, Array]:
         """Commands at both ends of the next physics step, by a servo that sees old joints."""
-        line = self.line
-        assert line is not None
-        if not line.old:
+        joint_delays = self.joint_delays
+        assert joint_delays is not None
+        if not joint_delays.measurements_late:
             return start, end
         _, z, zd = self.backend.read()
         q, v = z[:, 6:], zd[:, 6:]
-        first, last = line.correction(q, v, self._kp, self._kd)
-        line.remember(q, v)
+        first, last = joint_delays.correction(q, v, self._kp, self._kd)
+        joint_delays.remember(q, v)
         return start + first, end + last
 
-    def _seen(self, z: Array, zd: Array) -> Array:
+    def _measured_angles(self, z: Array, zd: Array) -> Array:
         """Joint angles (n, joints) as the laboratory sees them."""
-        if self.line is None:
+        if self.joint_delays is None:
             return z[:, 6:]
-        return self.line.measured(z[:, 6:], zd[:, 6:])[0]
+        return self.joint_delays.measured(z[:, 6:], zd[:, 6:])[0]
 
     @property
     def hidden(self) -> tuple[Array, Array]:
@@ -447,7 +451,7 @@ class Simulator:
         Deflections of the gears that give way [rad], then the oscillators that the vehicle
         carries [m] (`arm.Gear`, `vehicle.Oscillator`).
         """
-        at, rate = self.backend.hidden()
+        at, rate = self.backend.internal_state()
         if self.emulation_loop is None:
             return at, rate
         u, ud = self.emulation_loop.carried
@@ -457,9 +461,9 @@ class Simulator:
     def measured(self) -> tuple[Array, Array]:
         """Joint angles and rates (n, joints) as controller and log see them."""
         state = self.state
-        if self.line is None:
+        if self.joint_delays is None:
             return state.q, state.v
-        return self.line.measured(state.q, state.v)
+        return self.joint_delays.measured(state.q, state.v)
 
     def _ride(self, nodes: Array, platform: Array | None) -> None:
         """Control period by control period: laboratory -> engine -> laboratory."""
@@ -468,13 +472,13 @@ class Simulator:
         ids = self._running()
         for i in range((nodes.shape[1] - 1) // k):
             _, z, zd = self.backend.read()
-            seen = self._seen(z, zd)
-            given = None if platform is None else (platform[:, i, :6], platform[:, i, 6:])
-            y, yd, ydd = lab.command(seen, given)
+            angles = self._measured_angles(z, zd)
+            prescribed = None if platform is None else (platform[:, i, :6], platform[:, i, 6:])
+            y, yd, ydd = lab.command(angles, prescribed)
             base = ydd + _catch_up(y, yd, ydd, z[:, :6], zd[:, :6], h)
             wrench = self._carry(nodes[:, i * k : (i + 1) * k + 1], base, ids)
             _, z, zd = self.backend.read()
-            lab.sense(wrench, self._seen(z, zd))
+            lab.sense(wrench, self._measured_angles(z, zd))
 
     def _platform(self, platform: npt.ArrayLike | None, periods: int) -> Array | None:
         assert self.emulation_loop is not None
@@ -485,13 +489,13 @@ class Simulator:
             raise ParameterError(
                 f"platform needs an emulator under position control, got {operation}"
             )
-        given = _numbers(platform, "platform must be numbers of shape (n, 6) or (n, 12), got")
-        if given.ndim < 3:
-            if given.ndim and given.shape[-1] == 6:
-                given = np.concatenate([given, np.zeros_like(given)], axis=-1)
-            wide = self._broadcast(given, "platform", (self.n, 12))
+        numbers = _numbers(platform, "platform must be numbers of shape (n, 6) or (n, 12), got")
+        if numbers.ndim < 3:
+            if numbers.ndim and numbers.shape[-1] == 6:
+                numbers = np.concatenate([numbers, np.zeros_like(numbers)], axis=-1)
+            wide = self._broadcast(numbers, "platform", (self.n, 12))
             return np.repeat(wide[:, None], periods, axis=1)
-        return self._broadcast(given, "platform", (self.n, periods, 12))
+        return self._broadcast(numbers, "platform", (self.n, periods, 12))
 
     # --------------------------------------------------------------- laboratory
 
@@ -519,8 +523,8 @@ class Simulator:
             self.emulation_loop.table = None
             return
         rows = max(1, np.shape(table)[1]) if np.ndim(table) == 3 else 1
-        given = self._broadcast(table, "table", (self.n, rows, 6))
-        self.emulation_loop.table = given.copy()
+        numbers = self._broadcast(table, "table", (self.n, rows, 6))
+        self.emulation_loop.table = numbers.copy()
 
     def zero_sensor(self, ids: npt.ArrayLike | None = None) -> None:
         """Set the force sensors' zero from the gravity estimate (thesis App. E, step 9)."""
@@ -539,17 +543,17 @@ class Simulator:
 
         The torque is what the drives are told, the acceleration what there really is.
         """
-        given = self._broadcast(command, "command", (self.n, self.joints))
-        if self.line is None or not self.line.busy:
-            torque, acceleration = self.backend.evaluate(given)
+        issued = self._broadcast(command, "command", (self.n, self.joints))
+        if self.joint_delays is None or not self.joint_delays.busy:
+            torque, acceleration = self.backend.evaluate(issued)
             return torque, acceleration[:, :6]
-        arrived = self.line.arrived(given)
-        if self.line.old:
+        arrived = self.joint_delays.arrived(issued)
+        if self.joint_delays.measurements_late:
             state = self.state
-            more, _ = self.line.correction(state.q, state.v, self._kp, self._kd)
-            given, arrived = given + more, arrived + more
-        told, _ = self.backend.evaluate(given)
-        return told, self.backend.evaluate(arrived)[1][:, :6]
+            correction, _ = self.joint_delays.correction(state.q, state.v, self._kp, self._kd)
+            issued, arrived = issued + correction, arrived + correction
+        torque, _ = self.backend.evaluate(issued)
+        return torque, self.backend.evaluate(arrived)[1][:, :6]
 
     # ----------------------------------------------------------------- helpers
 
@@ -585,8 +589,11 @@ class Simulator:
         if self._tumbled()[i]:
             return which + f"phi_y = {np.rad2deg(z[4]):.1f} deg, Z-Y-X angles end at 90 deg"
         if not (np.abs([z, zd]) < MEANINGLESS).all():  # soon every coordinate is
-            seen = self.seen
-            z, zd = np.r_[seen.y[i], seen.q[i]], np.r_[seen.yd[i], seen.v[i]]
+            last_state = self.last_state
+            z, zd = (
+                np.r_[last_state.y[i], last_state.q[i]],
+                np.r_[last_state.yd[i], last_state.v[i]],
+            )
         size = np.maximum(np.abs(z), np.abs(zd))
         names = [*AXES, *(f"joint {k + 1}" for k in range(self.joints))]
         worst = int(size.argmax())
@@ -609,8 +616,8 @@ class Simulator:
         index = np.asarray(ids)
         if index.dtype == bool and index.shape == (self.n,):
             return np.flatnonzero(index)
-        whole = index.ndim == 1 and (np.issubdtype(index.dtype, np.integer) or not index.size)
-        if not whole or (index < 0).any() or (index >= self.n).any():
+        valid = index.ndim == 1 and (np.issubdtype(index.dtype, np.integer) or not index.size)
+        if not valid or (index < 0).any() or (index >= self.n).any():
             raise ParameterError(f"ids must be whole numbers in [0, {self.n}), got {ids!r}")
         if (np.diff(np.sort(index)) == 0).any():  # `np.unique` would load numpy.ma
             raise ParameterError(f"ids must name each simulation once, got {ids!r}")
@@ -618,32 +625,32 @@ class Simulator:
 
     @staticmethod
     def _broadcast(value: npt.ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
-        wanted = f"{name} must be numbers of shape {shape}, got"
-        given = _numbers(value, wanted)
-        array = given
-        if given.shape != shape:
+        expected = f"{name} must be numbers of shape {shape}, got"
+        numbers = _numbers(value, expected)
+        array = numbers
+        if numbers.shape != shape:
             try:
-                array = np.broadcast_to(given, shape)
+                array = np.broadcast_to(numbers, shape)
             except ValueError:
-                raise ParameterError(f"{wanted} {given.shape}") from None
+                raise ParameterError(f"{expected} {numbers.shape}") from None
         if not np.isfinite(array).all():
             where = np.argwhere(~np.isfinite(array))[0].tolist()
             raise ParameterError(f"{name} must be finite, got {array[tuple(where)]} at {where}")
         return array
 
 
-def _numbers(value: npt.ArrayLike, wanted: str) -> Array:
+def _numbers(value: npt.ArrayLike, expected: str) -> Array:
     """`value` as a float64 array; text, truth values, None and ragged rows are errors."""
     try:
-        given = np.asarray(value)
+        numbers = np.asarray(value)
     except ValueError:
-        raise ParameterError(f"{wanted} ragged rows") from None
-    if given.dtype.kind not in "fiu":
-        raise ParameterError(f"{wanted} {value!r}")
-    return given.astype(np.float64)
+        raise ParameterError(f"{expected} ragged rows") from None
+    if numbers.dtype.kind not in "fiu":
+        raise ParameterError(f"{expected} {value!r}")
+    return numbers.astype(np.float64)
 
 
-def _catch_up(y: Array, yd: Array, ydd: Array, now: Array, rate: Array, h: float) -> Array:
+def _catch_up(y: Array, yd: Array, ydd: Array, position: Array, rate: Array, h: float) -> Array:
     """(n, k + 1, 6) acceleration that brings the engine's platform onto its path.
 
     The engine runs the accelerations linearly through each step. What that and its own
@@ -657,12 +664,12 @@ def _catch_up(y: Array, yd: Array, ydd: Array, now: Array, rate: Array, h: float
     once[[0, -1]] = h / 2
     twice = h * h * np.arange(k, -1.0, -1.0)
     twice[0], twice[-1] = h * h * (k / 2 - 1 / 6), h * h / 6
-    miss = y[:, -1] - (now + t * rate + np.matmul(twice, ydd))
+    miss = y[:, -1] - (position + t * rate + np.matmul(twice, ydd))
     miss_rate = yd[:, -1] - (rate + np.matmul(once, ydd))
     slope = (6 * miss_rate * t - 12 * miss) / t**3
     start = miss_rate / t - slope * t / 2
-    line = np.arange(k + 1)[:, None] * h
-    return np.asarray(start[:, None] + slope[:, None] * line, dtype=np.float64)
+    clock = np.arange(k + 1)[:, None] * h
+    return np.asarray(start[:, None] + slope[:, None] * clock, dtype=np.float64)
 
 
 def _require_stable_step(system: System) -> None:
@@ -682,9 +689,9 @@ def _require_stable_step(system: System) -> None:
             growth = np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4))))
         else:  # rates first, coordinates with the new rates
             implicit = system.integrator == "implicitfast"
-            left = np.linalg.inv(eye + dt * D) if implicit else eye
-            keep = left if implicit else eye - dt * D
-            rates = np.hstack([-dt * left @ K, keep])
+            inverse = np.linalg.inv(eye + dt * D) if implicit else eye
+            carry = inverse if implicit else eye - dt * D
+            rates = np.hstack([-dt * inverse @ K, carry])
             step = np.vstack([np.hstack([eye, none]) + dt * rates, rates])
             growth = np.abs(np.linalg.eigvals(step))
         return bool(growth.max() <= 1 + 1e-7)  # rounding of a double eigenvalue 1
@@ -723,14 +730,14 @@ def _passive(system: System) -> tuple[Array, Array, Array]:
         gear = arm.links[i].gear
         assert gear is not None
         D[k, k], K[k, k] = gear.damping, gear.stiffness
-    kept = np.arange(6, 6 + n + g)  # a platform goes where it is told
+    free = np.arange(6, 6 + n + g)  # a platform goes where it is told
     if system.mode == "ideal":
-        kept = np.arange(len(M))
+        free = np.arange(len(M))
         at = np.r_[:6, 6 + n + g : len(M)]
-        for part, own, more in zip(
+        for part, block, extra in zip(
             (M, D, K), (base.mass_matrix, base.D, base.K), base.widened(), strict=True
         ):
-            part[at[:, None], at] += more
-            part[:6, :6] += own
-    some = kept[:, None], kept
-    return M[some], D[some], K[some]
+            part[at[:, None], at] += extra
+            part[:6, :6] += block
+    picked = free[:, None], free
+    return M[picked], D[picked], K[picked]

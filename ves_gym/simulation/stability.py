@@ -203,9 +203,9 @@ def in_space(
 def poles_in_space(M: Array, D: Array, K: Array) -> npt.NDArray[np.complex128]:
     """Eigenvalues [1/s] of M Y'' + D Y' + K Y = 0."""
     n = len(M)
-    left = np.linalg.solve(M, np.hstack([-K, -D]))
-    whole = np.vstack([np.eye(n, 2 * n, n), left])
-    return np.linalg.eigvals(whole).astype(np.complex128)
+    lower = np.linalg.solve(M, np.hstack([-K, -D]))
+    companion = np.vstack([np.eye(n, 2 * n, n), lower])
+    return np.linalg.eigvals(companion).astype(np.complex128)
 
 
 def _modes(ideal: npt.NDArray[np.complex128], emulated: Any) -> tuple[Mode, ...]:

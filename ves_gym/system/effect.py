@@ -204,13 +204,13 @@ def register(kind: str) -> Callable[[E], E]:
 
     def decorate(cls: E) -> E:
         if all(getattr(cls, name) is getattr(Effect, name) for name in WAYS):
-            known = ", ".join(f"`{name}`" for name in WAYS)
-            raise ParameterError(f"effect {kind!r} must have one of {known}, got none")
+            choices = ", ".join(f"`{name}`" for name in WAYS)
+            raise ParameterError(f"effect {kind!r} must have one of {choices}, got none")
         if getattr(cls, "port", None) not in PORTS:
-            known = ", ".join(PORTS)
+            choices = ", ".join(PORTS)
             got = getattr(cls, "port", None)
             raise ParameterError(
-                f"effect {kind!r}: port must be one of {known}, got {got!r}"
+                f"effect {kind!r}: port must be one of {choices}, got {got!r}"
                 f"{did_you_mean(got, PORTS)}"
             )
         if kind in EFFECTS:

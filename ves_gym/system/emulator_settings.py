@@ -50,8 +50,10 @@ class EmulatorSettings:
         require_choice(self, "operation", OPERATIONS)
         require_choice(self, "admittance_form", FORMS)
         require_positive(self, "force_max", "moment_max")
-        whole = isinstance(self.delay, (int, np.integer)) and not isinstance(self.delay, bool)
-        if not whole or self.delay < 0:
+        integral = isinstance(self.delay, (int, np.integer)) and not isinstance(
+            self.delay, bool
+        )
+        if not integral or self.delay < 0:
             raise ParameterError(
                 f"EmulatorSettings.delay must be a whole number of control periods >= 0,"
                 f" got {self.delay!r}"

@@ -75,7 +75,7 @@ class RunLog:
     wg: Array | None = None  # (N, 6) N, N m: w with the gravity estimate subtracted
 
     def __post_init__(self) -> None:
-        keep = object.__setattr__  # the dataclass is frozen
+        store = object.__setattr__  # the dataclass is frozen
         t = _numbers(self.t, "t")
         if t.ndim != 1 or len(t) < 2:
             raise RunLogError(f"t: expected shape (N,) with N >= 2 samples, got {t.shape}")
@@ -83,7 +83,7 @@ class RunLog:
         if q.ndim != 2 or q.shape[1] < 1:
             raise RunLogError(f"q: expected shape (N, n) with n >= 1 joints, got {q.shape}")
         _check_time(t)
-        keep(self, "t", t)
+        store(self, "t", t)
         for name, (per_joint, required) in QUANTITIES.items():
             value = getattr(self, name)
             if value is None and not required:
@@ -93,8 +93,8 @@ class RunLog:
             if array.shape != shape:
                 raise RunLogError(f"{name}: expected shape {shape}, got {array.shape}")
             _check_finite(array, [f"{name}_{i + 1}" for i in range(shape[1])])
-            keep(self, name, array)
-        keep(self, "meta", _checked_meta(self.meta, q.shape[1]))
+            store(self, name, array)
+        store(self, "meta", _checked_meta(self.meta, q.shape[1]))
 
     def __len__(self) -> int:
         """Number of samples N."""
@@ -235,14 +235,14 @@ class RunLog:
 def _numbers(value: object, name: str) -> Array:
     """A read-only float64 copy; text, truth values and ragged lists are errors."""
     try:
-        given = np.asarray(value)
+        raw = np.asarray(value)
     except ValueError:
         raise RunLogError(f"{name}: expected an array of numbers, got ragged rows") from None
-    if given.dtype.kind not in "fiu":
+    if raw.dtype.kind not in "fiu":
         raise RunLogError(
-            f"{name}: expected an array of numbers, got {type(value).__name__} of {given.dtype}"
+            f"{name}: expected an array of numbers, got {type(value).__name__} of {raw.dtype}"
         )
-    array = np.array(given, dtype=np.float64, order="C")
+    array = np.array(raw, dtype=np.float64, order="C")
     array.setflags(write=False)
     return array
 

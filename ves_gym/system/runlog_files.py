@@ -206,7 +206,7 @@ def _check_names(names: Sequence[str]) -> int:
     """Number of joints, once every name is known, single and part of a complete set."""
     if len(names) == 0:
         raise RunLogError(f"header: expected the columns {KNOWN}, got none")
-    found: dict[str, set[int]] = {"t": set()}
+    columns: dict[str, set[int]] = {"t": set()}
     for name in names:
         match = _COLUMN.fullmatch(name)
         if name != "t" and (
@@ -214,16 +214,18 @@ def _check_names(names: Sequence[str]) -> int:
         ):
             raise RunLogError(f"column {short(name)}: unknown; expected {KNOWN}")
         quantity, index = (match[1], int(match[2])) if match else ("t", 1)
-        if index in found.setdefault(quantity, set()):
+        if index in columns.setdefault(quantity, set()):
             raise RunLogError(f"column {name}: expected once, got it more than once")
-        found[quantity].add(index)
-    joints = max((max(k) for q, k in found.items() if q != "t" and QUANTITIES[q][0]), default=1)
-    if not found["t"]:
+        columns[quantity].add(index)
+    joints = max(
+        (max(k) for q, k in columns.items() if q != "t" and QUANTITIES[q][0]), default=1
+    )
+    if not columns["t"]:
         raise RunLogError(f"column t: missing; got {', '.join(names[:8])} ...")
     for quantity, (per_joint, required) in QUANTITIES.items():
-        if required or quantity in found:
+        if required or quantity in columns:
             size = joints if per_joint else BASE
-            have = found.get(quantity, set())
+            have = columns.get(quantity, set())
             lost = next((i for i in range(1, size + 1) if i not in have), None)
             if lost is not None:
                 raise RunLogError(

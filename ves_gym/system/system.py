@@ -113,12 +113,12 @@ class System:
         arm, base = self.arm, self.base
         for effect in self.effects:
             arm, base = effect.arm(arm), effect.base(base)
-        rest = tuple(e for e in self.effects if not e.is_plant)
+        others = tuple(e for e in self.effects if not e.is_plant)
         if base is self.base:
-            out = self.replace(arm=arm, effects=rest)
+            out = self.replace(arm=arm, effects=others)
             out.__dict__["base"] = base  # cached: the vehicle is the very same
             return out
-        return self.replace(arm=arm, vehicle=altered(self.vehicle, base), effects=rest)
+        return self.replace(arm=arm, vehicle=altered(self.vehicle, base), effects=others)
 
     @cached_property
     def hash(self) -> str:
@@ -133,8 +133,8 @@ class System:
         """The space system that this one emulates (itself, if it is ideal)."""
         if self.mode == "ideal":
             return self
-        kept = tuple(e for e in self.effects if "ideal" in e.modes)
-        return self.replace(mode="ideal", emulator=None, effects=kept)
+        effects = tuple(e for e in self.effects if "ideal" in e.modes)
+        return self.replace(mode="ideal", emulator=None, effects=effects)
 
     @property
     def emulator_settings(self) -> EmulatorSettings:

@@ -356,7 +356,7 @@ def _hold_back(lab: EmulationLoop, command: Array) -> None:
     slow = np.flatnonzero(speed > 0)
     for t in range(command.shape[1]) if len(slow) else ():
         command[slow, t] = lab.within_reach(command[slow, t], slow)
-        lab.state.told[slow] = command[slow, t]
+        lab.state.command_received[slow] = command[slow, t]
 
 
 def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:

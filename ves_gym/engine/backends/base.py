@@ -29,7 +29,7 @@ class Backend(Protocol):
         Gears are relaxed then, and oscillators at rest on the vehicle.
         """
 
-    def bend(self, d: Array, rate: Array) -> None:
+    def set_gear_state(self, d: Array, rate: Array) -> None:
         """Set the gears' deflections and their rates (n, g) of all simulations."""
 
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
@@ -54,10 +54,10 @@ class Backend(Protocol):
         The command is held, or runs linearly to `until` (n, joints) at the end.
         """
 
-    def play(self, commands: Array, ids: Index | None) -> None:
+    def step_sequence(self, commands: Array, ids: Index | None) -> None:
         """Advance k physics steps, commands (n, k + 1, joints) linear over each step."""
 
-    def ride(self, commands: Array, base: Array, ids: Index | None) -> Array:
+    def step_on_platform(self, commands: Array, base: Array, ids: Index | None) -> Array:
         """Advance k physics steps on a platform that moves as told (mode emulated).
 
         Args:
@@ -70,7 +70,7 @@ class Backend(Protocol):
             commands.
         """
 
-    def hidden(self) -> tuple[Array, Array]:
+    def internal_state(self) -> tuple[Array, Array]:
         """Coordinates and rates (n, g + m): gears' deflections; in space, oscillators."""
 
     def evaluate(self, command: Array) -> tuple[Array, Array]:

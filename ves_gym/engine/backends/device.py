@@ -57,13 +57,13 @@ class DeviceBackend(Remembering):
         raise NotImplementedError
 
     def _play(self, slopes: Array, ids: Index | None) -> Array:
-        q, v, act, felt = self._advance(slopes)
+        q, v, act, sensed = self._advance(slopes)
         rows = np.arange(self.n) if ids is None else ids
         self._q[rows], self._v[rows], self._act[rows] = q[rows], v[rows], act[rows]
         self._time[rows] += slopes.shape[1] * self.dt
         for part in (self._q, self._v):
             self._fault |= ~(np.abs(part) < MEANINGLESS).all(axis=1)
-        return felt
+        return sensed
 
     def read(self) -> tuple[Array, Array, Array]:
         return self._time.copy(), self._q[:, self._order], self._v[:, self._order]
@@ -97,11 +97,11 @@ class DeviceBackend(Remembering):
         self._play(slopes, ids)
         self._push[:] = 0.0  # it acts in this period only
 
-    def play(self, commands: Array, ids: Index | None) -> None:
+    def step_sequence(self, commands: Array, ids: Index | None) -> None:
         self._act[:] = commands[:, 0]
         self._play(np.diff(commands, axis=1) / self.dt, ids)
 
-    def ride(self, commands: Array, base: Array, ids: Index | None) -> Array:
+    def step_on_platform(self, commands: Array, base: Array, ids: Index | None) -> Array:
         nodes = np.concatenate([base[..., TO_Y], commands], axis=-1)
         self._act[:] = nodes[:, 0]
         out = np.empty((self.n, nodes.shape[1], 6))
@@ -109,10 +109,10 @@ class DeviceBackend(Remembering):
         out[:, -1] = -self._forward()[2]
         return out
 
-    def bend(self, d: Array, rate: Array) -> None:
+    def set_gear_state(self, d: Array, rate: Array) -> None:
         raise ParameterError(f"backend {self.name} has no gears that give way")
 
-    def hidden(self) -> tuple[Array, Array]:
+    def internal_state(self) -> tuple[Array, Array]:
         return np.zeros((self.n, 0)), np.zeros((self.n, 0))
 
     def evaluate(self, command: Array) -> tuple[Array, Array]:

@@ -75,14 +75,14 @@ class KernelBackend(Remembering):
         self._ramps: dict[int, tuple[Array, Array]] = {}  # buffers of `_between` by steps
         self._start, self._ticks = np.zeros(n), np.zeros(n, np.int64)
         self._fault = np.zeros(n, bool)
-        wanted = threads or os.cpu_count() or 1
-        self._threads = max(1, min(wanted, self._blocks // _ALONE))
+        requested = threads or os.cpu_count() or 1
+        self._threads = max(1, min(requested, self._blocks // _ALONE))
         self._scratch = aligned(self._threads, 3 * self._nx + self._nu, LANES)
         self._unread = aligned(self._threads, self._ny, LANES)  # outputs nobody asked for
         edges = np.linspace(0, self._blocks, self._threads + 1).astype(int).tolist()
         self._shares = list(itertools.pairwise(edges))
         self._where = tuple(a.ctypes.data for a in (self._x, self._p))
-        self._own = [
+        self._buffers = [
             (a.ctypes.data, b.ctypes.data)
             for a, b in zip(self._unread, self._scratch, strict=True)
         ]
@@ -92,17 +92,17 @@ class KernelBackend(Remembering):
 
     def _run(self, u: Array, steps: int, block: int, node: int, out: Array | None) -> None:
         """Advance all blocks, shared among threads."""
-        (x, p), commands, keep = self._where, u.ctypes.data, out is not None
+        (x, p), commands, recording = self._where, u.ctypes.data, out is not None
         results = out.ctypes.data if out is not None else 0
 
         def part(i: int) -> None:
             low, high = self._shares[i]
-            unread, scratch = self._own[i]
+            unread, scratch = self._buffers[i]
             self._advance(
                 x,
                 commands,
                 p,
-                results if keep else unread,
+                results if recording else unread,
                 scratch,
                 low,
                 high,
@@ -110,7 +110,7 @@ class KernelBackend(Remembering):
                 block,
                 node,
                 self.dt,
-                keep,
+                recording,
             )
 
         if self._threads == 1:
@@ -125,15 +125,15 @@ class KernelBackend(Remembering):
 
     def _guarded(self, ids: Index | None, work: Any) -> Any:
         """Do `work`, then put the simulations not in `ids` back where they were."""
-        kept = None if ids is None else (self._x.copy(), self._ticks.copy())
+        before = None if ids is None else (self._x.copy(), self._ticks.copy())
         result = work()
-        if kept is not None:
+        if before is not None:
             assert ids is not None
             others = np.setdiff1d(np.arange(self._blocks * LANES), ids)
             at = (others // LANES, slice(None), others % LANES)
-            self._x[at] = kept[0][at]
+            self._x[at] = before[0][at]
             still = others[others < self.n]
-            self._ticks[still] = kept[1][still]
+            self._ticks[still] = before[1][still]
         if not (np.abs(self._x) < MEANINGLESS).all():  # a NaN is not
             self._fault |= ~(np.abs(unlane(self._x, self.n)) < MEANINGLESS).all(axis=1)
         return result
@@ -146,12 +146,12 @@ class KernelBackend(Remembering):
         time = self._start + self._ticks * self.dt
         return time, x[:, :size], x[:, order : order + size]
 
-    def bend(self, d: Array, rate: Array) -> None:
+    def set_gear_state(self, d: Array, rate: Array) -> None:
         first, order = 6 + self.joints, self._order
         fill(self._x[:, first : first + self._gears], d)
         fill(self._x[:, order + first : order + first + self._gears], rate)
 
-    def hidden(self) -> tuple[Array, Array]:
+    def internal_state(self) -> tuple[Array, Array]:
         x, first, order = unlane(self._x, self.n), 6 + self.joints, self._order
         return x[:, first:order], x[:, order + first :]
 
@@ -162,10 +162,10 @@ class KernelBackend(Remembering):
             parts = []
             for part in (z, zd):  # gears relaxed, oscillators at rest on the vehicle
                 bases = [self._systems[i].base for i in ids.tolist()]
-                held = [b.attached(y) for b, y in zip(bases, part[:, :6], strict=True)]
+                attached = [b.attached(y) for b, y in zip(bases, part[:, :6], strict=True)]
                 hidden = np.zeros((len(ids), self._gears + self._extras))
                 if self._extras:
-                    hidden[:, self._gears :] = held
+                    hidden[:, self._gears :] = attached
                 parts += [part, hidden]
             rows = np.hstack(parts)
         self._x[ids // LANES, :, ids % LANES] = rows
@@ -180,14 +180,14 @@ class KernelBackend(Remembering):
 
     def assign(self, ids: Index, systems: Sequence[System]) -> None:
         pairs = list(zip(ids.tolist(), systems, strict=True))
-        known: dict[tuple[int, int], Array] = {}  # rows of the arms and vehicles seen
+        rows_of: dict[tuple[int, int], Array] = {}  # rows of the arms and vehicles seen
         rows = []
         for i, system in pairs:
             which, bodies = f"system of simulation {i}", bodies_of(system)
-            if bodies not in known:
+            if bodies not in rows_of:
                 same = bodies == bodies_of(self._systems[i])
-                known[bodies] = self._row(i) if same else self.rows.of(system, which)
-            rows.append(self.rows.with_effects(known[bodies], system, which))
+                rows_of[bodies] = self._row(i) if same else self.rows.of(system, which)
+            rows.append(self.rows.with_effects(rows_of[bodies], system, which))
         for (i, system), row in zip(pairs, rows, strict=True):
             self._row(i)[:] = np.where(self._gains, self._row(i), row)
             self._systems[i] = system
@@ -217,14 +217,14 @@ class KernelBackend(Remembering):
         if wrench is not None:
             self._u[:, :6] = 0.0  # it acts in this period only
 
-    def play(self, commands: Array, ids: Index | None) -> None:
+    def step_sequence(self, commands: Array, ids: Index | None) -> None:
         k = commands.shape[1] - 1
         base = np.zeros((self.n, k + 1, 6))
         u = self._nodes(np.concatenate([base, commands], axis=-1))
         self._guarded(ids, lambda: self._steps(u, k, (k + 1) * self._nu, self._nu, None))
         self._u[:] = u[:, k * self._nu :]
 
-    def ride(self, commands: Array, base: Array, ids: Index | None) -> Array:
+    def step_on_platform(self, commands: Array, base: Array, ids: Index | None) -> Array:
         k = commands.shape[1] - 1
         u = self._nodes(np.concatenate([base, commands], axis=-1))
         out = aligned(self._blocks, (k + 1) * self._ny, LANES)
@@ -235,9 +235,9 @@ class KernelBackend(Remembering):
         return np.ascontiguousarray(flat[: self.n])
 
     def evaluate(self, command: Array) -> tuple[Array, Array]:
-        given = unlane(self._u, self.n)
-        given[:, 6:] = command
-        fill(self._u, given)
+        inputs = unlane(self._u, self.n)
+        inputs[:, 6:] = command
+        fill(self._u, inputs)
         out = aligned(self._blocks, self._ny, LANES)
         self._run(self._u, 0, self._nu, 0, out)
         values, size = unlane(out, self.n), 6 + self.joints

@@ -37,15 +37,15 @@ _BAD = [
 ]
 
 
-def compile_model(system: System, whole: bool = False) -> mujoco.MjModel:
-    """The MuJoCo model of a system, as the backend runs it; `whole`: see `model_spec`."""
-    return model_spec(system, whole).compile()
+def compile_model(system: System, full: bool = False) -> mujoco.MjModel:
+    """The MuJoCo model of a system, as the backend runs it; `full`: see `model_spec`."""
+    return model_spec(system, full).compile()
 
 
-def model_spec(system: System, whole: bool = False) -> mujoco.MjSpec:
+def model_spec(system: System, full: bool = False) -> mujoco.MjSpec:
     """The same before it is compiled.
 
-    `whole`: M, D and K as six tendons each, all on all six axes, whatever their numbers are,
+    `full`: M, D and K as six tendons each, all on all six axes, whatever their numbers are,
     so that every model of one structure has one layout.
     """
     if system.mode == "emulated":
@@ -60,12 +60,12 @@ def model_spec(system: System, whole: bool = False) -> mujoco.MjSpec:
         base, zero = system.base, np.zeros((6, 6))
         spec = build_spec(
             system.arm,
-            BaseModel(zero, zero, zero, base.body) if whole else base,
+            BaseModel(zero, zero, zero, base.body) if full else base,
             gravity=(0.0, 0.0, 0.0),
             integrator=system.integrator,
             physics_dt=system.physics_dt,
         )
-        if whole:
+        if full:
             _add_whole_tendons(spec, base)
     add_hidden(spec, system.arm, system.base if system.mode == "ideal" else None)
     if system.drive == "prescribed":
@@ -91,13 +91,13 @@ def _add_whole_tendons(spec: mujoco.MjSpec, base: BaseModel) -> None:
             setattr(tendon, what, value if what == "armature" else [value, 0.0, 0.0])
 
 
-def _changes(own: mujoco.MjModel, model: mujoco.MjModel, which: str) -> dict[str, Any]:
+def _changes(reference: mujoco.MjModel, model: mujoco.MjModel, which: str) -> dict[str, Any]:
     """Fields of a model that differ from the own one's, all but gains and options."""
     out = {}
     for name in MODEL_FIELDS:
         if name.startswith("opt.") or name == "actuator_biasprm":
             continue
-        mine, values = getattr(own, name), getattr(model, name)
+        mine, values = getattr(reference, name), getattr(model, name)
         if values.shape != mine.shape:
             raise ParameterError(
                 f"{which}: MuJoCo's model has another layout, its {name} has shape"
@@ -128,10 +128,10 @@ class MujocoBackend:
         where = np.arange(6 + self.joints + len(geared))
         self._order = np.r_[TO_Y, where[self._motors]]
         carried = len(where) + np.arange(self._carried)
-        self._rest = np.r_[np.setdiff1d(where, self._order), carried]
+        self._internal = np.r_[np.setdiff1d(where, self._order), carried]
         self._laws = [effect for effect in system.effects if effect.has_law]
         self._own_laws: Laws | None = None
-        self._whole = False  # the layout of `compile_model`
+        self._full = False  # the layout of `compile_model`
         self._systems = [system] * n
         self._limits = np.tile(system.arm.column("tau_max"), (n, 1))
         self._varied: set[str] = set()  # fields of the model that differ, gains apart
@@ -149,7 +149,7 @@ class MujocoBackend:
         self._drives = slice(self.model.nu - self.joints, None)  # after the platform's
         self._bias: Array | None = None
         emulated = self.system.mode == "emulated"
-        self._felt = self.batch.bind("sensordata") if emulated else None
+        self._sensed = self.batch.bind("sensordata") if emulated else None
 
     def read(self) -> tuple[Array, Array, Array]:
         return self._time.copy(), self._qpos[:, self._order], self._qvel[:, self._order]
@@ -175,19 +175,21 @@ class MujocoBackend:
     def assign(self, ids: Index, systems: Sequence[System]) -> None:
         pairs = list(zip(ids.tolist(), systems, strict=True))
         others = {i for i, k in pairs if bodies_of(k) != bodies_of(self._systems[i])}
-        own = self.model
-        if others and not self._whole:
-            own = compile_model(self.system, whole=True)
-        known: dict[tuple[int, int], dict[str, Any]] = {}  # of the arms and vehicles seen
+        reference = self.model
+        if others and not self._full:
+            reference = compile_model(self.system, full=True)
+        changes_of: dict[tuple[int, int], dict[str, Any]] = {}  # of the arms and vehicles seen
         for i, system in pairs:
-            if i in others and bodies_of(system) not in known:
-                model = compile_model(system, whole=True)
-                known[bodies_of(system)] = _changes(own, model, f"system of simulation {i}")
-        if own is not self.model:
+            if i in others and bodies_of(system) not in changes_of:
+                model = compile_model(system, full=True)
+                changes_of[bodies_of(system)] = _changes(
+                    reference, model, f"system of simulation {i}"
+                )
+        if reference is not self.model:
             state = self.get_state()
-            self._load(own)
+            self._load(reference)
             self.set_state(state)
-            self._whole = True
+            self._full = True
         if self._laws and self._own_laws is None:
             self._own_laws = Laws(self.system, self.n)
         for i, system in pairs:
@@ -195,18 +197,18 @@ class MujocoBackend:
                 self._own_laws.put(i, system)
                 self._limits[i] = system.arm.column("tau_max")
             if i in others:
-                change = known[bodies_of(system)]
+                change = changes_of[bodies_of(system)]
                 for name in self._varied | change.keys():
-                    self.batch.expand(name)[i] = change.get(name, getattr(own, name))
+                    self.batch.expand(name)[i] = change.get(name, getattr(reference, name))
                 self._varied |= change.keys()
             self._systems[i] = system
 
-    def bend(self, d: Array, rate: Array) -> None:
-        gears = self._rest[: d.shape[1]]
+    def set_gear_state(self, d: Array, rate: Array) -> None:
+        gears = self._internal[: d.shape[1]]
         self._qpos[:, gears], self._qvel[:, gears] = d, rate
 
-    def hidden(self) -> tuple[Array, Array]:
-        return self._qpos[:, self._rest], self._qvel[:, self._rest]
+    def internal_state(self) -> tuple[Array, Array]:
+        return self._qpos[:, self._internal], self._qvel[:, self._internal]
 
     def step(
         self,
@@ -230,11 +232,11 @@ class MujocoBackend:
         """Set the torque of the effects' laws, held until the next physics step."""
         if self._laws:
             q, v = self._qpos[:, self._motors], self._qvel[:, self._motors]
-            own, tau = self._own_laws, self._motor_torque(q, v)
-            if own is None:
+            laws, tau = self._own_laws, self._motor_torque(q, v)
+            if laws is None:
                 torque = joint_torque(self._laws, q, v, tau, self._limits[0])
             else:
-                torque = own.torque(q, v, tau)
+                torque = laws.torque(q, v, tau)
             self._applied[:, self._motors] = torque
 
     def _motor_torque(self, q: Array, v: Array) -> Array:
@@ -246,31 +248,31 @@ class MujocoBackend:
             tau = np.clip(tau, -self._limits, self._limits)
         return np.asarray(tau, dtype=np.float64)
 
-    def play(self, commands: Array, ids: Index | None) -> None:
+    def step_sequence(self, commands: Array, ids: Index | None) -> None:
         slopes = np.diff(commands, axis=1) / self.model.opt.timestep
         self._command[:] = commands[:, 0]
-        some = slopes if ids is None else slopes[ids]
-        for part in np.split(some, some.shape[1], axis=1) if self._laws else [some]:
+        commands = slopes if ids is None else slopes[ids]
+        for part in np.split(commands, commands.shape[1], axis=1) if self._laws else [commands]:
             self._push()
             self.batch.rollout(part.shape[1], part, record=(), ids=ids)
 
-    def ride(self, commands: Array, base: Array, ids: Index | None) -> Array:
-        assert self._felt is not None
+    def step_on_platform(self, commands: Array, base: Array, ids: Index | None) -> Array:
+        assert self._sensed is not None
         rows = slice(None) if ids is None else ids
         nodes = np.concatenate([base[..., TO_Y], commands], axis=-1)
         self._command[:] = nodes[:, 0]
         slopes = np.diff(nodes, axis=1) / self.model.opt.timestep
         out = np.zeros((self.n, nodes.shape[1], 6))
-        at, given = 0, slopes[rows]
-        for part in np.split(given, given.shape[1], axis=1) if self._laws else [given]:
+        at, commands = 0, slopes[rows]
+        for part in np.split(commands, commands.shape[1], axis=1) if self._laws else [commands]:
             self._push()
-            felt = self.batch.rollout(part.shape[1], part, record=("sensordata",), ids=ids)
+            sensed = self.batch.rollout(part.shape[1], part, record=("sensordata",), ids=ids)
             # the engine reports what the platform exerts on the arm
-            out[rows, at : at + part.shape[1]] = -felt["sensordata"]
+            out[rows, at : at + part.shape[1]] = -sensed["sensordata"]
             at += part.shape[1]
         self._push()
         self.batch.forward(ids)
-        out[:, -1] = -self._felt
+        out[:, -1] = -self._sensed
         return out
 
     def evaluate(self, command: Array) -> tuple[Array, Array]:

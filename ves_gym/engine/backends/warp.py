@@ -46,14 +46,14 @@ class WarpBackend(DeviceBackend):
 
     def _advance(self, slopes: Array) -> tuple[Array, Array, Array, Array]:
         self._load()
-        felt = np.zeros((*slopes.shape[:2], self.host.nsensordata))
+        sensed = np.zeros((*slopes.shape[:2], self.host.nsensordata))
         for k in range(slopes.shape[1]):
             self._data.ctrl.assign(slopes[:, k].astype(np.float32))
             if self.host.nsensordata:  # `step` shows a later stage of Runge-Kutta
                 self._engine.forward(self._model, self._data)
-                felt[:, k] = self._fetch("sensordata")
+                sensed[:, k] = self._fetch("sensordata")
             self._engine.step(self._model, self._data)
-        return self._fetch("qpos"), self._fetch("qvel"), self._fetch("act"), felt
+        return self._fetch("qpos"), self._fetch("qvel"), self._fetch("act"), sensed
 
     def _forward(self) -> tuple[Array, Array, Array]:
         self._load()

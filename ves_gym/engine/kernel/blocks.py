@@ -18,13 +18,13 @@ def aligned(*shape: int) -> Array:
 
 def fill(rows: Array, values: Array) -> None:
     """Write (m, k) values into rows (blocks, k, LANES), zeros behind them."""
-    full, rest = divmod(len(values), LANES)
+    full, remainder = divmod(len(values), LANES)
     if full:
         rows[:full] = values[: full * LANES].reshape(full, LANES, -1).swapaxes(1, 2)
     if full < len(rows):
         rows[full:] = 0.0
-        if rest:
-            rows[full, :, :rest] = values[full * LANES :].T
+        if remainder:
+            rows[full, :, :remainder] = values[full * LANES :].T
 
 
 def lanes(values: Array) -> Array:

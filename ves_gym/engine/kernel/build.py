@@ -45,9 +45,9 @@ class Library:
 
 def cache_folder() -> Path:
     """Where kernels are kept: VES_GYM_CACHE, or the user's cache folder."""
-    given = os.environ.get("VES_GYM_CACHE")
-    if given:
-        return Path(given)
+    folder = os.environ.get("VES_GYM_CACHE")
+    if folder:
+        return Path(folder)
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / "ves_gym"
     root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -121,5 +121,7 @@ def _read(path: Path) -> bytes | None:
         return None
     head = len(_MARK) + 32
     code = data[head:]
-    whole = data[: len(_MARK)] == _MARK
-    return code if whole and hashlib.sha256(code).digest() == data[len(_MARK) : head] else None
+    complete = data[: len(_MARK)] == _MARK
+    return (
+        code if complete and hashlib.sha256(code).digest() == data[len(_MARK) : head] else None
+    )

@@ -87,8 +87,8 @@ class Code:
         return self.put(f"call {_V} @llvm.fma.v{LANES}f64({_V} {a}, {_V} {b}, {_V} {c})")
 
     def call(self, name: str, *args: str) -> str:
-        given = ", ".join(f"{_V} {a}" for a in args)
-        return self.put(f"call {_V} @llvm.{name}.v{LANES}f64({given})")
+        parameters = ", ".join(f"{_V} {a}" for a in args)
+        return self.put(f"call {_V} @llvm.{name}.v{LANES}f64({parameters})")
 
     def compare(self, kind: str, a: str, b: str) -> str:
         return self.put(f"fcmp {kind} {_V} {a}, {b}")
@@ -128,16 +128,16 @@ class Code:
         half = self.fma(square, splat(-0.5), splat(1.0))
         cosine = self.fma(self.mul(square, square), self._polynomial(_COS, square), half)
         # which quarter, 0 to 3
-        whole = self.call("floor", self.mul(turns, splat(0.25)))
-        quarter = self.fma(whole, splat(-4.0), turns)
-        one = self.compare("oeq", quarter, splat(1.0))
+        turns_whole = self.call("floor", self.mul(turns, splat(0.25)))
+        quarter = self.fma(turns_whole, splat(-4.0), turns)
+        first = self.compare("oeq", quarter, splat(1.0))
         two = self.compare("oeq", quarter, splat(2.0))
         three = self.compare("oeq", quarter, splat(3.0))
-        odd = self.put(f"or {_BOOL} {one}, {three}")
+        odd = self.put(f"or {_BOOL} {first}, {three}")
         s, c = self.select(odd, cosine, sine), self.select(odd, sine, cosine)
         down = self.put(f"or {_BOOL} {two}, {three}")
-        left = self.put(f"or {_BOOL} {one}, {two}")
-        out = self.select(down, self.negate(s), s), self.select(left, self.negate(c), c)
+        flip = self.put(f"or {_BOOL} {first}, {two}")
+        out = self.select(down, self.negate(s), s), self.select(flip, self.negate(c), c)
         self._angles[x] = out
         return out
 
@@ -153,8 +153,8 @@ class Code:
         bits = self.put(f"bitcast {_V} {shifted} to {_INT}")
         width = f"<{', '.join(['i64 52'] * LANES)}>"
         power = self.put(f"shl {_INT} {bits}, {width}")
-        whole = self.put(f"add {_INT} {self.put(f'bitcast {_V} {value} to {_INT}')}, {power}")
-        out = self.put(f"bitcast {_INT} {whole} to {_V}")
+        scaled = self.put(f"add {_INT} {self.put(f'bitcast {_V} {value} to {_INT}')}, {power}")
+        out = self.put(f"bitcast {_INT} {scaled} to {_V}")
         out = self.select(self.compare("ogt", x, splat(709.0)), splat(math.inf), out)
         out = self.select(self.compare("olt", x, splat(-708.0)), splat(0.0), out)
         return self.select(self.compare("uno", x, x), x, out)  # NaN: its bits were added to
@@ -180,19 +180,19 @@ def emit_function(name: str, graph: casadi.Function) -> str:
     code = Code()
     registers: dict[int, str] = {}
     outputs: dict[tuple[int, int], str] = {}
-    one, zero = splat(1.0), splat(0.0)
+    unity, zero = splat(1.0), splat(0.0)
     for k in range(graph.n_instructions()):
         op, into = graph.instruction_id(k), graph.instruction_output(k)
-        given = graph.instruction_input(k)
+        operands = graph.instruction_input(k)
         if op == ca.OP_CONST:
             registers[into[0]] = splat(graph.instruction_constant(k))
         elif op == ca.OP_INPUT:
-            registers[into[0]] = code.load(f"%in{given[0]}", given[1])
+            registers[into[0]] = code.load(f"%in{operands[0]}", operands[1])
         elif op == ca.OP_OUTPUT:
-            outputs[into[0], into[1]] = registers[given[0]]
+            outputs[into[0], into[1]] = registers[operands[0]]
         else:
-            args = [registers[i] for i in given]
-            registers[into[0]] = _operation(code, ca, op, args, one, zero)
+            args = [registers[i] for i in operands]
+            registers[into[0]] = _operation(code, ca, op, args, unity, zero)
     for (which, row), value in outputs.items():
         code.store(value, f"%out{which}", row)
     arguments = [f"ptr noalias %in{i}" for i in range(graph.n_in())]
@@ -201,12 +201,12 @@ def emit_function(name: str, graph: casadi.Function) -> str:
     return "\n".join([head, *code.lines, "  ret void", "}"])
 
 
-def _operation(code: Code, ca: object, op: int, args: list[str], one: str, zero: str) -> str:
+def _operation(code: Code, ca: object, op: int, args: list[str], unity: str, zero: str) -> str:
     a = args[0]
     b = args[1] if len(args) > 1 else ""
 
     def truth(test: str) -> str:
-        return code.select(test, one, zero)
+        return code.select(test, unity, zero)
 
     table: dict[str, Callable[[], str]] = {
         "OP_ASSIGN": lambda: a,
@@ -217,7 +217,7 @@ def _operation(code: Code, ca: object, op: int, args: list[str], one: str, zero:
         "OP_NEG": lambda: code.negate(a),
         "OP_SQ": lambda: code.mul(a, a),
         "OP_TWICE": lambda: code.add(a, a),
-        "OP_INV": lambda: code.div(one, a),
+        "OP_INV": lambda: code.div(unity, a),
         "OP_SIN": lambda: code.sine_cosine(a)[0],
         "OP_COS": lambda: code.sine_cosine(a)[1],
         "OP_SQRT": lambda: code.call("sqrt", a),
@@ -234,14 +234,14 @@ def _operation(code: Code, ca: object, op: int, args: list[str], one: str, zero:
         "OP_AND": lambda: code.mul(a, b),
         "OP_IF_ELSE_ZERO": lambda: code.select(code.compare("une", a, zero), b, zero),
         "OP_SIGN": lambda: code.select(
-            code.compare("ueq", a, zero), a, code.call("copysign", one, a)
+            code.compare("ueq", a, zero), a, code.call("copysign", unity, a)
         ),
     }
     for name, build in table.items():
         if getattr(ca, name) == op:
             return build()
-    known = ", ".join(name[3:].lower() for name in table)
-    raise ParameterError(f"the kernel cannot compile operation {op}; it knows {known}")
+    operations = ", ".join(name[3:].lower() for name in table)
+    raise ParameterError(f"the kernel cannot compile operation {op}; it knows {operations}")
 
 
 # -------------------------------------------------------------------------- integrators
@@ -287,9 +287,9 @@ def emit_map(graph: casadi.Function) -> str:
 
 
 def _declarations() -> str:
-    one = ("rint", "floor", "fabs", "sqrt")
+    unary = ("rint", "floor", "fabs", "sqrt")
     two = ("minimum", "maximum", "copysign")
-    lines = [f"declare {_V} @llvm.{k}.v{LANES}f64({_V})" for k in one]
+    lines = [f"declare {_V} @llvm.{k}.v{LANES}f64({_V})" for k in unary]
     lines += [f"declare {_V} @llvm.{k}.v{LANES}f64({_V}, {_V})" for k in two]
     lines.append(f"declare {_V} @llvm.fma.v{LANES}f64({_V}, {_V}, {_V})")
     return "\n".join(lines)
@@ -323,8 +323,8 @@ def _rk4(nx: int, nu: int, ny: int) -> str:
         code.lines.append(f"  call void @motion(ptr {stage}, ptr {command}, ptr %pb, ptr {k})")
     sixth = code.mul(h, splat(1 / 6))
     for i in range(nx):
-        whole = code.add(code.load(total, i), code.load(k, i))
-        code.store(code.fma(whole, sixth, code.load("%xb", i)), "%xb", i)
+        slope = code.add(code.load(total, i), code.load(k, i))
+        code.store(code.fma(slope, sixth, code.load("%xb", i)), "%xb", i)
     return "\n".join(code.lines)
 
 

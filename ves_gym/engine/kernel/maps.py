@@ -132,11 +132,11 @@ def _compiled(
     size = _CHUNK * LANES
 
     def part(first: int) -> None:
-        some = x[first : first + size]
-        given = lanes(some)
-        found = aligned(len(given), outputs, LANES)
-        run(given.ctypes.data, numbers.ctypes.data, found.ctypes.data, 0, len(given))
-        out[first : first + len(some)] = unlane(found, len(some))
+        chunk = x[first : first + size]
+        blocks = lanes(chunk)
+        results = aligned(len(blocks), outputs, LANES)
+        run(blocks.ctypes.data, numbers.ctypes.data, results.ctypes.data, 0, len(blocks))
+        out[first : first + len(chunk)] = unlane(results, len(chunk))
 
     starts = range(0, count, size)
     if len(starts) < 2:

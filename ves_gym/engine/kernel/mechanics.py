@@ -48,11 +48,11 @@ class Model:
         for effect, values in self.laws:
             if _vanishes(effect, values):
                 continue
-            given = {
+            values = {
                 k: xp.vertcat(*value) if isinstance(value, list) else value
                 for k, value in values.items()
             }
-            bound = effect.bound({**given, "tau_max": xp.vertcat(*self.limit)})
+            bound = effect.bound({**values, "tau_max": xp.vertcat(*self.limit)})
             torque = bound.law(xp, xp.vertcat(*q), xp.vertcat(*v), xp.vertcat(*tau))
             total = [a + b for a, b in zip(total, xp.vertsplit(torque), strict=True)]
         return total
@@ -99,19 +99,19 @@ def unfolded(model: Model) -> Model:
 
 def interleaved(model: Model, joints: list[Any], gears: list[Any]) -> list[Any]:
     """Quantities of joints (n) and gears in the order of the unfolded joints."""
-    rest, out = list(gears), []
+    remaining, out = list(gears), []
     for i, value in enumerate(joints):
-        out += [value, rest.pop(0)] if i in model.gears else [value]
+        out += [value, remaining.pop(0)] if i in model.gears else [value]
     return out
 
 
 def separated(model: Model, values: list[Any]) -> tuple[list[Any], list[Any]]:
     """The inverse of `interleaved`."""
-    joints, gears, rest = [], [], list(values)
+    joints, gears, remaining = [], [], list(values)
     for i in range(model.arm.n):
-        joints.append(rest.pop(0))
+        joints.append(remaining.pop(0))
         if i in model.gears:
-            gears.append(rest.pop(0))
+            gears.append(remaining.pop(0))
     return joints, gears
 
 
@@ -132,14 +132,14 @@ def oscillator_forces(
     """Generalised force on Y (6), and u'' of the oscillators."""
     push: list[Any] = [0.0] * 6
     out = []
-    for one, at, moving in zip(model.extra, u, ud, strict=True):
-        stretch = at - sum(c * k for c, k in pairs(list(one.direction), y[:3]))
-        speed = moving - sum(c * k for c, k in pairs(list(one.direction), yd[:3]))
-        force = one.stiffness * stretch + one.damping * speed
-        for i, c in enumerate(one.direction):
+    for oscillator, at, moving in zip(model.extra, u, ud, strict=True):
+        stretch = at - sum(c * k for c, k in pairs(list(oscillator.direction), y[:3]))
+        speed = moving - sum(c * k for c, k in pairs(list(oscillator.direction), yd[:3]))
+        force = oscillator.stiffness * stretch + oscillator.damping * speed
+        for i, c in enumerate(oscillator.direction):
             if not is_zero(c):
                 push[i] = push[i] + c * force
-        out.append(-force / one.mass)
+        out.append(-force / oscillator.mass)
     return push, out
 
 
@@ -233,7 +233,7 @@ def residual(
     for i, (c, rate) in enumerate(zip(model.drag, zd[:6], strict=True)):
         if not is_zero(c):
             out[i] = out[i] + c * xp.fabs(rate) * rate
-    return out + [t - given for t, given in zip(torque, tau, strict=True)]
+    return out + [t - motor for t, motor in zip(torque, tau, strict=True)]
 
 
 def base_energy(model: Model, z: list[Any], zd: list[Any], xp: Any) -> Any:
@@ -260,14 +260,16 @@ def on_platform(
     # T's upper block is R^T: its last column is "up" in platform axes
     lift: Vec = (GRAVITY * T[0][2], GRAVITY * T[1][2], GRAVITY * T[2][2])
     under = (accel[0] + lift[0], accel[1] + lift[1], accel[2] + lift[2])
-    rest = [0.0] * n
-    torque, _, _ = newton_euler(model.arm, q, v, rest, spin=spin, turn=turn, accel=under, xp=xp)
+    zeros = [0.0] * n
+    torque, _, _ = newton_euler(
+        model.arm, q, v, zeros, spin=spin, turn=turn, accel=under, xp=xp
+    )
     loads = [tau[i] - torque[i] for i in range(n)]
     if balance:
-        held, _, _ = newton_euler(model.arm, q, rest, rest, accel=lift, xp=xp)
-        loads = [load + k for load, k in zip(loads, held, strict=True)]
-    own = [row[6:] for row in implicit[6:]]
-    qdd = solve(sum_of(inertia_entries(model.arm, q, xp).joints, own), loads)
+        static, _, _ = newton_euler(model.arm, q, zeros, zeros, accel=lift, xp=xp)
+        loads = [load + k for load, k in zip(loads, static, strict=True)]
+    joint_block = [row[6:] for row in implicit[6:]]
+    qdd = solve(sum_of(inertia_entries(model.arm, q, xp).joints, joint_block), loads)
     _, force, moment = newton_euler(
         model.arm, q, v, qdd, spin=spin, turn=turn, accel=under, xp=xp
     )
@@ -312,8 +314,8 @@ def product(A: list[list[Any]], B: list[list[Any]]) -> list[list[Any]]:
 
 def sum_of(A: list[list[Any]], B: list[list[Any]]) -> list[list[Any]]:
     return [
-        [a if is_zero(b) else a + b for a, b in zip(one, other, strict=True)]
-        for one, other in zip(A, B, strict=True)
+        [a if is_zero(b) else a + b for a, b in zip(row, other, strict=True)]
+        for row, other in zip(A, B, strict=True)
     ]
 
 

@@ -66,8 +66,8 @@ class _Map:
         for i, system in zip(ids.tolist(), systems, strict=True):
             self.systems[i] = system
             if self._ready:
-                given = dict(zip(*parameters(system), strict=True))
-                row = [given.get(name, 0.0) for name in self.names]
+                values = dict(zip(*parameters(system), strict=True))
+                row = [values.get(name, 0.0) for name in self.names]
                 self._p[i // LANES, :, i % LANES] = row
         if self._ready:
             self._runs = [
@@ -81,7 +81,7 @@ class _Map:
             run()
         return unlane(self._y, self.n)
 
-    def _each(self, work: Callable[..., Any], *parts: Array) -> Array:
+    def _per_simulation(self, work: Callable[..., Any], *parts: Array) -> Array:
         """`work(system, *rows)` in NumPy, system by system."""
         if len(set(map(id, self.systems))) == 1:
             return np.asarray(work(self.systems[0], *parts), dtype=np.float64)
@@ -104,36 +104,36 @@ class SceneMap(_Map):
         size = 6 + system.arm.n
         x = ca.SX.sym("x", 2 * size + 6)
         k = list(ca.vertsplit(x))
-        z, zd, seen = k[:size], k[size : 2 * size], k[2 * size :]
+        z, zd, measured = k[:size], k[size : 2 * size], k[2 * size :]
         energy = mechanics.base_energy(model, z, zd, ca)
         force = mechanics.times(model.K, z[:6])
         strain = 0.5 * sum(a * b for a, b in mechanics.pairs(force, z[:6]))
         reach = frames(model.arm, z[6:], ca)[-1].position
         tools = []
-        for y in (z[:6], seen):
+        for y in (z[:6], measured):
             T, _ = mechanics._rates(y, ca)
             tools += [y[i] + sum(T[j][i] * reach[j] for j in range(3)) for i in range(3)]
         out = ca.vertcat(energy, strain, *tools)
         return ca.Function("scene", [x, ca.vertcat(*symbols)], [ca.cse(out)])
 
     def __call__(
-        self, q: Array, v: Array, y: Array, yd: Array, seen: Array
+        self, q: Array, v: Array, y: Array, yd: Array, measured: Array
     ) -> tuple[Array, Array, Array]:
         """E of the base and its strain energy (n, 2) [J], tool in space (n, 3) [m].
 
-        The tool twice: with the base at its pose y, and where it is measured, at `seen` (n, 6).
+        The tool twice: with the base at its pose y, and at its `measured` pose (n, 6).
         """
         if self._ready:
-            out = self._evaluate(np.concatenate([y, q, yd, v, seen], axis=1))
+            out = self._evaluate(np.concatenate([y, q, yd, v, measured], axis=1))
         else:
-            out = self._each(_scene, q, y, yd, seen)
+            out = self._per_simulation(_scene, q, y, yd, measured)
         return out[:, :2], out[:, 2:5], out[:, 5:]
 
 
-def _scene(system: System, q: Array, y: Array, yd: Array, seen: Array) -> Array:
+def _scene(system: System, q: Array, y: Array, yd: Array, measured: Array) -> Array:
     energy = base_energy(system, q, y, yd)
     reach = joint_positions(system.arm, q)[:, -1]
-    tools = [pose[:, :3] + matvec(rotation(pose), reach) for pose in (y, seen)]
+    tools = [pose[:, :3] + matvec(rotation(pose), reach) for pose in (y, measured)]
     return np.column_stack([energy.total, energy.strain, *tools])
 
 
@@ -161,4 +161,4 @@ class TorqueMap(_Map):
         if self._ready:
             return self._evaluate(motion.reshape(self.n, -1))
         parts = motion.swapaxes(0, 1)
-        return self._each(lambda s, *m: inverse_dynamics(s.arm, *m)[0], *parts)
+        return self._per_simulation(lambda s, *m: inverse_dynamics(s.arm, *m)[0], *parts)

@@ -99,13 +99,13 @@ class _Numbers:
             gap=self(f"{name}.gap", gear.gap),
         )
 
-    def oscillator(self, name: str, one: Any) -> Any:
+    def oscillator(self, name: str, oscillator: Any) -> Any:
         return SimpleNamespace(
-            mass=self(f"{name}.mass", one.mass),
-            stiffness=self(f"{name}.stiffness", one.stiffness),
-            damping=self(f"{name}.damping", one.damping),
+            mass=self(f"{name}.mass", oscillator.mass),
+            stiffness=self(f"{name}.stiffness", oscillator.stiffness),
+            damping=self(f"{name}.damping", oscillator.damping),
             direction=[
-                self(f"{name}.direction{k + 1}", c) for k, c in enumerate(one.direction)
+                self(f"{name}.direction{k + 1}", c) for k, c in enumerate(oscillator.direction)
             ],
         )
 
@@ -162,8 +162,8 @@ def _model(system: System, read: _Numbers) -> Model:
         ],
         gears={i: read.gear(f"gear{i + 1}", arm.links[i].gear) for i in arm.geared},
         extra=[
-            read.oscillator(f"extra{i + 1}", one)
-            for i, one in enumerate(base.extra if ideal else ())
+            read.oscillator(f"extra{i + 1}", oscillator)
+            for i, oscillator in enumerate(base.extra if ideal else ())
         ],
     )
 
@@ -279,18 +279,18 @@ def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
         )
     n, h, g = system.arm.n, model.hidden, len(model.gears)
     size = 6 + n
-    whole = size + h
-    x, u, p = ca.SX.sym("x", 2 * whole), ca.SX.sym("u", size), ca.vertcat(*symbols)
-    at, rate = list(ca.vertsplit(x))[:whole], list(ca.vertsplit(x))[whole:]
+    half = size + h
+    x, u, p = ca.SX.sym("x", 2 * half), ca.SX.sym("u", size), ca.vertcat(*symbols)
+    at, rate = list(ca.vertsplit(x))[:half], list(ca.vertsplit(x))[half:]
     base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
     (z, d, s), (zd, dd, sd) = (
         (k[:size], k[size : size + g], k[size + g :]) for k in (at, rate)
     )
     _, tau = drive_torque(model, z, zd, command, ca)
     laws = model.push(z[6:], zd[6:], tau, ca)
-    given = [a + b for a, b in zip(tau, laws, strict=True)]
+    drives = [a + b for a, b in zip(tau, laws, strict=True)]
     inner = unfolded(model)
-    joints = interleaved(model, given, gear_torque(model, d, dd, ca))
+    joints = interleaved(model, drives, gear_torque(model, d, dd, ca))
     pose = [*z[:6], *interleaved(model, z[6:], d)]
     moving = [*zd[:6], *interleaved(model, zd[6:], dd)]
     push, sdd = oscillator_forces(model, z, zd, s, sd)
@@ -298,12 +298,14 @@ def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
     wrench: list[Any] = []
     if system.mode == "emulated":
         balance = system.emulator_settings.joint_balance
-        found, wrench = on_platform(inner, pose, moving, base, joints, loose, balance, ca)
+        acceleration, wrench = on_platform(
+            inner, pose, moving, base, joints, loose, balance, ca
+        )
     else:
         jets = [a + b for a, b in zip(base, push, strict=True)]
-        found = in_space(inner, pose, moving, jets, joints, loose, ca)
-    qdd, ddd = separated(model, found[6:])
-    zdd = [*found[:6], *qdd]
+        acceleration = in_space(inner, pose, moving, jets, joints, loose, ca)
+    qdd, ddd = separated(model, acceleration[6:])
+    zdd = [*acceleration[:6], *qdd]
     slope = ca.vertcat(*rate, *zdd, *ddd, *sdd)
     out = ca.vertcat(*zdd, *tau, *wrench)
     return Equations(
@@ -347,17 +349,17 @@ class _Balance:
     missing: Any  # r
     energy: Any  # of the base [J]
     mass: list[list[Any]]
-    found: list[Any]  # the a of r = 0
+    solution: list[Any]  # the a of r = 0
 
     def response(self, change: Any) -> list[Any]:
         """da for dr."""
-        return solve(self.mass, [-k for k in self.held(change)])
+        return solve(self.mass, [-k for k in self.at_solution(change)])
 
-    def held(self, value: Any) -> list[Any]:
+    def at_solution(self, value: Any) -> list[Any]:
         """A value at the acceleration found."""
         import casadi as ca
 
-        return list(ca.vertsplit(ca.substitute(value, self.a, ca.vertcat(*self.found))))
+        return list(ca.vertsplit(ca.substitute(value, self.a, ca.vertcat(*self.solution))))
 
 
 def _balance(system: System) -> _Balance:
@@ -385,7 +387,7 @@ def _balance(system: System) -> _Balance:
         missing=ca.vertcat(*residual(model, z, zd, list(ca.vertsplit(a)), base, tau, ca)),
         energy=base_energy(model, z, zd, ca),
         mass=mass,
-        found=solve(mass, loads),
+        solution=solve(mass, loads),
     )
 
 
@@ -399,18 +401,18 @@ def tangents(system: System, wrt: tuple[str, ...], controls: int) -> Equations:
     The balance is differentiated once per direction or, for many, once by the whole state
     and then multiplied by each: whichever takes fewer operations.
     """
-    each, whole = (_tangents(system, wrt, controls, k) for k in (False, True))
-    return min(each, whole, key=lambda graphs: int(graphs.motion.n_instructions()))
+    by_column, at_once = (_tangents(system, wrt, controls, k) for k in (False, True))
+    return min(by_column, at_once, key=lambda graphs: int(graphs.motion.n_instructions()))
 
 
-def _tangents(system: System, wrt: tuple[str, ...], controls: int, whole: bool) -> Equations:
+def _tangents(system: System, wrt: tuple[str, ...], controls: int, at_once: bool) -> Equations:
     import casadi as ca
 
     b, size = _balance(system), 6 + system.arm.n
     both = ca.vertcat(b.missing, b.energy)
-    slope = ca.jacobian(both, b.x) if whole else None
+    slope = ca.jacobian(both, b.x) if at_once else None
     states, inputs = [b.x, ca.SX.sym("e")], [b.u]
-    slopes = [b.x[size:], *b.found, b.energy]
+    slopes = [b.x[size:], *b.solution, b.energy]
     for j in range(len(wrt) + controls):
         dx, du = ca.SX.sym(f"dx{j}", 2 * size), ca.SX.sym(f"du{j}", size)
         if j < len(wrt):
@@ -424,13 +426,13 @@ def _tangents(system: System, wrt: tuple[str, ...], controls: int, whole: bool) 
             change = slope @ dx + ca.jtimes(both, cause, step)
         states += [dx, ca.SX.sym(f"de{j}")]
         slopes += [dx[size:], *b.response(change[:-1]), change[-1]]
-    given = [ca.vertcat(*states), ca.vertcat(*inputs), b.p]
+    arguments = [ca.vertcat(*states), ca.vertcat(*inputs), b.p]
     motion = ca.cse(ca.vertcat(*slopes))
     return Equations(
         system.arm.n,
         b.names,
-        ca.Function("motion", given, [motion]),
-        ca.Function("observe", given, ca.cse([motion, ca.SX(b.energy)])),
+        ca.Function("motion", arguments, [motion]),
+        ca.Function("observe", arguments, ca.cse([motion, ca.SX(b.energy)])),
     )
 
 
@@ -445,7 +447,7 @@ def linearisation(system: System) -> casadi.Function:
     b, size = _balance(system), 6 + system.arm.n
     causes = ca.vertcat(b.x, b.u[6:])
     columns = ca.horzsplit(ca.jacobian(b.missing, causes))
-    out = ca.vertcat(*b.found, *(k for column in columns for k in b.response(column)))
+    out = ca.vertcat(*b.solution, *(k for column in columns for k in b.response(column)))
     still = ca.vertcat(b.x[size:], b.u[:6])
     out = ca.substitute(out, still, ca.SX.zeros(size + 6))
     point = ca.vertcat(b.x[:size], b.u[6:])
@@ -489,10 +491,10 @@ def regressor(arm: Arm, moving: bool) -> casadi.Function:
     torque, force, moment = newton_euler(
         body, q, v, a, spin=spin, turn=turn, accel=accel, xp=ca
     )
-    wanted = ca.vertcat(*numbers, rotors) if moving else ca.vertcat(*(k[:4] for k in numbers))
+    unknowns = ca.vertcat(*numbers, rotors) if moving else ca.vertcat(*(k[:4] for k in numbers))
     load = ca.vertcat(*(-k for k in (*force, *moment)), *torque)
     unit = ca.vertcat(*[1.0, *[0.0] * 9] * (n + 1), ca.SX.zeros(n))
-    slope = ca.substitute(ca.jacobian(load, wanted), ca.vertcat(*numbers, rotors), unit)
+    slope = ca.substitute(ca.jacobian(load, unknowns), ca.vertcat(*numbers, rotors), unit)
     return ca.Function("regressor", [x, ca.SX(0, 1)], [ca.cse(ca.densify(ca.vec(slope)))])
 
 
