@@ -120,7 +120,7 @@ def _problem():
 
 
 def _controller():
-    from ves_gym.baselines.controllers import get_controller
+    from ves_gym.baselines.registry import get_controller
 
     get_controller("hotspt")
 

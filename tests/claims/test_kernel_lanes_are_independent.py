@@ -226,7 +226,7 @@ def test_simulations_not_named_stay_where_they_are(name):
             engine.step_on_platform(nodes, np.full((11, k + 1, 6), 0.1), some)
         else:
             engine.step(command, None, None, k, some)
-        engine.play(nodes, some)
+        engine.step_sequence(nodes, some)
     for i in range(11):
         wanted = twin.state if i in ids else before
         assert bits([sim.state], i) == bits([wanted], i)

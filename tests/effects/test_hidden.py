@@ -56,7 +56,7 @@ def test_a_link_swings_on_its_gear(backend):
     path = []
     for _ in range(400):
         sim.play(np.zeros((1, 11, 3)))
-        path.append(sim.hidden[0][0, 0])
+        path.append(sim.internal_state[0][0, 0])
     path = np.array(path)
     q = sim.state.q[0]
     np.testing.assert_allclose(sim.state.v[0], 0, atol=1e-5)
@@ -79,7 +79,7 @@ def test_a_soft_gear_lowers_the_frequency_of_rotor_against_link():
         if k == 10:
             path = []
         if k > 10:
-            path.append(sim.hidden[0][0, 0])
+            path.append(sim.internal_state[0][0, 0])
     H = inertia(PUMA_560, np.zeros(3))[6:, 6:]
     rotor = PUMA_560.links[2].rotor_inertia
     others = H[2, :2] @ np.linalg.solve(H[:2, :2], H[:2, 2])
@@ -97,7 +97,7 @@ def test_a_gear_sags_by_compliance_times_torque(backend):
     sim.reset(q=q)
     for _ in range(200):
         sim.step(0.0)
-    sag = sim.hidden[0][0]
+    sag = sim.internal_state[0][0]
     bent = q + np.r_[0.0, sag]
     weight = inverse_dynamics(PUMA_560, bent, 0 * q, 0 * q, gravity=(0.0, 0.0, -GRAVITY))[0]
     np.testing.assert_allclose(sag, -c * weight[1:], rtol=1e-4)
@@ -148,9 +148,9 @@ def test_width_of_the_play(backend):
         sim.reset(q=q)
         for _ in range(400):
             sim.step(0.0)
-        bent = q + np.r_[0, 0, sim.hidden[0][0]]
+        bent = q + np.r_[0, 0, sim.internal_state[0][0]]
         weight = inverse_dynamics(PUMA_560, bent, 0 * q, 0 * q, gravity=(0, 0, -GRAVITY))[0]
-        at.append(sim.hidden[0][0, 0])
+        at.append(sim.internal_state[0][0, 0])
         assert at[-1] == pytest.approx(-np.sign(weight[2]) * gap / 2 - c * weight[2], rel=1e-3)
     assert abs(at[0] - at[1]) > gap
 
@@ -165,7 +165,7 @@ def test_within_the_play_the_link_is_free():
     rotor = PUMA_560.links[2].rotor_inertia
     want = 0.5 / rotor * system.control_dt**2
     assert sim.state.q[0, 2] == pytest.approx(want, rel=1e-9)
-    np.testing.assert_allclose(sim.state.q[0, 2] + sim.hidden[0][0, 0], 0, atol=1e-12)
+    np.testing.assert_allclose(sim.state.q[0, 2] + sim.internal_state[0][0, 0], 0, atol=1e-12)
 
 
 # --------------------------------------------------------------------------- extra mode
@@ -252,7 +252,7 @@ def test_the_gears_are_in_the_loop_that_is_judged(backend):
     assert np.abs(rates / want - 1).min() < 0.02
     sim = Simulator(system, 2, backend=backend, warn_at=None)
     sim.backend.set_gear_state(np.array([[0.01], [0.02]]), np.array([[0.3], [0.4]]))
-    np.testing.assert_array_equal(np.hstack(sim.hidden), [[0.01, 0.3], [0.02, 0.4]])
+    np.testing.assert_array_equal(np.hstack(sim.internal_state), [[0.01, 0.3], [0.02, 0.4]])
 
 
 # ------------------------------------------------------------------------------ refused
@@ -313,5 +313,5 @@ def test_a_snapshot_keeps_what_is_hidden():
         for _ in range(2):
             sim.restore(kept)
             sim.step(-5.0)
-            ends.append((*sim.state, *sim.hidden))
+            ends.append((*sim.state, *sim.internal_state))
         assert all(a.tobytes() == b.tobytes() for a, b in zip(*ends, strict=True))

@@ -167,8 +167,8 @@ class _Loop:
         s = lab.state
         for name in self.names:
             setattr(s, name, shifted.pop(0))
-        if s.late.shape[1]:
-            s.late = shifted.pop(0)
+        if s.command_history.shape[1]:
+            s.command_history = shifted.pop(0)
         if self._ages:
             sim.joint_delays.measurement_history = shifted.pop(0)
         bent = shifted.pop(0) if self._gears else None
@@ -179,7 +179,7 @@ class _Loop:
             lab.model.set_state(tuple(shifted[split:]))
         # the engine's platform stands where the follower's does
         memory = lab.follower.get_state()
-        y, yd, _ = lab.follower.advance(s.sent[:, :6], s.sent[:, 6:])
+        y, yd, _ = lab.follower.advance(s.command_sent[:, :6], s.command_sent[:, 6:])
         lab.follower.set_state(memory)
         q, v = np.tile(self.angles, (n, 1)), np.zeros((n, sim.joints))
         q[:, :m] += offsets[:, :m]

@@ -160,7 +160,7 @@ def play_motions(
             if len(sim.events) >= n:
                 break
         else:
-            rows.append((*row, base_wrench(system, state, ydd, sim.hidden)))
+            rows.append((*row, base_wrench(system, state, ydd, sim.internal_state)))
         if k + 1 < records:
             part = slice(k * periods, (k + 1) * periods)
             if table is not None:
@@ -302,7 +302,7 @@ def base_wrench(
 ) -> Array:
     """(n, 6) wrench of the arm on the base, platform axes: what the vehicle's motion takes.
 
-    `hidden`: `Simulator.hidden`, where the vehicle carries oscillators.
+    `hidden`: `Simulator.internal_state`, where the vehicle carries oscillators.
     """
     base, y, yd = system.actual.base, state.y, state.yd
     # run by run: one matrix product over the batch would round by its size

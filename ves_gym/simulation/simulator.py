@@ -445,7 +445,7 @@ class Simulator:
         return self.joint_delays.measured(z[:, 6:], zd[:, 6:])[0]
 
     @property
-    def hidden(self) -> tuple[Array, Array]:
+    def internal_state(self) -> tuple[Array, Array]:
         """Coordinates and rates (n, g + m) that no log shows.
 
         Deflections of the gears that give way [rad], then the oscillators that the vehicle
