@@ -14,7 +14,7 @@ from ves_gym._util.params import ParameterError
 
 
 class Source(NamedTuple):
-    """How to get the package of a module."""
+    """Origin of a module: the package to install, and by which command."""
 
     package: str
     extra: str = ""  # of ves-gym that installs it; none: named by itself

@@ -52,7 +52,16 @@ def units(cls: type) -> dict[str, str]:
 
 
 def finite(value: object, shape: tuple[int, ...], name: str) -> Array:
-    """`value` as a float64 array of exactly `shape`, or a ParameterError that says why not."""
+    """Return a value as a float64 array of exactly the given shape.
+
+    Args:
+        value: number, or nested sequence of numbers.
+        shape: expected shape.
+        name: of the value, for the message.
+
+    Raises:
+        ParameterError: another shape, text, or a number that is not finite.
+    """
     try:
         raw = np.asarray(value)
     except ValueError:  # ragged
@@ -70,7 +79,16 @@ def finite(value: object, shape: tuple[int, ...], name: str) -> Array:
 
 
 def require_positive(params: object, *names: str, zero: bool = False) -> None:
-    """Raise ParameterError unless each named field is a finite number > 0 (or >= 0)."""
+    """Check that each named field is a finite number > 0.
+
+    Args:
+        params: the parameter set.
+        names: of its fields.
+        zero: also admit 0.
+
+    Raises:
+        ParameterError: names the field and the number received.
+    """
     for name in names:
         value = getattr(params, name)
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -84,7 +102,16 @@ def require_positive(params: object, *names: str, zero: bool = False) -> None:
 
 
 def require_choice(params: object, name: str, choices: tuple[str, ...]) -> None:
-    """Raise ParameterError unless the named field is one of `choices`."""
+    """Check that the named field is one of the choices.
+
+    Args:
+        params: the parameter set.
+        name: of its field.
+        choices: known values.
+
+    Raises:
+        ParameterError: lists the choices.
+    """
     value = getattr(params, name)
     if value not in choices:
         raise ParameterError(
@@ -94,10 +121,18 @@ def require_choice(params: object, name: str, choices: tuple[str, ...]) -> None:
 
 
 def symmetric(value: object, name: str, *, semidefinite: bool = True) -> Array:
-    """A 6x6 symmetric positive (semi)definite matrix, or the offending eigenvalue.
+    """Return a value as a symmetric positive (semi)definite 6x6 matrix.
 
     Symmetry is tested to 1e-9 of the largest entry (rounding of a printed or inverted
     matrix); an eigenvalue may be negative by 1e-12 of the largest.
+
+    Args:
+        value: (6, 6) numbers.
+        name: of the value, for the message.
+        semidefinite: admit vanishing eigenvalues.
+
+    Raises:
+        ParameterError: not symmetric, or tells the offending eigenvalue.
     """
     matrix = finite(value, (6, 6), name)
     size = max(float(np.abs(matrix).max()), np.finfo(float).tiny)
@@ -144,9 +179,17 @@ def to_plain(value: Any) -> Any:
 
 
 def from_plain(cls: Any, plain: Any, where: str = "") -> Any:
-    """Rebuild a parameter set of type `cls`; unknown or missing keys are an error.
+    """Rebuild a parameter set of type `cls` from plain data.
 
     A field annotated with a union of parameter sets is resolved by the entry `kind`.
+
+    Args:
+        cls: dataclass, or annotation of a field.
+        plain: tables, lists and numbers as `to_plain` gives them.
+        where: path of the entry, for the message.
+
+    Raises:
+        ParameterError: unknown or missing keys, or values of another type.
     """
     where = where or getattr(cls, "__name__", "value")
     origin = typing.get_origin(cls)
@@ -279,7 +322,12 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def write_table(path: str | os.PathLike[str], value: Any) -> None:
-    """Write a parameter set as TOML or JSON (by suffix), atomically."""
+    """Write a parameter set as TOML or JSON, atomically.
+
+    Args:
+        path: ends in .toml or .json.
+        value: parameter set or plain data.
+    """
     import tomli_w
 
     path = Path(path)
@@ -293,12 +341,22 @@ def write_table(path: str | os.PathLike[str], value: Any) -> None:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a file completely or not at all: temporary name, fsync, rename."""
+    """Write a file completely or not at all: temporary name, fsync, rename.
+
+    Args:
+        path: its folder must exist.
+        text: written as UTF-8.
+    """
     write_bytes(path, text.encode("utf-8"))
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write a file completely or not at all: temporary name, fsync, rename."""
+    """Write a file completely or not at all: temporary name, fsync, rename.
+
+    Args:
+        path: its folder must exist.
+        data: content.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")

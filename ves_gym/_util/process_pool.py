@@ -166,7 +166,13 @@ class Workers:
                 self._change.wait()
 
     def lost(self, job: _Job, how: str, seconds: float) -> None:
-        """A worker has died of a job, or beside it: again, or never."""
+        """Queue a job whose worker died once more, or give it up.
+
+        Args:
+            job: what ran, or was to run beside it.
+            how: the end of the worker, in words.
+            seconds: that the job had run.
+        """
         job.deaths += 1
         if self.killed:
             job.future.set_exception(WorkerDied("the workers were stopped", seconds))
@@ -180,7 +186,12 @@ class Workers:
                 self._change.notify()
 
     def notify(self, job: _Job, words: tuple[Any, ...]) -> None:
-        """Pass a note on."""
+        """Hand a job's note to its listener.
+
+        Args:
+            job: that sent the note.
+            words: positional arguments of the listener.
+        """
         if job.on_note is not None:
             with self._telling:
                 job.on_note(*words)

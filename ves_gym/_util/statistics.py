@@ -58,7 +58,15 @@ def bootstrap(strata: Sequence[Array], statistic: Statistic) -> Estimate:
 
 
 def resample(strata: Sequence[Array], statistic: Statistic) -> Array:
-    """The statistic of every draw, (RESAMPLES,); strata of equal sizes are drawn alike."""
+    """Return the statistic of every bootstrap draw.
+
+    Args:
+        strata: groups that are drawn from separately; those of equal sizes are drawn alike.
+        statistic: of the pooled values.
+
+    Returns:
+        (RESAMPLES,) values.
+    """
     rng = np.random.Generator(np.random.PCG64(0))
     drawn = [
         g[rng.integers(len(g), size=(RESAMPLES, len(g)))].reshape(RESAMPLES, -1) for g in strata

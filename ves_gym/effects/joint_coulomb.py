@@ -26,6 +26,6 @@ class JointCoulomb(Effect):
         self._require_per_joint(system, "torque")
 
     def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
-        """-torque tanh(v / CREEP)."""
+        """Return -torque tanh(v / CREEP)."""
         torque: Any = self.torque
         return -torque * xp.tanh(v / CREEP)

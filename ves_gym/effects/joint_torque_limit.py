@@ -28,7 +28,7 @@ class JointTorqueLimit(Effect):
         self._require_motor(system)
 
     def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
-        """What is missing of tau above (1 - fraction) tau_max."""
+        """Return the part of tau above (1 - fraction) tau_max, taken away."""
         fraction: Any = self.fraction
         most = (1 - fraction) * self.tau_max
         return xp.fmin(xp.fmax(tau, -most), most) - tau

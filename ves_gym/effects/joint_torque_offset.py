@@ -28,6 +28,6 @@ class JointTorqueOffset(Effect):
         self._require_per_joint(system, "torque")
 
     def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
-        """torque."""
+        """Return the torque, whatever the state."""
         torque: Any = self.torque
         return torque

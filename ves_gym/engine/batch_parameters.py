@@ -24,11 +24,19 @@ _GEOMETRY = ("d", "a", "alpha", "offset")
 
 
 def require_alike(template: System, other: System, which: str) -> None:
-    """Raise a ParameterError naming what differs in more than numbers; `which` is other's name.
+    """Check that two systems differ in numbers only.
 
     Masses, centres of mass, inertias, rotors, torque limits, M, D, K, a satellite's body and
     the values of effects are numbers. The check of `other.base` is left out for a vehicle
     that is the very same object.
+
+    Args:
+        template: the simulator's system.
+        other: the one to be assigned.
+        which: its name in the message.
+
+    Raises:
+        ParameterError: names the difference.
     """
 
     def refuse(what: str, mine: Any, theirs: Any) -> None:
@@ -70,7 +78,12 @@ def require_alike(template: System, other: System, which: str) -> None:
 
 
 def share_base(template: System, other: System) -> None:
-    """Spare `other` the computation of M, D, K where its vehicle is the same object."""
+    """Spare a system the computation of M, D, K where its vehicle is the same object.
+
+    Args:
+        template: has them.
+        other: takes them.
+    """
     if other.vehicle is template.vehicle:
         other.__dict__.setdefault("base", template.base)
 
@@ -113,7 +126,13 @@ class ParameterRows:
         return row
 
     def with_effects(self, row: Array, system: System, which: str) -> Array:
-        """A row (k,) of the same arm and vehicle, with the values of this system's effects."""
+        """Return a row of the same arm and vehicle with the values of this system's effects.
+
+        Args:
+            row: (k,) parameters.
+            system: whose effects.
+            which: its name in messages.
+        """
         row = row.copy()
         for i, field, label in self._laws:
             mine, value = (getattr(s.effects[i], field) for s in (self.system, system))
@@ -160,7 +179,13 @@ class Bodies:
 
     @staticmethod
     def of(system: System, linear: bool, numbers: Array) -> Bodies:
-        """One row, for a system and its numbers (k,): what is really there, but for those."""
+        """Return one row for a system.
+
+        Args:
+            system: arm and vehicle as they really are, but for the numbers.
+            linear: the vehicle is a linear one, discretised beforehand.
+            numbers: (k,) masses and the like.
+        """
         base, weight = system.actual.base, GravityModel.of(system.actual.arm)
         phi, gamma = np.zeros((12, 12)), np.zeros((12, 6))
         if linear:
@@ -181,7 +206,12 @@ class Bodies:
         return Bodies(*(np.repeat(part, n, axis=0) for part in self.parts()))
 
     def put(self, i: int, row: Bodies) -> None:
-        """Replace row i by a single row."""
+        """Replace a row.
+
+        Args:
+            i: which.
+            row: a single one.
+        """
         for mine, theirs in zip(self.parts(), row.parts(), strict=True):
             mine[i] = theirs[0]
 
@@ -232,7 +262,12 @@ class Laws:
         self._stackable = _stackable(laws, joints)
 
     def put(self, i: int, system: System) -> None:
-        """Values of simulation i."""
+        """Set the values of one simulation.
+
+        Args:
+            i: which.
+            system: whose effects.
+        """
         self._alone[i] = [system.effects[k] for k in self._which]
         self._limits[i] = system.arm.column("tau_max")
         for effect, values in zip(self._alone[i], self._values, strict=True):
@@ -240,7 +275,15 @@ class Laws:
                 rows[i] = np.ravel(getattr(effect, name))
 
     def torque(self, q: Array, v: Array, tau: Array) -> Array:
-        """(n, joints) torque [N m], under motor torques tau (n, joints)."""
+        """Return the torque of the laws.
+
+        Args:
+            q, v: (n, joints) angles [rad] and rates [rad/s].
+            tau: (n, joints) motor torques [N m].
+
+        Returns:
+            (n, joints) [N m].
+        """
         if self._stackable:
             return joint_torque(self._stacked, q, v, tau, self._limits)
         rows = zip(self._alone, q, v, tau, self._limits, strict=True)
@@ -256,10 +299,10 @@ def _bound(laws: list[Effect], values: list[dict[str, Array]]) -> list[Effect]:
 
 
 def _stackable(laws: list[Effect], joints: int) -> bool:
-    """Whether numbers (n, 1) and (n, joints) serve the laws as () and (joints,) do.
+    """True if numbers (n, 1) and (n, joints) serve the laws as () and (joints,) do.
 
-    Not so where a law takes single entries: its coefficient[0] would be a whole simulation.
-    Found out with made-up numbers, different in two simulations.
+    Not so where a law takes single entries: its coefficient[0] would be a row of simulations.
+    Tried with random numbers, different in two simulations.
     """
     shapes = [{name: np.shape(getattr(e, name)) for name in _names(e)} for e in laws]
     q, v, tau = np.linspace([0.3, -0.4, 0.7], [0.9, 1.1, -1.9], joints, axis=1)

@@ -39,12 +39,19 @@ def build_spec(
     integrator: str,
     physics_dt: float,
 ) -> mujoco.MjSpec:
-    """An editable MuJoCo model of the arm on its base.
+    """Return an editable MuJoCo model of the arm on its base.
 
     Joint drives are one affine actuator per joint, force = act - kp q - kd v, with kp
     and kd zero until a controller sets them. The command is the actuator's activation
     and `ctrl` its slope, so a command can run linearly through a physics step instead of
     jumping between steps.
+
+    Args:
+        arm: the arm.
+        base: M, D, K or a body.
+        gravity: [m/s^2].
+        integrator: MuJoCo's name of it.
+        physics_dt: [s].
     """
     spec, platform = _empty_spec(arm.name, gravity, integrator, physics_dt)
     _set_inertial(platform, arm.base)
@@ -57,7 +64,13 @@ def build_spec(
 
 
 def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
-    """Springs of the gears; drag and oscillators of a vehicle. The last tendons and joints."""
+    """Add springs of the gears, drag and oscillators of a vehicle: the last tendons and joints.
+
+    Args:
+        spec: written.
+        arm: with its gears.
+        base: the vehicle, None on a platform.
+    """
     if base is not None:
         add_drag(spec, base)
         for i, oscillator in enumerate(base.extra, start=1):
@@ -88,7 +101,12 @@ def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
 
 
 def add_drag(spec: mujoco.MjSpec, base: BaseModel) -> None:
-    """Damping c |Y'| Y' of each axis: the second term of the engine's polynomial."""
+    """Add damping c |Y'| Y' of each axis: the second term of the engine's polynomial.
+
+    Args:
+        spec: written.
+        base: with its drag.
+    """
     if base.drag is None:
         return
     for name, drag in zip(BASE_JOINTS, base.drag[TO_Y], strict=True):
@@ -109,12 +127,16 @@ def build_laboratory_spec(
     integrator: str,
     physics_dt: float,
 ) -> mujoco.MjSpec:
-    """The arm on a platform that moves as commanded, with a wrench sensor under its base.
+    """Return the arm on a platform that moves as commanded, a wrench sensor under its base.
 
     Six actuators `platform_x` ... come first; their command is the acceleration of the
-    base coordinate. Sensors `force` and `moment`: what the arm exerts on the platform, at
-    the platform-top origin in platform axes. With `balance` the links' weight is carried
-    outside the motors; the sensors feel it all the same.
+    base coordinate. Sensors `force` and `moment`: the wrench of the arm on the platform, at
+    the platform-top origin in platform axes.
+
+    Args:
+        arm, gravity, integrator, physics_dt: see `build_spec`.
+        balance: the links' weight is carried outside the motors; the sensors measure it all
+            the same.
     """
     spec, platform = _empty_spec(arm.name, gravity, integrator, physics_dt)
     platform.mass, platform.ipos, platform.inertia = 1.0, [0, 0, 0], [1.0, 1.0, 1.0]
@@ -242,10 +264,14 @@ def _quaternion(rotation: Array) -> list[float]:
 
 
 def pinocchio_model(arm: Arm, base: BaseModel) -> pinocchio.Model:
-    """The same arm on the same six base joints in Pinocchio, in MuJoCo's joint order.
+    """Return the same arm on the same six base joints in Pinocchio, in MuJoCo's joint order.
 
     The constant M of the base is not a body; add it to the base block of the inertia
     matrix in Y. Gravity is zero.
+
+    Args:
+        arm: the arm.
+        base: the vehicle.
     """
     import pinocchio as pin
 

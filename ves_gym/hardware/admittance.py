@@ -69,13 +69,21 @@ def coupled_axes(*matrices: Array) -> list[list[int]]:
 def admittance_matrices(
     base: BaseModel, dt: float, form: str = "coupled"
 ) -> tuple[Array, Array]:
-    """Phi (12, 12) and Gamma (12, 6) of a vehicle, by one of the thesis's three forms.
+    """Return Phi (12, 12) and Gamma (12, 6) of a vehicle, by one of the thesis's forms.
 
     `coupled` treats all axes at once, `beam` each set of coupled axes, `decoupled` each
     axis alone (thesis 2.4.2: cheaper cycles for sparser models). The results agree; the
     decoupled form refuses a vehicle whose axes are coupled. A vehicle that carries m
     oscillators is taken as a whole, whatever the form: Phi (12 + 2m, 12 + 2m), Gamma (12 +
     2m, 6) of (Y, u, Y', u').
+
+    Args:
+        base: M, D, K and oscillators.
+        dt: step [s], the wrench held over it.
+        form: coupled, beam or decoupled.
+
+    Raises:
+        ParameterError: unknown form, or one that cannot hold this vehicle.
     """
     if form not in FORMS:
         raise ParameterError(
@@ -108,12 +116,21 @@ def admittance_matrices(
 
 
 def rigid_body(body: Inertial, base: BaseModel) -> Nonlinear:
-    """g(X, W) of a satellite: Newton-Euler, plus the constant M, D, K of its base."""
+    """Return g(X, W) of a satellite: Newton-Euler, plus the constant M, D, K of its base.
+
+    Args:
+        body: mass, centre and inertia of the satellite.
+        base: M, D, K added to it.
+    """
     return rigid_bodies(body.spatial(), base.M, base.D, base.K)
 
 
 def rigid_bodies(inertia: Array, M: Array, D: Array, K: Array) -> Nonlinear:
-    """The same from the body's spatial inertia, each (6, 6) or (n, 6, 6)."""
+    """Return g(X, W) from the body's spatial inertia and constant M, D, K.
+
+    Args:
+        inertia, M, D, K: (6, 6), or (n, 6, 6) of n bodies.
+    """
 
     def g(X: Array, W: Array) -> Array:
         y, yd = X[..., :6], X[..., 6:]
@@ -128,7 +145,14 @@ def rigid_bodies(inertia: Array, M: Array, D: Array, K: Array) -> Nonlinear:
 
 
 def integrate(g: Nonlinear, X: Array, W: Array, dt: float) -> Array:
-    """X (n, 12) after dt [s] under X' = g(X, W) with W (n, 6) held: Runge-Kutta 4."""
+    """Advance X' = g(X, W) by a step of Runge-Kutta 4, W held.
+
+    Args:
+        g: rate of the state.
+        X: (n, 12) pose and rate.
+        W: (n, 6) wrench [N, N m].
+        dt: step [s].
+    """
     h = dt / _SUBSTEPS
     for _ in range(_SUBSTEPS):
         a = g(X, W)
@@ -140,10 +164,19 @@ def integrate(g: Nonlinear, X: Array, W: Array, dt: float) -> Array:
 
 
 def implicit_step(M: Array, D: Array, K: Array, X: Array, W: Array, dt: float) -> Array:
-    """X (n, 2m) after dt [s] of M Y'' + D Y' + K Y = W by the trapezoidal rule.
+    """Advance M Y'' + D Y' + K Y = W by the trapezoidal rule.
 
-    For a mass (n, m, m) that changes from sample to sample, where a new matrix
-    exponential each time would cost more than the simulation; stable at any dt.
+    For a mass that changes from sample to sample, where a new matrix exponential each time
+    would cost more than the simulation; stable at any dt.
+
+    Args:
+        M, D, K: (n, m, m).
+        X: (n, 2m) coordinates and rates.
+        W: (n, m) force, held.
+        dt: step [s].
+
+    Returns:
+        (n, 2m).
     """
     y, yd = np.split(X, 2, axis=-1)
     loss = dt / 2 * D + dt**2 / 4 * K

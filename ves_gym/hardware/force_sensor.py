@@ -31,7 +31,7 @@ _UNIT_MATRIX = matrix(np.eye(6))
 
 @dataclass(frozen=True, kw_only=True)
 class ForceSensor:
-    """What the sensor is and how its signals are read.
+    """Six-axis force sensor, and how its signals are read.
 
     The sensor frame is turned by pi about x against the platform-top frame and its origin
     lies at `offset` in platform axes (App. D, sign of the last term of M_z corrected).
@@ -104,7 +104,12 @@ class SensorErrors:
 
     @staticmethod
     def none(sensor: ForceSensor, n: int) -> SensorErrors:
-        """A sensor as described."""
+        """Return the errors of n sensors as described: none.
+
+        Args:
+            sensor: the description.
+            n: how many.
+        """
         return SensorErrors(
             matrix=np.zeros((n, 6, 6)),
             bias=np.zeros((n, 6)),
@@ -132,7 +137,12 @@ class LowPass:
         self._input = np.stack([p[1] for p in parts])[pick]  # (1 or n, 2, k + 1)
 
     def put(self, ids: Index, cutoff: Array) -> None:
-        """Give some filters (m,) another cutoff [Hz]."""
+        """Give some filters another cutoff.
+
+        Args:
+            ids: (m,) which.
+            cutoff: (m,) [Hz].
+        """
         changed = cutoff != self._cutoff[ids]
         if changed.any() and len(self._hold) == 1:
             n = len(self._cutoff)
@@ -142,12 +152,23 @@ class LowPass:
             self._cutoff[i] = f
 
     def advance(self, state: Array, nodes: Array) -> Array:
-        """State after one period with inputs (n, k + 1, channels) at its nodes."""
+        """Return the state after one period.
+
+        Args:
+            state: (n, channels, order).
+            nodes: (n, k + 1, channels) inputs at the period's nodes, linear between them.
+        """
         driven = np.swapaxes(self._input @ nodes, -1, -2)  # (n, channels, 2)
         return state @ np.swapaxes(self._hold, -1, -2) + driven
 
     def carry(self, state: Array, nodes: Array, factor: Array, steady: Array) -> Array:
-        """`advance` under inputs factor @ nodes + steady, factor (n, 6, 6), steady (n, 6)."""
+        """Return `advance` under inputs factor @ nodes + steady.
+
+        Args:
+            state, nodes: see `advance`.
+            factor: (n, 6, 6).
+            steady: (n, 6).
+        """
         driven = np.swapaxes(self._input @ nodes, -1, -2)  # (n, 6, 2)
         total = self._input.sum(axis=-1)[:, None, :]  # of an input that holds
         response = state @ np.swapaxes(self._hold, -1, -2)
@@ -205,7 +226,12 @@ class Sensor:
         self.errors.noise[:], self.errors.drift[:], self._noisy[:] = 0.0, 0.0, False
 
     def put(self, ids: Index, errors: SensorErrors) -> None:
-        """Give some sensors (m,) other departures; their memory stays as it is."""
+        """Give some sensors other errors; their memory stays as it is.
+
+        Args:
+            ids: (m,) which.
+            errors: of m sensors.
+        """
         e = self.errors
         refiltered = ids[errors.cutoff != e.cutoff[ids]]
         for mine, changed in zip(e.parts(), errors.parts(), strict=True):
@@ -220,7 +246,13 @@ class Sensor:
         self._drift_hold[ids] = np.exp(-self._period / errors.drift_time)[:, None]
 
     def reset(self, ids: Index, wrench: Array, generators: list[np.random.Generator]) -> None:
-        """At rest under a constant wrench (m, 6); drift starts from zero."""
+        """Put sensors to rest under a constant wrench; drift starts from zero.
+
+        Args:
+            ids: (m,) which.
+            wrench: (m, 6) true wrench [N, N m].
+            generators: one per sensor, of noise and drift.
+        """
         s = self.state
         s.filter[ids] = np.stack([wrench, np.zeros_like(wrench)], axis=-1)
         s.drift[ids], s.noise[ids], s.zero[ids] = 0.0, 0.0, self.spec.zero
@@ -236,7 +268,12 @@ class Sensor:
         self.state.drift = np.where(self.errors.drift > 0, draws, 0.0)
 
     def advance(self, nodes: Array, generators: list[np.random.Generator]) -> None:
-        """One control period under the true wrench (n, k + 1, 6) at its nodes."""
+        """Run one control period.
+
+        Args:
+            nodes: (n, k + 1, 6) true wrench at the period's nodes [N, N m].
+            generators: one per sensor, of noise and drift.
+        """
         s = self.state
         s.filter = self._low_pass.advance(s.filter, nodes)
         noisy = np.flatnonzero(self._noisy)
@@ -263,7 +300,12 @@ class Sensor:
         return matvec(self._to_wrench, self.signal() - self.state.zero)
 
     def zero_to(self, ids: Index, wrench: Array) -> None:
-        """Set the zero so that the present reading becomes `wrench` (m, 6) (App. E step 9)."""
+        """Set the zero so that the present reading becomes `wrench` (App. E step 9).
+
+        Args:
+            ids: (m,) which sensors.
+            wrench: (m, 6) [N, N m].
+        """
         target = np.linalg.solve(self._to_wrench, wrench[..., None])[..., 0]
         self.state.zero[ids] = self.signal()[ids] - target
 

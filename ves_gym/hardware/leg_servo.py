@@ -58,7 +58,13 @@ _PLANT = 5
 
 
 def _whole_steps(name: str, value: float, period: float, *, divides: bool = False) -> int:
-    """How many leg periods make `value` [s] (or how many of it a leg period), exactly.
+    """Return the number of leg periods that make `value` exactly.
+
+    Args:
+        name: of the value, for the message.
+        value: [s].
+        period: of the leg controller [s].
+        divides: how many of `value` make a leg period, instead.
 
     Raises:
         ParameterError: no whole number >= 1; the message says the nearest.
@@ -244,7 +250,15 @@ class _Leg:
         return x
 
     def sample(self, x: Array, command: Array) -> Array:
-        """One run of the controller: changes its part of x, returns u now at the valve."""
+        """Run the controller once; changes its part of x.
+
+        Args:
+            x: (states, ...) leg states.
+            command: (...) commanded length [m].
+
+        Returns:
+            (...) u at the valve.
+        """
         servo, measured = self.servo, self.measure(x)
         if servo.filter is not None and servo.filter.place == "feedback":
             measured = self._filtered(x, measured)
@@ -271,7 +285,12 @@ class _Leg:
         return out
 
     def drift(self, x: Array, u: Array) -> None:
-        """One physics step of x in place, the valve command u (...) held."""
+        """Advance x by one physics step in place, the valve command held.
+
+        Args:
+            x: (states, ...) leg states.
+            u: (...) valve command.
+        """
         # A sum of columns: a BLAS product may round differently for another batch size.
         shape = (_PLANT, *(1,) * u.ndim)
         out = self.B.reshape(shape) * u
@@ -320,9 +339,14 @@ class Legs:
         self.reset(np.arange(n), np.zeros((n, 6)))
 
     def reset(self, ids: Index, y: npt.ArrayLike, yd: npt.ArrayLike = 0.0) -> None:
-        """Put simulations `ids` (k,) to rest at poses y (k, 6), which they are commanded.
+        """Put simulations to rest at poses, which they are commanded.
 
-        Hydraulic legs start from rest, whatever rate `yd` the vehicle has.
+        Hydraulic legs start from rest, whatever rate the vehicle has.
+
+        Args:
+            ids: (k,) which.
+            y: (k, 6) poses [m, rad].
+            yd: (k, 6) rates of the vehicle, not used.
         """
         self._pose[ids] = y
         self._x[:, ids] = self.leg.steady_state(self.stewart.leg_lengths(self._pose[ids]))
@@ -381,7 +405,13 @@ class Legs:
 
 
 def open_loop(servo: LegServo, f: npt.ArrayLike, extension: float = 0.5) -> Complex:
-    """Loop gain of one leg at frequencies f [Hz], below half the sample rate."""
+    """Return the loop gain of one leg.
+
+    Args:
+        servo: the leg servo.
+        f: frequencies below half the sample rate [Hz].
+        extension: of the leg, 0 to 1 of its stroke.
+    """
     leg, z = _Leg(servo, extension), _z(servo, f)
     C = leg.sensed(np.eye(_PLANT))
     plant = _response(leg.A, leg.B, C, z)
@@ -394,18 +424,31 @@ def open_loop(servo: LegServo, f: npt.ArrayLike, extension: float = 0.5) -> Comp
 
 
 def closed_loop(servo: LegServo, f: npt.ArrayLike, extension: float = 0.5) -> Complex:
-    """Commanded length to length of the rod of one leg at frequencies f [Hz]."""
+    """Return the frequency response from commanded length to length of the rod.
+
+    Args:
+        servo, f, extension: see `open_loop`.
+    """
     return _response(*_Leg(servo, extension).closed, _z(servo, f))
 
 
 def leg_poles(servo: LegServo, extension: float = 0.5) -> Complex:
-    """Poles of one leg's closed loop in the z-plane; stable inside the unit circle."""
+    """Return the poles of one leg's closed loop in the z-plane; stable inside the unit circle.
+
+    Args:
+        servo, extension: see `open_loop`.
+    """
     poles: Complex = np.linalg.eigvals(_Leg(servo, extension).closed[0]).astype(complex)
     return poles
 
 
 def step_response(servo: LegServo, t: npt.ArrayLike, extension: float = 0.5) -> Array:
-    """Length at times t [s] after a unit step of the command, held between leg samples."""
+    """Return the length after a unit step of the command, held between leg samples.
+
+    Args:
+        servo, extension: see `open_loop`.
+        t: times [s].
+    """
     A, B, C = _Leg(servo, extension).closed
     k = np.floor(np.asarray(t, float) * servo.rate * (1 + _WHOLE)).astype(int)
     x, out = np.zeros(len(A)), np.empty(int(k.max(initial=0)) + 1)
@@ -417,20 +460,31 @@ def step_response(servo: LegServo, t: npt.ArrayLike, extension: float = 0.5) -> 
 
 
 def crossover(servo: LegServo, extension: float = 0.5) -> float:
-    """Lowest frequency at which the loop gain falls to one [Hz]; NaN if it never does."""
+    """Return the lowest frequency at which the loop gain falls to one [Hz], or NaN.
+
+    Args:
+        servo, extension: see `open_loop`.
+    """
     return _falls_to(lambda f: np.abs(open_loop(servo, f, extension)), 1.0, servo)
 
 
 def bandwidth(servo: LegServo, extension: float = 0.5) -> float:
-    """Lowest frequency at which the closed loop falls by 3 dB [Hz]."""
+    """Return the lowest frequency at which the closed loop falls by 3 dB [Hz].
+
+    Args:
+        servo, extension: see `open_loop`.
+    """
     return _falls_to(lambda f: np.abs(closed_loop(servo, f, extension)), 10**-0.15, servo)
 
 
 def gain_margin(servo: LegServo, extension: float = 0.5) -> float:
-    """Factor on both gains up to which the leg is stable; below 1 it is unstable as is.
+    """Return the factor on both gains up to which the leg is stable; below 1 it is not as is.
 
     From the poles, so that several phase crossings need no rule. Searched from 0.01 to
     100; infinite beyond.
+
+    Args:
+        servo, extension: see `open_loop`.
     """
 
     def excess(decades: float) -> float:
@@ -450,11 +504,15 @@ def gain_margin(servo: LegServo, extension: float = 0.5) -> float:
 def payload_ratio_limit(
     servo: LegServo, extra_delay: float = 0.0, extension: float = 0.5
 ) -> float:
-    """Largest payload mass over model mass with a stable emulation (thesis 5.4).
+    """Return the largest payload over model mass with a stable emulation (thesis 5.4).
 
     One degree of freedom far above the model's own frequency: the payload's inertia is
     fed back through the sensor and the model, 1 + ratio G(s) exp(-s extra_delay) = 0,
     with G the leg's closed loop. Zero if the leg itself is unstable.
+
+    Args:
+        servo, extension: see `open_loop`.
+        extra_delay: of the emulation loop [s].
     """
     if np.abs(leg_poles(servo, extension)).max() >= 1:
         return 0.0

@@ -20,10 +20,22 @@ class Follower(Protocol):
     of one control period, node 0 is now."""
 
     def reset(self, ids: Index, y: Array, yd: Array) -> None:
-        """Put platforms at pose y (m, 6), moving at yd, commanded to be there."""
+        """Put platforms at a pose, moving, commanded to be there.
+
+        Args:
+            ids: (m,) which.
+            y, yd: (m, 6) pose [m, rad] and its rate.
+        """
 
     def advance(self, y_cmd: Array, yd_cmd: Array) -> tuple[Array, Array, Array]:
-        """Follow the command (n, 6) for one control period: Y, Y', Y'' (n, k + 1, 6)."""
+        """Follow the command for one control period.
+
+        Args:
+            y_cmd, yd_cmd: (n, 6) commanded pose [m, rad] and its rate.
+
+        Returns:
+            Y, Y', Y'' (n, k + 1, 6) at the period's nodes.
+        """
 
     def measured(self) -> Array:
         """Pose (n, 6) as the platform's own sensors report it."""
@@ -86,7 +98,13 @@ class PoseFollower:
         self.y, self.yd = np.zeros((n, 6)), np.zeros((n, 6))
 
     def put(self, ids: Index, bandwidth: Array, damping_ratio: Array) -> None:
-        """Give some platforms (m,) another bandwidth [Hz] and damping ratio."""
+        """Give some platforms another servo.
+
+        Args:
+            ids: (m,) which.
+            bandwidth: (m,) [Hz].
+            damping_ratio: (m,) [1].
+        """
         self._answer[ids] = _second_order(2 * np.pi * bandwidth, damping_ratio, self.nodes)
 
     def reset(self, ids: Index, y: Array, yd: Array) -> None:
@@ -103,10 +121,16 @@ class PoseFollower:
         return y, yd, path[:, :, 2]
 
     def poses(self, y_cmd: Array, yd_cmd: Array) -> Array:
-        """(n, N, 6) poses at the ends of N periods under commands (n, N, 6).
+        """Return the poses at the ends of N periods; the state stays as it is.
 
-        As N times `advance`, at once; the state stays as it is. The error's two-number
-        recursion z+ = A z + d is, for its first number, one of second order.
+        As N times `advance`, at once. The error's two-number recursion z+ = A z + d is, for its
+        first number, one of second order.
+
+        Args:
+            y_cmd, yd_cmd: (n, N, 6) commands.
+
+        Returns:
+            (n, N, 6) [m, rad].
         """
         rate = yd_cmd if self.feedforward else np.zeros_like(yd_cmd)
         A = self._answer[:, -1, :2]  # (n, 2, 2) of the error over a period
@@ -152,5 +176,12 @@ def _second_order(w: Array, zeta: Array, t: Array) -> Array:
 
 
 def make_follower(servo: Any, n: int, nodes: Array, **options: Any) -> Follower:
-    """The runtime of a platform servo; `options` as `PoseFollower` takes them."""
+    """Return the runtime of a platform servo.
+
+    Args:
+        servo: `PoseServo` or `LegServo`.
+        n: simulations.
+        nodes: (k + 1,) times within a control period [s].
+        options: as `PoseFollower` takes them.
+    """
     return PoseFollower(servo, n, nodes, **options)

@@ -205,9 +205,14 @@ class Stewart:
     def motion(
         self, y: npt.ArrayLike, speeds: npt.ArrayLike, accelerations: npt.ArrayLike
     ) -> tuple[Array, Array]:
-        """Y' and Y'' (..., 6) from leg speeds [m/s] and accelerations [m/s^2] at poses y.
+        """Return Y' and Y'' (..., 6) of leg motions.
 
         l'' = J Y'' + h, with h from the curvature of the joints' paths.
+
+        Args:
+            y: (..., 6) poses [m, rad].
+            speeds: (..., 6) of the legs [m/s].
+            accelerations: (..., 6) of the legs [m/s^2].
         """
         pose, ld, ldd = (np.asarray(a, float) for a in (y, speeds, accelerations))
         inverse = self.inverse_jacobian(pose)
@@ -260,9 +265,14 @@ class Stewart:
         return _worst(excess, lengths)
 
     def too_fast(self, before: Array, after: Array, dt: float) -> tuple[Mask, Index, Array]:
-        """Changes of leg lengths (..., 6) within dt [s] faster than `speed_max`.
+        """Return the changes of leg lengths that are faster than `speed_max`.
 
-        As `outside`, with the speed [m/s].
+        Args:
+            before, after: (..., 6) leg lengths [m].
+            dt: time between them [s].
+
+        Returns:
+            As `outside`, with the speed [m/s].
         """
         speeds = np.abs(after - before) / dt
         return _worst(speeds - self.speed_max, speeds)

@@ -62,7 +62,7 @@ class Inertial:
 
 @dataclass(frozen=True, kw_only=True)
 class Gear:
-    """What lies between a rotor and its link: a spring with play, a damper beside it.
+    """Spring with play between a rotor and its link, a damper beside it.
 
     Torque at a deflection d of the link against the rotor: -(d less the play) / compliance
     - damping d', the play being what of d lies within half the gap on either side.
@@ -167,7 +167,15 @@ class Arm:
         return self.base.mass + sum(link.inertial.mass for link in self.links)
 
     def require_within_limits(self, q: object, name: str = "q") -> Array:
-        """`q` as a (n,) array inside the joint limits, or a ParameterError naming the joint."""
+        """Return joint angles as an array inside the joint limits.
+
+        Args:
+            q: (n,) angles [rad].
+            name: of the angles, for the message.
+
+        Raises:
+            ParameterError: names the joint, its angle and its limits.
+        """
         array = finite(q, (self.n,), name)
         for i, link in enumerate(self.links):
             if not link.q_min - 1e-9 <= array[i] <= link.q_max + 1e-9:

@@ -104,7 +104,16 @@ class Frame(NamedTuple):
 
 
 def frames(arm: Arm, q: list[Scalar], xp: Any = np) -> list[Frame]:
-    """Pose of every link frame in the platform-top frame (thesis B.3), first link first."""
+    """Return the pose of every link frame in the platform-top frame (thesis B.3).
+
+    Args:
+        arm: the arm.
+        q: n joint angles [rad], numbers, arrays or symbols.
+        xp: namespace of sin and cos: NumPy, CasADi.
+
+    Returns:
+        One frame per link, first link first.
+    """
     out = []
     R, p = IDENTITY, ZERO
     for link, angle in zip(arm.links, q, strict=True):
@@ -122,9 +131,14 @@ def frames(arm: Arm, q: list[Scalar], xp: Any = np) -> list[Frame]:
 
 
 def joint_positions(arm: Arm, q: npt.ArrayLike) -> Array:
-    """Origins of the platform frame and of every link frame: (..., n) -> (..., n + 1, 3) [m].
+    """Return the origins of the platform frame and of every link frame.
 
-    The last is the tool (the far end of the last link).
+    Args:
+        arm: the arm.
+        q: (..., n) joint angles [rad].
+
+    Returns:
+        (..., n + 1, 3) points [m]; the last is the tool (the far end of the last link).
     """
     angles = _columns(arm, q)
     shape = angles[0].shape
@@ -206,7 +220,13 @@ class InertiaEntries(NamedTuple):
 
 
 def inertia_entries(arm: Arm, q: list[Scalar], xp: Any = np) -> InertiaEntries:
-    """The parts of `inertia` for one configuration of scalars."""
+    """Return the parts of `inertia` for one configuration of scalars.
+
+    Args:
+        arm: the arm.
+        q: n joint angles [rad], numbers, arrays or symbols.
+        xp: namespace of sin and cos.
+    """
     n, chain = arm.n, frames(arm, q, xp)
     composite: _Composite | None = None
     across: list[list[Scalar]] = [[] for _ in range(n)]

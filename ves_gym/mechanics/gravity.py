@@ -42,10 +42,14 @@ def mass_parameters(arm: Arm) -> Array:
 
 
 def moment_regressor(arm: Arm, q: npt.ArrayLike) -> Array:
-    """(..., 3, 3 (n + 1) + n) W with c(q) = W `mass_parameters(arm)` [kg m].
+    """Return W (..., 3, 3 (n + 1) + n) with c(q) = W `mass_parameters(arm)` [kg m].
 
-    c is the first moment of base and links about the platform origin, q (..., n) in rad.
-    The thesis's matrix of eq. 3.8 is that of c x g.
+    c is the first moment of base and links about the platform origin. The thesis's matrix
+    of eq. 3.8 is that of c x g.
+
+    Args:
+        arm: the arm.
+        q: (..., n) joint angles [rad].
     """
     angles = _joints(arm, q)
     chain = frames(arm, angles)
@@ -104,12 +108,25 @@ class MinimalModel:
         return _stack(self._columns(frames(self.arm, angles)), angles[0].shape)
 
     def G(self, q: npt.ArrayLike, g: npt.ArrayLike) -> Array:
-        """(..., 3, size) G with moment = G P (thesis eq. 3.9); g (..., 3) in platform axes."""
+        """Return G with moment = G P (thesis eq. 3.9).
+
+        Args:
+            q: (..., n) joint angles [rad].
+            g: (..., 3) gravity in platform axes [m/s^2].
+
+        Returns:
+            (..., 3, size).
+        """
         C, gravity = self.regressor(q), np.asarray(g, float)[..., None]
         return np.cross(C, gravity, axis=-2)
 
     def first_moment(self, q: npt.ArrayLike, P: npt.ArrayLike) -> Vec:
-        """c(q) = C P [kg m] by components, without building C; P (..., size)."""
+        """Return c(q) = C P [kg m] by components, without building C.
+
+        Args:
+            q: (..., n) joint angles [rad].
+            P: (..., size) parameters [kg m].
+        """
         columns = self._columns(frames(self.arm, _joints(self.arm, q)))
         values: list[Scalar] = list(np.moveaxis(np.asarray(P, float), -1, 0))
         return add(*(scale(p, column) for p, column in zip(values, columns, strict=True)))
@@ -221,7 +238,7 @@ def gravity_wrench(
 
 @dataclass(frozen=True, kw_only=True)
 class GravityModel:
-    """What the gravity compensation believes about the arm: M_total and P (thesis 3.4)."""
+    """Mass parameters that the gravity compensation goes by: M_total and P (thesis 3.4)."""
 
     mass: float = unit("kg")
     P: Vector = unit("kg m")  # in the order of minimal_model(arm).names
@@ -238,5 +255,14 @@ class GravityModel:
         return GravityModel(mass=arm.mass, P=tuple(P.tolist()), source=f"masses of {arm.name}")
 
     def wrench(self, arm: Arm, q: npt.ArrayLike, y: npt.ArrayLike) -> Array:
-        """(..., 6) estimated weight on the base at joint angles (..., n), pose (..., 6)."""
+        """Return the estimated weight on the base.
+
+        Args:
+            arm: the arm as described.
+            q: (..., n) joint angles [rad].
+            y: (..., 6) pose [m, rad].
+
+        Returns:
+            (..., 6) wrench at the platform-top origin, in platform axes [N, N m].
+        """
         return gravity_wrench(arm, q, gravity_vector(y), self.mass, self.P)

@@ -20,7 +20,15 @@ _CLOSE = 1e-6  # m from the point: solved
 
 
 def tool_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
-    """Velocity of the tool per joint rate, base at rest: (..., n) -> (..., 3, n) [m/rad]."""
+    """Return the velocity of the tool per joint rate, base at rest.
+
+    Args:
+        arm: the arm.
+        q: (..., n) joint angles [rad].
+
+    Returns:
+        (..., 3, n) [m/rad].
+    """
     angles = np.asarray(q, float)
     if angles.ndim == 0 or angles.shape[-1] != arm.n:
         raise ParameterError(f"q must have shape (..., {arm.n}), got {angles.shape}")
@@ -34,10 +42,17 @@ def tool_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
 
 
 def dexterity(arm: Arm, q: npt.ArrayLike) -> Array:
-    """(...,) m/rad: 0 at a singularity, else at most the tool's least speed per joint rate.
+    """Return how far a configuration is from a singularity [m/rad].
 
     1 / |J^+| in the Frobenius norm: (sum of 1/s_i^2)^-1/2 of the singular values s_i. In
     closed form det(A) / trace(adj(A)) = that squared, A = J J^T.
+
+    Args:
+        arm: the arm.
+        q: (..., n) joint angles [rad].
+
+    Returns:
+        (...,) 0 at a singularity, else at most the tool's least speed per joint rate.
     """
     J = tool_jacobian(arm, q)
     x, y, z = J[..., 0, :], J[..., 1, :], J[..., 2, :]

@@ -70,18 +70,28 @@ class Motion:
 
     @staticmethod
     def straight(start: npt.ArrayLike, goal: npt.ArrayLike, duration: float) -> Motion:
-        """The quintic rest-to-rest motion along a straight line in joint space."""
+        """Return the quintic rest-to-rest motion along a straight line in joint space.
+
+        Args:
+            start, goal: (n,) joint angles [rad].
+            duration: [s].
+        """
         a, b = _points([start, goal], "start and goal", least=2)
         return Motion(duration=duration, control=matrix(np.array([a] * _HELD + [b] * _HELD)))
 
     @staticmethod
     def through(points: npt.ArrayLike, duration: float, *, controls: int = 48) -> Motion:
-        """A smooth motion along way-points (k >= 2, n), quintic in path length.
+        """Return a smooth motion along way-points, quintic in path length.
 
         The path through the way-points is a spline in joint-space length; the motion is
         its least-squares B-spline. It passes the inner points to about 1e-3 rad where the
         path is smooth or has few of them; sharp corners are rounded (0.02 rad on a
         staircase of 18 steps of 0.2 rad) unless `controls` grows with their number.
+
+        Args:
+            points: (k, n) joint angles [rad], k >= 2.
+            duration: [s].
+            controls: number of control points.
         """
         way = _points(points, "way-points", least=2)
         steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
@@ -100,9 +110,14 @@ class Motion:
 
     @staticmethod
     def fit(samples: npt.ArrayLike, duration: float, *, controls: int = 32) -> Motion:
-        """Least-squares motion through positions (N, n) at evenly spaced times.
+        """Return the least-squares motion through positions at evenly spaced times.
 
         The ends are kept exactly, with zero velocity and acceleration.
+
+        Args:
+            samples: (N, n) joint angles [rad].
+            duration: [s].
+            controls: number of control points.
         """
         q = _points(samples, "samples", least=2)
         if controls < DEGREE + 1:
@@ -189,7 +204,16 @@ def graded(count: int) -> Array:
 
 
 def basis(m: int, u: npt.ArrayLike, derivative: int = 0) -> Array:
-    """(N, m) values (or derivatives) of the basis functions at u in [0, 1]."""
+    """Return values or derivatives of the B-spline basis.
+
+    Args:
+        m: number of functions.
+        u: (N,) in [0, 1].
+        derivative: order.
+
+    Returns:
+        (N, m).
+    """
     spline = scipy.interpolate.BSpline(knots(m), np.eye(m), DEGREE)
     out: Array = spline(np.asarray(u, float), nu=derivative)
     return out

@@ -43,7 +43,15 @@ class JointServo:
             )
 
     def torque_feedforward(self, arm: Arm, command: Samples) -> Array:
-        """(..., n) feed-forward torque of a commanded motion [N m]; zero without it."""
+        """Return the feed-forward torque of a commanded motion; zero without it.
+
+        Args:
+            arm: the arm as described.
+            command: angles, rates and accelerations (..., n).
+
+        Returns:
+            (..., n) [N m].
+        """
         if not self.feedforward:
             return np.zeros_like(command.q)
         return inverse_dynamics(arm, command.q, command.v, command.a)[0]

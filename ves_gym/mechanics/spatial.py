@@ -49,12 +49,27 @@ def rate_matrix(y: npt.ArrayLike) -> Array:
 
 
 def twist(y: npt.ArrayLike, yd: npt.ArrayLike) -> Array:
-    """(..., 6) platform twist in its own axes from pose and pose rate."""
+    """Return the platform twist in its own axes.
+
+    Args:
+        y: (..., 6) pose [m, rad].
+        yd: (..., 6) its rate.
+
+    Returns:
+        (..., 6) [m/s, rad/s], linear part first.
+    """
     return matvec(rate_matrix(y), np.asarray(yd, float))
 
 
 def twist_rate(y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike) -> Array:
-    """(..., 6) time derivative of `twist`, as components in the turning platform axes."""
+    """Return the time derivative of `twist`, as components in the turning platform axes.
+
+    Args:
+        y, yd, ydd: (..., 6) pose [m, rad] and its derivatives.
+
+    Returns:
+        (..., 6) [m/s^2, rad/s^2].
+    """
     pose, rate = np.asarray(y, float), np.asarray(yd, float)
     out = matvec(rate_matrix(pose), np.asarray(ydd, float))
     v = twist(pose, rate)
@@ -71,9 +86,14 @@ def twist_rate(y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike) -> Array
 def body_wrench(
     inertia: Array, y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike
 ) -> Array:
-    """(..., 6) wrench that moves a rigid body with the platform (Newton-Euler).
+    """Return the wrench that moves a rigid body with the platform (Newton-Euler).
 
-    `inertia` (6, 6) and the wrench are at the platform origin, in platform axes.
+    Args:
+        inertia: (6, 6) spatial inertia at the platform origin, in platform axes.
+        y, yd, ydd: (..., 6) pose [m, rad] and its derivatives.
+
+    Returns:
+        (..., 6) at the platform origin, in platform axes [N, N m].
     """
     v = twist(y, yd)
     momentum = matvec(inertia, v)
@@ -85,12 +105,22 @@ def body_wrench(
 
 
 def matvec(matrix: Array, vector: Array) -> Array:
-    """Stacked matrix times stacked vector."""
+    """Return stacked matrix times stacked vector.
+
+    Args:
+        matrix: (..., m, n).
+        vector: (..., n).
+    """
     out: Array = np.matmul(matrix, vector[..., None])[..., 0]
     return out
 
 
 def quadratic(matrix: Array, vector: Array) -> Array:
-    """Half the quadratic form, 1/2 v^T M v, over leading axes."""
+    """Return half the quadratic form, 1/2 v^T M v.
+
+    Args:
+        matrix: (..., n, n).
+        vector: (..., n).
+    """
     out: Array = 0.5 * np.sum(vector * matvec(matrix, vector), axis=-1)
     return out

@@ -73,7 +73,7 @@ class BaseModel:
         return self.M if self.body is None else self.M + self.body.spatial()
 
     def widened(self) -> tuple[Array, Array, Array]:
-        """What the oscillators add to M, D, K in (Y, u): three (6 + m, 6 + m)."""
+        """Return the part of the oscillators in M, D, K over (Y, u): three (6 + m, 6 + m)."""
         m = len(self.extra)
         M, D, K = np.zeros((3, 6 + m, 6 + m))
         for i, oscillator in enumerate(self.extra):
@@ -93,7 +93,13 @@ class BaseModel:
 
 
 def modal_damping(M: Array, K: Array, ratio: float) -> Array:
-    """D that gives every mode of (K, M) the same damping ratio. M positive definite."""
+    """Return the D that gives every mode of (K, M) the same damping ratio.
+
+    Args:
+        M: (6, 6) mass, positive definite.
+        K: (6, 6) stiffness.
+        ratio: of every mode [1].
+    """
     omega, modes = natural_modes(K, M)
     rates = np.diag(2 * ratio * omega)
     damping: Array = M @ modes @ rates @ modes.T @ M
@@ -101,7 +107,12 @@ def modal_damping(M: Array, K: Array, ratio: float) -> Array:
 
 
 def elementwise_damping(M: Array, K: Array, ratio: float) -> Array:
-    """The thesis's B = 2 zeta sqrt(K M), read element by element on the diagonal (App. A.2)."""
+    """Return the thesis's B = 2 zeta sqrt(K M), read by elements on the diagonal (App. A.2).
+
+    Args:
+        M, K: (6, 6) mass and stiffness.
+        ratio: zeta [1].
+    """
     return np.diag(2 * ratio * np.sqrt(np.diag(K) * np.diag(M)))
 
 
@@ -184,10 +195,15 @@ class Beam:
         return relative
 
     def flexibility(self, segment: int, x: float) -> Array:
-        """Displacement of a beam point per unit wrench at the tip: (6, 6).
+        """Return the displacement of a beam point per unit wrench at the tip.
 
-        The point lies a distance x [m] along the given segment. Rows: translation and
-        rotation of the point; columns: force and moment at the tip; platform axes.
+        Args:
+            segment: on which the point lies.
+            x: distance along it [m].
+
+        Returns:
+            (6, 6): rows translation and rotation of the point, columns force and moment at the
+            tip, in platform axes.
         """
         nodes = self.nodes
         out = np.zeros((6, 6))
@@ -369,14 +385,24 @@ VEHICLES: dict[str, Vehicle] = {
 
 
 def has(vehicle: Vehicle, name: str) -> bool:
-    """Whether a vehicle's D or K (by name) is other than zero."""
+    """Return True if a vehicle's D or K is other than zero.
+
+    Args:
+        vehicle: what carries the arm.
+        name: "D" or "K".
+    """
     if isinstance(vehicle, Beam):
         return name != "D" or vehicle.damping_ratio > 0
     return isinstance(vehicle, MatrixVehicle) and bool(np.any(getattr(vehicle, name)))
 
 
 def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
-    """The vehicle of another base model of the same kind (with or without a body)."""
+    """Return the vehicle of another base model of the same kind (with or without a body).
+
+    Args:
+        vehicle: as described.
+        base: the model that takes the place of its own.
+    """
     if base.body is not None:
         thrusters = isinstance(vehicle, Satellite) and vehicle.thrusters
         return Satellite(body=base.body, thrusters=thrusters, source=vehicle.source)
@@ -386,7 +412,15 @@ def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
 
 
 def vehicle_from_plain(plain: Any, where: str = "vehicle") -> Vehicle:
-    """A vehicle from plain data with a `kind` entry."""
+    """Rebuild a vehicle from plain data with an entry `kind`.
+
+    Args:
+        plain: a table.
+        where: path of the entry, for the message.
+
+    Raises:
+        ParameterError: unknown kind, unknown or missing keys.
+    """
     vehicle: Vehicle = from_plain(Vehicle, plain, where)
     return vehicle
 

@@ -49,7 +49,7 @@ class Event(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """What the controller knows at this instant. Leading axis n."""
+    """Signals of the controller at one instant. Leading axis n."""
 
     wrench: Array  # (n, 6) sensor reading, platform frame [N, N m]
     gravity: Array  # (n, 6) estimate of its static part
@@ -175,9 +175,13 @@ class EmulationLoop:
     # ------------------------------------------------------------- assignment
 
     def prepare(self, ids: Index, systems: Sequence[System]) -> Callable[[], None]:
-        """Check systems of their own for some simulations; what is returned installs them.
+        """Check systems of their own for some simulations; the result installs them.
 
-        Memory stays: until the next reset it is that of the machine before.
+        Memory stays: until the next reset it is that of the system before.
+
+        Args:
+            ids: (k,) which.
+            systems: k of them.
         """
         pairs = list(zip(ids.tolist(), systems, strict=True))
         p = LoopParameters.stacked([self._parameters_of(system) for system in systems])
@@ -265,7 +269,13 @@ class EmulationLoop:
     # ------------------------------------------------------------------ state
 
     def reset(self, ids: Index, q: Array, y: Array, yd: Array) -> None:
-        """Platforms at pose y moving at yd, sensors at rest under the arm's weight."""
+        """Put platforms at a pose, moving, sensors at rest under the arm's weight.
+
+        Args:
+            ids: (m,) which.
+            q: (m, joints) angles [rad].
+            y, yd: (m, 6) pose [m, rad] and its rate.
+        """
         s = self.state
         X = np.concatenate([y, yd], axis=-1)
         s.X[ids], s.command_sent[ids], s.queue[ids] = X, X, X[:, None]
@@ -370,7 +380,12 @@ class EmulationLoop:
         return out
 
     def within_reach(self, command: Array, ids: Index) -> Array:
-        """(m, 12) commands (m, 12) held back on their way, as far as the legs go."""
+        """Return commands held back on their way, as far as the legs go.
+
+        Args:
+            command: (m, 12) pose and rate.
+            ids: (m,) which.
+        """
         p, stewart, before = (
             self.parameters,
             self.spec.stewart,
@@ -389,7 +404,12 @@ class EmulationLoop:
         return np.concatenate([pose, rate], axis=-1)
 
     def shortened(self, pose: Array, travel: Array) -> Array:
-        """(m, 6) poses (m, 6) on their way from home, where legs lack a part `travel` (m,)."""
+        """Return poses on their way from home, where legs lack a part of their stroke.
+
+        Args:
+            pose: (m, 6) [m, rad].
+            travel: (m,) share of the stroke that is missing.
+        """
         beyond = (travel > 0) & (self._excess(pose, travel) > 1)
         for _ in range(_REFINE):  # legs stretch almost in proportion
             excess = np.where(beyond, self._excess(pose, travel), 1.0)
@@ -406,7 +426,12 @@ class EmulationLoop:
         return out
 
     def sense(self, wrench: Array, q: Array) -> None:
-        """Take in one period's true wrench (n, k + 1, 6) at its nodes; read the sensors."""
+        """Take in one period's true wrench; read the sensors.
+
+        Args:
+            wrench: (n, k + 1, 6) at the period's nodes [N, N m].
+            q: (n, joints) measured angles [rad].
+        """
         s = self.state
         s.time = s.time + self.dt
         self.sensor.advance(wrench, self.generators)
@@ -430,7 +455,7 @@ class EmulationLoop:
 
     @property
     def readings(self) -> Readings:
-        """What the controller knows now."""
+        """Signals of the controller at this instant."""
         s = self.state
         y = self.follower.measured()
         return Readings(
@@ -439,7 +464,7 @@ class EmulationLoop:
 
     @property
     def _carrying(self) -> tuple[slice, slice]:
-        """Where coordinates and rates of the vehicle's oscillators are in `coupled_state`."""
+        """Coordinates and rates of the vehicle's oscillators, as slices of `coupled_state`."""
         m, e = self._moving, self._carried
         return slice(m, m + e), slice(2 * m + e, 2 * (m + e))
 
@@ -609,7 +634,7 @@ class EmulationLoop:
         return base, np.concatenate([X[:, 6 : 6 + m], X[:, 12 + m :]], axis=-1)
 
     def _predict(self, H: Array, path: tuple[Array, Array, Array]) -> None:
-        """What the arm's inertia does to the reading, by the models of platform and sensor.
+        """Predict the reading that the arm's inertia causes, by models of platform and sensor.
 
         The inertia holds over the period, so it may act after the sensor's filter.
         """
@@ -663,7 +688,12 @@ class EmulationLoop:
             self.freeze(np.array([i]), reason)
 
     def freeze(self, ids: Index, reason: str) -> None:
-        """Stop platforms where they are told to be, until they are reset (App. E rule 1)."""
+        """Stop platforms where they are commanded to be, until they are reset (App. E rule 1).
+
+        Args:
+            ids: (m,) which.
+            reason: of the event.
+        """
         s = self.state
         for i in ids[~s.frozen[ids]].tolist():
             s.frozen[i] = True

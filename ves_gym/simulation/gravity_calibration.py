@@ -46,7 +46,7 @@ STILL = np.deg2rad(1.0)  # a joint or tilt that varies by less is called still
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """What a set of poses says about arm and force sensor. Residuals: estimate - reading."""
+    """Parameters of arm and force sensor from a set of poses. Residuals: estimate - reading."""
 
     arm: str
     model: GravityModel
@@ -207,10 +207,13 @@ def predict_errors(
     *,
     rezero: bool = False,
 ) -> Errors:
-    """How well a calibration predicts other static readings; arrays as for `fit`.
+    """Compare a calibration's prediction with other static readings.
 
-    `rezero`: the sensor has been zeroed since, so set its zero from the estimate in the
-    first pose (thesis App. E step 9).
+    Args:
+        calibration: from `fit`.
+        arm, q, y, w: as for `fit`.
+        rezero: the sensor has been zeroed since, so set its zero from the estimate in the
+            first pose (thesis App. E step 9).
     """
     if calibration.names != minimal_model(arm).names:
         raise ParameterError(f"the calibration is of {calibration.arm}, not of {arm.name}")
@@ -290,7 +293,7 @@ class _Problem:
         return self._split(x)
 
     def sensor(self, theta: Array, reading: Array) -> Array:
-        """(6, 6) C from the readings of known weights (eq. 3.17, with a zero beside it)."""
+        """Return C (6, 6) from readings of known weights (eq. 3.17, with a zero beside it)."""
         ones = np.ones((self.count, min(1, self.zero.shape[1])))
         x = np.linalg.lstsq(np.hstack([reading, ones]), self.weight(theta))[0]
         out: Array = x[:6].T

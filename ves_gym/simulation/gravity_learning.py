@@ -41,7 +41,12 @@ class Learning:
     aborted: Event | None = None  # a platform that would have left its workspace
 
     def converged(self, distance: float = 1e-3, angle: float = 1e-3) -> int | None:
-        """First iteration (from 1) from which changes stay below [m], [rad]; None if none."""
+        """Return the first iteration (from 1) from which changes stay small; None if none.
+
+        Args:
+            distance: [m].
+            angle: [rad].
+        """
         small = [
             bool((k.change[:3] < distance).all() and (k.change[3:] < angle).all())
             for k in self.iterations

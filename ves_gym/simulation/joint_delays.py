@@ -42,17 +42,17 @@ class JointDelays:
 
     @property
     def busy(self) -> bool:
-        """Whether there is any delay."""
+        """True if there is any delay."""
         return self.commands_late or self.measurements_late
 
     @property
     def commands_late(self) -> bool:
-        """Whether a command arrives late anywhere."""
+        """True if a command arrives late in any simulation."""
         return bool(self.delays.command.any())
 
     @property
     def measurements_late(self) -> bool:
-        """Whether a measurement is old anywhere, or a rate behind."""
+        """True if a measurement is old in any simulation, or a rate behind."""
         return bool(self.delays.measurement.any() or self.delays.lag.any())
 
     def _fit(self) -> None:
@@ -72,7 +72,13 @@ class JointDelays:
                 setattr(self, name, np.concatenate([older, history], axis=1))
 
     def assign(self, ids: Index, systems: Sequence[System], q: Array, v: Array) -> None:
-        """Give simulations the delays of their own systems; all (n, joints) are at q, v."""
+        """Give simulations the delays of their own systems.
+
+        Args:
+            ids: (k,) which.
+            systems: k of them.
+            q, v: (n, joints) angles and rates of all simulations.
+        """
         for i, system in zip(ids.tolist(), systems, strict=True):
             self.delays.put(np.array([i]), Delays.of(system))
         first = not self.command_history.shape[1], not self.measurement_history.shape[1]
@@ -83,14 +89,19 @@ class JointDelays:
             self.measurement_history[:] = np.stack([q, v, v], axis=1)[:, None]
 
     def reset(self, ids: Index, q: Array, v: Array) -> None:
-        """Joints (m, joints) were where they are, and are told what they will be told first."""
+        """Start with joints at rest in the past; the first command stands for earlier ones.
+
+        Args:
+            ids: (m,) which.
+            q, v: (m, joints) angles [rad] and rates [rad/s].
+        """
         self._fresh[ids] = True
         self.measurement_history[ids] = np.stack([q, v, v], axis=1)[:, None]
 
     # ---------------------------------------------------------------- commands
 
     def arriving(self, nodes: Array) -> Array:
-        """What reaches the drives over k steps while (n, k + 1, joints) is sent."""
+        """Return the commands at the drives over k steps while (n, k + 1, joints) is sent."""
         new = np.stack([nodes[:, :-1], nodes[:, 1:]], axis=2)
         self._begin(nodes[:, 0])
         history = np.concatenate([self.command_history, new], axis=1)
@@ -125,7 +136,11 @@ class JointDelays:
     # ------------------------------------------------------------ measurements
 
     def measured(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Angles and rates (n, joints) as they are seen, where they really are q and v."""
+        """Return angles and rates as measured.
+
+        Args:
+            q, v: (n, joints) true angles [rad] and rates [rad/s].
+        """
         if not self.measurements_late:
             return q, v
         return self._measured(
@@ -156,11 +171,15 @@ class JointDelays:
         return out[:, 0], out[:, 1]
 
     def correction(self, q: Array, v: Array, kp: Array, kd: Array) -> tuple[Array, Array]:
-        """What old measurements add to the servo's torque at both ends of the next step.
+        """Return the torque that delayed measurements add at both ends of the next step.
 
         The engine's servo knows angle and rate themselves: kp (q - q_old) + kd (v - v_old)
         makes it one that does not. The end of the step is foreseen with the present
         acceleration, which costs an error of second order in the step.
+
+        Args:
+            q, v: (n, joints) true angles [rad] and rates [rad/s].
+            kp, kd: (n, joints) gains.
         """
         rate = 2 * v - self.measurement_history[:, -1, 2]
         further = q + self.dt / 2 * (v + rate)
@@ -177,7 +196,11 @@ class JointDelays:
         return out[0], out[1]
 
     def remember(self, q: Array, v: Array) -> None:
-        """Angles and rates (n, joints) at the start of a step that is over."""
+        """Store angles and rates at the start of a step that is over.
+
+        Args:
+            q, v: (n, joints) true angles [rad] and rates [rad/s].
+        """
         self.measurement_history = np.concatenate(
             [self.measurement_history[:, 1:], self._node(q, v)], axis=1
         )
@@ -194,5 +217,10 @@ class JointDelays:
 
 
 def joint_delays_of(system: System, n: int) -> JointDelays | None:
-    """n lines, or None where no effect is on them."""
+    """Return the delays of a system at work, or None where no effect is on them.
+
+    Args:
+        system: with its effects.
+        n: simulations.
+    """
     return JointDelays(system, n) if any(e.is_on_line for e in system.effects) else None

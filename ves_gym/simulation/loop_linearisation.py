@@ -56,7 +56,15 @@ class Linearised:
         return np.asarray(self.C @ (inner + self.E) / z[:, None, None], np.complex128)
 
     def step(self, wrench: npt.ArrayLike, periods: int) -> Array:
-        """(periods + 1, 6) pose after a wrench (6,) that sets in at 0 and stays."""
+        """Return the pose after a wrench that sets in at 0 and stays.
+
+        Args:
+            wrench: (6,) [N, N m].
+            periods: control periods.
+
+        Returns:
+            (periods + 1, 6) [m, rad].
+        """
         x, push = np.zeros(len(self.A)), self.E @ np.asarray(wrench, float)
         out = np.zeros((periods + 1, 6))
         for k in range(periods):
@@ -194,7 +202,15 @@ class _Loop:
 
 
 def joint_angles(system: System, q: npt.ArrayLike) -> Array:
-    """Return angles q [rad] as a finite (joints,), or raise a ParameterError."""
+    """Return joint angles as a finite (joints,) array.
+
+    Args:
+        system: whose arm.
+        q: angles [rad], broadcast.
+
+    Raises:
+        ParameterError: another shape, or a number that is not finite.
+    """
     try:
         wide = np.broadcast_to(np.asarray(q, float), (system.arm.n,))
     except ValueError:

@@ -50,7 +50,12 @@ class Recording:
         return max(2, int(np.searchsorted(self.t, stops[0] + 1e-9)) + 1)
 
     def log(self, i: int, note: str = "") -> RunLog:
-        """Run i as a log that can be saved: up to its safety stop, if it had one."""
+        """Return a run as a log that can be saved: up to its safety stop, if it had one.
+
+        Args:
+            i: which run.
+            note: of the log's metadata.
+        """
         end = self.records(i)
         initial = {k: getattr(self, k)[i, 0].tolist() for k in ("q", "v", "y", "yd")}
         stops = [{"time": e.time, "reason": e.reason} for e in self.events if e.simulation == i]
@@ -300,9 +305,16 @@ def _commands(sim: Simulator, s: Samples) -> Array:
 def base_wrench(
     system: System, state: State, ydd: Array, hidden: tuple[Array, Array] | None = None
 ) -> Array:
-    """(n, 6) wrench of the arm on the base, platform axes: what the vehicle's motion takes.
+    """Return the wrench of the arm on the base: what the vehicle's motion takes.
 
-    `hidden`: `Simulator.internal_state`, where the vehicle carries oscillators.
+    Args:
+        system: arm and vehicle.
+        state: of n simulations.
+        ydd: (n, 6) acceleration of the base.
+        hidden: `Simulator.internal_state`, where the vehicle carries oscillators.
+
+    Returns:
+        (n, 6) in platform axes [N, N m].
     """
     base, y, yd = system.actual.base, state.y, state.yd
     # run by run: one matrix product over the batch would round by its size

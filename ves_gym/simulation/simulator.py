@@ -34,7 +34,7 @@ class Divergence(ArithmeticError):
 
 
 class State(NamedTuple):
-    """Where every simulation is. Leading axis = simulation."""
+    """State of every simulation. Leading axis = simulation."""
 
     time: Array  # (n,) s
     y: Array  # (n, 6) base pose [m, rad]
@@ -304,7 +304,12 @@ class Simulator:
     def set_gains(
         self, kp: npt.ArrayLike, kd: npt.ArrayLike, ids: npt.ArrayLike | None = None
     ) -> None:
-        """Servo gains [N m/rad, N m s/rad], broadcast to (k, joints)."""
+        """Set servo gains.
+
+        Args:
+            kp, kd: [N m/rad], [N m s/rad], broadcast to (k, joints).
+            ids: which simulations (k of them), None for all.
+        """
         if self.system.drive != "motor":
             raise ParameterError("a prescribed drive has no servo gains to set")
         index = self._ids(ids)
@@ -365,16 +370,28 @@ class Simulator:
         return nodes
 
     def servo_command(self, q: Array, v: Array, tau: Array | float = 0.0) -> Array:
-        """Command that makes the servo track q, v (n, ..., joints) with feed-forward tau."""
+        """Return the command that makes the servo track a motion.
+
+        Args:
+            q, v: (n, ..., joints) angles [rad] and rates [rad/s].
+            tau: feed-forward torque [N m].
+
+        Returns:
+            (n, ..., joints) [N m].
+        """
         middle = (slice(None), *(None,) * (np.ndim(q) - 2))
         command: Array = self._kp[middle] * q + self._kd[middle] * v + tau
         return command
 
     def play(self, commands: Array, platform: npt.ArrayLike | None = None) -> None:
-        """Advance k physics steps, the commands (n, k + 1, joints) linear over each step.
+        """Advance k physics steps.
 
-        In mode emulated k must be whole control periods. Under position control
-        `platform` (n, periods, 12) is the pose and rate to follow from each period's start.
+        In mode emulated k must be complete control periods.
+
+        Args:
+            commands: (n, k + 1, joints), linear over each step.
+            platform: (n, periods, 12) pose and rate to follow from each period's start, under
+                position control.
         """
         expected = (
             f"commands must be numbers of shape ({self.n}, k + 1, {self.joints}), k >= 1, got"
@@ -683,7 +700,7 @@ def _require_stable_step(system: System) -> None:
     poles = np.linalg.eigvals(np.block([[none, eye], [-K, -D]]))
 
     def stable(dt: float) -> bool:
-        """Whether a step lets no mode grow."""
+        """True if a step lets no mode grow."""
         if system.integrator == "rk4":
             z = poles * dt
             growth = np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4))))

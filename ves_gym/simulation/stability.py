@@ -41,7 +41,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class EmulationCheck:
-    """What is known of an emulation before it runs, at one configuration of the arm."""
+    """Properties of an emulation known before it runs, at one configuration of the arm."""
 
     spectral_radius: float  # of one control period
     stable: bool
@@ -105,30 +105,51 @@ def check_emulation(
 def linearise(
     system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
 ) -> Linearised:
-    """Linearise the whole loop about rest at joint angles q; see `loop_linearisation`."""
+    """Linearise the loop about rest; see `loop_linearisation`.
+
+    Args:
+        system: an emulated one.
+        q: joint angles [rad], broadcast to (joints,).
+        servo: joint servo, None for bare torques.
+
+    Raises:
+        ParameterError: the system is not emulated, or the platform is position controlled.
+    """
     return linearise_loop(Simulator, system, q, servo=servo)
 
 
 def spectral_radius(
     system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
 ) -> float:
-    """Return the largest eigenvalue magnitude of the loop over one control period."""
+    """Return the largest eigenvalue magnitude of the loop over one control period.
+
+    Args:
+        system, q, servo: see `linearise`.
+    """
     return linearise(system, q, servo=servo).spectral_radius
 
 
 def transition(
     system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
 ) -> Array:
-    """(s, s) linear map of the whole loop's state over one control period, about rest at q."""
+    """Return the (s, s) linear map of the loop's state over one control period.
+
+    Args:
+        system, q, servo: see `linearise`.
+    """
     return linearise(system, q, servo=servo).A
 
 
 def max_bandwidth(
     system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
 ) -> float | None:
-    """Bandwidth [Hz] at which the loop first becomes unstable, from 0.2 Hz up.
+    """Return the platform bandwidth at which the loop first becomes unstable [Hz], from 0.2 up.
 
-    None if it is stable up to 200 Hz; 0.2 if it is nowhere.
+    Args:
+        system, q, servo: see `linearise`; the platform has a pose servo.
+
+    Returns:
+        None if it is stable up to 200 Hz; 0.2 if it is nowhere.
     """
     lab = system.emulator_settings
     if not isinstance(lab.platform, PoseServo):
@@ -145,7 +166,14 @@ def max_bandwidth(
 def max_gain(
     system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
 ) -> float | None:
-    """Factor on the leg gains at which the loop first becomes unstable, from 1/16 to 16."""
+    """Return the factor on the leg gains at which the loop first becomes unstable.
+
+    Args:
+        system, q, servo: see `linearise`; the platform has leg servos.
+
+    Returns:
+        1/16 to 16; None if it is stable up to there.
+    """
     lab = system.emulator_settings
     if not isinstance(lab.platform, LegServo):
         raise ParameterError(f"max_gain needs a leg servo, got {lab.platform.kind}")
@@ -186,9 +214,15 @@ def _payload_ratio(system: System, H: Array) -> float:
 def in_space(
     system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
 ) -> tuple[Array, Array, Array]:
-    """M, D, K of base and servo-held joints in space, linear about rest at q.
+    """Return M, D, K of base and servo-held joints in mode ideal, linear about rest.
 
-    (6 + n) square for a motor drive, (6, 6) for a prescribed one: what is emulated.
+    Args:
+        system: arm and vehicle.
+        q: joint angles [rad], broadcast to (joints,).
+        servo: joint servo, None for bare torques.
+
+    Returns:
+        (6 + n) square for a motor drive, (6, 6) for a prescribed one: what is emulated.
     """
     base, m = system.base, system.arm.n if system.drive == "motor" else 0
     M = inertia(system.arm, joint_angles(system, q))[: 6 + m, : 6 + m].copy()
@@ -201,7 +235,11 @@ def in_space(
 
 
 def poles_in_space(M: Array, D: Array, K: Array) -> npt.NDArray[np.complex128]:
-    """Eigenvalues [1/s] of M Y'' + D Y' + K Y = 0."""
+    """Return the eigenvalues of M Y'' + D Y' + K Y = 0 [1/s].
+
+    Args:
+        M, D, K: (k, k).
+    """
     n = len(M)
     lower = np.linalg.solve(M, np.hstack([-K, -D]))
     companion = np.vstack([np.eye(n, 2 * n, n), lower])

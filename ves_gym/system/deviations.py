@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class LoopParameters:
-    """What effects may change, per simulation (leading axis n)."""
+    """Parameters of the emulation loop that effects change (leading axis n)."""
 
     arm: Arm
     gravity_mass: Array  # (n,) of the gravity estimate [kg]
@@ -41,7 +41,13 @@ class LoopParameters:
 
     @staticmethod
     def nominal(arm: Arm, emulator: EmulatorSettings, n: int) -> LoopParameters:
-        """The machine as described."""
+        """Return the parameters of the emulator as described.
+
+        Args:
+            arm: the arm.
+            emulator: the description.
+            n: simulations.
+        """
         model = emulator.gravity or GravityModel.of(arm)
         return LoopParameters(
             arm=arm,
@@ -60,7 +66,7 @@ class LoopParameters:
 
     @property
     def as_stated(self) -> bool:
-        """Whether every platform is as described."""
+        """True if every platform is as described."""
         parts = (self.bandwidth, self.damping, self.platform_delay)
         return not any(
             part.any() for part in (*parts, self.platform_travel, self.platform_speed)
@@ -104,7 +110,7 @@ ARRAYS = [k.name for k in fields(LoopParameters) if k.name not in ("arm", "senso
 
 @dataclass
 class Delays:
-    """What effects may delay, in seconds (n,)."""
+    """Delays between joint controller and drives that effects add to, in seconds (n,)."""
 
     command: Array  # from the controller's command to the drive
     measurement: Array  # age of the angles and rates that controller and log see
@@ -112,13 +118,23 @@ class Delays:
 
     @staticmethod
     def of(system: System, n: int = 1) -> Delays:
-        """Those of a system, n times."""
+        """Return the delays of a system.
+
+        Args:
+            system: with its effects.
+            n: simulations.
+        """
         out = Delays(np.zeros(n), np.zeros(n), np.zeros((n, system.arm.n)))
         for effect in system.effects:
             effect.wire(out)
         return out
 
     def put(self, ids: Index, other: Delays) -> None:
-        """Replace rows by those of `other`."""
+        """Replace rows.
+
+        Args:
+            ids: (k,) which.
+            other: delays of k simulations.
+        """
         for field in fields(self):
             getattr(self, field.name)[ids] = getattr(other, field.name)

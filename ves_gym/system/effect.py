@@ -99,13 +99,20 @@ class Effect:
         """Add the deviation to the machine's parameters."""
 
     def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
-        """Torque at the joints beside the motors' [N m]: q, v, tau (..., n) -> (..., n).
+        """Return the torque at the joints beside the motors' [N m].
 
-        tau [N m] is what the motors are told to give, within the limits of the arm as
-        described; it is what logs record. LoopParameters of the effect, and `tau_max`, are
-        arrays (or symbols) here, whatever they were given as: () or (n,), and (simulations,
-        1) or (simulations, n) where simulations have values of their own
-        (`Simulator.assign`) and the law is seen to broadcast.
+        Parameters of the effect, and `tau_max`, are arrays (or symbols) here, whatever they
+        were given as: () or (n,), and (simulations, 1) or (simulations, n) where simulations
+        have values of their own (`Simulator.assign`) and the law is seen to broadcast.
+
+        Args:
+            xp: namespace of the functions: NumPy, CasADi.
+            q, v: (..., n) joint angles [rad] and rates [rad/s].
+            tau: (..., n) command of the motors within the limits of the arm as described [N m];
+                it is what logs record.
+
+        Returns:
+            (..., n).
         """
         raise NotImplementedError
 
@@ -122,17 +129,17 @@ class Effect:
 
     @property
     def is_on_line(self) -> bool:
-        """Whether this effect is between joint controller and drives."""
+        """True of an effect between joint controller and drives."""
         return type(self).wire is not Effect.wire
 
     @property
     def is_plant(self) -> bool:
-        """Whether this effect is a difference of arm or vehicle from their description."""
+        """True of a difference of arm or vehicle from their description."""
         return type(self).arm is not Effect.arm or type(self).base is not Effect.base
 
     @property
     def has_law(self) -> bool:
-        """Whether this effect is a torque at the joints."""
+        """True of a torque at the joints."""
         return type(self).law is not Effect.law
 
     def bound(self, values: dict[str, Any]) -> Any:
@@ -162,7 +169,7 @@ class Effect:
 
     @property
     def is_null(self) -> bool:
-        """Whether every parameter is at the value that leaves the system nominal."""
+        """True if every parameter is at the value that leaves the system nominal."""
         return all(
             np.all(np.asarray(getattr(self, f.name)) == f.metadata["null"])
             for f in dataclasses.fields(self)  # type: ignore[arg-type]
@@ -182,9 +189,14 @@ def parameter(
     shape: tuple[int | None, ...] = (),
     default: Any = dataclasses.MISSING,
 ) -> Any:
-    """A field of an effect: unit, bounds, null value (None: has none of its own), shape.
+    """Return a field of an effect.
 
-    The default is the null value, filled into the shape.
+    Args:
+        symbol: unit.
+        bounds: smallest and largest value.
+        null: value that leaves the system nominal; None: has none of its own.
+        shape: () for a number; None in it for any length.
+        default: None given, the null value filled into the shape.
     """
     if default is dataclasses.MISSING and null is not None and None not in shape:
         filled = np.full(tuple(k for k in shape if k is not None), null)
@@ -227,9 +239,16 @@ def register(kind: str) -> Callable[[E], E]:
 def joint_torque(
     effects: Iterable[Effect], q: Array, v: Array, tau: Array, tau_max: Array
 ) -> Array:
-    """(..., n) torque of all laws among the effects [N m].
+    """Return the torque of all laws among the effects [N m].
 
-    At angles and rates (..., n), under motor torques tau (..., n) of limits tau_max (n,).
+    Args:
+        effects: of a system.
+        q, v: (..., n) joint angles [rad] and rates [rad/s].
+        tau: (..., n) motor torques [N m].
+        tau_max: (n,) their limits [N m].
+
+    Returns:
+        (..., n).
     """
     out = np.zeros(q.shape)
     for effect in effects:

@@ -81,7 +81,15 @@ def base_energy(
 
 
 def element_table(system: System, y: npt.ArrayLike) -> Array:
-    """(..., 6, 6) thesis 4.2: E_ij = 1/2 k_ij dx_i dx_j [J]; the sum is the strain energy."""
+    """Return E_ij = 1/2 k_ij dx_i dx_j of thesis 4.2 [J]; the sum is the strain energy.
+
+    Args:
+        system: with a vehicle of constant K.
+        y: (..., 6) pose [m, rad].
+
+    Returns:
+        (..., 6, 6).
+    """
     pose = np.asarray(y, float)
     table: Array = 0.5 * system.base.K * pose[..., :, None] * pose[..., None, :]
     return table
@@ -149,10 +157,14 @@ def energies(
 
 
 def log_energies(log: RunLog, *, duration: float | None = None, tail: float = TAIL) -> Energies:
-    """Energy measures of a run log, with the system named in its metadata.
+    """Return the energy measures of a run log, with the system named in its metadata.
 
-    `duration` defaults to the log's own; a log without base rates has them
-    differentiated from the pose (second-order differences).
+    A log without base rates has them differentiated from the pose (second-order differences).
+
+    Args:
+        log: the run.
+        duration: of the motion [s]; default the log's own.
+        tail: time after it that E_mean covers [s].
     """
     system = _system(log)
     if duration is None:

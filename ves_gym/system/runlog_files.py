@@ -95,7 +95,12 @@ def read_bytes(path: Path) -> bytes:
 
 
 def write_pair(first: Path, first_text: str, second: Path, second_text: str) -> None:
-    """Write both files or neither; both are complete on disk before either is renamed."""
+    """Write both files or neither; both are complete on disk before either is renamed.
+
+    Args:
+        first, second: paths.
+        first_text, second_text: contents.
+    """
     first.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=first.parent, prefix=f".{first.stem}.") as staging:
         staged = [Path(staging) / path.name for path in (first, second)]

@@ -150,7 +150,12 @@ class System:
 
     @staticmethod
     def from_dict(plain: Any, where: str = "System") -> System:
-        """Rebuild from plain data. A vehicle may be given by name."""
+        """Rebuild a system from plain data. A vehicle may be given by name.
+
+        Args:
+            plain: a table as `to_dict` gives it.
+            where: path of the entry, for the message.
+        """
         if isinstance(plain, dict) and isinstance(plain.get("vehicle"), str):
             plain = {**plain, "vehicle": to_plain(get_vehicle(plain["vehicle"]))}
         system: System = from_plain(System, plain, where)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Backend(Protocol):
-    """What `Simulator` needs from an engine. Leading axis = simulation.
+    """Engine as `Simulator` uses it. Leading axis = simulation.
 
     Arrays handed out are copies or read-only views; `z` stacks (Y, q), `zd` its rate.
     """
@@ -27,18 +27,36 @@ class Backend(Protocol):
         """Set the state of some simulations and clear their fault.
 
         Gears are relaxed then, and oscillators at rest on the vehicle.
+
+        Args:
+            ids: (k,) which.
+            time: (k,) [s].
+            z, zd: (k, 6 + joints) state and its rate.
         """
 
     def set_gear_state(self, d: Array, rate: Array) -> None:
-        """Set the gears' deflections and their rates (n, g) of all simulations."""
+        """Set the gears' deflections of all simulations.
+
+        Args:
+            d, rate: (n, g) [rad], [rad/s].
+        """
 
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
-        """Servo gains (k, joints) of some simulations, active at every physics step."""
+        """Set servo gains, active at every physics step.
+
+        Args:
+            ids: (k,) which simulations.
+            kp, kd: (k, joints) [N m/rad], [N m s/rad].
+        """
 
     def assign(self, ids: Index, systems: Sequence[System]) -> None:
         """Give simulations systems of their own (`Simulator.assign`); all or none of them.
 
-        State and servo gains stay. The systems are alike in structure (`require_alike`).
+        State and servo gains stay.
+
+        Args:
+            ids: (k,) which.
+            systems: k of them, alike in structure (`require_alike`).
         """
 
     def step(
@@ -49,13 +67,23 @@ class Backend(Protocol):
         substeps: int,
         ids: Index | None,
     ) -> None:
-        """Advance under command (n, joints) and generalised base force (n, 6).
+        """Advance under a command and a generalised base force.
 
-        The command is held, or runs linearly to `until` (n, joints) at the end.
+        Args:
+            command: (n, joints) torque or acceleration, held.
+            until: (n, joints) that the command runs to instead, linearly, or None.
+            wrench: (n, 6) generalised force on Y, or None.
+            substeps: physics steps.
+            ids: which simulations, None for all.
         """
 
     def step_sequence(self, commands: Array, ids: Index | None) -> None:
-        """Advance k physics steps, commands (n, k + 1, joints) linear over each step."""
+        """Advance k physics steps.
+
+        Args:
+            commands: (n, k + 1, joints), linear over each step.
+            ids: which simulations, None for all.
+        """
 
     def step_on_platform(self, commands: Array, base: Array, ids: Index | None) -> Array:
         """Advance k physics steps on a platform that moves as told (mode emulated).

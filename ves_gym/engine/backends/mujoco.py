@@ -38,15 +38,21 @@ _BAD = [
 
 
 def compile_model(system: System, full: bool = False) -> mujoco.MjModel:
-    """The MuJoCo model of a system, as the backend runs it; `full`: see `model_spec`."""
+    """Return the MuJoCo model of a system, as the backend runs it.
+
+    Args:
+        system, full: see `model_spec`.
+    """
     return model_spec(system, full).compile()
 
 
 def model_spec(system: System, full: bool = False) -> mujoco.MjSpec:
-    """The same before it is compiled.
+    """Return the MuJoCo specification of a system, before it is compiled.
 
-    `full`: M, D and K as six tendons each, all on all six axes, whatever their numbers are,
-    so that every model of one structure has one layout.
+    Args:
+        system: what to simulate.
+        full: M, D and K as six tendons each, all on all six axes, whatever their numbers are,
+            so that every model of one structure has one layout.
     """
     if system.mode == "emulated":
         spec = build_laboratory_spec(

@@ -17,7 +17,12 @@ def aligned(*shape: int) -> Array:
 
 
 def fill(rows: Array, values: Array) -> None:
-    """Write (m, k) values into rows (blocks, k, LANES), zeros behind them."""
+    """Write values into lanes, zeros behind them.
+
+    Args:
+        rows: (blocks, k, LANES), written.
+        values: (m, k).
+    """
     full, remainder = divmod(len(values), LANES)
     if full:
         rows[:full] = values[: full * LANES].reshape(full, LANES, -1).swapaxes(1, 2)
@@ -36,5 +41,13 @@ def lanes(values: Array) -> Array:
 
 
 def unlane(rows: Array, n: int) -> Array:
-    """(blocks, k, LANES) -> (n, k), a copy in plain order whatever n."""
+    """Return lanes in plain order, a copy whatever n.
+
+    Args:
+        rows: (blocks, k, LANES).
+        n: number of points.
+
+    Returns:
+        (n, k).
+    """
     return rows.swapaxes(1, 2).reshape(-1, rows.shape[1])[:n].copy()

@@ -44,7 +44,7 @@ class Library:
 
 
 def cache_folder() -> Path:
-    """Where kernels are kept: VES_GYM_CACHE, or the user's cache folder."""
+    """Return the folder of compiled kernels: VES_GYM_CACHE, or the user's cache folder."""
     folder = os.environ.get("VES_GYM_CACHE")
     if folder:
         return Path(folder)
@@ -55,7 +55,7 @@ def cache_folder() -> Path:
 
 
 def machine() -> str:
-    """What machine code depends on besides its source."""
+    """Describe the processor, on which machine code depends besides its source."""
     import llvmlite
     import llvmlite.binding as llvm
 
@@ -63,7 +63,7 @@ def machine() -> str:
 
 
 def _features() -> str:
-    """What this processor can do, less what VES_GYM_FEATURES takes away ("-avx512f")."""
+    """List this processor's features less those of VES_GYM_FEATURES ("-avx512f")."""
     import llvmlite.binding as llvm
 
     host = llvm.get_host_cpu_features().flatten()
@@ -99,10 +99,14 @@ def compile_text(text: str) -> bytes:
 
 
 def cached(key: str, make: Any) -> Library:
-    """The library of `key`: from disk, or made from the text `make()` returns.
+    """Return a library from disk, or make it.
 
-    A file that is not what was written is made anew. Writing is atomic, so that processes
-    that start together at worst compile the same thing twice.
+    A file that is damaged is made anew. Writing is atomic, so that processes that start
+    together at worst compile the same thing twice.
+
+    Args:
+        key: names everything the code depends on but the processor.
+        make: () -> text of the code.
     """
     name = hashlib.sha256(f"{key}\0{machine()}".encode()).hexdigest()[:32]
     path = cache_folder() / f"kernel-{name}.o"

@@ -174,7 +174,12 @@ class Code:
 
 
 def emit_function(name: str, graph: casadi.Function) -> str:
-    """One graph as `void name(ptr inputs ..., ptr outputs ...)` on rows of lanes."""
+    """Return one graph as `void name(ptr inputs ..., ptr outputs ...)` on rows of lanes.
+
+    Args:
+        name: of the function.
+        graph: its operations.
+    """
     import casadi as ca
 
     code = Code()

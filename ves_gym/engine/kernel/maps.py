@@ -27,10 +27,17 @@ _LIBRARIES: dict[str, Library] = {}
 
 
 def coupling_matrices(system: System, q: Array) -> Array | None:
-    """Q(q) of (N, n) configurations: (N, n, n) [J/rad^2]; None where nothing compiles.
+    """Return Q(q) of many configurations, compiled; None where nothing compiles.
 
-    Q is of the vehicle, so of the space system where an emulated one is given: the
-    laboratory's graph has no M, D and K.
+    Q is of the vehicle, so of the ideal system where an emulated one is given: the emulated
+    mode's graph has no M, D and K.
+
+    Args:
+        system: arm and vehicle.
+        q: (N, n) joint angles [rad].
+
+    Returns:
+        (N, n, n) [J/rad^2].
     """
     system, n = system.ideal(), system.arm.n
     key, (_, p) = f"coupling {structure(system)}", parameters(system)
@@ -102,9 +109,19 @@ def points(*parts: tuple[npt.ArrayLike, int, str]) -> Array:
 def evaluate(
     key: str, graph: Callable[[], casadi.Function], x: Array, p: Array, outputs: int
 ) -> Array:
-    """(..., outputs) of a graph (x, p) -> y at points x (..., k) and one p.
+    """Evaluate a graph (x, p) -> y at many points.
 
-    Compiled and kept under `key`; interpreted by CasADi where nothing compiles.
+    Compiled and stored under `key`; interpreted by CasADi where nothing compiles.
+
+    Args:
+        key: names everything the graph depends on.
+        graph: makes it.
+        x: (..., k) points.
+        p: parameters, the same for all.
+        outputs: length of y.
+
+    Returns:
+        (..., outputs).
     """
     flat = x.reshape(-1, x.shape[-1])
     try:

@@ -43,7 +43,13 @@ class Model:
         return len(self.gears) + len(self.extra)
 
     def push(self, q: list[Any], v: list[Any], tau: list[Any], xp: Any) -> list[Any]:
-        """Torque of the effects' laws at the joints, under motor torques tau."""
+        """Return the torque of the effects' laws at the joints [N m].
+
+        Args:
+            q, v: n joint angles and rates.
+            tau: n motor torques.
+            xp: namespace of the functions.
+        """
         total = [0.0] * len(q)
         for effect, values in self.laws:
             if _vanishes(effect, values):
@@ -59,7 +65,7 @@ class Model:
 
 
 def _vanishes(effect: Effect, values: dict[str, Any]) -> bool:
-    """Whether every number that makes the effect act is a structural zero."""
+    """True if every number that makes the effect act is a structural zero."""
     for field in dataclasses.fields(effect):  # type: ignore[arg-type]
         value, null = values[field.name], field.metadata["null"]
         numbers = value if isinstance(value, list) else [value]
@@ -71,7 +77,7 @@ def _vanishes(effect: Effect, values: dict[str, Any]) -> bool:
 def drive_torque(
     model: Model, z: list[Any], zd: list[Any], command: list[Any], xp: Any
 ) -> tuple[list[Any], list[Any]]:
-    """What the servos ask for, and what the motors give [N m]."""
+    """Return the torques that the servos command, and that the motors give [N m]."""
     ask = [
         g * c - kp * q - kd * v
         for g, c, kp, kd, q, v in zip(
@@ -98,7 +104,13 @@ def unfolded(model: Model) -> Model:
 
 
 def interleaved(model: Model, joints: list[Any], gears: list[Any]) -> list[Any]:
-    """Quantities of joints (n) and gears in the order of the unfolded joints."""
+    """Return quantities in the order of the unfolded joints.
+
+    Args:
+        model: which joints have gears.
+        joints: n of them.
+        gears: one per gear.
+    """
     remaining, out = list(gears), []
     for i, value in enumerate(joints):
         out += [value, remaining.pop(0)] if i in model.gears else [value]
@@ -106,7 +118,12 @@ def interleaved(model: Model, joints: list[Any], gears: list[Any]) -> list[Any]:
 
 
 def separated(model: Model, values: list[Any]) -> tuple[list[Any], list[Any]]:
-    """The inverse of `interleaved`."""
+    """Return quantities of joints and of gears, the inverse of `interleaved`.
+
+    Args:
+        model: which joints have gears.
+        values: in the order of the unfolded joints.
+    """
     joints, gears, remaining = [], [], list(values)
     for i in range(model.arm.n):
         joints.append(remaining.pop(0))
@@ -116,7 +133,7 @@ def separated(model: Model, values: list[Any]) -> tuple[list[Any], list[Any]]:
 
 
 def gear_torque(model: Model, d: list[Any], rate: list[Any], xp: Any) -> list[Any]:
-    """What the gears do to their links at deflections d [N m]."""
+    """Return the torque of the gears on their links at deflections d [N m]."""
     out = []
     for gear, bend, bending in zip(model.gears.values(), d, rate, strict=True):
         if not is_zero(gear.gap):
@@ -129,7 +146,13 @@ def gear_torque(model: Model, d: list[Any], rate: list[Any], xp: Any) -> list[An
 def oscillator_forces(
     model: Model, y: list[Any], yd: list[Any], u: list[Any], ud: list[Any]
 ) -> tuple[list[Any], list[Any]]:
-    """Generalised force on Y (6), and u'' of the oscillators."""
+    """Return the generalised force on Y (6), and u'' of the oscillators.
+
+    Args:
+        model: with its oscillators.
+        y, yd: base pose and rate.
+        u, ud: coordinates and rates of the oscillators.
+    """
     push: list[Any] = [0.0] * 6
     out = []
     for oscillator, at, moving in zip(model.extra, u, ud, strict=True):
@@ -187,7 +210,16 @@ def in_space(
     implicit: list[list[Any]],
     xp: Any,
 ) -> list[Expression]:
-    """z'' of arm and vehicle without gravity. `jets`: generalised force on Y."""
+    """Return z'' of arm and vehicle without gravity.
+
+    Args:
+        model: numbers or symbols of the system.
+        z, zd: state (Y, q) and its rate.
+        jets: generalised force on Y.
+        tau: joint torques.
+        implicit: added to the mass matrix by an implicit integrator.
+        xp: namespace of the functions.
+    """
     mass, loads = balance_of_forces(model, z, zd, jets, tau, xp)
     return solve(sum_of(mass, implicit), loads)
 
@@ -195,7 +227,11 @@ def in_space(
 def balance_of_forces(
     model: Model, z: list[Any], zd: list[Any], jets: list[Any], tau: list[Any], xp: Any
 ) -> tuple[list[list[Any]], list[Any]]:
-    """Mass matrix and loads of M z'' = loads, in z = (Y, q)."""
+    """Return mass matrix and loads of M z'' = loads, in z = (Y, q).
+
+    Args:
+        model, z, zd, jets, tau, xp: see `in_space`.
+    """
     n = model.arm.n
     T, _ = _rates(z[:6], xp)
     H = inertia_entries(one_base(model.arm), z[6:], xp)
@@ -220,7 +256,12 @@ def residual(
     tau: list[Any],
     xp: Any,
 ) -> list[Any]:
-    """What is missing from the balance of forces on z under accelerations z''."""
+    """Return the imbalance of forces on z under accelerations z''.
+
+    Args:
+        model, z, zd, jets, tau, xp: see `in_space`.
+        zdd: accelerations.
+    """
     T, spin, turn, accel = _base_motion(z[:6], zd[:6], zdd[:6], xp)
     arm = one_base(model.arm)
     torque, force, moment = newton_euler(
@@ -237,7 +278,11 @@ def residual(
 
 
 def base_energy(model: Model, z: list[Any], zd: list[Any], xp: Any) -> Any:
-    """E = 1/2 Y'^T (M + H_b) Y' + 1/2 Y^T K Y (`system/energy.py`)."""
+    """Return E = 1/2 Y'^T (M + H_b) Y' + 1/2 Y^T K Y (`system/energy.py`).
+
+    Args:
+        model, z, zd, xp: see `in_space`.
+    """
     twist = times(_rates(z[:6], xp)[0], zd[:6])
     locked = inertia_entries(one_base(model.arm), z[6:], xp).base
     forms = ((locked, twist), (model.M, zd[:6]), (model.K, z[:6]))
@@ -254,7 +299,13 @@ def on_platform(
     balance: bool,
     xp: Any,
 ) -> tuple[list[Expression], list[Expression]]:
-    """z'' of the arm on a platform with Y'' = base, under gravity, and its wrench on it."""
+    """Return z'' of the arm on a moving platform under gravity, and its wrench on it.
+
+    Args:
+        model, z, zd, tau, implicit, xp: see `in_space`.
+        base: Y'' of the platform.
+        balance: the links' weight is carried outside the motors.
+    """
     n, q, v = model.arm.n, z[6:], zd[6:]
     T, spin, turn, accel = _base_motion(z[:6], zd[:6], base, xp)
     # T's upper block is R^T: its last column is "up" in platform axes
@@ -330,10 +381,14 @@ def pairs(a: list[Any], b: list[Any]) -> Iterator[tuple[Any, Any]]:
 
 
 def solve(A: list[list[Any]], b: list[Any]) -> list[Any]:
-    """A^-1 b for a symmetric positive definite A: L D L^T from the last row up.
+    """Return A^-1 b by L D L^T from the last row up.
 
     The arm is eliminated before its base, as along the tree, so that a joint of 1e8 kg m^2
     costs the base no digits.
+
+    Args:
+        A: symmetric positive definite.
+        b: right-hand side.
     """
     size = len(b)
     A, b = [row[:] for row in A], list(b)

@@ -62,7 +62,12 @@ class _Map:
         raise NotImplementedError
 
     def assign(self, ids: Index, systems: list[System]) -> None:
-        """Give simulations the numbers of their own systems (`Simulator.assign`)."""
+        """Give simulations the numbers of their own systems (`Simulator.assign`).
+
+        Args:
+            ids: (k,) which.
+            systems: k of them.
+        """
         for i, system in zip(ids.tolist(), systems, strict=True):
             self.systems[i] = system
             if self._ready:

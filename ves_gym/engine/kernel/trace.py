@@ -195,7 +195,7 @@ def parameters(system: System) -> tuple[tuple[str, ...], Array]:
 
 
 def structure(system: System) -> str:
-    """What the compiled code of a system depends on: its graph's shape, not its values."""
+    """Return a digest of the graph's shape, on which a system's compiled code depends."""
     names, _ = parameters(system)
     step = system.physics_dt if system.integrator == "implicitfast" else None
     balance = system.mode == "emulated" and system.emulator_settings.joint_balance
@@ -205,7 +205,7 @@ def structure(system: System) -> str:
 
 
 def geometry(arm: Arm) -> str:
-    """What the compiled code of an arm depends on whatever it weighs: lengths and angles."""
+    """Return a digest of an arm's lengths and angles: its code depends on no weight."""
     return f"{_source()} {[(k.d, k.a, k.alpha, k.offset) for k in arm.links]!r}"
 
 
@@ -392,14 +392,19 @@ def _balance(system: System) -> _Balance:
 
 
 def tangents(system: System, wrt: tuple[str, ...], controls: int) -> Equations:
-    """Motion, base energy and their exact derivatives along given directions (mode ideal).
+    """Trace motion, base energy and their exact derivatives (mode ideal).
 
     Directions: one per parameter named in `wrt`, then `controls` directions of the command.
     With m of them the state is (x, e, dx_1, de_1, ..., dx_m, de_m), e the time integral of
     the base energy, and the input (u, du_1, ..., du_controls).
 
-    The balance is differentiated once per direction or, for many, once by the whole state
-    and then multiplied by each: whichever takes fewer operations.
+    The balance is differentiated once per direction or, for many, once by the state as a
+    vector and then multiplied by each: whichever takes fewer operations.
+
+    Args:
+        system: what to simulate.
+        wrt: names of parameters.
+        controls: number of directions of the command.
     """
     by_column, at_once = (_tangents(system, wrt, controls, k) for k in (False, True))
     return min(by_column, at_once, key=lambda graphs: int(graphs.motion.n_instructions()))
@@ -455,7 +460,7 @@ def linearisation(system: System) -> casadi.Function:
 
 
 def regressor(arm: Arm, moving: bool) -> casadi.Function:
-    """Wrench on the base and joint torques per inertial parameter, column after column.
+    """Trace wrench on the base and joint torques per inertial parameter, column after column.
 
     Moving: at (q, v, a, spin, turn, accel) as in `newton_euler`, by ten numbers a body (m, m c,
     inertia about its frame xx xy yy xz yz zz) and the rotor inertias. Otherwise at (q, free
@@ -464,6 +469,10 @@ def regressor(arm: Arm, moving: bool) -> casadi.Function:
     The balance is linear in these numbers. It is differentiated by (m, c, I_c) at unit masses
     in the origins of their frames, which is the same: m c = c there, and what moves I_c to the
     frame is of second order in c.
+
+    Args:
+        arm: lengths and angles.
+        moving: see above.
     """
     import casadi as ca
 
