@@ -11,7 +11,7 @@ import pytest
 
 from ves_gym.planners import ompl_search
 from ves_gym.planners.benchmark import run_benchmark
-from ves_gym.planners.ompl_search import Child, Ompl
+from ves_gym.planners.ompl_search import Ompl, SearchProcess
 from ves_gym.planners.registry import PLANNERS
 from ves_gym.planners.suites import get_suite
 from ves_gym.system.system import System
@@ -37,7 +37,9 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_failing_search_costs_one_query(monkeypatch, fault):
     code, message = FAULTS[fault]
-    monkeypatch.setattr(ompl_search, "CHILD", Child(PROGRAM.format(fault=code)))
+    monkeypatch.setattr(
+        ompl_search, "SEARCH_PROCESS", SearchProcess(PROGRAM.format(fault=code))
+    )
     monkeypatch.setattr(ompl_search, "_GRACE", 2.0)
     monkeypatch.setitem(PLANNERS, "ompl-qt", Ompl(evaluations=300, seconds=2.0))
     suite = get_suite("reach100", system=System())

@@ -19,10 +19,11 @@ from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.planners.damping_map import best_configurations, promised_integral
+from ves_gym.planners.free_vibration import simulate_free_vibration
 from ves_gym.planners.pped import (
-    THESIS_RELEASE,
-    Gains,
-    Plant,
+    THESIS_DISPLACEMENT,
+    GainMatrices,
+    LinearPlant,
     Tuned,
     analyse,
     plant_at,
@@ -30,7 +31,6 @@ from ves_gym.planners.pped import (
     respond,
     tune,
 )
-from ves_gym.planners.release import simulate_release
 from ves_gym.planners.virtual_manipulator import tune_virtual
 from ves_gym.system.system import System
 
@@ -40,11 +40,11 @@ BEAMS = {
     "modal": BENT,
     "consistent": dataclasses.replace(BENT, mass_model="consistent"),
 }
-THESIS = {"PPED": Gains.of(PPED_GAINS), "high": Gains.of(HIGH_GAINS)}
+THESIS = {"PPED": GainMatrices.of(PPED_GAINS), "high": GainMatrices.of(HIGH_GAINS)}
 
 
 @functools.cache
-def bent(beam: str) -> Plant:
+def bent(beam: str) -> LinearPlant:
     return plant_at(System(vehicle=BEAMS[beam]), Q45)
 
 
@@ -98,7 +98,7 @@ def test_the_full_simulation_agrees(beam):
     one for diagonal gains (full matrices and saturated motors 3 %), in the same order."""
     system = System(vehicle=BEAMS[beam])
     sets = [*THESIS.values(), best(beam).gains, best(beam, full=True).gains]
-    run = simulate_release(system, Q45, sets)
+    run = simulate_free_vibration(system, Q45, sets)
     linear = np.array([analyse(bent(beam), g).E_int for g in sets])
     error = run.E_int / linear - 1
     print(f"{beam}: error {np.round(100 * error, 2)} %, effort {run.effort.max(axis=1)}")
@@ -111,7 +111,7 @@ def test_the_full_simulation_agrees(beam):
 # ---------------------------------------------------------------------- the thesis itself
 
 
-def printed_plant() -> Plant:
+def printed_plant() -> LinearPlant:
     """The model of App. G: rotors inside the links, damping element by element."""
     base = BEAMS["elementwise"].base_model()
     M, D, K = printed_inertia(Q45), np.zeros((9, 9)), np.zeros((9, 9))
@@ -121,7 +121,7 @@ def printed_plant() -> Plant:
     free[:9, 9:] = np.eye(9)
     free[9:], drive[9:] = np.linalg.solve(M, np.hstack([-K, -D])), np.linalg.inv(M)[:, 6:]
     eye = np.eye(9)
-    return Plant(
+    return LinearPlant(
         free=free, drive=drive, port=eye[6:], rest=eye[:, :6], stiffness=base.K, mass=M[:6, :6]
     )
 
@@ -138,13 +138,16 @@ TABLE = {  # gains K, B -> estimator, E_int [J s], t(5 %) of strain [s]: THEORY 
 def test_the_table_of_the_retraced_thesis(name):
     """To the digits printed; gains of its two searches are rounded, which shows in them."""
     K, B, printed, E_int, t_5 = TABLE[name]
-    plant, gains = printed_plant(), Gains(np.diag(K).astype(float), np.diag(B).astype(float))
+    plant, gains = (
+        printed_plant(),
+        GainMatrices(np.diag(K).astype(float), np.diag(B).astype(float)),
+    )
     found = analyse(plant, gains)
     given = name in ("PPED 4.5", "high 4.6")
     assert found.estimator == pytest.approx(printed, abs=5e-3 if given else 0.025)
     assert found.E_int == pytest.approx(E_int, abs=0.05 if given else 0.25)
     t = np.arange(400) * 0.05  # its clock
-    y = respond(plant, gains, THESIS_RELEASE, t)[:, :6]
+    y = respond(plant, gains, THESIS_DISPLACEMENT, t)[:, :6]
     strain = 0.5 * np.einsum("ki,ij,kj->k", y, plant.stiffness, y)
     assert strain[0] == pytest.approx(82.3, abs=0.05)
     assert t[np.flatnonzero(strain > 0.05 * strain[0])[-1]] == pytest.approx(t_5, abs=0.051)

@@ -25,7 +25,7 @@ def test_a_path_around_obstacles(call, room):
     status, out, _, result = call("plan", *ACROSS, "--obstacles", room, *SMALL)
     assert status == 0 and "inside the limits" in out
     assert result["failure"] is None and result["info"]["algorithm"] == "bitstar"
-    assert collisions(System(), ROOM).first(result["path"]) is None
+    assert collisions(System(), ROOM).first_contact(result["path"]) is None
     status, out, _, result = call("plan", *ACROSS, "--obstacles", room, "--planner", "straight")
     assert status == 1 and "obstacle 1 (box)" in out
     assert "obstacle 1 (box)" in result["failure"] and not result["feasible"]

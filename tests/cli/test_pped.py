@@ -5,7 +5,7 @@ import pytest
 
 from tests.arms import six_joint_arm
 from ves_gym.mechanics.vehicle import DECOUPLED
-from ves_gym.planners.pped import Gains, analyse, plant_at
+from ves_gym.planners.pped import GainMatrices, analyse, plant_at
 from ves_gym.system.system import System
 
 QUICK = ("pped", "--objective", "strain", "--no-figures")
@@ -21,7 +21,7 @@ def test_gains_beside_the_thesis(call):
     assert names == ["thesis high (4.6)", "thesis PPED (4.5)", "by strain", "virtual arm (4.1)"]
     for name in (*names, "poles", "E_int", "N m/rad", "82.29 J"):
         assert name in out
-    gains = Gains(np.array(result["K"]), np.array(result["B"]))
+    gains = GainMatrices(np.array(result["K"]), np.array(result["B"]))
     judged = analyse(plant_at(System(), result["q"]), gains)
     assert judged.E_int == pytest.approx(result["E_int"])
     assert np.allclose(np.array(result["poles"]) @ [1, 1j], judged.poles)

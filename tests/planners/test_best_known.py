@@ -6,7 +6,14 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.planners import best_known
-from ves_gym.planners.best_known import keep_best, key, near_best, packaged, read_best, scored
+from ves_gym.planners.best_known import (
+    add_scores,
+    key,
+    merge_best,
+    near_best,
+    packaged,
+    read_best,
+)
 from ves_gym.planners.suites import get_suite
 from ves_gym.system.system import System
 
@@ -29,9 +36,9 @@ def result(*rows, mode="ideal", seed=3):
 
 def test_the_least_energy_stays(tmp_path):
     path = tmp_path / "best.json"
-    assert keep_best(path, result(row("straight", "a", 1.0), row("direct", "a", 0.5))) == 1
-    assert keep_best(path, result(row("refined", "a", 0.4), row("straight", "b", 2.0))) == 2
-    assert keep_best(path, result(row("direct", "a", 0.45))) == 0
+    assert merge_best(path, result(row("straight", "a", 1.0), row("direct", "a", 0.5))) == 1
+    assert merge_best(path, result(row("refined", "a", 0.4), row("straight", "b", 2.0))) == 2
+    assert merge_best(path, result(row("direct", "a", 0.45))) == 0
     found = read_best(path)
     assert {k: (e["E_mean"], e["planner"], e["seed"]) for k, e in found.items()} == {
         key(HASH, "a"): (0.4, "refined", 3),
@@ -43,14 +50,14 @@ def test_the_least_energy_stays(tmp_path):
 def test_what_breaks_a_limit_or_has_no_energy_does_not_count(tmp_path):
     path = tmp_path / "best.json"
     rows = row("refined", "a", 0.1, success=False), row("ompl-q", "b", None, success=False)
-    assert keep_best(path, result(*rows)) == 0
+    assert merge_best(path, result(*rows)) == 0
     assert read_best(path) == {}
     assert read_best(tmp_path / "none.json") == {}
 
 
 def test_only_motions_in_space_count(tmp_path):
     with pytest.raises(ParameterError, match="are of mode ideal, got emulated"):
-        keep_best(tmp_path / "best.json", result(mode="emulated"))
+        merge_best(tmp_path / "best.json", result(mode="emulated"))
 
 
 def test_another_file_is_refused(tmp_path):
@@ -76,7 +83,7 @@ def test_scores(monkeypatch):
         row("fast", "a", 0.15, success=False),
         row("straight", "b", 1.0),
     ]
-    scored(rows, {"bent": HASH}, "straight")
+    add_scores(rows, {"bent": HASH}, "straight")
     assert [r["score"] for r in rows] == [
         0.0, pytest.approx(0.5), 1.0, pytest.approx(1.125), None, None, None,
     ]  # fmt: skip

@@ -12,7 +12,7 @@ from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT
 from ves_gym.planners.coupling import coupling_matrix, modes
 from ves_gym.planners.damping_map import best_configurations, damping_map, promised_integral
-from ves_gym.planners.pped import Gains, analyse, plant_at, tune
+from ves_gym.planners.pped import GainMatrices, analyse, plant_at, tune
 from ves_gym.system.system import System
 
 Q = np.deg2rad([45.0, 0.0, 0.0])
@@ -26,7 +26,7 @@ def test_the_promise_of_joints_that_give_nothing_is_the_base_alone():
     plant = plant_at(system, Q)
     for i in range(6):
         y = 1e-2 * shapes[:, i]
-        left = analyse(plant, Gains.of(HIGH_GAINS), y).E_int
+        left = analyse(plant, GainMatrices.of(HIGH_GAINS), y).E_int
         # modal damping of the bare beam is not quite modal with the arm on it
         assert promised_integral(system, Q, y) == pytest.approx(left, rel=0.02)
 

@@ -37,7 +37,7 @@ def test_distance_from_a_ball_is_that_of_capsules():
     rng = np.random.default_rng(0)
     compared = 0
     for q in rng.uniform(-1.0, 1.0, (200, 3)):
-        near = checker.near(q, 0.3)
+        near = checker.proximity(q, 0.3)
         points = joint_positions(arm, q)
         centre, by_hand = np.array(BALL.centre), []
         # each link is a capsule along its joint's axis, then one along its length
@@ -61,7 +61,7 @@ def test_distance_from_a_ball_is_that_of_capsules():
             compared += 1
             with_ball = [d for d in near.distance if any(abs(d - k) < 1e-6 for k in by_hand)]
             assert min(with_ball) == pytest.approx(expected, abs=1e-9)
-            assert checker.clear(q) == (near.distance.min() >= 0)
+            assert checker.is_clear(q) == (near.distance.min() >= 0)
     assert compared > 50
 
 
@@ -77,9 +77,9 @@ def test_the_slope_is_that_of_the_distance():
     rng = np.random.default_rng(1)
     compared = 0
     for q in rng.uniform(-1.5, 1.5, (300, 3)):
-        here = checker.near(q, 0.1)
+        here = checker.proximity(q, 0.1)
         for j, e in enumerate(np.eye(3)):
-            sides = [checker.near(q + s * 1e-6 * e, 0.2).distance for s in (1, -1)]
+            sides = [checker.proximity(q + s * 1e-6 * e, 0.2).distance for s in (1, -1)]
             for distance, slope in zip(here.distance, here.slope[:, j], strict=True):
                 same = [side[np.abs(side - distance) < 1e-4] for side in sides]
                 if distance > 0 and all(
@@ -100,9 +100,9 @@ def test_the_slope_is_that_of_the_distance():
 )
 def test_it_sees_the_arm_touch_the_vehicle(q, found):
     checker = Collisions(System(), Surroundings(clearance=0.0))
-    touching = checker.touching(q)
+    touching = checker.contact_names(q)
     assert touching == found
-    assert checker.clear(np.array(q)) == (not found)
+    assert checker.is_clear(np.array(q)) == (not found)
 
 
 def test_the_beam_counts():
@@ -110,8 +110,8 @@ def test_the_beam_counts():
     arm = System().arm
     low = System(vehicle=STRAIGHT_HORIZONTAL)
     q = np.array([np.pi * 0.85, -1.0, 0.0])
-    far = Collisions(low, Surroundings(clearance=0.0)).near(q, 3.0)
-    without = Collisions(System(vehicle=FREE_FLOATING), Surroundings(clearance=0.0)).near(
+    far = Collisions(low, Surroundings(clearance=0.0)).proximity(q, 3.0)
+    without = Collisions(System(vehicle=FREE_FLOATING), Surroundings(clearance=0.0)).proximity(
         q, 3.0
     )
     assert arm.n == 3
@@ -121,25 +121,25 @@ def test_the_beam_counts():
 def test_the_forearm_passes_the_column():
     """Folded back beside it, as a PUMA can, 33 mm away; the links know each other."""
     path = np.linspace([0.0, -1.5, -1.0], [0.0, -1.5, -2.3], 40)
-    assert collisions(System(), Surroundings()).first(path) is None
+    assert collisions(System(), Surroundings()).first_contact(path) is None
     wide = collisions(System(), Surroundings(clearance=0.05))
-    k = wide.first(path)
+    k = wide.first_contact(path)
     assert k is not None
-    assert wide.touching(path[k]) == ["link 1 and link 3", "link 1 and link 3'"]
+    assert wide.contact_names(path[k]) == ["link 1 and link 3", "link 1 and link 3'"]
 
 
 def test_clearance_is_kept_from_obstacles():
     q = np.zeros(3)
-    gap = Collisions(System(), Surroundings(obstacles=(BALL,))).near(q, 1.0).distance.min()
+    gap = Collisions(System(), Surroundings(obstacles=(BALL,))).proximity(q, 1.0).distance.min()
     for clearance, clear in ((0.9 * max(gap, 0.01), gap > 0), (1.1 * abs(gap), False)):
         checker = Collisions(System(), Surroundings(obstacles=(BALL,), clearance=clearance))
-        assert checker.clear(q) == clear
+        assert checker.is_clear(q) == clear
 
 
 def test_any_arm():
     """Six joints with links of no length between them: home is no collision."""
     system = System(arm=six_joint_arm())
-    assert Collisions(system, Surroundings(clearance=0.0)).clear(np.zeros(6))
+    assert Collisions(system, Surroundings(clearance=0.0)).is_clear(np.zeros(6))
 
 
 def test_a_motion_is_checked_finely():
@@ -194,8 +194,8 @@ def test_clear_and_near_agree():
     arm, rng = System().arm, np.random.default_rng(2)
     verdicts = []
     for q in rng.uniform(arm.column("q_min"), arm.column("q_max"), (500, 3)):
-        nearest = checker.near(q, 0.2).distance.min(initial=0.2)
+        nearest = checker.proximity(q, 0.2).distance.min(initial=0.2)
         if abs(nearest - BUSY.clearance) > 1e-6:
-            verdicts.append(checker.clear(q))
+            verdicts.append(checker.is_clear(q))
             assert verdicts[-1] == (nearest >= BUSY.clearance)
     assert 0.1 < np.mean(verdicts) < 0.95

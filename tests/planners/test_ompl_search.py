@@ -16,7 +16,7 @@ from ves_gym.planners import ompl_search
 from ves_gym.planners.hotspot import resample
 from ves_gym.planners.metric import Metric
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
-from ves_gym.planners.ompl_search import OBJECTIVES, Child, Ompl, cruise, follow
+from ves_gym.planners.ompl_search import OBJECTIVES, Ompl, SearchProcess, cruise, follow
 from ves_gym.planners.ompl_worker import ALGORITHMS, BadCost, require_cost
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import NoPlan, Query, broken_limit, solve
@@ -70,7 +70,7 @@ def test_the_same_seed_gives_the_same_path(algorithm):
     first = planner.search(ACROSS, seed=3)
     again = planner.search(ACROSS, seed=3)
     other = planner.search(ACROSS, seed=4)
-    fresh = Child()
+    fresh = SearchProcess()
     request = ompl_search.Request(
         query=ACROSS,
         objective="qt",
@@ -79,7 +79,7 @@ def test_the_same_seed_gives_the_same_path(algorithm):
         evaluations=10_000,
         seconds=30,
     )
-    new = fresh.ask(request, 60.0)
+    new = fresh.request(request, 60.0)
     for found in (again, new):
         np.testing.assert_array_equal(found.path, first.path)
         assert [p[1:] for p in found.curve] == [p[1:] for p in first.curve]
@@ -93,7 +93,7 @@ def test_it_goes_around():
     assert plan.info["checks"] > 0
     checker = collisions(System(), PILLAR)
     t = np.linspace(0, ACROSS.duration, 2001)
-    assert checker.first(plan.motion.at(t).q) is None
+    assert checker.first_contact(plan.motion.at(t).q) is None
 
 
 def test_a_path_there_is_no_time_for_gives_way_to_the_fastest():
@@ -182,8 +182,8 @@ FAULTS = {
 def test_a_failure_in_the_child_is_reported(monkeypatch, fault):
     """As that of one query: the next one gets a new child."""
     code, message = FAULTS[fault]
-    child = Child(f"from ves_gym.planners import ompl_worker as w\n{code}\nw.serve()")
-    monkeypatch.setattr(ompl_search, "CHILD", child)
+    child = SearchProcess(f"from ves_gym.planners import ompl_worker as w\n{code}\nw.serve()")
+    monkeypatch.setattr(ompl_search, "SEARCH_PROCESS", child)
     monkeypatch.setattr(ompl_search, "_GRACE", 1.0)
     query = ACROSS if fault == "deaf" else LONG
     seconds = 1.0 if fault == "hang" else 20.0
@@ -192,7 +192,7 @@ def test_a_failure_in_the_child_is_reported(monkeypatch, fault):
         plan = solve(planner, query)
         assert message in plan.failure
         assert plan.motion is None
-    child.program = Child().program
+    child.program = SearchProcess().program
     if child._process is not None:
         child._kill()
     assert solve(planner, query).motion is not None
@@ -200,8 +200,8 @@ def test_a_failure_in_the_child_is_reported(monkeypatch, fault):
 
 def test_a_child_that_does_not_start_is_reported(monkeypatch):
     monkeypatch.setattr(ompl_search, "_START", 0.5)
-    child = Child("import time; time.sleep(60)")
-    monkeypatch.setattr(ompl_search, "CHILD", child)
+    child = SearchProcess("import time; time.sleep(60)")
+    monkeypatch.setattr(ompl_search, "SEARCH_PROCESS", child)
     plan = solve(Ompl(evaluations=100), LONG)
     assert plan.failure == "the search did not start within 0.5 s"
     assert child._process is None
@@ -209,8 +209,8 @@ def test_a_child_that_does_not_start_is_reported(monkeypatch):
 
 def test_an_interrupted_search_leaves_no_answer_behind(monkeypatch):
     """The next request gets its own answer, not the one nobody waited for."""
-    child = Child()
-    monkeypatch.setattr(ompl_search, "CHILD", child)
+    child = SearchProcess()
+    monkeypatch.setattr(ompl_search, "SEARCH_PROCESS", child)
     planner = Ompl(evaluations=300)
     planner.search(LONG, 0)
 
@@ -224,8 +224,8 @@ def test_an_interrupted_search_leaves_no_answer_behind(monkeypatch):
 
 
 def test_a_forked_process_starts_its_own_child(monkeypatch):
-    child = Child()
-    monkeypatch.setattr(ompl_search, "CHILD", child)
+    child = SearchProcess()
+    monkeypatch.setattr(ompl_search, "SEARCH_PROCESS", child)
     planner = Ompl(evaluations=300)
     planner.search(LONG, 0)
     mine = child._process
@@ -246,7 +246,7 @@ def test_a_search_that_nobody_kills_ends_by_itself():
         query=LONG, objective="q", algorithm="bitstar", seed=0, evaluations=1, seconds=0.1
     )
     with pytest.raises(NoPlan, match=f"crashed: exit status -{signal.SIGALRM.value}"):
-        Child(code).ask(request, 30.0)
+        SearchProcess(code).request(request, 30.0)
 
 
 def test_costs_that_ompl_cannot_take():

@@ -21,9 +21,9 @@ from ves_gym.mechanics.vehicle import (
 )
 from ves_gym.planners.pped import (
     OBJECTIVES,
-    THESIS_RELEASE,
+    THESIS_DISPLACEMENT,
     Bounds,
-    Gains,
+    GainMatrices,
     _Inside,
     analyse,
     estimator,
@@ -38,16 +38,19 @@ from ves_gym.system.system import System
 
 Q = np.deg2rad([45.0, 0.0, 0.0])
 CONSISTENT = dataclasses.replace(BENT, mass_model="consistent")
-FULL = Gains(  # symmetric, positive definite
+FULL = GainMatrices(  # symmetric, positive definite
     np.array([[300.0, 80, -20], [80, 200, 40], [-20, 40, 90]]),
     np.array([[20.0, 4, 1], [4, 15, -3], [1, -3, 8]]),
 )
 SYSTEMS = {
-    "bent": (System(), Gains.of(PPED_GAINS)),
+    "bent": (System(), GainMatrices.of(PPED_GAINS)),
     "bent, full gains": (System(), FULL),
-    "consistent": (System(vehicle=CONSISTENT), Gains.of(HIGH_GAINS)),
-    "straight": (System(vehicle=STRAIGHT_VERTICAL), Gains.of(HIGH_GAINS)),
-    "six joints": (System(arm=six_joint_arm(), vehicle=DECOUPLED), Gains.of(WRIST_GAINS)),
+    "consistent": (System(vehicle=CONSISTENT), GainMatrices.of(HIGH_GAINS)),
+    "straight": (System(vehicle=STRAIGHT_VERTICAL), GainMatrices.of(HIGH_GAINS)),
+    "six joints": (
+        System(arm=six_joint_arm(), vehicle=DECOUPLED),
+        GainMatrices.of(WRIST_GAINS),
+    ),
 }
 
 
@@ -88,7 +91,7 @@ def test_the_plant_is_the_slope_of_the_simulator():
     hold = sim.servo_command(np.tile(Q, (36, 1)), np.zeros((36, 3)))
     acceleration = sim.backend.evaluate(hold)[1]
     slope = (acceleration[:18] - acceleration[18:]).T / (2 * step)
-    A = plant_at(system, Q).closed(Gains.of(PPED_GAINS))
+    A = plant_at(system, Q).closed(GainMatrices.of(PPED_GAINS))
     np.testing.assert_allclose(slope, A[s:], atol=1e-6 * np.abs(A).max())
 
 
@@ -135,9 +138,9 @@ def test_the_strain_integral_is_that_of_the_response(name):
 
 
 def test_settling_time_is_read_off_the_response():
-    plant, gains = bent(), Gains.of(PPED_GAINS)
+    plant, gains = bent(), GainMatrices.of(PPED_GAINS)
     t = np.arange(4000) * 0.005
-    x = respond(plant, gains, THESIS_RELEASE, t)
+    x = respond(plant, gains, THESIS_DISPLACEMENT, t)
     E = np.einsum("ki,ij,kj->k", x, plant.total, x)
     last = t[np.flatnonzero(0.05 * E.max() < E)[-1]]
     assert analyse(plant, gains).t_5 == pytest.approx(last, abs=0.02)
@@ -146,12 +149,12 @@ def test_settling_time_is_read_off_the_response():
 @pytest.mark.parametrize("t", [[0.0], [0.1, 0.2], [0, 0.1, 0.3], 1.0])
 def test_uneven_times_are_refused(t):
     with pytest.raises(ParameterError, match="evenly spaced times from 0"):
-        respond(bent(), FULL, THESIS_RELEASE, t)
+        respond(bent(), FULL, THESIS_DISPLACEMENT, t)
 
 
 def test_no_displacement_is_worse_than_the_worst():
     """Per joule of initial strain energy; the one named reaches it."""
-    plant, gains = bent(), Gains.of(PPED_GAINS)
+    plant, gains = bent(), GainMatrices.of(PPED_GAINS)
     found = analyse(plant, gains)
     at_worst = analyse(plant, gains, found.worst_y)
     assert 0.5 * found.worst_y @ plant.stiffness @ found.worst_y == pytest.approx(1.0)
@@ -169,7 +172,7 @@ def test_estimator_is_equation_4_4():
 
 
 def test_free_joints_never_come_to_rest():
-    none = Gains(np.zeros((3, 3)), np.zeros((3, 3)))
+    none = GainMatrices(np.zeros((3, 3)), np.zeros((3, 3)))
     found = analyse(bent(), none)
     assert np.isinf([found.E_int, found.t_5, found.worst]).all()
     plain = found.to_dict()
@@ -179,9 +182,17 @@ def test_free_joints_never_come_to_rest():
 @pytest.mark.parametrize(
     ("gains", "y", "message"),
     [
-        (Gains(np.eye(2), np.eye(3)), THESIS_RELEASE, r"K must have shape \(3, 3\)"),
-        (Gains(np.eye(3), np.full((3, 3), np.nan)), THESIS_RELEASE, "B must be finite"),
-        (Gains.of(HIGH_GAINS), (0.1, 0.1), r"y must have shape \(6,\)"),
+        (
+            GainMatrices(np.eye(2), np.eye(3)),
+            THESIS_DISPLACEMENT,
+            r"K must have shape \(3, 3\)",
+        ),
+        (
+            GainMatrices(np.eye(3), np.full((3, 3), np.nan)),
+            THESIS_DISPLACEMENT,
+            "B must be finite",
+        ),
+        (GainMatrices.of(HIGH_GAINS), (0.1, 0.1), r"y must have shape \(6,\)"),
     ],
 )
 def test_wrong_gains_and_displacements_are_refused(gains, y, message):
@@ -193,7 +204,7 @@ def test_wrong_gains_and_displacements_are_refused(gains, y, message):
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
-@pytest.mark.parametrize("gains", [Gains.of(PPED_GAINS), FULL], ids=["diagonal", "full"])
+@pytest.mark.parametrize("gains", [GainMatrices.of(PPED_GAINS), FULL], ids=["diagonal", "full"])
 def test_gradients_are_those_of_differences(objective, gains):
     """d / dA along random directions of the gains; central differences of 1e-4 of them."""
     plant = bent(np.deg2rad([30.0, -20, 40]))
@@ -201,9 +212,9 @@ def test_gradients_are_those_of_differences(objective, gains):
     _, slope = value(plant.closed(gains))
     rng = np.random.default_rng(0)
     for _ in range(6):
-        way = Gains(*(1e-4 * np.abs(g).max() * rng.normal(size=(3, 3)) for g in gains))
+        way = GainMatrices(*(1e-4 * np.abs(g).max() * rng.normal(size=(3, 3)) for g in gains))
         more, less = (
-            value(plant.closed(Gains(gains.K + k * way.K, gains.B + k * way.B)))[0]
+            value(plant.closed(GainMatrices(gains.K + k * way.K, gains.B + k * way.B)))[0]
             for k in (1, -1)
         )
         change = plant.closed(way) - plant.free
@@ -243,7 +254,7 @@ def test_the_search_beats_random_gains_and_keeps_its_bounds():
     for _ in range(300):
         K = np.exp(rng.uniform(*np.log(bounds.K), 3))
         B = np.exp(rng.uniform(*np.log(bounds.B), 3))
-        assert analyse(plant, Gains(np.diag(K), np.diag(B))).E_int > found.value
+        assert analyse(plant, GainMatrices(np.diag(K), np.diag(B))).E_int > found.value
 
 
 def test_full_matrices_leave_less_and_keep_their_bounds():
@@ -261,7 +272,7 @@ def test_each_objective_is_best_at_what_it_asks():
     plant = bent()
     found = {name: tune(plant, name) for name in OBJECTIVES}
     judged = {name: analyse(plant, tuned.gains) for name, tuned in found.items()}
-    judged["thesis"] = analyse(plant, Gains.of(PPED_GAINS))
+    judged["thesis"] = analyse(plant, GainMatrices.of(PPED_GAINS))
     measures = {"strain": "E_int", "worst": "worst", "estimator": "estimator"}
     for objective, measure in measures.items():
         values = {name: getattr(damping, measure) for name, damping in judged.items()}
@@ -291,7 +302,7 @@ def test_a_known_start_is_not_made_worse():
 def test_other_arms():
     system = System(arm=six_joint_arm(), vehicle=DECOUPLED)
     plant = plant_at(system, np.full(6, 0.2))
-    before = analyse(plant, Gains.of(WRIST_GAINS)).E_int
+    before = analyse(plant, GainMatrices.of(WRIST_GAINS)).E_int
     assert tune(plant, starts=4).value < before
 
 
@@ -305,7 +316,7 @@ def test_a_base_that_no_gains_bring_to_rest_is_refused():
     with pytest.raises(ParameterError, match="neither its own damping nor the joints"):
         tune(plant)
     servo = JointServo(kp=(100.0,), kd=(10.0,))
-    assert np.isinf(analyse(plant, Gains.of(servo)).E_int)
+    assert np.isinf(analyse(plant, GainMatrices.of(servo)).E_int)
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,7 @@ def test_it_goes_around_obstacles():
     plan = solve(Refined(), ACROSS)
     assert plan.feasible
     checker = collisions(System(), PILLAR)
-    assert checker.first(plan.motion.at(np.linspace(0, 4.0, 4001)).q) is None
+    assert checker.first_contact(plan.motion.at(np.linspace(0, 4.0, 4001)).q) is None
     rough = solve(get_planner("ompl-qt"), ACROSS)
     assert plan.predicted.E_mean < rough.predicted.E_mean
 

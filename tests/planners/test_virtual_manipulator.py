@@ -11,7 +11,7 @@ from ves_gym.mechanics.arm import Arm, Inertial, diagonal
 from ves_gym.mechanics.dynamics import frames, joint_positions
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING
-from ves_gym.planners.pped import Bounds, Gains, analyse, plant_at, tune
+from ves_gym.planners.pped import Bounds, GainMatrices, analyse, plant_at, tune
 from ves_gym.planners.virtual_manipulator import (
     joint_gains,
     tune_virtual,
@@ -111,7 +111,7 @@ def test_equations_4_1_and_4_2():
     """Joint springs hold the energy of the Cartesian ones, dampers lose their power."""
     rng = np.random.default_rng(0)
     K, B = (k @ k.T for k in rng.normal(size=(2, 3, 3)))
-    found = joint_gains(PUMA_560, BENT_ELBOW, Gains(K, B))
+    found = joint_gains(PUMA_560, BENT_ELBOW, GainMatrices(K, B))
     dq = rng.normal(size=3)
     moved = virtual_jacobian(PUMA_560, BENT_ELBOW) @ dq
     assert dq @ found.K @ dq == pytest.approx(moved @ K @ moved)
@@ -132,7 +132,7 @@ def test_two_masses_are_an_arm_with_one(full):
 
 def test_poles_of_the_two_masses_are_those_of_the_arm():
     system = System(arm=point_mass_arm())
-    cartesian = Gains(np.diag([500.0, 300, 900]), np.diag([40.0, 90, 60]))
+    cartesian = GainMatrices(np.diag([500.0, 300, 900]), np.diag([40.0, 90, 60]))
     joints = joint_gains(system.arm, BENT_ELBOW, cartesian)
     simple = analyse(two_masses(system, BENT_ELBOW), cartesian)
     whole = analyse(plant_at(system, BENT_ELBOW), joints)

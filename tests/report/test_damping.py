@@ -5,8 +5,8 @@ import pytest
 
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.planners.damping_map import damping_map
-from ves_gym.planners.pped import Gains, analyse, plant_at
-from ves_gym.planners.release import linear_release, simulate_release
+from ves_gym.planners.free_vibration import linear_free_vibration, simulate_free_vibration
+from ves_gym.planners.pped import GainMatrices, analyse, plant_at
 from ves_gym.simulation.stability import poles_in_space
 from ves_gym.system.system import System
 
@@ -15,7 +15,7 @@ pytest.importorskip("matplotlib")
 from ves_gym.report.damping import map_figure, pole_figure, response_figure
 
 Q = np.deg2rad([45.0, 0.0, 0.0])
-SETS = [Gains.of(HIGH_GAINS), Gains.of(PPED_GAINS)]
+SETS = [GainMatrices.of(HIGH_GAINS), GainMatrices.of(PPED_GAINS)]
 NAMES = ["high", "PPED"]
 
 
@@ -36,8 +36,8 @@ def test_every_pole_of_the_upper_half_is_drawn():
 
 @pytest.mark.parametrize("both", [True, False])
 def test_responses_of_both_models_are_drawn(both):
-    linear = linear_release(System(), Q, SETS, seconds=4.0)
-    simulated = simulate_release(System(), Q, SETS, seconds=4.0) if both else None
+    linear = linear_free_vibration(System(), Q, SETS, seconds=4.0)
+    simulated = simulate_free_vibration(System(), Q, SETS, seconds=4.0) if both else None
     figure = response_figure(NAMES, linear, simulated)
     translation, strain, integral = figure.axes
     assert len(strain.lines) == (4 if both else 2)

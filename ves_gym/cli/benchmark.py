@@ -13,7 +13,7 @@ from typing import Any
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import add_system_arguments, out_dir, progress, system_from, write_json
 from ves_gym.planners.benchmark import run_benchmark
-from ves_gym.planners.best_known import keep_best
+from ves_gym.planners.best_known import merge_best
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import OBSTACLES, SUITES, Suite, get_suite
 
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     write_json(args.json, _compact(result))
     written: list[Path] = [folder / "benchmark.json"]
     if args.keep_best is not None:
-        print(f"best known: {keep_best(args.keep_best, result)} new or lower")
+        print(f"best known: {merge_best(args.keep_best, result)} new or lower")
         written.append(Path(args.keep_best))
     if not args.no_figures:
         written += _pictures(result, folder)

@@ -30,19 +30,23 @@ from ves_gym.planners.damping_map import (
     best_configurations,
     damping_map,
 )
+from ves_gym.planners.free_vibration import (
+    FreeVibration,
+    linear_free_vibration,
+    simulate_free_vibration,
+)
 from ves_gym.planners.pped import (
     OBJECTIVES,
-    THESIS_RELEASE,
+    THESIS_DISPLACEMENT,
     WIDE,
     Bounds,
-    Damping,
-    Gains,
-    Plant,
+    DampingAnalysis,
+    GainMatrices,
+    LinearPlant,
     analyse,
     plant_at,
     tune,
 )
-from ves_gym.planners.release import Release, linear_release, simulate_release
 from ves_gym.planners.virtual_manipulator import tune_virtual
 from ves_gym.simulation.simulator import Divergence
 from ves_gym.system.system import System
@@ -59,7 +63,7 @@ class _Row:
     """One set of gains and what it does."""
 
     name: str
-    damping: Damping
+    damping: DampingAnalysis
     objective: str | None = None  # searched for by; None: given
     full: bool = False
     seconds: float | None = None  # of the search
@@ -102,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
     """Search, compare, simulate, draw."""
     system = system_from(args)
     q = joint_angles(args.q, system.arm, "--q", default=(45.0, 0.0, 0.0))
-    y = np.array(THESIS_RELEASE) if args.disturb is None else disturbance(args.disturb)
+    y = np.array(THESIS_DISPLACEMENT) if args.disturb is None else disturbance(args.disturb)
     if not y.any():
         raise ParameterError("--disturb must be a displacement other than zero")
     if args.map and not 2 <= args.points <= 101:
@@ -165,7 +169,7 @@ def _bounds(text: str | None) -> Bounds:
 def _rows(
     args: argparse.Namespace,
     system: System,
-    plant: Plant,
+    plant: LinearPlant,
     q: Array,
     y: Array,
     bounds: Bounds,
@@ -175,7 +179,7 @@ def _rows(
     rows = []
     if plant.n == len(HIGH_GAINS.kp):
         for name, servo in ((_HIGH, HIGH_GAINS), (_PPED, PPED_GAINS)):
-            rows.append(_Row(name=name, damping=analyse(plant, Gains.of(servo), y)))
+            rows.append(_Row(name=name, damping=analyse(plant, GainMatrices.of(servo), y)))
     wanted = ("estimator", "strain") if args.objective == "both" else (args.objective,)
     searches = list(itertools.product(wanted, (False, True) if args.full else (False,)))
     for k, (objective, full) in enumerate(searches):
@@ -200,11 +204,11 @@ def _rows(
 
 def _released(
     system: System, q: Array, y: Array, rows: list[_Row]
-) -> tuple[Release, Release | None, str]:
+) -> tuple[FreeVibration, FreeVibration | None, str]:
     gains = [r.damping.gains for r in rows]
-    linear = linear_release(system, q, gains, y)
+    linear = linear_free_vibration(system, q, gains, y)
     try:
-        return linear, simulate_release(system, q, gains, y), ""
+        return linear, simulate_free_vibration(system, q, gains, y), ""
     except Divergence as error:  # a displacement out of all proportion
         return linear, None, str(error)
 
@@ -232,7 +236,7 @@ def _maps(
     return found, maps
 
 
-def _row_result(row: _Row, k: int, simulated: Release | None) -> dict[str, Any]:
+def _row_result(row: _Row, k: int, simulated: FreeVibration | None) -> dict[str, Any]:
     out = {
         "name": row.name,
         "objective": row.objective,
@@ -269,7 +273,7 @@ def _print(
     q: Array,
     y: Array,
     rows: list[_Row],
-    simulated: Release | None,
+    simulated: FreeVibration | None,
     found: list[Configuration],
 ) -> None:
     from rich.console import Console
@@ -335,11 +339,11 @@ def _pole(p: complex) -> str:
 
 def _figures(
     args: argparse.Namespace,
-    plant: Plant,
+    plant: LinearPlant,
     system: System,
     rows: list[_Row],
-    linear: Release,
-    simulated: Release | None,
+    linear: FreeVibration,
+    simulated: FreeVibration | None,
     maps: list[DampingMap],
 ) -> list[Path]:
     if args.no_figures:

@@ -58,11 +58,11 @@ class Renderer:
         lines: int = 0,
         title: str = "",
     ) -> None:
-        from ves_gym.rendering.live import Live, Shown
+        from ves_gym.rendering.live import Live, LiveSettings
 
         self.mode, self.dt = render_mode, task.system.control_dt
         window = render_mode == "human"
-        shown = Shown(
+        shown = LiveSettings(
             system=task.system,
             window=window,
             width=960 if window else 640,

@@ -26,10 +26,10 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.process_pool import WorkerDied, Workers
 from ves_gym._util.statistics import STATISTICS, bootstrap
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
-from ves_gym.planners.best_known import near_best, scored
+from ves_gym.planners.best_known import add_scores, near_best
 from ves_gym.planners.query import Plan, Query, solve
 from ves_gym.planners.registry import get_planner
-from ves_gym.planners.scenes import Shown, coupling_maps, scene, trace
+from ves_gym.planners.scenes import PlayedPlan, coupling_maps, scene, trace
 from ves_gym.planners.suites import Suite, is_compensated, uncompensated
 from ves_gym.simulation.playback import Recording, play_motions
 from ves_gym.system.energy import TAIL, Energies, energies
@@ -79,7 +79,7 @@ def run_benchmark(
         if (query.name, name) in suite.weighed:
             runs.append(_Run(name + _WEIGHED, vehicle, plan, uncompensated(query.system)))
     rows, keep = _simulate_all(runs, seed, tell)
-    scored(rows, {v: q.system.ideal().hash for v, q in suite.queries}, BASELINE)
+    add_scores(rows, {v: q.system.ideal().hash for v, q in suite.queries}, BASELINE)
     first = suite.queries[0][1].system
     listed = [{"name": n, "summary": get_planner(n).summary} for n in names]
     for label in dict.fromkeys(r.label for r in runs if r.label not in names):
@@ -175,7 +175,7 @@ def _mapped(
 # ----------------------------------------------------------------------- simulation
 
 _WEIGHED = " (weight not compensated)"
-Group = tuple[str, list[Shown]]  # vehicle, the planners' answers to one query
+Group = tuple[str, list[PlayedPlan]]  # vehicle, the planners' answers to one query
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def _simulate_all(
             rows[i] = _row_without_motion(one)
         else:
             batches[one.vehicle, one.system, one.plan.query.duration].append(i)
-    shown: dict[tuple[str, str], list[tuple[int, Shown]]] = defaultdict(list)
+    shown: dict[tuple[str, str], list[tuple[int, PlayedPlan]]] = defaultdict(list)
     for (vehicle, system, _), members in batches.items():
         showcase = _shown_queries([runs[i].plan.query for i in members])
         for part in (members[k : k + _BATCH] for k in range(0, len(members), _BATCH)):
@@ -217,7 +217,7 @@ def _simulate_all(
                     rows[i] |= _emulation(recording, ideal, k, rows[i], in_space[k])
                 name = one.plan.query.name
                 if name in showcase:
-                    picture = Shown(
+                    picture = PlayedPlan(
                         one.plan, recording, k, one.label, ideal, is_compensated(system)
                     )
                     shown[vehicle, name].append((i, picture))

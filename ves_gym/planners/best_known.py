@@ -51,7 +51,7 @@ def key(system_hash: str, query: str) -> str:
     return f"{system_hash[:12]} {query}"
 
 
-def keep_best(path: str | os.PathLike[str], result: dict[str, Any]) -> int:
+def merge_best(path: str | os.PathLike[str], result: dict[str, Any]) -> int:
     """Merge a benchmark result into a file of best known energies.
 
     Only motions in space that keep every limit count.
@@ -81,7 +81,7 @@ def keep_best(path: str | os.PathLike[str], result: dict[str, Any]) -> int:
     return sum(before.get(name) != entry for name, entry in entries.items())
 
 
-def scored(rows: Iterable[dict[str, Any]], hashes: dict[str, str], baseline: str) -> None:
+def add_scores(rows: Iterable[dict[str, Any]], hashes: dict[str, str], baseline: str) -> None:
     """Add `best_known` [J] and `score` to rows, None where nothing is known.
 
     The score is 0 for the energy of the straight line and 1 for the best known one; only

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, finite
 from ves_gym.planners.coupling import blocks, coupling_matrix, modes, require_section
-from ves_gym.planners.pped import THESIS_RELEASE, WIDE, Bounds, Tuned, plants, tune
+from ves_gym.planners.pped import THESIS_DISPLACEMENT, WIDE, Bounds, Tuned, plants, tune
 from ves_gym.system.system import System
 
 _STARTS = 3  # random starts at each configuration
@@ -22,7 +22,7 @@ _APART = 0.5  # rad in at least one joint, between candidates
 
 
 def promised_integral(
-    system: System, q: npt.ArrayLike, y: npt.ArrayLike = THESIS_RELEASE
+    system: System, q: npt.ArrayLike, y: npt.ArrayLike = THESIS_DISPLACEMENT
 ) -> Array:
     """(..., n) -> (...) strain-energy integral that the coupling promises [J s]; no search.
 
@@ -56,7 +56,7 @@ class Configuration:
 
 def best_configurations(
     system: System,
-    y: npt.ArrayLike = THESIS_RELEASE,
+    y: npt.ArrayLike = THESIS_DISPLACEMENT,
     *,
     full: bool = False,
     bounds: Bounds = WIDE,
@@ -112,7 +112,7 @@ def damping_map(
     system: System,
     joints: tuple[int, int],
     fixed: npt.ArrayLike,
-    y: npt.ArrayLike = THESIS_RELEASE,
+    y: npt.ArrayLike = THESIS_DISPLACEMENT,
     *,
     full: bool = False,
     bounds: Bounds = WIDE,

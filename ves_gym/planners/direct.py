@@ -52,7 +52,7 @@ class Direct:
         """Deterministic: the seed is not used; one start, the straight line."""
         problem = MotionProblem(query, self.free)
         found = minimise(problem, problem.straight, self.iterations)
-        return problem.motion(found.x), found.told()
+        return problem.motion(found.x), found.info()
 
 
 class MotionProblem:
@@ -175,7 +175,7 @@ class MotionProblem:
         scaled = slope / self._tau_max[:, None, None]
         return (found.tau / self._tau_max).ravel(), scaled.reshape(size, -1)
 
-    def look_closer(self, x: Array) -> bool:
+    def add_torque_samples(self, x: Array) -> bool:
         """Whether torque passes its share of the limit between samples; samples it there."""
         if self.query.system.drive != "motor":
             return False
@@ -199,7 +199,7 @@ class MotionProblem:
         position = basis(self.m, graded(count))
         inner = slice(_FIXED, self.m - _FIXED)
         least = checker.clearance + _ROOM
-        near = [checker.near(row @ control, least + _NEAR) for row in position[1:-1]]
+        near = [checker.proximity(row @ control, least + _NEAR) for row in position[1:-1]]
         counts = [len(k.distance) for k in near]
         at = np.repeat(position[1:-1, inner], counts, axis=0)  # the basis of each distance
         slope = np.vstack([k.slope for k in near])
@@ -231,7 +231,7 @@ class Minimum:
     evaluations: int
     message: str
 
-    def told(self) -> dict[str, Any]:
+    def info(self) -> dict[str, Any]:
         """What is worth telling."""
         return {
             "evaluations": self.evaluations,
@@ -272,7 +272,7 @@ def minimise(
             done + found.iterations,
             evaluations + found.evaluations,
         )
-        if found.excess > _NEARLY or not problem.look_closer(x0):
+        if found.excess > _NEARLY or not problem.add_torque_samples(x0):
             break
     return replace(found, iterations=done, evaluations=evaluations)
 

@@ -98,7 +98,7 @@ class BadPath:
 # ------------------------------------------------------------------------- lattice
 
 
-class Network(Protocol):
+class JointSpaceGraph(Protocol):
     """Joint space as a graph of coupling lengths."""
 
     name: str
@@ -229,7 +229,7 @@ def _graph(lengths: Array, a: Ints, b: Ints, size: int) -> scipy.sparse.csr_arra
 
 
 @lru_cache(maxsize=16)
-def _network(system: System, duration: float | None) -> Network:
+def _network(system: System, duration: float | None) -> JointSpaceGraph:
     """A lattice where it is small enough."""
     nodes = int(np.prod([len(axis) for axis in _axes(system.arm)]))
     if nodes * (3**system.arm.n - 1) // 2 <= _LARGEST:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _NOTHING = np.zeros(0)  # the graphs hold the arm's numbers
 
 
-class Momentum(NamedTuple):
+class BaseMomentum(NamedTuple):
     """u = H_bm(q) v and its derivatives."""
 
     u: Array  # (..., 6) kg m/s, kg m^2/s
@@ -31,29 +31,29 @@ class Momentum(NamedTuple):
     by_v: Array  # (..., 6, n), H_bm itself
 
 
-def momentum(arm: Arm, q: Array, v: Array) -> Momentum:
+def momentum(arm: Arm, q: Array, v: Array) -> BaseMomentum:
     """Base momentum of joint rates v (..., n) at configurations q (..., n)."""
     n = arm.n
     out = _evaluate("momentum", _momentum, arm, points((q, n, "q"), (v, n, "v")), 6 + 12 * n)
     slopes = out[..., 6:].reshape(*out.shape[:-1], 2, n, 6)
     by_q, by_v = np.moveaxis(np.swapaxes(slopes, -1, -2), -3, 0)
-    return Momentum(out[..., :6], by_q, by_v)
+    return BaseMomentum(out[..., :6], by_q, by_v)
 
 
-class Torque(NamedTuple):
+class InverseDynamics(NamedTuple):
     """Joint torque on a base that stands still, and its derivatives."""
 
     tau: Array  # (..., n) N m
     by: Array  # (..., 3, n, n) by position, rate and acceleration; [.., k, i, j] = dtau_i/dx_j
 
 
-def torque(arm: Arm, q: Array, v: Array, a: Array) -> Torque:
+def torque(arm: Arm, q: Array, v: Array, a: Array) -> InverseDynamics:
     """Inverse dynamics with derivatives, all inputs (..., n)."""
     n = arm.n
     at = points((q, n, "q"), (v, n, "v"), (a, n, "a"))
     out = _evaluate("torque", _torque, arm, at, n + 3 * n * n)
     slopes = out[..., n:].reshape(*out.shape[:-1], 3, n, n)
-    return Torque(out[..., :n], np.swapaxes(slopes, -1, -2))
+    return InverseDynamics(out[..., :n], np.swapaxes(slopes, -1, -2))
 
 
 def _evaluate(name: str, graph: Any, arm: Arm, x: Array, outputs: int) -> Array:

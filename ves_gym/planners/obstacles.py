@@ -97,7 +97,7 @@ def link_radius(arm: Arm, i: int) -> float:
     return _THICKNESS * size * (1 - _TAPER * i / arm.n)
 
 
-class Near(NamedTuple):
+class Proximity(NamedTuple):
     """Pairs of shapes near each other at one configuration."""
 
     distance: Array  # (k,) m, negative where they overlap
@@ -125,25 +125,25 @@ class Collisions:
         self._mujoco.mj_collision(self.model, self.data)
         return self.data.contact
 
-    def clear(self, q: Array) -> bool:
+    def is_clear(self, q: Array) -> bool:
         """Whether a configuration (n,) keeps the clearance."""
         found = self._detect(q, self.clearance)
         return self.data.ncon == 0 or bool((found.dist >= self.clearance).all())
 
-    def first(self, path: npt.ArrayLike) -> int | None:
+    def first_contact(self, path: npt.ArrayLike) -> int | None:
         """Index of the first of the configurations (N, n) that does not keep it, or None."""
         for k, q in enumerate(np.asarray(path, float)):
-            if not self.clear(q):
+            if not self.is_clear(q):
                 return k
         return None
 
-    def touching(self, q: npt.ArrayLike) -> list[str]:
+    def contact_names(self, q: npt.ArrayLike) -> list[str]:
         """What is too near what at a configuration, in words."""
         found = self._detect(np.asarray(q, float), self.clearance)
         pairs = found.geom[found.dist < self.clearance]
         return sorted({" and ".join(self.model.geom(g).name for g in pair) for pair in pairs})
 
-    def near(self, q: Array, within: float) -> Near:
+    def proximity(self, q: Array, within: float) -> Proximity:
         """Pairs nearer than `within` [m], and how their distances change.
 
         Distances are those of MuJoCo's geometry; where one shape is deep inside another its
@@ -152,7 +152,7 @@ class Collisions:
         mj, model, data = self._mujoco, self.model, self.data
         found = self._detect(q, within)
         if data.ncon == 0:
-            return Near(np.zeros(0), np.zeros((0, self.n)))
+            return Proximity(np.zeros(0), np.zeros((0, self.n)))
         pairs = sorted({(int(a), int(b)) for a, b in found.geom})
         mj.mj_comPos(model, data)
         distance, slope = np.empty(len(pairs)), np.zeros((len(pairs), self.n))
@@ -166,7 +166,7 @@ class Collisions:
                 mj.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[geom])
                 slope[k] += sign * normal @ jacobian[:, 6:]
         keep = distance < within
-        return Near(distance[keep], slope[keep])
+        return Proximity(distance[keep], slope[keep])
 
 
 @lru_cache(maxsize=8)

@@ -23,7 +23,7 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError, require_choice
 from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.hotspot import feasible_part, resample
-from ves_gym.planners.ompl_worker import ALGORITHMS, Found, Request, speed_limits
+from ves_gym.planners.ompl_worker import ALGORITHMS, PathSearchResult, Request, speed_limits
 from ves_gym.planners.query import NoPlan, Query, broken_limit, require_possible
 
 OBJECTIVES = {
@@ -88,7 +88,7 @@ class Ompl:
         }
         return motion, info
 
-    def search(self, query: Query, seed: int) -> Found:
+    def search(self, query: Query, seed: int) -> PathSearchResult:
         """Way-points and the anytime curve, from the child process.
 
         Raises:
@@ -103,7 +103,7 @@ class Ompl:
             evaluations=self.evaluations,
             seconds=self.seconds,
         )
-        found = CHILD.ask(request, self.seconds + _GRACE)
+        found = SEARCH_PROCESS.request(request, self.seconds + _GRACE)
         if found.path is None:
             raise NoPlan(
                 f"no path found within {found.evaluations} cost evaluations and"
@@ -160,7 +160,7 @@ def cruise(u: Array) -> Array:
 # ----------------------------------------------------------------------------- child
 
 
-class Child:
+class SearchProcess:
     """The searching process: started when first asked, started anew after it was killed.
 
     Not for several threads at once; a forked process starts its own.
@@ -171,7 +171,7 @@ class Child:
         self._process: subprocess.Popen[bytes] | None = None
         self._owner = 0  # process that started it
 
-    def ask(self, request: Request, limit: float) -> Found:
+    def request(self, request: Request, limit: float) -> PathSearchResult:
         """The answer to a request, or NoPlan with what happened to the child.
 
         Args:
@@ -188,7 +188,7 @@ class Child:
         except BaseException:  # or the next request would get this one's answer
             self._kill()
             raise
-        if not isinstance(answer, Found):
+        if not isinstance(answer, PathSearchResult):
             raise NoPlan(f"the search failed: {answer}")
         return answer
 
@@ -247,4 +247,4 @@ def _end(process: subprocess.Popen[bytes], *files: Any) -> None:
     process.wait()
 
 
-CHILD = Child()
+SEARCH_PROCESS = SearchProcess()

@@ -63,7 +63,7 @@ class Point(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Found:
+class PathSearchResult:
     """What a search found."""
 
     path: Array | None  # (k, n) way-points
@@ -94,14 +94,14 @@ def serve() -> None:
             return
         signal.alarm(math.ceil(min(request.seconds + _ORPHAN, 1e9)))
         try:
-            answer: Found | str = search(request)
+            answer: PathSearchResult | str = search(request)
         except Exception as error:  # all of it is the parent's to report
             answer = f"{type(error).__name__}: {error}"
         signal.alarm(0)
         answers.send(answer)
 
 
-def search(request: Request) -> Found:
+def search(request: Request) -> PathSearchResult:
     """Run OMPL on a request."""
     from ompl import base as ob
     from ompl import geometric as og
@@ -188,7 +188,7 @@ class _Search:
             def isValid(self, state: Any) -> bool:
                 search.checks += 1
                 search.stop_if_overrun()
-                return checker.clear(np.array([state[i] for i in range(n)]))
+                return checker.is_clear(np.array([state[i] for i in range(n)]))
 
         return Validity(information)
 
@@ -245,13 +245,15 @@ class _Search:
             np.linspace(a, b, 2 + int(gap))
             for a, b, gap in zip(path[:-1], path[1:], gaps, strict=True)
         ]
-        return collisions(query.system, query.surroundings).first(np.vstack(fine)) is None
+        return (
+            collisions(query.system, query.surroundings).first_contact(np.vstack(fine)) is None
+        )
 
-    def found(self) -> Found:
+    def found(self) -> PathSearchResult:
         cost, path = self.best or (math.nan, None)
         if path is not None and len(path) > 2 and self.evaluations == 0:
             raise BadCost(f"{self.request.algorithm} never asked for the cost")
-        return Found(path, cost, tuple(self.curve), self.evaluations, self.checks)
+        return PathSearchResult(path, cost, tuple(self.curve), self.evaluations, self.checks)
 
 
 def require_cost(cost: float) -> float:

@@ -30,7 +30,7 @@ from ves_gym.system.system import System
 Complexes = npt.NDArray[np.complex128]
 Objective = Callable[[Array], tuple[float, Array]]  # closed A -> value to minimise, d / dA
 
-THESIS_RELEASE = (0.1, 0.1, 0.1, 0.0, 0.0, 0.0)  # Y(0) of thesis 4.3.2 [m, rad]
+THESIS_DISPLACEMENT = (0.1, 0.1, 0.1, 0.0, 0.0, 0.0)  # Y(0) of thesis 4.3.2 [m, rad]
 OBJECTIVES = {
     "strain": "time integral of strain energy after one displacement [J s]",
     "worst": "the same per joule of initial strain energy, worst displacement [s]",
@@ -44,16 +44,16 @@ _SEARCH = {"maxcor": 30, "ftol": 1e-7}
 _SAMPLE = 0.01  # s, of the response in which t_5 is looked for
 
 
-class Gains(NamedTuple):
+class GainMatrices(NamedTuple):
     """Joint gains, each (n, n), symmetric: tau = -K (q - q0) - B q'."""
 
     K: Array  # N m/rad
     B: Array  # N m s/rad
 
     @staticmethod
-    def of(servo: JointServo) -> Gains:
+    def of(servo: JointServo) -> GainMatrices:
         """The diagonal gains of a servo."""
-        return Gains(np.diag(servo.kp), np.diag(servo.kd))
+        return GainMatrices(np.diag(servo.kp), np.diag(servo.kd))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +79,7 @@ WIDE = Bounds()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Plant:
+class LinearPlant:
     """x' = free x + drive u, closed by u = -K s - B s' with s = port z; about rest.
 
     x stacks z and z', each of width w; z starts with the base's Y. For joint gains z is
@@ -98,7 +98,7 @@ class Plant:
         """Number of controlled coordinates."""
         return len(self.port)
 
-    def closed(self, gains: Gains) -> Array:
+    def closed(self, gains: GainMatrices) -> Array:
         """(2 w, 2 w) A of x' = A x under gains."""
         feedback = np.hstack([gains.K @ self.port, gains.B @ self.port])
         return self.free - self.drive @ feedback
@@ -123,7 +123,7 @@ class Plant:
         return S
 
 
-def plants(system: System, q: npt.ArrayLike) -> list[Plant]:
+def plants(system: System, q: npt.ArrayLike) -> list[LinearPlant]:
     """The linear models of arm and base at configurations q (m, n) [rad].
 
     Raises:
@@ -144,12 +144,12 @@ def plants(system: System, q: npt.ArrayLike) -> list[Plant]:
     masses = blocks(system, angles).Mt
     port, rest = np.eye(w)[6:], np.eye(w)[:, :6]
     return [
-        Plant(free=A, drive=B, port=port, rest=rest, stiffness=K, mass=mass)
+        LinearPlant(free=A, drive=B, port=port, rest=rest, stiffness=K, mass=mass)
         for A, B, mass in zip(linear.A, linear.B.reshape(-1, 2 * w, n), masses, strict=True)
     ]
 
 
-def plant_at(system: System, q: npt.ArrayLike) -> Plant:
+def plant_at(system: System, q: npt.ArrayLike) -> LinearPlant:
     """The linear model of arm and base at one configuration q (n,) [rad]."""
     return plants(system, system.arm.require_within_limits(q))[0]
 
@@ -158,10 +158,10 @@ def plant_at(system: System, q: npt.ArrayLike) -> Plant:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Damping:
+class DampingAnalysis:
     """What a set of gains does to a displaced base, by the linear model."""
 
-    gains: Gains
+    gains: GainMatrices
     poles: Complexes  # (2 w,) 1/s, slowest first
     estimator: float  # thesis eq. 4.4
     E_int: float  # time integral of strain energy [J s]
@@ -181,7 +181,9 @@ class Damping:
         }
 
 
-def analyse(plant: Plant, gains: Gains, y: npt.ArrayLike = THESIS_RELEASE) -> Damping:
+def analyse(
+    plant: LinearPlant, gains: GainMatrices, y: npt.ArrayLike = THESIS_DISPLACEMENT
+) -> DampingAnalysis:
     """Poles and measures of the base released from y (6,) [m, rad].
 
     A system that does not decay by itself (free joints, say) has infinite measures.
@@ -194,14 +196,14 @@ def analyse(plant: Plant, gains: Gains, y: npt.ArrayLike = THESIS_RELEASE) -> Da
     value = estimator(poles)
     if poles.real.max() > -_MARGIN:
         never, nowhere = math.inf, np.full(6, np.nan)
-        return Damping(
+        return DampingAnalysis(
             gains=gains, poles=poles, estimator=value, E_int=never, t_5=never, worst=never,
             worst_y=nowhere,
         )  # fmt: skip
     P = _Lyapunov(A).cost(plant.strain)
     x = plant.start(y)
     worst, direction = _worst(plant, P)
-    return Damping(
+    return DampingAnalysis(
         gains=gains,
         poles=poles,
         estimator=value,
@@ -223,7 +225,9 @@ def estimator(poles: npt.ArrayLike) -> float:
     return float(np.sum(-p.real / omega * (1 - omega / omega.sum())))
 
 
-def respond(plant: Plant, gains: Gains, y: npt.ArrayLike, t: npt.ArrayLike) -> Array:
+def respond(
+    plant: LinearPlant, gains: GainMatrices, y: npt.ArrayLike, t: npt.ArrayLike
+) -> Array:
     """(N, 2 w) x at evenly spaced times t (N,) from 0 [s], after a release from y."""
     times = np.asarray(t, float)
     if (
@@ -245,7 +249,7 @@ def _march(step: Array, x: Array, count: int) -> Array:
     return out[:count]
 
 
-def _settling_time(plant: Plant, A: Array, x: Array) -> float:
+def _settling_time(plant: LinearPlant, A: Array, x: Array) -> float:
     """s until x^T S x, S of the base energy, stays below 5 % of its peak; to _SAMPLE."""
     rates, shapes = np.linalg.eig(A)
     S = plant.total
@@ -286,7 +290,7 @@ class _Lyapunov:
         return (out + out.T) / 2
 
 
-def _worst(plant: Plant, P: Array) -> tuple[float, Array]:
+def _worst(plant: LinearPlant, P: Array) -> tuple[float, Array]:
     """Largest cost per joule of initial strain energy [s], and its displacement of 1 J."""
     w = len(plant.rest)
     cost = plant.rest.T @ P[:w, :w] @ plant.rest
@@ -298,7 +302,9 @@ def _worst(plant: Plant, P: Array) -> tuple[float, Array]:
 # -------------------------------------------------------------------------- objectives
 
 
-def objective_of(plant: Plant, name: str, y: npt.ArrayLike = THESIS_RELEASE) -> Objective:
+def objective_of(
+    plant: LinearPlant, name: str, y: npt.ArrayLike = THESIS_DISPLACEMENT
+) -> Objective:
     """One of `OBJECTIVES` as a function to minimise, of the closed A, with its gradient.
 
     strain and worst are in logarithms (they differ by decades), the estimator negative.
@@ -328,7 +334,7 @@ def _strain_objective(S: Array, X0: Array) -> Objective:
     return value
 
 
-def _worst_objective(plant: Plant) -> Objective:
+def _worst_objective(plant: LinearPlant) -> Objective:
     S = plant.strain
 
     def value(A: Array) -> tuple[float, Array]:
@@ -405,7 +411,7 @@ class _Inside:
 class Tuned:
     """Gains found by a search."""
 
-    gains: Gains
+    gains: GainMatrices
     objective: str
     value: float  # of the objective, in its unit (`OBJECTIVES`)
     evaluations: int
@@ -413,15 +419,15 @@ class Tuned:
 
 
 def tune(
-    plant: Plant,
+    plant: LinearPlant,
     objective: str = "strain",
     *,
-    y: npt.ArrayLike = THESIS_RELEASE,
+    y: npt.ArrayLike = THESIS_DISPLACEMENT,
     full: bool = False,
     bounds: Bounds = WIDE,
     starts: int = 24,
     seed: int = 0,
-    first: Gains | None = None,
+    first: GainMatrices | None = None,
 ) -> Tuned:
     """The gains that are best by an objective: quasi-Newton search from several starts.
 
@@ -444,15 +450,15 @@ def tune(
     w = plant.port.shape[1]
     evaluations = 0
 
-    def gains_of(u: Array) -> Gains:
-        return Gains(boxes[0].gain(u[:split])[0], boxes[1].gain(u[split:])[0])
+    def gains_of(u: Array) -> GainMatrices:
+        return GainMatrices(boxes[0].gain(u[:split])[0], boxes[1].gain(u[split:])[0])
 
     def value(u: Array) -> tuple[float, Array]:
         nonlocal evaluations
         evaluations += 1
         K, by_K = boxes[0].gain(u[:split])
         B, by_B = boxes[1].gain(u[split:])
-        found, slope = goal(plant.closed(Gains(K, B)))
+        found, slope = goal(plant.closed(GainMatrices(K, B)))
         inner = -plant.drive.T @ slope  # A falls by drive [K port, B port]
         by_gains = inner[:, :w] @ plant.port.T, inner[:, w:] @ plant.port.T
         return found, np.r_[by_K(by_gains[0]), by_B(by_gains[1])]
@@ -505,7 +511,7 @@ def _simplex(value: Callable[[Array], tuple[float, Array]], u: Array) -> tuple[f
     return float(found.fun), found.x
 
 
-def _require_decay(plant: Plant, gains: Gains) -> None:
+def _require_decay(plant: LinearPlant, gains: GainMatrices) -> None:
     slowest = np.linalg.eigvals(plant.closed(gains)).real.max()
     if slowest > -_MARGIN:
         raise ParameterError(

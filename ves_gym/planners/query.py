@@ -171,8 +171,8 @@ def _touched(query: Query, motion: Motion) -> str | None:
         return None
     checker = collisions(query.system.ideal(), query.surroundings)
     path = spaced(motion, RESOLUTION / 4)
-    k = checker.first(path)
-    return None if k is None else f"too near: {', '.join(checker.touching(path[k]))}"
+    k = checker.first_contact(path)
+    return None if k is None else f"too near: {', '.join(checker.contact_names(path[k]))}"
 
 
 def spaced(motion: Motion, step: float) -> Array:
@@ -199,5 +199,7 @@ def require_possible(query: Query) -> None:
         return
     checker = collisions(query.system.ideal(), query.surroundings)
     for name, q in (("start", start), ("goal", goal)):
-        if not checker.clear(q):
-            raise NoPlan(f"no motion: the {name} is too near: {', '.join(checker.touching(q))}")
+        if not checker.is_clear(q):
+            raise NoPlan(
+                f"no motion: the {name} is too near: {', '.join(checker.contact_names(q))}"
+            )

@@ -168,7 +168,7 @@ def _best(problem: MotionProblem, starts: Sequence[Array]) -> tuple[Motion, dict
         "energies": [m.energy for m in looks],
     }
     iterations = sum(look.iterations for look in looks) + best[1].iterations
-    info |= best[1].told() | {"iterations": iterations}
+    info |= best[1].info() | {"iterations": iterations}
     if stands:
         return best[0], info
     as_they_are = [problem.motion(x) for x in starts]

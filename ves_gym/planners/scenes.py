@@ -16,7 +16,7 @@ from ves_gym.simulation.playback import Recording
 from ves_gym.system.energy import base_energy
 
 
-class Shown(NamedTuple):
+class PlayedPlan(NamedTuple):
     """A plan, and which run of a recording is its own."""
 
     plan: Plan
@@ -32,7 +32,7 @@ _AFTER = 4.0  # s of an animation after the motion
 _POINTS = 49  # per axis of a map
 
 
-def trace(vehicle: str, runs: list[Shown]) -> dict[str, Any]:
+def trace(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
     """Base energy against time of every planner's answer to one query.
 
     Mode emulated: also strain energy and distance of the base from rest, and all of them
@@ -108,7 +108,7 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
     return data
 
 
-def scene(vehicle: str, runs: list[Shown]) -> dict[str, Any]:
+def scene(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
     """The arm on the swaying base, frame by frame, for every planner's answer."""
     query = runs[0].plan.query
     rest = beam_line(query.system.vehicle, np.zeros((1, 6)))

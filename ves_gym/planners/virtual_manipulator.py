@@ -18,11 +18,11 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm, skew
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.planners.pped import (
-    THESIS_RELEASE,
+    THESIS_DISPLACEMENT,
     WIDE,
     Bounds,
-    Gains,
-    Plant,
+    GainMatrices,
+    LinearPlant,
     Tuned,
     plant_at,
     tune,
@@ -66,13 +66,13 @@ def virtual_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
     return jacobian
 
 
-def joint_gains(arm: Arm, q: npt.ArrayLike, cartesian: Gains) -> Gains:
+def joint_gains(arm: Arm, q: npt.ArrayLike, cartesian: GainMatrices) -> GainMatrices:
     """Thesis eq. 4.1 and 4.2: K_vm = J_vm^T K_d J_vm, B_vm = J_vm^T B_d J_vm."""
     J = virtual_jacobian(arm, q)
-    return Gains(J.T @ cartesian.K @ J, J.T @ cartesian.B @ J)
+    return GainMatrices(J.T @ cartesian.K @ J, J.T @ cartesian.B @ J)
 
 
-def two_masses(system: System, q: npt.ArrayLike) -> Plant:
+def two_masses(system: System, q: npt.ArrayLike) -> LinearPlant:
     """The vehicle and, beside it, the arm as one mass at its centre: thesis figure 4-3.
 
     z = (Y, c), c the displacement of the arm's centre of mass [m]; the gains act on c less
@@ -92,7 +92,7 @@ def two_masses(system: System, q: npt.ArrayLike) -> Plant:
     free[:9, 9:] = np.eye(9)
     free[9:] = np.linalg.solve(M, np.hstack([-K, -D]))
     drive[9:] = np.linalg.solve(M, port.T)
-    return Plant(
+    return LinearPlant(
         free=free,
         drive=drive,
         port=port,
@@ -106,8 +106,10 @@ def two_masses(system: System, q: npt.ArrayLike) -> Plant:
 class VirtualGains:
     """Gains by way of the virtual manipulator."""
 
-    gains: Gains  # of the joints, eq. 4.1 and 4.2, and the least gains in every direction
-    cartesian: Gains  # K_d, B_d, (3, 3) [N/m, N s/m]
+    gains: (
+        GainMatrices  # of the joints, eq. 4.1 and 4.2, and the least gains in every direction
+    )
+    cartesian: GainMatrices  # K_d, B_d, (3, 3) [N/m, N s/m]
     search: Tuned  # what the two masses promise
 
 
@@ -116,7 +118,7 @@ def tune_virtual(
     q: npt.ArrayLike,
     objective: str = "strain",
     *,
-    y: npt.ArrayLike = THESIS_RELEASE,
+    y: npt.ArrayLike = THESIS_DISPLACEMENT,
     full: bool = False,
     bounds: Bounds = WIDE,
     seed: int = 0,
@@ -129,5 +131,5 @@ def tune_virtual(
     search = tune(two_masses(system, q), objective, y=y, full=full, bounds=CARTESIAN, seed=seed)
     found = joint_gains(system.arm, q, search.gains)
     least = np.eye(system.arm.n)
-    gains = Gains(found.K + bounds.K[0] * least, found.B + bounds.B[0] * least)
+    gains = GainMatrices(found.K + bounds.K[0] * least, found.B + bounds.B[0] * least)
     return VirtualGains(gains=gains, cartesian=search.gains, search=search)

@@ -26,7 +26,7 @@ Key = tuple[str, bool]  # its name, and whether it went down
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown:
+class LiveSettings:
     """What a live picture shows."""
 
     system: System
@@ -44,10 +44,10 @@ class Shown:
         return json.dumps({**plain, "system": self.system.to_dict()}).encode() + b"\n"
 
     @staticmethod
-    def from_line(line: str) -> Shown:
+    def from_line(line: str) -> LiveSettings:
         """The reverse of `to_line`."""
         plain = json.loads(line)
-        return Shown(**{**plain, "system": System.from_dict(plain["system"])})
+        return LiveSettings(**{**plain, "system": System.from_dict(plain["system"])})
 
 
 class Live:
@@ -61,7 +61,7 @@ class Live:
         RenderError: nothing can be drawn here; the message says what is missing.
     """
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: LiveSettings) -> None:
         self.shown = shown
         self.open, self._seen = True, False
         self._unsent: list[dict[str, Any]] = []

@@ -12,11 +12,11 @@ import sys
 import mujoco
 import numpy as np
 
-from ves_gym.rendering.live import Shown, answer
+from ves_gym.rendering.live import LiveSettings, answer
 from ves_gym.rendering.stage import Stage
 
 
-def pictures(shown: Shown) -> None:
+def pictures(shown: LiveSettings) -> None:
     """Answer every line on stdin with pixels."""
     context = mujoco.GLContext(shown.width, shown.height)
     context.make_current()
@@ -34,7 +34,7 @@ def pictures(shown: Shown) -> None:
 
 def main() -> None:
     """Show what the first line of stdin says."""
-    shown = Shown.from_line(sys.stdin.readline())
+    shown = LiveSettings.from_line(sys.stdin.readline())
     if not shown.window:
         pictures(shown)
     else:

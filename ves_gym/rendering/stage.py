@@ -24,7 +24,7 @@ from ves_gym.rendering.drawing import (
     ball,
     connect,
 )
-from ves_gym.rendering.live import Shown
+from ves_gym.rendering.live import LiveSettings
 
 MAIN = 0.62  # of the width is the arm's; the rest shows the whole, its base magnified
 _STRIP = 0.22  # of the height
@@ -42,7 +42,7 @@ _FONT = mujoco.mjtFont.mjFONT_NORMAL
 class Stage:
     """Draws what it is told into the present OpenGL context."""
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: LiveSettings) -> None:
         self.shown = shown
         self.drawing = Drawing(shown.system, shown.width, shown.height)
         self.context = mujoco.MjrContext(self.drawing.model, _font_scale(shown.height))

@@ -11,7 +11,7 @@ from typing import Any
 import glfw
 import mujoco
 
-from ves_gym.rendering.live import Shown, answer
+from ves_gym.rendering.live import LiveSettings, answer
 from ves_gym.rendering.stage import MAIN, Stage
 
 _NAMES = {glfw.KEY_SPACE: "space", glfw.KEY_ESCAPE: "escape"}  # others have their character's
@@ -20,7 +20,7 @@ _NAMES = {glfw.KEY_SPACE: "space", glfw.KEY_ESCAPE: "escape"}  # others have the
 class Window:
     """The picture in a window: drag to turn, scroll to zoom."""
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: LiveSettings) -> None:
         if not glfw.init():
             raise RuntimeError("GLFW finds no display")
         glfw.window_hint(glfw.SAMPLES, 4)

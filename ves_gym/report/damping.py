@@ -9,8 +9,8 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from ves_gym.planners.damping_map import DampingMap
+from ves_gym.planners.free_vibration import FreeVibration
 from ves_gym.planners.pped import Complexes
-from ves_gym.planners.release import Release
 from ves_gym.report.figures import _COLOURS, _IN_SPACE, _darker, _panels
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def pole_figure(sets: Sequence[tuple[str, Complexes]], locked: Complexes) -> Fig
 
 
 def response_figure(
-    names: Sequence[str], linear: Release, simulated: Release | None = None
+    names: Sequence[str], linear: FreeVibration, simulated: FreeVibration | None = None
 ) -> Figure:
     """Translation, strain energy and its integral after the release, by both models."""
     figure, panels = _panels(3, 8.4, 2.9, columns=1)
@@ -64,15 +64,15 @@ def response_figure(
         axes.grid(alpha=0.3)
     for k in range(len(names)):
         if simulated is not None:
-            _draw_release(panels, simulated, k, color=_colour(k), linewidth=2.0)
+            _draw_response(panels, simulated, k, color=_colour(k), linewidth=2.0)
             dashed: dict[str, Any] = {"color": _darker(_colour(k)), **_IN_SPACE}
         else:
             dashed = {"color": _colour(k), "linewidth": 1.6}
-        _draw_release(panels, linear, k, **dashed)
+        _draw_response(panels, linear, k, **dashed)
     for axes in panels:
         axes.set_ylim(bottom=0)
     panels[-1].set_xlabel("time after release [s]")
-    _release_legend(figure, names, simulated is not None)
+    _response_legend(figure, names, simulated is not None)
     return figure
 
 
@@ -111,14 +111,14 @@ def _fixed(section: DampingMap) -> str:
     return ", ".join(f"joint {k + 1} at {np.rad2deg(section.fixed[k]):.0f}°" for k in others)
 
 
-def _draw_release(panels: Sequence[Axes], run: Release, k: int, **style: Any) -> None:
+def _draw_response(panels: Sequence[Axes], run: FreeVibration, k: int, **style: Any) -> None:
     distance: Array = 1e3 * np.linalg.norm(run.y[k, :, :3], axis=-1)
     total = cumulative_trapezoid(run.strain[k], run.t, initial=0.0)
     for axes, values in zip(panels, (distance, run.strain[k], total), strict=True):
         axes.plot(run.t, values, **style)
 
 
-def _release_legend(figure: Figure, names: Sequence[str], both: bool) -> None:
+def _response_legend(figure: Figure, names: Sequence[str], both: bool) -> None:
     from matplotlib.lines import Line2D
 
     lines = [Line2D([], [], color=_colour(k), linewidth=3) for k in range(len(names))]

@@ -30,8 +30,8 @@ from ves_gym.leaderboard.tracks.base import Answers, Case, Method, Progress, Row
 from ves_gym.leaderboard.tracks.policies import Episodes, evaluated
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
-from ves_gym.planners.pped import OBJECTIVES, WIDE, Gains, plant_at, tune
-from ves_gym.planners.release import simulate_release
+from ves_gym.planners.free_vibration import simulate_free_vibration
+from ves_gym.planners.pped import OBJECTIVES, WIDE, GainMatrices, plant_at, tune
 from ves_gym.simulation.simulator import Divergence
 from ves_gym.system.system import System
 
@@ -47,7 +47,7 @@ class Damping(Episodes):
     sources = (
         *Episodes.sources,
         "planners/pped.py",
-        "planners/release.py",
+        "planners/free_vibration.py",
         "leaderboard/tracks/damping.py",
         "leaderboard/lower_bounds.py",
     )
@@ -159,13 +159,13 @@ class Damping(Episodes):
         self, problem: Problem, seeds: Seeds, method: Method, found: Array
     ) -> list[Row]:
         system, out = self.system(problem), []
-        high = Gains.of(HIGH_GAINS)
+        high = GainMatrices.of(HIGH_GAINS)
         for group in range(len(method.seeds)):
             asked = self.cases(problem, seeds, method, group)
             for case, (q, y), (K, B) in zip(
                 asked, releases(problem, seeds), found[group], strict=True
             ):
-                line = _let_go(system, case, group, q, y, [high, Gains(K, B)])
+                line = _let_go(system, case, group, q, y, [high, GainMatrices(K, B)])
                 out.append(line)
         return out
 
@@ -201,19 +201,19 @@ def releases(problem: Problem, seeds: Seeds) -> list[tuple[Array, Array]]:
     return list(zip(begin.q, y, strict=True))
 
 
-def _gains(system: System, name: str, q: Array, y: Array, seed: int) -> Gains:
+def _gains(system: System, name: str, q: Array, y: Array, seed: int) -> GainMatrices:
     if name in ("high", "thesis"):
-        return Gains.of(HIGH_GAINS if name == "high" else PPED_GAINS)
+        return GainMatrices.of(HIGH_GAINS if name == "high" else PPED_GAINS)
     objective = name.removesuffix("-full")
     found = tune(plant_at(system, q), objective, y=y, full=name != objective, seed=seed)
     return found.gains
 
 
 def _let_go(
-    system: System, case: Case, group: int, q: Array, y: Array, gains: list[Gains]
+    system: System, case: Case, group: int, q: Array, y: Array, gains: list[GainMatrices]
 ) -> Row:
     try:
-        run = simulate_release(system, q, gains, y, seconds=PPED_SECONDS)
+        run = simulate_free_vibration(system, q, gains, y, seconds=PPED_SECONDS)
     except Divergence:
         none: dict[str, float | None] = {}
         return row(case, group, score=None, success=False, failed=True, energies=none, length=1)

@@ -15,7 +15,7 @@ from scipy.integrate import trapezoid
 from ves_gym._util.params import Array, ParameterError, finite
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.coupling import modes
-from ves_gym.planners.pped import THESIS_RELEASE, Gains, plant_at, respond
+from ves_gym.planners.pped import THESIS_DISPLACEMENT, GainMatrices, plant_at, respond
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.energy import SETTLED, base_energy
 from ves_gym.system.system import System
@@ -24,7 +24,7 @@ _RECORDS = 16  # of a period of the stiffest base mode
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Release:
+class FreeVibration:
     """Base motion under several sets of gains on one clock. Leading axis = gains."""
 
     t: Array  # (N,) s
@@ -50,14 +50,14 @@ class Release:
         return settled
 
 
-def linear_release(
+def linear_free_vibration(
     system: System,
     q: npt.ArrayLike,
-    gains: Sequence[Gains],
-    y: npt.ArrayLike = THESIS_RELEASE,
+    gains: Sequence[GainMatrices],
+    y: npt.ArrayLike = THESIS_DISPLACEMENT,
     *,
     seconds: float = 30.0,
-) -> Release:
+) -> FreeVibration:
     """By the linear model."""
     plant, (t, _) = plant_at(system, q), _clock(system, q, seconds)
     x = np.stack([respond(plant, g, y, t) for g in gains])
@@ -66,7 +66,7 @@ def linear_release(
     torque = np.stack(
         [a @ g.K + b @ g.B for a, b, g in zip(s, v, gains, strict=True)]  # K, B symmetric
     )
-    return Release(
+    return FreeVibration(
         t=t,
         y=x[..., :6],
         strain=np.einsum("mki,ij,mkj->mk", x, plant.strain, x),
@@ -76,15 +76,15 @@ def linear_release(
     )
 
 
-def simulate_release(
+def simulate_free_vibration(
     system: System,
     q: npt.ArrayLike,
-    gains: Sequence[Gains],
-    y: npt.ArrayLike = THESIS_RELEASE,
+    gains: Sequence[GainMatrices],
+    y: npt.ArrayLike = THESIS_DISPLACEMENT,
     *,
     seconds: float = 30.0,
     backend: str = "auto",
-) -> Release:
+) -> FreeVibration:
     """By the simulator: large motions, limited motors.
 
     Diagonal gains act inside the physics step, as those of any servo; the torque by which
@@ -126,7 +126,7 @@ def simulate_release(
         np.stack([getattr(s, name) for s in states], axis=1) for name in ("q", "y", "yd")
     )
     energy = base_energy(system, joints, pose, rate)
-    return Release(
+    return FreeVibration(
         t=t,
         y=pose,
         strain=energy.strain,

@@ -7,27 +7,28 @@ from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import STRAIGHT_VERTICAL
-from ves_gym.planners.pped import THESIS_RELEASE, Gains, analyse, plant_at
-from ves_gym.planners.release import linear_release, simulate_release
+from ves_gym.planners.free_vibration import linear_free_vibration, simulate_free_vibration
+from ves_gym.planners.pped import THESIS_DISPLACEMENT, GainMatrices, analyse, plant_at
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Divergence
 from ves_gym.system.energy import energies
 from ves_gym.system.system import System
 
 Q = np.deg2rad([45.0, 0.0, 0.0])
-FULL = Gains(
+FULL = GainMatrices(
     np.array([[300.0, 80, -20], [80, 200, 40], [-20, 40, 90]]),
     np.array([[20.0, 4, 1], [4, 15, -3], [1, -3, 8]]),
 )
-SETS = [Gains.of(HIGH_GAINS), Gains.of(PPED_GAINS), FULL]
-SMALL = 0.01 * np.array(THESIS_RELEASE)
+SETS = [GainMatrices.of(HIGH_GAINS), GainMatrices.of(PPED_GAINS), FULL]
+SMALL = 0.01 * np.array(THESIS_DISPLACEMENT)
 
 
 def test_a_small_release_is_linear():
     """1 mm, 5 s. Tolerance: second order of the motion; the coupling torque of the full
     matrices is held over steps of 1.25 ms."""
     linear, simulated = (
-        f(System(), Q, SETS, SMALL, seconds=5.0) for f in (linear_release, simulate_release)
+        f(System(), Q, SETS, SMALL, seconds=5.0)
+        for f in (linear_free_vibration, simulate_free_vibration)
     )
     size = np.abs(linear.y).max(axis=(1, 2))
     gap = np.abs(simulated.y - linear.y).max(axis=(1, 2)) / size
@@ -41,9 +42,11 @@ def test_a_small_release_is_linear():
 
 def test_the_simulated_release_is_that_of_the_suite():
     """`play_motions` with the same servo, and `energies` of what it records."""
-    run = simulate_release(System(), Q, SETS[1:2], seconds=12.0)
+    run = simulate_free_vibration(System(), Q, SETS[1:2], seconds=12.0)
     stay = Motion.straight(Q, Q, 2.0)
-    played = play_motions(System(), [stay], servo=PPED_GAINS, y=THESIS_RELEASE, settle=10.0)
+    played = play_motions(
+        System(), [stay], servo=PPED_GAINS, y=THESIS_DISPLACEMENT, settle=10.0
+    )
     np.testing.assert_allclose(run.y[0], played.y[0], atol=1e-12)
     measures = energies(System(), run.t, played.q, played.y, played.yd, duration=2.0)[0]
     assert run.E_int[0] == pytest.approx(measures.E_int, rel=1e-9)
@@ -54,44 +57,48 @@ def test_the_simulated_release_is_that_of_the_suite():
 
 def test_engines_agree():
     runs = [
-        simulate_release(System(), Q, SETS, seconds=0.5, backend=name)
+        simulate_free_vibration(System(), Q, SETS, seconds=0.5, backend=name)
         for name in ("kernel", "mujoco")
     ]
     np.testing.assert_allclose(runs[0].y, runs[1].y, atol=1e-10)
 
 
 def test_what_has_not_settled_says_so():
-    run = linear_release(System(), Q, SETS[:1], seconds=1.0)
+    run = linear_free_vibration(System(), Q, SETS[:1], seconds=1.0)
     assert np.isinf(run.t_5).all()
 
 
 def test_stiff_modes_are_sampled_finely():
     """Straight beam along its axis, 40 Hz: the integral of the records is the closed form."""
     system, y = System(vehicle=STRAIGHT_VERTICAL), [0, 0, 1e-3, 0, 0, 0]
-    run = linear_release(system, Q, SETS[:1], y, seconds=30.0)
+    run = linear_free_vibration(system, Q, SETS[:1], y, seconds=30.0)
     found = analyse(plant_at(system, Q), SETS[0], y)
     assert run.E_int[0] == pytest.approx(found.E_int, rel=5e-3)
 
 
 def test_a_saturated_motor_shows_in_the_effort():
     """Ten times the displacement asks for more torque than the high gains may give."""
-    run = simulate_release(System(), Q, SETS[:1], 5 * np.array(THESIS_RELEASE), seconds=0.5)
+    run = simulate_free_vibration(
+        System(), Q, SETS[:1], 5 * np.array(THESIS_DISPLACEMENT), seconds=0.5
+    )
     assert run.effort.max() == pytest.approx(1.0)
-    asked = linear_release(System(), Q, SETS[:1], 5 * np.array(THESIS_RELEASE), seconds=0.5)
+    asked = linear_free_vibration(
+        System(), Q, SETS[:1], 5 * np.array(THESIS_DISPLACEMENT), seconds=0.5
+    )
     assert asked.effort.max() > 1.5
 
 
 def test_a_run_that_diverges_is_named():
     with pytest.raises(Divergence, match="simulation 0"):
-        simulate_release(System(), Q, SETS[:1], [1e3, 1e3, 1e3, 0, 0, 0], seconds=1.0)
+        simulate_free_vibration(System(), Q, SETS[:1], [1e3, 1e3, 1e3, 0, 0, 0], seconds=1.0)
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, np.nan, np.inf])
 def test_wrong_spans_are_refused(seconds):
     with pytest.raises(ParameterError, match="seconds must be finite"):
-        linear_release(System(), Q, SETS, seconds=seconds)
+        linear_free_vibration(System(), Q, SETS, seconds=seconds)
 
 
 def test_a_prescribed_drive_has_no_gains():
     with pytest.raises(ParameterError, match="drive motor"):
-        simulate_release(System(drive="prescribed"), Q, SETS)
+        simulate_free_vibration(System(drive="prescribed"), Q, SETS)
