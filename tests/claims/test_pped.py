@@ -122,7 +122,12 @@ def printed_plant() -> LinearPlant:
     free[9:], drive[9:] = np.linalg.solve(M, np.hstack([-K, -D])), np.linalg.inv(M)[:, 6:]
     eye = np.eye(9)
     return LinearPlant(
-        free=free, drive=drive, port=eye[6:], rest=eye[:, :6], stiffness=base.K, mass=M[:6, :6]
+        free=free,
+        drive=drive,
+        port=eye[6:],
+        displacement_map=eye[:, :6],
+        stiffness=base.K,
+        mass=M[:6, :6],
     )
 
 

@@ -15,7 +15,7 @@ from ves_gym.hardware.leg_servo import LEG_SERVOS, leg_clock
 from ves_gym.mechanics.vehicle import FREE_FLOATING, STRAIGHT_HORIZONTAL
 from ves_gym.planners.benchmark import (
     SCHEMA,
-    _mapped,
+    _run_workers,
     anytime,
     rank_correlation,
     run_benchmark,
@@ -41,19 +41,19 @@ def small_suite():
 
 
 @pytest.fixture(scope="module")
-def told():
+def progress_calls():
     return []
 
 
 @pytest.fixture(scope="module")
-def result(told):
+def result(progress_calls):
     return run_benchmark(
         small_suite(),
         planners=["direct"],
         seed=3,
         workers=1,
         command="a test",
-        progress=lambda stage, done: told.append((stage, done)),
+        progress=lambda stage, done: progress_calls.append((stage, done)),
     )
 
 
@@ -98,8 +98,8 @@ def test_a_row_holds_what_its_motion_does(result):
         query = next(q for _, q in small_suite().queries if q.name == row["query"])
         plan = solve(get_planner(row["planner"]), query, 3)
         run = play_motions(query.system, [plan.motion], record_dt=12.5e-3)
-        one = energies(run.system, run.t, run.q, run.y, run.yd, duration=query.duration)[0]
-        for name, value in one.to_dict().items():
+        measured = energies(run.system, run.t, run.q, run.y, run.yd, duration=query.duration)[0]
+        for name, value in measured.to_dict().items():
             same = row[name] == value if value is None else row[name] == pytest.approx(value)
             assert same, name
         assert row["predicted"] == plan.predicted.E_mean
@@ -110,10 +110,10 @@ def test_a_row_holds_what_its_motion_does(result):
         assert row["plan_seconds"] > 0
 
 
-def test_progress_goes_through_its_stages(result, told):
-    assert [stage for stage, _ in told] == ["planning"] * 4 + ["simulating"] * 2
+def test_progress_goes_through_its_stages(result, progress_calls):
+    assert [stage for stage, _ in progress_calls] == ["planning"] * 4 + ["simulating"] * 2
     for stage in ("planning", "simulating"):
-        done = [d for s, d in told if s == stage]
+        done = [d for s, d in progress_calls if s == stage]
         assert done == sorted(done)
         assert done[-1] == 1.0
 
@@ -179,44 +179,47 @@ def test_one_query_alone_gives_the_row(result):
 
 def test_the_straight_line_is_always_included_and_nothing_twice():
     suite = dataclasses.replace(small_suite(), queries=small_suite().queries[:1])
-    found = run_benchmark(suite, planners=["straight", "straight"], workers=1)
-    assert [r["planner"] for r in found["rows"]] == ["straight"]
-    assert found["summary"][0]["ratio_median"] == 1.0
+    result = run_benchmark(suite, planners=["straight", "straight"], workers=1)
+    assert [r["planner"] for r in result["rows"]] == ["straight"]
+    assert result["summary"][0]["ratio_median"] == 1.0
 
 
 def test_an_unknown_planner_is_refused_before_any_work():
-    told = []
+    progress_calls = []
     with pytest.raises(ParameterError, match="planner must be one of"):
         run_benchmark(
-            small_suite(), planners=["magic"], workers=1, progress=lambda *a: told.append(a)
+            small_suite(),
+            planners=["magic"],
+            workers=1,
+            progress=lambda *a: progress_calls.append(a),
         )
-    assert told == []
+    assert progress_calls == []
 
 
 def test_a_free_base_and_a_query_that_goes_nowhere_are_strict_json_too():
     system = System(vehicle=FREE_FLOATING, drive="prescribed")
-    here = (0.2, 0.1, -0.3)
+    point = (0.2, 0.1, -0.3)
     queries = (
-        Query(system=system, start=here, goal=(0.6, 0.3, 0.1), duration=1.0, name="go"),
-        Query(system=system, start=here, goal=here, duration=1.0, name="stay"),
+        Query(system=system, start=point, goal=(0.6, 0.3, 0.1), duration=1.0, name="go"),
+        Query(system=system, start=point, goal=point, duration=1.0, name="stay"),
     )
     suite = Suite(
         name="odd", queries=tuple(("free", q) for q in queries), planners=("straight",)
     )
-    found = run_benchmark(suite, workers=1)
-    json.dumps(found, allow_nan=False)
-    go, stay = found["rows"]
+    result = run_benchmark(suite, workers=1)
+    json.dumps(result, allow_nan=False)
+    go, stay = result["rows"]
     assert go["E_peak"] > 0
     assert stay["E_mean"] == pytest.approx(0.0, abs=1e-20)
-    assert found["summary"][0]["E_res_ratio_median"] is None  # at rest after any motion
-    assert all(scene["rest_beam"] is None for scene in found["scenes"])
+    assert result["summary"][0]["E_res_ratio_median"] is None  # at rest after any motion
+    assert all(scene["rest_beam"] is None for scene in result["scenes"])
 
 
 def test_all_planners_of_the_thesis_suite_run():
     suite = get_suite("thesis", system=System(), vehicle="straight-horizontal")
-    found = run_benchmark(suite, workers=1)
-    assert [r["planner"] for r in found["rows"]] == list(suite.planners)
-    by_name = {r["planner"]: r["E_mean"] for r in found["rows"]}
+    result = run_benchmark(suite, workers=1)
+    assert [r["planner"] for r in result["rows"]] == list(suite.planners)
+    by_name = {r["planner"]: r["E_mean"] for r in result["rows"]}
     assert by_name["direct"] < by_name["straight"]
 
 
@@ -355,13 +358,13 @@ def test_anytime_curves_are_relative_to_their_end():
         [[0.1, 10, 4.0], [0.5, 50, 2.0], [2.0, 200, 2.0]],
     ]
     rows = [row("ompl-qt", str(k), 1.0, info={"curve": c}) for k, c in enumerate(curves)]
-    (found,) = anytime([*rows, row("straight", "0", 1.0)])
-    assert (found["planner"], found["vehicle"], found["n"]) == ("ompl-qt", "bent", 2)
-    assert found["seconds"][0] == pytest.approx(0.1) and found["seconds"][-1] == 2.0
-    assert found["ratio"][0] == 2.0 and found["ratio"][-1] == 1.0
-    assert found["ratio"] == sorted(found["ratio"], reverse=True)
-    assert found["to_5_percent_median"] == pytest.approx(0.75)
-    assert found["to_5_percent_max"] == 1.0
+    (curve,) = anytime([*rows, row("straight", "0", 1.0)])
+    assert (curve["planner"], curve["vehicle"], curve["n"]) == ("ompl-qt", "bent", 2)
+    assert curve["seconds"][0] == pytest.approx(0.1) and curve["seconds"][-1] == 2.0
+    assert curve["ratio"][0] == 2.0 and curve["ratio"][-1] == 1.0
+    assert curve["ratio"] == sorted(curve["ratio"], reverse=True)
+    assert curve["to_5_percent_median"] == pytest.approx(0.75)
+    assert curve["to_5_percent_max"] == 1.0
     assert anytime([row("straight", "0", 1.0)]) == []
 
 
@@ -375,8 +378,8 @@ def test_ranks_in_the_laboratory_and_in_space():
     rows += [pair(p, "b", e, -e) for p, e in zip("xyz", (1.0, 2.0, 3.0), strict=True)]
     rows += [pair("x", "c", 1.0, 1.0), pair("y", "c", 2.0, 2.0)]
     rows += [{**pair("w", "a", 0.0, 9.0), "compensated": False}]
-    (found,) = rank_correlation(rows)
-    assert found == {"vehicle": "bent", "duration": 1.0, "n": 2, "rho_median": 0.0}
+    (correlation,) = rank_correlation(rows)
+    assert correlation == {"vehicle": "bent", "duration": 1.0, "n": 2, "rho_median": 0.0}
     assert rank_correlation(rows[:3])[0]["rho_median"] == pytest.approx(1.0)
 
 
@@ -397,19 +400,21 @@ class Broken:
 
 def test_a_planner_that_fails_costs_nothing_but_its_rows(monkeypatch):
     monkeypatch.setitem(PLANNERS, "broken", Broken())
-    found = run_benchmark(small_suite(), planners=["broken"], workers=1)
-    json.dumps(found, allow_nan=False)
-    failures = {r["query"]: r["failure"] for r in found["rows"] if r["planner"] == "broken"}
+    result = run_benchmark(small_suite(), planners=["broken"], workers=1)
+    json.dumps(result, allow_nan=False)
+    failures = {r["query"]: r["failure"] for r in result["rows"] if r["planner"] == "broken"}
     assert failures == {
         "reach-0.5s-000": "ZeroDivisionError: oh dear",
         "reach-2s-000": "no way there",
     }
-    lost = [r for r in found["rows"] if r["planner"] == "broken"]
+    lost = [r for r in result["rows"] if r["planner"] == "broken"]
     assert all(r["E_mean"] is None and not r["success"] for r in lost)
-    assert all(r["E_mean"] > 0 and r["failure"] is None for r in found["rows"] if r not in lost)
-    summary = next(s for s in found["summary"] if s["planner"] == "broken")
+    assert all(
+        r["E_mean"] > 0 and r["failure"] is None for r in result["rows"] if r not in lost
+    )
+    summary = next(s for s in result["summary"] if s["planner"] == "broken")
     assert (summary["success_rate"], summary["ratio_median"]) == (0.0, None)
-    assert [s["planner"] for t in found["traces"] for s in t["series"]] == ["straight"] * 2
+    assert [s["planner"] for t in result["traces"] for s in t["series"]] == ["straight"] * 2
 
 
 def crashing(job):
@@ -421,9 +426,9 @@ def crashing(job):
 def test_a_crash_of_a_planning_process_costs_one_query():
     suite = get_suite("reach100", system=System(), quick=True)
     work = [("straight", q, 0) for _, q in suite.queries[:4]]
-    found = list(_mapped(work, 2, crashing))
-    assert [p.query.name for p in found] == [q.name for _, q, _ in work]
-    assert [p.failure for p in found] == [
+    plans = list(_run_workers(work, 2, crashing))
+    assert [p.query.name for p in plans] == [q.name for _, q, _ in work]
+    assert [p.failure for p in plans] == [
         "answered", "the planning process crashed", "answered", "answered",
     ]  # fmt: skip
 
@@ -434,23 +439,25 @@ def test_among_obstacles():
     assert len(suite.queries) == 80
     names = {"reach-1s-000", "reach-4s-000", "reach-4s-001"}
     names |= {f"{name}-obstacles" for name in names}
-    wanted = tuple((v, q) for v, q in suite.queries if q.name in names)
-    found = run_benchmark(
-        dataclasses.replace(suite, queries=wanted), planners=["ompl-time", "refined"], workers=1
+    queries = tuple((v, q) for v, q in suite.queries if q.name in names)
+    result = run_benchmark(
+        dataclasses.replace(suite, queries=queries),
+        planners=["ompl-time", "refined"],
+        workers=1,
     )
-    assert {r["vehicle"] for r in found["rows"]} == {"bent", "bent, obstacles"}
-    assert set(found["systems"]) == {"bent", "bent, obstacles"}
-    for row in found["rows"]:
+    assert {r["vehicle"] for r in result["rows"]} == {"bent", "bent, obstacles"}
+    assert set(result["systems"]) == {"bent", "bent, obstacles"}
+    for row in result["rows"]:
         assert row["obstacles"] == row["query"].endswith("-obstacles")
         if not row["success"]:
             assert "too near" in row["failure"] or "limit" in row["failure"]
-    refined = [r for r in found["rows"] if r["planner"] == "refined"]
-    straight = [r for r in found["rows"] if r["planner"] == "straight" and r["obstacles"]]
+    refined = [r for r in result["rows"] if r["planner"] == "refined"]
+    straight = [r for r in result["rows"] if r["planner"] == "straight" and r["obstacles"]]
     assert not all(r["success"] for r in straight)
     assert all(r["success"] for r in refined if "no motion" not in (r["failure"] or ""))
-    shown = [s for s in found["scenes"] if s["obstacles"]]
-    assert shown and {o["kind"] for o in shown[0]["obstacles"]} == {"box", "sphere"}
-    assert {a["planner"] for a in found["anytime"]} == {"ompl-time"}
+    among = [s for s in result["scenes"] if s["obstacles"]]
+    assert among and {o["kind"] for o in among[0]["obstacles"]} == {"box", "sphere"}
+    assert {a["planner"] for a in result["anytime"]} == {"ompl-time"}
 
 
 # -------------------------------------------------------------------------- emulated
@@ -509,23 +516,23 @@ def test_an_emulated_row_stands_beside_the_same_motion_in_space(lab, emulated):
         emulated["rows"], [system, system, uncompensated(system)], strict=True
     ):
         plan = solve(get_planner(row["planner"].split()[0]), query, 0)
-        here, space = (
+        laboratory, space = (
             play_motions(s, [plan.motion], record_dt=12.5e-3) for s in (machine, query.system)
         )
         E, E_space = (
             energies(run.system, run.t, run.q, run.y, run.yd, duration=2.0)[0]
-            for run in (here, space)
+            for run in (laboratory, space)
         )
         assert row["mode"] == "emulated" and row["stopped"] is None and row["success"]
         assert row["E_mean"] == pytest.approx(E.E_mean)
         for key in ("E_mean", "E_res", "E_peak"):
             assert row[f"{key}_ideal"] == pytest.approx(getattr(E_space, key))
         assert row["emulation_error"] == pytest.approx(E.E_mean / E_space.E_mean - 1)
-        apart, far = (
+        error, far = (
             np.linalg.norm(part[0, :, :3], axis=-1).max()
-            for part in (here.y - space.y, space.y)
+            for part in (laboratory.y - space.y, space.y)
         )
-        assert row["base_error"] == pytest.approx(apart / far)
+        assert row["base_error"] == pytest.approx(error / far)
         assert row["predicted"] == plan.predicted.E_mean
         # a planner answers for the space system
         expected = plan.predicted.E_mean / E_space.E_mean - 1
@@ -569,39 +576,39 @@ def test_leg_servos_bring_their_own_clock(lab):
     suite = dataclasses.replace(
         lab, queries=(("beam", dataclasses.replace(query, system=system)),), weighed=()
     )
-    found = run_benchmark(suite, planners=["straight"], workers=1)
-    assert found["machine"]["platform"] == "six legs, filtered servo"
-    assert abs(found["rows"][0]["emulation_error"]) < 0.2
+    result = run_benchmark(suite, planners=["straight"], workers=1)
+    assert result["machine"]["platform"] == "six legs, filtered servo"
+    assert abs(result["rows"][0]["emulation_error"]) < 0.2
 
 
 def test_stopped_runs_have_a_reason_and_no_energy(lab):
     """A tenth of the weight drives the platform to the end of its legs; the run that is
     not compensated is zeroed at the start, and goes on."""
-    found = run_benchmark(with_effects(lab, GravityScale(error=0.1)), workers=1)
-    json.dumps(found, allow_nan=False)
-    *stopped, weighed = found["rows"]
+    result = run_benchmark(with_effects(lab, GravityScale(error=0.1)), workers=1)
+    json.dumps(result, allow_nan=False)
+    *stopped, weighed = result["rows"]
     assert weighed["stopped"] is None and weighed["E_mean"] > 0
-    assert "gravity/scale" in found["machine"]["effects"]
+    assert "gravity/scale" in result["machine"]["effects"]
     for row in stopped:
         assert re.match(r"platform frozen at t = [\d.]+ s: .+", row["stopped"])
         assert row["success"] is False
         for key in ("E_mean", "E_res", "t_5", "emulation_error", "base_error"):
             assert row[key] is None
         assert row["E_mean_ideal"] > 0
-    for row in found["summary"][:2]:
+    for row in result["summary"][:2]:
         assert row["stopped"] == row["n"] == 1
         assert row["success_rate"] == 0
         assert row["E_mean_median"] is row["ratio_median"] is row["ratio_low"] is None
-    cut, whole = (found["traces"][0]["series"][k]["t"][-1] for k in (0, 2))
-    assert cut < 2 and whole == pytest.approx(12.0, abs=0.1)
+    cut, finished = (result["traces"][0]["series"][k]["t"][-1] for k in (0, 2))
+    assert cut < 2 and finished == pytest.approx(12.0, abs=0.1)
 
 
 def test_a_benchmark_whose_every_run_is_stopped(lab):
     suite = with_effects(lab, GravityScale(error=0.1))
-    found = run_benchmark(dataclasses.replace(suite, weighed=()), workers=1)
-    json.dumps(found, allow_nan=False)
-    assert all(row["stopped"] and row["E_mean"] is None for row in found["rows"])
-    for run in found["scenes"][0]["runs"]:
+    result = run_benchmark(dataclasses.replace(suite, weighed=()), workers=1)
+    json.dumps(result, allow_nan=False)
+    assert all(row["stopped"] and row["E_mean"] is None for row in result["rows"])
+    for run in result["scenes"][0]["runs"]:
         assert run["base"][-1] == run["base"][-2]  # stays where it stopped
 
 

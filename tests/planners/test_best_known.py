@@ -39,8 +39,8 @@ def test_the_least_energy_stays(tmp_path):
     assert merge_best(path, result(row("straight", "a", 1.0), row("direct", "a", 0.5))) == 1
     assert merge_best(path, result(row("refined", "a", 0.4), row("straight", "b", 2.0))) == 2
     assert merge_best(path, result(row("direct", "a", 0.45))) == 0
-    found = read_best(path)
-    assert {k: (e["E_mean"], e["planner"], e["seed"]) for k, e in found.items()} == {
+    entries = read_best(path)
+    assert {k: (e["E_mean"], e["planner"], e["seed"]) for k, e in entries.items()} == {
         key(HASH, "a"): (0.4, "refined", 3),
         key(HASH, "b"): (2.0, "straight", 3),
     }
@@ -72,8 +72,8 @@ def test_another_file_is_refused(tmp_path):
 
 def test_scores(monkeypatch):
     """0 for the straight line, 1 for the best known, above it for better still."""
-    known = {key(HASH, "a"): {"E_mean": 0.2}}
-    monkeypatch.setattr(best_known, "packaged", lambda: known)
+    best = {key(HASH, "a"): {"E_mean": 0.2}}
+    monkeypatch.setattr(best_known, "packaged", lambda: best)
     rows = [
         row("straight", "a", 1.0),
         row("direct", "a", 0.6),

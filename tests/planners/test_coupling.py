@@ -47,8 +47,8 @@ def test_q_is_symmetric_semidefinite_and_works_on_stacks(vehicle, duration):
     size = np.abs(Q).max()
     np.testing.assert_allclose(Q, np.swapaxes(Q, -1, -2), atol=1e-12 * size)
     assert np.linalg.eigvalsh(Q).min() > -1e-12 * size
-    for q, one in zip(CONFIGURATIONS, Q, strict=True):
-        np.testing.assert_allclose(metric(system, q, duration), one, atol=1e-12 * size)
+    for q, matrix in zip(CONFIGURATIONS, Q, strict=True):
+        np.testing.assert_allclose(metric(system, q, duration), matrix, atol=1e-12 * size)
 
 
 def test_q_is_the_strain_energy_of_a_joint_step():
@@ -64,14 +64,14 @@ def test_q_is_the_strain_energy_of_a_joint_step():
 
 def test_modes_solve_the_eigenproblem():
     base = SYSTEM.base
-    found = modes(SYSTEM, CONFIGURATIONS)
+    solution = modes(SYSTEM, CONFIGURATIONS)
     for k, q in enumerate(CONFIGURATIONS):
         Mt = blocks(SYSTEM, q).Mt
         squares = scipy.linalg.eigh(base.K, Mt, eigvals_only=True)
-        np.testing.assert_allclose(found.omega[k] ** 2, squares, rtol=1e-8)
-        shapes = found.shapes[k]
+        np.testing.assert_allclose(solution.omega[k] ** 2, squares, rtol=1e-8)
+        shapes = solution.shapes[k]
         np.testing.assert_allclose(shapes.T @ Mt @ shapes, np.eye(6), atol=1e-9)
-        assert (np.diff(found.omega[k]) >= 0).all()
+        assert (np.diff(solution.omega[k]) >= 0).all()
 
 
 def test_the_spectrum_of_the_quintic():
@@ -101,14 +101,16 @@ def test_a_free_base_has_no_strain_and_no_coupling():
 
 
 def test_invariant_directions_do_not_depend_on_the_unit_of_a_joint():
-    found = invariant_directions(SYSTEM, CONFIGURATIONS)
-    assert (np.diff(found.values) >= 0).all()
+    directions = invariant_directions(SYSTEM, CONFIGURATIONS)
+    assert (np.diff(directions.values) >= 0).all()
     b = blocks(SYSTEM, CONFIGURATIONS)
     effective = b.Hm - np.swapaxes(b.Hbm, -1, -2) @ np.linalg.solve(b.Mt, b.Hbm)
-    unit = np.swapaxes(found.vectors, -1, -2) @ effective @ found.vectors
+    unit = np.swapaxes(directions.vectors, -1, -2) @ effective @ directions.vectors
     np.testing.assert_allclose(unit, np.broadcast_to(np.eye(3), unit.shape), atol=1e-9)
     Q = coupling_matrix(SYSTEM, CONFIGURATIONS)
-    residual = Q @ found.vectors - effective @ found.vectors * found.values[:, None, :]
+    residual = (
+        Q @ directions.vectors - effective @ directions.vectors * directions.values[:, None, :]
+    )
     assert np.abs(residual).max() < 1e-8 * np.abs(Q).max()
 
 
@@ -178,14 +180,14 @@ def test_lines_stay_on_the_map_and_follow_least_coupling(section):
     assert len(lines) > 10
     x, y = section.axes
     angles = []
-    for line in lines:
-        assert line.ndim == 2
-        assert line.shape[1] == 2
-        assert (line >= [x[0] - 1e-12, y[0] - 1e-12]).all()
-        assert (line <= [x[-1] + 1e-12, y[-1] + 1e-12]).all()
-        steps = np.diff(line, axis=0)
+    for curve in lines:
+        assert curve.ndim == 2
+        assert curve.shape[1] == 2
+        assert (curve >= [x[0] - 1e-12, y[0] - 1e-12]).all()
+        assert (curve <= [x[-1] + 1e-12, y[-1] + 1e-12]).all()
+        steps = np.diff(curve, axis=0)
         for k in range(0, len(steps), 5):
-            _, vectors = np.linalg.eigh(block(section, line[k] + steps[k] / 2))
+            _, vectors = np.linalg.eigh(block(section, curve[k] + steps[k] / 2))
             along = steps[k] / np.linalg.norm(steps[k])
             angles.append(np.rad2deg(np.arccos(min(1.0, abs(along @ vectors[:, 0])))))
     assert np.median(angles) < 2
@@ -221,11 +223,11 @@ def test_what_is_no_map_is_refused(arguments, message):
 
 
 def test_a_map_may_cover_a_part_of_the_range():
-    whole = coupling_map(SYSTEM, (1, 2), [0.0] * 3, points=5)
+    full = coupling_map(SYSTEM, (1, 2), [0.0] * 3, points=5)
     part = coupling_map(SYSTEM, (1, 2), [0.0] * 3, points=5, limits=((-0.5, 0.5), (0.0, 1.0)))
     assert part.axes[0].tolist() == [-0.5, -0.25, 0.0, 0.25, 0.5]
     assert part.axes[1][-1] == 1.0
-    assert whole.most[2, 2] == pytest.approx(part.most[2, 0])  # both at (0, 0)
+    assert full.most[2, 2] == pytest.approx(part.most[2, 0])  # both at (0, 0)
 
 
 # -------------------------------------------------------------------------- disturbance

@@ -26,34 +26,34 @@ def test_the_promise_of_joints_that_give_nothing_is_the_base_alone():
     plant = plant_at(system, Q)
     for i in range(6):
         y = 1e-2 * shapes[:, i]
-        left = analyse(plant, GainMatrices.of(HIGH_GAINS), y).E_int
+        integral = analyse(plant, GainMatrices.of(HIGH_GAINS), y).E_int
         # modal damping of the bare beam is not quite modal with the arm on it
-        assert promised_integral(system, Q, y) == pytest.approx(left, rel=0.02)
+        assert promised_integral(system, Q, y) == pytest.approx(integral, rel=0.02)
 
 
 def test_joints_that_can_take_over_a_mode_promise_less():
     links = tuple(dataclasses.replace(k, rotor_inertia=0.0) for k in PUMA_560.links)
     light = System(arm=dataclasses.replace(PUMA_560, links=links))
     q = np.random.default_rng(0).uniform(-1, 1, (4, 5, 3))
-    less, more = promised_integral(light, q), promised_integral(System(), q)
-    assert less.shape == (4, 5) and (less < more).all()
+    light_arm, heavy = promised_integral(light, q), promised_integral(System(), q)
+    assert light_arm.shape == (4, 5) and (light_arm < heavy).all()
 
 
 def test_candidates_are_tuned_ranked_and_apart():
     options = {"samples": 300, "candidates": 4, "seed": 3}
-    told = []
-    found = best_configurations(System(), **options, progress=told.append)
-    again = best_configurations(System(), **options)
-    values = [c.tuned.value for c in found]
-    assert values == sorted(values) and len(found) == 4
-    assert told[-1] == 1.0 and len(told) == 4
-    for a, b in zip(found, again, strict=True):
+    progress = []
+    ranked = best_configurations(System(), **options, progress=progress.append)
+    repeated = best_configurations(System(), **options)
+    values = [c.tuned.value for c in ranked]
+    assert values == sorted(values) and len(ranked) == 4
+    assert progress[-1] == 1.0 and len(progress) == 4
+    for a, b in zip(ranked, repeated, strict=True):
         np.testing.assert_array_equal(a.q, b.q)
         PUMA_560.require_within_limits(a.q)
         assert a.promised == pytest.approx(float(promised_integral(System(), a.q)))
         judged = analyse(plant_at(System(), a.q), a.tuned.gains).E_int
         assert judged == pytest.approx(a.tuned.value, rel=1e-9)
-    gaps = [np.abs(a.q - b.q).max() for a in found for b in found if a is not b]
+    gaps = [np.abs(a.q - b.q).max() for a in ranked for b in ranked if a is not b]
     assert min(gaps) > 0.5
 
 

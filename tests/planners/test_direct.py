@@ -124,11 +124,11 @@ def test_every_entry_of_the_gradient():
     problem = problem_of(query, 6)
     x = problem.straight + 0.05 * np.random.default_rng(0).normal(size=problem.straight.size)
     gradient, h = problem.value(x)[1], 1e-5
-    found = [
+    differences = [
         (problem.value(x + h * e)[0] - problem.value(x - h * e)[0]) / (2 * h)
         for e in np.eye(x.size)
     ]
-    np.testing.assert_allclose(gradient, found, atol=1e-5 * np.abs(gradient).max())
+    np.testing.assert_allclose(gradient, differences, atol=1e-5 * np.abs(gradient).max())
 
 
 def test_it_starts_from_the_straight_line():
@@ -207,19 +207,19 @@ def test_a_start_outside_the_limits_is_brought_inside():
         problem.straight + 0.3 * rng.normal(size=problem.straight.size), *problem.bounds
     )
     assert problem.limits(x0)[0].max() > 0.5
-    found = minimise(problem, x0)
-    assert found.excess < 1e-6
-    assert found.energy < 0.9 * problem.value(problem.straight)[0]
+    minimum = minimise(problem, x0)
+    assert minimum.excess < 1e-6
+    assert minimum.energy < 0.9 * problem.value(problem.straight)[0]
 
 
 def test_it_ends_at_a_minimum():
     """Nowhere within 1e-3 rad, inside the limits, is there less; to its tolerance."""
     problem = problem_of(QUERIES["reach-2s-000"], 12)
-    found = minimise(problem, problem.straight, tolerance=1e-7)
-    values, rows = problem.limits(found.x)
-    gradient = problem.value(found.x)[1] / found.energy
+    minimum = minimise(problem, problem.straight, tolerance=1e-7)
+    values, rows = problem.limits(minimum.x)
+    gradient = problem.value(minimum.x)[1] / minimum.energy
     low, high = problem.bounds
-    box = np.maximum(low - found.x, -1e-3), np.minimum(high - found.x, 1e-3)
+    box = np.maximum(low - minimum.x, -1e-3), np.minimum(high - minimum.x, 1e-3)
     best = scipy.optimize.linprog(
         gradient, A_ub=rows, b_ub=np.maximum(-values, 1e-9), bounds=np.transpose(box)
     )
@@ -237,13 +237,15 @@ def test_quadratic_programs_against_their_conditions():
         x, price = quadratic_program(H, g, A, upper, low, high)
         assert (A @ x <= upper + 1e-8).all() and (price >= -1e-8).all()
         np.testing.assert_allclose(price * (A @ x - upper), 0, atol=1e-7)
-        rest = H @ x + g + A.T @ price  # what the bounds carry
+        residual = H @ x + g + A.T @ price  # what the bounds carry
         inside = (x > low + 1e-7) & (x < high - 1e-7)
-        np.testing.assert_allclose(rest[inside], 0, atol=1e-6)
-        assert (rest[x <= low + 1e-7] >= -1e-6).all() and (rest[x >= high - 1e-7] <= 1e-6).all()
+        np.testing.assert_allclose(residual[inside], 0, atol=1e-6)
+        assert (residual[x <= low + 1e-7] >= -1e-6).all() and (
+            residual[x >= high - 1e-7] <= 1e-6
+        ).all()
 
 
 def test_more_freedom_is_no_worse():
     query = QUERIES["reach-2s-001"]
-    few, many = (solve(Direct(free=n), query).predicted.E_mean for n in (3, 10))
-    assert many <= few * 1.01
+    coarse, fine = (solve(Direct(free=n), query).predicted.E_mean for n in (3, 10))
+    assert fine <= coarse * 1.01

@@ -51,8 +51,8 @@ def test_the_simulated_release_is_that_of_the_suite():
     measures = energies(System(), run.t, played.q, played.y, played.yd, duration=2.0)[0]
     assert run.E_int[0] == pytest.approx(measures.E_int, rel=1e-9)
     assert run.t_5[0] == pytest.approx(measures.t_5, abs=1e-9)
-    found = analyse(plant_at(System(), Q), SETS[1])
-    assert run.t_5[0] == pytest.approx(found.t_5, abs=0.05)
+    analysis = analyse(plant_at(System(), Q), SETS[1])
+    assert run.t_5[0] == pytest.approx(analysis.t_5, abs=0.05)
 
 
 def test_engines_agree():
@@ -72,8 +72,8 @@ def test_stiff_modes_are_sampled_finely():
     """Straight beam along its axis, 40 Hz: the integral of the records is the closed form."""
     system, y = System(vehicle=STRAIGHT_VERTICAL), [0, 0, 1e-3, 0, 0, 0]
     run = linear_free_vibration(system, Q, SETS[:1], y, seconds=30.0)
-    found = analyse(plant_at(system, Q), SETS[0], y)
-    assert run.E_int[0] == pytest.approx(found.E_int, rel=5e-3)
+    analysis = analyse(plant_at(system, Q), SETS[0], y)
+    assert run.E_int[0] == pytest.approx(analysis.E_int, rel=5e-3)
 
 
 def test_a_saturated_motor_shows_in_the_effort():
@@ -82,10 +82,10 @@ def test_a_saturated_motor_shows_in_the_effort():
         System(), Q, SETS[:1], 5 * np.array(THESIS_DISPLACEMENT), seconds=0.5
     )
     assert run.effort.max() == pytest.approx(1.0)
-    asked = linear_free_vibration(
+    unlimited = linear_free_vibration(
         System(), Q, SETS[:1], 5 * np.array(THESIS_DISPLACEMENT), seconds=0.5
     )
-    assert asked.effort.max() > 1.5
+    assert unlimited.effort.max() > 1.5
 
 
 def test_a_run_that_diverges_is_named():

@@ -50,9 +50,9 @@ def test_it_goes_around_where_the_straight_line_is_long():
     plan = solve(get_planner("hotspot-q"), query)
     assert plan.info["coupling_length"] < 0.95 * plan.info["straight_coupling_length"]
     t = np.linspace(0, 8, 101)
-    line = query.straight.at(t).q
+    straight = query.straight.at(t).q
     path = plan.motion.at(t).q
-    gap = np.linalg.norm(path[:, None] - line[None], axis=-1).min(axis=1).max()
+    gap = np.linalg.norm(path[:, None] - straight[None], axis=-1).min(axis=1).max()
     assert gap > 0.1
 
 
@@ -142,20 +142,20 @@ def test_a_roadmap_reaches_every_corner():
 def test_spots_are_local_extremes_of_the_whole_joint_space(arm, hot):
     """No neighbour within 0.02 rad, inside the box, is hotter (cooler)."""
     system = System() if arm is None else System(arm=arm)
-    found = spots(system, hot=hot, count=3, samples=512)
-    assert len(found) == 3
-    values = [s.coupling for s in found]
+    extrema = spots(system, hot=hot, count=3, samples=512)
+    assert len(extrema) == 3
+    values = [s.coupling for s in extrema]
     assert values == sorted(values, reverse=hot)
     low, high = system.arm.column("q_min"), system.arm.column("q_max")
     rng, sign = np.random.default_rng(0), 1 if hot else -1
-    for spot in found:
+    for spot in extrema:
         near = np.clip(spot.q + rng.uniform(-0.02, 0.02, (200, system.arm.n)), low, high)
         strongest = np.linalg.eigvalsh(coupling_matrix(system, near))[:, -1]
         assert np.linalg.eigvalsh(coupling_matrix(system, spot.q))[-1] == pytest.approx(
             spot.coupling
         )
         assert (sign * (strongest - spot.coupling) <= 1e-4 * spot.coupling).all()
-    gaps = [np.linalg.norm(a.q - b.q) for a, b in itertools.combinations(found, 2)]
+    gaps = [np.linalg.norm(a.q - b.q) for a, b in itertools.combinations(extrema, 2)]
     assert min(gaps) >= 0.2
 
 

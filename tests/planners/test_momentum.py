@@ -23,25 +23,25 @@ def states(arm, count=5):
 
 def test_momentum_and_its_derivatives(arm):
     q, v, _ = states(arm)
-    found = momentum(arm, q, v)
+    sample = momentum(arm, q, v)
     Hbm = inertia(arm, q)[..., :6, 6:]
-    np.testing.assert_allclose(found.by_v, Hbm, atol=1e-12)
-    np.testing.assert_allclose(found.u, np.einsum("kij,kj->ki", Hbm, v), atol=1e-11)
+    np.testing.assert_allclose(sample.by_v, Hbm, atol=1e-12)
+    np.testing.assert_allclose(sample.u, np.einsum("kij,kj->ki", Hbm, v), atol=1e-11)
     for j, e in enumerate(np.eye(arm.n)):
         change = (momentum(arm, q + H * e, v).u - momentum(arm, q - H * e, v).u) / (2 * H)
-        np.testing.assert_allclose(found.by_q[..., j], change, atol=1e-7)
+        np.testing.assert_allclose(sample.by_q[..., j], change, atol=1e-7)
 
 
 def test_torque_and_its_derivatives(arm):
     s = list(states(arm))
-    found = torque(arm, *s)
-    np.testing.assert_allclose(found.tau, inverse_dynamics(arm, *s)[0], atol=1e-11)
+    dynamics = torque(arm, *s)
+    np.testing.assert_allclose(dynamics.tau, inverse_dynamics(arm, *s)[0], atol=1e-11)
     for k in range(3):
         for j, e in enumerate(np.eye(arm.n)):
             ahead, behind = list(s), list(s)
             ahead[k], behind[k] = s[k] + H * e, s[k] - H * e
             change = (torque(arm, *ahead).tau - torque(arm, *behind).tau) / (2 * H)
-            np.testing.assert_allclose(found.by[:, k, :, j], change, atol=1e-6)
+            np.testing.assert_allclose(dynamics.by[:, k, :, j], change, atol=1e-6)
 
 
 def test_leading_axes():

@@ -77,10 +77,10 @@ def test_the_slope_is_that_of_the_distance():
     rng = np.random.default_rng(1)
     compared = 0
     for q in rng.uniform(-1.5, 1.5, (300, 3)):
-        here = checker.proximity(q, 0.1)
+        near = checker.proximity(q, 0.1)
         for j, e in enumerate(np.eye(3)):
             sides = [checker.proximity(q + s * 1e-6 * e, 0.2).distance for s in (1, -1)]
-            for distance, slope in zip(here.distance, here.slope[:, j], strict=True):
+            for distance, slope in zip(near.distance, near.slope[:, j], strict=True):
                 same = [side[np.abs(side - distance) < 1e-4] for side in sides]
                 if distance > 0 and all(
                     len(k) == 1 for k in same
@@ -92,17 +92,17 @@ def test_the_slope_is_that_of_the_distance():
 
 
 @pytest.mark.parametrize(
-    ("q", "found"),
+    ("q", "expected"),
     [
         ((0.0, 0.0, 0.0), []),
         ((0.0, -1.6, 0.05), ["link 3' and platform", "tool and platform"]),
     ],
 )
-def test_it_sees_the_arm_touch_the_vehicle(q, found):
+def test_it_sees_the_arm_touch_the_vehicle(q, expected):
     checker = Collisions(System(), Surroundings(clearance=0.0))
-    touching = checker.contact_names(q)
-    assert touching == found
-    assert checker.is_clear(np.array(q)) == (not found)
+    names = checker.contact_names(q)
+    assert names == expected
+    assert checker.is_clear(np.array(q)) == (not expected)
 
 
 def test_the_beam_counts():

@@ -37,25 +37,25 @@ LONG = Query(system=System(), start=(-1.0, -0.8, 1.5), goal=(1.2, 0.9, -1.4), du
 def test_it_finds_a_shorter_path_than_the_straight_one(algorithm, objective):
     """In its own metric, and no longer with time. Seen: 0.94 to 0.95 and 0.77 to 0.82."""
     planner = Ompl(objective=objective, algorithm=algorithm, evaluations=20_000)
-    found = planner.search(LONG, seed=0)
+    result = planner.search(LONG, seed=0)
     metric = Metric(LONG.system, objective, LONG.duration)
-    assert found.cost < 0.97 * metric.length(np.array(LONG.ends))
-    assert found.cost == pytest.approx(metric.length(found.path), rel=1e-9)
-    np.testing.assert_allclose(found.path[[0, -1]], LONG.ends)
-    costs = [point.cost for point in found.curve]
+    assert result.cost < 0.97 * metric.length(np.array(LONG.ends))
+    assert result.cost == pytest.approx(metric.length(result.path), rel=1e-9)
+    np.testing.assert_allclose(result.path[[0, -1]], LONG.ends)
+    costs = [point.cost for point in result.curve]
     assert costs == sorted(costs, reverse=True)
-    assert costs[-1] == found.cost
-    assert found.evaluations <= 1.5 * 20_000 + 1001
-    assert [p.evaluations for p in found.curve] == sorted(p.evaluations for p in found.curve)
+    assert costs[-1] == result.cost
+    assert result.evaluations <= 1.5 * 20_000 + 1001
+    assert [p.evaluations for p in result.curve] == sorted(p.evaluations for p in result.curve)
 
 
 def test_energy_judges_every_path_by_its_motion():
     planner = Ompl(objective="energy", evaluations=4000)
-    found = planner.search(LONG, seed=0)
+    result = planner.search(LONG, seed=0)
     plan = solve(planner, LONG)
     assert plan.feasible
     # the inertia frozen in the search, following the arm in the prediction
-    assert found.cost == pytest.approx(plan.predicted.E_mean, rel=0.05)
+    assert result.cost == pytest.approx(plan.predicted.E_mean, rel=0.05)
     straight = predict(LONG.system, LONG.straight, LONG.servo).E_mean
     assert plan.predicted.E_mean <= straight * (1 + 1e-9)  # it is among what is judged
     quicker = dataclasses.replace(LONG, duration=6.0)
@@ -68,7 +68,7 @@ def test_the_same_seed_gives_the_same_path(algorithm):
     """In a child that has searched before, and in a new one."""
     planner = Ompl(algorithm=algorithm, evaluations=10_000)
     first = planner.search(ACROSS, seed=3)
-    again = planner.search(ACROSS, seed=3)
+    repeated = planner.search(ACROSS, seed=3)
     other = planner.search(ACROSS, seed=4)
     fresh = SearchProcess()
     request = ompl_search.Request(
@@ -80,9 +80,9 @@ def test_the_same_seed_gives_the_same_path(algorithm):
         seconds=30,
     )
     new = fresh.request(request, 60.0)
-    for found in (again, new):
-        np.testing.assert_array_equal(found.path, first.path)
-        assert [p[1:] for p in found.curve] == [p[1:] for p in first.curve]
+    for result in (repeated, new):
+        np.testing.assert_array_equal(result.path, first.path)
+        assert [p[1:] for p in result.curve] == [p[1:] for p in first.curve]
     assert other.path.shape != first.path.shape or (other.path != first.path).any()
 
 
@@ -143,9 +143,9 @@ def test_where_there_is_no_way_it_says_so():
 def test_seconds_end_a_search():
     planner = Ompl(evaluations=10**9, seconds=0.5)
     begin = time.perf_counter()
-    found = planner.search(LONG, seed=0)
+    result = planner.search(LONG, seed=0)
     assert time.perf_counter() - begin < 8
-    assert found.path is not None
+    assert result.path is not None
 
 
 def test_any_number_of_joints():

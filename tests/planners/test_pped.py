@@ -76,9 +76,11 @@ def test_the_plant_is_pinocchios_inertia_with_the_vehicles_matrices(name):
         D[:6, :6], K[:6, :6] = system.base.D, system.base.K
         D[6:, 6:], K[6:, 6:] = gains.B, gains.K
         expected = np.linalg.solve(M, np.hstack([-K, -D]))
-        found = plant_at(system, q).closed(gains)
-        np.testing.assert_allclose(found[6 + n :], expected, atol=1e-9 * np.abs(expected).max())
-        np.testing.assert_array_equal(found[: 6 + n], np.eye(6 + n, 2 * (6 + n), 6 + n))
+        closed = plant_at(system, q).closed(gains)
+        np.testing.assert_allclose(
+            closed[6 + n :], expected, atol=1e-9 * np.abs(expected).max()
+        )
+        np.testing.assert_array_equal(closed[: 6 + n], np.eye(6 + n, 2 * (6 + n), 6 + n))
 
 
 def test_the_plant_is_the_slope_of_the_simulator():
@@ -98,9 +100,9 @@ def test_the_plant_is_the_slope_of_the_simulator():
 def test_many_plants_are_one_by_one():
     q = np.random.default_rng(1).uniform(-1, 1, (3, 3))
     for k, plant in enumerate(plants(System(), q)):
-        one = plant_at(System(), q[k])
-        np.testing.assert_array_equal(plant.free, one.free)
-        np.testing.assert_allclose(plant.mass, one.mass, rtol=1e-14)
+        single = plant_at(System(), q[k])
+        np.testing.assert_array_equal(plant.free, single.free)
+        np.testing.assert_allclose(plant.mass, single.mass, rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -127,14 +129,14 @@ def test_the_strain_integral_is_that_of_the_response(name):
     system, gains = SYSTEMS[name]
     plant = plant_at(system, np.full(system.arm.n, 0.3))
     y = np.array([0.02, -0.01, 1e-4, 0.01, 0.02, -0.01])
-    found = analyse(plant, gains, y)
-    fastest = np.abs(found.poles.imag).max()
-    end = 16 / -found.poles.real.max()
+    analysis = analyse(plant, gains, y)
+    fastest = np.abs(analysis.poles.imag).max()
+    end = 16 / -analysis.poles.real.max()
     t = np.linspace(0, end, 2 * int(end * fastest * 10) + 1)
     x = respond(plant, gains, y, t)
     strain = 0.5 * np.einsum("ki,ij,kj->k", x[:, :6], system.base.K, x[:, :6])
     weights = np.r_[1, np.tile([4, 2], (len(t) - 3) // 2), 4, 1] * t[1] / 3
-    assert weights @ strain == pytest.approx(found.E_int, rel=1e-6)
+    assert weights @ strain == pytest.approx(analysis.E_int, rel=1e-6)
 
 
 def test_settling_time_is_read_off_the_response():
@@ -155,14 +157,14 @@ def test_uneven_times_are_refused(t):
 def test_no_displacement_is_worse_than_the_worst():
     """Per joule of initial strain energy; the one named reaches it."""
     plant, gains = bent(), GainMatrices.of(PPED_GAINS)
-    found = analyse(plant, gains)
-    at_worst = analyse(plant, gains, found.worst_y)
-    assert 0.5 * found.worst_y @ plant.stiffness @ found.worst_y == pytest.approx(1.0)
-    assert at_worst.E_int == pytest.approx(found.worst, rel=1e-9)
+    analysis = analyse(plant, gains)
+    at_worst = analyse(plant, gains, analysis.worst_y)
+    assert 0.5 * analysis.worst_y @ plant.stiffness @ analysis.worst_y == pytest.approx(1.0)
+    assert at_worst.E_int == pytest.approx(analysis.worst, rel=1e-9)
     rng = np.random.default_rng(0)
     for y in rng.normal(size=(50, 6)) @ np.linalg.inv(np.linalg.cholesky(plant.stiffness)):
         energy = 0.5 * y @ plant.stiffness @ y
-        assert analyse(plant, gains, y).E_int / energy <= found.worst * (1 + 1e-9)
+        assert analyse(plant, gains, y).E_int / energy <= analysis.worst * (1 + 1e-9)
 
 
 def test_estimator_is_equation_4_4():
@@ -173,9 +175,9 @@ def test_estimator_is_equation_4_4():
 
 def test_free_joints_never_come_to_rest():
     none = GainMatrices(np.zeros((3, 3)), np.zeros((3, 3)))
-    found = analyse(bent(), none)
-    assert np.isinf([found.E_int, found.t_5, found.worst]).all()
-    plain = found.to_dict()
+    analysis = analyse(bent(), none)
+    assert np.isinf([analysis.E_int, analysis.t_5, analysis.worst]).all()
+    plain = analysis.to_dict()
     assert plain["E_int"] is None and plain["worst_y"] is None and plain["estimator"] > 0
 
 
@@ -213,12 +215,12 @@ def test_gradients_are_those_of_differences(objective, gains):
     rng = np.random.default_rng(0)
     for _ in range(6):
         way = GainMatrices(*(1e-4 * np.abs(g).max() * rng.normal(size=(3, 3)) for g in gains))
-        more, less = (
+        above, below = (
             value(plant.closed(GainMatrices(gains.K + k * way.K, gains.B + k * way.B)))[0]
             for k in (1, -1)
         )
         change = plant.closed(way) - plant.free
-        assert (more - less) / 2 == pytest.approx(np.sum(slope * change), rel=1e-5, abs=1e-9)
+        assert (above - below) / 2 == pytest.approx(np.sum(slope * change), rel=1e-5, abs=1e-9)
 
 
 @pytest.mark.parametrize("full", [False, True], ids=["diagonal", "full"])
@@ -243,18 +245,18 @@ def test_bounded_matrices_have_the_gradient_of_differences(full):
 
 def test_the_search_beats_random_gains_and_keeps_its_bounds():
     plant, bounds = bent(), Bounds(K=(30.0, 600.0), B=(1.0, 50.0))
-    found = tune(plant, bounds=bounds)
-    for gain, (low, high) in zip(found.gains, (bounds.K, bounds.B), strict=True):
+    tuned = tune(plant, bounds=bounds)
+    for gain, (low, high) in zip(tuned.gains, (bounds.K, bounds.B), strict=True):
         assert np.count_nonzero(gain) == 3
         assert (
             low * (1 - 1e-9) <= np.diag(gain).min() <= np.diag(gain).max() <= high * (1 + 1e-9)
         )
-    assert analyse(plant, found.gains).E_int == pytest.approx(found.value, rel=1e-9)
+    assert analyse(plant, tuned.gains).E_int == pytest.approx(tuned.value, rel=1e-9)
     rng = np.random.default_rng(0)
     for _ in range(300):
         K = np.exp(rng.uniform(*np.log(bounds.K), 3))
         B = np.exp(rng.uniform(*np.log(bounds.B), 3))
-        assert analyse(plant, GainMatrices(np.diag(K), np.diag(B))).E_int > found.value
+        assert analyse(plant, GainMatrices(np.diag(K), np.diag(B))).E_int > tuned.value
 
 
 def test_full_matrices_leave_less_and_keep_their_bounds():
@@ -270,20 +272,20 @@ def test_full_matrices_leave_less_and_keep_their_bounds():
 def test_each_objective_is_best_at_what_it_asks():
     """Against the gains found for the others and the thesis's."""
     plant = bent()
-    found = {name: tune(plant, name) for name in OBJECTIVES}
-    judged = {name: analyse(plant, tuned.gains) for name, tuned in found.items()}
+    searches = {name: tune(plant, name) for name in OBJECTIVES}
+    judged = {name: analyse(plant, tuned.gains) for name, tuned in searches.items()}
     judged["thesis"] = analyse(plant, GainMatrices.of(PPED_GAINS))
     measures = {"strain": "E_int", "worst": "worst", "estimator": "estimator"}
     for objective, measure in measures.items():
         values = {name: getattr(damping, measure) for name, damping in judged.items()}
         best = max if objective == "estimator" else min
         assert best(values, key=values.__getitem__) == objective
-        assert values[objective] == pytest.approx(found[objective].value, rel=1e-6)
+        assert values[objective] == pytest.approx(searches[objective].value, rel=1e-6)
 
 
 def test_the_same_seed_finds_the_same_gains():
-    first, again = (tune(bent(), full=True, starts=2, seed=7) for _ in range(2))
-    for a, b in zip(first.gains, again.gains, strict=True):
+    first, repeated = (tune(bent(), full=True, starts=2, seed=7) for _ in range(2))
+    for a, b in zip(first.gains, repeated.gains, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -295,8 +297,8 @@ def test_seeds_agree():
 
 def test_a_known_start_is_not_made_worse():
     good = tune(bent()).gains
-    found = tune(bent(), starts=1, first=good)
-    assert found.value <= analyse(bent(), good).E_int * (1 + 1e-6)
+    tuned = tune(bent(), starts=1, first=good)
+    assert tuned.value <= analyse(bent(), good).E_int * (1 + 1e-6)
 
 
 def test_other_arms():
@@ -308,11 +310,11 @@ def test_other_arms():
 
 def test_a_base_that_no_gains_bring_to_rest_is_refused():
     """Undamped, and a single joint about the axis of its link's mass: it moves only phi_z."""
-    one = Arm(name="one", base=PUMA_560.base, links=PUMA_560.links[:1], source="test")
+    arm = Arm(name="one", base=PUMA_560.base, links=PUMA_560.links[:1], source="test")
     base = DECOUPLED.base_model()
     zero = matrix(np.zeros((6, 6)))
     vehicle = MatrixVehicle(M=matrix(base.M), D=zero, K=matrix(base.K))
-    plant = plant_at(System(arm=one, vehicle=vehicle), [0.0])
+    plant = plant_at(System(arm=arm, vehicle=vehicle), [0.0])
     with pytest.raises(ParameterError, match="neither its own damping nor the joints"):
         tune(plant)
     servo = JointServo(kp=(100.0,), kd=(10.0,))

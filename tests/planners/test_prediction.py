@@ -34,18 +34,18 @@ def quadratic_form(system, motion, servo):
 def test_the_quadratic_form_is_the_prediction_where_inertia_is_constant(vehicle, servo):
     """Tolerance: milliradians change the inertia by 1e-3 relative."""
     system = System(vehicle=VEHICLES[vehicle])
-    found = quadratic_form(system, SMALL, servo)
-    assert found == pytest.approx(predict(system, SMALL, servo).E_mean, rel=2e-3)
-    assert found > 0
+    form = quadratic_form(system, SMALL, servo)
+    assert form == pytest.approx(predict(system, SMALL, servo).E_mean, rel=2e-3)
+    assert form > 0
 
 
 def test_it_is_not_where_inertia_changes():
     """The other side of the test above."""
     swing = Motion.straight(START, [-1.0, 1.5, -1.2], 0.8)
-    found = quadratic_form(System(), swing, HIGH_GAINS)
-    want = predict(System(), swing, HIGH_GAINS).E_mean
-    assert found != pytest.approx(want, rel=2e-3)
-    assert found == pytest.approx(want, rel=0.5)
+    form = quadratic_form(System(), swing, HIGH_GAINS)
+    expected = predict(System(), swing, HIGH_GAINS).E_mean
+    assert form != pytest.approx(expected, rel=2e-3)
+    assert form == pytest.approx(expected, rel=0.5)
 
 
 def test_the_hessian_is_symmetric_and_semidefinite():

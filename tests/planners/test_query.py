@@ -44,8 +44,8 @@ def test_planners_by_name():
 def test_an_unknown_planner_is_an_error_that_lists_the_known(name):
     with pytest.raises(ParameterError) as caught:
         get_planner(name)
-    for known in PLANNERS:
-        assert known in str(caught.value)
+    for planner in PLANNERS:
+        assert planner in str(caught.value)
     assert repr(name) in str(caught.value)
 
 
@@ -91,8 +91,8 @@ def test_a_limit_broken_by_little_is_not_said_to_be_kept():
     joint = int(peak.argmax())
     limit = peak + 1
     limit[joint] = peak[joint] / (1 + 1e-4)
-    found = broken_limit(dataclasses.replace(fast, v_max=tuple(limit)), fast.straight)
-    assert found == f"velocity of joint {joint + 1} reaches 1.0001 of its limit"
+    reason = broken_limit(dataclasses.replace(fast, v_max=tuple(limit)), fast.straight)
+    assert reason == f"velocity of joint {joint + 1} reaches 1.0001 of its limit"
 
 
 def test_the_straight_answer():
@@ -134,10 +134,10 @@ def planner(request):
 
 def test_the_same_question_has_the_same_answer(planner):
     q = query(v_max=SPEED_LIMITS)
-    first, again = solve(planner, q, seed=3), solve(planner, q, seed=3)
-    assert again.motion == first.motion
-    assert again.predicted == first.predicted
-    assert timeless(again.info) == timeless(first.info)
+    first, repeated = solve(planner, q, seed=3), solve(planner, q, seed=3)
+    assert repeated.motion == first.motion
+    assert repeated.predicted == first.predicted
+    assert timeless(repeated.info) == timeless(first.info)
     assert json.loads(json.dumps(first.info, allow_nan=False)) == first.info
 
 
@@ -159,7 +159,7 @@ for planner in reversed(PLANNERS.values()):
     print(planner.name, content_hash(solve(planner, query, 5).motion))
 """
     env = {**os.environ, "PYTHONHASHSEED": "7"}
-    found = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", code],
         cwd=ROOT,
         env=env,
@@ -167,8 +167,8 @@ for planner in reversed(PLANNERS.values()):
         text=True,
         check=True,
     )
-    here = {name: content_hash(solve(p, query(), 5).motion) for name, p in PLANNERS.items()}
-    assert dict(line.split() for line in found.stdout.splitlines()) == here
+    hashes = {name: content_hash(solve(p, query(), 5).motion) for name, p in PLANNERS.items()}
+    assert dict(text.split() for text in process.stdout.splitlines()) == hashes
 
 
 @pytest.mark.parametrize("vehicle", [DECOUPLED, STRAIGHT_VERTICAL, FREE_FLOATING])

@@ -83,8 +83,8 @@ def test_along_it_the_base_rests():
     plan = solve(ReactionNull(share=1e-6), query)
     assert plan.info["null_share"] > 0.95
     run = play_motions(system, [plan.motion, query.straight], servo=query.servo, settle=0.0)
-    found, straight = base_energy(system, run.q, run.y, run.yd).total.max(axis=1)
-    assert found < 0.01 * straight
+    energy, straight = base_energy(system, run.q, run.y, run.yd).total.max(axis=1)
+    assert energy < 0.01 * straight
 
 
 def test_without_one_the_line_is_straight():

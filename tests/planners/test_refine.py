@@ -64,20 +64,20 @@ def test_the_same_seed_gives_the_same_motion():
 @pytest.mark.parametrize("planner", ["hotspot-q", "bad-path", "straight"])
 def test_any_motion_may_be_refined(planner):
     query = QUERIES["reach-2s-000"]
-    given = solve(get_planner(planner), query).motion
-    motion, info = refine(query, given)
+    start = solve(get_planner(planner), query).motion
+    motion, info = refine(query, start)
     assert broken_limit(query, motion) is None
-    assert energy(query, motion) < energy(query, given)
+    assert energy(query, motion) < energy(query, start)
     assert info["starts"] == 1
-    slow = given.retimed(5.0)  # at whatever speed it was
-    assert energy(query, refine(query, [slow, given])[0]) < energy(query, given)
+    slow = start.retimed(5.0)  # at whatever speed it was
+    assert energy(query, refine(query, [slow, start])[0]) < energy(query, start)
 
 
 def test_another_start_can_find_less():
     """A query on which the straight line leads to a minimum 15 % above another one."""
     query = QUERIES["reach-2s-002"]
-    one, many = (solve(Refined(starts=k), query).predicted.E_mean for k in (1, 7))
-    assert many < 0.9 * one
+    single, several = (solve(Refined(starts=k), query).predicted.E_mean for k in (1, 7))
+    assert several < 0.9 * single
 
 
 def test_it_goes_around_obstacles():
@@ -117,16 +117,16 @@ def test_no_way_is_said():
 
 
 @pytest.mark.parametrize(
-    ("duration", "said"),
+    ("duration", "message"),
     [
         (0.4, "no motion: joint 1 needs 1.4 s at its speed limit, there are 0.4 s"),
         (1.42, "of its limit"),  # hardly time to speed up, on the straight way
     ],
 )
-def test_no_time_is_said(duration, said):
+def test_no_time_is_said(duration, message):
     plan = solve(Refined(), dataclasses.replace(ACROSS, duration=duration))
     assert not plan.feasible
-    assert said in plan.failure
+    assert message in plan.failure
 
 
 def test_what_torque_cannot_do_is_soon_given_up():
@@ -163,10 +163,10 @@ def test_the_duration_may_be_chosen():
     assert motion.duration == info["duration"] > 3.0
     hurried, paid = refine_duration(query, 1.5, 4.0, price=0.02, free=12)
     assert hurried.duration < motion.duration
-    asked = dataclasses.replace(query, duration=hurried.duration)
-    assert broken_limit(asked, hurried) is None
+    timed = dataclasses.replace(query, duration=hurried.duration)
+    assert broken_limit(timed, hurried) is None
     assert paid["cost"] == pytest.approx(
-        energy(asked, hurried) + 0.02 * hurried.duration, rel=0.02
+        energy(timed, hurried) + 0.02 * hurried.duration, rel=0.02
     )
 
 

@@ -68,11 +68,11 @@ QUERY = Query(
 
 
 def test_modes_are_those_of_the_base_by_energy():
-    found = excited_modes(QUERY.system, QUERY.straight)
-    energies = [mode.energy for mode in found]
+    base_modes = excited_modes(QUERY.system, QUERY.straight)
+    energies = [mode.energy for mode in base_modes]
     assert energies == sorted(energies, reverse=True)
     expected = modes(QUERY.system, (0.05, 0.0, 0.0)).omega
-    assert sorted(m.frequency for m in found) == pytest.approx(expected)
+    assert sorted(m.frequency for m in base_modes) == pytest.approx(expected)
     damped = excited_modes(System(), QUERY.straight)
     # 5 % modal damping of the beam alone; the arm's mass takes from it
     assert all(0.005 < mode.damping < 0.06 for mode in damped)
@@ -91,8 +91,8 @@ def test_a_shaped_motion_leaves_less_in_the_modes_it_is_shaped_for():
         np.einsum("i,ij,nj->n", shapes.shapes[:, k], M, y)
         for y in (run.y[:, -1], run.yd[:, -1])
     ]
-    left = 0.5 * (modal[1] ** 2 + (strongest.frequency * modal[0]) ** 2)
-    assert left[1] < 0.01 * left[0]
+    residual = 0.5 * (modal[1] ** 2 + (strongest.frequency * modal[0]) ** 2)
+    assert residual[1] < 0.01 * residual[0]
 
 
 @pytest.mark.parametrize("name", ["shaped-zv", "shaped-zvd"])
@@ -134,8 +134,8 @@ def test_shaping_keeps_the_limits():
 def test_a_smoother_law_on_the_same_line():
     plan = solve(SmoothJerk(), QUERY)
     s = plan.motion.at(np.linspace(0, 4, 101))
-    line = (s.q - QUERY.start) / (np.array(QUERY.goal) - QUERY.start)
-    np.testing.assert_allclose(line, septic(s.t / 4)[:, None] * np.ones(3), atol=1e-6)
+    progress = (s.q - QUERY.start) / (np.array(QUERY.goal) - QUERY.start)
+    np.testing.assert_allclose(progress, septic(s.t / 4)[:, None] * np.ones(3), atol=1e-6)
 
 
 def test_free_vibration_after_shaping_is_that_of_the_other_modes():
@@ -143,9 +143,9 @@ def test_free_vibration_after_shaping_is_that_of_the_other_modes():
     query = dataclasses.replace(QUERY, duration=12.0)
     plan = solve(get_planner("shaped-zvd"), query)
     run = play_motions(query.system, [query.straight, plan.motion], settle=0.0)
-    left = base_energy(query.system, run.q, run.y, run.yd).total[:, -1]
+    residual = base_energy(query.system, run.q, run.y, run.yd).total[:, -1]
     assert len(plan.info["shaped_hz"]) >= 2
-    assert left[1] < 0.1 * left[0]
+    assert residual[1] < 0.1 * residual[0]
 
 
 def test_a_shaper_that_is_none():

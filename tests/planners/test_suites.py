@@ -57,9 +57,9 @@ def test_quick_is_the_beginning_of_each_duration(full):
     quick = get_suite("reach100", system=System(), quick=True)
     assert len(quick.queries) == 40
     for duration in REACH_DURATIONS:
-        some = [q for _, q in quick.queries if q.duration == duration]
+        quick_queries = [q for _, q in quick.queries if q.duration == duration]
         many = [q for _, q in full.queries if q.duration == duration]
-        assert some == many[:10]
+        assert quick_queries == many[:10]
 
 
 def test_every_straight_line_keeps_the_speed_limits(full):
@@ -144,8 +144,8 @@ def test_uncompensated_is_the_same_machine_with_the_weight_left_in():
 
 
 def test_the_thesis_suite_on_one_of_its_vehicles():
-    one = get_suite("thesis", system=System(), vehicle="straight-horizontal")
-    assert [v for v, _ in one.queries] == ["straight-horizontal"]
+    suite = get_suite("thesis", system=System(), vehicle="straight-horizontal")
+    assert [v for v, _ in suite.queries] == ["straight-horizontal"]
     with pytest.raises(
         ParameterError, match="runs on bent, straight-horizontal, got 'decoupled'"
     ):
@@ -156,7 +156,7 @@ def test_the_thesis_suite_on_one_of_its_vehicles():
 def test_an_unknown_suite_is_an_error_that_lists_the_known(name):
     with pytest.raises(ParameterError) as caught:
         get_suite(name, system=System())
-    for known in (*SUITES, repr(name)):
-        assert known in str(caught.value)
+    for suite in (*SUITES, repr(name)):
+        assert suite in str(caught.value)
     with pytest.raises(ParameterError, match="vehicle must be one of"):
         get_suite("reach100", system=System(), vehicle="ship")

@@ -47,22 +47,22 @@ PRINTED_MASS = 93.4  # kg, B.5; the masses it lists sum to 93.7
 def test_links_to_the_base_are_those_printed_in_b6():
     """d2, d3, a2, a3 to the digits printed. d1 is printed to the base link's centre, -0.263
     by R1 = 0.629 m: its own lengths give R1 = 0.617 m, so -0.258."""
-    own = virtual_links(PUMA_560) * PUMA_560.mass / PRINTED_MASS
-    assert own[1, 2] == pytest.approx(0.0765, abs=6e-5)
-    assert own[2, 2] == pytest.approx(-0.0125, abs=1e-4)  # of rounded r3 and l3
-    assert own[2, 0] == pytest.approx(-0.054, abs=5e-4)
-    assert own[3, 0] == pytest.approx(-0.0281, abs=6e-5)
+    links = virtual_links(PUMA_560) * PUMA_560.mass / PRINTED_MASS
+    assert links[1, 2] == pytest.approx(0.0765, abs=6e-5)
+    assert links[2, 2] == pytest.approx(-0.0125, abs=1e-4)  # of rounded r3 and l3
+    assert links[2, 0] == pytest.approx(-0.054, abs=5e-4)
+    assert links[3, 0] == pytest.approx(-0.0281, abs=6e-5)
     to_centre = virtual_links(PUMA_560)[0, 2] + PUMA_560.base.com[2]
     assert to_centre == pytest.approx(-0.263 * 0.617 / 0.629, abs=5e-4)
 
 
 def test_links_to_the_tool_are_those_of_b5():
     """V3 and V4 as printed; V1, V2 as its own r and l give them (errata: not as printed)."""
-    own = virtual_links(PUMA_560, "tool")
-    assert own[2, [0, 2]] == pytest.approx([0.377, 0.0855], abs=1e-3)
-    assert own[3, 0] == pytest.approx(0.405, abs=5e-4)
-    assert own[0, 2] == pytest.approx(0.366 * 0.617 / 0.629, abs=5e-4)
-    assert own[1, 2] == pytest.approx(-0.135 - 0.032, abs=5e-4)
+    links = virtual_links(PUMA_560, "tool")
+    assert links[2, [0, 2]] == pytest.approx([0.377, 0.0855], abs=1e-3)
+    assert links[3, 0] == pytest.approx(0.405, abs=5e-4)
+    assert links[0, 2] == pytest.approx(0.366 * 0.617 / 0.629, abs=5e-4)
+    assert links[1, 2] == pytest.approx(-0.135 - 0.032, abs=5e-4)
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -111,20 +111,20 @@ def test_equations_4_1_and_4_2():
     """Joint springs hold the energy of the Cartesian ones, dampers lose their power."""
     rng = np.random.default_rng(0)
     K, B = (k @ k.T for k in rng.normal(size=(2, 3, 3)))
-    found = joint_gains(PUMA_560, BENT_ELBOW, GainMatrices(K, B))
+    joint = joint_gains(PUMA_560, BENT_ELBOW, GainMatrices(K, B))
     dq = rng.normal(size=3)
     moved = virtual_jacobian(PUMA_560, BENT_ELBOW) @ dq
-    assert dq @ found.K @ dq == pytest.approx(moved @ K @ moved)
-    assert dq @ found.B @ dq == pytest.approx(moved @ B @ moved)
+    assert dq @ joint.K @ dq == pytest.approx(moved @ K @ moved)
+    assert dq @ joint.B @ dq == pytest.approx(moved @ B @ moved)
 
 
 @pytest.mark.parametrize("full", [False, True], ids=["diagonal", "full"])
 def test_two_masses_are_an_arm_with_one(full):
     """What they promise is what the full dynamic analysis finds for the joint gains."""
     system = System(arm=point_mass_arm())
-    found = tune_virtual(system, BENT_ELBOW, full=full, bounds=LOOSE)
-    judged = analyse(plant_at(system, BENT_ELBOW), found.gains)
-    assert judged.E_int == pytest.approx(found.search.value, rel=1e-6)
+    virtual = tune_virtual(system, BENT_ELBOW, full=full, bounds=LOOSE)
+    judged = analyse(plant_at(system, BENT_ELBOW), virtual.gains)
+    assert judged.E_int == pytest.approx(virtual.search.value, rel=1e-6)
     if full:  # then nothing is lost against full joint gains, whose bounds are narrower
         best = tune(plant_at(system, BENT_ELBOW), full=True).value
         assert 0.95 * best < judged.E_int < 1.001 * best
@@ -135,20 +135,20 @@ def test_poles_of_the_two_masses_are_those_of_the_arm():
     cartesian = GainMatrices(np.diag([500.0, 300, 900]), np.diag([40.0, 90, 60]))
     joints = joint_gains(system.arm, BENT_ELBOW, cartesian)
     simple = analyse(two_masses(system, BENT_ELBOW), cartesian)
-    whole = analyse(plant_at(system, BENT_ELBOW), joints)
-    np.testing.assert_allclose(np.sort(simple.poles), np.sort(whole.poles), rtol=1e-6)
-    assert simple.t_5 == pytest.approx(whole.t_5, abs=0.02)
-    assert simple.worst == pytest.approx(whole.worst, rel=1e-6)
+    full = analyse(plant_at(system, BENT_ELBOW), joints)
+    np.testing.assert_allclose(np.sort(simple.poles), np.sort(full.poles), rtol=1e-6)
+    assert simple.t_5 == pytest.approx(full.t_5, abs=0.02)
+    assert simple.worst == pytest.approx(full.worst, rel=1e-6)
 
 
 def test_no_joint_is_left_free():
     """Six joints, J_vm of rank 3: the least gains hold the rest."""
     system = System(arm=six_joint_arm(), vehicle=DECOUPLED)
     bounds = Bounds(K=(2.0, 1e4), B=(0.5, 1e3))
-    found = tune_virtual(system, np.full(6, 0.3), bounds=bounds)
-    for gain, (low, _) in zip(found.gains, (bounds.K, bounds.B), strict=True):
+    virtual = tune_virtual(system, np.full(6, 0.3), bounds=bounds)
+    for gain, (low, _) in zip(virtual.gains, (bounds.K, bounds.B), strict=True):
         assert np.linalg.eigvalsh(gain)[0] == pytest.approx(low, rel=1e-6)
-    assert np.isfinite(analyse(plant_at(system, np.full(6, 0.3)), found.gains).E_int)
+    assert np.isfinite(analyse(plant_at(system, np.full(6, 0.3)), virtual.gains).E_int)
 
 
 def test_a_base_without_stiffness_is_refused():

@@ -88,24 +88,24 @@ def fake_summary(rows: list[Result]) -> list[Result]:
     straight = {r["query"]: r for r in rows if r["planner"] == "straight"}
     out = []
     for duration, name in dict.fromkeys((r["duration"], r["planner"]) for r in rows):
-        some = [r for r in rows if (r["duration"], r["planner"]) == (duration, name)]
-        ratio = [r["E_mean"] / straight[r["query"]]["E_mean"] for r in some]
+        members = [r for r in rows if (r["duration"], r["planner"]) == (duration, name)]
+        ratio = [r["E_mean"] / straight[r["query"]]["E_mean"] for r in members]
         middle = float(np.median(ratio))
         out.append(
             {
                 "vehicle": "bent",
                 "duration": duration,
                 "planner": name,
-                "n": len(some),
-                "success_rate": float(np.mean([r["success"] for r in some])),
-                "E_mean_median": float(np.median([r["E_mean"] for r in some])),
+                "n": len(members),
+                "success_rate": float(np.mean([r["success"] for r in members])),
+                "E_mean_median": float(np.median([r["E_mean"] for r in members])),
                 "ratio_median": middle,
                 "ratio_low": middle if name == "straight" else 0.8 * middle,
                 "ratio_high": middle if name == "straight" else 1.3 * middle,
                 "E_res_ratio_median": middle,
                 "E_peak_ratio_median": middle**0.5,
                 "prediction_error_median": 0.013,
-                "plan_seconds_median": float(np.median([r["plan_seconds"] for r in some])),
+                "plan_seconds_median": float(np.median([r["plan_seconds"] for r in members])),
             }
         )
     return out
@@ -137,8 +137,8 @@ def fake_map(names: list[str], points: int) -> Result:
     paths = []
     for name in names:
         bow = 40 * (PLANNERS[name][1] - 1) * np.sin(np.pi * s)
-        line = np.stack([-80 + 150 * s, -30 + 60 * s + bow], -1).round(2).tolist()
-        paths.append({"planner": name, "points": line})
+        curve = np.stack([-80 + 150 * s, -30 + 60 * s + bow], -1).round(2).tolist()
+        paths.append({"planner": name, "points": curve})
     return {
         "vehicle": "bent",
         "title": "Q_T, T = 2 s: joints 1 and 2 (q3 = 40 deg)",
@@ -146,7 +146,7 @@ def fake_map(names: list[str], points: int) -> Result:
         "x": x.tolist(),
         "y": y.tolist(),
         "most": most.round(2).tolist(),
-        "lines": [line.round(2).tolist() for line in lines],
+        "lines": [curve.round(2).tolist() for curve in lines],
         "start": [-80, -30],
         "goal": [70, 30],
         "paths": paths,

@@ -30,8 +30,10 @@ def test_every_pole_of_the_upper_half_is_drawn():
         assert len(rings.get_xdata()) == 6
         upper = poles[poles.imag >= 0]
         np.testing.assert_array_equal(crosses.get_xdata(), upper.real)
-        (left, right), (_, top) = axes.get_xlim(), axes.get_ylim()
-        assert left < upper.real.min() and upper.real.max() < right and upper.imag.max() < top
+        (slowest, fastest), (_, top) = axes.get_xlim(), axes.get_ylim()
+        assert (
+            slowest < upper.real.min() and upper.real.max() < fastest and upper.imag.max() < top
+        )
 
 
 @pytest.mark.parametrize("both", [True, False])
@@ -45,8 +47,8 @@ def test_responses_of_both_models_are_drawn(both):
     assert start == pytest.approx(100 * np.sqrt(3))  # mm
     np.testing.assert_array_equal(strain.lines[-1].get_ydata(), linear.strain[1])
     assert integral.lines[-1].get_ydata()[-1] == pytest.approx(linear.E_int[1])
-    shown = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert shown == NAMES + ["by the linear model"] * both
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == NAMES + ["by the linear model"] * both
 
 
 def test_a_map_has_a_column_per_section():

@@ -30,7 +30,7 @@ class Elements(html.parser.HTMLParser):
         self.text += data
 
 
-def apart(where, likeness, sigma):
+def separation(where, likeness, sigma):
     return {"where": where, "likeness": likeness, "sigma": sigma}
 
 
@@ -38,7 +38,7 @@ def apart(where, likeness, sigma):
 def result():
     """Friction of the second joint, one of two laws; made up, no simulation behind it."""
     channels = [("joint", "tau_1"), ("joint", "tau_2"), ("platform", "phi_x")]
-    line = {"t": [0.0, 0.5, 1.0], "f": [0.0, 1.0, 2.0]}
+    series = {"t": [0.0, 0.5, 1.0], "f": [0.0, 1.0, 2.0]}
     return {
         "schema": "ves-diagnose/1",
         "verdict": "one of",
@@ -79,8 +79,8 @@ def result():
             {
                 "between": list(NAMES),
                 "sentence": "run-2 tells them apart best.",
-                "runs": [apart("run-1", 0.99, 0.4), apart("run-2", 0.9, 2.5)],
-                "ports": [apart("joint", 0.9, 2.5), apart("platform", 0.0, 0.0)],
+                "runs": [separation("run-1", 0.99, 0.4), separation("run-2", 0.9, 2.5)],
+                "ports": [separation("joint", 0.9, 2.5), separation("platform", 0.0, 0.0)],
                 "untested": [],
             }
         ],
@@ -133,7 +133,7 @@ def result():
                 "unit": "N m",
                 "run": "run-1",
                 "top": 3.6,
-                **line,
+                **series,
                 **{k: [1.0, -1.0, 2.0] for k in ("before", "after")},
                 **{k: [30.0, 2.0, 1.0] for k in ("noise_before", "noise_after")},
             }
@@ -157,7 +157,7 @@ def test_the_page_needs_nothing_beside_it(result, tmp_path):
 
 def test_the_verdict_is_on_top_and_what_it_rests_on_below(result):
     text = Elements(render_page(result)).text
-    said = [
+    sentences = [
         result["sentence"],
         "2.8355 to 3.1645",
         "822",
@@ -178,8 +178,8 @@ def test_the_verdict_is_on_top_and_what_it_rests_on_below(result):
         "cc33",
         "3.5",  # seconds in all
     ]
-    at = [text.find(words) for words in said]
-    assert -1 not in at, said[at.index(-1)]
+    at = [text.find(words) for words in sentences]
+    assert -1 not in at, sentences[at.index(-1)]
     assert at[0] == min(at)
 
 
@@ -188,8 +188,8 @@ def test_a_gap_without_a_name_is_not_given_one(result):
     result |= {"effects": [], "closest": result["effects"]}
     text = Elements(render_page(result)).text
     assert "No name is given." in text and "one of 2" not in text
-    shown = text.split("What is missing")[1].split("Where")[0]
-    assert "3.1645" in shown and "0.625" not in shown
+    missing = text.split("What is missing")[1].split("Where")[0]
+    assert "3.1645" in missing and "0.625" not in missing
 
 
 def test_a_description_that_is_right_has_a_page_too(result):
@@ -205,8 +205,8 @@ def test_names_cannot_become_markup(result):
     plain = json.loads(json.dumps(result).replace("run-1", "RUN"))
     hostile = json.loads(json.dumps(result).replace("run-1", HOSTILE))
     del plain["overlays"], hostile["overlays"]
-    one, other = (Elements(render_page(r)).tags for r in (plain, hostile))
-    assert [tag for tag, _ in one] == [tag for tag, _ in other]
+    expected, other = (Elements(render_page(r)).tags for r in (plain, hostile))
+    assert [tag for tag, _ in expected] == [tag for tag, _ in other]
 
 
 def test_a_result_of_another_kind_is_refused(result):

@@ -38,7 +38,7 @@ def test_searches_add_a_figure(tmp_path, make_result):
     assert written(result, tmp_path) == [*ALL, "anytime.png"]
     panels = anytime_figure(result).axes
     assert [len(axes.lines) for axes in panels] == [3, 3]
-    colours = [line.get_color() for line in panels[0].lines[:2]]
+    colours = [drawn.get_color() for drawn in panels[0].lines[:2]]
     assert colours == ["#c8541a", "#0a7bb5"]  # those of these planners elsewhere
 
 
@@ -53,7 +53,7 @@ def test_a_stopped_run_and_the_run_in_space_are_drawn(make_emulated):
     result = make_emulated(planners=4, queries=1, durations=(2.0,), points=9)
     lines = time_figure(result, "distance").axes[0].lines
     assert len(lines) == 5 * 2 + 1
-    (cross,) = [line for line in lines if line.get_marker() == "x"]
+    (cross,) = [curve for curve in lines if curve.get_marker() == "x"]
     first = result["traces"][0]["series"][0]
     assert cross.get_xdata() == [first["t"][-1]]
     assert cross.get_ydata() == [pytest.approx(1e3 * first["distance"][-1])]  # mm
@@ -62,8 +62,8 @@ def test_a_stopped_run_and_the_run_in_space_are_drawn(make_emulated):
 def test_figures_are_reproducible(tmp_path, make_result):
     result = make_result(queries=3, durations=(1.0,), points=9)
     first = [path.read_bytes() for path in write_figures(result, tmp_path / "a")]
-    again = [path.read_bytes() for path in write_figures(result, tmp_path / "b")]
-    assert first == again
+    repeated = [path.read_bytes() for path in write_figures(result, tmp_path / "b")]
+    assert first == repeated
 
 
 @pytest.mark.parametrize(

@@ -109,9 +109,9 @@ def test_the_scripts_set_text_not_markup(page, make_result):
 def test_every_element_the_scripts_look_up_exists(page, make_result):
     text = page(make_result(queries=1, points=9))
     elements = Elements(text)
-    known = {a["id"] for _, a in elements.tags if "id" in a} | {"trace-cursor"}
-    asked = set(re.findall(r"\$\(\"([\w-]+)\"\)", elements.scripts[1]))
-    assert asked and asked <= known
+    ids = {a["id"] for _, a in elements.tags if "id" in a} | {"trace-cursor"}
+    queried = set(re.findall(r"\$\(\"([\w-]+)\"\)", elements.scripts[1]))
+    assert queried and queried <= ids
 
 
 @pytest.mark.parametrize(

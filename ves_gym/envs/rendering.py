@@ -62,7 +62,7 @@ class Renderer:
 
         self.mode, self.dt = render_mode, task.system.control_dt
         window = render_mode == "human"
-        shown = LiveSettings(
+        settings = LiveSettings(
             system=task.system,
             window=window,
             width=960 if window else 640,
@@ -72,7 +72,7 @@ class Renderer:
             lines=lines,
             title=title or f"ves_gym {task.kind}",
         )
-        self.live = Live(shown)
+        self.live = Live(settings)
         self._latest: dict[str, Any] | None = None
         self._due = 0.0
 

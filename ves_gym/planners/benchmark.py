@@ -39,7 +39,7 @@ SCHEMA = "ves-benchmark/1"
 BASELINE = "straight"
 _RECORD = 12.5e-3  # s between records, or near it
 _BATCH = 250  # motions played at once: bounds the memory of their records
-_NOTHING = 1e-4  # of the run's own peak energy: below it there is no ratio to speak of
+_NO_RATIO = 1e-4  # of the run's own peak energy: below it there is no ratio to speak of
 
 Progress = Callable[[str, float], None]
 
@@ -68,22 +68,22 @@ def run_benchmark(
     names = list(dict.fromkeys([BASELINE, *(planners or suite.planners)]))
     for name in names:
         get_planner(name)
-    tell = progress or (lambda stage, done: None)
-    asked = [(n, v, q) for v, q in suite.queries for n in names]
-    jobs = [(n, v, replace(q, system=q.system.ideal())) for n, v, q in asked]
+    report = progress or (lambda stage, done: None)
+    questions = [(n, v, q) for v, q in suite.queries for n in names]
+    jobs = [(n, v, replace(q, system=q.system.ideal())) for n, v, q in questions]
     runs = []
     for (name, _, query), (vehicle, plan) in zip(
-        asked, _plan_all(jobs, seed, workers, tell), strict=True
+        questions, _plan_all(jobs, seed, workers, report), strict=True
     ):
         runs.append(_Run(name, vehicle, plan, query.system))
         if (query.name, name) in suite.weighed:
-            runs.append(_Run(name + _WEIGHED, vehicle, plan, uncompensated(query.system)))
-    rows, keep = _simulate_all(runs, seed, tell)
+            runs.append(_Run(name + _UNCOMPENSATED, vehicle, plan, uncompensated(query.system)))
+    rows, groups = _simulate_all(runs, seed, report)
     add_scores(rows, {v: q.system.ideal().hash for v, q in suite.queries}, BASELINE)
     first = suite.queries[0][1].system
     listed = [{"name": n, "summary": get_planner(n).summary} for n in names]
     for label in dict.fromkeys(r.label for r in runs if r.label not in names):
-        name = label.removesuffix(_WEIGHED)
+        name = label.removesuffix(_UNCOMPENSATED)
         what = f"the motion of {name}, the arm's weight zeroed once at the start, then left in"
         listed.append({"name": label, "summary": what, "motion_of": name})
     return {
@@ -102,13 +102,13 @@ def run_benchmark(
         "summary": summarise(rows),
         "anytime": anytime(rows),
         **({"rank_correlation": rank_correlation(rows)} if first.mode == "emulated" else {}),
-        "traces": [trace(*group) for group in keep],
+        "traces": [trace(*group) for group in groups],
         "maps": [
             m
-            for group in _showcase(keep)
-            for m in coupling_maps(group[0], [shown.plan for shown in group[1]])
+            for group in _showcase(groups)
+            for m in coupling_maps(group[0], [played.plan for played in group[1]])
         ],
-        "scenes": [scene(*group) for group in _showcase(keep)],
+        "scenes": [scene(*group) for group in _showcase(groups)],
         "seconds": round(time.perf_counter() - begin, 2),
     }
 
@@ -145,17 +145,17 @@ def _plan_one(job: Work) -> Plan:
 
 
 def _plan_all(
-    jobs: list[Job], seed: int, workers: int | None, tell: Progress
+    jobs: list[Job], seed: int, workers: int | None, report: Progress
 ) -> list[tuple[str, Plan]]:
     work = [(name, query, seed) for name, _, query in jobs]
     plans: list[tuple[str, Plan]] = []
-    for (_, vehicle, _), plan in zip(jobs, _mapped(work, workers), strict=True):
+    for (_, vehicle, _), plan in zip(jobs, _run_workers(work, workers), strict=True):
         plans.append((vehicle, plan))
-        tell("planning", len(plans) / len(jobs))
+        report("planning", len(plans) / len(jobs))
     return plans
 
 
-def _mapped(
+def _run_workers(
     work: list[Work], workers: int | None, plan: Callable[[Work], Plan] = _plan_one
 ) -> Iterator[Plan]:
     """Plans in order; one that takes its process down with it is a failure of its query."""
@@ -174,7 +174,7 @@ def _mapped(
 
 # ----------------------------------------------------------------------- simulation
 
-_WEIGHED = " (weight not compensated)"
+_UNCOMPENSATED = " (weight not compensated)"
 Group = tuple[str, list[PlayedPlan]]  # vehicle, the planners' answers to one query
 
 
@@ -189,42 +189,42 @@ class _Run:
 
 
 def _simulate_all(
-    runs: list[_Run], seed: int, tell: Progress
+    runs: list[_Run], seed: int, report: Progress
 ) -> tuple[list[dict[str, Any]], list[Group]]:
     """Rows in the order of the runs, and those to show (one query per duration)."""
     batches: dict[tuple[str, System, float], list[int]] = defaultdict(list)
     rows: dict[int, dict[str, Any]] = {}
-    for i, one in enumerate(runs):
-        if one.plan.motion is None:
-            rows[i] = _row_without_motion(one)
+    for i, run in enumerate(runs):
+        if run.plan.motion is None:
+            rows[i] = _row_without_motion(run)
         else:
-            batches[one.vehicle, one.system, one.plan.query.duration].append(i)
-    shown: dict[tuple[str, str], list[tuple[int, PlayedPlan]]] = defaultdict(list)
+            batches[run.vehicle, run.system, run.plan.query.duration].append(i)
+    pictures: dict[tuple[str, str], list[tuple[int, PlayedPlan]]] = defaultdict(list)
     for (vehicle, system, _), members in batches.items():
-        showcase = _shown_queries([runs[i].plan.query for i in members])
+        showcase = _showcase_queries([runs[i].plan.query for i in members])
         for part in (members[k : k + _BATCH] for k in range(0, len(members), _BATCH)):
-            some = [runs[i] for i in part]
-            plans = [r.plan for r in some]
+            batch = [runs[i] for i in part]
+            plans = [r.plan for r in batch]
             recording = _play(system, plans, _record_dt(system), seed)
             measured = _measure(recording)
             ideal, in_space = None, measured
             if system.mode == "emulated":
                 ideal = _play(system.ideal(), plans, _record_dt(system), seed)
                 in_space = _measure(ideal)
-            for k, (i, one) in enumerate(zip(part, some, strict=True)):
-                rows[i] = _row(one, measured[k], in_space[k])
+            for k, (i, run) in enumerate(zip(part, batch, strict=True)):
+                rows[i] = _row(run, measured[k], in_space[k])
                 if ideal is not None:
                     rows[i] |= _emulation(recording, ideal, k, rows[i], in_space[k])
-                name = one.plan.query.name
+                name = run.plan.query.name
                 if name in showcase:
                     picture = PlayedPlan(
-                        one.plan, recording, k, one.label, ideal, is_compensated(system)
+                        run.plan, recording, k, run.label, ideal, is_compensated(system)
                     )
-                    shown[vehicle, name].append((i, picture))
-            tell("simulating", len(rows) / len(runs))
+                    pictures[vehicle, name].append((i, picture))
+            report("simulating", len(rows) / len(runs))
     return [rows[i] for i in range(len(runs))], [
-        (vehicle, [picture for _, picture in sorted(found, key=lambda pair: pair[0])])
-        for (vehicle, _), found in shown.items()
+        (vehicle, [picture for _, picture in sorted(answers, key=lambda pair: pair[0])])
+        for (vehicle, _), answers in pictures.items()
     ]
 
 
@@ -245,17 +245,17 @@ def _play(system: System, plans: Sequence[Plan], record_dt: float, seed: int) ->
 def _measure(run: Recording) -> list[Energies | None]:
     """Energies of each run, None for one that was stopped."""
     stopped = {e.simulation for e in run.events}
-    whole = [i for i in range(len(run.q)) if i not in stopped]
+    complete = [i for i in range(len(run.q)) if i not in stopped]
     out: list[Energies | None] = [None] * len(run.q)
-    if whole:
-        parts = (part[whole] for part in (run.q, run.y, run.yd))
-        found = energies(run.system, run.t, *parts, duration=run.duration)
-        for i, measured in zip(whole, found, strict=True):
+    if complete:
+        parts = (part[complete] for part in (run.q, run.y, run.yd))
+        measures = energies(run.system, run.t, *parts, duration=run.duration)
+        for i, measured in zip(complete, measures, strict=True):
             out[i] = measured
     return out
 
 
-def _shown_queries(queries: list[Query]) -> set[str]:
+def _showcase_queries(queries: list[Query]) -> set[str]:
     """Queries of a batch whose traces are kept: the first, or all when there are few."""
     names = list(dict.fromkeys(q.name for q in queries))
     return set(names if len(names) <= 3 else names[:1])
@@ -272,15 +272,17 @@ def _showcase(groups: list[Group]) -> list[Group]:
     ordered = [
         g for _, g in sorted(enumerate(ordered), key=lambda p: names[: p[0]].count(p[1][0]))
     ]
-    return [(v, [s for s in some if s.label == s.plan.planner]) for v, some in ordered[:3]]
+    return [
+        (v, [s for s in answers if s.label == s.plan.planner]) for v, answers in ordered[:3]
+    ]
 
 
-def _row(one: _Run, measured: Energies | None, in_space: Energies | None) -> dict[str, Any]:
-    plan = one.plan
+def _row(run: _Run, measured: Energies | None, in_space: Energies | None) -> dict[str, Any]:
+    plan = run.plan
     assert in_space is not None  # nothing stops a run in space
     assert plan.predicted is not None
     return {
-        **_named(one),
+        **_labels(run),
         **(dict.fromkeys(_MEASURES) if measured is None else measured.to_dict()),
         "predicted": plan.predicted.E_mean,
         "prediction_error": _excess(plan.predicted.E_mean, in_space.E_mean),
@@ -291,36 +293,36 @@ def _row(one: _Run, measured: Energies | None, in_space: Energies | None) -> dic
     }
 
 
-def _row_without_motion(one: _Run) -> dict[str, Any]:
+def _row_without_motion(run: _Run) -> dict[str, Any]:
     """The row of a query that the planner had no answer to."""
     emulated: dict[str, Any] = {}
-    if one.system.mode == "emulated":
-        emulated = dict.fromkeys(_OF_THE_LABORATORY)
-        emulated["compensated"] = is_compensated(one.system)
+    if run.system.mode == "emulated":
+        emulated = dict.fromkeys(_EMULATED_COLUMNS)
+        emulated["compensated"] = is_compensated(run.system)
     return {
-        **_named(one),
+        **_labels(run),
         **dict.fromkeys((*_MEASURES, "predicted", "prediction_error")),
-        "plan_seconds": one.plan.seconds,
+        "plan_seconds": run.plan.seconds,
         "success": False,
-        "failure": one.plan.failure,
-        "info": one.plan.info,
+        "failure": run.plan.failure,
+        "info": run.plan.info,
         **emulated,
     }
 
 
-def _named(one: _Run) -> dict[str, Any]:
-    query = one.plan.query
+def _labels(run: _Run) -> dict[str, Any]:
+    query = run.plan.query
     return {
-        "planner": one.label,
+        "planner": run.label,
         "query": query.name,
-        "vehicle": one.vehicle,
-        "mode": one.system.mode,
+        "vehicle": run.vehicle,
+        "mode": run.system.mode,
         "duration": query.duration,
         "obstacles": query.surroundings is not None,
     }
 
 
-_OF_THE_LABORATORY = (
+_EMULATED_COLUMNS = (
     "compensated",
     "stopped",
     "E_mean_ideal",
@@ -340,10 +342,10 @@ def _emulation(
     stop = next((str(e) for e in run.events if e.simulation == k), None)
     base_error = None
     if stop is None:
-        place, wanted = run.y[k, :, :3], ideal.y[k, :, :3]
-        largest = float(np.linalg.norm(wanted, axis=-1).max())
+        place, reference = run.y[k, :, :3], ideal.y[k, :, :3]
+        largest = float(np.linalg.norm(reference, axis=-1).max())
         if largest > 0:
-            base_error = float(np.linalg.norm(place - wanted, axis=-1).max()) / largest
+            base_error = float(np.linalg.norm(place - reference, axis=-1).max()) / largest
     return {
         "compensated": is_compensated(run.system),
         "stopped": stop,
@@ -385,11 +387,11 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             emulated = {
                 "compensated": members[0]["compensated"],
                 "stopped": sum(r["stopped"] is not None for r in members),
-                "emulation_error_median": _median(_known(members, "emulation_error")),
-                "base_error_median": _median(_known(members, "base_error")),
+                "emulation_error_median": _median(_numbers(members, "emulation_error")),
+                "base_error_median": _median(_numbers(members, "base_error")),
             }
-        kept = [r for r in members if r["failure"] is None]
-        errors = [abs(e) for e in _known(kept, "prediction_error")]
+        feasible = [r for r in members if r["failure"] is None]
+        errors = [abs(e) for e in _numbers(feasible, "prediction_error")]
         possible = [r["success"] for r in members if (vehicle, r["query"]) in solvable]
         seconds = [r["plan_seconds"] for r in members]
         out.append(
@@ -399,7 +401,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "planner": planner,
                 "n": len(members),
                 "success_rate": float(np.mean([r["success"] for r in members])),
-                "E_mean_median": _median(_known(members, "E_mean")),
+                "E_mean_median": _median(_numbers(members, "E_mean")),
                 "ratio_median": _median(ratios["E_mean"]),
                 "ratio_low": low,
                 "ratio_high": high,
@@ -412,7 +414,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "plan_seconds_median": _median(seconds),
                 "plan_seconds_p95": float(np.percentile(seconds, 95)),
                 "plan_seconds_max": max(seconds),
-                "score_median": _median(_known(members, "score")),
+                "score_median": _median(_numbers(members, "score")),
                 "near_best": near_best(members),
                 **emulated,
             }
@@ -474,8 +476,8 @@ def rank_correlation(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     for (vehicle, duration, _), pairs in queries.items():
         emulated, ideal = np.array(pairs).T
         if len(pairs) >= 3 and np.ptp(emulated) > 0 and np.ptp(ideal) > 0:
-            found = scipy.stats.spearmanr(emulated, ideal).statistic
-            groups[vehicle, duration].append(float(found))
+            rho_query = scipy.stats.spearmanr(emulated, ideal).statistic
+            groups[vehicle, duration].append(float(rho_query))
     return [
         {"vehicle": v, "duration": d, "n": len(rho), "rho_median": _median(rho)}
         for (v, d), rho in groups.items()
@@ -494,12 +496,12 @@ def _ratios(
         reference = baseline[row["vehicle"], row["query"]]
         if None in (row[key], reference[key]):
             continue
-        if reference[key] > _NOTHING * reference["E_peak"]:
+        if reference[key] > _NO_RATIO * reference["E_peak"]:
             out.append(row[key] / reference[key])
     return out
 
 
-def _known(rows: Iterable[dict[str, Any]], key: str) -> list[float]:
+def _numbers(rows: Iterable[dict[str, Any]], key: str) -> list[float]:
     return [row[key] for row in rows if row[key] is not None]
 
 
@@ -511,8 +513,8 @@ def _interval(values: Sequence[float]) -> tuple[float | None, float | None]:
     """95 % percentile bootstrap interval of the median."""
     if not values:
         return None, None
-    found = bootstrap([np.array(values)], STATISTICS["median"])
-    return found.low, found.high
+    interval = bootstrap([np.array(values)], STATISTICS["median"])
+    return interval.low, interval.high
 
 
 def _versions() -> dict[str, str]:

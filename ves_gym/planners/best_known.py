@@ -19,7 +19,7 @@ from ves_gym._util.params import ParameterError, read_table, write_text
 
 FORMAT = "ves-best/1"
 PACKAGED = "best_known.json"
-_LESS = 1e-6  # relative: what is no more than this below is the same
+_TOLERANCE = 1e-6  # relative: what is no more than this below is the same
 
 
 @cache
@@ -67,8 +67,8 @@ def merge_best(path: str | os.PathLike[str], result: dict[str, Any]) -> int:
         if not row["success"] or not row["E_mean"]:
             continue
         name = key(result["systems"][row["vehicle"]]["hash"], row["query"])
-        known = entries.get(name)
-        if known is None or row["E_mean"] < (1 - _LESS) * known["E_mean"]:
+        previous = entries.get(name)
+        if previous is None or row["E_mean"] < (1 - _TOLERANCE) * previous["E_mean"]:
             entries[name] = {
                 "E_mean": float(f"{row['E_mean']:.9g}"),
                 "planner": row["planner"],
@@ -88,22 +88,27 @@ def add_scores(rows: Iterable[dict[str, Any]], hashes: dict[str, str], baseline:
     motions that keep every limit have one.
     """
     every = list(rows)
-    straight = {
+    baselines = {
         (r["vehicle"], r["query"]): r["E_mean"] for r in every if r["planner"] == baseline
     }
     for row in every:
         entry = packaged().get(key(hashes[row["vehicle"]], row["query"]))
         best = row["best_known"] = None if entry is None else entry["E_mean"]
-        line, own = straight.get((row["vehicle"], row["query"])), row["E_mean"]
+        straight_energy, energy = baselines.get((row["vehicle"], row["query"])), row["E_mean"]
         row["score"] = None
-        if row["success"] and best is not None and line is not None and line > best:
-            row["score"] = (line - own) / (line - best)
+        if (
+            row["success"]
+            and best is not None
+            and straight_energy is not None
+            and straight_energy > best
+        ):
+            row["score"] = (straight_energy - energy) / (straight_energy - best)
 
 
 def near_best(rows: Sequence[dict[str, Any]], share: float = 1.05) -> float | None:
     """Share of the rows with a best known energy that succeed within `share` times it."""
-    known = [r for r in rows if r["best_known"] is not None]
-    if not known:
+    rated = [r for r in rows if r["best_known"] is not None]
+    if not rated:
         return None
-    good = [r["success"] and r["E_mean"] <= share * r["best_known"] for r in known]
+    good = [r["success"] and r["E_mean"] <= share * r["best_known"] for r in rated]
     return sum(good) / len(good)

@@ -106,13 +106,13 @@ def invariant_directions(
     """Solutions of Q v = lambda (H_m - H_bm^T M_t^-1 H_bm) v."""
     b = blocks(system, q)
     effective = b.Hm - np.swapaxes(b.Hbm, -1, -2) @ np.linalg.solve(b.Mt, b.Hbm)
-    found = _modes_of(metric(system, q, duration), effective)
-    return Directions(*found)
+    directions = _modes_of(metric(system, q, duration), effective)
+    return Directions(*directions)
 
 
 def _modes_of(K: Array, M: Array) -> tuple[Array, Array]:
-    found = natural_modes(K, M)
-    return found.omega**2, found.shapes
+    solution = natural_modes(K, M)
+    return solution.omega**2, solution.shapes
 
 
 def coupling_length(
@@ -247,19 +247,19 @@ def spots(
             sign * np.linalg.eigvalsh(metric(system, q, duration))[..., -1], float
         )
 
-    found: list[Spot] = []
+    extrema: list[Spot] = []
     for k in np.argsort(strength(at)):
-        if any(np.linalg.norm(at[k] - spot.q) < _SAME for spot in found):
+        if any(np.linalg.norm(at[k] - spot.q) < _SAME for spot in extrema):
             continue
         best = scipy.optimize.minimize(
             lambda q: float(strength(q)), at[k], method="L-BFGS-B",
             bounds=scipy.optimize.Bounds(low, high),
         )  # fmt: skip
-        if all(np.linalg.norm(best.x - spot.q) >= _SAME for spot in found):
-            found.append(Spot(best.x, float(sign * best.fun)))
-        if len(found) >= count:
+        if all(np.linalg.norm(best.x - spot.q) >= _SAME for spot in extrema):
+            extrema.append(Spot(best.x, float(sign * best.fun)))
+        if len(extrema) >= count:
             break
-    return sorted(found, key=lambda spot: sign * spot.coupling)
+    return sorted(extrema, key=lambda spot: sign * spot.coupling)
 
 
 def _trace_lines(
@@ -287,9 +287,9 @@ def _trace_lines(
         length = np.linalg.norm(total)
         return total / length if length > 0 else heading
 
-    def march(start: Array, heading: Array, own: set[tuple[int, int]]) -> list[Array]:
-        line, p = [], start
-        seen = {bin_of(start): 0}  # when the line was last in a bin
+    def march(start: Array, heading: Array, visited: set[tuple[int, int]]) -> list[Array]:
+        curve, p = [], start
+        last_visit = {bin_of(start): 0}  # when the line was last in a bin
         lap = int(3 * size.max() / bins / step)  # longer away than this, it has come round
         for i in range(1, int(8 * size.max() / step)):
             heading = towards(p, heading)
@@ -297,27 +297,29 @@ def _trace_lines(
             p = p + heading * step
             if (p < 0).any() or (p > size).any():
                 break
-            here = bin_of(p)
-            if (taken[here] and here not in own) or i - seen.get(here, i) > lap:
+            cell_index = bin_of(p)
+            if (taken[cell_index] and cell_index not in visited) or i - last_visit.get(
+                cell_index, i
+            ) > lap:
                 break
-            seen[here] = i
-            own.add(here)
-            line.append(p)
-        return line
+            last_visit[cell_index] = i
+            visited.add(cell_index)
+            curve.append(p)
+        return curve
 
     lines = []
     for k in range(bins * bins):
         seed = (np.array(divmod(k * 7919 % (bins * bins), bins)) + 0.5) / bins * size
         if taken[bin_of(seed)]:
             continue
-        own = {bin_of(seed)}
+        visited = {bin_of(seed)}
         node = np.minimum(seed.round().astype(int), size)
         heading = field[node[0], node[1]] / cell
         heading = heading / np.linalg.norm(heading)
-        back, ahead = march(seed, -heading, own), march(seed, heading, own)
-        line = np.array([*back[::-1], seed, *ahead])
-        for here in own:
-            taken[here] = True
-        if len(line) * step > 1.5 / spacing / bins:
-            lines.append(origin + line * cell)
+        back, ahead = march(seed, -heading, visited), march(seed, heading, visited)
+        curve = np.array([*back[::-1], seed, *ahead])
+        for cell_index in visited:
+            taken[cell_index] = True
+        if len(curve) * step > 1.5 / spacing / bins:
+            lines.append(origin + curve * cell)
     return lines

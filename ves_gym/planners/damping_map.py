@@ -40,8 +40,8 @@ def promised_integral(
     )
     amplitude = np.einsum("...ji,...jk,k->...i", m.shapes, b.Mt, release)
     energy = 0.5 * (m.omega * amplitude) ** 2
-    own = np.einsum("...ji,jk,...ki->...i", m.shapes, base.D, m.shapes) / (2 * m.omega)
-    zeta = own + np.sqrt(np.maximum(share, 0)) / 2
+    material = np.einsum("...ji,jk,...ki->...i", m.shapes, base.D, m.shapes) / (2 * m.omega)
+    zeta = material + np.sqrt(np.maximum(share, 0)) / 2
     return np.asarray(np.sum(energy * (1 / zeta + 4 * zeta) / (4 * m.omega), axis=-1))
 
 
@@ -83,13 +83,15 @@ def best_configurations(
     for i in np.argsort(promised, kind="stable").tolist():
         if len(chosen) < candidates and _is_apart(angles[i], angles[chosen]):
             chosen.append(i)
-    found: list[Configuration] = []
+    configurations: list[Configuration] = []
     for i, plant in zip(chosen, plants(system, angles[chosen]), strict=True):
         tuned = tune(plant, y=y, full=full, bounds=bounds, starts=_STARTS, seed=seed)
-        found.append(Configuration(q=angles[i], promised=float(promised[i]), tuned=tuned))
+        configurations.append(
+            Configuration(q=angles[i], promised=float(promised[i]), tuned=tuned)
+        )
         if progress is not None:
-            progress(len(found) / len(chosen))
-    return sorted(found, key=lambda c: c.tuned.value)
+            progress(len(configurations) / len(chosen))
+    return sorted(configurations, key=lambda c: c.tuned.value)
 
 
 def _is_apart(q: Array, others: Array) -> bool:
@@ -128,16 +130,16 @@ def damping_map(
     q = np.broadcast_to(at, (points, points, len(at))).copy()
     q[..., i], q[..., j] = np.meshgrid(*axes, indexing="ij")
     flat = q.reshape(-1, len(at))
-    left: list[float] = []
+    integrals: list[float] = []
     near = None  # gains of the neighbour
     for plant in plants(system, flat):
-        found = tune(
+        tuned = tune(
             plant, y=y, full=full, bounds=bounds, starts=_STARTS, seed=seed, first=near
         )
-        near = found.gains
-        left.append(found.value)
+        near = tuned.gains
+        integrals.append(tuned.value)
         if progress is not None:
-            progress(len(left) / len(flat))
+            progress(len(integrals) / len(flat))
     shape = points, points
     return DampingMap(
         joints=(i, j),
@@ -145,5 +147,5 @@ def damping_map(
         fixed=at,
         coupling=np.trace(coupling_matrix(system, q), axis1=-2, axis2=-1),
         promised=promised_integral(system, q, y),
-        tuned=np.reshape(left, shape),
+        tuned=np.reshape(integrals, shape),
     )

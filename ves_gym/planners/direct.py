@@ -51,8 +51,8 @@ class Direct:
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Deterministic: the seed is not used; one start, the straight line."""
         problem = MotionProblem(query, self.free)
-        found = minimise(problem, problem.straight, self.iterations)
-        return problem.motion(found.x), found.info()
+        minimum = minimise(problem, problem.straight, self.iterations)
+        return problem.motion(minimum.x), minimum.info()
 
 
 class MotionProblem:
@@ -109,11 +109,11 @@ class MotionProblem:
         """Samples u (N 6) of the base momentum, and their derivative (N 6, free n)."""
         control = self.control(x)
         position, velocity = self._bases
-        found = momentum(self.arm, position @ control, velocity @ control)
+        sample = momentum(self.arm, position @ control, velocity @ control)
         inner = slice(_FIXED, self.m - _FIXED)
-        slope = np.einsum("kcj,km->kcmj", found.by_q, position[:, inner])
-        slope += np.einsum("kcj,km->kcmj", found.by_v, velocity[:, inner])
-        return found.u.ravel(), slope.reshape(found.u.size, -1)
+        slope = np.einsum("kcj,km->kcmj", sample.by_q, position[:, inner])
+        slope += np.einsum("kcj,km->kcmj", sample.by_v, velocity[:, inner])
+        return sample.u.ravel(), slope.reshape(sample.u.size, -1)
 
     def value(self, x: Array) -> tuple[float, Array]:
         """E_mean [J] and its gradient."""
@@ -165,15 +165,15 @@ class MotionProblem:
     def _torque(self, x: Array) -> tuple[Array, Array]:
         """Joint torque over its limit at sampled times, on a base that stands still."""
         control = self.control(x)
-        found = torque(self.arm, *(b @ control for b in self._torque_bases))
+        dynamics = torque(self.arm, *(b @ control for b in self._torque_bases))
         inner = slice(_FIXED, self.m - _FIXED)
         slope = sum(
-            np.einsum("kij,km->kimj", found.by[:, order], b[:, inner])
+            np.einsum("kij,km->kimj", dynamics.by[:, order], b[:, inner])
             for order, b in enumerate(self._torque_bases)
         )
-        size = found.tau.size
+        size = dynamics.tau.size
         scaled = slope / self._tau_max[:, None, None]
-        return (found.tau / self._tau_max).ravel(), scaled.reshape(size, -1)
+        return (dynamics.tau / self._tau_max).ravel(), scaled.reshape(size, -1)
 
     def add_torque_samples(self, x: Array) -> bool:
         """Whether torque passes its share of the limit between samples; samples it there."""
@@ -266,15 +266,15 @@ def minimise(
     """
     done = evaluations = 0
     for _ in range(_ROUNDS):
-        found = _minimise(problem, x0, iterations, tolerance)
+        minimum = _minimise(problem, x0, iterations, tolerance)
         x0, done, evaluations = (
-            found.x,
-            done + found.iterations,
-            evaluations + found.evaluations,
+            minimum.x,
+            done + minimum.iterations,
+            evaluations + minimum.evaluations,
         )
-        if found.excess > _NEARLY or not problem.add_torque_samples(x0):
+        if minimum.excess > _NEARLY or not problem.add_torque_samples(x0):
             break
-    return replace(found, iterations=done, evaluations=evaluations)
+    return replace(minimum, iterations=done, evaluations=evaluations)
 
 
 def _minimise(problem: MotionProblem, x0: Array, iterations: int, tolerance: float) -> Minimum:
@@ -285,52 +285,52 @@ def _minimise(problem: MotionProblem, x0: Array, iterations: int, tolerance: flo
         limits, rows = problem.limits(x)
         return _Point(x, 0.5 * float(u @ W @ u), u, slope, limits, rows)
 
-    here = at(np.clip(x0, low, high))
-    scale = max(here.energy, 1e-12)
+    point = at(np.clip(x0, low, high))
+    scale = max(point.energy, 1e-12)
     radius, price, done, evaluations = _FIRST, 10.0, 0, 1
     message = "iteration limit reached"
     while done < iterations:
         done += 1
-        force = W @ here.slope
-        hessian = here.slope.T @ force / scale
-        gradient = force.T @ here.u / scale
+        force = W @ point.slope
+        hessian = point.slope.T @ force / scale
+        gradient = force.T @ point.u / scale
         step = None
         while radius > _LEAST_STEP:
             step, slack, price = _subproblem(
                 hessian,
                 gradient,
-                here,
-                np.maximum(low - here.x, -radius),
-                np.minimum(high - here.x, radius),
+                point,
+                np.maximum(low - point.x, -radius),
+                np.minimum(high - point.x, radius),
                 price,
             )
-            there = at(here.x + step)
+            trial = at(point.x + step)
             evaluations += 1
             model = -(gradient @ step + 0.5 * step @ hessian @ step)
-            model += price * (max(here.excess, 0.0) - slack)
-            actual = (here.energy - there.energy) / scale
-            actual += price * (max(here.excess, 0.0) - max(there.excess, 0.0))
+            model += price * (max(point.excess, 0.0) - slack)
+            actual = (point.energy - trial.energy) / scale
+            actual += price * (max(point.excess, 0.0) - max(trial.excess, 0.0))
             if actual >= 0.1 * model:
                 break
             radius = min(radius, float(np.abs(step).max())) / 3
             step = None
-            if model <= tolerance * here.energy / scale and here.excess <= _ACCEPTED:
+            if model <= tolerance * point.energy / scale and point.excess <= _ACCEPTED:
                 break
         if step is None:
             message = "no better step"
             break
         if actual > 0.7 * model and np.abs(step).max() > 0.9 * radius:
             radius *= 2.5
-        merit = there.energy / scale + price * max(there.excess, 0.0)
-        here = there
+        merit = trial.energy / scale + price * max(trial.excess, 0.0)
+        point = trial
         if abs(actual) <= tolerance * merit:
-            message = "converged" if here.excess <= _ACCEPTED else "limits cannot be kept"
+            message = "converged" if point.excess <= _ACCEPTED else "limits cannot be kept"
             break
-    return Minimum(here.x, here.energy, here.excess, done, evaluations, message)
+    return Minimum(point.x, point.energy, point.excess, done, evaluations, message)
 
 
 def _subproblem(
-    hessian: Array, gradient: Array, here: _Point, low: Array, high: Array, price: float
+    hessian: Array, gradient: Array, point: _Point, low: Array, high: Array, price: float
 ) -> tuple[Array, float, float]:
     """Least quadratic model within bounds, limits linear, their largest excess priced.
 
@@ -342,15 +342,15 @@ def _subproblem(
     H = np.zeros((size + 1, size + 1))
     H[:size, :size] = hessian + ridge * np.eye(size)
     H[size, size] = price
-    low, high = np.r_[low, 0.0], np.r_[high, max(here.excess, 0.0) + 10.0]
-    working = here.limits > -_NEAREST
+    low, high = np.r_[low, 0.0], np.r_[high, max(point.excess, 0.0) + 10.0]
+    working = point.limits > -_NEAREST
     while True:  # few of the rows matter: those that the step breaks are added
-        A = np.hstack([here.rows[working], np.full((int(working.sum()), 1), -1.0)])
-        found, multipliers = quadratic_program(
-            H, np.r_[gradient, price], A, -here.limits[working], low, high
+        A = np.hstack([point.rows[working], np.full((int(working.sum()), 1), -1.0)])
+        solution, multipliers = quadratic_program(
+            H, np.r_[gradient, price], A, -point.limits[working], low, high
         )
-        step, slack = found[:size], float(found[size])
-        missed = (here.limits + here.rows @ step > slack + _MISSED) & ~working
+        step, slack = solution[:size], float(solution[size])
+        missed = (point.limits + point.rows @ step > slack + _MISSED) & ~working
         if not missed.any():
             break
         working |= missed
@@ -368,9 +368,9 @@ def quadratic_program(
     """
     size = float(np.abs(H[:-1, :-1]).max())  # the last variable is a slack
     solver = _solver(len(g), len(A))
-    found = solver(h=H / size, g=g / size, a=A, lba=-math.inf, uba=upper, lbx=low, ubx=high)
-    x = np.clip(np.nan_to_num(np.array(found["x"]).ravel()), low, high)
-    return x, size * np.array(found["lam_a"]).ravel()
+    result = solver(h=H / size, g=g / size, a=A, lba=-math.inf, uba=upper, lbx=low, ubx=high)
+    x = np.clip(np.nan_to_num(np.array(result["x"]).ravel()), low, high)
+    return x, size * np.array(result["lam_a"]).ravel()
 
 
 @lru_cache(maxsize=256)

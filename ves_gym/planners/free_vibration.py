@@ -37,8 +37,8 @@ class FreeVibration:
     @property
     def E_int(self) -> Array:
         """(m,) integral of the strain energy over the run [J s]."""
-        found: Array = trapezoid(self.strain, self.t, axis=-1)
-        return found
+        integral: Array = trapezoid(self.strain, self.t, axis=-1)
+        return integral
 
     @property
     def t_5(self) -> Array:

@@ -51,16 +51,16 @@ class HotSpot:
         """Deterministic: the seed is not used."""
         duration = query.duration if self.band_limited else None
         start, goal = query.ends
-        line = np.linspace(start, goal, _POINTS + 1)
+        straight = np.linspace(start, goal, _POINTS + 1)
         network = _network(query.system, duration)
-        routes = [line, resample(network.route(start, goal), _POINTS + 1)]
+        routes = [straight, resample(network.route(start, goal), _POINTS + 1)]
         relaxed = [_relax(query.system, route, duration) for route in routes]
         lengths = [coupling_length(query.system, path, duration) for path in relaxed]
         best = int(np.argmin(lengths))
         motion, share = feasible_part(query, relaxed[best])
         info = {
             "coupling_length": lengths[best],
-            "straight_coupling_length": coupling_length(query.system, line, duration),
+            "straight_coupling_length": coupling_length(query.system, straight, duration),
             "from": ("straight", network.name)[best],
             "share": share,  # of the way from the straight line that the limits allow
         }
@@ -123,14 +123,14 @@ class Lattice:
         index = np.arange(int(np.prod(self.shape))).reshape(self.shape)
         heads, tails = [], []
         for move in moves:
-            here = tuple(
+            from_cells = tuple(
                 slice(max(0, -m), s - max(0, m)) for m, s in zip(move, self.shape, strict=True)
             )
-            there = tuple(
+            to_cells = tuple(
                 slice(max(0, m), s - max(0, -m)) for m, s in zip(move, self.shape, strict=True)
             )
-            heads.append(index[here].ravel())
-            tails.append(index[there].ravel())
+            heads.append(index[from_cells].ravel())
+            tails.append(index[to_cells].ravel())
         a, b = np.concatenate(heads), np.concatenate(tails)
         flat = self.points.reshape(-1, len(self.shape))
         lengths, least = self._lengths(flat[a], flat[b])
@@ -273,7 +273,7 @@ def _relax(system: System, path: Array, duration: float | None) -> Array:
         np.tile(arm.column("q_min"), k - 1), np.tile(arm.column("q_max"), k - 1)
     )
     scale = max(value(path[1:-1].ravel())[0], 1e-12)
-    found = scipy.optimize.minimize(
+    result = scipy.optimize.minimize(
         lambda x: tuple(part / scale for part in value(x)),
         path[1:-1].ravel(),
         jac=True,
@@ -281,15 +281,15 @@ def _relax(system: System, path: Array, duration: float | None) -> Array:
         bounds=bounds,
         options={"maxiter": 200},
     )
-    return np.vstack([path[0], found.x.reshape(-1, n), path[-1]])
+    return np.vstack([path[0], result.x.reshape(-1, n), path[-1]])
 
 
 def feasible_part(query: Query, path: Array) -> tuple[Motion, float]:
     """The timed path, drawn towards the straight line until it keeps the limits."""
-    line = np.linspace(path[0], path[-1], len(path))
+    straight = np.linspace(path[0], path[-1], len(path))
 
     def timed(share: float) -> Motion:
-        return Motion.through(line + share * (path - line), query.duration)
+        return Motion.through(straight + share * (path - straight), query.duration)
 
     if is_feasible(query, timed(1.0)) or not is_feasible(query, timed(0.0)):
         return timed(1.0), 1.0

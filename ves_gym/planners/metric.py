@@ -57,8 +57,8 @@ class Metric:
         self._graph = partial(_form, self.system, kind)
         self._key = f"metric {kind} {_SWEEPS} {structure(self.system)}"
         fixed = (base.mass_matrix.ravel(), base.K.ravel())
-        own = parameters(self.system)[1]
-        self._p = np.concatenate([own, *fixed, [duration or 0.0, 0.0]])
+        robot = parameters(self.system)[1]
+        self._p = np.concatenate([robot, *fixed, [duration or 0.0, 0.0]])
         self._p[-1] = self._least()
 
     def _least(self) -> float:
@@ -138,13 +138,13 @@ def _form(system: System, kind: str) -> casadi.Function:
     from ves_gym.engine.kernel.mechanics import solve
 
     n, count = system.arm.n, len(parameters(system)[0])
-    x, given = ca.SX.sym("x", 2 * n), ca.SX.sym("p", count + 74)
-    step, p = x[n:], given[:count]
-    M, K = (ca.reshape(given[count + i : count + i + 36], 6, 6) for i in (0, 36))
+    x, numbers = ca.SX.sym("x", 2 * n), ca.SX.sym("p", count + 74)
+    step, p = x[n:], numbers[:count]
+    M, K = (ca.reshape(numbers[count + i : count + i + 36], 6, 6) for i in (0, 36))
     H = ca.reshape(inertia_matrix(system)(x[:n], p), 6 + n, 6 + n)
     Mt, u = H[:6, :6] + M, ca.vertsplit(H[:6, 6:] @ step)  # mass, momentum of the step
     if kind == "qt":
-        value = _band_limited(_rows(Mt), _rows(K), u, given[-2])
+        value = _band_limited(_rows(Mt), _rows(K), u, numbers[-2])
     else:
         moved = ca.vertcat(*solve(_rows(Mt), list(u)))  # of the base, per step
         value = {
@@ -152,8 +152,8 @@ def _form(system: System, kind: str) -> casadi.Function:
             "kinetic": lambda: ca.dot(ca.vertcat(*u), moved),
             "disturbance": lambda: ca.sumsqr(moved[3:]),
         }[kind]()
-    out = value + given[-1] * ca.sumsqr(step)
-    return ca.Function("form", [x, given], [ca.cse(ca.densify(out))])
+    out = value + numbers[-1] * ca.sumsqr(step)
+    return ca.Function("form", [x, numbers], [ca.cse(ca.densify(out))])
 
 
 def _rows(matrix: casadi.SX) -> list[list[Any]]:
@@ -189,8 +189,8 @@ def _cholesky(A: list[list[Any]]) -> list[list[Any]]:
     L: list[list[Any]] = [[0.0] * 6 for _ in range(6)]
     for i in range(6):
         for j in range(i + 1):
-            rest = A[i][j] - sum(L[i][k] * L[j][k] for k in range(j))
-            L[i][j] = ca.sqrt(rest) if i == j else rest / L[j][j]
+            remainder = A[i][j] - sum(L[i][k] * L[j][k] for k in range(j))
+            L[i][j] = ca.sqrt(remainder) if i == j else remainder / L[j][j]
     return L
 
 

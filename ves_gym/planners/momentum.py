@@ -20,7 +20,7 @@ from ves_gym.mechanics.dynamics import inertia_entries, newton_euler
 if TYPE_CHECKING:
     import casadi
 
-_NOTHING = np.zeros(0)  # the graphs hold the arm's numbers
+_NO_PARAMETERS = np.zeros(0)  # the graphs hold the arm's numbers
 
 
 class BaseMomentum(NamedTuple):
@@ -57,7 +57,7 @@ def torque(arm: Arm, q: Array, v: Array, a: Array) -> InverseDynamics:
 
 
 def _evaluate(name: str, graph: Any, arm: Arm, x: Array, outputs: int) -> Array:
-    return evaluate(f"{name} {_digest(arm)}", partial(graph, arm), x, _NOTHING, outputs)
+    return evaluate(f"{name} {_digest(arm)}", partial(graph, arm), x, _NO_PARAMETERS, outputs)
 
 
 @lru_cache(maxsize=16)

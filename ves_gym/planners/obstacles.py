@@ -127,8 +127,8 @@ class Collisions:
 
     def is_clear(self, q: Array) -> bool:
         """Whether a configuration (n,) keeps the clearance."""
-        found = self._detect(q, self.clearance)
-        return self.data.ncon == 0 or bool((found.dist >= self.clearance).all())
+        contacts = self._detect(q, self.clearance)
+        return self.data.ncon == 0 or bool((contacts.dist >= self.clearance).all())
 
     def first_contact(self, path: npt.ArrayLike) -> int | None:
         """Index of the first of the configurations (N, n) that does not keep it, or None."""
@@ -139,8 +139,8 @@ class Collisions:
 
     def contact_names(self, q: npt.ArrayLike) -> list[str]:
         """What is too near what at a configuration, in words."""
-        found = self._detect(np.asarray(q, float), self.clearance)
-        pairs = found.geom[found.dist < self.clearance]
+        contacts = self._detect(np.asarray(q, float), self.clearance)
+        pairs = contacts.geom[contacts.dist < self.clearance]
         return sorted({" and ".join(self.model.geom(g).name for g in pair) for pair in pairs})
 
     def proximity(self, q: Array, within: float) -> Proximity:
@@ -150,10 +150,10 @@ class Collisions:
         distance may stay the same, and the slope only points the way out.
         """
         mj, model, data = self._mujoco, self.model, self.data
-        found = self._detect(q, within)
+        contacts = self._detect(q, within)
         if data.ncon == 0:
             return Proximity(np.zeros(0), np.zeros((0, self.n)))
-        pairs = sorted({(int(a), int(b)) for a, b in found.geom})
+        pairs = sorted({(int(a), int(b)) for a, b in contacts.geom})
         mj.mj_comPos(model, data)
         distance, slope = np.empty(len(pairs)), np.zeros((len(pairs), self.n))
         ends, jacobian = np.empty(6), np.empty((3, model.nv))
@@ -165,8 +165,8 @@ class Collisions:
             for sign, geom, point in ((-1.0, first, ends[:3]), (1.0, second, ends[3:])):
                 mj.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[geom])
                 slope[k] += sign * normal @ jacobian[:, 6:]
-        keep = distance < within
-        return Proximity(distance[keep], slope[keep])
+        inside = distance < within
+        return Proximity(distance[inside], slope[inside])
 
 
 @lru_cache(maxsize=8)
@@ -266,14 +266,14 @@ def _add(body: Any, name: str, kind: str, bit: int, affinity: int = 0, **shape: 
     """A shape of no mass that meets shapes with its bit among their affinities."""
     from ves_gym._util.mujoco_loader import mujoco
 
-    given = {key: [float(k) for k in value] for key, value in shape.items()}
+    options = {key: [float(k) for k in value] for key, value in shape.items()}
     body.add_geom(
         name=name,
         type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"),
         contype=1 << bit,
         conaffinity=affinity,
         mass=0,
-        **given,
+        **options,
     )
 
 

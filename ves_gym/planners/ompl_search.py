@@ -67,9 +67,9 @@ class Ompl:
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """A new tree every time; the seed and the budget decide the path."""
         require_possible(query)
-        found = self.search(query, seed)
-        assert found.path is not None
-        motion, share = timed(query, found.path)
+        result = self.search(query, seed)
+        assert result.path is not None
+        motion, share = timed(query, result.path)
         hurried = broken_limit(query, motion) is not None and self.objective != "time"
         if hurried:  # no time for this path: the fastest is the next best
             fast = replace(self, objective="time").search(query, seed)
@@ -78,11 +78,11 @@ class Ompl:
         info = {
             "objective": self.objective,
             "algorithm": self.algorithm,
-            "cost": found.cost,
-            "evaluations": found.evaluations,
-            "checks": found.checks,
-            "curve": [list(point) for point in found.curve],
-            "points": len(found.path),
+            "cost": result.cost,
+            "evaluations": result.evaluations,
+            "checks": result.checks,
+            "curve": [list(point) for point in result.curve],
+            "points": len(result.path),
             "share": share,  # of the way from the straight line that the limits allow
             "hurried": hurried,
         }
@@ -103,13 +103,13 @@ class Ompl:
             evaluations=self.evaluations,
             seconds=self.seconds,
         )
-        found = SEARCH_PROCESS.request(request, self.seconds + _GRACE)
-        if found.path is None:
+        result = SEARCH_PROCESS.request(request, self.seconds + _GRACE)
+        if result.path is None:
             raise NoPlan(
-                f"no path found within {found.evaluations} cost evaluations and"
-                f" {found.checks} validity checks"
+                f"no path found within {result.evaluations} cost evaluations and"
+                f" {result.checks} validity checks"
             )
-        return found
+        return result
 
 
 def timed(query: Query, path: Array) -> tuple[Motion, float]:
@@ -232,11 +232,11 @@ class SearchProcess:
         except subprocess.TimeoutExpired:
             code = None
         self._errors.seek(0)
-        said = self._errors.read().decode(errors="replace").strip().splitlines()
+        messages = self._errors.read().decode(errors="replace").strip().splitlines()
         self._end()
         self._process = None
         how = "killed" if code is None else f"exit status {code}"
-        return f"{how}; {said[-1][:200]}" if said else how
+        return f"{how}; {messages[-1][:200]}" if messages else how
 
 
 def _end(process: subprocess.Popen[bytes], *files: Any) -> None:

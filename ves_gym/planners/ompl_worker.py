@@ -77,7 +77,7 @@ class BadCost(Exception):
     """A cost that OMPL cannot take: it crashes on negative ones and returns NaN as exact."""
 
 
-class _Over(Exception):
+class _BudgetSpent(Exception):
     """The budget is used up and the planner does not stop."""
 
 
@@ -130,7 +130,7 @@ def search(request: Request) -> PathSearchResult:
         run.share = (k + 1) / CHECKPOINTS
         try:
             planner.solve(ob.PlannerTerminationCondition(run.enough))
-        except _Over:
+        except _BudgetSpent:
             run.share = 1.0
         if problem.hasExactSolution():
             path = problem.getSolutionPath()
@@ -138,7 +138,7 @@ def search(request: Request) -> PathSearchResult:
             run.consider(np.array([[s[j] for j in range(run.n)] for s in states]))
         if run.over:
             break
-    return run.found()
+    return run.result()
 
 
 class _Search:
@@ -158,9 +158,9 @@ class _Search:
     @property
     def used(self) -> float:
         """Share of the budget used up; alike on every machine until the time is up."""
-        asked = self.request
-        work = max(self.evaluations, self.checks / _CHECKS) / asked.evaluations
-        late = time.perf_counter() - self.begin > asked.seconds
+        request = self.request
+        work = max(self.evaluations, self.checks / _CHECKS) / request.evaluations
+        late = time.perf_counter() - self.begin > request.seconds
         return math.inf if late else work
 
     @property
@@ -216,7 +216,7 @@ class _Search:
         """Leave a planner that looks at its termination condition too seldom."""
         work = max(self.evaluations, self.checks / _CHECKS)
         if work > _OVERRUN * self.request.evaluations + 1000:
-            raise _Over
+            raise _BudgetSpent
 
     def consider(self, path: Array) -> None:
         """Keep the better path, and a point of the curve.
@@ -224,15 +224,15 @@ class _Search:
         For a cost that is not a sum over edges, also what lies between the path and the
         straight line, where that is clear.
         """
-        line = straight_beside(path)
+        straight = straight_counterpart(path)
         for share in self.shares:
-            some = line + share * (path - line)
-            some[[0, -1]] = path[[0, -1]]  # not to rounding only
-            if share < 1.0 and not self._clear(some):
+            candidate = straight + share * (path - straight)
+            candidate[[0, -1]] = path[[0, -1]]  # not to rounding only
+            if share < 1.0 and not self._clear(candidate):
                 continue
-            cost = require_cost(self.price(some))
+            cost = require_cost(self.price(candidate))
             if self.best is None or cost < self.best[0]:
-                self.best = cost, some
+                self.best = cost, candidate
         spent, least = time.perf_counter() - self.begin, self.best[0] if self.best else math.inf
         self.curve.append(Point(spent, self.evaluations, least))
 
@@ -249,7 +249,7 @@ class _Search:
             collisions(query.system, query.surroundings).first_contact(np.vstack(fine)) is None
         )
 
-    def found(self) -> PathSearchResult:
+    def result(self) -> PathSearchResult:
         cost, path = self.best or (math.nan, None)
         if path is not None and len(path) > 2 and self.evaluations == 0:
             raise BadCost(f"{self.request.algorithm} never asked for the cost")
@@ -263,7 +263,7 @@ def require_cost(cost: float) -> float:
     return cost
 
 
-def straight_beside(path: Array) -> Array:
+def straight_counterpart(path: Array) -> Array:
     """Points of the straight line at the same share of the length as those of a path."""
     length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
     u = (length / max(length[-1], 1e-300))[:, None]

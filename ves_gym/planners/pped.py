@@ -37,8 +37,8 @@ OBJECTIVES = {
     "estimator": "damping estimator, thesis eq. 4.4 [1], the larger the better",
 }
 _MARGIN = 1e-9  # 1/s: a pole this near the imaginary axis does not decay
-_FIRST = 30  # iterations given to every start; the best _KEPT go on to the end
-_KEPT = 6
+_SCREENING = 30  # iterations given to every start; the best _FINALISTS go on to the end
+_FINALISTS = 6
 # long memory for long valleys; ftol of a logarithm: 4e-7 of the integral per step
 _SEARCH = {"maxcor": 30, "ftol": 1e-7}
 _SAMPLE = 0.01  # s, of the response in which t_5 is looked for
@@ -89,7 +89,7 @@ class LinearPlant:
     free: Array  # (2 w, 2 w)
     drive: Array  # (2 w, n)
     port: Array  # (n, w)
-    rest: Array  # (w, 6) z of a displaced base with s = 0
+    displacement_map: Array  # (w, 6) z of a displaced base with s = 0
     stiffness: Array  # (6, 6) of the base [N/m, N, N m]
     mass: Array  # (6, 6) of the base with the joints locked, M_t [kg, kg m, kg m^2]
 
@@ -105,7 +105,7 @@ class LinearPlant:
 
     def start(self, y: npt.ArrayLike) -> Array:
         """(2 w,) x of the base displaced by y (6,) [m, rad] and let go."""
-        displaced = self.rest @ finite(y, (6,), "y")
+        displaced = self.displacement_map @ finite(y, (6,), "y")
         return np.r_[displaced, np.zeros_like(displaced)]
 
     @property
@@ -142,9 +142,16 @@ def plants(system: System, q: npt.ArrayLike) -> list[LinearPlant]:
     linear = linearise_ideal(system, angles)
     n, w = system.arm.n, 6 + system.arm.n
     masses = blocks(system, angles).Mt
-    port, rest = np.eye(w)[6:], np.eye(w)[:, :6]
+    port, displacement_map = np.eye(w)[6:], np.eye(w)[:, :6]
     return [
-        LinearPlant(free=A, drive=B, port=port, rest=rest, stiffness=K, mass=mass)
+        LinearPlant(
+            free=A,
+            drive=B,
+            port=port,
+            displacement_map=displacement_map,
+            stiffness=K,
+            mass=mass,
+        )
         for A, B, mass in zip(linear.A, linear.B.reshape(-1, 2 * w, n), masses, strict=True)
     ]
 
@@ -282,9 +289,13 @@ class _Lyapunov:
         """X of A X + X A^T + X0 = 0: the integral of x x^T, X0 = x x^T at the start."""
         return self._solve(X0, "N", "T")
 
-    def _solve(self, C: Array, left: str, right: str) -> Array:
+    def _solve(self, C: Array, transpose_first: str, transpose_second: str) -> Array:
         inner, scale, _ = scipy.linalg.lapack.dtrsyl(
-            self.T, self.T, -(self.Z.T @ C @ self.Z), trana=left, tranb=right
+            self.T,
+            self.T,
+            -(self.Z.T @ C @ self.Z),
+            trana=transpose_first,
+            tranb=transpose_second,
         )
         out: Array = self.Z @ (inner / scale) @ self.Z.T
         return (out + out.T) / 2
@@ -292,8 +303,8 @@ class _Lyapunov:
 
 def _worst(plant: LinearPlant, P: Array) -> tuple[float, Array]:
     """Largest cost per joule of initial strain energy [s], and its displacement of 1 J."""
-    w = len(plant.rest)
-    cost = plant.rest.T @ P[:w, :w] @ plant.rest
+    w = len(plant.displacement_map)
+    cost = plant.displacement_map.T @ P[:w, :w] @ plant.displacement_map
     values, vectors = scipy.linalg.eigh(cost, plant.stiffness / 2)
     y = vectors[:, -1]
     return float(values[-1]), y * np.sign(y[np.abs(y).argmax()])
@@ -458,20 +469,20 @@ def tune(
         evaluations += 1
         K, by_K = boxes[0].gain(u[:split])
         B, by_B = boxes[1].gain(u[split:])
-        found, slope = goal(plant.closed(GainMatrices(K, B)))
+        measure, slope = goal(plant.closed(GainMatrices(K, B)))
         inner = -plant.drive.T @ slope  # A falls by drive [K port, B port]
         by_gains = inner[:, :w] @ plant.port.T, inner[:, w:] @ plant.port.T
-        return found, np.r_[by_K(by_gains[0]), by_B(by_gains[1])]
+        return measure, np.r_[by_K(by_gains[0]), by_B(by_gains[1])]
 
     _require_decay(plant, gains_of(np.zeros(2 * split)))
     rng = np.random.default_rng(seed)
     points = list(rng.uniform(-1.2, 1.2, (starts, 2 * split)))
-    known = [] if first is None else [first]
+    seeds = [] if first is None else [first]
     if full:
         diagonal = tune(plant, objective, y=y, bounds=bounds, starts=starts, seed=seed)
-        known.append(diagonal.gains)
+        seeds.append(diagonal.gains)
         evaluations += diagonal.evaluations
-    points += [np.r_[boxes[0].parameters(g.K), boxes[1].parameters(g.B)] for g in known]
+    points += [np.r_[boxes[0].parameters(g.K), boxes[1].parameters(g.B)] for g in seeds]
     best = _minimise(value, points)
     if objective == "estimator":  # where two poles meet it has a kink, and gradients stop
         best = min(best, _simplex(value, best[1]), key=_least)
@@ -485,8 +496,8 @@ def tune(
     )
 
 
-def _least(found: tuple[float, Array]) -> float:
-    return found[0]
+def _least(result: tuple[float, Array]) -> float:
+    return result[0]
 
 
 def _minimise(
@@ -495,20 +506,20 @@ def _minimise(
     """Least value and where: every point for a few steps, the best of them to the end."""
 
     def search(u: Array, steps: int) -> tuple[float, Array]:
-        found = scipy.optimize.minimize(
+        result = scipy.optimize.minimize(
             value, u, jac=True, method="L-BFGS-B", options={**_SEARCH, "maxiter": steps}
         )
-        return float(found.fun), found.x
+        return float(result.fun), result.x
 
-    tried = sorted((search(u, _FIRST) for u in points), key=_least)
-    return min((search(u, 1000) for _, u in tried[:_KEPT]), key=_least)
+    tried = sorted((search(u, _SCREENING) for u in points), key=_least)
+    return min((search(u, 1000) for _, u in tried[:_FINALISTS]), key=_least)
 
 
 def _simplex(value: Callable[[Array], tuple[float, Array]], u: Array) -> tuple[float, Array]:
-    found = scipy.optimize.minimize(
+    result = scipy.optimize.minimize(
         lambda x: value(x)[0], u, method="Nelder-Mead", options={"maxfev": 1000}
     )
-    return float(found.fun), found.x
+    return float(result.fun), result.x
 
 
 def _require_decay(plant: LinearPlant, gains: GainMatrices) -> None:

@@ -143,8 +143,8 @@ def predict(
     M, x = M[::2], z[:, :size]
     rate = np.asarray(np.linalg.solve(M, (z[:, size:] - u[::2])[..., None])[..., 0], float)
     E = quadratic(M[:, :6, :6], rate[:, :6]) + quadratic(linear.base.K, x[:, :6])
-    held = np.concatenate([x[-1], M[-1] @ rate[-1]])
-    total = np.trapezoid(E, t[::2]) + held @ linear.tail(M[-1]) @ held
+    final = np.concatenate([x[-1], M[-1] @ rate[-1]])
+    total = np.trapezoid(E, t[::2]) + final @ linear.tail(M[-1]) @ final
     mean = total / (motion.duration + TAIL)
     return Prediction(E_mean=float(mean), E_res=float(E[-1]), E_peak=float(E.max()))
 

@@ -150,19 +150,19 @@ def broken_limit(query: Query, motion: Motion) -> str | None:
     if not math.isclose(motion.duration, query.duration):
         return f"the motion takes {motion.duration:g} s, asked {query.duration:g} s"
     ratios = limit_ratios(arm, motion)
-    found = {"position": ratios["position"]}
+    by_limit = {"position": ratios["position"]}
     for name, limit in (("velocity", query.v_max), ("acceleration", query.a_max)):
         if limit is not None:
-            own = arm.column("v_max" if name == "velocity" else "a_max")
-            found[name] = ratios[name] * own / np.array(limit)
+            rated = arm.column("v_max" if name == "velocity" else "a_max")
+            by_limit[name] = ratios[name] * rated / np.array(limit)
     if query.system.drive == "motor":
-        found["torque"] = ratios["torque"]
-    for name, ratio in found.items():
+        by_limit["torque"] = ratios["torque"]
+    for name, ratio in by_limit.items():
         if ratio.max() > 1 + 1e-6:
             joint = int(ratio.argmax())
             worst = ratio[joint]
-            shown = f"{worst:.3g}" if worst > 1.005 else f"{worst:.7g}"
-            return f"{name} of joint {joint + 1} reaches {shown} of its limit"
+            text = f"{worst:.3g}" if worst > 1.005 else f"{worst:.7g}"
+            return f"{name} of joint {joint + 1} reaches {text} of its limit"
     return _touched(query, motion)
 
 

@@ -89,15 +89,15 @@ class ReactionNull:
         low, high = arm.column("q_min"), arm.column("q_max")
         free = not system.base.K.any()
         for _ in range(_LONGEST):
-            q, rest = path[-1], float(np.linalg.norm(goal - path[-1]))
+            q, distance = path[-1], float(np.linalg.norm(goal - path[-1]))
             way = self._way(system, q, goal, free)
             length = float(np.linalg.norm(way))
-            if length < _LITTLE * rest or length < 1e-9:
+            if length < _LITTLE * distance or length < 1e-9:
                 break
             step = min(_STEP / length, 1.0)
             middle = np.clip(q + 0.5 * step * way, low, high)
             q = q + step * self._way(system, middle, goal, free)
-            if (q < low).any() or (q > high).any() or np.linalg.norm(goal - q) >= rest:
+            if (q < low).any() or (q > high).any() or np.linalg.norm(goal - q) >= distance:
                 break
             path.append(q)
         return np.array(path)

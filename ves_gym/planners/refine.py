@@ -49,12 +49,12 @@ class Refined:
         starts, why = [problem.straight], None
         for objective in ("time", "qt"):
             try:
-                found = Ompl(objective=objective).search(query, seed)
+                result = Ompl(objective=objective).search(query, seed)
             except NoPlan as error:
                 why = error
             else:
-                assert found.path is not None
-                starts.append(problem.of(timed(query, found.path)[0]))
+                assert result.path is not None
+                starts.append(problem.of(timed(query, result.path)[0]))
         motion, info = _best(problem, starts)
         if len(starts) == 1 and why is not None and broken_limit(query, motion) is not None:
             raise why  # no way was found, and the straight one could not be bent around
@@ -65,11 +65,11 @@ def refine(
     query: Query, motions: Motion | Sequence[Motion], *, free: int = _FREE
 ) -> tuple[Motion, dict[str, Any]]:
     """The motion of least predicted E_mean near one of the given ones, of any duration."""
-    given = [motions] if isinstance(motions, Motion) else list(motions)
-    if not given:
+    starts = [motions] if isinstance(motions, Motion) else list(motions)
+    if not starts:
         raise ParameterError("refine needs at least one motion, got none")
     problem = MotionProblem(query, free)
-    return _best(problem, [problem.of(motion) for motion in given])
+    return _best(problem, [problem.of(motion) for motion in starts])
 
 
 def refine_duration(
@@ -94,33 +94,33 @@ def refine_duration(
         raise ParameterError(f"price must be >= 0 J/s, got {price}")
     if looks < 3:
         raise ParameterError(f"looks must be >= 3, got {looks}")
-    found: dict[float, tuple[float, Motion]] = {}
+    results: dict[float, tuple[float, Motion]] = {}
     start = query.straight
 
     def cost(duration: float) -> float:
-        asked = replace(query, duration=float(duration))
-        problem = MotionProblem(asked, free)
+        timed_query = replace(query, duration=float(duration))
+        problem = MotionProblem(timed_query, free)
         starts = [problem.straight, problem.of(start)]
         best = min((minimise(problem, x, 40, _COARSE) for x in starts), key=_rank)
-        value = best.energy + price * duration if _kept(best) else math.inf
-        found[float(duration)] = value, problem.motion(best.x)
+        value = best.energy + price * duration if _is_feasible(best) else math.inf
+        results[float(duration)] = value, problem.motion(best.x)
         return value
 
     grid = np.geomspace(shortest, longest, looks)
     for duration in grid[::-1]:  # each starts from its longer neighbour
         cost(duration)
-        start = found[float(duration)][1]
-    values = [found[float(k)][0] for k in grid]
+        start = results[float(duration)][1]
+    values = [results[float(k)][0] for k in grid]
     k = int(np.argmin(values))
     if not math.isfinite(values[k]):
         raise NoPlan(f"no motion keeps the limits in {shortest:g} to {longest:g} s")
-    start = found[float(grid[k])][1]
+    start = results[float(grid[k])][1]
     bounds = grid[max(k - 1, 0)], grid[min(k + 1, looks - 1)]
     scipy.optimize.minimize_scalar(
         cost, bounds=bounds, method="bounded", options={"maxiter": 8, "xatol": 1e-2}
     )
-    duration, (value, motion) = min(found.items(), key=lambda item: item[1][0])
-    return motion, {"duration": duration, "cost": value, "durations": sorted(found)}
+    duration, (value, motion) = min(results.items(), key=lambda item: item[1][0])
+    return motion, {"duration": duration, "cost": value, "durations": sorted(results)}
 
 
 def detours(problem: MotionProblem, count: int, seed: int) -> list[Array]:
@@ -153,12 +153,12 @@ def _best(problem: MotionProblem, starts: Sequence[Array]) -> tuple[Motion, dict
     order = sorted(range(len(looks)), key=lambda i: _rank(looks[i]))
     best: tuple[Motion, Minimum, int] | None = None
     stands = False
-    for k in order[: max(1, sum(map(_kept, looks)))]:
-        found = minimise(problem, looks[k].x, tolerance=_FINE)
-        motion = problem.motion(found.x)
+    for k in order[: max(1, sum(map(_is_feasible, looks)))]:
+        minimum = minimise(problem, looks[k].x, tolerance=_FINE)
+        motion = problem.motion(minimum.x)
         stands = broken_limit(problem.query, motion) is None
         if best is None or stands:
-            best = motion, found, k
+            best = motion, minimum, k
         if stands:
             break
     assert best is not None
@@ -167,7 +167,7 @@ def _best(problem: MotionProblem, starts: Sequence[Array]) -> tuple[Motion, dict
         "from": best[2],
         "energies": [m.energy for m in looks],
     }
-    iterations = sum(look.iterations for look in looks) + best[1].iterations
+    iterations = sum(screened.iterations for screened in looks) + best[1].iterations
     info |= best[1].info() | {"iterations": iterations}
     if stands:
         return best[0], info
@@ -179,10 +179,10 @@ def _best(problem: MotionProblem, starts: Sequence[Array]) -> tuple[Motion, dict
     return least, info | {"message": f"not refined: {best[1].message}"}
 
 
-def _kept(found: Minimum) -> bool:
-    return found.excess <= 1e-4
+def _is_feasible(minimum: Minimum) -> bool:
+    return minimum.excess <= 1e-4
 
 
-def _rank(found: Minimum) -> tuple[float, float]:
+def _rank(minimum: Minimum) -> tuple[float, float]:
     """Motions that keep the limits first, by energy; then by what they break."""
-    return (0.0, found.energy) if _kept(found) else (found.excess, found.energy)
+    return (0.0, minimum.energy) if _is_feasible(minimum) else (minimum.excess, minimum.energy)

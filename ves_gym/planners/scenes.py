@@ -40,14 +40,14 @@ def trace(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
     """
     query = runs[0].plan.query
     series: list[dict[str, Any]] = []
-    for shown in runs:
+    for played in runs:
         data: dict[str, Any] = {
-            "planner": shown.label,
-            **_curves(shown.run, shown.k, shown.ideal is not None),
+            "planner": played.label,
+            **_curves(played.run, played.k, played.ideal is not None),
         }
-        if shown.ideal is not None:
-            data["compensated"] = shown.compensated
-            data["ideal"] = _curves(shown.ideal, shown.k, True)
+        if played.ideal is not None:
+            data["compensated"] = played.compensated
+            data["ideal"] = _curves(played.ideal, played.k, True)
         series.append(data)
     return {
         "vehicle": vehicle,
@@ -57,12 +57,12 @@ def trace(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
     }
 
 
-def _curves(run: Recording, k: int, more: bool) -> dict[str, list[float]]:
+def _curves(run: Recording, k: int, detailed: bool) -> dict[str, list[float]]:
     """Time [s] and energy [J] of a run, about 400 points; `more`: strain [J], distance [m]."""
     part = slice(0, run.records(k), max(1, len(run.t) // 400))
     energy = base_energy(run.system, run.q[k, part], run.y[k, part], run.yd[k, part])
     out = {"t": _round(run.t[part], 4), "E": _digits(energy.total)}
-    if more:
+    if detailed:
         out["strain"] = _digits(energy.strain)
         out["distance"] = _digits(np.linalg.norm(run.y[k, part, :3], axis=-1))
     return out
@@ -95,7 +95,7 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
         "x": _degrees(section.axes[0]),
         "y": _degrees(section.axes[1]),
         "most": [[float(f"{v:.4g}") for v in row] for row in section.most],
-        "lines": [[_degrees(p) for p in line[::3]] for line in section.lines()],
+        "lines": [[_degrees(p) for p in curve[::3]] for curve in section.lines()],
         "paths": [],
     }
     for plan in plans:
@@ -111,12 +111,12 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
 def scene(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
     """The arm on the swaying base, frame by frame, for every planner's answer."""
     query = runs[0].plan.query
-    rest = beam_line(query.system.vehicle, np.zeros((1, 6)))
+    rest_beam = beam_line(query.system.vehicle, np.zeros((1, 6)))
     data: dict[str, Any] = {
         "vehicle": vehicle,
         "duration": query.duration,
         "query": query.name,
-        "rest_beam": None if rest is None else _round(rest[0], 3),
+        "rest_beam": None if rest_beam is None else _round(rest_beam[0], 3),
         "obstacles": [
             to_plain(obstacle)
             for obstacle in (query.surroundings.obstacles if query.surroundings else ())

@@ -61,16 +61,16 @@ class Shaped:
         motion, times, sizes = query.straight, np.zeros(1), np.ones(1)
         least = spectral_energy(query.system, motion)
         for mode in excited_modes(query.system, query.straight):
-            more = shaper(self.kind, mode)
-            t = np.add.outer(times, more.times).ravel()
-            a = np.multiply.outer(sizes, more.sizes).ravel()
+            impulses = shaper(self.kind, mode)
+            t = np.add.outer(times, impulses.times).ravel()
+            a = np.multiply.outer(sizes, impulses.sizes).ravel()
             if t[-1] >= query.duration:
                 continue
             shaped = shaped_motion(query, Shaper(t, a))
-            left = spectral_energy(query.system, shaped)
-            if left < least and broken_limit(query, shaped) is None:
+            energy = spectral_energy(query.system, shaped)
+            if energy < least and broken_limit(query, shaped) is None:
                 chosen.append(mode)
-                motion, times, sizes, least = shaped, t, a, left
+                motion, times, sizes, least = shaped, t, a, energy
         return motion, {
             "shaped_hz": [mode.frequency / (2 * np.pi) for mode in chosen],
             "delay": float(times.max()),
@@ -119,12 +119,12 @@ def excited_modes(system: System, motion: Motion) -> list[BaseMode]:
     phase = np.exp(-1j * frozen.omega * t[:, None])
     energy = 0.5 * frozen.omega**2 * np.abs(np.trapezoid(phase * u, t, axis=0)) ** 2
     damping = _damping(blocks(system, at).Mt, base.D, base.K, frozen.omega)
-    found = [
+    base_modes = [
         BaseMode(float(w), float(z), float(e))
         for w, z, e in zip(frozen.omega, damping, energy, strict=True)
         if w > 0
     ]
-    return sorted(found, key=lambda mode: -mode.energy)
+    return sorted(base_modes, key=lambda mode: -mode.energy)
 
 
 def _damping(M: Array, D: Array, K: Array, omega: Array) -> Array:

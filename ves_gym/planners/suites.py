@@ -30,7 +30,7 @@ REACH_OBSTACLES = Surroundings(
     ),
     clearance=0.02,
 )
-AMONG = ", obstacles"  # after the name of a vehicle
+OBSTACLE_SUFFIX = ", obstacles"  # after the name of a vehicle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,16 +108,16 @@ def reach100(
     count are those of a smaller one. Among obstacles the ends are the same; some of them
     are then inside one, which a planner has to say.
     """
-    ridden = system.replace(vehicle=get_vehicle(vehicle))
-    if ridden.arm.n != len(REACH_RANGE):
+    mounted = system.replace(vehicle=get_vehicle(vehicle))
+    if mounted.arm.n != len(REACH_RANGE):
         raise ParameterError(
-            f"reach100 asks a {len(REACH_RANGE)}-joint arm, got {ridden.arm.n} joints"
+            f"reach100 asks a {len(REACH_RANGE)}-joint arm, got {mounted.arm.n} joints"
         )
     queries = []
     for duration in durations:
         rng = np.random.default_rng((seed, round(1000 * duration)))
-        found = 0
-        while found < count:
+        accepted = 0
+        while accepted < count:
             start, goal = rng.uniform(-1, 1, (2, len(REACH_RANGE))) * REACH_RANGE
             if (np.abs(goal - start) * QUINTIC_PEAK_SPEED / duration > SPEED_LIMITS).any():
                 continue
@@ -125,18 +125,21 @@ def reach100(
                 (
                     vehicle,
                     Query(
-                        system=ridden,
+                        system=mounted,
                         start=tuple(start.tolist()),
                         goal=tuple(goal.tolist()),
                         duration=duration,
                         v_max=SPEED_LIMITS,
-                        name=f"reach-{duration:g}s-{found:03d}",
+                        name=f"reach-{duration:g}s-{accepted:03d}",
                     ),
                 )
             )
-            found += 1
+            accepted += 1
     among = [
-        (v + AMONG, replace(q, name=f"{q.name}-obstacles", surroundings=REACH_OBSTACLES))
+        (
+            v + OBSTACLE_SUFFIX,
+            replace(q, name=f"{q.name}-obstacles", surroundings=REACH_OBSTACLES),
+        )
         for v, q in queries
     ]
     return Suite(

@@ -96,7 +96,7 @@ def two_masses(system: System, q: npt.ArrayLike) -> LinearPlant:
         free=free,
         drive=drive,
         port=port,
-        rest=np.vstack([np.eye(6), carried]),
+        displacement_map=np.vstack([np.eye(6), carried]),
         stiffness=model.stiffness,
         mass=model.mass,
     )
@@ -129,7 +129,7 @@ def tune_virtual(
     gains of `bounds` are added: no joint is left free. The largest are not enforced.
     """
     search = tune(two_masses(system, q), objective, y=y, full=full, bounds=CARTESIAN, seed=seed)
-    found = joint_gains(system.arm, q, search.gains)
+    joint = joint_gains(system.arm, q, search.gains)
     least = np.eye(system.arm.n)
-    gains = GainMatrices(found.K + bounds.K[0] * least, found.B + bounds.B[0] * least)
+    gains = GainMatrices(joint.K + bounds.K[0] * least, joint.B + bounds.B[0] * least)
     return VirtualGains(gains=gains, cartesian=search.gains, search=search)

@@ -41,14 +41,14 @@ class Drawing:
 
     def __init__(self, system: System, width: int, height: int) -> None:
         self.system, self.size = system, (width, height)
-        self.rest: Any = None  # (k, 3) centreline of a beam
+        self.rest_beam: Any = None  # (k, 3) centreline of a beam
         self.feet: Any = None  # (6, 3) of legs
         if system.mode == "emulated":  # the laboratory stands on legs instead
             stewart = system.emulator_settings.stewart
             self.feet = np.array(stewart.base) - [0.0, 0.0, stewart.home_height]
         elif isinstance(system.vehicle, Beam):
             lines: Any = beam_line(system.vehicle, np.vstack([np.zeros(6), np.eye(6)]))
-            self.rest, self.bend = lines[0], lines[1:] - lines[0]  # (6, k, 3) per Y
+            self.rest_beam, self.bend = lines[0], lines[1:] - lines[0]  # (6, k, 3) per Y
             self.thick = system.vehicle.outer_diameter
         self.model = self._model()
         self.data = mujoco.MjData(self.model)
@@ -158,9 +158,9 @@ class Drawing:
 
     def beam(self, y: Array) -> Array | None:
         """Bent centreline (..., k, 3) [m] under base poses y (..., 6)."""
-        if self.rest is None:
+        if self.rest_beam is None:
             return None
-        return np.asarray(self.rest + np.tensordot(y, self.bend, 1), dtype=np.float64)
+        return np.asarray(self.rest_beam + np.tensordot(y, self.bend, 1), dtype=np.float64)
 
     def legs(self, y: Array) -> Array | None:
         """Foot and head of every leg (..., 6, 2, 3) [m]; origin: the platform top at home."""
@@ -175,31 +175,31 @@ class Drawing:
         turned = joint_positions(self.system.arm, q) @ np.swapaxes(rotation(y), -1, -2)
         return np.asarray(turned + y[..., None, :3], dtype=np.float64)
 
-    def carry(self, scene: Any, y: Array, extent: float) -> None:
+    def add_support(self, scene: Any, y: Array, extent: float) -> None:
         """Add what carries the arm and is no rigid body: the bent beam, or the legs."""
-        legs, line = self.legs(y), self.beam(y)
+        legs, centreline = self.legs(y), self.beam(y)
         if legs is not None:
             for foot, head in legs:
                 middle = foot + 0.55 * (head - foot)
                 connect(scene, "CAPSULE", foot, middle, 0.05, _DARK)
                 connect(scene, "CAPSULE", middle, head, 0.028, _METAL)
-        elif line is not None:
+        elif centreline is not None:
             radius = max(self.thick / 2, 0.004 * extent)
-            for a, b in itertools.pairwise(self.rest):
+            for a, b in itertools.pairwise(self.rest_beam):
                 connect(scene, "CAPSULE", a, b, 0.5 * radius, _GHOST)
-            for a, b in itertools.pairwise(line):
+            for a, b in itertools.pairwise(centreline):
                 connect(scene, "CAPSULE", a, b, radius, _BEAM)
 
-    def trail(self, scene: Any, past: Array, extent: float) -> None:
+    def add_path(self, scene: Any, poses: Array, extent: float) -> None:
         """Add the path of a point on the plate's rim; past: (N, 6) base poses."""
-        stride = max(1, (len(past) - 1) // 60)
-        past = past[::-stride][::-1]  # ends at the last
-        points = past[:, :3] + rotation(past) @ self._rim
+        stride = max(1, (len(poses) - 1) // 60)
+        poses = poses[::-stride][::-1]  # ends at the last
+        points = poses[:, :3] + rotation(poses) @ self._rim
         for i, (a, b) in enumerate(itertools.pairwise(points)):
             fade = (*PATH[:3], 0.15 + 0.85 * (i + 1) / len(points))
             connect(scene, "CAPSULE", a, b, 0.005 * extent, fade)
 
-    def wrench(
+    def add_wrench(
         self, scene: Any, y: Array, w: Array, most: tuple[float, float], longest: float = ARROW
     ) -> None:
         """Add force and moment on the base; `most`: [N], [N m] as long as `longest` [m].
@@ -221,8 +221,8 @@ class Drawing:
         ahead = np.array(
             [math.cos(az) * math.cos(el), math.sin(az) * math.cos(el), math.sin(el)]
         )
-        right = np.array([math.sin(az), -math.cos(az), 0.0])
-        axes = np.stack([right, np.cross(right, ahead)])
+        sideways = np.array([math.sin(az), -math.cos(az), 0.0])
+        axes = np.stack([sideways, np.cross(sideways, ahead)])
         flat = points @ axes.T
         at = axes.T @ ((flat.min(axis=0) + flat.max(axis=0)) / 2)
         tangent = math.tan(math.radians(self.model.vis.global_.fovy) / 2)
@@ -244,21 +244,21 @@ class Drawing:
         arm = np.vstack([self.arm(y, q).reshape(-1, 3), np.zeros((1, 3))])
         out = []
         for points, room, azimuth, elevation in (
-            (*self.whole(arm, y), 110, -14),
+            (*self.framing(arm, y), 110, -14),
             (arm, 0.4, 130, -18),
         ):
             camera = self.camera(points, room, azimuth, elevation, aspect)
             out.append((camera, float(np.ptp(points, axis=0).max())))
         return out
 
-    def whole(self, arm: Array, y: Array) -> tuple[Array, float]:
+    def framing(self, arm: Array, y: Array) -> tuple[Array, float]:
         """Points (m, 3) of arm and vehicle together, and the room they need around them."""
         body, margin = self.system.base.body, 0.6
-        legs, line = self.legs(y), self.beam(y)
+        legs, centreline = self.legs(y), self.beam(y)
         if legs is not None:
             return np.vstack([arm, legs.reshape(-1, 3)]), margin
-        if line is not None:
-            return np.vstack([arm, line.reshape(-1, 3)]), margin
+        if centreline is not None:
+            return np.vstack([arm, centreline.reshape(-1, 3)]), margin
         if body is not None:
             margin += float(_equal_box(body)[0].max())
             return np.vstack([arm, y[:, :3] + np.array(body.com)]), margin

@@ -44,9 +44,9 @@ class LiveSettings:
         return json.dumps({**plain, "system": self.system.to_dict()}).encode() + b"\n"
 
     @staticmethod
-    def from_line(line: str) -> LiveSettings:
+    def from_line(text: str) -> LiveSettings:
         """The reverse of `to_line`."""
-        plain = json.loads(line)
+        plain = json.loads(text)
         return LiveSettings(**{**plain, "system": System.from_dict(plain["system"])})
 
 
@@ -61,21 +61,21 @@ class Live:
         RenderError: nothing can be drawn here; the message says what is missing.
     """
 
-    def __init__(self, shown: LiveSettings) -> None:
-        self.shown = shown
-        self.open, self._seen = True, False
+    def __init__(self, settings: LiveSettings) -> None:
+        self.settings = settings
+        self.open, self._has_picture = True, False
         self._unsent: list[dict[str, Any]] = []
         self._due: float | None = None  # when a picture asked for counts as lost
-        if shown.window:
+        if settings.window:
             require_display()
-        backend = "glfw" if shown.window else choose_backend()
+        backend = "glfw" if settings.window else choose_backend()
         self._drawer = Drawer(backend, "ves_gym.rendering.screen", read=_read)
-        self._drawer.send(shown.to_line())
+        self._drawer.send(settings.to_line())
 
     def picture(self, sample: dict[str, Any]) -> npt.NDArray[np.uint8]:
         """(height, width, 3) with this sample as the latest."""
         self._send([sample])
-        shape = (self.shown.height, self.shown.width, 3)
+        shape = (self.settings.height, self.settings.width, 3)
         return np.frombuffer(self._drawer.get(_STALL), np.uint8).reshape(shape).copy()
 
     def show(self, sample: dict[str, Any]) -> list[Key]:
@@ -95,8 +95,8 @@ class Live:
         if self.open:
             self._send(self._unsent)
             self._unsent, self._due = [], time.monotonic() + _STALL
-        if not self._seen:
-            keys, self._seen = self._answer(), True
+        if not self._has_picture:
+            keys, self._has_picture = self._answer(), True
         return keys
 
     def _answer(self) -> list[Key]:

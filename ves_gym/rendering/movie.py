@@ -35,12 +35,12 @@ def _decorate(
     scene: Any, drawing: Drawing, clip: Clip, view: View, k: int, extent: float
 ) -> None:
     """Add to frame k what is not a rigid body."""
-    drawing.carry(scene, clip["y"][k], extent)
+    drawing.add_support(scene, clip["y"][k], extent)
     first = max(0, k - round(_TRAIL * view.fps / view.speed))
-    drawing.trail(scene, clip["y"][first : k + 1], extent)
+    drawing.add_path(scene, clip["y"][first : k + 1], extent)
     if "w" in clip:
         force, moment = np.linalg.norm(clip["w"].reshape(-1, 2, 3), axis=2).max(axis=0)
-        drawing.wrench(scene, clip["y"][k], clip["w"][k], (force, moment))
+        drawing.add_wrench(scene, clip["y"][k], clip["w"][k], (force, moment))
 
 
 def _frames(drawing: Drawing, clip: Clip, view: View) -> Iterator[Array]:
@@ -62,8 +62,8 @@ def _frames(drawing: Drawing, clip: Clip, view: View) -> Iterator[Array]:
             for side, (camera, extent) in enumerate(cameras):
                 renderer.update_scene(drawing.data, camera)
                 _decorate(renderer.scene, drawing, clip, view, k, extent)
-                left = side * (view.width - half)
-                page[:, left : left + half] = renderer.render()
+                offset = side * (view.width - half)
+                page[:, offset : offset + half] = renderer.render()
             image = Image.fromarray(page)
             text = f"t = {clip['t'][k]:5.2f} s    base energy {clip['E'][k]:.3g} J"
             if view.magnify != 1:
@@ -136,9 +136,9 @@ def _window(drawing: Drawing, clip: Clip, view: View) -> None:
 
 
 def _main(job: str, target: str) -> None:
-    with np.load(job) as held:
-        clip = {k: held[k] for k in held.files if k != "job"}
-        plain = json.loads(str(held["job"]))
+    with np.load(job) as arrays:
+        clip = {k: arrays[k] for k in arrays.files if k != "job"}
+        plain = json.loads(str(arrays["job"]))
     view = View(**plain["view"])
     drawing = Drawing(System.from_dict(plain["system"]), _half(view), view.height)
     path = Path(target)

@@ -65,22 +65,22 @@ def require_display() -> None:
 
 def candidates() -> tuple[str, ...]:
     """Backends to try, in order: MUJOCO_GL alone if set, else what the platform has."""
-    known = {
+    platform_backends = {
         "Linux": ("egl", "osmesa", "glfw", "glx"),
         "Darwin": ("cgl", "glfw"),
         "Windows": ("wgl", "glfw"),
     }.get(platform.system(), ("glfw",))
-    asked = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if asked not in _ON:
-        if asked not in known:
+    requested = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if requested not in _ON:
+        if requested not in platform_backends:
             raise RenderError(
-                f"drawing needs MUJOCO_GL to be one of {', '.join(known)} or unset,"
+                f"drawing needs MUJOCO_GL to be one of {', '.join(platform_backends)} or unset,"
                 f" got {os.environ['MUJOCO_GL']!r}"
             )
-        return (asked,)
+        return (requested,)
     if platform.system() == "Linux":
         return ("egl", "osmesa", "glfw") if has_display() else ("egl", "osmesa")
-    return known[:1]
+    return platform_backends[:1]
 
 
 @cache
@@ -103,17 +103,17 @@ def probe(backend: str, timeout: float = _PATIENCE) -> Probe:
         return Probe(backend, False, f"lib{library} is missing")
     if backend in ("glfw", "glx") and not has_display():
         return Probe(backend, False, "no display (DISPLAY is not set)")
-    return Probe(backend, False, last_words(done.returncode, done.stderr))
+    return Probe(backend, False, exit_reason(done.returncode, done.stderr))
 
 
 def choose_backend() -> str:
     """The first OpenGL backend that draws, or a RenderError that says what to install."""
     tried = []
     for backend in candidates():
-        found = probe(backend)
-        if found.works:
+        result = probe(backend)
+        if result.works:
             return backend
-        tried.append(f"{backend}: {found.reason}")
+        tried.append(f"{backend}: {result.reason}")
     raise RenderError(f"no OpenGL to draw with ({'; '.join(tried)}); {install_hint()}")
 
 
@@ -125,9 +125,9 @@ def install_hint() -> str:
     return f"MUJOCO_GL {state}; on Debian or Ubuntu: apt-get install {packages}"
 
 
-def last_words(status: int, stderr: str) -> str:
+def exit_reason(status: int, stderr: str) -> str:
     """Why a process ended, from its exit status and what it wrote."""
-    lines = [line.strip() for line in stderr.splitlines() if line.strip()]
+    lines = [text.strip() for text in stderr.splitlines() if text.strip()]
     if status < 0:
         return f"it crashes (signal {-status})"
     return lines[-1] if lines else f"it ends with status {status}"
@@ -135,7 +135,7 @@ def last_words(status: int, stderr: str) -> str:
 
 def environment(backend: str) -> dict[str, str]:
     """Environment of a drawing process: the backend, and this very package."""
-    here = str(Path(__file__).parents[2])
-    paths = [here, *filter(None, [os.environ.get("PYTHONPATH")])]
+    root = str(Path(__file__).parents[2])
+    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"}
     return {**environment, "MUJOCO_GL": backend, "PYTHONPATH": os.pathsep.join(paths)}

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import IO, Any
 
-from ves_gym.rendering.opengl import RenderError, environment, last_words
+from ves_gym.rendering.opengl import RenderError, environment, exit_reason
 
 
 class Drawer:
@@ -42,7 +42,7 @@ class Drawer:
         )
         self.pieces: queue.SimpleQueue[Any] = queue.SimpleQueue()
         reader = threading.Thread(
-            target=_pass_on, args=(self.process.stdout, read, self.pieces), daemon=True
+            target=_queue_output, args=(self.process.stdout, read, self.pieces), daemon=True
         )
         reader.start()
         self.close = weakref.finalize(self, _stop, self.process, reader, self.errors)
@@ -73,13 +73,13 @@ class Drawer:
             ) from None
         if piece is None and (status := self.process.wait()) != 0:
             self.errors.seek(0)
-            words = last_words(status, self.errors.read())
+            words = exit_reason(status, self.errors.read())
             self.close()
             raise RenderError(f"drawing with {self.backend} failed: {words}")
         return piece
 
 
-def _pass_on(
+def _queue_output(
     pipe: IO[bytes], read: Callable[[IO[bytes]], Any], pieces: queue.SimpleQueue[Any]
 ) -> None:
     """Queue what a process writes, and None when it has ended."""

@@ -89,9 +89,9 @@ def show(log: RunLog, view: View | None = None) -> None:
     view = view or View()
     clip = _clip(log, view)
     require_display()
-    found = probe("glfw")
-    if not found.works:
-        raise RenderError(f"a window needs glfw's OpenGL, which fails here: {found.reason}")
+    result = probe("glfw")
+    if not result.works:
+        raise RenderError(f"a window needs glfw's OpenGL, which fails here: {result.reason}")
     with tempfile.TemporaryDirectory(prefix="ves-render-") as folder:
         _run_child(clip, view, Path(folder) / "window", "glfw", None)
 
@@ -135,9 +135,9 @@ def _clip(log: RunLog, view: View) -> dict[str, Any]:
         "y": view.magnify * at(log.y),
         "E": np.interp(t, log.t, E),
     }
-    felt = log.w if log.wg is None else log.wg  # less the weight, where there is any
-    if felt is not None:
-        clip["w"] = at(felt)
+    wrench = log.w if log.wg is None else log.wg  # less the weight, where there is any
+    if wrench is not None:
+        clip["w"] = at(wrench)
     return {"system": system, **clip}
 
 
@@ -154,14 +154,14 @@ def _run_child(
     np.savez(job, job=np.array(plain), **arrays)
     patience = _STALL if target.suffix else None  # a window stays as long as it likes
     words = (str(job), str(target))
-    drawer = Drawer(backend, "ves_gym.rendering.movie", *words, read=_line)
+    drawer = Drawer(backend, "ves_gym.rendering.movie", *words, read=_read_message)
     try:
-        while (line := drawer.get(patience)) is not None:
+        while (message := drawer.get(patience)) is not None:
             if progress is not None:
-                progress(float(line))  # one per frame: the fraction done
+                progress(float(message))  # one per frame: the fraction done
     finally:
         drawer.close()
 
 
-def _line(pipe: IO[bytes]) -> bytes | None:
+def _read_message(pipe: IO[bytes]) -> bytes | None:
     return pipe.readline() or None

@@ -16,31 +16,31 @@ from ves_gym.rendering.live import LiveSettings, answer
 from ves_gym.rendering.stage import Stage
 
 
-def pictures(shown: LiveSettings) -> None:
+def answer_pictures(settings: LiveSettings) -> None:
     """Answer every line on stdin with pixels."""
-    context = mujoco.GLContext(shown.width, shown.height)
+    context = mujoco.GLContext(settings.width, settings.height)
     context.make_current()
-    stage = Stage(shown)
-    pixels = np.zeros((shown.height, shown.width, 3), np.uint8)
-    whole = mujoco.MjrRect(0, 0, shown.width, shown.height)
+    stage = Stage(settings)
+    pixels = np.zeros((settings.height, settings.width, 3), np.uint8)
+    area = mujoco.MjrRect(0, 0, settings.width, settings.height)
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, stage.context)
-    while line := sys.stdin.readline():
-        stage.take(line)
-        stage.paint(shown.width, shown.height)
-        mujoco.mjr_readPixels(pixels, None, whole, stage.context)
+    while message := sys.stdin.readline():
+        stage.add_samples(message)
+        stage.paint(settings.width, settings.height)
+        mujoco.mjr_readPixels(pixels, None, area, stage.context)
         answer(pixels[::-1].tobytes())
     context.free()
 
 
 def main() -> None:
     """Show what the first line of stdin says."""
-    shown = LiveSettings.from_line(sys.stdin.readline())
-    if not shown.window:
-        pictures(shown)
+    settings = LiveSettings.from_line(sys.stdin.readline())
+    if not settings.window:
+        answer_pictures(settings)
     else:
         from ves_gym.rendering.window import Window  # needs GLFW
 
-        Window(shown).run()
+        Window(settings).run()
 
 
 if __name__ == "__main__":

@@ -42,15 +42,15 @@ _FONT = mujoco.mjtFont.mjFONT_NORMAL
 class Stage:
     """Draws what it is told into the present OpenGL context."""
 
-    def __init__(self, shown: LiveSettings) -> None:
-        self.shown = shown
-        self.drawing = Drawing(shown.system, shown.width, shown.height)
-        self.context = mujoco.MjrContext(self.drawing.model, _font_scale(shown.height))
+    def __init__(self, settings: LiveSettings) -> None:
+        self.settings = settings
+        self.drawing = Drawing(settings.system, settings.width, settings.height)
+        self.context = mujoco.MjrContext(self.drawing.model, _font_scale(settings.height))
         self.scene = mujoco.MjvScene(self.drawing.model, maxgeom=2000)
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self.option = mujoco.MjvOption()
         self.strip = _strip()
-        self.stiff = bool(shown.system.base.K.any())  # a satellite has no strain energy
+        self.stiff = bool(settings.system.base.K.any())  # a satellite has no strain energy
         self.fitted = 0, 0  # the size of picture that the cameras are for
         self.samples: list[dict[str, Any]] = []
         self.episode: Any = None
@@ -58,18 +58,18 @@ class Stage:
 
     # ---------------------------------------------------------------- history
 
-    def take(self, line: str) -> None:
+    def add_samples(self, message: str) -> None:
         """Add a line of samples to the history; time that goes back rewrites it."""
-        samples = json.loads(line)
+        samples = json.loads(message)
         for sample in samples:
             if sample["episode"] != self.episode:
                 self.samples, self.episode, self.magnify = [], sample["episode"], math.inf
             while self.samples and self.samples[-1]["t"] >= sample["t"]:
                 self.samples.pop()
             self.samples.append(sample)
-        now = self.samples[-1]["t"]
-        if self.shown.rolling:
-            old = now - self.shown.span
+        time = self.samples[-1]["t"]
+        if self.settings.rolling:
+            old = time - self.settings.span
             del self.samples[: next(i for i, k in enumerate(self.samples) if k["t"] >= old)]
 
     def _all(self, name: str) -> Array:
@@ -80,47 +80,47 @@ class Stage:
     def paint(self, width: int, height: int) -> None:
         """Draw the latest sample into the bound framebuffer."""
         strip, main = round(_STRIP * height), round(MAIN * width)
-        band = self.shown.lines * self._line
+        band = self.settings.lines * self._text_height
         floor = strip + band
         arm = mujoco.MjrRect(0, floor, main, height - floor)
-        whole = mujoco.MjrRect(main, floor, width - main, height - floor)
+        overview = mujoco.MjrRect(main, floor, width - main, height - floor)
         if self.fitted != (width, height):
-            self._fit(arm, whole)
+            self._fit(arm, overview)
             self.fitted = width, height
-        now, y = self.samples[-1], self._all("y")
+        sample, y = self.samples[-1], self._all("y")
         for rect, camera, extent, k in zip(
-            (arm, whole), self.cameras, self.extents, (1.0, self._magnified(y)), strict=True
+            (arm, overview), self.cameras, self.extents, (1.0, self._magnified(y)), strict=True
         ):
             if rect is arm:  # a base that leaves the picture takes it along
                 away = y[-1, :3] - np.clip(y[-1, :3], -_ROOM, _ROOM)
                 camera.lookat[:] = self.home + away
-            self.drawing.pose(k * y[-1], np.array(now["q"]))
+            self.drawing.pose(k * y[-1], np.array(sample["q"]))
             mujoco.mjv_updateScene(
                 self.drawing.model, self.drawing.data, self.option, None, camera,
                 mujoco.mjtCatBit.mjCAT_ALL, self.scene,
             )  # fmt: skip
-            self.drawing.carry(self.scene, k * y[-1], extent)
+            self.drawing.add_support(self.scene, k * y[-1], extent)
             if rect is arm:
-                self._wrench(now, y[-1])
-                self._marker(now, extent)
+                self._wrench(sample, y[-1])
+                self._marker(sample, extent)
             else:
-                self.drawing.trail(self.scene, k * y, extent)
+                self.drawing.add_path(self.scene, k * y, extent)
             mujoco.mjr_render(rect, self.scene, self.context)
         mujoco.mjr_rectangle(mujoco.MjrRect(0, strip, width, band), *BACKGROUND, 1.0)
-        for i, text in enumerate(now["text"][: self.shown.lines]):
-            self._text(text, _EDGE, floor - (i + 1) * self._line, _GRAY)
-        self._words(arm, whole)
+        for i, text in enumerate(sample["text"][: self.settings.lines]):
+            self._text(text, _EDGE, floor - (i + 1) * self._text_height, _GRAY)
+        self._words(arm, overview)
         self._energy(mujoco.MjrRect(0, 0, width, strip))
 
-    def _fit(self, arm: mujoco.MjrRect, whole: mujoco.MjrRect) -> None:
+    def _fit(self, arm: mujoco.MjrRect, overview: mujoco.MjrRect) -> None:
         """One camera on all places the arm can reach, one on the whole structure."""
-        links, ways = self.shown.system.arm.links, np.vstack([np.eye(3), -np.eye(3)])
+        links, ways = self.settings.system.arm.links, np.vstack([np.eye(3), -np.eye(3)])
         shoulder, below = np.array([0.0, 0.0, links[0].d]), np.array([0.0, 0.0, -_ARROW])
         reach = sum(math.hypot(k.a, k.d) for k in links[1:])
         plate = 0.5 * reach * ways[[0, 1, 3, 4]]
         around = np.vstack([shoulder + reach * ways, plate, below])
-        points, room = self.drawing.whole(around, np.zeros((1, 6)))
-        fit, shape = self.drawing.camera, whole.width / whole.height
+        points, room = self.drawing.framing(around, np.zeros((1, 6)))
+        fit, shape = self.drawing.camera, overview.width / overview.height
         near = fit(around, 0.1, 130, -18, arm.width / arm.height)
         self.cameras = [near, fit(points, room, 110, -14, shape)]
         self.extents = [float(np.ptp(k, axis=0).max()) for k in (around, points)]
@@ -134,66 +134,68 @@ class Stage:
         self.magnify = min(self.magnify, _round_down(max(1.0, most)))
         return self.magnify
 
-    def _wrench(self, now: dict[str, Any], y: Array) -> None:
+    def _wrench(self, sample: dict[str, Any], y: Array) -> None:
         """An arrow is full at what moves the arm with 0.3 m/s^2, or at the largest so far."""
-        mass = sum(k.inertial.mass for k in self.shown.system.arm.links)
+        mass = sum(k.inertial.mass for k in self.settings.system.arm.links)
         sizes = np.linalg.norm(self._all("w").reshape(-1, 2, 3), axis=2)
         force, moment = sizes.max(axis=0, initial=0.3 * mass)
-        self.drawing.wrench(self.scene, y, np.array(now["w"]), (force, moment), _ARROW)
+        self.drawing.add_wrench(self.scene, y, np.array(sample["w"]), (force, moment), _ARROW)
 
-    def _marker(self, now: dict[str, Any], extent: float) -> None:
+    def _marker(self, sample: dict[str, Any], extent: float) -> None:
         """The first point as a ball, what follows it as a line."""
-        if now["marker"] is None:
+        if sample["marker"] is None:
             return
-        points = np.array(now["marker"])
-        line = (*TARGET[:3], 0.45)
+        points = np.array(sample["marker"])
+        colour = (*TARGET[:3], 0.45)
         for a, b in itertools.pairwise(points):
-            connect(self.scene, "CAPSULE", a, b, 0.006 * extent, line)
+            connect(self.scene, "CAPSULE", a, b, 0.006 * extent, colour)
         ball(self.scene, points[0], 0.02 * extent, TARGET)
 
     # ------------------------------------------------------------------- words
 
-    def _words(self, arm: mujoco.MjrRect, whole: mujoco.MjrRect) -> None:
-        now = self.samples[-1]
+    def _words(self, arm: mujoco.MjrRect, overview: mujoco.MjrRect) -> None:
+        sample = self.samples[-1]
         lines: list[tuple[str, Any]] = [
-            (f"t = {now['t']:.2f} s", _GRAY),
-            (f"base energy {now['E']:.3g} J", _ENERGY),
+            (f"t = {sample['t']:.2f} s", _GRAY),
+            (f"base energy {sample['E']:.3g} J", _ENERGY),
         ]
         if self.stiff:
-            lines.append((f"strain {now['strain']:.3g} J", _STRAIN))
-        force, moment = np.linalg.norm(np.array(now["w"]).reshape(2, 3), axis=1)
+            lines.append((f"strain {sample['strain']:.3g} J", _STRAIN))
+        force, moment = np.linalg.norm(np.array(sample["w"]).reshape(2, 3), axis=1)
         lines += [(f"force {force:.0f} N", FORCE), (f"moment {moment:.0f} N m", MOMENT)]
-        if now["marker"] is not None:
+        if sample["marker"] is not None:
             lines.append(("target", TARGET))
         self._column(arm, lines)
-        self._column(whole, [(f"base motion x {self.magnify:g}", _GRAY), ("base path", PATH)])
+        self._column(
+            overview, [(f"base motion x {self.magnify:g}", _GRAY), ("base path", PATH)]
+        )
 
     def _column(self, rect: mujoco.MjrRect, lines: list[tuple[str, Any]]) -> None:
         top = rect.bottom + rect.height - _EDGE
         for i, (text, rgb) in enumerate(lines):
-            self._text(text, rect.left + _EDGE, top - (i + 1) * self._line, rgb[:3])
+            self._text(text, rect.left + _EDGE, top - (i + 1) * self._text_height, rgb[:3])
 
     @property
-    def _line(self) -> int:
+    def _text_height(self) -> int:
         return round(1.15 * self.context.charHeight)
 
-    def _text(self, text: str, left: int, bottom: int, rgb: Any) -> None:
+    def _text(self, text: str, start: int, bottom: int, rgb: Any) -> None:
         """Write at pixels from the lower left; MuJoCo's font knows ASCII."""
         text = text.encode("ascii", "replace").decode()
         width = int(sum(self.context.charWidth[ord(k)] for k in text))
-        rect = mujoco.MjrRect(left, bottom, width, self.context.charHeight)
+        rect = mujoco.MjrRect(start, bottom, width, self.context.charHeight)
         mujoco.mjr_label(rect, _FONT, text, 0, 0, 0, 0, *rgb, self.context)
 
     def _energy(self, rect: mujoco.MjrRect) -> None:
         t, E, strain = self._all("t"), self._all("E"), self._all("strain")
         figure, top = self.strip, _round_up(max(1e-6, float(E.max())))
-        first = max(0.0, t[-1] - self.shown.span) if self.shown.rolling else 0.0
-        figure.range[:] = ((first, first + self.shown.span), (0.0, top))
+        first = max(0.0, t[-1] - self.settings.span) if self.settings.rolling else 0.0
+        figure.range[:] = ((first, first + self.settings.span), (0.0, top))
         stride = max(1, math.ceil(len(t) / _POINTS))
-        for line, values in enumerate((E, strain) if self.stiff else (E,)):
+        for index, values in enumerate((E, strain) if self.stiff else (E,)):
             points = np.column_stack([t, values])[::-stride].ravel()  # the latest always
-            figure.linepnt[line] = len(points) // 2
-            figure.linedata[line][: len(points)] = points
+            figure.linepnt[index] = len(points) // 2
+            figure.linedata[index][: len(points)] = points
         mujoco.mjr_figure(rect, figure, self.context)
 
 

@@ -20,15 +20,17 @@ _NAMES = {glfw.KEY_SPACE: "space", glfw.KEY_ESCAPE: "escape"}  # others have the
 class Window:
     """The picture in a window: drag to turn, scroll to zoom."""
 
-    def __init__(self, shown: LiveSettings) -> None:
+    def __init__(self, settings: LiveSettings) -> None:
         if not glfw.init():
             raise RuntimeError("GLFW finds no display")
         glfw.window_hint(glfw.SAMPLES, 4)
-        self.handle = glfw.create_window(shown.width, shown.height, shown.title, None, None)
+        self.handle = glfw.create_window(
+            settings.width, settings.height, settings.title, None, None
+        )
         if not self.handle:
             raise RuntimeError("GLFW opens no window")
         glfw.make_context_current(self.handle)
-        self.stage = Stage(shown)
+        self.stage = Stage(settings)
         self.keys: list[tuple[str, bool]] = []
         self.cursor = 0.0, 0.0
         glfw.set_key_callback(self.handle, self._key)
@@ -44,10 +46,10 @@ class Window:
             glfw.wait_events_timeout(0.1)
             if lines.empty():
                 continue
-            line = lines.get()
-            if not line:
+            message = lines.get()
+            if not message:
                 break
-            self.stage.take(line)
+            self.stage.add_samples(message)
             self.paint()
             answer(json.dumps(self.keys).encode())
             self.keys.clear()
@@ -87,8 +89,8 @@ class Window:
 def _feed(lines: queue.SimpleQueue[str]) -> None:
     """Queue the lines of stdin, an empty one at its end."""
     while True:
-        line = sys.stdin.readline()
-        lines.put(line)
+        message = sys.stdin.readline()
+        lines.put(message)
         glfw.post_empty_event()
-        if not line:
+        if not message:
             return

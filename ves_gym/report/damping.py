@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ves_gym._util.params import Array
 
 _TICKS = (-1e4, -3e3, -1e3, -300, -100, -30, -10, -3, -1, -0.5, 0)  # 1/s
-_SHOWN = 10.0  # s, of the responses
+_RESPONSE_TIME = 10.0  # s, of the responses
 
 
 def pole_figure(sets: Sequence[tuple[str, Complexes]], locked: Complexes) -> Figure:
@@ -31,7 +31,7 @@ def pole_figure(sets: Sequence[tuple[str, Complexes]], locked: Complexes) -> Fig
     """
     figure, panels = _panels(len(sets), 4.2, 3.8)
     every = np.concatenate([locked, *(poles for _, poles in sets)])
-    left = min(-10.0, 1.6 * every.real.min())
+    slowest = min(-10.0, 1.6 * every.real.min())
     top = 1.08 * every.imag.max()
     for k, (axes, (name, poles)) in enumerate(zip(panels, sets, strict=True)):
         axes.axvline(0, color="0.6", lw=1)
@@ -42,10 +42,10 @@ def pole_figure(sets: Sequence[tuple[str, Complexes]], locked: Complexes) -> Fig
         upper = poles[poles.imag >= 0]
         axes.plot(upper.real, upper.imag, "x", color=_colour(k), mew=1.8, clip_on=False)
         axes.set_xscale("symlog", linthresh=1.0, linscale=1.0)
-        axes.set_xticks([tick for tick in _TICKS if tick >= left], minor=False)
+        axes.set_xticks([tick for tick in _TICKS if tick >= slowest], minor=False)
         axes.set_xticks([], minor=True)
         axes.xaxis.set_major_formatter("{x:g}")
-        axes.set(xlim=(left, 0.1), ylim=(0, top), xlabel="1/s", ylabel="rad/s")
+        axes.set(xlim=(slowest, 0.1), ylim=(0, top), xlabel="1/s", ylabel="rad/s")
         axes.set_title(name, fontsize="medium", color=_darker(_colour(k)))
         axes.grid(alpha=0.3)
     panels[0].legend(loc="lower left", fontsize="small")
@@ -58,7 +58,7 @@ def response_figure(
     """Translation, strain energy and its integral after the release, by both models."""
     figure, panels = _panels(3, 8.4, 2.9, columns=1)
     labels = ("translation [mm]", "strain energy [J]", "its integral [J s]")
-    end = min(_SHOWN, linear.t[-1])
+    end = min(_RESPONSE_TIME, linear.t[-1])
     for axes, label in zip(panels, labels, strict=True):
         axes.set(ylabel=label, xlim=(0, end))
         axes.grid(alpha=0.3)
@@ -122,11 +122,11 @@ def _response_legend(figure: Figure, names: Sequence[str], both: bool) -> None:
     from matplotlib.lines import Line2D
 
     lines = [Line2D([], [], color=_colour(k), linewidth=3) for k in range(len(names))]
-    shown = list(names)
+    labels = list(names)
     if both:
         lines.append(Line2D([], [], color="black", **_IN_SPACE))
-        shown.append("by the linear model")
-    figure.legend(lines, shown, loc="outside lower center", ncols=2, frameon=False)
+        labels.append("by the linear model")
+    figure.legend(lines, labels, loc="outside lower center", ncols=2, frameon=False)
 
 
 def _colour(k: int) -> str:

@@ -25,7 +25,7 @@ Result = dict[str, Any]
 
 _BEFORE, _AFTER = _COLOURS[1], _COLOURS[3]
 _MOST = 1e3  # mean square at which the colour of the map ends, if nothing is above it
-_TOLD = 2.0  # mean square from which a cell of the map says its number
+_LABELLED = 2.0  # mean square from which a cell of the map says its number
 _VISIBLE = 0.05  # standard deviations
 _LEAST = 1e-4  # p below which it is not told apart
 _LINES = 12  # channels in the map over time
@@ -133,7 +133,7 @@ def where_figure(where: Sequence[Result], better: bool = True) -> Figure:
             origin="lower",
         )  # fmt: skip
         for (i, j), v in np.ndenumerate(size):
-            if v >= _TOLD:
+            if v >= _LABELLED:
                 colour = "white" if v > top**0.6 else "black"
                 text = f"{v:.1f}" if v < 9.95 else f"{v:.0f}" if v < 1e3 else f"{v:.0e}"
                 text = text.replace("e+0", "e")
@@ -163,23 +163,23 @@ def when_figure(when: Sequence[Result], better: bool) -> Figure:
     from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
     loudest: dict[tuple[str, str], float] = {}
-    for one in when:
-        key = one["port"], one["channel"]
-        loudest[key] = max(loudest.get(key, 0.0), *one["before"], *one["after"])
+    for course in when:
+        key = course["port"], course["channel"]
+        loudest[key] = max(loudest.get(key, 0.0), *course["before"], *course["after"])
     channels = sorted(loudest, key=lambda k: -loudest[k])[:_LINES]
-    runs = list(dict.fromkeys(one["run"] for one in when))
+    runs = list(dict.fromkeys(course["run"] for course in when))
     heat = LinearSegmentedColormap.from_list("heat", ("white", "#f7c9a5", _BEFORE, "#4a1500"))
     top = max(_MOST, *loudest.values())
     figure, panels = _panels(1 + better, 11.0, 0.8 + 0.2 * len(channels), columns=1)
     for axes, side in zip(panels, ("before", "after"), strict=False):
         rows, ends, steps = [], [0.0], []
         for key in channels:
-            own = {o["run"]: o for o in when if (o["port"], o["channel"]) == key}
-            rows.append(np.concatenate([own[run][side] for run in runs]))
+            by_run = {o["run"]: o for o in when if (o["port"], o["channel"]) == key}
+            rows.append(np.concatenate([by_run[run][side] for run in runs]))
         for run in runs:
-            one = next(o for o in when if o["run"] == run)
-            ends.append(ends[-1] + len(one["before"]))
-            steps.append(one["step"])
+            course = next(o for o in when if o["run"] == run)
+            ends.append(ends[-1] + len(course["before"]))
+            steps.append(course["step"])
         image = axes.imshow(
             np.maximum(rows, 1.0), cmap=heat, norm=LogNorm(1, top), aspect="auto",
             interpolation="nearest", extent=(0, ends[-1], len(channels) - 0.5, -0.5),
@@ -223,19 +223,23 @@ def overlay_figure(overlays: Sequence[Result], better: bool) -> Figure:
     from matplotlib.ticker import LogLocator
 
     figure, panels = _panels(2 * len(overlays), 6.0, 2.9, columns=2)
-    for k, one in enumerate(overlays):
+    for k, overlay in enumerate(overlays):
         time, spectrum = panels[2 * k : 2 * k + 2]
         for key, colour in (("before", _BEFORE), ("after", _AFTER))[: 1 + better]:
-            time.plot(one["t"], one[key], color=colour, linewidth=0.9, label=key)
-            spectrum.plot(one["f"], one[f"noise_{key}"], color=colour, linewidth=1, label=key)
-        name = f"{one['port']}, {_symbol(one['channel'])}"
-        time.set(xlabel="time [s]", ylabel=f"residual [{one['unit']}]")
-        time.set_xlim(one["t"][0], one["t"][-1])
-        time.set_title(f"{name}: {one['run']}, up to {one['top']:g} Hz", fontsize="medium")
+            time.plot(overlay["t"], overlay[key], color=colour, linewidth=0.9, label=key)
+            spectrum.plot(
+                overlay["f"], overlay[f"noise_{key}"], color=colour, linewidth=1, label=key
+            )
+        name = f"{overlay['port']}, {_symbol(overlay['channel'])}"
+        time.set(xlabel="time [s]", ylabel=f"residual [{overlay['unit']}]")
+        time.set_xlim(overlay["t"][0], overlay["t"][-1])
+        time.set_title(
+            f"{name}: {overlay['run']}, up to {overlay['top']:g} Hz", fontsize="medium"
+        )
         spectrum.axhline(1.0, color="0.4", linewidth=0.8, linestyle=":")
         spectrum.set(xlabel="frequency [Hz]", ylabel="residual / noise", yscale="log")
         spectrum.set_ylim(bottom=0.05)
-        spectrum.set_xlim(0, one["f"][-1])
+        spectrum.set_xlim(0, overlay["f"][-1])
         spectrum.yaxis.set_major_locator(LogLocator())
         spectrum.yaxis.set_major_formatter("{x:g}")
         spectrum.set_title(f"{name}: spectrum", fontsize="medium")
@@ -271,9 +275,11 @@ def _picture(figure: Figure, words: str, caption: str, kind: str = "") -> str:
 
 
 def _eyebrow(result: Result) -> str:
-    held = result["held_back"]
+    held_back = result["held_back"]
     count = len(result["logs"])
-    logs = f"{count} log{'s' if count != 1 else ''}, {len(held)} of them held back to the end"
+    logs = (
+        f"{count} log{'s' if count != 1 else ''}, {len(held_back)} of them held back to the end"
+    )
     return f"ves-gym diagnose: {result.get('machine', 'machine')}; {logs}"
 
 
@@ -305,11 +311,11 @@ def _tiles(result: Result) -> str:
 
 
 def _missing(result: Result) -> str:
-    shown = result["effects"] or result["closest"]
-    if not shown:
+    effects = result["effects"] or result["closest"]
+    if not effects:
         return f"<p>{_NO_EFFECT[_has_name(result)]}</p>"
     named, rows = _has_name(result), []
-    for effect in shown:
+    for effect in effects:
         for k, (name, value) in enumerate(effect["value"].items()):
             rows.append(
                 [
@@ -326,11 +332,13 @@ def _missing(result: Result) -> str:
         _table(head, rows, numbers=(2, 3, 5))
         + '<p class="note">Intervals are of the fit with tolerances carried along. The'
         " probability is that of the kind among everything that could stand in its place.</p>"
-        + "".join(f"<p><b>Next experiment.</b> {_text(k)}</p>" for k in _next(result))
+        + "".join(
+            f"<p><b>Next experiment.</b> {_text(k)}</p>" for k in _next_experiments(result)
+        )
     )
 
 
-def _next(result: Result) -> list[str]:
+def _next_experiments(result: Result) -> list[str]:
     """What to measure to tell rivals apart."""
     return [e["sentence"] for e in result["experiments"]] if result["effects"] else []
 
@@ -373,13 +381,13 @@ def _overlays(result: Result) -> str:
     return _picture(
         overlay_figure(result["overlays"], better),
         "residuals of two channels over time, and their spectra",
-        f"{_SHOWN[better]}, each in the run that shows it most. Left: residual up to the"
-        f" frequency at which the gap ends, as {_LEFT_BY[better]} it. Right: in standard"
+        f"{_OVERLAY_CHANNELS[better]}, each in the run that shows it most. Left: residual up to"
+        f" the frequency at which the gap ends, as {_LEFT_BY[better]} it. Right: in standard"
         " deviations of noise (dotted: 1), tolerances taken off.",
     )
 
 
-_SHOWN = {
+_OVERLAY_CHANNELS = {
     True: "The channel in which the gap falls most and, of the others, that with the largest",
     False: "The channels with the largest gap",
 }
@@ -451,8 +459,8 @@ def _confusable(result: Result) -> str:
 
 
 def _gaps(result: Result) -> str:
-    before, after, held = _chosen_gaps(result)
-    sure = result["final_intervals" if held else "gap_intervals"]
+    before, after, on_held_back = _chosen_gaps(result)
+    sure = result["final_intervals" if on_held_back else "gap_intervals"]
     rows = [
         [
             *name.split("/", 1),
@@ -463,7 +471,7 @@ def _gaps(result: Result) -> str:
         for name in sorted(before, key=lambda k: -before[k])
     ]
     where = "that were fitted"
-    if held:
+    if on_held_back:
         where = f"held back ({', '.join(result['held_back'])}), which nothing before had seen"
     within = "within" if result["remaining"] <= result["remaining_allowed"] else "more than"
     head = ("port", "channel", "before", "after", "of the gap above noise removed")
@@ -472,20 +480,20 @@ def _gaps(result: Result) -> str:
         f" {_text(where)}. What no name explains is worth {result['remaining']:.0f} in deviance"
         f" on the runs that were fitted: {within} the {result['remaining_allowed']:.0f} of a"
         " good description. In brackets: 95 % intervals from a bootstrap over stretches of a"
-        f" second.</p><p>{_text(_spoiled(result))}</p>"
+        f" second.</p><p>{_text(_worse_channels(result))}</p>"
         + _table(head, rows, numbers=(2, 3, 4), kind="narrow")
     )
 
 
-def _spoiled(result: Result) -> str:
+def _worse_channels(result: Result) -> str:
     """Whether what is added does harm elsewhere."""
     if not result["effects"]:
         return "Nothing is added to the description."
     if not result["worse"]:
         return "No channel is worse by more than 2 % of its gap, or of noise."
     sure = result["final_intervals"] or result["gap_intervals"]
-    each = (f"{k} (after / before: {_range(sure[k]['ratio'])})" for k in result["worse"])
-    return f"Worse by more than 2 %: {', '.join(each)}."
+    ratios = (f"{k} (after / before: {_range(sure[k]['ratio'])})" for k in result["worse"])
+    return f"Worse by more than 2 %: {', '.join(ratios)}."
 
 
 def _free(result: Result) -> str:
@@ -520,7 +528,7 @@ def _untested(result: Result) -> str:
         return (
             "<p>All ports could be tested, and the runs move enough to show what joints do.</p>"
         )
-    return "<ul>" + "".join(f"<li>{_text(line)}</li>" for line in lines) + "</ul>"
+    return "<ul>" + "".join(f"<li>{_text(text)}</li>" for text in lines) + "</ul>"
 
 
 def _change(result: Result) -> str:
@@ -528,10 +536,10 @@ def _change(result: Result) -> str:
     if not diff:
         return "<p>None: the description stays as it is.</p>"
     tags: dict[str, Callable[[str], str]] = {
-        "+": lambda line: f"<ins>{line}</ins>",
-        "-": lambda line: f"<del>{line}</del>",
+        "+": lambda text: f"<ins>{text}</ins>",
+        "-": lambda text: f"<del>{text}</del>",
     }
-    lines = [tags.get(line[:1], lambda text: text)(_text(line)) for line in diff.splitlines()]
+    lines = [tags.get(text[:1], lambda text: text)(_text(text)) for text in diff.splitlines()]
     notes = "".join(f"<li>{_text(note)}</li>" for note in result.get("notes", ()))
     return (
         "<p>Read back and played again at every port, it leaves the same residuals within"
@@ -572,15 +580,15 @@ def _has_name(result: Result) -> bool:
 
 def _chosen_gaps(result: Result) -> tuple[dict[str, float], dict[str, float], bool]:
     """Gaps before and after, of the runs held back where there are any."""
-    held = bool(result["final_before"])
-    key = "final" if held else "gap"
-    return result[f"{key}_before"], result[f"{key}_after"], held
+    on_held_back = bool(result["final_before"])
+    key = "final" if on_held_back else "gap"
+    return result[f"{key}_before"], result[f"{key}_after"], on_held_back
 
 
 def _removed(before: float, after: float) -> str:
     """Share of what is above noise; nothing to say where hardly anything is."""
     above = before**2 - 1
-    return "" if above < _TOLD - 1 else f"{1 - max(after**2 - 1, 0) / above:.1%}"
+    return "" if above < _LABELLED - 1 else f"{1 - max(after**2 - 1, 0) / above:.1%}"
 
 
 def _table(

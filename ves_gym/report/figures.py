@@ -125,7 +125,11 @@ def time_figure(result: Result, key: str) -> Figure:
     figure, panels = _panels(len(result["traces"]), *size)
     for axes, trace in zip(panels, result["traces"], strict=True):
         axes.axvspan(0, trace["duration"], color="0.93")
-        end = max(s["t"][-1] for one in trace["series"] for s in (one, one.get("ideal", one)))
+        end = max(
+            s["t"][-1]
+            for played in trace["series"]
+            for s in (played, played.get("ideal", played))
+        )
         for series in trace["series"]:
             colour, values = _colour(names, series["planner"]), factor * np.array(series[key])
             axes.plot(series["t"], values, color=colour, linewidth=2.2 if emulated else 1.3)
@@ -214,7 +218,7 @@ def anytime_figure(result: Result) -> Figure:
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_title(f"{case[0]}, T = {case[1]:g} s", fontsize="medium")
     searched = {c["planner"] for c in result["anytime"]}
-    _legend(figure, names, shown=[n for n in names if n in searched])
+    _legend(figure, names, planners=[n for n in names if n in searched])
     return figure
 
 
@@ -253,7 +257,7 @@ def _draw_map(figure: Figure, axes: Axes, section: Result, names: Sequence[str])
 
     x, y, most = (np.array(section[key]) for key in ("x", "y", "most"))
     # the pieces of a line are shaded one by one, at their middle
-    pieces = [np.stack([line[:-1], line[1:]], 1) for line in map(np.array, section["lines"])]
+    pieces = [np.stack([curve[:-1], curve[1:]], 1) for curve in map(np.array, section["lines"])]
     segments = np.concatenate([p for p in pieces if len(p)] or [np.zeros((0, 2, 2))])
     value = RegularGridInterpolator((x, y), most, bounds_error=False, fill_value=None)
     lines = LineCollection(list(segments), cmap="Greys", linewidths=0.9)
@@ -320,13 +324,13 @@ def _legend(
     figure: Figure,
     names: Sequence[str],
     emulated: bool = False,
-    shown: Sequence[str] | None = None,
+    planners: Sequence[str] | None = None,
 ) -> None:
     from matplotlib.lines import Line2D
 
-    some = names if shown is None else shown
-    lines = [Line2D([], [], color=_colour(names, n), linewidth=3) for n in some]
-    names = some
+    entries = names if planners is None else planners
+    lines = [Line2D([], [], color=_colour(names, n), linewidth=3) for n in entries]
+    names = entries
     if emulated:
         lines.append(Line2D([], [], color="black", **_IN_SPACE))
         names = [*names, "the same in space"]

@@ -64,10 +64,10 @@ def bode_figure(servos: Mapping[str, LegServo], *, closed: bool) -> Figure:
     for (name, servo), style in zip(servos.items(), _styles(len(servos)), strict=True):
         f = np.geomspace(0.1, 0.49 * servo.rate, 4000)
         response = closed_loop(servo, f) if closed else open_loop(servo, f)
-        shown = (
+        measure = (
             f"{bandwidth(servo):.2g} Hz" if closed else f"{_decibel(gain_margin(servo)):.3g} dB"
         )
-        magnitude.plot(f, _decibel(np.abs(response)), label=f"{name}: {shown}", **style)
+        magnitude.plot(f, _decibel(np.abs(response)), label=f"{name}: {measure}", **style)
         phase.plot(f, _phase(response), **style)
     for axes in (magnitude, phase):
         _mode_band(axes, servos)
@@ -114,9 +114,9 @@ def pole_figure(servos: Mapping[str, LegServo]) -> Figure:
     figure, panels = _panels(2 * columns, 3.4, 3.4, columns=columns)
     styles = _styles(columns)
     for k, (name, servo) in enumerate(servos.items()):
-        whole, near = panels[k], panels[columns + k]
+        disc, near = panels[k], panels[columns + k]
         turn = 2 * np.pi * servo.mode_short / servo.rate  # argument of the mode's pole
-        for axes in (whole, near):
+        for axes in (disc, near):
             _disc(axes)
             for extension in _EXTENSIONS:
                 poles = leg_poles(servo, float(extension))
@@ -125,9 +125,9 @@ def pole_figure(servos: Mapping[str, LegServo]) -> Figure:
             axes.plot(poles.real, poles.imag, "x", color=styles[k]["color"], markersize=8)
             axes.grid(alpha=0.25)
         largest = max(float(np.abs(leg_poles(servo, float(e))).max()) for e in _EXTENSIONS)
-        whole.set_title(f"{name}\nlargest modulus {largest:.4f}", fontsize="medium")
-        whole.set_aspect("equal")
-        whole.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08))
+        disc.set_title(f"{name}\nlargest modulus {largest:.4f}", fontsize="medium")
+        disc.set_aspect("equal")
+        disc.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08))
         near.set(xlim=(1 - 0.7 * turn, 1 + 0.1 * turn), ylim=(-1.3 * turn, 1.3 * turn))
         near.set(xlabel="Re z")
         near.set_title("near z = 1; grey: shortest to longest leg", fontsize="small")

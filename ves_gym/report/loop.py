@@ -84,12 +84,15 @@ def bode_figure(loop: Linearised, space: tuple[Array, Array, Array]) -> Figure:
     f = np.geomspace(0.03, min(20.0, 0.45 / loop.dt), 500)
     w = 2j * np.pi * f[:, None, None]
     ideal = np.linalg.inv(w**2 * M + w * D + K)[:, :6, :6]
-    shown = loop.compliance(f)
+    emulated = loop.compliance(f)
     figure, panels = _panels(12, 4.4, 2.4, columns=3)
     for i in range(6):
         row, column = divmod(i, 3)
         gain, phase = panels[6 * row + column], panels[6 * row + 3 + column]
-        for response, colour, name in ((ideal, _SPACE, "in space"), (shown, _LAB, "emulated")):
+        for response, colour, name in (
+            (ideal, _SPACE, "in space"),
+            (emulated, _LAB, "emulated"),
+        ):
             values = response[:, i, i]
             gain.loglog(f, np.abs(values), color=colour, label=name, lw=1.3)
             angle = np.rad2deg(np.unwrap(np.angle(values)))
@@ -121,10 +124,10 @@ def step_figure(loop: Linearised, space: tuple[Array, Array, Array]) -> Figure:
             ideal[k], x = x[i], hold @ x
         factor, unit = (1e3, "mm") if i < 3 else (1e3, "mrad")
         axes.plot(t, factor * ideal, color=_SPACE, label="in space", lw=1.3)
-        shown = factor * loop.step(np.eye(6)[i], periods)[:, i]
-        axes.plot(t, shown, color=_LAB, label="emulated", lw=1.3)
+        emulated = factor * loop.step(np.eye(6)[i], periods)[:, i]
+        axes.plot(t, emulated, color=_LAB, label="emulated", lw=1.3)
         size = np.abs(factor * ideal).max()
-        if np.abs(shown).max() > 5 * size:  # it diverges: show where it leaves
+        if np.abs(emulated).max() > 5 * size:  # it diverges: show where it leaves
             axes.set_ylim(-2 * size, 4 * size)
         axes.set(title=f"{AXES[i]} after 1 {'N' if i < 3 else 'N m'}", ylabel=unit, xlabel="s")
         axes.grid(alpha=0.3)
