@@ -53,16 +53,22 @@ def run_benchmark(
     command: str = "",
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Run planners on a suite.
+    """Run planners on a suite and return the complete result as plain data.
 
     Args:
+        suite: the queries, and the planners that answer them by default.
         planners: names; default the suite's own. The straight line is always included,
             since every energy is also given relative to it.
+        seed: of every planner and of the laboratory's noise, >= 0.
         workers: planning processes; default one per processor, 1 plans in this process.
+        command: the command line that the result names.
         progress: called with a stage name and the fraction done.
 
     Returns:
         Plain data: rows, summary, traces, maps and scenes, and what reproduces them.
+
+    Raises:
+        ParameterError: an unknown planner, or a query that no planner may be asked.
     """
     begin = time.perf_counter()
     names = list(dict.fromkeys([BASELINE, *(planners or suite.planners)]))
@@ -114,12 +120,18 @@ def run_benchmark(
 
 
 def run_query(planner: str, vehicle: str, query: Query, seed: int = 0) -> dict[str, Any]:
-    """One planner's answer to one query, simulated: a row of `run_benchmark`.
+    """Simulate one planner's answer to one query: a row of `run_benchmark`.
 
     Energies relative to the straight line's are not in it, for that is another row.
 
     Args:
+        planner: its name.
         vehicle: its name, for the row.
+        query: its system is what the motion is played on; planning is for the ideal one.
+        seed: of the planner and of the laboratory's noise, >= 0.
+
+    Returns:
+        The row: energies [J], planning time [s], success and failure.
     """
     plan = _plan_one((planner, replace(query, system=query.system.ideal()), seed))
     runs = [_Run(planner, vehicle, plan, query.system)]
@@ -337,7 +349,7 @@ _MEASURES = tuple(field.name for field in fields(Energies))
 def _emulation(
     run: Recording, ideal: Recording, k: int, row: dict[str, Any], in_space: Energies | None
 ) -> dict[str, Any]:
-    """What a row of mode emulated holds besides: the same motion in space, the difference."""
+    """Columns of mode emulated: the same motion in space, and the difference."""
     assert in_space is not None
     stop = next((str(e) for e in run.events if e.simulation == k), None)
     base_error = None
@@ -423,11 +435,19 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def anytime(rows: Sequence[dict[str, Any]], points: int = 41) -> list[dict[str, Any]]:
-    """How the best cost of a search came down: medians over the queries of a duration.
+    """Return how the best cost of each search came down, medians over a duration's queries.
 
-    For planners that tell a `curve` of (seconds, evaluations, cost) in their `info`: cost over
+    For planners that list a `curve` of (seconds, evaluations, cost) in their `info`: cost over
     the final cost at times spaced geometrically, from when half the queries have a solution,
     and the time to come within 5 % of it.
+
+    Args:
+        rows: of `run_benchmark`.
+        points: times per curve.
+
+    Returns:
+        A table per vehicle, duration and planner: `seconds` [s], `ratio` [1], both (points,)
+        at most, and the times to 5 % [s].
     """
     groups: dict[tuple[str, float, str], list[Array]] = defaultdict(list)
     for row in rows:
@@ -462,7 +482,7 @@ def anytime(rows: Sequence[dict[str, Any]], points: int = 41) -> list[dict[str, 
 
 
 def rank_correlation(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Whether planners rank in the laboratory as in space: Spearman's rho by query.
+    """Spearman's rho of the planners' order in the laboratory and in space, by query.
 
     Per vehicle and duration the median of rho over queries with three planners or more that
     have an energy in both.

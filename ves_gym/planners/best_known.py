@@ -47,7 +47,15 @@ def _entries(table: dict[str, Any], where: str) -> dict[str, dict[str, Any]]:
 
 
 def key(system_hash: str, query: str) -> str:
-    """Name of a question: another system is another question."""
+    """Name of a question: another system is another question.
+
+    Args:
+        system_hash: `System.hash` of the ideal system, hexadecimal.
+        query: the query's name.
+
+    Returns:
+        The first twelve digits of the hash and the name.
+    """
     return f"{system_hash[:12]} {query}"
 
 
@@ -56,8 +64,15 @@ def merge_best(path: str | os.PathLike[str], result: dict[str, Any]) -> int:
 
     Only motions in space that keep every limit count.
 
+    Args:
+        path: of the JSON file; made if it does not exist.
+        result: of `run_benchmark`, mode ideal; energies in J.
+
     Returns:
         How many entries are new or lower.
+
+    Raises:
+        ParameterError: a result of mode emulated, or a file of another format.
     """
     if result["mode"] != "ideal":
         raise ParameterError(f"best known energies are of mode ideal, got {result['mode']}")
@@ -82,10 +97,18 @@ def merge_best(path: str | os.PathLike[str], result: dict[str, Any]) -> int:
 
 
 def add_scores(rows: Iterable[dict[str, Any]], hashes: dict[str, str], baseline: str) -> None:
-    """Add `best_known` [J] and `score` to rows, None where nothing is known.
+    """Add `best_known` [J] and `score` [1] to rows, None where nothing is known.
 
     The score is 0 for the energy of the straight line and 1 for the best known one; only
     motions that keep every limit have one.
+
+    Args:
+        rows: of `run_benchmark`; changed in place.
+        hashes: `System.hash` of each vehicle's ideal system.
+        baseline: name of the planner whose energy scores 0.
+
+    Raises:
+        KeyError: a row of a vehicle without a hash.
     """
     every = list(rows)
     baselines = {
@@ -106,7 +129,15 @@ def add_scores(rows: Iterable[dict[str, Any]], hashes: dict[str, str], baseline:
 
 
 def near_best(rows: Sequence[dict[str, Any]], share: float = 1.05) -> float | None:
-    """Share of the rows with a best known energy that succeed within `share` times it."""
+    """Share of the rows with a best known energy that succeed within `share` times it.
+
+    Args:
+        rows: of `run_benchmark`, scored.
+        share: of the best known energy, >= 1.
+
+    Returns:
+        The fraction, or None where no row has a best known energy.
+    """
     rated = [r for r in rows if r["best_known"] is not None]
     if not rated:
         return None

@@ -44,9 +44,16 @@ def modes(system: System, q: npt.ArrayLike) -> Modes:
 
 
 def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
-    """Q(q) = A^T K A with A = M_t^-1 H_bm: (..., n) -> (..., n, n) [J/rad^2].
+    """Q(q) = A^T K A with A = M_t^-1 H_bm.
 
     An instantaneous joint step dq leaves the strain energy 1/2 dq^T Q dq in the base.
+
+    Args:
+        system: arm and vehicle.
+        q: (..., n) configurations [rad].
+
+    Returns:
+        (..., n, n) [J/rad^2].
     """
     angles = np.asarray(q, float)
     if angles.ndim and angles.shape[-1] == system.arm.n and angles.size >= _MANY:
@@ -63,7 +70,18 @@ def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
 def band_limited(system: System, q: npt.ArrayLike, duration: float) -> Array:
     """Q_T(q): Q with each base mode weighted by what a quintic of this duration excites.
 
-    (..., n) -> (..., n, n) [J/rad^2]; tends to Q as the duration tends to zero.
+    It tends to Q as the duration tends to zero.
+
+    Args:
+        system: arm and vehicle.
+        q: (..., n) configurations [rad].
+        duration: of the motions meant [s].
+
+    Returns:
+        (..., n, n) [J/rad^2].
+
+    Raises:
+        ParameterError: duration <= 0.
     """
     if not duration > 0:
         raise ParameterError(f"duration must be > 0 s, got {duration!r}")
@@ -76,17 +94,33 @@ def band_limited(system: System, q: npt.ArrayLike, duration: float) -> Array:
 
 
 def metric(system: System, q: npt.ArrayLike, duration: float | None) -> Array:
-    """Q_T for a duration, raw Q for None."""
+    """Q_T for a duration, raw Q for None.
+
+    Args:
+        system: arm and vehicle.
+        q: (..., n) configurations [rad].
+        duration: of the motions meant [s].
+
+    Returns:
+        (..., n, n) [J/rad^2].
+    """
     if duration is None:
         return coupling_matrix(system, q)
     return band_limited(system, q, duration)
 
 
 def disturbance_matrix(system: System, q: npt.ArrayLike) -> Array:
-    """A_r^T A_r with the base's rotation per joint motion A_r: (..., n) -> (..., n, n) [1].
+    """A_r^T A_r with the base's rotation per joint motion A_r.
 
     The disturbance map of a free-floating base: from rest a small joint motion dq turns it
     by sqrt(dq^T A_r^T A_r dq) [rad], for momentum is conserved (Vafa and Dubowsky's map).
+
+    Args:
+        system: arm and vehicle.
+        q: (..., n) configurations [rad].
+
+    Returns:
+        (..., n, n) [1].
     """
     b = blocks(system, q)
     turn = np.linalg.solve(b.Mt, b.Hbm)[..., 3:, :]
@@ -103,7 +137,16 @@ class Directions(NamedTuple):
 def invariant_directions(
     system: System, q: npt.ArrayLike, duration: float | None = None
 ) -> Directions:
-    """Solutions of Q v = lambda (H_m - H_bm^T M_t^-1 H_bm) v."""
+    """Solutions of Q v = lambda (H_m - H_bm^T M_t^-1 H_bm) v.
+
+    Args:
+        system: arm and vehicle.
+        q: (..., n) configurations [rad].
+        duration: of Q_T [s]; None for raw Q.
+
+    Returns:
+        Eigenvalues (..., n) and eigenvectors (..., n, n).
+    """
     b = blocks(system, q)
     effective = b.Hm - np.swapaxes(b.Hbm, -1, -2) @ np.linalg.solve(b.Mt, b.Hbm)
     directions = _modes_of(metric(system, q, duration), effective)
@@ -118,9 +161,17 @@ def _modes_of(K: Array, M: Array) -> tuple[Array, Array]:
 def coupling_length(
     system: System, path: npt.ArrayLike, duration: float | None = None
 ) -> float:
-    """L_c = integral of sqrt(dq^T Q dq) along a polyline (N, n) [J^(1/2)].
+    """L_c = integral of sqrt(dq^T Q dq) along a polyline.
 
     E <= L_c^2 / 2 bounds the energy of an instantaneous motion along it (raw Q).
+
+    Args:
+        system: arm and vehicle.
+        path: (N, n) way-points [rad].
+        duration: of Q_T [s]; None for raw Q.
+
+    Returns:
+        The length [J^(1/2)].
     """
     points = np.asarray(path, float)
     step = np.diff(points, axis=0)
@@ -164,7 +215,21 @@ class CouplingMap:
 def require_section(
     system: System, joints: tuple[int, int], fixed: npt.ArrayLike, points: int, *, least: int
 ) -> Array:
-    """The configuration (n,) through which a cross-section of joint space is laid, checked."""
+    """Check a cross-section of joint space and return the configuration it is laid through.
+
+    Args:
+        system: its arm has n joints.
+        joints: numbers of the two joints swept, from 0.
+        fixed: (n,) configuration of the others [rad].
+        points: of the grid, per axis.
+        least: points needed.
+
+    Returns:
+        `fixed` as an array (n,) [rad].
+
+    Raises:
+        ParameterError: no two joints of the arm, too few points, or a joint beyond its limits.
+    """
     n = system.arm.n
     i, j = joints
     if not (0 <= i < n and 0 <= j < n and i != j):
@@ -184,9 +249,22 @@ def coupling_map(
     limits: tuple[tuple[float, float], tuple[float, float]] | None = None,
     disturbance: bool = False,
 ) -> CouplingMap:
-    """Sweep two joints over their range (or `limits`, rad) with the others fixed.
+    """Sweep two joints over their range with the others fixed.
 
-    With `disturbance` the map is that of `disturbance_matrix`.
+    Args:
+        system: arm and vehicle.
+        joints: numbers of the two joints, from 0.
+        fixed: (n,) configuration of the others [rad].
+        duration: of Q_T [s]; None for raw Q.
+        points: of the grid, per axis.
+        limits: (low, high) of both joints [rad]; default their range.
+        disturbance: map `disturbance_matrix` instead.
+
+    Returns:
+        Eigenvalues and directions of the 2 x 2 block on the grid.
+
+    Raises:
+        ParameterError: bad joints, limits or points, or a disturbance map with a duration.
     """
     if disturbance and duration is not None:
         raise ParameterError(f"a disturbance map has no duration, got {duration!r}")
@@ -231,10 +309,23 @@ def spots(
     count: int = 5,
     samples: int = 4096,
 ) -> list[Spot]:
-    """The strongest hot spots in the joint space of all n joints, or the least coupled.
+    """Return the strongest hot spots in the joint space of all n joints, or the least coupled.
 
     Starts from the best of Halton's points in the joint box, each followed uphill (or
     downhill) inside the box; those within 0.2 rad of a better one are the same spot.
+
+    Args:
+        system: arm and vehicle.
+        hot: largest coupling; False for least.
+        duration: of Q_T [s]; None for raw Q.
+        count: spots wanted.
+        samples: Halton's points.
+
+    Returns:
+        At most `count` spots, strongest (or least coupled) first.
+
+    Raises:
+        ParameterError: not 1 <= count <= samples.
     """
     if count < 1 or samples < count:
         raise ParameterError(f"need 1 <= count <= samples, got {count} and {samples}")

@@ -1,4 +1,4 @@
-"""Where in joint space the arm damps its base best (thesis 4.3).
+"""Configurations in which the arm damps its base best (thesis 4.3).
 
 The thesis finds such configurations by the coupling map. Its modes one by one, as in Q_T,
 do tell them; the size of raw Q does not (tests/claims/test_pped.py).
@@ -24,13 +24,21 @@ _APART = 0.5  # rad in at least one joint, between candidates
 def promised_integral(
     system: System, q: npt.ArrayLike, y: npt.ArrayLike = THESIS_DISPLACEMENT
 ) -> Array:
-    """(..., n) -> (...) strain-energy integral that the coupling promises [J s]; no search.
+    """Strain-energy integral that the coupling promises; no search.
 
     Each base mode by itself: released with strain energy E_i, with damping ratio z_i it
     leaves E_i (1/z_i + 4 z_i) / (4 omega_i). z_i is the base's own and sqrt(k_i) / 2, what
     a tuned damper of mass ratio k_i adds at most; k_i = g_i^T H_m^-1 g_i is the share of
     the mode that the joints can take over (g_i = H_bm^T phi_i, as in Q and Q_T). An
     estimate that ranks configurations.
+
+    Args:
+        system: arm and vehicle.
+        q: (..., n) configurations [rad].
+        y: (6,) initial displacement of the base [m, rad].
+
+    Returns:
+        (...) [J s].
     """
     angles, release, base = np.asarray(q, float), finite(y, (6,), "y"), system.base
     b, m = blocks(system, angles), modes(system, angles)
@@ -65,14 +73,26 @@ def best_configurations(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> list[Configuration]:
-    """Configurations in which the arm damps a release from y best, best first.
+    """Return configurations in which the arm damps a release from y best, best first.
 
     The coupling ranks random configurations; gains are tuned for the first of them that
     lie apart. Only the joint limits are kept: nothing looks for collisions.
 
     Args:
-        samples: configurations ranked. candidates: how many of them are tuned, at most.
+        system: arm and vehicle.
+        y: (6,) initial displacement of the base [m, rad].
+        full: symmetric gain matrices instead of diagonal ones.
+        bounds: of the gains [N m/rad, N m s/rad].
+        samples: configurations ranked.
+        candidates: how many of them are tuned, at most.
         seed: of the configurations and of the searches.
+        progress: called with the fraction done.
+
+    Returns:
+        At most `candidates` configurations with their gains.
+
+    Raises:
+        ParameterError: not 1 <= candidates <= samples, or a base that PPED cannot damp.
     """
     if not 1 <= candidates <= samples:
         raise ParameterError(f"need 1 <= candidates <= samples, got {candidates} and {samples}")
@@ -122,7 +142,25 @@ def damping_map(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> DampingMap:
-    """Tune gains all over a cross-section of joint space, beside what the coupling says."""
+    """Tune gains all over a cross-section of joint space, beside what the coupling says.
+
+    Args:
+        system: arm and vehicle.
+        joints: numbers of the two joints swept, from 0.
+        fixed: (n,) configuration of the others [rad].
+        y: (6,) initial displacement of the base [m, rad].
+        full: symmetric gain matrices instead of diagonal ones.
+        bounds: of the gains [N m/rad, N m s/rad].
+        points: of the grid, per axis.
+        seed: of the searches.
+        progress: called with the fraction done.
+
+    Returns:
+        Coupling [J/rad^2], promised and tuned integrals [J s] on the grid.
+
+    Raises:
+        ParameterError: bad joints or points, or a base that PPED cannot damp.
+    """
     i, j = joints
     at = require_section(system, joints, fixed, points, least=2)
     links = system.arm.links

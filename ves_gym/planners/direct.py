@@ -49,7 +49,15 @@ class Direct:
         self.free, self.iterations = free, iterations
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Deterministic: the seed is not used; one start, the straight line."""
+        """Minimise from one start, the straight line; deterministic.
+
+        Args:
+            query: the ends and limits.
+            seed: not used.
+
+        Returns:
+            The motion and the search's statistics.
+        """
         problem = MotionProblem(query, self.free)
         minimum = minimise(problem, problem.straight, self.iterations)
         return problem.motion(minimum.x), minimum.info()
@@ -124,7 +132,10 @@ class MotionProblem:
     # ------------------------------------------------------------------------ limits
 
     def limits(self, x: Array) -> tuple[Array, Array]:
-        """What must be <= 0, each in shares of its limit (of 0.1 m for distances).
+        """Return what must be <= 0, each in shares of its limit (of 0.1 m for distances).
+
+        Args:
+            x: (free n,) control points [rad].
 
         Returns:
             (r,) values and their derivative (r, free n).
@@ -176,7 +187,7 @@ class MotionProblem:
         return (dynamics.tau / self._tau_max).ravel(), scaled.reshape(size, -1)
 
     def add_torque_samples(self, x: Array) -> bool:
-        """Whether torque passes its share of the limit between samples; samples it there."""
+        """Sample the torque also at its peaks between samples; True if any passes its share."""
         if self.query.system.drive != "motor":
             return False
         fine = graded(12 * len(self._torque_times))
@@ -222,7 +233,7 @@ _ACCEPTED = 1e-6  # of a limit by which an answer may break it; `_SHARE` is for 
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where an optimisation ended."""
+    """The end of an optimisation."""
 
     x: Array
     energy: float  # J
@@ -232,7 +243,7 @@ class Minimum:
     message: str
 
     def info(self) -> dict[str, Any]:
-        """What is worth telling."""
+        """Statistics of the search as plain data."""
         return {
             "evaluations": self.evaluations,
             "iterations": self.iterations,
@@ -258,11 +269,16 @@ class _Point(NamedTuple):
 def minimise(
     problem: MotionProblem, x0: Array, iterations: int = 60, tolerance: float = 1e-4
 ) -> Minimum:
-    """Least E_mean from x0, by steps inside a trust region that an exact penalty judges.
+    """Find the least E_mean from x0 by steps in a trust region that an exact penalty judges.
 
     Args:
-        x0: start; it may break limits.
+        problem: the query's motions and their limits.
+        x0: (free n,) start [rad]; it may break limits.
+        iterations: at most, in each round.
         tolerance: relative decrease of E_mean below which a step is the last.
+
+    Returns:
+        The best decision, its energy [J] and by how much of a limit it breaks it.
     """
     done = evaluations = 0
     for _ in range(_ROUNDS):
@@ -360,11 +376,17 @@ def _subproblem(
 def quadratic_program(
     H: Array, g: Array, A: Array, upper: Array, low: Array, high: Array
 ) -> tuple[Array, Array]:
-    """Least 1/2 x^T H x + g^T x with A x <= upper, low <= x <= high, H positive definite.
+    """Minimise 1/2 x^T H x + g^T x with A x <= upper, low <= x <= high.
+
+    An active-set method from CasADi's distribution (DAQP, or qpOASES in one without it).
+
+    Args:
+        H: (k, k), positive definite. g: (k,).
+        A: (r, k). upper: (r,).
+        low, high: (k,).
 
     Returns:
-        x (k,) and the multipliers of the rows of A. An active-set method from CasADi's
-        distribution (DAQP, or qpOASES in one without it).
+        x (k,) and the multipliers of the rows of A (r,).
     """
     size = float(np.abs(H[:-1, :-1]).max())  # the last variable is a slack
     solver = _solver(len(g), len(A))

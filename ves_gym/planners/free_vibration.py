@@ -1,4 +1,4 @@
-"""The base let go from a displacement, joints held by their gains (thesis figures 4-6, 4-7).
+"""Free vibration of a displaced base, joints held by their gains (thesis figures 4-6, 4-7).
 
 Twice: by the linear model that gains are found with, and by the simulator.
 """
@@ -58,7 +58,18 @@ def linear_free_vibration(
     *,
     seconds: float = 30.0,
 ) -> FreeVibration:
-    """By the linear model."""
+    """Simulate the linear model under several sets of gains.
+
+    Args:
+        system: arm and vehicle, on motor drives.
+        q: (n,) configuration [rad].
+        gains: K [N m/rad] and B [N m s/rad], (n, n) each.
+        y: (6,) initial displacement of the base [m, rad].
+        seconds: of the run [s].
+
+    Returns:
+        The base's motion and energy, the joints' excursion and torque.
+    """
     plant, (t, _) = plant_at(system, q), _clock(system, q, seconds)
     x = np.stack([respond(plant, g, y, t) for g in gains])
     w = 6 + system.arm.n
@@ -85,10 +96,24 @@ def simulate_free_vibration(
     seconds: float = 30.0,
     backend: str = "auto",
 ) -> FreeVibration:
-    """By the simulator: large motions, limited motors.
+    """Run the simulator under several sets of gains: large motions, limited motors.
 
     Diagonal gains act inside the physics step, as those of any servo; the torque by which
-    full matrices couple the joints is held over each physics step.
+    full matrices couple the joints is constant over each physics step.
+
+    Args:
+        system: arm and vehicle, on motor drives.
+        q: (n,) configuration [rad].
+        gains: K [N m/rad] and B [N m s/rad], (n, n) each.
+        y: (6,) initial displacement of the base [m, rad].
+        seconds: of the run [s].
+        backend: engine's name, or auto.
+
+    Returns:
+        The base's motion and energy, the joints' excursion and torque.
+
+    Raises:
+        ParameterError: a prescribed drive, a joint beyond its limits, or too short a run.
     """
     arm, (t, stride) = system.arm, _clock(system, q, seconds)
     if system.drive != "motor":

@@ -48,7 +48,15 @@ class HotSpot:
         self.summary = f"hot-spot method on {matrix}"
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Deterministic: the seed is not used."""
+        """Relax the shortest path and the straight line, and time the shorter; deterministic.
+
+        Args:
+            query: the ends, the duration and limits.
+            seed: not used.
+
+        Returns:
+            The motion, and coupling lengths [J^(1/2)].
+        """
         duration = query.duration if self.band_limited else None
         start, goal = query.ends
         straight = np.linspace(start, goal, _POINTS + 1)
@@ -68,7 +76,7 @@ class HotSpot:
 
 
 class BadPath:
-    """What the coupling map warns of: one joint after the other, in the worst order.
+    """The path that the coupling map warns of: one joint after the other, in the worst order.
 
     Of all orders of the joints, the one of greatest coupling length on raw Q; each joint
     moves from rest to rest in its share of the time.
@@ -78,7 +86,15 @@ class BadPath:
     summary = "one joint after the other, in the order of greatest coupling length"
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Deterministic: the seed is not used."""
+        """Move the joints one by one, in the worst order; deterministic.
+
+        Args:
+            query: the ends and the duration.
+            seed: not used.
+
+        Returns:
+            The motion, and its coupling length [J^(1/2)].
+        """
         start, goal = query.ends
         moving = np.flatnonzero(start != goal)
         u = np.linspace(0, max(1, len(moving)), 181)[:, None]
@@ -104,7 +120,14 @@ class JointSpaceGraph(Protocol):
     name: str
 
     def route(self, start: Array, goal: Array) -> Array:
-        """Shortest path (k, n) through it."""
+        """Return the shortest path through the graph.
+
+        Args:
+            start, goal: (n,) [rad].
+
+        Returns:
+            (k, n) way-points [rad].
+        """
 
 
 class Lattice:
@@ -145,7 +168,14 @@ class Lattice:
         return np.sqrt(np.maximum(squares, 0)), least
 
     def route(self, start: Array, goal: Array) -> Array:
-        """Shortest path (k, n) from start to goal through the lattice."""
+        """Return the shortest path from start to goal through the lattice.
+
+        Args:
+            start, goal: (n,) [rad].
+
+        Returns:
+            (k, n) way-points [rad].
+        """
         flat = self.points.reshape(-1, len(self.shape))
         size = len(flat)
         rows, columns, values = [], [], []
@@ -187,7 +217,14 @@ class Roadmap:
         self.lengths = self.metric.lengths(self.points[a], self.points[self.edges[1]])
 
     def route(self, start: Array, goal: Array) -> Array:
-        """Shortest path (k, n) from start to goal through the roadmap."""
+        """Return the shortest path from start to goal through the roadmap.
+
+        Args:
+            start, goal: (n,) [rad].
+
+        Returns:
+            (k, n) way-points [rad].
+        """
         ends, size = np.array([start, goal]), len(self.points)
         _, near = self.tree.query(ends, self.neighbours)
         a = np.repeat([size, size + 1], self.neighbours)
@@ -241,7 +278,15 @@ def _network(system: System, duration: float | None) -> JointSpaceGraph:
 
 
 def resample(path: Array, points: int) -> Array:
-    """Points evenly spaced in joint-space length along a polyline (k, n), its ends kept."""
+    """Points evenly spaced in joint-space length along a polyline, its ends unchanged.
+
+    Args:
+        path: (k, n) way-points [rad].
+        points: how many.
+
+    Returns:
+        (points, n) [rad].
+    """
     length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
     at = np.linspace(0, length[-1], points)
     return np.stack([np.interp(at, length, path[:, j]) for j in range(path.shape[1])], axis=1)
@@ -285,7 +330,15 @@ def _relax(system: System, path: Array, duration: float | None) -> Array:
 
 
 def feasible_part(query: Query, path: Array) -> tuple[Motion, float]:
-    """The timed path, drawn towards the straight line until it keeps the limits."""
+    """Time a path, drawn towards the straight line until it respects the limits.
+
+    Args:
+        query: the duration and limits.
+        path: (k, n) way-points [rad].
+
+    Returns:
+        The motion, and the share of the way from the straight line that is left [1].
+    """
     straight = np.linspace(path[0], path[-1], len(path))
 
     def timed(share: float) -> Motion:

@@ -72,12 +72,27 @@ class Metric:
         )
 
     def squares(self, q: npt.ArrayLike, dq: npt.ArrayLike) -> Array:
-        """dq^T (Q(q) + least 1) dq over leading axes: (..., n), (..., n) -> (...)."""
+        """dq^T (Q(q) + least 1) dq over leading axes.
+
+        Args:
+            q: (..., n) configurations [rad].
+            dq: (..., n) joint steps [rad].
+
+        Returns:
+            (...) [J], of kind disturbance [rad^2], kinetic [kg m^2 rad^2].
+        """
         at = np.concatenate(np.broadcast_arrays(q, dq), axis=-1).astype(float)
         return evaluate(self._key, self._graph, at, self._p, 1)[..., 0]
 
     def lengths(self, a: npt.ArrayLike, b: npt.ArrayLike) -> Array:
-        """Lengths of straight edges from a to b: (..., n), (..., n) -> (...)."""
+        """Lengths of straight edges.
+
+        Args:
+            a, b: (..., n) ends [rad].
+
+        Returns:
+            (...) roots of the unit of `squares`.
+        """
         start, step = np.asarray(a, float), np.asarray(b, float) - np.asarray(a, float)
         at = start[..., None, :] + _NODES[:, None] * step[..., None, :]
         squares = self.squares(at, np.broadcast_to(step[..., None, :], at.shape))

@@ -32,7 +32,16 @@ class BaseMomentum(NamedTuple):
 
 
 def momentum(arm: Arm, q: Array, v: Array) -> BaseMomentum:
-    """Base momentum of joint rates v (..., n) at configurations q (..., n)."""
+    """Base momentum of joint rates, with derivatives.
+
+    Args:
+        arm: n joints.
+        q: (..., n) configurations [rad].
+        v: (..., n) joint rates [rad/s].
+
+    Returns:
+        u = H_bm(q) v (..., 6), and its derivatives by q and v, (..., 6, n) each.
+    """
     n = arm.n
     out = _evaluate("momentum", _momentum, arm, points((q, n, "q"), (v, n, "v")), 6 + 12 * n)
     slopes = out[..., 6:].reshape(*out.shape[:-1], 2, n, 6)
@@ -48,7 +57,15 @@ class InverseDynamics(NamedTuple):
 
 
 def torque(arm: Arm, q: Array, v: Array, a: Array) -> InverseDynamics:
-    """Inverse dynamics with derivatives, all inputs (..., n)."""
+    """Inverse dynamics on a base that stands still, with derivatives.
+
+    Args:
+        arm: n joints.
+        q: (..., n) [rad]. v: (..., n) [rad/s]. a: (..., n) [rad/s^2].
+
+    Returns:
+        Joint torque (..., n) [N m], and its derivatives (..., 3, n, n).
+    """
     n = arm.n
     at = points((q, n, "q"), (v, n, "v"), (a, n, "a"))
     out = _evaluate("torque", _torque, arm, at, n + 3 * n * n)

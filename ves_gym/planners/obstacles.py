@@ -1,4 +1,4 @@
-"""What the arm must not touch: obstacles as plain data, checked by MuJoCo's collisions.
+"""Obstacles as plain data, and distances from them by MuJoCo's collision detection.
 
 All in the platform-top frame with the base at rest; `Surroundings.clearance` leaves room
 for its sway. The arm is a chain of capsules; the platform, the beam or the satellite under
@@ -92,7 +92,15 @@ def read_surroundings(path: str | os.PathLike[str]) -> Surroundings:
 
 
 def link_radius(arm: Arm, i: int) -> float:
-    """Radius of link i's capsule [m]: nominal, this project."""
+    """Radius of a link's capsule: nominal, this project.
+
+    Args:
+        arm: n links.
+        i: the link, from 0.
+
+    Returns:
+        The radius [m].
+    """
     size = float(sum(math.hypot(k.a, k.d) for k in arm.links))
     return _THICKNESS * size * (1 - _TAPER * i / arm.n)
 
@@ -126,28 +134,35 @@ class Collisions:
         return self.data.contact
 
     def is_clear(self, q: Array) -> bool:
-        """Whether a configuration (n,) keeps the clearance."""
+        """True if a configuration (n,) [rad] respects the clearance."""
         contacts = self._detect(q, self.clearance)
         return self.data.ncon == 0 or bool((contacts.dist >= self.clearance).all())
 
     def first_contact(self, path: npt.ArrayLike) -> int | None:
-        """Index of the first of the configurations (N, n) that does not keep it, or None."""
+        """Index of the first configuration of (N, n) nearer than the clearance, or None."""
         for k, q in enumerate(np.asarray(path, float)):
             if not self.is_clear(q):
                 return k
         return None
 
     def contact_names(self, q: npt.ArrayLike) -> list[str]:
-        """What is too near what at a configuration, in words."""
+        """Pairs of shapes nearer than the clearance at a configuration (n,) [rad], by name."""
         contacts = self._detect(np.asarray(q, float), self.clearance)
         pairs = contacts.geom[contacts.dist < self.clearance]
         return sorted({" and ".join(self.model.geom(g).name for g in pair) for pair in pairs})
 
     def proximity(self, q: Array, within: float) -> Proximity:
-        """Pairs nearer than `within` [m], and how their distances change.
+        """Return the pairs of shapes near each other, and how their distances change.
 
         Distances are those of MuJoCo's geometry; where one shape is deep inside another its
         distance may stay the same, and the slope only points the way out.
+
+        Args:
+            q: (n,) configuration [rad].
+            within: pairs nearer than this are returned [m].
+
+        Returns:
+            Distances (k,) [m] and slopes (k, n) [m/rad].
         """
         mj, model, data = self._mujoco, self.model, self.data
         contacts = self._detect(q, within)
@@ -171,7 +186,17 @@ class Collisions:
 
 @lru_cache(maxsize=8)
 def collisions(system: System, surroundings: Surroundings) -> Collisions:
-    """The checker of a system and its surroundings, kept: not for several threads at once."""
+    """Return the cached checker of a system and its surroundings.
+
+    Not for several threads at once: they would share its MuJoCo data.
+
+    Args:
+        system: arm and vehicle, ideal.
+        surroundings: obstacles and clearance.
+
+    Returns:
+        The same checker for the same arguments.
+    """
     return Collisions(system, surroundings)
 
 

@@ -65,7 +65,18 @@ class Ompl:
         return f"OMPL {ALGORITHMS[self.algorithm]} on {OBJECTIVES[self.objective]}"
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """A new tree every time; the seed and the budget decide the path."""
+        """Search a new tree every time; the seed and the budget decide the path.
+
+        Args:
+            query: the ends, limits and surroundings.
+            seed: of OMPL's random numbers, >= 0.
+
+        Returns:
+            The motion, and the search's cost, counts and anytime curve.
+
+        Raises:
+            NoPlan: no path within the budget, or the child process failed.
+        """
         require_possible(query)
         result = self.search(query, seed)
         assert result.path is not None
@@ -89,7 +100,11 @@ class Ompl:
         return motion, info
 
     def search(self, query: Query, seed: int) -> PathSearchResult:
-        """Way-points and the anytime curve, from the child process.
+        """Return way-points and the anytime curve, from the child process.
+
+        Args:
+            query: the ends, limits and surroundings.
+            seed: of OMPL's random numbers, >= 0.
 
         Raises:
             NoPlan: no path within the budget, or the child failed.
@@ -113,11 +128,18 @@ class Ompl:
 
 
 def timed(query: Query, path: Array) -> tuple[Motion, float]:
-    """A motion along way-points that keeps the query's limits where one can.
+    """Time way-points by a motion that respects the query's limits where one can.
 
     The first of these that does: smooth through them; along their straight edges by a
     quintic; by a law that cruises, for limits of speed. Without surroundings the path is
-    drawn towards the straight line instead; beside the motion stands the share that is left.
+    drawn towards the straight line instead.
+
+    Args:
+        query: the duration and limits.
+        path: (k, n) way-points [rad].
+
+    Returns:
+        The motion, and the share of the way from the straight line that is left [1].
     """
     smooth = Motion.through(path, query.duration)
     if broken_limit(query, smooth) is None:
@@ -135,10 +157,20 @@ def timed(query: Query, path: Array) -> tuple[Motion, float]:
 def follow(
     path: Array, duration: float, speed: Array, controls: int, law: Callable[[Array], Array]
 ) -> Motion:
-    """Along the straight edges of a polyline (k, n), its corners rounded a little.
+    """Pass along the straight edges of a polyline, its corners rounded a little.
 
-    Joint speeds stay in proportion to their limits `speed` (n,): the law runs over the time
-    the path takes with one joint at its limit throughout.
+    Joint speeds stay in proportion to their limits: the law runs over the time the path takes
+    with one joint at its limit throughout.
+
+    Args:
+        path: (k, n) way-points [rad].
+        duration: of the motion [s].
+        speed: (n,) speed limits [rad/s].
+        controls: control points of the motion.
+        law: rest-to-rest law on [0, 1], (N,) to (N,).
+
+    Returns:
+        The motion.
     """
     fine = resample(path, 2001)
     least = np.r_[0, np.cumsum(np.max(np.abs(np.diff(fine, axis=0)) / speed, axis=1))]
@@ -172,10 +204,14 @@ class SearchProcess:
         self._owner = 0  # process that started it
 
     def request(self, request: Request, limit: float) -> PathSearchResult:
-        """The answer to a request, or NoPlan with what happened to the child.
+        """Send a request to the child and return its answer.
 
         Args:
-            limit: s after which the child is killed.
+            request: what to search.
+            limit: time after which the child is killed [s].
+
+        Raises:
+            NoPlan: the child crashed, failed or did not answer in time.
         """
         try:
             self._require_running()

@@ -44,7 +44,7 @@ ALGORITHMS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """What to search. The same request gives the same path while `seconds` is not reached."""
+    """One search. The same request gives the same path while `seconds` is not reached."""
 
     query: Query
     objective: str  # q, qt, time or energy
@@ -64,7 +64,7 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True)
 class PathSearchResult:
-    """What a search found."""
+    """The best path of a search, its cost and the effort."""
 
     path: Array | None  # (k, n) way-points
     cost: float
@@ -295,7 +295,15 @@ def speed_limits(query: Query) -> Array:
 
 
 def fastest(path: Array, speed: Array) -> float:
-    """Time [s] a path (k, n) takes with one joint at its speed limit (n,) throughout."""
+    """Time a path takes with one joint at its speed limit throughout.
+
+    Args:
+        path: (k, n) way-points [rad].
+        speed: (n,) limits [rad/s].
+
+    Returns:
+        The time [s].
+    """
     return float(np.sum(np.max(np.abs(np.diff(path, axis=0)) / speed, axis=1)))
 
 

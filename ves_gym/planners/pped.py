@@ -124,7 +124,14 @@ class LinearPlant:
 
 
 def plants(system: System, q: npt.ArrayLike) -> list[LinearPlant]:
-    """The linear models of arm and base at configurations q (m, n) [rad].
+    """Return the linear models of arm and base at configurations.
+
+    Args:
+        system: arm and vehicle, on motor drives.
+        q: (m, n) configurations [rad].
+
+    Returns:
+        m models.
 
     Raises:
         ParameterError: mode emulated, a prescribed drive, or a base without stiffness.
@@ -157,7 +164,18 @@ def plants(system: System, q: npt.ArrayLike) -> list[LinearPlant]:
 
 
 def plant_at(system: System, q: npt.ArrayLike) -> LinearPlant:
-    """The linear model of arm and base at one configuration q (n,) [rad]."""
+    """Return the linear model of arm and base at one configuration.
+
+    Args:
+        system: arm and vehicle, on motor drives.
+        q: (n,) configuration [rad].
+
+    Returns:
+        The model.
+
+    Raises:
+        ParameterError: as `plants`, or a joint beyond its limits.
+    """
     return plants(system, system.arm.require_within_limits(q))[0]
 
 
@@ -166,7 +184,7 @@ def plant_at(system: System, q: npt.ArrayLike) -> LinearPlant:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DampingAnalysis:
-    """What a set of gains does to a displaced base, by the linear model."""
+    """Poles and measures of a displaced base under a set of gains, by the linear model."""
 
     gains: GainMatrices
     poles: Complexes  # (2 w,) 1/s, slowest first
@@ -191,9 +209,20 @@ class DampingAnalysis:
 def analyse(
     plant: LinearPlant, gains: GainMatrices, y: npt.ArrayLike = THESIS_DISPLACEMENT
 ) -> DampingAnalysis:
-    """Poles and measures of the base released from y (6,) [m, rad].
+    """Poles and measures of the base released from y.
 
     A system that does not decay by itself (free joints, say) has infinite measures.
+
+    Args:
+        plant: the linear model.
+        gains: K [N m/rad] and B [N m s/rad], (n, n) each.
+        y: (6,) initial displacement of the base [m, rad].
+
+    Returns:
+        Poles [1/s], E_int [J s], t_5 [s] and the worst displacement.
+
+    Raises:
+        ParameterError: gains of another shape, or not finite.
     """
     for name, gain in gains._asdict().items():
         finite(gain, (plant.n, plant.n), name)
@@ -235,7 +264,20 @@ def estimator(poles: npt.ArrayLike) -> float:
 def respond(
     plant: LinearPlant, gains: GainMatrices, y: npt.ArrayLike, t: npt.ArrayLike
 ) -> Array:
-    """(N, 2 w) x at evenly spaced times t (N,) from 0 [s], after a release from y."""
+    """Simulate the linear model after a release from y.
+
+    Args:
+        plant: the linear model, of w coordinates.
+        gains: K [N m/rad] and B [N m s/rad], (n, n) each.
+        y: (6,) initial displacement of the base [m, rad].
+        t: (N,) evenly spaced times from 0 [s].
+
+    Returns:
+        (N, 2 w) states x at these times.
+
+    Raises:
+        ParameterError: times that are not evenly spaced from 0.
+    """
     times = np.asarray(t, float)
     if (
         times.ndim != 1
@@ -319,6 +361,17 @@ def objective_of(
     """One of `OBJECTIVES` as a function to minimise, of the closed A, with its gradient.
 
     strain and worst are in logarithms (they differ by decades), the estimator negative.
+
+    Args:
+        plant: the linear model.
+        name: of the objective.
+        y: (6,) initial displacement of "strain" [m, rad].
+
+    Returns:
+        A function of A (2 w, 2 w) with value and derivative (2 w, 2 w).
+
+    Raises:
+        ParameterError: an unknown name, or a displacement of zero.
     """
     if name == "strain":
         x = plant.start(y)
@@ -440,14 +493,20 @@ def tune(
     seed: int = 0,
     first: GainMatrices | None = None,
 ) -> Tuned:
-    """The gains that are best by an objective: quasi-Newton search from several starts.
+    """Find the gains that are best by an objective: quasi-Newton search from several starts.
 
     Args:
-        objective: one of `OBJECTIVES`. y: (6,) initial displacement of "strain" [m, rad].
+        plant: the linear model.
+        objective: one of `OBJECTIVES`.
+        y: (6,) initial displacement of "strain" [m, rad].
         full: symmetric positive definite matrices instead of diagonal ones.
+        bounds: of the gains [N m/rad, N m s/rad].
         starts: random starts; full matrices also start from the best diagonal ones.
         seed: of the random starts; the same seed finds the same gains.
         first: gains to start from as well.
+
+    Returns:
+        The gains, the objective's value and the effort.
 
     Raises:
         ParameterError: an unknown objective, or a base that no gains bring to rest.

@@ -44,10 +44,17 @@ class Prediction:
 
 
 def spectral_energy(system: System, motion: Motion, nodes: int | None = None) -> float:
-    """E_res = 1/2 sum_i omega_i^2 |int e^(-j omega_i t) g_i(q)^T q' dt|^2 [J].
+    """E_res = 1/2 sum_i omega_i^2 |int e^(-j omega_i t) g_i(q)^T q' dt|^2.
 
-    Undamped; modes frozen at the motion's middle configuration. `nodes` defaults to
-    sixteen per cycle of the fastest mode, at least 200.
+    Undamped; modes frozen at the motion's middle configuration.
+
+    Args:
+        system: arm and vehicle.
+        motion: of the joints.
+        nodes: samples; default sixteen per cycle of the fastest mode, at least 200.
+
+    Returns:
+        The energy [J].
     """
     T = motion.duration
     frozen = modes(system, motion.at(T / 2).q)
@@ -61,7 +68,16 @@ def spectral_energy(system: System, motion: Motion, nodes: int | None = None) ->
 
 
 def joint_momentum(system: System, motion: Motion, t: Array) -> Array:
-    """(N, 6) base momentum H_bm(q) q' of the moving joints."""
+    """Base momentum H_bm(q) q' of the moving joints.
+
+    Args:
+        system: its arm moves.
+        motion: of the joints.
+        t: (N,) times [s].
+
+    Returns:
+        (N, 6) [kg m/s, kg m^2/s].
+    """
     s = motion.at(t)
     return matvec(inertia(system.arm, s.q)[..., :6, 6:], s.v)
 
@@ -113,10 +129,19 @@ class LinearBase:
 def predict(
     system: System, motion: Motion, servo: JointServo | None = None, nodes: int = NODES
 ) -> Prediction:
-    """Energies of a motion on the linear base, its inertia following the configuration.
+    """Predict the energies of a motion on the linear base, its inertia as the arm moves.
 
     Exponential midpoint steps: exact where the inertia is constant and the momentum
     linear over a step, second order in the change of inertia.
+
+    Args:
+        system: arm and vehicle.
+        motion: of the joints.
+        servo: that moves them; None: they follow exactly.
+        nodes: steps.
+
+    Returns:
+        E_mean, E_res and E_peak [J].
     """
     linear = LinearBase(system, servo)
     size = linear.size

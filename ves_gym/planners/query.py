@@ -77,7 +77,7 @@ class Plan:
 
     @property
     def feasible(self) -> bool:
-        """Whether there is a motion, inside the limits and clear of everything."""
+        """True if there is a motion, inside the limits and clear of everything."""
         return self.failure is None
 
 
@@ -90,14 +90,21 @@ class Planner(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name in the registry and on the command line."""
 
     @property
     def summary(self) -> str:
-        """What it does, in a line."""
+        """Description of the method in one sentence."""
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """The motion, and anything worth telling about how it was found.
+        """Find a motion, and anything worth reporting about the search.
+
+        Args:
+            query: the ends, the duration and limits.
+            seed: of whatever is random, >= 0.
+
+        Returns:
+            The motion, and plain data for `Plan.info`.
 
         Raises:
             NoPlan: there is none, or none was found.
@@ -105,10 +112,21 @@ class Planner(Protocol):
 
 
 def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
-    """Run a planner on a query and predict the energy of what it found.
+    """Run a planner on a query and predict the energy of its motion.
 
     Linear algebra runs on one thread meanwhile: its matrices are small, and a sum split
     over threads would make the last bits depend on the machine's load.
+
+    Args:
+        planner: any object of the `Planner` protocol.
+        query: the ends, the duration and limits.
+        seed: of whatever is random, >= 0.
+
+    Returns:
+        The plan; without a motion where the planner found none.
+
+    Raises:
+        ParameterError: a negative seed.
     """
     if seed < 0:
         raise ParameterError(f"seed must be >= 0, got {seed}")
@@ -133,15 +151,30 @@ def _threads() -> ThreadpoolController:
 
 
 def is_feasible(query: Query, motion: Motion) -> bool:
-    """Whether a motion joins the query's ends inside its limits, clear of everything."""
+    """True if a motion joins the query's ends inside its limits, clear of everything.
+
+    Args:
+        query: the ends, the duration and limits.
+        motion: a candidate.
+
+    Returns:
+        `broken_limit` is None.
+    """
     return broken_limit(query, motion) is None
 
 
 def broken_limit(query: Query, motion: Motion) -> str | None:
-    """What keeps a motion from being an answer to a query, in words; None if nothing.
+    """Name the first limit that keeps a motion from being an answer to a query.
 
     Ends, duration, position, the query's speed and acceleration limits, on motor drives the
     joint torque, and collisions at four times the planning resolution.
+
+    Args:
+        query: the ends, the duration and limits.
+        motion: a candidate.
+
+    Returns:
+        The reason in words, or None if the motion is an answer.
     """
     arm: Arm = query.system.arm
     start, goal = query.ends
@@ -176,7 +209,15 @@ def _touched(query: Query, motion: Motion) -> str | None:
 
 
 def spaced(motion: Motion, step: float) -> Array:
-    """(N, n) configurations along a motion, at most `step` [rad] apart in joint space."""
+    """Configurations along a motion, evenly spaced in joint space.
+
+    Args:
+        motion: n joints.
+        step: largest distance between neighbours [rad].
+
+    Returns:
+        (N, n) [rad].
+    """
     q = motion.at(np.linspace(0, motion.duration, 4001)).q
     length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))]
     count = max(2, 2 + int(length[-1] / (0.9 * step)))

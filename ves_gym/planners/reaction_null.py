@@ -67,7 +67,15 @@ class ReactionNull:
         self.share = share
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Deterministic: the seed is not used."""
+        """Follow null directions from both ends; deterministic.
+
+        Args:
+            query: the ends, the duration and limits.
+            seed: not used.
+
+        Returns:
+            The motion, and the share of its length along null directions [1].
+        """
         start, goal = query.ends
         ahead = self._flow(query.system, start, goal)
         back = self._flow(query.system, goal, ahead[-1])
@@ -103,6 +111,6 @@ class ReactionNull:
         return np.array(path)
 
     def _way(self, system: System, q: Array, goal: Array, free: bool) -> Array:
-        """What of the way to the goal is in the null space."""
+        """The part of the way to the goal that lies in the null space."""
         null = reaction_null_space(system, q, attitude=free, share=self.share)
         return null @ (null.T @ (goal - q))

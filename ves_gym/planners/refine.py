@@ -41,7 +41,18 @@ class Refined:
         )
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """The seed chooses the detours, and the search's path among obstacles."""
+        """Refine several starts; the seed chooses the detours, and the search among obstacles.
+
+        Args:
+            query: the ends, the duration, limits and surroundings.
+            seed: >= 0.
+
+        Returns:
+            The best motion, and the energies of all starts [J].
+
+        Raises:
+            NoPlan: no way was found, and the straight one could not be bent around.
+        """
         require_possible(query)
         problem = MotionProblem(query, self.free)
         if query.surroundings is None or broken_limit(query, query.straight) is None:
@@ -64,7 +75,19 @@ class Refined:
 def refine(
     query: Query, motions: Motion | Sequence[Motion], *, free: int = _FREE
 ) -> tuple[Motion, dict[str, Any]]:
-    """The motion of least predicted E_mean near one of the given ones, of any duration."""
+    """Refine motions of any duration and return the one of least predicted E_mean.
+
+    Args:
+        query: the ends, the duration and limits.
+        motions: one or more starts.
+        free: control points of the answer.
+
+    Returns:
+        The best motion, and the energies of all starts [J].
+
+    Raises:
+        ParameterError: no motions, or one of another arm.
+    """
     starts = [motions] if isinstance(motions, Motion) else list(motions)
     if not starts:
         raise ParameterError("refine needs at least one motion, got none")
@@ -81,12 +104,21 @@ def refine_duration(
     free: int = _FREE,
     looks: int = 7,
 ) -> tuple[Motion, dict[str, Any]]:
-    """Least predicted E_mean + price times duration over motions and durations.
+    """Minimise predicted E_mean + price times duration over motions and durations.
 
     Args:
+        query: the ends and limits; its duration is not used.
         shortest, longest: bounds of the duration [s].
         price: J per second of motion.
+        free: control points of the answer.
         looks: durations compared, geometrically spaced, before the best is refined.
+
+    Returns:
+        The best motion, and its duration [s] and cost [J].
+
+    Raises:
+        ParameterError: bad bounds, price or looks.
+        NoPlan: no motion respects the limits within the bounds.
     """
     if not 0 < shortest < longest < math.inf:
         raise ParameterError(f"need 0 < shortest < longest [s], got {shortest} and {longest}")
@@ -124,7 +156,16 @@ def refine_duration(
 
 
 def detours(problem: MotionProblem, count: int, seed: int) -> list[Array]:
-    """Straight lines with random half and full sine waves on every joint."""
+    """Straight lines with random half and full sine waves on every joint.
+
+    Args:
+        problem: the query's motions.
+        count: how many.
+        seed: of the waves.
+
+    Returns:
+        `count` decisions (free n,) [rad].
+    """
     rng = np.random.default_rng(seed)
     low, high = problem.bounds
     n = problem.n

@@ -1,4 +1,4 @@
-"""What a page shows of simulated paths: energy traces, coupling maps, the moving structure."""
+"""Simulated paths as page data: energy traces, coupling maps, the moving structure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ves_gym.system.energy import base_energy
 
 
 class PlayedPlan(NamedTuple):
-    """A plan, and which run of a recording is its own."""
+    """A plan, and which run of a recording plays it."""
 
     plan: Plan
     run: Recording
@@ -37,6 +37,13 @@ def trace(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
 
     Mode emulated: also strain energy and distance of the base from rest, and all of them
     in space (`ideal`); a stopped run ends with its stop.
+
+    Args:
+        vehicle: its name.
+        runs: answers to the same query.
+
+    Returns:
+        Plain data: series of t [s] and E [J].
     """
     query = runs[0].plan.query
     series: list[dict[str, Any]] = []
@@ -69,7 +76,15 @@ def _curves(run: Recording, k: int, detailed: bool) -> dict[str, list[float]]:
 
 
 def coupling_maps(vehicle: str, plans: list[Plan]) -> list[dict[str, Any]]:
-    """Three cross-sections through the start of a query, with every path drawn on them."""
+    """Map three cross-sections through the start of a query, with every path drawn on them.
+
+    Args:
+        vehicle: its name.
+        plans: answers to the same query.
+
+    Returns:
+        Three maps as `map_data` makes them.
+    """
     query = plans[0].query
     out = []
     for i, j in ((0, 1), (0, 2), (1, 2)):
@@ -79,7 +94,16 @@ def coupling_maps(vehicle: str, plans: list[Plan]) -> list[dict[str, Any]]:
 
 
 def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str, Any]:
-    """A coupling map as plain data, in degrees."""
+    """Turn a coupling map into plain data, in degrees.
+
+    Args:
+        vehicle: its name.
+        section: the map.
+        plans: whose paths are drawn on it.
+
+    Returns:
+        Axes, coupling [J/rad^2], lines and paths [deg].
+    """
     i, j = section.joints
     others = ", ".join(
         f"q{k + 1} = {np.rad2deg(value) + 0.0:.0f}°"
@@ -109,7 +133,15 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
 
 
 def scene(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
-    """The arm on the swaying base, frame by frame, for every planner's answer."""
+    """The arm on the swaying base, frame by frame, for every planner's answer.
+
+    Args:
+        vehicle: its name.
+        runs: answers to the same query.
+
+    Returns:
+        Plain data: points of arm and beam [m], base pose [m, rad], E [J].
+    """
     query = runs[0].plan.query
     rest_beam = beam_line(query.system.vehicle, np.zeros((1, 6)))
     data: dict[str, Any] = {

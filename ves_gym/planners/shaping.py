@@ -31,7 +31,15 @@ class SmoothJerk:
     summary = "straight joint line, seventh-order law: no jerk at the ends"
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Deterministic: the seed is not used."""
+        """Pass the straight line by the septic law; deterministic.
+
+        Args:
+            query: the ends and the duration.
+            seed: not used.
+
+        Returns:
+            The motion.
+        """
         return _along(query, septic(np.linspace(0, 1, _SAMPLES))), {}
 
 
@@ -52,10 +60,17 @@ class Shaped:
         self.summary = f"straight joint line, quintic law, {kind.upper()} input shaping"
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Shapes for modes, that of most energy after the straight line first.
+        """Shape for modes, that of most energy after the straight line first; deterministic.
 
         For those only that there is time for, inside the query's limits, and that leave less
-        energy in all: a shorter law excites the others more. Deterministic.
+        energy in all: a shorter law excites the others more.
+
+        Args:
+            query: the ends, the duration and limits.
+            seed: not used.
+
+        Returns:
+            The motion, and the frequencies it is shaped for [Hz].
         """
         chosen: list[BaseMode] = []
         motion, times, sizes = query.straight, np.zeros(1), np.ones(1)
@@ -93,7 +108,15 @@ class Shaper(NamedTuple):
 
 
 def shaper(kind: str, mode: BaseMode) -> Shaper:
-    """Singer and Seering's impulses for one mode."""
+    """Singer and Seering's impulses for one mode.
+
+    Args:
+        kind: zv or zvd.
+        mode: its frequency [rad/s] and damping ratio.
+
+    Returns:
+        Times [s] and sizes of the impulses.
+    """
     damping = min(mode.damping, 0.9)
     root = np.sqrt(1 - damping**2)
     half = np.pi / (mode.frequency * root)
@@ -103,7 +126,15 @@ def shaper(kind: str, mode: BaseMode) -> Shaper:
 
 
 def shaped_motion(query: Query, shape: Shaper) -> Motion:
-    """The straight line by a quintic of what time the impulses leave, shaped."""
+    """The straight line by a quintic of what time the impulses leave, shaped.
+
+    Args:
+        query: the ends and the duration.
+        shape: impulses that end before the query's duration.
+
+    Returns:
+        The motion.
+    """
     t = np.linspace(0, query.duration, _SAMPLES)
     length = query.duration - shape.times.max()
     parts = quintic((t[:, None] - shape.times) / length)
@@ -111,7 +142,15 @@ def shaped_motion(query: Query, shape: Shaper) -> Motion:
 
 
 def excited_modes(system: System, motion: Motion) -> list[BaseMode]:
-    """Modes of the base at the middle of a motion, those it excites most first."""
+    """Modes of the base at the middle of a motion, those it excites most first.
+
+    Args:
+        system: arm and vehicle.
+        motion: of the joints.
+
+    Returns:
+        Modes of frequency > 0, with the energy the motion leaves in each [J].
+    """
     at = motion.at(motion.duration / 2).q
     frozen, base = modes(system, at), system.base
     t = np.linspace(0, motion.duration, _SAMPLES)

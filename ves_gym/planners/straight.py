@@ -15,4 +15,13 @@ class Straight:
     summary = "straight joint line, quintic time law"
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
+        """Return the straight quintic; deterministic.
+
+        Args:
+            query: the ends and the duration.
+            seed: not used.
+
+        Returns:
+            The motion.
+        """
         return query.straight, {}

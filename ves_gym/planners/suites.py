@@ -54,13 +54,20 @@ def get_suite(
     quick: bool = False,
     obstacles: str = "off",
 ) -> Suite:
-    """A suite by name.
+    """Return a suite by name.
 
     Args:
+        name: one of `SUITES`.
         system: everything but the vehicle (mode, drive, steps).
         vehicle: name or file; default the suite's own.
         quick: ten queries per duration instead of a hundred (reach100).
         obstacles: off, on, or both, the second time among `REACH_OBSTACLES` (reach100).
+
+    Returns:
+        The suite's queries and planners.
+
+    Raises:
+        ParameterError: an unknown name, or an option that the suite does not have.
     """
     if obstacles not in OBSTACLES:
         raise ParameterError(
@@ -89,7 +96,7 @@ def uncompensated(system: System) -> System:
 
 
 def is_compensated(system: System) -> bool:
-    """Whether the arm does not weigh on the vehicle: in space, or by subtraction (eq. 2.1)."""
+    """True if the arm does not weigh on the vehicle: in space, or by subtraction (eq. 2.1)."""
     return system.mode == "ideal" or system.emulator_settings.operation == "microgravity"
 
 
@@ -104,9 +111,23 @@ def reach100(
 ) -> Suite:
     """`count` seeded start and goal pairs per duration, uniform in the joint box.
 
-    Kept when the straight quintic respects the speed limits. The first k of a larger
-    count are those of a smaller one. Among obstacles the ends are the same; some of them
-    are then inside one, which a planner has to say.
+    A pair is drawn again until the straight quintic respects the speed limits. The first k of
+    a larger count are those of a smaller one. Among obstacles the ends are the same; some of
+    them are then inside one, which a planner has to say.
+
+    Args:
+        system: everything but the vehicle; a three-joint arm.
+        vehicle: name or file.
+        count: pairs per duration.
+        obstacles: off, on or both.
+        seed: of the question set.
+        durations: of the motions [s].
+
+    Returns:
+        The suite.
+
+    Raises:
+        ParameterError: an arm of another number of joints, or an unknown vehicle.
     """
     mounted = system.replace(vehicle=get_vehicle(vehicle))
     if mounted.arm.n != len(REACH_RANGE):
@@ -156,6 +177,16 @@ def thesis(system: System, vehicle: str | None) -> Suite:
     horizontal straight beam and the bent beam. Good and bad: two paths between the same
     ends on the bent beam (4.2; the thesis prints no joint angles, these are ours). In the
     laboratory the good path is also played without gravity compensation (Figure 4-3).
+
+    Args:
+        system: everything but the vehicle.
+        vehicle: only the queries on this one; None: all.
+
+    Returns:
+        The suite.
+
+    Raises:
+        ParameterError: a vehicle that the suite does not have.
     """
     shoulder = (np.deg2rad([-90.0, 0, 0]), np.deg2rad([90.0, 0, 0]), 2.0, "shoulder-180")
     ends = np.deg2rad([0.0, -45, 90]), np.deg2rad([90.0, 45, -45])

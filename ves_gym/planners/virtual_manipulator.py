@@ -34,10 +34,20 @@ CARTESIAN = Bounds(K=(1.0, 1e7), B=(0.1, 1e6))  # N/m, N s/m
 
 
 def virtual_links(arm: Arm, to: str = "base") -> Array:
-    """(n + 1, 3) virtual link vectors [m], from the centre of mass to `base` or `tool`.
+    """Virtual link vectors from the centre of mass to the base or the tool.
 
     Row j turns with link j (row 0 with the base): in its DH frame, as thesis B.5 and B.6
     print them. Row 0 ends in the platform-top origin, theirs in the base link's centre.
+
+    Args:
+        arm: n links.
+        to: base or tool.
+
+    Returns:
+        (n + 1, 3) [m].
+
+    Raises:
+        ParameterError: another end.
     """
     if to not in ("base", "tool"):
         raise ParameterError(f"to must be base or tool, got {to!r}")
@@ -58,16 +68,32 @@ def virtual_links(arm: Arm, to: str = "base") -> Array:
 
 
 def virtual_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
-    """(..., 3, n) J_vm: velocity of the base seen from the centre of mass per joint rate [m].
+    """J_vm: velocity of the base seen from the centre of mass, per joint rate.
 
     By the momentum H_bm of the joints: what the arm pushes one way, its base goes the other.
+
+    Args:
+        arm: n joints.
+        q: (..., n) configurations [rad].
+
+    Returns:
+        (..., 3, n) [m].
     """
     jacobian: Array = -inertia(arm, q)[..., :3, 6:] / arm.mass
     return jacobian
 
 
 def joint_gains(arm: Arm, q: npt.ArrayLike, cartesian: GainMatrices) -> GainMatrices:
-    """Thesis eq. 4.1 and 4.2: K_vm = J_vm^T K_d J_vm, B_vm = J_vm^T B_d J_vm."""
+    """Thesis eq. 4.1 and 4.2: K_vm = J_vm^T K_d J_vm, B_vm = J_vm^T B_d J_vm.
+
+    Args:
+        arm: n joints.
+        q: (n,) configuration [rad].
+        cartesian: K_d [N/m] and B_d [N s/m], (3, 3) each.
+
+    Returns:
+        K [N m/rad] and B [N m s/rad], (n, n) each.
+    """
     J = virtual_jacobian(arm, q)
     return GainMatrices(J.T @ cartesian.K @ J, J.T @ cartesian.B @ J)
 
@@ -77,6 +103,16 @@ def two_masses(system: System, q: npt.ArrayLike) -> LinearPlant:
 
     z = (Y, c), c the displacement of the arm's centre of mass [m]; the gains act on c less
     what the base carries it along.
+
+    Args:
+        system: arm and vehicle, on motor drives.
+        q: (n,) configuration [rad].
+
+    Returns:
+        The linear model, of nine coordinates and three gains.
+
+    Raises:
+        ParameterError: as `plant_at`.
     """
     arm, base = system.arm, system.base
     model = plant_at(system, q)  # refuses what has no stiffness, or no motors
@@ -125,8 +161,20 @@ def tune_virtual(
 ) -> VirtualGains:
     """Tune the two masses and turn K_d, B_d into joint gains; judge them with `analyse`.
 
-    Args as in `pped.tune`; `full` is of K_d and B_d. J_vm has rank 3 at most, so the least
-    gains of `bounds` are added: no joint is left free. The largest are not enforced.
+    J_vm has rank 3 at most, so the least gains of `bounds` are added: no joint is left free.
+    The largest are not enforced.
+
+    Args:
+        system: arm and vehicle, on motor drives.
+        q: (n,) configuration [rad].
+        objective: one of `pped.OBJECTIVES`.
+        y: (6,) initial displacement of "strain" [m, rad].
+        full: symmetric K_d and B_d instead of diagonal ones.
+        bounds: of the joint gains [N m/rad, N m s/rad].
+        seed: of the random starts.
+
+    Returns:
+        Joint gains, Cartesian gains, and the search on the two masses.
     """
     search = tune(two_masses(system, q), objective, y=y, full=full, bounds=CARTESIAN, seed=seed)
     joint = joint_gains(system.arm, q, search.gains)

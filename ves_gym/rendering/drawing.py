@@ -149,7 +149,12 @@ class Drawing:
     # ------------------------------------------------------------------ frames
 
     def pose(self, y: Array, q: Array) -> None:
-        """Put the structure there."""
+        """Put the structure there.
+
+        Args:
+            y: (6,) base pose [m, rad].
+            q: (n,) joint angles [rad].
+        """
         self.data.qpos[TO_Y] = y
         self.data.qpos[6:] = q
         mujoco.mj_kinematics(self.model, self.data)
@@ -171,12 +176,26 @@ class Drawing:
         return np.stack([np.broadcast_to(self.feet, head.shape), head], axis=-2)
 
     def arm(self, y: Array, q: Array) -> Array:
-        """Joints and tool (..., n + 1, 3) [m] in space."""
+        """Joints and tool in space.
+
+        Args:
+            y: (..., 6) base poses [m, rad].
+            q: (..., n) joint angles [rad].
+
+        Returns:
+            (..., n + 1, 3) [m].
+        """
         turned = joint_positions(self.system.arm, q) @ np.swapaxes(rotation(y), -1, -2)
         return np.asarray(turned + y[..., None, :3], dtype=np.float64)
 
     def add_support(self, scene: Any, y: Array, extent: float) -> None:
-        """Add what carries the arm and is no rigid body: the bent beam, or the legs."""
+        """Add what carries the arm and is no rigid body: the bent beam, or the legs.
+
+        Args:
+            scene: MuJoCo's, of this frame.
+            y: (6,) base pose [m, rad].
+            extent: size of what the camera sees [m].
+        """
         legs, centreline = self.legs(y), self.beam(y)
         if legs is not None:
             for foot, head in legs:
@@ -191,7 +210,13 @@ class Drawing:
                 connect(scene, "CAPSULE", a, b, radius, _BEAM)
 
     def add_path(self, scene: Any, poses: Array, extent: float) -> None:
-        """Add the path of a point on the plate's rim; past: (N, 6) base poses."""
+        """Add the path of a point on the plate's rim.
+
+        Args:
+            scene: MuJoCo's, of this frame.
+            poses: (N, 6) base poses up to now [m, rad].
+            extent: size of what the camera sees [m].
+        """
         stride = max(1, (len(poses) - 1) // 60)
         poses = poses[::-stride][::-1]  # ends at the last
         points = poses[:, :3] + rotation(poses) @ self._rim
@@ -202,9 +227,16 @@ class Drawing:
     def add_wrench(
         self, scene: Any, y: Array, w: Array, most: tuple[float, float], longest: float = ARROW
     ) -> None:
-        """Add force and moment on the base; `most`: [N], [N m] as long as `longest` [m].
+        """Add force and moment on the base.
 
         They begin on the plate's rim: at its centre the arm would hide them.
+
+        Args:
+            scene: MuJoCo's, of this frame.
+            y: (6,) base pose [m, rad].
+            w: (6,) wrench [N, N m].
+            most: [N], [N m] drawn as long as `longest`.
+            longest: length of an arrow [m].
         """
         turn = rotation(y)
         origin = y[:3] + turn @ self._rim
@@ -216,7 +248,17 @@ class Drawing:
     def camera(
         self, points: Array, margin: float, azimuth: float, elevation: float, aspect: float
     ) -> Any:
-        """A camera that frames all the points, seen in a given direction [deg]."""
+        """Return a camera that frames all the points, seen in a given direction.
+
+        Args:
+            points: (N, 3) [m].
+            margin: around them [m].
+            azimuth, elevation: of the direction [deg].
+            aspect: width over height of the picture.
+
+        Returns:
+            MuJoCo's camera.
+        """
         az, el = math.radians(azimuth), math.radians(elevation)
         ahead = np.array(
             [math.cos(az) * math.cos(el), math.sin(az) * math.cos(el), math.sin(el)]
@@ -252,7 +294,15 @@ class Drawing:
         return out
 
     def framing(self, arm: Array, y: Array) -> tuple[Array, float]:
-        """Points (m, 3) of arm and vehicle together, and the room they need around them."""
+        """Points of arm and vehicle together, and the room they need around them.
+
+        Args:
+            arm: (N, 3) points of the arm [m].
+            y: (K, 6) base poses [m, rad].
+
+        Returns:
+            (m, 3) points [m], and the margin [m].
+        """
         body, margin = self.system.base.body, 0.6
         legs, centreline = self.legs(y), self.beam(y)
         if legs is not None:
@@ -287,7 +337,15 @@ def _box(body: Any, at: Any, half: Array, axes: Array, rgba: Any) -> None:
 
 
 def connect(scene: Any, kind: str, a: Array, b: Array, radius: float, rgba: Any) -> None:
-    """Add a shape from a to b to this frame of the scene; none where they coincide."""
+    """Add a shape from a to b to this frame of the scene; none where they coincide.
+
+    Args:
+        scene: MuJoCo's, of this frame.
+        kind: name of MuJoCo's geom type, like CAPSULE.
+        a, b: (3,) [m].
+        radius: [m].
+        rgba: colour, each from 0 to 1.
+    """
     if np.linalg.norm(b - a) < 1e-9:
         return
     geom, shape = scene.geoms[scene.ngeom], getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
@@ -298,7 +356,14 @@ def connect(scene: Any, kind: str, a: Array, b: Array, radius: float, rgba: Any)
 
 
 def ball(scene: Any, at: Array, radius: float, rgba: Any) -> None:
-    """Add a sphere to this frame of the scene."""
+    """Add a sphere to this frame of the scene.
+
+    Args:
+        scene: MuJoCo's, of this frame.
+        at: (3,) centre [m].
+        radius: [m].
+        rgba: colour, each from 0 to 1.
+    """
     geom, colour = scene.geoms[scene.ngeom], np.array(rgba, np.float32)
     shape, size = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius)
     mujoco.mjv_initGeom(geom, shape, size, at, np.eye(3).ravel(), colour)

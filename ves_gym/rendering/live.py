@@ -27,7 +27,7 @@ Key = tuple[str, bool]  # its name, and whether it went down
 
 @dataclass(frozen=True, kw_only=True)
 class LiveSettings:
-    """What a live picture shows."""
+    """System, size and energy strip of a live picture."""
 
     system: System
     window: bool = False

@@ -23,7 +23,7 @@ class RenderError(ValueError):
 
 
 class Probe(NamedTuple):
-    """Whether an OpenGL backend draws on this machine, or why not."""
+    """The outcome of drawing with one OpenGL backend: it works, or the reason why not."""
 
     backend: str
     works: bool
@@ -48,7 +48,7 @@ with mujoco.Renderer(model, 32, 32) as renderer:
 
 
 def has_display() -> bool:
-    """Whether a window can be expected to open."""
+    """True if a window can be expected to open."""
     if platform.system() != "Linux":
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -85,7 +85,15 @@ def candidates() -> tuple[str, ...]:
 
 @cache
 def probe(backend: str, timeout: float = _PATIENCE) -> Probe:
-    """Try to draw with a backend, in a child process that may hang or crash."""
+    """Try to draw with a backend, in a child process that may hang or crash.
+
+    Args:
+        backend: a value of MUJOCO_GL.
+        timeout: after which it counts as hung [s].
+
+    Returns:
+        The outcome; the same one again without another try.
+    """
     try:
         done = subprocess.run(
             [sys.executable, "-c", _TRY],
@@ -118,7 +126,7 @@ def choose_backend() -> str:
 
 
 def install_hint() -> str:
-    """What to do where no backend draws."""
+    """Advice for a machine on which no backend draws."""
     setting = os.environ.get("MUJOCO_GL")
     state = "is not set" if setting is None else f"is {setting!r}"
     packages = ", or ".join(packages for _, packages in _LIBRARIES.values())
@@ -126,7 +134,15 @@ def install_hint() -> str:
 
 
 def exit_reason(status: int, stderr: str) -> str:
-    """Why a process ended, from its exit status and what it wrote."""
+    """Explain why a process ended.
+
+    Args:
+        status: exit status, negative for a signal.
+        stderr: what it wrote there.
+
+    Returns:
+        The reason in words.
+    """
     lines = [text.strip() for text in stderr.splitlines() if text.strip()]
     if status < 0:
         return f"it crashes (signal {-status})"

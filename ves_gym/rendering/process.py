@@ -55,7 +55,7 @@ class Drawer:
             self.process.stdin.flush()
 
     def ready(self) -> bool:
-        """Whether `get` would not wait."""
+        """True if `get` would not wait."""
         return not self.pieces.empty()
 
     def get(self, patience: float | None) -> Any:

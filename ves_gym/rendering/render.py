@@ -36,7 +36,7 @@ FORMATS = {  # suffix -> (module, package) of what writes it
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """How a run is shown."""
+    """Size, rate and magnification of a drawn run."""
 
     width: int = unit("px", default=960)
     height: int = unit("px", default=480)
@@ -62,6 +62,12 @@ def render(
 ) -> dict[str, Any]:
     """Draw a run log into a .gif or .mp4 file, written completely or not at all.
 
+    Args:
+        log: with a system in its metadata.
+        path: its suffix chooses the format.
+        view: size [px], frame rate [1/s] and magnification.
+        progress: called with the fraction done.
+
     Returns:
         `frames` (how many) and `backend` (the OpenGL that drew them).
 
@@ -82,6 +88,10 @@ def render(
 
 def show(log: RunLog, view: View | None = None) -> None:
     """Replay a run log in a window until it is closed.
+
+    Args:
+        log: with a system in its metadata.
+        view: frame rate [1/s] and magnification.
 
     Raises:
         RenderError: no display, or its OpenGL does not work.
@@ -115,7 +125,7 @@ def _require_format(path: Path, view: View) -> None:
 
 
 def _clip(log: RunLog, view: View) -> dict[str, Any]:
-    """What each frame shows, from a log: plain arrays, the base's motion magnified."""
+    """Arrays of every frame from a log, the base's motion magnified."""
     if "system" not in log.meta:
         raise ParameterError("the log does not say what to draw: its metadata has no 'system'")
     system = System.from_dict(log.meta["system"], "log metadata: system")

@@ -40,7 +40,7 @@ _FONT = mujoco.mjtFont.mjFONT_NORMAL
 
 
 class Stage:
-    """Draws what it is told into the present OpenGL context."""
+    """Draws the samples it is sent into the present OpenGL context."""
 
     def __init__(self, settings: LiveSettings) -> None:
         self.settings = settings
@@ -78,7 +78,11 @@ class Stage:
     # ----------------------------------------------------------------- picture
 
     def paint(self, width: int, height: int) -> None:
-        """Draw the latest sample into the bound framebuffer."""
+        """Draw the latest sample into the bound framebuffer.
+
+        Args:
+            width, height: of the framebuffer [px].
+        """
         strip, main = round(_STRIP * height), round(MAIN * width)
         band = self.settings.lines * self._text_height
         floor = strip + band

@@ -24,10 +24,17 @@ _RESPONSE_TIME = 10.0  # s, of the responses
 
 
 def pole_figure(sets: Sequence[tuple[str, Complexes]], locked: Complexes) -> Figure:
-    """Poles of arm and base, a panel per set of gains; rings: the base, joints locked.
+    """Draw poles of arm and base, a panel per set of gains; rings: the base, joints locked.
 
     The upper half of the s-plane (the lower one mirrors it). The real axis is linear up to
     1/s and logarithmic beyond: joints may have poles far from those of the base.
+
+    Args:
+        sets: name and poles [1/s] of each set.
+        locked: poles with the joints locked [1/s].
+
+    Returns:
+        The figure.
     """
     figure, panels = _panels(len(sets), 4.2, 3.8)
     every = np.concatenate([locked, *(poles for _, poles in sets)])
@@ -55,7 +62,16 @@ def pole_figure(sets: Sequence[tuple[str, Complexes]], locked: Complexes) -> Fig
 def response_figure(
     names: Sequence[str], linear: FreeVibration, simulated: FreeVibration | None = None
 ) -> Figure:
-    """Translation, strain energy and its integral after the release, by both models."""
+    """Draw translation, strain energy and its integral after the release, by both models.
+
+    Args:
+        names: of the m sets of gains.
+        linear: responses of the linear model.
+        simulated: responses of the simulator, if there are any.
+
+    Returns:
+        The figure: [mm], [J] and [J s] over [s].
+    """
     figure, panels = _panels(3, 8.4, 2.9, columns=1)
     labels = ("translation [mm]", "strain energy [J]", "its integral [J s]")
     end = min(_RESPONSE_TIME, linear.t[-1])
@@ -77,7 +93,7 @@ def response_figure(
 
 
 def map_figure(maps: Sequence[DampingMap]) -> Figure:
-    """A column per cross-section: raw coupling, what it promises mode by mode, what is so.
+    """Draw a column per cross-section: raw coupling, its promise mode by mode, the tuned gains.
 
     The star is the configuration that the sections go through.
     """

@@ -113,8 +113,15 @@ def render_page(result: Result) -> str:
 
 
 def where_figure(where: Sequence[Result], better: bool = True) -> Figure:
-    """Mean square of the residual, channels by ranges of frequency; `better`: there is an
-    after."""
+    """Draw the mean square of the residual, channels by ranges of frequency.
+
+    Args:
+        where: port, channel, range [Hz] and mean square over noise [1] of each cell.
+        better: there is an after.
+
+    Returns:
+        The figure.
+    """
     from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
     channels = list(dict.fromkeys((g["port"], g["channel"]) for g in where))
@@ -159,7 +166,15 @@ def where_figure(where: Sequence[Result], better: bool = True) -> Figure:
 
 
 def when_figure(when: Sequence[Result], better: bool) -> Figure:
-    """Mean square of the residual over the time elapsed, the channels that show most."""
+    """Draw the mean square of the residual over the time elapsed, the channels that show most.
+
+    Args:
+        when: port, channel, run, step [s] and mean squares over noise [1] of each course.
+        better: there is an after.
+
+    Returns:
+        The figure.
+    """
     from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
     loudest: dict[tuple[str, str], float] = {}
@@ -202,7 +217,7 @@ def when_figure(when: Sequence[Result], better: bool) -> Figure:
 
 
 def likeness_figure(likeness: Result) -> Figure:
-    """How well the candidate of a column imitates that of a row."""
+    """Draw the likeness of candidates: of a column's imitation to a row's signature."""
     names, matrix = likeness["names"], np.array(likeness["matrix"])
     n = len(names)
     figure, (axes,) = _panels(1, 3.4 + 0.48 * n, 0.6 + 0.38 * n)
@@ -219,7 +234,15 @@ def likeness_figure(likeness: Result) -> Figure:
 
 
 def overlay_figure(overlays: Sequence[Result], better: bool) -> Figure:
-    """Residuals over time and their spectra in units of noise; `better`: there is an after."""
+    """Draw residuals over time and their spectra in units of noise.
+
+    Args:
+        overlays: channel, t [s], residuals before and after, f [Hz] and spectra of each.
+        better: there is an after.
+
+    Returns:
+        The figure, two panels per overlay.
+    """
     from matplotlib.ticker import LogLocator
 
     figure, panels = _panels(2 * len(overlays), 6.0, 2.9, columns=2)
@@ -339,7 +362,7 @@ def _missing(result: Result) -> str:
 
 
 def _next_experiments(result: Result) -> list[str]:
-    """What to measure to tell rivals apart."""
+    """Sentences that say which measurements tell rivals apart."""
     return [e["sentence"] for e in result["experiments"]] if result["effects"] else []
 
 
@@ -486,7 +509,7 @@ def _gaps(result: Result) -> str:
 
 
 def _worse_channels(result: Result) -> str:
-    """Whether what is added does harm elsewhere."""
+    """The harm that the added effects do elsewhere, in a sentence."""
     if not result["effects"]:
         return "Nothing is added to the description."
     if not result["worse"]:
@@ -574,7 +597,7 @@ def _signature(result: Result) -> str:
 
 
 def _has_name(result: Result) -> bool:
-    """Whether the effects in the answer are meant as names of what is missing."""
+    """True if the effects in the answer are meant as names of what is missing."""
     return bool(result["verdict"] != "not in the library")
 
 

@@ -61,7 +61,15 @@ def write_figures(result: Result, directory: str | os.PathLike[str]) -> list[Pat
 
 
 def write_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as .png or .svg, completely or not at all; same figure, same bytes."""
+    """Write a figure as .png or .svg, completely or not at all; same figure, same bytes.
+
+    Args:
+        figure: of matplotlib.
+        path: its suffix chooses the format.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
     import matplotlib
 
     buffer = io.BytesIO()
@@ -115,9 +123,16 @@ CURVES = {  # key of a series -> axis label, factor from SI
 
 
 def time_figure(result: Result, key: str) -> Figure:
-    """A quantity of `CURVES` against time, a panel per query; shaded while the arm moves.
+    """Draw a quantity against time, a panel per query; shaded while the arm moves.
 
     Mode emulated: dashed and darker the same motion in space, a cross where a run stopped.
+
+    Args:
+        result: of a benchmark, with traces.
+        key: of `CURVES`.
+
+    Returns:
+        The figure.
     """
     names, (label, factor) = _planners(result), CURVES[key]
     emulated = result.get("mode") == "emulated"
@@ -152,9 +167,16 @@ def time_figure(result: Result, key: str) -> Figure:
 
 
 def coupling_figure(maps: Sequence[Result], planners: Sequence[str]) -> Figure:
-    """Minimum-energy lines, darker where the base couples more, and the paths across them.
+    """Draw minimum-energy lines, darker where the base couples more, and the paths across them.
 
-    `maps` as `planners.scenes.map_data` gives them: the picture of thesis figure 4-1.
+    The picture of thesis figure 4-1.
+
+    Args:
+        maps: as `planners.scenes.map_data` gives them.
+        planners: names in the order of their colours.
+
+    Returns:
+        The figure, a panel per map.
     """
     figure, panels = _panels(len(maps), 4.6, 4.0)
     for axes, section in zip(panels, maps, strict=True):

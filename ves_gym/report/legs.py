@@ -59,7 +59,15 @@ def write_leg_figures(
 
 
 def bode_figure(servos: Mapping[str, LegServo], *, closed: bool) -> Figure:
-    """Magnitude and phase of one leg, the band of its transverse mode shaded."""
+    """Draw magnitude and phase of one leg, the band of its transverse mode shaded.
+
+    Args:
+        servos: by the name in the legend.
+        closed: the closed loop instead of the loop gain.
+
+    Returns:
+        The figure: [dB] and [deg] over [Hz].
+    """
     figure, (magnitude, phase) = _panels(2, 7.0, 3.0, columns=1)
     for (name, servo), style in zip(servos.items(), _styles(len(servos)), strict=True):
         f = np.geomspace(0.1, 0.49 * servo.rate, 4000)

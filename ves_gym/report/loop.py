@@ -28,7 +28,20 @@ _SPACE, _LAB = _COLOURS[3], _COLOURS[1]
 def write_loop_figures(
     folder: str | os.PathLike[str], system: System, q: Array, servo: JointServo | None
 ) -> list[Path]:
-    """Write loop_poles.png, loop_bode.png and loop_step.png of an emulated system at q."""
+    """Write loop_poles.png, loop_bode.png and loop_step.png of an emulated system at q.
+
+    Args:
+        folder: made if it does not exist.
+        system: mode emulated.
+        q: (n,) configuration [rad].
+        servo: that holds the joints, or None.
+
+    Returns:
+        The files.
+
+    Raises:
+        ParameterError: matplotlib is not installed.
+    """
     loop = linearise(system, q, servo=servo)
     space = in_space(system, q, servo=servo)
     figures = {
@@ -43,7 +56,16 @@ def write_loop_figures(
 
 
 def pole_figure(system: System, loop: Linearised, space: tuple[Array, Array, Array]) -> Figure:
-    """Poles of one control period in the z-plane, and near the real modes in the s-plane."""
+    """Draw poles of one control period in the z-plane, and of slow modes in the s-plane.
+
+    Args:
+        system: mode emulated.
+        loop: the linearised emulation loop.
+        space: M, D and K of the same structure in space.
+
+    Returns:
+        The figure.
+    """
     figure, (wide, near) = _panels(2, 6.0, 5.0, columns=2)
     z = np.linalg.eigvals(loop.A).astype(complex)
     ideal = poles_in_space(*space)
@@ -79,7 +101,15 @@ def pole_figure(system: System, loop: Linearised, space: tuple[Array, Array, Arr
 
 
 def bode_figure(loop: Linearised, space: tuple[Array, Array, Array]) -> Figure:
-    """Pose per wrench along each axis: in space and in the laboratory, gain and phase."""
+    """Draw pose per wrench along each axis: in space and in the laboratory, gain and phase.
+
+    Args:
+        loop: the linearised emulation loop.
+        space: M, D and K of the same structure in space.
+
+    Returns:
+        The figure: [m/N, rad/(N m)] and [deg] over [Hz].
+    """
     M, D, K = space
     f = np.geomspace(0.03, min(20.0, 0.45 / loop.dt), 500)
     w = 2j * np.pi * f[:, None, None]
@@ -106,7 +136,15 @@ def bode_figure(loop: Linearised, space: tuple[Array, Array, Array]) -> Figure:
 
 
 def step_figure(loop: Linearised, space: tuple[Array, Array, Array]) -> Figure:
-    """Pose after a wrench of 1 N or 1 N m sets in along each axis."""
+    """Draw the pose after a wrench of 1 N or 1 N m sets in along each axis.
+
+    Args:
+        loop: the linearised emulation loop.
+        space: M, D and K of the same structure in space.
+
+    Returns:
+        The figure: [mm, mrad] over [s].
+    """
     M, D, K = space
     n, periods = len(M), round(_STEP_TIME / loop.dt)
     t = np.arange(periods + 1) * loop.dt

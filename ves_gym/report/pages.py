@@ -1,4 +1,4 @@
-"""What the HTML pages have in common: one file each, with nothing to load beside it."""
+"""Parts common to the HTML pages: one file each, with nothing to load beside it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,15 @@ from ves_gym._util.params import ParameterError, to_plain
 
 
 def part(name: str, package: str = "ves_gym.report") -> str:
-    """The text of a template, style sheet or script; `page.css` and `dom.js` are for all."""
+    """Read a template, style sheet or script; `page.css` and `dom.js` are for all.
+
+    Args:
+        name: of the file.
+        package: that it lies in.
+
+    Returns:
+        Its text.
+    """
     return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
@@ -20,6 +28,16 @@ def assemble(template: str, parts: Mapping[str, str]) -> str:
     """Put parts in the places of a template that say {{name}}.
 
     In one pass: what looks like a place inside a part stays as it is.
+
+    Args:
+        template: text with places.
+        parts: text by name.
+
+    Returns:
+        The complete text.
+
+    Raises:
+        KeyError: a place without a part.
     """
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
 
