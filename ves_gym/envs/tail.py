@@ -11,6 +11,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.modes import sum_quadratic
 from ves_gym.mechanics.spatial import matvec
 from ves_gym.system.system import System
 
@@ -54,10 +55,7 @@ def tail_energy(
     total = strain.copy()
     total[:, size : size + 6, size : size + 6] = H[:, :6, :6] / 2
     whole = np.stack([total, strain])
-    sums = whole
-    for _ in range(_DOUBLINGS):
-        sums = sums + np.swapaxes(step, -1, -2) @ sums @ step
-        step = step @ step
+    sums, step = sum_quadratic(step, whole, _DOUBLINGS)
     end = matvec(step, x)
     out = []
     for W, P in zip(whole, sums, strict=True):

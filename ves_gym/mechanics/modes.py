@@ -1,4 +1,4 @@
-"""Modes of the base with the joints locked, and what a motion's time law excites of them."""
+"""Modes of the base with the joints locked, sums over their decay, and a quintic's spectrum."""
 
 from __future__ import annotations
 
@@ -31,6 +31,24 @@ def inertia_blocks(arm: Arm, mass: Array, q: npt.ArrayLike) -> InertiaBlocks:
     """
     H = inertia(arm, q)
     return InertiaBlocks(H[..., :6, :6] + mass, H[..., :6, 6:], H[..., 6:, 6:])
+
+
+def sum_quadratic(step: Array, W: Array, doublings: int) -> tuple[Array, Array]:
+    """Sum W over the states of x+ = A x by doubling: x_0^T P x_0 = sum x_k^T W x_k.
+
+    Args:
+        step: A (..., k, k).
+        W: (..., k, k), weight of a state.
+        doublings: 2 to this power states are summed, x_0 among them.
+
+    Returns:
+        P (..., k, k), and the power of A that leads past the last state.
+    """
+    P = W
+    for _ in range(doublings):
+        P = P + np.swapaxes(step, -1, -2) @ P @ step
+        step = step @ step
+    return P, step
 
 
 class Modes(NamedTuple):

@@ -20,6 +20,7 @@ import scipy.linalg
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.modes import sum_quadratic
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.spatial import matvec, quadratic
@@ -32,7 +33,7 @@ NODES = 96  # samples of a motion; energies converge to about 1e-3 (docs/physics
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predicted energies of a motion [J]; the measures of `core.energy`."""
+    """Predicted energies of a motion [J]; the measures of `system.energy`."""
 
     E_mean: float
     E_res: float
@@ -249,10 +250,9 @@ def _gramian(A: Array, C: Array, span: float, doublings: int = 24) -> Array:
     h = span / 2**doublings
     half = scipy.linalg.expm(A * h / 2)
     full = half @ half
-    S = h / 6 * (C + 4 * half.T @ C @ half + full.T @ C @ full)
-    for _ in range(doublings):
-        S = S + full.T @ S @ full
-        full = full @ full
+    S, _ = sum_quadratic(
+        full, h / 6 * (C + 4 * half.T @ C @ half + full.T @ C @ full), doublings
+    )
     out: Array = (S + S.T) / 2
     return out
 

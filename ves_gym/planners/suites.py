@@ -14,7 +14,7 @@ from ves_gym.planners.obstacles import Box, Sphere, Surroundings
 from ves_gym.planners.query import Query
 from ves_gym.system.system import System
 
-# A rule of the benchmark, not a claim about the machine (DESIGN): joint speeds [rad/s].
+# A rule of the benchmark, not a claim about the machine: joint speeds [rad/s].
 SPEED_LIMITS: Vector = tuple(np.deg2rad([82.0, 54.0, 122.0]).tolist())
 REACH_RANGE = np.deg2rad([120.0, 60.0, 120.0])  # +- of each joint
 REACH_DURATIONS = (0.5, 1.0, 2.0, 4.0)  # s

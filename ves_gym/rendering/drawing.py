@@ -1,7 +1,7 @@
 """A system as a picture: arm, beam or legs, base path and wrench as a MuJoCo scene.
 
 Runs in drawing processes only (`movie`, `stage`): it needs MuJoCo with its OpenGL, so MuJoCo
-is imported first and as it is, not by way of `core.engine`, which would do without.
+is imported first and as it is, not by way of `_util.mujoco_loader`, which would do without.
 """
 
 from __future__ import annotations

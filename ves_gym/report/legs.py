@@ -39,7 +39,7 @@ def write_leg_figures(
 
     Args:
         folder: made if it does not exist.
-        servos: by the name in the legend, e.g. `core.legs.LEG_SERVOS`.
+        servos: by the name in the legend, e.g. `hardware.leg_servo.LEG_SERVOS`.
 
     Raises:
         ParameterError: no servos, or matplotlib is not installed.
