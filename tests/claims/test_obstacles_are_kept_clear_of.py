@@ -14,7 +14,7 @@ import pytest
 from ves_gym.mechanics.dynamics import frames, joint_positions
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.planners.obstacles import RESOLUTION, Sphere, link_radius
-from ves_gym.planners.query import solve, spaced
+from ves_gym.planners.query import sample_path, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import REACH_OBSTACLES, get_suite
 from ves_gym.system.system import System
@@ -77,7 +77,7 @@ def check(found: list[dict]) -> None:
     assert len(solvable) >= 0.7 * len(found)
     assert np.mean([f["refined"].feasible for f in solvable]) >= 0.95
     gaps = [
-        least_gap(spaced(f[name].motion, RESOLUTION / 16))
+        least_gap(sample_path(f[name].motion, RESOLUTION / 16))
         for f in found
         for name in PLANNERS
         if f[name].feasible
@@ -104,6 +104,6 @@ def test_the_check_sees_a_collision():
     query = next(q for _, q in suite.queries if q.name == "reach-4s-000-obstacles")
     plan = solve(get_planner("straight"), query)
     assert "obstacle" in plan.failure
-    assert least_gap(spaced(plan.motion, RESOLUTION)) < 0
+    assert least_gap(sample_path(plan.motion, RESOLUTION)) < 0
     free = dataclasses.replace(query, surroundings=None)
     assert solve(get_planner("straight"), free).feasible

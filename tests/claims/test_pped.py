@@ -18,7 +18,7 @@ from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT
 from ves_gym.planners.coupling import coupling_matrix
-from ves_gym.planners.damping_map import best_configurations, promised_integral
+from ves_gym.planners.damping_map import best_configurations, estimated_integral
 from ves_gym.planners.free_vibration import simulate_free_vibration
 from ves_gym.planners.pped import (
     THESIS_DISPLACEMENT,
@@ -203,7 +203,7 @@ def sampled(beam: str, count: int) -> tuple[float, float]:
     left = [tune(plant, starts=4).value for plant in plants(system, q)]
     raw = np.trace(coupling_matrix(system, q), axis1=1, axis2=2)
     return (
-        float(spearmanr(promised_integral(system, q), left)[0]),
+        float(spearmanr(estimated_integral(system, q), left)[0]),
         float(spearmanr(-raw, left)[0]),
     )
 

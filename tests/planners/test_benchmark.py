@@ -477,7 +477,7 @@ def lab():
         name="lab",
         queries=(("beam", question),),
         planners=("bad-path",),
-        weighed=(("go", "bad-path"),),
+        uncompensated_runs=(("go", "bad-path"),),
     )
 
 
@@ -574,7 +574,9 @@ def test_leg_servos_bring_their_own_clock(lab):
         emulator=EmulatorSettings(platform=servo), control_dt=control_dt, physics_dt=physics_dt
     )
     suite = dataclasses.replace(
-        lab, queries=(("beam", dataclasses.replace(query, system=system)),), weighed=()
+        lab,
+        queries=(("beam", dataclasses.replace(query, system=system)),),
+        uncompensated_runs=(),
     )
     result = run_benchmark(suite, planners=["straight"], workers=1)
     assert result["machine"]["platform"] == "six legs, filtered servo"
@@ -605,7 +607,7 @@ def test_stopped_runs_have_a_reason_and_no_energy(lab):
 
 def test_a_benchmark_whose_every_run_is_stopped(lab):
     suite = with_effects(lab, GravityScale(error=0.1))
-    result = run_benchmark(dataclasses.replace(suite, weighed=()), workers=1)
+    result = run_benchmark(dataclasses.replace(suite, uncompensated_runs=()), workers=1)
     json.dumps(result, allow_nan=False)
     assert all(row["stopped"] and row["E_mean"] is None for row in result["rows"])
     for run in result["scenes"][0]["runs"]:

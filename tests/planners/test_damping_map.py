@@ -11,7 +11,7 @@ from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT
 from ves_gym.planners.coupling import coupling_matrix, modes
-from ves_gym.planners.damping_map import best_configurations, damping_map, promised_integral
+from ves_gym.planners.damping_map import best_configurations, damping_map, estimated_integral
 from ves_gym.planners.pped import GainMatrices, analyse, plant_at, tune
 from ves_gym.system.system import System
 
@@ -28,14 +28,14 @@ def test_the_promise_of_joints_that_give_nothing_is_the_base_alone():
         y = 1e-2 * shapes[:, i]
         integral = analyse(plant, GainMatrices.of(HIGH_GAINS), y).E_int
         # modal damping of the bare beam is not quite modal with the arm on it
-        assert promised_integral(system, Q, y) == pytest.approx(integral, rel=0.02)
+        assert estimated_integral(system, Q, y) == pytest.approx(integral, rel=0.02)
 
 
 def test_joints_that_can_take_over_a_mode_promise_less():
     links = tuple(dataclasses.replace(k, rotor_inertia=0.0) for k in PUMA_560.links)
     light = System(arm=dataclasses.replace(PUMA_560, links=links))
     q = np.random.default_rng(0).uniform(-1, 1, (4, 5, 3))
-    light_arm, heavy = promised_integral(light, q), promised_integral(System(), q)
+    light_arm, heavy = estimated_integral(light, q), estimated_integral(System(), q)
     assert light_arm.shape == (4, 5) and (light_arm < heavy).all()
 
 
@@ -50,7 +50,7 @@ def test_candidates_are_tuned_ranked_and_apart():
     for a, b in zip(ranked, repeated, strict=True):
         np.testing.assert_array_equal(a.q, b.q)
         PUMA_560.require_within_limits(a.q)
-        assert a.promised == pytest.approx(float(promised_integral(System(), a.q)))
+        assert a.estimated == pytest.approx(float(estimated_integral(System(), a.q)))
         judged = analyse(plant_at(System(), a.q), a.tuned.gains).E_int
         assert judged == pytest.approx(a.tuned.value, rel=1e-9)
     gaps = [np.abs(a.q - b.q).max() for a in ranked for b in ranked if a is not b]
@@ -60,12 +60,12 @@ def test_candidates_are_tuned_ranked_and_apart():
 def test_a_map_is_tuned_node_by_node():
     system = System()
     section = damping_map(system, (0, 2), Q, points=3)
-    assert section.tuned.shape == section.promised.shape == section.coupling.shape == (3, 3)
+    assert section.tuned.shape == section.estimated.shape == section.coupling.shape == (3, 3)
     assert section.axes[0] == pytest.approx(np.deg2rad([-160, 0, 160]))
     q = np.array([section.axes[0][1], 0.0, section.axes[1][2]])
     Q_here = coupling_matrix(system, q)
     assert section.coupling[1, 2] == pytest.approx(np.trace(Q_here))
-    assert section.promised[1, 2] == pytest.approx(float(promised_integral(system, q)))
+    assert section.estimated[1, 2] == pytest.approx(float(estimated_integral(system, q)))
     assert section.tuned[1, 2] == pytest.approx(tune(plant_at(system, q)).value, rel=0.03)
 
 
@@ -86,7 +86,7 @@ def test_other_arms_have_maps():
         (lambda: damping_map(System(), (1, 1), Q), "two different numbers in"),
         (lambda: damping_map(System(), (0, 1), Q, points=1), "points must be >= 2, got 1"),
         (lambda: damping_map(System(), (0, 1), [9.0, 0, 0]), "fixed: joint 1"),
-        (lambda: promised_integral(System(), Q, np.zeros(3)), r"y must have shape \(6,\)"),
+        (lambda: estimated_integral(System(), Q, np.zeros(3)), r"y must have shape \(6,\)"),
     ],
 )
 def test_wrong_maps_are_refused(call, message):

@@ -120,10 +120,12 @@ def test_the_thesis_suite():
 def test_in_the_laboratory_the_good_path_is_also_played_with_its_weight():
     """Not in space, and not on a machine that does not subtract the weight anyway."""
     system = System(mode="emulated")
-    assert get_suite("thesis", system=system).weighed == (("good-and-bad", "hotspot-q"),)
-    assert get_suite("thesis", system=System()).weighed == ()
-    assert get_suite("thesis", system=uncompensated(system)).weighed == ()
-    assert get_suite("reach100", system=system, quick=True).weighed == ()
+    assert get_suite("thesis", system=system).uncompensated_runs == (
+        ("good-and-bad", "hotspot-q"),
+    )
+    assert get_suite("thesis", system=System()).uncompensated_runs == ()
+    assert get_suite("thesis", system=uncompensated(system)).uncompensated_runs == ()
+    assert get_suite("reach100", system=system, quick=True).uncompensated_runs == ()
 
 
 def test_uncompensated_is_the_same_machine_with_the_weight_left_in():

@@ -138,7 +138,7 @@ def run(args: argparse.Namespace) -> int:
             **best.damping.to_dict(),
             "gains": [_row_result(r, k, simulated) for k, r in enumerate(rows)],
             "configurations": [
-                {"q": c.q.tolist(), "promised": c.promised, "E_int": c.tuned.value}
+                {"q": c.q.tolist(), "promised": c.estimated, "E_int": c.tuned.value}
                 for c in found
             ],
             "map": [_map_result(m) for m in maps],
@@ -263,7 +263,7 @@ def _map_result(section: DampingMap) -> dict[str, Any]:
         "fixed": section.fixed.tolist(),
         "q": [axis.tolist() for axis in section.axes],
         "coupling": section.coupling.tolist(),
-        "promised": section.promised.tolist(),
+        "promised": section.estimated.tolist(),
         "E_int": section.tuned.tolist(),
     }
 

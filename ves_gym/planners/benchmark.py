@@ -82,7 +82,7 @@ def run_benchmark(
         questions, _plan_all(jobs, seed, workers, report), strict=True
     ):
         runs.append(_Run(name, vehicle, plan, query.system))
-        if (query.name, name) in suite.weighed:
+        if (query.name, name) in suite.uncompensated_runs:
             runs.append(_Run(name + _UNCOMPENSATED, vehicle, plan, uncompensated(query.system)))
     rows, groups = _simulate_all(runs, seed, report)
     add_scores(rows, {v: q.system.ideal().hash for v, q in suite.queries}, BASELINE)

@@ -21,10 +21,10 @@ _STARTS = 3  # random starts at each configuration
 _APART = 0.5  # rad in at least one joint, between candidates
 
 
-def promised_integral(
+def estimated_integral(
     system: System, q: npt.ArrayLike, y: npt.ArrayLike = THESIS_DISPLACEMENT
 ) -> Array:
-    """Strain-energy integral that the coupling promises; no search.
+    """Estimate the strain-energy integral from the coupling; no search.
 
     Each base mode by itself: released with strain energy E_i, with damping ratio z_i it
     leaves E_i (1/z_i + 4 z_i) / (4 omega_i). z_i is the base's own and sqrt(k_i) / 2, what
@@ -58,7 +58,7 @@ class Configuration:
     """A configuration of the arm and what its best gains leave in the base."""
 
     q: Array  # (n,) rad
-    promised: float  # by the coupling [J s]
+    estimated: float  # by the coupling [J s]
     tuned: Tuned  # its value is the strain-energy integral [J s]
 
 
@@ -98,16 +98,16 @@ def best_configurations(
         raise ParameterError(f"need 1 <= candidates <= samples, got {candidates} and {samples}")
     arm, rng = system.arm, np.random.default_rng(seed)
     angles = rng.uniform(arm.column("q_min"), arm.column("q_max"), (samples, arm.n))
-    promised = promised_integral(system, angles, y)
+    estimated = estimated_integral(system, angles, y)
     chosen: list[int] = []
-    for i in np.argsort(promised, kind="stable").tolist():
+    for i in np.argsort(estimated, kind="stable").tolist():
         if len(chosen) < candidates and _is_apart(angles[i], angles[chosen]):
             chosen.append(i)
     configurations: list[Configuration] = []
     for i, plant in zip(chosen, plants(system, angles[chosen]), strict=True):
         tuned = tune(plant, y=y, full=full, bounds=bounds, starts=_STARTS, seed=seed)
         configurations.append(
-            Configuration(q=angles[i], promised=float(promised[i]), tuned=tuned)
+            Configuration(q=angles[i], estimated=float(estimated[i]), tuned=tuned)
         )
         if progress is not None:
             progress(len(configurations) / len(chosen))
@@ -126,7 +126,7 @@ class DampingMap:
     axes: tuple[Array, Array]  # grid of each [rad]
     fixed: Array  # (n,) configuration of the others [rad]
     coupling: Array  # (ni, nj) trace of raw Q [J/rad^2]
-    promised: Array  # (ni, nj) strain-energy integral that the coupling promises [J s]
+    estimated: Array  # (ni, nj) strain-energy integral by the coupling [J s]
     tuned: Array  # (ni, nj) what the best gains there leave [J s]
 
 
@@ -156,7 +156,7 @@ def damping_map(
         progress: called with the fraction done.
 
     Returns:
-        Coupling [J/rad^2], promised and tuned integrals [J s] on the grid.
+        Coupling [J/rad^2], estimated and tuned integrals [J s] on the grid.
 
     Raises:
         ParameterError: bad joints or points, or a base that PPED cannot damp.
@@ -184,6 +184,6 @@ def damping_map(
         axes=(axes[0], axes[1]),
         fixed=at,
         coupling=np.trace(coupling_matrix(system, q), axis1=-2, axis2=-1),
-        promised=promised_integral(system, q, y),
+        estimated=estimated_integral(system, q, y),
         tuned=np.reshape(integrals, shape),
     )

@@ -80,12 +80,12 @@ class Ompl:
         require_possible(query)
         result = self.search(query, seed)
         assert result.path is not None
-        motion, share = timed(query, result.path)
+        motion, share = time_path(query, result.path)
         hurried = broken_limit(query, motion) is not None and self.objective != "time"
         if hurried:  # no time for this path: the fastest is the next best
             fast = replace(self, objective="time").search(query, seed)
             assert fast.path is not None
-            motion, share = timed(query, fast.path)
+            motion, share = time_path(query, fast.path)
         info = {
             "objective": self.objective,
             "algorithm": self.algorithm,
@@ -127,7 +127,7 @@ class Ompl:
         return result
 
 
-def timed(query: Query, path: Array) -> tuple[Motion, float]:
+def time_path(query: Query, path: Array) -> tuple[Motion, float]:
     """Time way-points by a motion that respects the query's limits where one can.
 
     The first of these that does: smooth through them; along their straight edges by a

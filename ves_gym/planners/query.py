@@ -203,12 +203,12 @@ def _touched(query: Query, motion: Motion) -> str | None:
     if query.surroundings is None:
         return None
     checker = collisions(query.system.ideal(), query.surroundings)
-    path = spaced(motion, RESOLUTION / 4)
+    path = sample_path(motion, RESOLUTION / 4)
     k = checker.first_contact(path)
     return None if k is None else f"too near: {', '.join(checker.contact_names(path[k]))}"
 
 
-def spaced(motion: Motion, step: float) -> Array:
+def sample_path(motion: Motion, step: float) -> Array:
     """Configurations along a motion, evenly spaced in joint space.
 
     Args:

@@ -18,7 +18,7 @@ import scipy.optimize
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.direct import Minimum, MotionProblem, minimise
-from ves_gym.planners.ompl_search import Ompl, timed
+from ves_gym.planners.ompl_search import Ompl, time_path
 from ves_gym.planners.query import NoPlan, Query, broken_limit, require_possible
 
 _FREE = 24  # control points: at 2 s, 12 leave 3 % more energy, 32 take 0.5 % off
@@ -65,7 +65,7 @@ class Refined:
                 why = error
             else:
                 assert result.path is not None
-                starts.append(problem.of(timed(query, result.path)[0]))
+                starts.append(problem.of(time_path(query, result.path)[0]))
         motion, info = _best(problem, starts)
         if len(starts) == 1 and why is not None and broken_limit(query, motion) is not None:
             raise why  # no way was found, and the straight one could not be bent around

@@ -43,7 +43,9 @@ class Suite:
     name: str
     queries: tuple[tuple[str, Query], ...]
     planners: tuple[str, ...]
-    weighed: tuple[tuple[str, str], ...] = ()  # (query, planner) also played `uncompensated`
+    uncompensated_runs: tuple[
+        tuple[str, str], ...
+    ] = ()  # (query, planner) also played `uncompensated`
 
 
 def get_suite(
@@ -221,7 +223,7 @@ def thesis(system: System, vehicle: str | None) -> Suite:
         name="thesis",
         queries=tuple(queries),
         planners=("straight", "bad-path", "hotspot-q", "hotspot-qt", "direct"),
-        weighed=()
+        uncompensated_runs=()
         if system.mode == "ideal" or not is_compensated(system)
         else (("good-and-bad", "hotspot-q"),),
     )

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym.rendering.opengl import choose_backend, require_display
-from ves_gym.rendering.process import Drawer
+from ves_gym.rendering.process import DrawingProcess
 from ves_gym.system.system import System
 
 _STALL = 60.0  # s without an answer after which drawing has hung
@@ -69,7 +69,7 @@ class Live:
         if settings.window:
             require_display()
         backend = "glfw" if settings.window else choose_backend()
-        self._drawer = Drawer(backend, "ves_gym.rendering.screen", read=_read)
+        self._drawer = DrawingProcess(backend, "ves_gym.rendering.screen", read=_read)
         self._drawer.send(settings.to_line())
 
     def picture(self, sample: dict[str, Any]) -> npt.NDArray[np.uint8]:

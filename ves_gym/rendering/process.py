@@ -18,7 +18,7 @@ from typing import IO, Any
 from ves_gym.rendering.opengl import RenderError, environment, exit_reason
 
 
-class Drawer:
+class DrawingProcess:
     """`python -m MODULE WORDS` with what it writes in a queue.
 
     It ends with its standard input: no process outlives the one that asked for pictures.

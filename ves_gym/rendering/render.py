@@ -20,7 +20,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, require_positive, unit, write_bytes
 from ves_gym.rendering.opengl import RenderError, choose_backend, probe, require_display
-from ves_gym.rendering.process import Drawer
+from ves_gym.rendering.process import DrawingProcess
 from ves_gym.system.energy import base_energy, base_rate
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -164,7 +164,7 @@ def _run_child(
     np.savez(job, job=np.array(plain), **arrays)
     patience = _STALL if target.suffix else None  # a window stays as long as it likes
     words = (str(job), str(target))
-    drawer = Drawer(backend, "ves_gym.rendering.movie", *words, read=_read_message)
+    drawer = DrawingProcess(backend, "ves_gym.rendering.movie", *words, read=_read_message)
     try:
         while (message := drawer.get(patience)) is not None:
             if progress is not None:

@@ -102,7 +102,7 @@ def map_figure(maps: Sequence[DampingMap]) -> Figure:
 
     rows = (
         ("coupling", "trace of raw Q [J/rad²]", "Greys"),
-        ("promised", "promised by the modal coupling [J s]", "viridis_r"),
+        ("estimated", "promised by the modal coupling [J s]", "viridis_r"),
         ("tuned", "left by the best gains [J s]", "viridis_r"),
     )
     for r, (key, label, colours) in enumerate(rows):
