@@ -1,4 +1,4 @@
-"""Where the arm damps best: what the coupling promises, candidates, maps."""
+"""Configurations in which the arm damps best: the coupling's estimate, candidates, maps."""
 
 import dataclasses
 

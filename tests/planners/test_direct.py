@@ -21,7 +21,7 @@ QUERIES = {q.name: q for _, q in reach100(System(), "bent", 2).queries}
 
 
 def problem_of(query, free):
-    """What `direct` minimises."""
+    """The problem that `direct` minimises."""
     return MotionProblem(query, free)
 
 

@@ -23,7 +23,7 @@ def configurations(system, count=40):
 
 
 def least(m):
-    """What is added to every direction, from a form without it."""
+    """The share added to every direction, from a form without it."""
     return m._p[-1]
 
 

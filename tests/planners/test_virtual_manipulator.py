@@ -120,7 +120,7 @@ def test_equations_4_1_and_4_2():
 
 @pytest.mark.parametrize("full", [False, True], ids=["diagonal", "full"])
 def test_two_masses_are_an_arm_with_one(full):
-    """What they promise is what the full dynamic analysis finds for the joint gains."""
+    """Their measure is what the full dynamic analysis finds for the joint gains."""
     system = System(arm=point_mass_arm())
     virtual = tune_virtual(system, BENT_ELBOW, full=full, bounds=LOOSE)
     judged = analyse(plant_at(system, BENT_ELBOW), virtual.gains)
