@@ -91,7 +91,10 @@ def test_a_displacement_out_of_all_proportion_is_not_simulated(call):
         (("--drive", "prescribed"), "needs drive motor"),
         (("--q", "45,0"), "--q must be 3 angles"),
         (("--q", "200,0,0"), "joint 1 must be within"),
-        (("--objective", "speed"), "invalid choice: 'speed'"),
+        (
+            ("--objective", "speed"),
+            "objective must be one of strain, worst, estimator, both, got 'speed'",
+        ),
         (("--bounds", "1,2,3"), "--bounds must be four numbers"),
         (("--bounds", "10,1,0.1,1"), "Bounds.K must be 0 < least < largest, got 10 and 1"),
         (("--disturb", "0,0,0,0,0,0"), "a displacement other than zero"),
