@@ -10,10 +10,10 @@ PIP = $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv benchmark policies leaderboard test test-all test-oldest check format bench constraints clean
+.PHONY: help venv benchmark policies leaderboard test test-all test-processors test-oldest check format bench constraints clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' Makefile
 
 venv: $(DEV) ## create $(VENV) with everything, in the known-good versions
 
@@ -45,15 +45,18 @@ leaderboard: $(DEV) ## answer, verify and enter what the board lacks; write its 
 	$(BIN)/python scripts/leaderboard.py $(ARGS)
 
 # One thread per worker: two workers share the cores, and results do not depend on a BLAS pool.
-test test-all test-oldest: export OMP_NUM_THREADS = 1
-test test-all test-oldest: export OPENBLAS_NUM_THREADS = 1
-test test-all test-oldest: export MKL_NUM_THREADS = 1
+test test-all test-processors test-oldest: export OMP_NUM_THREADS = 1
+test test-all test-processors test-oldest: export OPENBLAS_NUM_THREADS = 1
+test test-all test-processors test-oldest: export MKL_NUM_THREADS = 1
 
 test: $(DEV) ## run the tests
 	$(BIN)/python -m pytest -n 2 $(ARGS)
 
 test-all: $(DEV) ## run the tests, the slow ones included
 	$(BIN)/python -m pytest -n 2 -m "" $(ARGS)
+
+test-processors: $(DEV) ## compare bits again: without AVX-512, without AVX2 and FMA
+	for set in no-avx512 no-avx2; do $(BIN)/python -m tests.processors $$set -n 2 $(ARGS) || exit 1; done
 
 check: $(DEV) ## format, lint and types, as CI runs them
 	$(BIN)/ruff format --check .

@@ -16,6 +16,8 @@ from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLYING
 from ves_gym.simulation.simulator import Divergence, Simulator, State
 from ves_gym.system.system import System
 
+pytestmark = pytest.mark.bits
+
 SYSTEMS = {
     "bent": System(),
     "satellite": System(vehicle=FREE_FLYING, integrator="euler"),

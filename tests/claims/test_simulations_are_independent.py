@@ -1,22 +1,35 @@
 """Claim: a simulation does not depend on its batch, on threads or on its neighbours.
 
 Compared bit for bit, without tolerance: simulation i of a batch against the same
-simulation alone, on one thread and on two, next to quiet and to diverging neighbours;
-and a run continued from a snapshot against the run that was not interrupted.
+simulation alone, on one thread and on two, in other places, next to quiet and to diverging
+neighbours; and a run continued from a snapshot against the run that was not interrupted.
+`make test-processors` compares once more without AVX-512, and without AVX2 and FMA.
 """
 
 import pickle
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
+from ves_gym.effects import (
+    JointAsymmetry,
+    JointElasticity,
+    JointLoadFriction,
+    JointRipple,
+    JointStribeck,
+    JointTorqueLimit,
+)
+from ves_gym.engine import batch_parameters
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator, State
+from ves_gym.system.effect import EFFECTS, Effect, parameter, register
 from ves_gym.system.system import System
 
+pytestmark = pytest.mark.bits
 STEPS = 40
 SPREAD = {"q": 0.5, "v": 0.3, "y": 0.01, "yd": 0.02}
 
@@ -50,6 +63,77 @@ def test_batch_size_and_threads_do_not_matter(name):
         other = batch(n, threads, system)
         for i in range(min(n, 8)):
             assert np.array_equal(rows(other, i), rows(reference, i)), (n, threads, i)
+
+
+# laws with every function that laws may use, on joints with gears and without
+LAWS = (
+    JointStribeck(coulomb=(3.0, 4.0, 2.0), stiction=(6.0, 8.0, 4.0), fade_speed=0.3),
+    JointLoadFriction(coefficient=(0.05, 0.1, 0.02)),
+    JointAsymmetry(coulomb=(1.0, 2.0, 0.5), viscous=(0.5, 0.2, 0.1)),
+    JointRipple(amplitude=(1.0, 0.5, 2.0), cycles=(36.0, 7.0, 50.0), phase=(0.1, 0.2, 0.3)),
+    JointTorqueLimit(fraction=(0.7, 0.2, 0.1)),
+)
+GEARS = JointElasticity(compliance=(5e-5, 5e-5, 1e-4), damping=(20.0, 20.0, 10.0))
+PLACES = [[4], [9, 4], [0, 1, 4], [1, 2, 3, 4, 0], [*range(5, 17), 4], [*range(19)]]
+
+
+def run(system: System, which: list[int], backend: str) -> dict[int, np.ndarray]:
+    """Everything about the simulations `which`, in this order, by their number."""
+    sim = Simulator(system, len(which), backend=backend, warn_at=None)
+    rngs = [np.random.default_rng([3, i]) for i in which]
+    for place, rng in enumerate(rngs):
+        sim.reset(q=rng.uniform(-1, 1, 3), v=rng.uniform(-0.3, 0.3, 3), ids=[place])
+    torque = np.stack([commands(i)[:8] for i in which], axis=1)
+    states = advance(sim, torque)
+    reported = np.concatenate(sim.evaluate(torque[0]), axis=1)
+    return {i: np.append(rows(states, k), reported[k]) for k, i in enumerate(which)}
+
+
+def require_that_places_do_not_matter(system: System, backend: str) -> None:
+    """Simulation 4 alone, and among others in several places of batches of several sizes."""
+    expected = run(system, PLACES[0], backend)[4]
+    for which in PLACES[1:]:
+        assert run(system, which, backend)[4].tobytes() == expected.tobytes(), which
+
+
+@pytest.mark.parametrize("backend", ["kernel", "mujoco"])
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+@pytest.mark.parametrize("geared", [False, True], ids=["stiff", "geared"])
+def test_the_place_does_not_matter(mode, backend, geared):
+    system = System(mode=mode, effects=(*LAWS, GEARS) if geared else LAWS)
+    require_that_places_do_not_matter(system, backend)
+
+
+def register_placed() -> type[Effect]:
+    """A friction that rounds by the place in the batch, as a vector loop's remainder may."""
+
+    @register("joint/test_only_place")
+    @dataclass(frozen=True, kw_only=True)
+    class Placed(Effect):
+        modes = ("ideal", "emulated")
+        port = "joint"
+        damping: tuple = parameter("N m s/rad", bounds=(0.0, 10.0), shape=(3,))
+
+        def law(self, xp, q, v, tau):
+            out = -self.damping * v
+            if isinstance(out, np.ndarray) and out.ndim == 2:  # no symbols, no single one
+                out[len(out) // 8 * 8 :] *= 1 + 2**-48
+            return out
+
+    return Placed
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_a_law_that_rounds_by_place_is_seen_and_evaluated_one_by_one(mode, monkeypatch):
+    try:
+        system = System(mode=mode, effects=(register_placed()(damping=(2.0, 1.0, 3.0)),))
+        require_that_places_do_not_matter(system, "mujoco")
+        # the comparison above is not blind: all simulations at once, as laws are by default
+        monkeypatch.setattr(batch_parameters, "_stackable", lambda laws, joints: True)
+        with pytest.raises(AssertionError):
+            require_that_places_do_not_matter(system, "mujoco")
+    finally:
+        EFFECTS.pop("joint/test_only_place", None)
 
 
 def test_neighbours_do_not_matter():

@@ -20,6 +20,8 @@ from ves_gym.leaderboard.journal import check
 from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.verify import verify
 
+pytestmark = pytest.mark.bits
+
 PLACE = Path(__file__).parents[2] / "docs/leaderboard"
 NUMBERS = ("score", "E_mean", "E_peak", "E_res", "E_int")
 TOLERANCE = 1e-5  # relative; six digits are on the board

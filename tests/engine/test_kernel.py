@@ -24,6 +24,8 @@ from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
+pytestmark = pytest.mark.bits
+
 ROOT = Path(__file__).parents[2]
 
 # ------------------------------------------------------------------ generated arithmetic
@@ -428,6 +430,7 @@ def test_where_the_cache_is(monkeypatch, tmp_path):
 
 def test_code_for_fewer_features_is_kept_apart(monkeypatch):
     """Without AVX-512 (where there is one) the same arithmetic, twice as many instructions."""
+    monkeypatch.delenv("VES_GYM_FEATURES", raising=False)  # `make test-processors` sets it
     x = np.linspace(-3, 3, 40)
     wide, key = apply(ca.sin, x), build.machine()
     monkeypatch.setenv("VES_GYM_FEATURES", "-avx512f")

@@ -12,6 +12,8 @@ from tests.envs.walks import IDS, SHORT, actions, episode, flat, part, same, wal
 from ves_gym._util.params import ParameterError
 from ves_gym.envs.batch import ActionError
 
+pytestmark = pytest.mark.bits
+
 each_id = pytest.mark.parametrize("name", IDS)
 STEPS = 12
 

@@ -1,5 +1,7 @@
 """The task damp: a displaced base, damped by moving the arm."""
 
+from types import SimpleNamespace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -94,6 +96,20 @@ def test_modes_observed_hold_the_energy():
     parts = seen["mode_shift"] ** 2 + seen["mode_rate"] ** 2
     np.testing.assert_allclose(seen["mode_energy"], parts, atol=1e-5)
     np.testing.assert_allclose(seen["mode_energy"].sum(axis=1), s.energy, rtol=0.03)
+
+
+@pytest.mark.bits
+def test_an_observation_is_that_of_the_simulation_alone():
+    """Before it is rounded to single precision, which hides how many there are."""
+    env = VesVectorEnv(17, "damp", duration=1.0)
+    env.reset(seed=0)
+    scene = env.batch.scene
+    parts = env.task.observe(scene)
+    for i in range(17):
+        rows = {k: v[[i]] for k, v in vars(scene).items() if np.shape(v)[:1] == (17,)}
+        alone = env.task.observe(SimpleNamespace(**{**vars(scene), **rows}))
+        for part, single in zip(parts, alone, strict=True):
+            assert part[i].tobytes() == single[0].tobytes()
 
 
 def test_options_choose_the_start():

@@ -12,6 +12,8 @@ from ves_gym.effects.budget import LABORATORY_ERRORS
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 
+pytestmark = pytest.mark.bits
+
 IDEAL = "ves/PumaRestToRest-v0"
 EMULATED = "ves/PumaRestToRestEmulated-v0"
 VISCOUS = {"joint/viscous": {"damping": ([0.0, 10.0, 0.0], [20.0, 30.0, 5.0])}}

@@ -26,6 +26,8 @@ from ves_gym.leaderboard.verify import verify
 from ves_gym.planners.best_known import key, packaged
 from ves_gym.system.system import System
 
+pytestmark = pytest.mark.bits
+
 ROOT = Path(__file__).parents[2]
 SALT = "a secret of the maintainer"
 

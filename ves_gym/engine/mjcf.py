@@ -230,10 +230,18 @@ def _add_drive(
 
 
 def _add_tendons(spec: mujoco.MjSpec, what: str, values: Array) -> None:
-    """Six fixed tendons whose `what` reproduces the symmetric matrix `values` on Y."""
+    """Six fixed tendons whose `what` reproduces the symmetric matrix `values` on Y.
+
+    Those of a diagonal matrix lie on one axis, all others on all six, also where a component
+    of the eigenvector is zero. Which components come out as exactly zero depends on LAPACK's
+    rounding, hence on the processor, and the engine's sums depend on how many there are: a
+    simulation would change when a neighbour's vehicle makes its batch take the layout that
+    holds every matrix (`Simulator.assign`).
+    """
     size = np.abs(values).max()
     if size == 0:
         return
+    diagonal = not (values - np.diag(np.diag(values))).any()
     eigenvalues, vectors = np.linalg.eigh(values)
     for k in range(6):
         value = float(eigenvalues[k])
@@ -242,7 +250,7 @@ def _add_tendons(spec: mujoco.MjSpec, what: str, values: Array) -> None:
         tendon = spec.add_tendon(name=f"{what}_{k + 1}")
         for i, name in enumerate(BASE_JOINTS):
             weight = float(vectors[TO_Y[i], k])
-            if weight != 0.0:
+            if weight != 0.0 or not diagonal:
                 tendon.wrap_joint(name, weight)
         tendon.springlength = [0.0, 0.0]
         # stiffness and damping are polynomials in the engine; the first term is linear

@@ -149,7 +149,8 @@ class Damp(Task):
     def observe(self, s: Scene) -> tuple[Array, ...]:
         """See `Task`."""
         to_shift, to_rate = self._modes
-        shift, rate = s.y_seen @ to_shift, s.yd_seen @ to_rate
+        # row by row: in the product of all rows at once BLAS rounds by their number
+        shift, rate = (s.y_seen[:, None] @ to_shift)[:, 0], (s.yd_seen[:, None] @ to_rate)[:, 0]
         parts = (
             s.q - self._middle,
             *rates(self.control, s),

@@ -23,7 +23,6 @@ from ves_gym.engine.mjcf import (
 )
 from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.vehicle import BaseModel
-from ves_gym.system.effect import joint_torque
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 _BAD = [
@@ -135,8 +134,8 @@ class MujocoBackend:
         self._order = np.r_[TO_Y, where[self._motors]]
         carried = len(where) + np.arange(self._carried)
         self._internal = np.r_[np.setdiff1d(where, self._order), carried]
-        self._laws = [effect for effect in system.effects if effect.has_law]
-        self._own_laws: Laws | None = None
+        # from the start as after `assign`: x**2.0 is a square, x**[2.0, 2.0] a power
+        self._laws = Laws(system, n) if any(e.has_law for e in system.effects) else None
         self._full = False  # the layout of `compile_model`
         self._systems = [system] * n
         self._limits = np.tile(system.arm.column("tau_max"), (n, 1))
@@ -196,11 +195,9 @@ class MujocoBackend:
             self._load(reference)
             self.set_state(state)
             self._full = True
-        if self._laws and self._own_laws is None:
-            self._own_laws = Laws(self.system, self.n)
         for i, system in pairs:
-            if self._own_laws is not None:
-                self._own_laws.put(i, system)
+            if self._laws is not None:
+                self._laws.put(i, system)
                 self._limits[i] = system.arm.column("tau_max")
             if i in others:
                 change = changes_of[bodies_of(system)]
@@ -236,13 +233,9 @@ class MujocoBackend:
 
     def _push(self) -> None:
         """Set the torque of the effects' laws, held until the next physics step."""
-        if self._laws:
+        if self._laws is not None:
             q, v = self._qpos[:, self._motors], self._qvel[:, self._motors]
-            laws, tau = self._own_laws, self._motor_torque(q, v)
-            if laws is None:
-                torque = joint_torque(self._laws, q, v, tau, self._limits[0])
-            else:
-                torque = laws.torque(q, v, tau)
+            torque = self._laws.torque(q, v, self._motor_torque(q, v))
             self._applied[:, self._motors] = torque
 
     def _motor_torque(self, q: Array, v: Array) -> Array:
