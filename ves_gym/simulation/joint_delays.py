@@ -89,7 +89,7 @@ class JointDelays:
             self.measurement_history[:] = np.stack([q, v, v], axis=1)[:, None]
 
     def reset(self, ids: Index, q: Array, v: Array) -> None:
-        """Start with joints at rest in the past; the first command stands for earlier ones.
+        """Start with a constant past; the first command stands for those before it.
 
         Args:
             ids: (m,) which.
