@@ -15,14 +15,14 @@ from diagnose import IDENTIFIED, MEASURED, read_runs, reweighed, show, verdict, 
 from ves_gym._util.params import Array, Vector
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.mechanics.arm import Arm
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import ArmEffect, parameter, register
 
 NAMES = ("mass", *(f"P{k}" for k in range(1, 10)))
 
 
 @register("arm/weight")
 @dataclass(frozen=True, kw_only=True)
-class ArmWeight(Effect):
+class ArmWeight(ArmEffect):
     """Mass and minimal moment parameters of the arm differ from the description."""
 
     modes = ("ideal", "emulated")

@@ -40,7 +40,14 @@ from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import PPED_GAINS, JointServo
 from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, FREE_FLYING, MatrixVehicle
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.effect import EFFECTS, Effect, parameter, register
+from ves_gym.system.effect import (
+    EFFECTS,
+    DelayEffect,
+    Effect,
+    TorqueEffect,
+    parameter,
+    register,
+)
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
@@ -99,7 +106,9 @@ def with_effects(system: System, seed: int, reach: float = 0.1) -> System:
 
 def on_time(system: System) -> System:
     """Without the effects that delay commands and measurements."""
-    return system.replace(effects=tuple(e for e in system.effects if not e.is_on_line))
+    return system.replace(
+        effects=tuple(e for e in system.effects if not isinstance(e, DelayEffect))
+    )
 
 
 def slow_enough(system: System) -> bool:
@@ -643,7 +652,7 @@ def test_a_law_that_takes_single_coefficients():
 
         @register(kind)
         @dataclasses.dataclass(frozen=True, kw_only=True)
-        class Fourier(Effect):
+        class Fourier(TorqueEffect):
             modes = ("ideal", "emulated")
             port = "joint"
             size: tuple = parameter("N m", bounds=(0.0, 10.0), shape=(3,))
@@ -666,7 +675,7 @@ def test_registered_laws_run_together():
     laws = [
         draw_effect(kind, IDEAL, np.random.default_rng(0), 0.5)
         for kind in kinds(IDEAL)
-        if EFFECTS[kind].law is not Effect.law
+        if issubclass(EFFECTS[kind], TorqueEffect)
     ]
     assert {JointCoulomb, JointStribeck, JointViscous} <= {type(k) for k in laws}
     for law in laws:

@@ -23,7 +23,7 @@ from ves_gym.hardware.leg_servo import FILTERED
 from ves_gym.mechanics.vehicle import DECOUPLED
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import EFFECTS, Effect, parameter, register
+from ves_gym.system.effect import EFFECTS, LaboratoryEffect, parameter, register
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
@@ -209,7 +209,7 @@ def test_a_registered_name_cannot_be_taken_again():
 
         @register("sensor/bias")
         @dataclasses.dataclass(frozen=True, kw_only=True)
-        class Another(Effect):
+        class Another(LaboratoryEffect):
             port = "wrench"
             size: float = parameter("N", bounds=(0.0, 1.0))
 
@@ -228,7 +228,7 @@ def test_an_effect_of_ones_own_acts(monkeypatch):
 
         @register(kind)
         @dataclasses.dataclass(frozen=True, kw_only=True)
-        class Lifted(Effect):
+        class Lifted(LaboratoryEffect):
             port = "wrench"
             force: float = parameter("N", bounds=(0.0, 10.0))
 
@@ -249,7 +249,8 @@ def test_an_effect_of_ones_own_acts(monkeypatch):
 def edited(*effects):
     p = LoopParameters.nominal(NOMINAL.arm, NOMINAL.emulator_settings, 2)
     for one in effects:
-        one.edit(p)
+        if isinstance(one, LaboratoryEffect):
+            one.edit(p)
     return p
 
 
@@ -271,7 +272,7 @@ SQUARES = ("sensor/noise", "sensor/drift")  # independent: variances add
 PRODUCTS = {"gravity/scale": GravityScale, "sensor/lag": SensorLag}
 
 
-EDITS = [k for k in VALUES if EFFECTS[k].edit is not Effect.edit]
+EDITS = [k for k in VALUES if issubclass(EFFECTS[k], LaboratoryEffect)]
 
 
 LIMITS = ("platform/stroke",)  # the tightest counts

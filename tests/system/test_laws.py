@@ -20,7 +20,7 @@ from ves_gym.engine.kernel.trace import structure
 from ves_gym.mechanics.motion import Motion
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.effect import Effect, joint_torque, register
+from ves_gym.system.effect import Effect, TorqueEffect, joint_torque, register
 from ves_gym.system.energy import ledger
 from ves_gym.system.system import System
 
@@ -89,7 +89,7 @@ def test_one_number_per_joint():
 
 
 def test_an_effect_must_do_something():
-    with pytest.raises(ParameterError, match="must have one of `edit`, `law`, "):
+    with pytest.raises(ParameterError, match="must be a subclass of one of LaboratoryEffect, "):
 
         @register("test/nothing")
         class Nothing(Effect):
@@ -102,7 +102,7 @@ def test_an_effect_must_say_where_it_enters():
     ):
 
         @register("test/nowhere")
-        class Nowhere(Effect):
+        class Nowhere(TorqueEffect):
             def law(self, xp, q, v, tau):
                 return -v
 

@@ -44,17 +44,28 @@ from ves_gym.effects.sensor_drift import SensorDrift
 from ves_gym.effects.sensor_lag import SensorLag
 from ves_gym.effects.sensor_noise import SensorNoise
 from ves_gym.effects.sensor_rotation import SensorRotation
-from ves_gym.system.effect import EFFECTS, Effect
+from ves_gym.system.effect import (
+    EFFECTS,
+    ArmEffect,
+    BaseEffect,
+    DelayEffect,
+    Effect,
+    LaboratoryEffect,
+    TorqueEffect,
+)
 
 __all__ = [
     "EFFECTS",
     "LABORATORY_ERRORS",
+    "ArmEffect",
     "BaseAmplitudeDamping",
     "BaseDamping",
+    "BaseEffect",
     "BaseExtraMode",
     "BaseStiffness",
     "BaseVirtualMass",
     "CommandDelay",
+    "DelayEffect",
     "Effect",
     "GravityDelay",
     "GravityMass",
@@ -75,6 +86,7 @@ __all__ = [
     "JointTorqueOffset",
     "JointVelocityLag",
     "JointViscous",
+    "LaboratoryEffect",
     "PayloadCom",
     "PayloadInertia",
     "PayloadMass",
@@ -88,4 +100,5 @@ __all__ = [
     "SensorLag",
     "SensorNoise",
     "SensorRotation",
+    "TorqueEffect",
 ]

@@ -8,13 +8,13 @@ import numpy as np
 
 from ves_gym._util.params import Array, Vector
 from ves_gym.mechanics.vehicle import BaseModel, Satellite
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import BaseEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("base/amplitude_damping")
 @dataclass(frozen=True, kw_only=True)
-class BaseAmplitudeDamping(Effect):
+class BaseAmplitudeDamping(BaseEffect):
     """A force `coefficient` |Y'| Y' along each axis against the vehicle's motion.
 
     A mode of amplitude A and angular frequency w loses as much to it as to a viscous damper

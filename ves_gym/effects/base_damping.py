@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from ves_gym.mechanics.vehicle import BaseModel, has
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import BaseEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("base/damping")
 @dataclass(frozen=True, kw_only=True)
-class BaseDamping(Effect):
+class BaseDamping(BaseEffect):
     """The vehicle's damping is D (1 + `error`).
 
     Of what the admittance integrates, in the laboratory (derived here).

@@ -8,13 +8,13 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector
 from ves_gym.mechanics.vehicle import BaseModel, Oscillator, Satellite
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import BaseEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("base/extra_mode")
 @dataclass(frozen=True, kw_only=True)
-class BaseExtraMode(Effect):
+class BaseExtraMode(BaseEffect):
     """The vehicle carries a `mass` on a spring along `direction`, of which nobody knows.
 
     `frequency` and `damping_ratio` are those of the mass on a vehicle at rest. In the

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from ves_gym.mechanics.vehicle import BaseModel, has
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import BaseEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("base/stiffness")
 @dataclass(frozen=True, kw_only=True)
-class BaseStiffness(Effect):
+class BaseStiffness(BaseEffect):
     """The vehicle's stiffness is K (1 + `error`), its damping as described.
 
     In the laboratory the vehicle is virtual: it is what the admittance integrates, while

@@ -9,12 +9,12 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.vehicle import BaseModel
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import BaseEffect, parameter, register
 
 
 @register("base/virtual_mass")
 @dataclass(frozen=True, kw_only=True)
-class BaseVirtualMass(Effect):
+class BaseVirtualMass(BaseEffect):
     """The vehicle's mass matrix is M (1 + `error`), or its body that much heavier.
 
     Stiffness and damping as described; in the laboratory it is the mass that the admittance

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ves_gym.system.deviations import Delays
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import DelayEffect, parameter, register
 
 
 @register("command/delay")
 @dataclass(frozen=True, kw_only=True)
-class CommandDelay(Effect):
+class CommandDelay(DelayEffect):
     """The drives get the joint commands `delay` later than they are sent.
 
     Between two physics steps commands are linear; before the first one they are that one.

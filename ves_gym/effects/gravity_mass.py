@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("gravity/mass")
 @dataclass(frozen=True, kw_only=True)
-class GravityMass(Effect):
+class GravityMass(LaboratoryEffect):
     """The gravity estimate takes the arm for heavier by `error`; its moments are right."""
 
     port = "gravity"

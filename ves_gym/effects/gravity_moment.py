@@ -9,13 +9,13 @@ import numpy as np
 from ves_gym._util.params import ParameterError, Vector
 from ves_gym.mechanics.gravity import minimal_model
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("gravity/moment")
 @dataclass(frozen=True, kw_only=True)
-class GravityMoment(Effect):
+class GravityMoment(LaboratoryEffect):
     """Errors of the minimal moment parameters, in their order (`minimal_model(arm).names`)."""
 
     port = "gravity"

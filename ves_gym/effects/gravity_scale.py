@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("gravity/scale")
 @dataclass(frozen=True, kw_only=True)
-class GravityScale(Effect):
+class GravityScale(LaboratoryEffect):
     """The gravity estimate is too large by the fraction `error`, force and moment alike."""
 
     port = "gravity"

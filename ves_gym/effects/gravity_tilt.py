@@ -8,13 +8,13 @@ import numpy as np
 
 from ves_gym._util.params import Vector
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("gravity/tilt")
 @dataclass(frozen=True, kw_only=True)
-class GravityTilt(Effect):
+class GravityTilt(LaboratoryEffect):
     """The pose given to the gravity estimate is turned by `angles` about x, y and z."""
 
     port = "gravity"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ves_gym._util.params import Vector
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
 CREEP = 1e-2  # rad/s over which friction builds up from rest
@@ -14,7 +14,7 @@ CREEP = 1e-2  # rad/s over which friction builds up from rest
 
 @register("joint/asymmetry")
 @dataclass(frozen=True, kw_only=True)
-class JointAsymmetry(Effect):
+class JointAsymmetry(TorqueEffect):
     """Friction larger for v > 0 and smaller for v < 0: its even part.
 
     Half the difference of the two directions' Coulomb and viscous friction. Where the joint

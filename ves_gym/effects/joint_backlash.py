@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 from ves_gym._util.params import Vector
 from ves_gym.mechanics.arm import Arm, Gear
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import ArmEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("joint/backlash")
 @dataclass(frozen=True, kw_only=True)
-class JointBacklash(Effect):
+class JointBacklash(ArmEffect):
     """Rotor and link may turn by `gap` against each other before the teeth touch.
 
     Teeth are a spring of `compliance`; the oil between them, `damping`, acts in the gap too

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ves_gym._util.params import Vector
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
 CREEP = 1e-2  # rad/s over which friction builds up from rest
@@ -14,7 +14,7 @@ CREEP = 1e-2  # rad/s over which friction builds up from rest
 
 @register("joint/coulomb")
 @dataclass(frozen=True, kw_only=True)
-class JointCoulomb(Effect):
+class JointCoulomb(TorqueEffect):
     """Friction of constant size against the motion; smooth at rest, so a joint creeps."""
 
     modes = ("ideal", "emulated")

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from ves_gym._util.params import Vector
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("joint/drive_gain")
 @dataclass(frozen=True, kw_only=True)
-class JointDriveGain(Effect):
+class JointDriveGain(TorqueEffect):
     """Motors give (1 + `error`) times the torque they are told to.
 
     An error of torque constant, gear ratio or current calibration (derived here). The log

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 from ves_gym._util.params import Vector
 from ves_gym.mechanics.arm import Arm, Gear
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import ArmEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("joint/elasticity")
 @dataclass(frozen=True, kw_only=True)
-class JointElasticity(Effect):
+class JointElasticity(ArmEffect):
     """A spring of `compliance`, with a damper beside it, between rotor and link.
 
     Servo and log are on the rotor's side. A joint of compliance 0 stays rigid, its damping

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ves_gym._util.params import Vector
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
 CREEP = 1e-2  # rad/s over which friction builds up from rest
@@ -14,7 +14,7 @@ CREEP = 1e-2  # rad/s over which friction builds up from rest
 
 @register("joint/load_friction")
 @dataclass(frozen=True, kw_only=True)
-class JointLoadFriction(Effect):
+class JointLoadFriction(TorqueEffect):
     """Friction of the fraction `coefficient` of the motor's torque, against the motion.
 
     As of gears, whose teeth press harder the more they carry (Armstrong-Helouvry et al.,

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ves_gym.system.deviations import Delays
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import DelayEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("joint/measurement_delay")
 @dataclass(frozen=True, kw_only=True)
-class JointMeasurementDelay(Effect):
+class JointMeasurementDelay(DelayEffect):
     """Servo, gravity estimate and log see joint angles and rates of `delay` ago.
 
     Rates and angles are linear between two physics steps (derived here).

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from ves_gym._util.params import Vector
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("joint/ripple")
 @dataclass(frozen=True, kw_only=True)
-class JointRipple(Effect):
+class JointRipple(TorqueEffect):
     """Torque that repeats `cycles` times per turn of the joint (cogging, gear teeth).
 
     One harmonic; the PUMA's gears turn their motors 62.6, 107.8 and 53.7 times per turn

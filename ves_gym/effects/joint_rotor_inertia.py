@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 from ves_gym._util.params import ParameterError, Vector
 from ves_gym.mechanics.arm import Arm
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import ArmEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("joint/rotor_inertia")
 @dataclass(frozen=True, kw_only=True)
-class JointRotorInertia(Effect):
+class JointRotorInertia(ArmEffect):
     """The rotors, seen through their gears, have `added` more inertia than described.
 
     Felt by the joint and not by the base, other than a link's (Armstrong, Khatib, Burdick

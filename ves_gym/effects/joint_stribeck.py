@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ves_gym._util.params import Vector
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
 CREEP = 1e-2  # of fade_speed over which friction builds up from rest
@@ -14,7 +14,7 @@ CREEP = 1e-2  # of fade_speed over which friction builds up from rest
 
 @register("joint/stribeck")
 @dataclass(frozen=True, kw_only=True)
-class JointStribeck(Effect):
+class JointStribeck(TorqueEffect):
     """Friction that drops from stiction to Coulomb level with speed.
 
     Smooth at rest, so a loaded joint creeps instead of sticking (Armstrong-Helouvry et al.,

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from ves_gym._util.params import Vector
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("joint/torque_limit")
 @dataclass(frozen=True, kw_only=True)
-class JointTorqueLimit(Effect):
+class JointTorqueLimit(TorqueEffect):
     """Motors give at most (1 - `fraction`) of their stated limit (a current limit).
 
     The log shows the torque told (derived here).

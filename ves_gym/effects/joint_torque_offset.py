@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from ves_gym._util.params import Vector
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("joint/torque_offset")
 @dataclass(frozen=True, kw_only=True)
-class JointTorqueOffset(Effect):
+class JointTorqueOffset(TorqueEffect):
     """A constant torque at the joint: an amplifier's offset, a cable's pull.
 
     Direction-dependent friction (`joint/asymmetry`) looks the same while the joint moves one

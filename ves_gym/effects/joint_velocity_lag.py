@@ -8,13 +8,13 @@ import numpy as np
 
 from ves_gym._util.params import Vector
 from ves_gym.system.deviations import Delays
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import DelayEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("joint/velocity_lag")
 @dataclass(frozen=True, kw_only=True)
-class JointVelocityLag(Effect):
+class JointVelocityLag(DelayEffect):
     """Servo and log see joint rates through a first-order low-pass; angles are as they are.
 
     How drives tell a rate from an encoder: differences, smoothed. Several effects add their

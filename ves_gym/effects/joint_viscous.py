@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from ves_gym._util.params import Vector
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("joint/viscous")
 @dataclass(frozen=True, kw_only=True)
-class JointViscous(Effect):
+class JointViscous(TorqueEffect):
     """Friction in proportion to the joint's rate."""
 
     modes = ("ideal", "emulated")

@@ -8,12 +8,12 @@ import numpy as np
 
 from ves_gym._util.params import Vector
 from ves_gym.mechanics.arm import Arm
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import ArmEffect, parameter, register
 
 
 @register("payload/com")
 @dataclass(frozen=True, kw_only=True)
-class PayloadCom(Effect):
+class PayloadCom(ArmEffect):
     """The last link's centre of mass lies `offset` away from where it is described.
 
     In the link's axes; mass and inertia about the centre as described (derived here).

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("payload/inertia")
 @dataclass(frozen=True, kw_only=True)
-class PayloadInertia(Effect):
+class PayloadInertia(LaboratoryEffect):
     """The compensation takes the arm's inertia for larger by the fraction `error`."""
 
     port = "admittance"

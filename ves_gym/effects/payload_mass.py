@@ -8,12 +8,12 @@ import numpy as np
 
 from ves_gym._util.params import Vector
 from ves_gym.mechanics.arm import Arm, matrix
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import ArmEffect, parameter, register
 
 
 @register("payload/mass")
 @dataclass(frozen=True, kw_only=True)
-class PayloadMass(Effect):
+class PayloadMass(ArmEffect):
     """A point mass rides on the tool, `position` away from it in the last link's axes.
 
     Joints, base and force sensor feel it; gravity estimate and compensation know nothing of

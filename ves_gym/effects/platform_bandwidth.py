@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("platform/bandwidth")
 @dataclass(frozen=True, kw_only=True)
-class PlatformBandwidth(Effect):
+class PlatformBandwidth(LaboratoryEffect):
     """The platform's bandwidth differs from the stated one by the fraction `error`."""
 
     port = "platform"

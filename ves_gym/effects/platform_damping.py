@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("platform/damping")
 @dataclass(frozen=True, kw_only=True)
-class PlatformDamping(Effect):
+class PlatformDamping(LaboratoryEffect):
     """The platform's damping ratio differs from the stated one by the fraction `error`."""
 
     port = "platform"

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 
 
 @register("platform/delay")
 @dataclass(frozen=True, kw_only=True)
-class PlatformDelay(Effect):
+class PlatformDelay(LaboratoryEffect):
     """The platform gets the computer's command `delay` later than the loop assumes.
 
     Linear between two commands; the payload compensation does not know (thesis 2.4.1 has one

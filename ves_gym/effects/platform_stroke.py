@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 
 
 @register("platform/stroke")
 @dataclass(frozen=True, kw_only=True)
-class PlatformStroke(Effect):
+class PlatformStroke(LaboratoryEffect):
     """The legs' stroke lacks the fraction `travel`, their speed the fraction `speed`.
 
     A command beyond is held back silently: on its way from home, or from the last one, in

@@ -8,12 +8,12 @@ import numpy as np
 
 from ves_gym._util.params import Vector
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 
 
 @register("sensor/bias")
 @dataclass(frozen=True, kw_only=True)
-class SensorBias(Effect):
+class SensorBias(LaboratoryEffect):
     """Offset of the signals in the sensor frame. Zeroing the sensor takes it out."""
 
     port = "wrench"

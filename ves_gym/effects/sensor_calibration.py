@@ -8,12 +8,12 @@ import numpy as np
 
 from ves_gym._util.params import Matrix
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 
 
 @register("sensor/calibration")
 @dataclass(frozen=True, kw_only=True)
-class SensorCalibration(Effect):
+class SensorCalibration(LaboratoryEffect):
     """Signals are (1 + `error`) times the wrench in the sensor frame: gains on the diagonal,
     cross-talk beside it. Between forces and moments the unit is 1/m or m.
     """

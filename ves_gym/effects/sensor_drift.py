@@ -8,13 +8,13 @@ import numpy as np
 
 from ves_gym._util.params import ParameterError, Vector
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 from ves_gym.system.system import System
 
 
 @register("sensor/drift")
 @dataclass(frozen=True, kw_only=True)
-class SensorDrift(Effect):
+class SensorDrift(LaboratoryEffect):
     """A first-order Gauss-Markov process on the signals, zero when the sensor is reset.
 
     Its standard deviation grows towards that given over the correlation time.

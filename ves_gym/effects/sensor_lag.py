@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 
 
 @register("sensor/lag")
 @dataclass(frozen=True, kw_only=True)
-class SensorLag(Effect):
+class SensorLag(LaboratoryEffect):
     """The sensor filter's cut-off differs from the stated one by the fraction `error`."""
 
     port = "wrench"

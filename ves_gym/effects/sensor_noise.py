@@ -8,12 +8,12 @@ import numpy as np
 
 from ves_gym._util.params import Vector
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 
 
 @register("sensor/noise")
 @dataclass(frozen=True, kw_only=True)
-class SensorNoise(Effect):
+class SensorNoise(LaboratoryEffect):
     """Standard deviation of the signals' noise, as it is left after the sensor's filter."""
 
     port = "wrench"

@@ -9,12 +9,12 @@ import numpy as np
 from ves_gym._util.params import Vector
 from ves_gym.mechanics.arm import skew
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
 
 
 @register("sensor/rotation")
 @dataclass(frozen=True, kw_only=True)
-class SensorRotation(Effect):
+class SensorRotation(LaboratoryEffect):
     """The sensor is turned by the small `angles` about its x, y, z against its stated frame."""
 
     port = "wrench"

@@ -16,7 +16,7 @@ from ves_gym.engine.kernel.trace import inertia_matrix, parameters, structure
 from ves_gym.hardware.admittance import admittance_matrices
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.gravity import GravityModel
-from ves_gym.system.effect import Effect, joint_torque
+from ves_gym.system.effect import Effect, TorqueEffect, joint_torque
 from ves_gym.system.system import System
 
 _SETTINGS = ("mode", "drive", "integrator", "physics_dt", "control_dt")
@@ -107,7 +107,7 @@ class ParameterRows:
         self._laws = [
             (i, field.name, f"{effect.kind}#{i + 1}.{field.name}")
             for i, effect in enumerate(system.effects)
-            if effect.has_law
+            if isinstance(effect, TorqueEffect)
             for field in dataclasses.fields(effect)  # type: ignore[arg-type]
         ]
 
@@ -249,8 +249,8 @@ class Laws:
 
     def __init__(self, system: System, n: int) -> None:
         effects, joints = system.effects, system.arm.n
-        self._which = [i for i, effect in enumerate(effects) if effect.has_law]
-        laws = [effects[i] for i in self._which]
+        chosen = [(i, e) for i, e in enumerate(effects) if isinstance(e, TorqueEffect)]
+        self._which, laws = [i for i, _ in chosen], [e for _, e in chosen]
         self._alone = [laws] * n
         self._limits = np.tile(system.arm.column("tau_max"), (n, 1))
         self._values = [
@@ -295,14 +295,14 @@ def _names(effect: Effect) -> list[str]:
     return [field.name for field in dataclasses.fields(effect)]  # type: ignore[arg-type]
 
 
-def _bound(laws: list[Effect], values: list[dict[str, Array]]) -> list[Effect]:
+def _bound(laws: list[TorqueEffect], values: list[dict[str, Array]]) -> list[TorqueEffect]:
     return [effect.bound(fields) for effect, fields in zip(laws, values, strict=True)]
 
 
 _PROBES = 17  # simulations: every place in vectors of up to eight numbers, and what is over
 
 
-def _stackable(laws: list[Effect], joints: int) -> bool:
+def _stackable(laws: list[TorqueEffect], joints: int) -> bool:
     """Return True if all simulations at once get the very bits that each gets by itself.
 
     Not so where a law takes single entries (its coefficient[0] would be a whole simulation),

@@ -30,7 +30,7 @@ from ves_gym.hardware.platform import Follower, PoseFollower, PoseServo
 from ves_gym.mechanics.gravity import GravityModel, gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.system.deviations import ARRAYS, LoopParameters
-from ves_gym.system.effect import Effect
+from ves_gym.system.effect import BaseEffect
 from ves_gym.system.system import System
 
 _REFINE = 3  # rounds of scaling a pose to the legs' reach
@@ -707,7 +707,7 @@ def _all_bodies(system: System) -> tuple[int, ...]:
 
 def _require_vehicle(system: System, admittance: Nonlinear | None) -> None:
     """Refuse effects on a vehicle whose place an `admittance` takes."""
-    on_base = [e.kind for e in system.effects if type(e).base is not Effect.base]
+    on_base = [e.kind for e in system.effects if isinstance(e, BaseEffect)]
     if admittance is not None and on_base:
         raise ParameterError(
             f"effect {on_base[0]} would do nothing: an `admittance` takes the vehicle's place"

@@ -14,6 +14,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, Index
 from ves_gym.system.deviations import Delays
+from ves_gym.system.effect import DelayEffect
 from ves_gym.system.system import System
 
 _WHOLE = 1e-9  # of a physics step: a delay as near as that to whole steps is whole
@@ -223,4 +224,8 @@ def joint_delays_of(system: System, n: int) -> JointDelays | None:
         system: with its effects.
         n: simulations.
     """
-    return JointDelays(system, n) if any(e.is_on_line for e in system.effects) else None
+    return (
+        JointDelays(system, n)
+        if any(isinstance(e, DelayEffect) for e in system.effects)
+        else None
+    )

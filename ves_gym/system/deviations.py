@@ -16,6 +16,7 @@ from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.hardware.force_sensor import SensorErrors
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.gravity import GravityModel
+from ves_gym.system.effect import DelayEffect, LaboratoryEffect
 from ves_gym.system.emulator_settings import EmulatorSettings
 
 if TYPE_CHECKING:
@@ -79,7 +80,8 @@ class LoopParameters:
             ParameterError: relative changes that add up to -1 or less.
         """
         for effect in system.effects:
-            effect.edit(self)
+            if isinstance(effect, LaboratoryEffect):
+                effect.edit(self)
         for name in ("bandwidth", "damping", "payload_scale"):
             least = float(getattr(self, name).min())
             if least <= -1:
@@ -126,7 +128,8 @@ class Delays:
         """
         out = Delays(np.zeros(n), np.zeros(n), np.zeros((n, system.arm.n)))
         for effect in system.effects:
-            effect.wire(out)
+            if isinstance(effect, DelayEffect):
+                effect.wire(out)
         return out
 
     def put(self, ids: Index, other: Delays) -> None:

@@ -7,8 +7,10 @@ have a unit, bounds and a null value at which the system is exactly the nominal 
 from __future__ import annotations
 
 import dataclasses
+from abc import ABC, abstractmethod
 from collections import UserDict
 from collections.abc import Callable, Iterable
+from inspect import isabstract
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -43,7 +45,6 @@ class Registry(UserDict[str, "type[Effect]"]):
 
 
 EFFECTS = Registry()
-WAYS = ("edit", "law", "arm", "base", "wire")  # methods by which an effect acts
 # Balance of torques at the joints; force sensor; estimate of the arm's weight; vehicle, real
 # or emulated; from the platform's command to its pose.
 PORTS = ("joint", "wrench", "gravity", "admittance", "platform")
@@ -52,23 +53,20 @@ PORTS = ("joint", "wrench", "gravity", "admittance", "platform")
 class Effect:
     """Base of all effects; see `register` and `parameter`.
 
-    An effect acts in one of these ways (docs/decisions/0012). `edit` changes the parameters
-    of the laboratory: it adds to them, so that several effects combine and none undoes
-    another. `law` is a torque at the joints, in space as in the laboratory: a pure function
-    of arrays written against a small namespace `xp` (tanh, exp, fabs, ...), so that one text
-    runs in NumPy and is compiled into the kernel and its derivatives. `arm` and `base` say
-    what arm and vehicle really are, while all that is computed about them - gravity
-    estimate, payload compensation, feed-forward, plans - goes by the description. `wire`
-    adds to the delays between joint controller and drives.
+    An effect acts in one of five ways (docs/decisions/0012), each a subclass:
+    `LaboratoryEffect` changes parameters of the emulation loop, `TorqueEffect` adds a torque
+    at the joints, `ArmEffect` and `BaseEffect` say what arm and vehicle really are, while
+    all that is computed about them - gravity estimate, payload compensation, feed-forward,
+    plans - goes by the description, and `DelayEffect` adds to the delays between joint
+    controller and drives.
 
-    `port` says at which component of the loop it enters, for whoever looks for it there.
+    `port` says at which component of the loop it enters, for a diagnosis that looks there.
     """
 
     REGISTRY: ClassVar[Registry] = EFFECTS
     kind: ClassVar[str]  # "place/name"; set by `register`
     modes: ClassVar[tuple[str, ...]] = ("emulated",)
     port: ClassVar[str]  # one of PORTS
-    tau_max: Any  # in `law`: (n,) torque limits of the arm as described [N m]
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):  # type: ignore[arg-type]
@@ -94,60 +92,6 @@ class Effect:
 
     def check(self, system: System) -> None:
         """Raise ParameterError if the effect would do nothing in this system, or not fit it."""
-
-    def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
-
-    def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
-        """Return the torque at the joints beside the motors' [N m].
-
-        Parameters of the effect, and `tau_max`, are arrays (or symbols) here, whatever they
-        were given as: () or (n,), and (simulations, 1) or (simulations, n) where simulations
-        have values of their own (`Simulator.assign`) and the law is seen to broadcast.
-
-        Args:
-            xp: namespace of the functions: NumPy, CasADi.
-            q, v: (..., n) joint angles [rad] and rates [rad/s].
-            tau: (..., n) command of the motors within the limits of the arm as described [N m];
-                it is what logs record.
-
-        Returns:
-            (..., n).
-        """
-        raise NotImplementedError
-
-    def arm(self, arm: Arm) -> Arm:
-        """The arm that is really there, from the described one."""
-        return arm
-
-    def base(self, base: BaseModel) -> BaseModel:
-        """The vehicle that is really there (or emulated), from the described one."""
-        return base
-
-    def wire(self, delays: Delays) -> None:
-        """Add to the delays between joint controller and drives."""
-
-    @property
-    def is_on_line(self) -> bool:
-        """True of an effect between joint controller and drives."""
-        return type(self).wire is not Effect.wire
-
-    @property
-    def is_plant(self) -> bool:
-        """True of a difference of arm or vehicle from their description."""
-        return type(self).arm is not Effect.arm or type(self).base is not Effect.base
-
-    @property
-    def has_law(self) -> bool:
-        """True of a torque at the joints."""
-        return type(self).law is not Effect.law
-
-    def bound(self, values: dict[str, Any]) -> Any:
-        """The effect with arrays or symbols for parameters (and `tau_max`), as in `law`."""
-        out = object.__new__(type(self))
-        for name, value in values.items():
-            object.__setattr__(out, name, value)
-        return out
 
     def _require(self, fits: bool, what: str) -> None:
         if not fits:
@@ -179,6 +123,79 @@ class Effect:
     def __str__(self) -> str:
         values = {k: v for k, v in to_plain(self).items() if k != "kind"}
         return f"{self.kind}({', '.join(f'{k}={v}' for k, v in values.items())})"
+
+
+class LaboratoryEffect(Effect, ABC):
+    """Change of the emulation loop's parameters.
+
+    It adds to them, so that several effects combine and none undoes another.
+    """
+
+    @abstractmethod
+    def edit(self, p: LoopParameters) -> None:
+        """Add the deviation to the loop's parameters."""
+
+
+class TorqueEffect(Effect, ABC):
+    """Torque at the joints, in mode ideal as in mode emulated.
+
+    A pure function of arrays written against a small namespace `xp` (tanh, exp, fabs, ...),
+    so that one text runs in NumPy and is compiled into the kernel and its derivatives.
+    """
+
+    tau_max: Any  # in `law`: (n,) torque limits of the arm as described [N m]
+
+    @abstractmethod
+    def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
+        """Return the torque at the joints beside the motors' [N m].
+
+        Parameters of the effect, and `tau_max`, are arrays (or symbols) here, whatever they
+        were given as: () or (n,), and (simulations, 1) or (simulations, n) where simulations
+        have values of their own (`Simulator.assign`) and the law is seen to broadcast.
+
+        Args:
+            xp: namespace of the functions: NumPy, CasADi.
+            q, v: (..., n) joint angles [rad] and rates [rad/s].
+            tau: (..., n) command of the motors within the limits of the arm as described [N m];
+                it is what logs record.
+
+        Returns:
+            (..., n).
+        """
+
+    def bound(self, values: dict[str, Any]) -> Any:
+        """The effect with arrays or symbols for parameters (and `tau_max`), as in `law`."""
+        out = object.__new__(type(self))
+        for name, value in values.items():
+            object.__setattr__(out, name, value)
+        return out
+
+
+class ArmEffect(Effect, ABC):
+    """Difference of the arm from its description."""
+
+    @abstractmethod
+    def arm(self, arm: Arm) -> Arm:
+        """Return the arm that is really there, from the described one."""
+
+
+class BaseEffect(Effect, ABC):
+    """Difference of the vehicle, real or emulated, from its description."""
+
+    @abstractmethod
+    def base(self, base: BaseModel) -> BaseModel:
+        """Return the vehicle that is really there, from the described one."""
+
+
+class DelayEffect(Effect, ABC):
+    """Delay between joint controller and drives."""
+
+    @abstractmethod
+    def wire(self, delays: Delays) -> None:
+        """Add to the delays."""
+
+
+KINDS = (LaboratoryEffect, TorqueEffect, ArmEffect, BaseEffect, DelayEffect)
 
 
 def parameter(
@@ -215,9 +232,15 @@ def register(kind: str) -> Callable[[E], E]:
     """Class decorator: file an effect under "place/name"; a name already taken is an error."""
 
     def decorate(cls: E) -> E:
-        if all(getattr(cls, name) is getattr(Effect, name) for name in WAYS):
-            choices = ", ".join(f"`{name}`" for name in WAYS)
-            raise ParameterError(f"effect {kind!r} must have one of {choices}, got none")
+        if not issubclass(cls, KINDS):
+            choices = ", ".join(k.__name__ for k in KINDS)
+            bases = ", ".join(k.__name__ for k in cls.__bases__)
+            raise ParameterError(
+                f"effect {kind!r} must be a subclass of one of {choices}, got {bases}"
+            )
+        if isabstract(cls):
+            missing = ", ".join(sorted(cls.__abstractmethods__))
+            raise ParameterError(f"effect {kind!r} must have the method {missing}, got none")
         if getattr(cls, "port", None) not in PORTS:
             choices = ", ".join(PORTS)
             got = getattr(cls, "port", None)
@@ -252,7 +275,7 @@ def joint_torque(
     """
     out = np.zeros(q.shape)
     for effect in effects:
-        if effect.has_law:
+        if isinstance(effect, TorqueEffect):
             fields = dataclasses.fields(effect)  # type: ignore[arg-type]
             values = {f.name: np.asarray(getattr(effect, f.name), float) for f in fields}
             out = out + effect.bound({**values, "tau_max": tau_max}).law(np, q, v, tau)

@@ -25,7 +25,7 @@ from ves_gym._util.params import (
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT, BaseModel, Vehicle, altered, get_vehicle
-from ves_gym.system.effect import Effect
+from ves_gym.system.effect import ArmEffect, BaseEffect, Effect
 from ves_gym.system.emulator_settings import NOMINAL, EmulatorSettings
 
 MODES = ("ideal", "emulated")
@@ -106,14 +106,18 @@ class System:
         The engine runs this one; what is computed about it goes by the description. Holds
         the remaining effects. A system without such effects is its own.
         """
-        return self._actual if any(e.is_plant for e in self.effects) else self
+        differs = any(isinstance(e, (ArmEffect, BaseEffect)) for e in self.effects)
+        return self._actual if differs else self
 
     @cached_property
     def _actual(self) -> System:
         arm, base = self.arm, self.base
         for effect in self.effects:
-            arm, base = effect.arm(arm), effect.base(base)
-        others = tuple(e for e in self.effects if not e.is_plant)
+            if isinstance(effect, ArmEffect):
+                arm = effect.arm(arm)
+            elif isinstance(effect, BaseEffect):
+                base = effect.base(base)
+        others = tuple(e for e in self.effects if not isinstance(e, (ArmEffect, BaseEffect)))
         if base is self.base:
             out = self.replace(arm=arm, effects=others)
             out.__dict__["base"] = base  # cached: the vehicle is the very same

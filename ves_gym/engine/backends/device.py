@@ -13,6 +13,7 @@ from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.engine.backends.base import MEANINGLESS, Remembering
 from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.engine.mjcf import TO_Y
+from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 
@@ -23,7 +24,7 @@ class DeviceBackend(Remembering):
     state_names = ("_q", "_v", "_act", "_time", "_fault", "_bias")
 
     def __init__(self, system: System, n: int, threads: int) -> None:
-        if any(effect.has_law for effect in system.effects):
+        if any(isinstance(effect, TorqueEffect) for effect in system.effects):
             raise ParameterError(
                 f"backend {self.name} has no torque laws of effects: use kernel or mujoco"
             )

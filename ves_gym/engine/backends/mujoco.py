@@ -23,6 +23,7 @@ from ves_gym.engine.mjcf import (
 )
 from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.vehicle import BaseModel
+from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 _BAD = [
@@ -135,7 +136,8 @@ class MujocoBackend:
         carried = len(where) + np.arange(self._carried)
         self._internal = np.r_[np.setdiff1d(where, self._order), carried]
         # from the start as after `assign`: x**2.0 is a square, x**[2.0, 2.0] a power
-        self._laws = Laws(system, n) if any(e.has_law for e in system.effects) else None
+        has_law = any(isinstance(e, TorqueEffect) for e in system.effects)
+        self._laws = Laws(system, n) if has_law else None
         self._full = False  # the layout of `compile_model`
         self._systems = [system] * n
         self._limits = np.tile(system.arm.column("tau_max"), (n, 1))

@@ -15,7 +15,7 @@ from ves_gym.mechanics.dynamics import Vec, inertia_entries, newton_euler
 from ves_gym.mechanics.gravity import GRAVITY
 
 if TYPE_CHECKING:
-    from ves_gym.system.effect import Effect
+    from ves_gym.system.effect import TorqueEffect
 
 Expression = Any  # a CasADi SX scalar, or a float
 
@@ -33,7 +33,7 @@ class Model:
     kd: list[Expression]
     limit: list[Expression]
     gain: list[Expression]
-    laws: list[tuple[Effect, dict[str, Any]]]  # with their numbers
+    laws: list[tuple[TorqueEffect, dict[str, Any]]]  # with their numbers
     gears: dict[int, Any]  # of the joints that have one: stiffness, damping, gap
     extra: list[Any]  # oscillators on the vehicle: mass, stiffness, damping, direction
 
@@ -64,7 +64,7 @@ class Model:
         return total
 
 
-def _vanishes(effect: Effect, values: dict[str, Any]) -> bool:
+def _vanishes(effect: TorqueEffect, values: dict[str, Any]) -> bool:
     """True if every number that makes the effect act is a structural zero."""
     for field in dataclasses.fields(effect):  # type: ignore[arg-type]
         value, null = values[field.name], field.metadata["null"]

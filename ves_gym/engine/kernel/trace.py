@@ -41,6 +41,7 @@ from ves_gym.engine.kernel.mechanics import (
     unfolded,
 )
 from ves_gym.mechanics.dynamics import ZERO, inertia_entries, newton_euler
+from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.system import PRESCRIBED_INERTIA
 
 if TYPE_CHECKING:
@@ -158,7 +159,7 @@ def _model(system: System, read: _Numbers) -> Model:
         laws=[
             (effect, read.effect(f"{effect.kind}#{i + 1}", effect))
             for i, effect in enumerate(system.effects)
-            if effect.has_law
+            if isinstance(effect, TorqueEffect)
         ],
         gears={i: read.gear(f"gear{i + 1}", arm.links[i].gear) for i in arm.geared},
         extra=[
@@ -199,7 +200,7 @@ def structure(system: System) -> str:
     names, _ = parameters(system)
     step = system.physics_dt if system.integrator == "implicitfast" else None
     balance = system.mode == "emulated" and system.emulator_settings.joint_balance
-    laws = _laws(system) if any(e.has_law for e in system.effects) else None
+    laws = _laws(system) if any(isinstance(e, TorqueEffect) for e in system.effects) else None
     what = (names, laws, system.mode, system.integrator, step, balance)
     return f"{geometry(system.arm)} {what!r}"
 
