@@ -268,7 +268,8 @@ class Laws:
             i: which.
             system: whose effects.
         """
-        self._alone[i] = [system.effects[k] for k in self._which]
+        chosen = [system.effects[k] for k in self._which]
+        self._alone[i] = [e for e in chosen if isinstance(e, TorqueEffect)]
         self._limits[i] = system.arm.column("tau_max")
         for effect, values in zip(self._alone[i], self._values, strict=True):
             for name, rows in values.items():
