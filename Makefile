@@ -10,7 +10,7 @@ PIP = $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv benchmark policies leaderboard test test-all test-processors test-oldest check format bench constraints clean
+.PHONY: help venv benchmark policies leaderboard test test-all test-processors test-ecosystem test-oldest check format bench constraints clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' Makefile
@@ -58,6 +58,9 @@ test-all: $(DEV) ## run the tests, the slow ones included
 test-processors: $(DEV) ## compare bits again: without AVX-512, without AVX2 and FMA
 	for set in no-avx512 no-avx2; do $(BIN)/python -m tests.processors $$set -n 2 $(ARGS) || exit 1; done
 
+test-ecosystem: ## run other packages on the environments, each in an environment of its own
+	$(PYTHON) scripts/ecosystem.py $(ARGS)
+
 check: $(DEV) ## format, lint and types, as CI runs them
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -88,5 +91,5 @@ test-oldest: ## run the tests on the oldest versions that pyproject.toml admits
 	$(VENV)-oldest/bin/python -m pytest -n 2 $(ARGS)
 
 clean: ## remove the environment, caches and results
-	rm -rf $(VENV) $(VENV)-oldest .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist out
+	rm -rf $(VENV) $(VENV)-oldest .venv-ecosystem .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist out
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -30,8 +30,7 @@ PLACE = DOCS / "environments"
 HISTORY = {"v0": "first version"}  # what changed in dynamics, reward or spaces
 
 INFO = {
-    "episode_id": "reset: (seed, index, number) that the episode's random numbers come from",
-    "randomized/...": "reset: parameters drawn for this episode, by effect and name",
+    "randomized/...": "also of reset: parameters drawn for this episode, by effect and name",
     "reward/...": "the terms below; they sum to the reward exactly, in their order",
     "success": "whether the episode would count as solved if it ended here",
     "success_once": "whether it would have at any time",

@@ -161,16 +161,14 @@ class Batch:
         if self.recorder is not None:
             self.recorder.begin(ids)
 
-    def begun(self) -> dict[str, Any]:
-        """What is told of the episodes at their beginning. Leading axis n."""
+    def episode_ids(self) -> npt.NDArray[np.uint64]:
+        """Return (n, 3) seed, index and number that the episodes' random numbers come from."""
         e = self.episodes
-        info: dict[str, Any] = {
-            "episode_id": np.column_stack(
-                [e.root, e.index.astype(np.uint64), e.number.astype(np.uint64)]
-            )
-        }
-        info.update({f"randomized/{k}": v.copy() for k, v in self.drawn.items()})
-        return info
+        return np.column_stack([e.root, e.index.astype(np.uint64), e.number.astype(np.uint64)])
+
+    def randomized(self) -> dict[str, Any]:
+        """Return the parameters (n, size) drawn for the episodes, as entries of an info."""
+        return {f"randomized/{label}": value.copy() for label, value in self.drawn.items()}
 
     def _randomise(self, ids: Index, u: Array) -> None:
         systems, base = [], self.task.system
@@ -262,6 +260,7 @@ class Batch:
         info["diverged"] = diverged.copy()
         if self._emulated:
             info["stopped"] = stopped
+        info.update(self.randomized())
         if self.recorder is not None:
             info.update(self.recorder.step(diverged if over is None else diverged & ~over))
         truncated = last & ~failed if task.ends == "truncated" else np.zeros(self.n, bool)

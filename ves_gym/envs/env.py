@@ -95,7 +95,7 @@ class VesEnv(gym.Env[Any, Any]):
             self.batch.seed(_ONE, seed, index)
         self.batch.reset(_ONE, {k: v[None] for k, v in options.items()})
         self._ready, self._over = True, False
-        info = {k: v[0] for k, v in self.batch.begun().items()}
+        info = {k: v[0] for k, v in self.batch.randomized().items()}
         if self.render_mode == "human":
             self.render()
         return self._observation(), info
@@ -136,6 +136,11 @@ class VesEnv(gym.Env[Any, Any]):
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         self._spec = None if spec is None else with_deadline(spec, self.task.steps)
+
+    @property
+    def episode_id(self) -> npt.NDArray[np.uint64]:
+        """(3,) seed, index and number that the episode's random numbers come from."""
+        return self.batch.episode_ids()[0]
 
     @property
     def compute_reward(self) -> Callable[[npt.ArrayLike, npt.ArrayLike, Any], Any]:
@@ -198,5 +203,5 @@ class VesEnv(gym.Env[Any, Any]):
 
 
 def _first(value: Any) -> Any:
-    item = value[0]
-    return item.item() if isinstance(item, np.generic) else item
+    item = value[0]  # floats stay NumPy's, which are floats too: TorchRL reads their dtype
+    return item.item() if isinstance(item, (np.bool_, np.integer)) else item

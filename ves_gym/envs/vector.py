@@ -8,6 +8,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import numpy.typing as npt
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
@@ -95,7 +96,7 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.batch.reset(ids, {k: v[ids] for k, v in options.items()})
         self._over[ids] = False
         self._ready = True
-        return self._observation(), self.batch.begun()
+        return self._observation(), self.batch.randomized()
 
     def _seed(self, seed: Any, ids: Any) -> None:
         if seed is None and not self._ready:
@@ -133,7 +134,7 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         reward, terminated, truncated, info = self.batch.step(given, over)
         if over is not None:  # their action was only the call for the next episode
             self.batch.reset(np.flatnonzero(over))
-            info.update(self._begun(over))
+            info.update(self.batch.randomized())
         if self._limit is not None:
             late = self.batch.episodes.steps >= self._limit
             truncated |= late if over is None else late & ~over
@@ -144,14 +145,14 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             info["final_obs"], info["_final_obs"] = final, ended
             info["final_info"], info["_final_info"] = last, ended
             self.batch.reset(np.flatnonzero(ended))
-            info.update(self._begun(ended))
+            info.update(self.batch.randomized())
             self._over = np.zeros(self.num_envs, bool)
         return self._observation(), reward, terminated, truncated, info
 
-    def _begun(self, who: Mask) -> dict[str, Any]:
-        """What is told of episodes that began within a step, with its masks."""
-        told = self.batch.begun()
-        return {**told, **{f"_{key}": who.copy() for key in told}}
+    @property
+    def episode_id(self) -> npt.NDArray[np.uint64]:
+        """(n, 3) seed, index and number that the episodes' random numbers come from."""
+        return self.batch.episode_ids()
 
     def _observation(self) -> Any:
         rows = self.batch.observe()

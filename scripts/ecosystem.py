@@ -1,0 +1,165 @@
+"""Run the smoke tests of tests/ecosystem: `python scripts/ecosystem.py [NAME ...]`.
+
+Every tests/ecosystem/smoke_NAME.py says in its head (PEP 723) what it needs. That, and this
+project, are installed into an environment of its own, .venv-ecosystem/NAME, which stays for the
+next time; then the test runs, and its line goes into the table of docs/ecosystem.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+TESTS = ROOT / "tests" / "ecosystem"
+PLACE = ROOT / ".venv-ecosystem"
+PAGE = ROOT / "docs" / "ecosystem.md"
+SECONDS = 900  # for one test
+
+_HEAD = re.compile(r"^# /// script\n((?:#.*\n)+?)# ///$", re.MULTILINE)
+_PRINT_VERSION = (
+    "import importlib.metadata, sys; print(importlib.metadata.version(sys.argv[1]))"
+)
+
+
+def requirements(test: Path) -> list[str]:
+    """Return the dependencies in the head of a test; the first is what it is about."""
+    block = _HEAD.search(test.read_text("utf-8"))
+    if block is None:
+        raise SystemExit(f"{test}: no PEP 723 block that names its dependencies")
+    text = "\n".join(line.removeprefix("#").strip() for line in block[1].splitlines())
+    names: list[str] = tomllib.loads(text)["dependencies"]
+    return names
+
+
+def install(name: str, needs: list[str], share: Path | None) -> tuple[Path, str]:
+    """Return an environment's interpreter, and why it is not ready or "".
+
+    Args:
+        name: of the environment in `PLACE`.
+        needs: requirements besides this project.
+        share: environment whose packages are seen as well, to save room; None: none.
+    """
+    place = PLACE / name
+    python = place / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    stamp = place / ".installed"
+    wanted = "\n".join([*needs, str(share or "")])
+    if stamp.exists() and stamp.read_text("utf-8") == wanted:
+        return python, ""
+    shutil.rmtree(place, ignore_errors=True)
+    venv.create(place, with_pip=True)
+    if share is not None:
+        packages = next(share.glob("lib/python*/site-packages"), None)
+        if packages is None:
+            raise SystemExit(f"--share: {share} is no virtual environment")
+        link = next(place.glob("lib/python*/site-packages")) / "zz_shared.pth"
+        link.write_text(f"{packages}\n", encoding="utf-8")
+    pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    done = subprocess.run(
+        [*pip, "--prefer-binary", "-e", str(ROOT), *needs], capture_output=True, text=True
+    )
+    if done.returncode:
+        return python, last_line(done.stderr)
+    stamp.write_text(wanted, encoding="utf-8")
+    return python, ""
+
+
+def last_line(text: str) -> str:
+    """Return the last line that is not empty."""
+    return next((k.strip() for k in reversed(text.splitlines()) if k.strip()), "no output")
+
+
+def run(test: Path, python: Path) -> tuple[str, str]:
+    """Return what a test says it has run, and "passes" or why it does not.
+
+    Args:
+        test: file.
+        python: interpreter of its environment.
+    """
+    command = [str(python), "-P", str(test)]  # -P: no file beside the test is a module
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS)
+    except subprocess.TimeoutExpired:
+        return "", f"fails: no end within {SECONDS} s"
+    (PLACE / f"{test.stem}.log").write_text(done.stdout + done.stderr, encoding="utf-8")
+    if done.returncode:
+        return "", f"fails: {last_line(done.stderr)}"
+    said = [k.removeprefix("ran: ") for k in done.stdout.splitlines() if k.startswith("ran: ")]
+    return (said[-1], "passes") if said else ("", "fails: it says nothing of what it ran")
+
+
+def row(test: Path, share: Path | None) -> tuple[str, ...]:
+    """Return package, version, what was run, and result of a test."""
+    needs = requirements(test)
+    package = re.split(r"[\[<>=!~; ]", needs[0])[0]
+    python, problem = install(test.stem.removeprefix("smoke_"), needs, share)
+    if problem:
+        return package, "", "", f"not installed: {problem}"
+    version = subprocess.run(
+        [str(python), "-c", _PRINT_VERSION, package], capture_output=True, text=True
+    ).stdout.strip()
+    return package, version, *run(test, python)
+
+
+def read(page: Path) -> dict[str, tuple[str, ...]]:
+    """Return the rows of a page's table by the name of their test."""
+    rows = {}
+    for line in page.read_text("utf-8").splitlines() if page.exists() else ():
+        cells = [k.strip() for k in line.strip("|").split("|")]
+        if line.startswith("| `"):
+            rows[cells[0].strip("`")] = tuple(cells[1:])
+    return rows
+
+
+def write(page: Path, rows: dict[str, tuple[str, ...]]) -> None:
+    """Write the table; the text around it stays.
+
+    Args:
+        page: file with the marks `<!-- table -->` and `<!-- end -->`.
+        rows: cells after the first, by the name of the test.
+    """
+    head, _, rest = page.read_text("utf-8").partition("<!-- table -->")
+    tail = rest.partition("<!-- end -->")[2]
+    lines = [
+        "| test | package | version | what was run | result | on |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, cells in sorted(rows.items()):
+        texts = [f"`{name}`", *(k.replace("|", "/") for k in cells)]
+        lines.append("| " + " | ".join(texts) + " |")
+    table = "\n".join(lines)
+    page.write_text(f"{head}<!-- table -->\n{table}\n<!-- end -->{tail}", encoding="utf-8")
+
+
+def main() -> int:
+    """Run the tests named, or all; return 1 if one does not pass."""
+    tests = {k.stem.removeprefix("smoke_"): k for k in sorted(TESTS.glob("smoke_*.py"))}
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("name", nargs="*", choices=[[], *tests], help="tests; default all")
+    parser.add_argument("--share", type=Path, help="environment whose packages are seen too")
+    parser.add_argument("--remove", action="store_true", help="remove each environment after")
+    args = parser.parse_args()
+    PLACE.mkdir(exist_ok=True)
+    share = args.share.resolve() if args.share else None
+    good = True
+    for name in args.name or tests:
+        cells = row(tests[name], share)
+        today = datetime.date.today().isoformat()
+        write(PAGE, {**read(PAGE), name: (*cells, today)})  # at once: the next may take long
+        print(f"{name} {cells[1]}: {cells[3]}", flush=True)
+        good &= cells[3] == "passes"
+        if args.remove:
+            shutil.rmtree(PLACE / name, ignore_errors=True)
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
