@@ -59,7 +59,7 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Explanation:
-    """An effect that the data ask for, and what could stand in its place."""
+    """An effect that the data ask for, and the candidates that could stand in its place."""
 
     candidate: Candidate
     values: Array  # (k,)
@@ -69,7 +69,7 @@ class Explanation:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Kinds that these data cannot tell apart here."""
+        """Kinds that these data cannot distinguish."""
         return tuple(dict.fromkeys(r.candidate.kind for r in self.rivals))
 
 
@@ -92,13 +92,13 @@ class Gap:
 
     @property
     def worse(self) -> bool:
-        """Whether what is added spoils this channel."""
+        """True where the effects added spoil this channel."""
         return self.ratio > WORSE
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The answer."""
+    """The result of `diagnose`."""
 
     verdict: str
     explanations: tuple[Explanation, ...]
@@ -165,14 +165,20 @@ def diagnose(
     seed: int = 0,
     cache: AnswerCache | None = None,
 ) -> Diagnosis:
-    """Find where machine and runs disagree and name what is missing.
+    """Find the ports where machine and runs disagree, and name the effects that are missing.
 
     Args:
+        machine: the description, as parts that each run alone on measured input.
+        runs: to fit.
         final: runs held back; they are opened once, after everything is decided.
         candidates: the library.
-        progress: called with the fraction done and a few words.
+        limits: thresholds of the verdict; by default those of the sealed benchmark.
+        progress: called with the fraction done and the stage.
         seed: of the noise draws.
-        kept: where answers of the machine are kept until all is done.
+        cache: answers of the machine on disk, so that an interrupted diagnosis resumes.
+
+    Returns:
+        The verdict, the effects that explain the gap, and all that it rests on.
     """
     limits = limits or Thresholds()
     clock = [time.perf_counter()]
@@ -271,7 +277,7 @@ def _verdict(
 
 
 def _motionless_joints(faint: Sequence[Candidate]) -> set[str]:
-    """Joints that barely move: more than one of the basic effects could not be seen there."""
+    """Return joints that barely move: several of the basic effects could not show there."""
     places = [c.slot for c in faint]
     return {place for place in places if places.count(place) > 1}
 
@@ -292,7 +298,7 @@ def _verdict_despite_faults(
 
 
 def _remaining_share(gaps: Sequence[Gap]) -> float:
-    """Part of the gap above noise that is left, all channels together."""
+    """Return the part of the gap above noise that is left, all channels together."""
     before, after = (
         sum(max(getattr(g, side) ** 2 - 1, 0.0) for g in gaps) for side in ("before", "after")
     )
@@ -316,9 +322,9 @@ def _gaps(residuals: WhitenedResiduals, fit: Fit, eta: Array, eta0: Array) -> tu
 
 
 def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
-    """The effects that a better description has; the course of a drift becomes its size.
+    """Return the effects that a better description has; the course of a drift becomes its size.
 
-    What has no name is not added: the best the library can do would only hide it.
+    Effects without a name are not added: the best the library can do would only hide the gap.
     """
     if diagnosis.verdict not in NAMING_VERDICTS:
         return ()
@@ -328,7 +334,7 @@ def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
 
 
 def plain(diagnosis: Diagnosis) -> dict[str, Any]:
-    """As data for JSON; a number that is not known is None."""
+    """Return the diagnosis as data for JSON; a number that is not known is None."""
     ranking = ranked(
         diagnosis.signatures,
         diagnosis.selection.null,
@@ -413,7 +419,7 @@ def _explanation_to_plain(f: Explanation) -> dict[str, Any]:
 
 
 def _intervals_90(f: Explanation) -> list[tuple[float, float] | None]:
-    """90 % interval of each number, inside what it may be; None where nothing is known."""
+    """Return 90 % intervals within the bounds; None where a number has no finite deviation."""
     out: list[tuple[float, float] | None] = []
     for x, std, low, high in zip(
         f.values.tolist(), f.std.tolist(), f.candidate.low, f.candidate.high, strict=True

@@ -1,5 +1,6 @@
-"""What `ves-gym diagnose` is given, read: runs of one machine, and how its better description
-is written. For run logs of a `System` and for data of any machine in MJCF."""
+"""Inputs of `ves-gym diagnose`: runs of one machine, its description and library, and how its
+better description is written. For run logs of a `System` and for data of any machine in MJCF.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +32,7 @@ _MASSES = (  # what may be wrong with the masses described, factor that puts it 
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisInputs:
-    """Runs of one machine, those held back apart, and its library."""
+    """Runs of one machine, those held back beside them, and its library of candidates."""
 
     machine: Machine
     runs: tuple[Run, ...]
@@ -166,7 +167,7 @@ def _require_distinct(paths: Sequence[Path]) -> None:
 
 
 def _system_of(logs: Sequence[RunLog], paths: Sequence[Path]) -> System:
-    """The one system that all logs name."""
+    """Return the one system that all logs name."""
     for log, path in zip(logs, paths, strict=True):
         if "system" not in log.meta:
             raise ParameterError(f"{path}: names no system; give --system FILE")
@@ -200,7 +201,7 @@ def _heavier(arm: Arm, factor: float) -> Arm:
 
 
 def _split(count: int, marked: Sequence[int], final: int | None) -> tuple[list[int], list[int]]:
-    """Runs to fit, and runs to hold back."""
+    """Return indices of the runs to fit and of those to hold back."""
     every = list(range(count))
     if final is None:
         held_back = list(marked) or every[count - count // 3 :]

@@ -1,7 +1,7 @@
-"""What others would do with the same evidence: baselines of the blind benchmark.
+"""Simpler methods on the same residuals: baselines of the blind benchmark.
 
-They fit the signatures of a bank to the whitened residuals by plain least squares, without
-sizes of groups or a threshold for the whole library.
+They fit the signatures to the whitened residuals by plain least squares, without sizes of
+groups or a threshold for the whole library.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ class Baselines:
             self._xx -= xj @ np.linalg.solve(inside, xj.T)
 
     def smallest_error(self) -> tuple[BaselineEffect, ...]:
-        """The one candidate that leaves the least error; there always is one."""
+        """Return the one candidate that leaves the least error; there always is one."""
         fits = [(self._fit((block,)), block) for block in self._signatures.blocks]
         (_, x), block = min(fits, key=lambda f: f[0][0])
         return self._named((block,), x)
 
     def stepwise(self) -> tuple[BaselineEffect, ...]:
-        """Forward selection while n log(error) + k log(n) falls, up to three effects."""
+        """Select forward while n log(error) + k log(n) falls, up to three effects."""
         chosen: tuple[SignatureBlock, ...] = ()
         best = self._criterion(self._zz, 0)
         values = np.zeros(0)
@@ -82,7 +82,7 @@ class Baselines:
         return self._n * math.log(max(error, 1e-300)) + k * math.log(self._n)
 
     def _fit(self, blocks: tuple[SignatureBlock, ...]) -> tuple[float, Array]:
-        """Sum of squares left, and the numbers, kept within their ranges."""
+        """Return the sum of squares left, and the numbers within their ranges."""
         at = [c for s in blocks for c in s.columns]
         bounds = [(self._signatures.candidates[s.candidate], i) for s in blocks for i in s.free]
         low = np.array([c.low[i] for c, i in bounds])

@@ -1,4 +1,4 @@
-"""What a label of the blind benchmark says, in the words of the candidates."""
+"""Labels of the blind benchmark in the words of the candidates."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ INTERVAL = 1.645  # standard deviations to either side, 90 %
 
 
 def label_name(effect: Plain) -> Name:
-    """Kind and slot of a label's effect, as a candidate has them."""
+    """Return kind and slot of a label's effect, as a candidate has them."""
     slot = str(effect["slot"])
     return str(effect["kind"]), SLOTS.get(slot, slot)
 
 
 def answer_name(effect: Plain) -> Name:
-    """Kind and slot of an effect in an answer, its axis told by the clearest number."""
+    """Return kind and slot of an answer's effect; its axis is that of the clearest number."""
     kind, value, std = str(effect["kind"]), effect["value"], effect.get("std") or {}
     if kind in BY_AXIS:
         return kind, max(value, key=lambda axis: abs(value[axis]) / (std.get(axis) or 1.0))
@@ -34,9 +34,16 @@ def answer_name(effect: Plain) -> Name:
 
 
 def numbers(label: Plain, answer: Plain) -> list[tuple[float, float, float | None]]:
-    """(true, found, standard deviation or None) of every number that both sides state.
+    """Pair every number that label and answer both state.
 
     Drift has none: its label is a process, its candidate a path.
+
+    Args:
+        label: effect of a label.
+        answer: effect of an answer, of the same kind.
+
+    Returns:
+        (true, estimated, standard deviation or None).
     """
     value: Mapping[str, float] = answer["value"]
     std: Mapping[str, float | None] = answer.get("std") or {}
@@ -61,7 +68,7 @@ def numbers(label: Plain, answer: Plain) -> list[tuple[float, float, float | Non
 
 
 def _source(label: Plain) -> int:
-    """Which signal a wrong calibration takes from."""
+    """Return the signal that a wrong calibration takes from."""
     i = _SIGNALS.index(label["slot"])
     return i - i % 3 + (i % 3 + int(label["parameters"]["from"])) % 3
 

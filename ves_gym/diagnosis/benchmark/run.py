@@ -68,9 +68,10 @@ class BenchmarkRun:
 def benchmark_run(
     folder: Path, which: str, salt: Path | None = None, cases: Sequence[int] | int | None = None
 ) -> BenchmarkRun:
-    """A benchmark on a set.
+    """Return a run of the benchmark on a set.
 
     Args:
+        folder: of logs, labels and answers.
         which: "development" or "sealed".
         salt: file with the sealed set's secret.
         cases: indices, or how many in the proportions of the whole; None for all.
@@ -108,7 +109,15 @@ def benchmark_run(
 
 
 def stratified(count: int, root: int) -> list[int]:
-    """Indices of `count` cases in the proportions of the whole set, the same every time."""
+    """Return indices of cases in the proportions of the whole set, the same every time.
+
+    Args:
+        count: of cases.
+        root: seed of the set.
+
+    Raises:
+        ParameterError: a count that the set does not have.
+    """
     from ves_gym.diagnosis.benchmark.blind.cases import mix, order_of
 
     plans = mix()
@@ -135,7 +144,12 @@ def stratified(count: int, root: int) -> list[int]:
 def run_benchmark(
     benchmark: BenchmarkRun, workers: int = 1, progress: Progress = lambda what, done: None
 ) -> None:
-    """Make what is missing, seal it, diagnose what has no answer yet.
+    """Make the cases missing, seal them, diagnose those without an answer.
+
+    Args:
+        benchmark: cases and folder.
+        workers: processes.
+        progress: called with the stage and the fraction done.
 
     Raises:
         ParameterError: answers or a seal in the folder are of another benchmark.
@@ -164,7 +178,13 @@ def run_benchmark(
 
 
 def make_case(folder: str, root: int, index: int) -> None:
-    """Write one case's logs and label."""
+    """Write one case's logs and label.
+
+    Args:
+        folder: of the benchmark.
+        root: seed of the set.
+        index: of the case.
+    """
     from ves_gym.diagnosis.benchmark.blind.machine import controller
     from ves_gym.diagnosis.benchmark.blind.write import write_set
 
@@ -182,7 +202,7 @@ def _runner() -> Any:
 
 
 def seal_labels(benchmark: BenchmarkRun) -> str:
-    """The digest of the benchmark's labels, written to `seal.json` unless it is there already.
+    """Return the digest of the labels, written to `seal.json` unless it is there already.
 
     Raises:
         ParameterError: the seal there is of other cases or other labels.
@@ -207,17 +227,17 @@ def seal_labels(benchmark: BenchmarkRun) -> str:
 
 
 def read_truth(benchmark: BenchmarkRun) -> list[dict[str, Any]]:
-    """The labels of the benchmark's cases, in order."""
+    """Return the labels of the cases, in order."""
     return [read_table(benchmark.labels / f"case-{i:03d}.json") for i in benchmark.cases]
 
 
 def read_answers(benchmark: BenchmarkRun) -> list[dict[str, Any]]:
-    """The answers to the benchmark's cases, in order."""
+    """Return the answers to the cases, in order."""
     return [read_table(benchmark.answer_file(i)) for i in benchmark.cases]
 
 
 def scored_part(answer: dict[str, Any]) -> dict[str, Any]:
-    """What of an answer is scored, numbers to six digits."""
+    """Return the part of an answer that is scored, numbers to six digits."""
     scored = {k: answer[k] for k in _SCORED if k in answer}
     scored["seconds"] = {"total": answer["seconds"]["total"]}
     out: dict[str, Any] = _rounded(scored)
@@ -233,7 +253,7 @@ def _rounded(value: Any) -> Any:
 
 
 def thresholds_hash(limits: Thresholds) -> str:
-    """What tells answers under other thresholds apart."""
+    """Return the digest that separates answers under other thresholds."""
     return content_hash(dataclasses.asdict(limits))
 
 
@@ -267,6 +287,11 @@ def answer_case(logs: str, index: int, path: str) -> None:
     """Diagnose one case from its logs alone and write the answer.
 
     A diagnosis that fails is an answer, too, and a wrong one.
+
+    Args:
+        logs: folder of all cases.
+        index: of the case.
+        path: of the answer.
     """
     limits = Thresholds()
     begin = time.perf_counter()
@@ -281,7 +306,15 @@ def answer_case(logs: str, index: int, path: str) -> None:
 
 
 def diagnose_case(folder: Path, limits: Thresholds) -> dict[str, Any]:
-    """The answer to the logs of a folder, plain data, with those of the baselines."""
+    """Return the answer to the logs of a folder, with those of the baselines.
+
+    Args:
+        folder: of the case's logs.
+        limits: thresholds.
+
+    Returns:
+        Plain data.
+    """
     from ves_gym.diagnosis.benchmark.baselines import Baselines
 
     begin = time.perf_counter()
@@ -315,7 +348,7 @@ def diagnose_case(folder: Path, limits: Thresholds) -> dict[str, Any]:
 
 
 def _effect(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
-    """An effect named, with all its rivals; those of its class are `near`."""
+    """Return an effect named, with all its rivals; those of its class are `near`."""
     f, rivals = diagnosis.explanations[i], diagnosis.selection.rivals[i]
     return {
         **_named(f.candidate, f.values),

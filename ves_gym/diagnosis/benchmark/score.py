@@ -1,4 +1,4 @@
-"""Scores of answers against labels: the rows of the target table, and who was taken for whom.
+"""Scores of answers against labels: the rows of the target table, and the confusion.
 
 An effect is named right if kind and slot are the label's. A case of one effect is right if
 nothing else is named beside it.
@@ -54,7 +54,7 @@ class TargetRow:
 
     @property
     def met(self) -> bool | None:
-        """Whether the target is met; None without one, or without cases."""
+        """True if the target is met; None without one, or without cases."""
         if self.value is None or (self.least is None and self.most is None):
             return None
         above = self.least is None or self.value >= self.least
@@ -77,29 +77,29 @@ class ScoredCase:
 
     @property
     def ratio(self) -> float:
-        """The least gap over noise that was wanted of its effects."""
+        """Least gap over noise that its effects were sized for."""
         return min((float(e["wanted"]) for e in self.label["effects"]), default=0.0)
 
     @cached_property
     def true_names(self) -> list[Name]:
-        """What is there."""
+        """Kind and slot of every effect that is there."""
         return [label_name(e) for e in self.label["effects"]]
 
     @cached_property
     def answered_names(self) -> list[Name]:
-        """What is said to be there."""
+        """Kind and slot of every effect that the answer names."""
         return [answer_name(e) for e in self.effects]
 
     @property
     def correct(self) -> bool:
-        """Exactly what is there, by kind and slot."""
+        """True if exactly the effects there are named, by kind and slot."""
         return set(self.answered_names) == set(self.true_names) and len(
             self.answered_names
         ) == len(self.true_names)
 
     @property
     def in_class(self) -> bool:
-        """One effect is named, and the truth is among those that do as well."""
+        """True if one effect is named, and the truth is among those that do as well."""
         if len(self.effects) != 1:
             return False
         near = [r for r in self.effects[0].get("rivals", ()) if r["near"]]
@@ -107,7 +107,7 @@ class ScoredCase:
 
     @property
     def belief(self) -> float:
-        """Probability that is given to the truth of a single case."""
+        """Probability that the answer has for the truth of a single case."""
         best = 0.0
         for e in self.effects:
             rivals = e.get("rivals") or ({**e, "probability": 1.0},)
@@ -119,13 +119,18 @@ class ScoredCase:
 def cases_of(
     labels: Sequence[Plain], answers: Sequence[Plain], method: str = OWN
 ) -> list[ScoredCase]:
-    """Labels paired with what a method says; a baseline always gives names or nothing."""
+    """Pair labels with the answers of a method; a baseline always gives names or nothing.
+
+    Args:
+        labels, answers: in the same order.
+        method: of `METHODS`.
+    """
     out = []
     for label, answer in zip(labels, answers, strict=True):
         if method == OWN:
             verdict = answer["verdict"]
             effects = answer["effects"] if verdict in NAMING_VERDICTS else []
-        elif "why" in answer:  # failed before a baseline had its evidence
+        elif "why" in answer:  # failed before a baseline had its residuals
             verdict, effects = answer["verdict"], []
         else:
             effects = answer["baselines"][method]
@@ -135,7 +140,14 @@ def cases_of(
 
 
 def score(labels: Sequence[Plain], answers: Sequence[Plain]) -> dict[str, Any]:
-    """Everything, plain data: per method the rows of the table, the curve, the confusion."""
+    """Score all methods: per method the rows of the table, the curve, the confusion.
+
+    Args:
+        labels, answers: in the same order.
+
+    Returns:
+        Plain data.
+    """
     out: dict[str, Any] = {"methods": {}}
     for method in METHODS:
         cases = cases_of(labels, answers, method)
@@ -156,7 +168,12 @@ _CATEGORIES = ("single", "null", "outside", "pair", "weak")
 
 
 def bounds(hits: int, n: int) -> tuple[float, float]:
-    """One-sided 95 % bounds of a share, lower and upper (Clopper and Pearson 1934)."""
+    """Return one-sided 95 % bounds of a share, lower and upper (Clopper and Pearson 1934).
+
+    Args:
+        hits: of n.
+        n: cases.
+    """
     beta = scipy.stats.beta
     low = float(beta.ppf(1 - CONFIDENCE, hits, n - hits + 1)) if hits else 0.0
     high = float(beta.ppf(CONFIDENCE, hits + 1, n - hits)) if hits < n else 1.0
@@ -164,7 +181,13 @@ def bounds(hits: int, n: int) -> tuple[float, float]:
 
 
 def share(name: str, hits: Iterable[bool], **target: float) -> TargetRow:
-    """A share of cases, with its bounds."""
+    """Return a share of cases, with its bounds.
+
+    Args:
+        name: of the row.
+        hits: one per case.
+        target: `least`, `most`.
+    """
     list_ = list(hits)
     if not list_:
         return TargetRow(name, None, 0, **target)  # type: ignore[arg-type]
@@ -179,7 +202,12 @@ def _middle(name: str, values: Sequence[float], unit: str = "1", **target: float
 
 
 def rows(cases: Sequence[ScoredCase], with_probabilities: bool = True) -> list[TargetRow]:
-    """The target table; `own`: with what only answers that hold probabilities can have."""
+    """Return the target table.
+
+    Args:
+        cases: of one method.
+        with_probabilities: with the rows for which answers must hold probabilities.
+    """
     of = {k: [c for c in cases if c.category == k] for k in _CATEGORIES}
     owed = [c for c in of["single"] if c.ratio >= VISIBLE]
     pairs = of["pair"]
@@ -256,7 +284,7 @@ def _numbers(case: ScoredCase) -> list[tuple[float, float, float | None]]:
 
 
 def _retrieval(pairs: Sequence[ScoredCase]) -> list[TargetRow]:
-    """Precision, recall and F1 over all effects of the pairs."""
+    """Return precision, recall and F1 over all effects of the pairs."""
     hits = sum(len(set(c.true_names) & set(c.answered_names)) for c in pairs)
     n_answered, n_true = (
         sum(len(c.answered_names) for c in pairs),
@@ -273,7 +301,7 @@ def _retrieval(pairs: Sequence[ScoredCase]) -> list[TargetRow]:
 
 
 def _slots(cases: Sequence[ScoredCase]) -> list[bool]:
-    """Of effects named with the right kind, where a kind has several slots."""
+    """Return hits of the slot among effects of the right kind, where a kind has several."""
     out = []
     for c in cases:
         for kind, slot in c.true_names:
@@ -284,7 +312,7 @@ def _slots(cases: Sequence[ScoredCase]) -> list[bool]:
 
 
 def _calibration(cases: Sequence[ScoredCase]) -> TargetRow:
-    """Expected calibration error of the probabilities of all kinds named, in ten bins."""
+    """Return the expected calibration error of the probabilities named, in ten bins."""
     p = np.array([e["probability"] for c in cases for e in c.effects], float)
     kinds = [(e["kind"], {k for k, _ in c.true_names}) for c in cases for e in c.effects]
     hits = np.array([kind in kinds_true for kind, kinds_true in kinds], float)
@@ -300,7 +328,7 @@ def _calibration(cases: Sequence[ScoredCase]) -> TargetRow:
 
 
 def removed_gap(final: Sequence[Sequence[Any]]) -> float | None:
-    """Part of the gap above noise that is gone, in the channel that was off most.
+    """Return the part of the gap above noise that is gone, in the channel that was off most.
 
     None where no channel was off by twice the noise.
     """
@@ -317,7 +345,7 @@ def _worse(final: Sequence[Sequence[Any]]) -> bool:
 
 
 def by_ratio(cases: Sequence[ScoredCase]) -> list[dict[str, Any]]:
-    """Right names of single cases by gap over noise."""
+    """Return names right of single cases by gap over noise."""
     singles = [c for c in cases if c.category == "single"]
     out = []
     for ratio in sorted({c.ratio for c in singles}):
@@ -327,7 +355,7 @@ def by_ratio(cases: Sequence[ScoredCase]) -> list[dict[str, Any]]:
 
 
 def by_kind(cases: Sequence[ScoredCase]) -> list[dict[str, Any]]:
-    """Single cases of every kind: right of all by gap, and the least gap named right."""
+    """Return single cases of every kind: right of all by gap, and the least gap named right."""
     singles = [c for c in cases if c.category == "single"]
     out = []
     for kind in sorted({c.true_names[0][0] for c in singles}):
@@ -359,7 +387,7 @@ def _counts(group: Sequence[ScoredCase]) -> dict[str, int]:
 
 
 def column(case: ScoredCase) -> str:
-    """Under what an answer to a case without pairs is counted."""
+    """Return the column under which an answer to a case without pairs is counted."""
     if case.verdict in _QUIET:
         return NOTHING_COLUMN
     if not case.effects:
@@ -372,7 +400,12 @@ def column(case: ScoredCase) -> str:
 
 
 def confusion(cases: Sequence[ScoredCase], least: float = VISIBLE) -> dict[str, dict[str, int]]:
-    """True kind -> what was answered -> cases; all but pairs and gaps below `least`."""
+    """Count answers by true kind and answered column.
+
+    Args:
+        cases: all; pairs are left out.
+        least: gap over noise below which single cases are left out.
+    """
     out: dict[str, dict[str, int]] = {}
     for c in cases:
         if c.category == "pair" or (c.category == "single" and c.ratio < least):
@@ -384,7 +417,7 @@ def confusion(cases: Sequence[ScoredCase], least: float = VISIBLE) -> dict[str, 
 
 
 def is_correct(case: ScoredCase) -> bool:
-    """Whether an answer is what the table wants of its case."""
+    """Return True if an answer is what the table asks of its case."""
     if case.category == "null":
         return case.verdict in _QUIET
     if case.category == "outside":
@@ -395,7 +428,7 @@ def is_correct(case: ScoredCase) -> bool:
 
 
 def missed(case: ScoredCase) -> dict[str, Any]:
-    """A case that was not answered as wanted."""
+    """Return a case that was answered wrong, as plain data."""
     return {
         "index": case.label["index"],
         "category": case.category,

@@ -11,7 +11,7 @@ Plain = Mapping[str, Any]
 
 
 def markdown(result: Plain) -> str:
-    """The page of a benchmark's result."""
+    """Return the page of a benchmark's result."""
     ours = result["score"]["methods"][OWN]
     parts = [_head(result), _targets(result["score"]["methods"]), _curve(ours), _kinds(ours)]
     parts += [_confusion(ours["confusion"]), _missed(result["score"])]

@@ -78,18 +78,21 @@ class Run:
 
     @cached_property
     def joints(self) -> Kinematics:
-        """Measured joint angles and what follows from them."""
+        """Measured joint angles with their rates and accelerations."""
         return Kinematics(*differentiated(self["q"], self.dt, self.band))
 
     @cached_property
     def base(self) -> Kinematics:
-        """Measured base or platform pose and what follows from it."""
+        """Measured base or platform pose with its rates and accelerations."""
         return Kinematics(*differentiated(self["y"], self.dt, self.band))
 
     def with_noise(self, rng: np.random.Generator, n: int, exact: Sequence[str] = ()) -> Run:
-        """The run n times, each with another draw of its noise on top: (n, T, c).
+        """Return the run n times, each with another draw of its noise on top: (n, T, c).
 
-        `exact`: signals that the part in question was really given, as the log has them.
+        Args:
+            rng: of the draws.
+            n: number of copies.
+            exact: signals that the part in question was really given, as the log has them.
         """
         noisy = {}
         for name, x in self.signals.items():
@@ -100,10 +103,15 @@ class Run:
 
 
 def run_of(log: RunLog, name: str, band: float = BAND) -> Run:
-    """A log on an even clock.
+    """Return a log on an even clock.
 
-    Noise is the metadata's `noise_std` where that is given, else told from the signal; its
-    colour is always told from the signal.
+    Noise is the metadata's `noise_std` where stated, else estimated from the signal; its colour
+    is always estimated.
+
+    Args:
+        log: run log.
+        name: of the run, in messages and results.
+        band: frequencies compared reach up to it [Hz].
 
     Raises:
         ParameterError: too short, or sampled too slowly for the band.
@@ -122,7 +130,14 @@ def run_of_signals(
     band: float = BAND,
     meta: Mapping[str, Any] | None = None,
 ) -> Run:
-    """Signals (T, c) stamped at t (T,) [s] on an even clock; as `run_of` otherwise.
+    """Return signals stamped at t on an even clock; as `run_of` otherwise.
+
+    Args:
+        t: (T,) time stamps [s].
+        signals: (T, c) each, by the names of the run log.
+        name: of the run, in messages and results.
+        band: frequencies compared reach up to it [Hz].
+        meta: as of a run log.
 
     Raises:
         ParameterError: too short, or sampled too slowly for the band.

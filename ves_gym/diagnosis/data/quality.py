@@ -46,7 +46,7 @@ class Fault:
 
 
 def faults(runs: Sequence[Run]) -> tuple[Fault, ...]:
-    """Faults of measured signals that all runs hold, lost samples first."""
+    """Return faults of measured signals that all runs hold, lost samples first."""
     names = [k for k in MEASURED if all(k in run for run in runs)]
     lost = {k: max(run.repeats.get(k, 0.0) for run in runs) for k in names}
     out = [Fault(k, "repeats", share, None) for k, share in lost.items() if share > _SHARE]

@@ -14,7 +14,7 @@ from ves_gym._util.params import Array, ParameterError
 
 
 def read_columns(path: str | os.PathLike[str]) -> dict[str, Array]:
-    """All columns (T,) by name of a .mat file, a .csv file, or all .csv files of a folder.
+    """Return all columns (T,) by name of a .mat or .csv file, or of all .csv files of a folder.
 
     Columns of one name in several files of a folder must be the same. Single numbers of a
     .mat file are columns of length 1.
@@ -76,7 +76,7 @@ def _folder(path: Path) -> dict[str, Array]:
 
 
 def column_of(columns: Mapping[str, Array], name: str, where: str) -> Array:
-    """A column (T,), finite.
+    """Return a column (T,), finite.
 
     Raises:
         ParameterError: not there, or not finite.

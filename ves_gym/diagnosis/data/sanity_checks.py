@@ -1,4 +1,4 @@
-"""Is a log what it says? Channels exchanged, with another sign or in another unit.
+"""Sanity checks of a log: channels exchanged, with another sign or in another unit.
 
 Such mistakes are no physics: no effect of the library is meant to explain them, and none may
 be named for them. Each is tried, and asked about if the data then agree far better with the
@@ -111,7 +111,16 @@ def require_as_logged(
 def suspected_mistake(
     machine: Machine, run: Run, others: Sequence[tuple[str, Machine]] = ()
 ) -> Question | None:
-    """The mistake that explains a run best, if it does so far better than none."""
+    """Return the mistake that explains a run best, if it does so far better than none.
+
+    Args:
+        machine: the description.
+        run: as logged.
+        others: usual mistakes in the description: wording, and the machine without it.
+
+    Returns:
+        The question to ask; None where no mistake stands out.
+    """
     ports = testable(machine, [run])
     current = _sizes(machine, run, [p.name for p in ports])
     bad = {name: x > _BADLY.get(name, _BAD) for name, x in current.items()}
@@ -147,7 +156,7 @@ def suspected_mistake(
 
 
 def _sizes(machine: Machine, run: Run, ports: Sequence[str]) -> dict[str, Array]:
-    """(c,) per port: size of the residual over that of the channel's movement."""
+    """Return (c,) per port: size of the residual over that of the channel's movement."""
     residuals = machine.residuals(run, [machine.nominal], ports)
     out = {}
     for name in ports:
@@ -218,7 +227,7 @@ def _mistakes(
 def _orders(
     keys: tuple[str, ...], labels: Sequence[str], kinds: Sequence[range]
 ) -> Iterator[_Mistake]:
-    """One channel with the other sign, two of a kind exchanged."""
+    """Yield one channel with the other sign, and two of a kind exchanged."""
     size = len(labels)
     for i in range(size):
         flip = np.eye(size)
@@ -243,7 +252,7 @@ def _scaled(keys: tuple[str, ...], part: slice, factor: float, text: str) -> _Mi
 
 
 def _picked(keys: tuple[str, ...], matrix: Array) -> Callable[[Run], dict[str, Array]]:
-    """Signals under a matrix; `weight`, what was subtracted from w, follows w and wg."""
+    """Return signals under a matrix; `weight`, part of w, follows w and wg."""
 
     def change(run: Run) -> dict[str, Array]:
         new: dict[str, Any] = {k: _logged(run, k) @ matrix.T for k in keys}

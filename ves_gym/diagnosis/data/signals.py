@@ -20,10 +20,17 @@ _TAPER = 0.1  # share of a run that the window brings to zero
 
 
 def on_uniform_clock(t: Array, x: Array) -> tuple[float, Array]:
-    """Step [s] and samples (T, c) at equal steps of signals stamped at the instants t (T,).
+    """Resample signals at equal steps.
 
     Uneven stamps may be true, or a regular sampler's samples stamped late. Whichever makes
     the signals smoother is taken: a wrong clock adds noise wherever something moves.
+
+    Args:
+        t: (T,) time stamps [s].
+        x: (T, c) samples.
+
+    Returns:
+        Step [s] and samples (T, c).
     """
     dt = float(t[-1] - t[0]) / (len(t) - 1)
     even = t[0] + dt * np.arange(len(t))
@@ -40,17 +47,23 @@ def on_uniform_clock(t: Array, x: Array) -> tuple[float, Array]:
 def differentiated(
     x: Array, dt: float, band: float, ahead: float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """x, x' and x'' of a sampled signal (..., T, c) `ahead` s later, flat up to `band` [Hz].
+    """Return x, x' and x'' of a sampled signal, flat up to `band`.
 
     Correlation with a windowed sinc and its two derivatives; beyond the ends the signal goes
     on point-symmetrically, so the first and last `margin` samples are less true.
+
+    Args:
+        x: (..., T, c) samples.
+        dt: step [s].
+        band: Hz.
+        ahead: the results are of this much later [s].
     """
     out = _correlated(x, _kernels(dt, band, ahead))
     return out[0], out[1], out[2]
 
 
 def _correlated(x: Array, kernels: Sequence[Array]) -> list[Array]:
-    """Convolutions along time; beyond its ends a signal goes on point-symmetrically."""
+    """Convolve along time; beyond its ends a signal goes on point-symmetrically."""
     m = len(kernels[0]) // 2
     reach = min(m, x.shape[-2] - 1)
     first, last = x[..., :1, :], x[..., -1:, :]
@@ -66,9 +79,15 @@ def _correlated(x: Array, kernels: Sequence[Array]) -> list[Array]:
 
 
 def zero_order_hold(x: Array, dt: float, band: float, delay: float) -> Array:
-    """A signal (..., T, c) that a computer holds for a period and passes on `delay` s late.
+    """Return a signal (..., T, c) that is held for a period and passed on late.
 
     Both act inside the band as the mean over a period of the signal that came before.
+
+    Args:
+        x: (..., T, c) samples.
+        dt: step, and period of the hold [s].
+        band: Hz.
+        delay: s.
     """
     inside = (np.arange(8) + 0.5) / 8 * dt
     t, half = _instants(dt, band)
@@ -77,7 +96,7 @@ def zero_order_hold(x: Array, dt: float, band: float, delay: float) -> Array:
 
 
 def margin(dt: float, band: float) -> int:
-    """Samples at either end that `differentiated` has to guess at."""
+    """Return the number of samples at either end that `differentiated` has to guess at."""
     return _instants(dt, band)[1]
 
 
@@ -117,7 +136,7 @@ class SensorNoiseModel:
     correlation: Array  # (c,) of neighbouring samples
 
     def draw(self, rng: np.random.Generator, n: int, length: int) -> Array:
-        """(n, length, c) realisations."""
+        """Return realisations (n, length, c)."""
         a = self.correlation
         fresh = rng.standard_normal((n, length, len(self.std))) * np.sqrt(1 - a**2)
         fresh[:, 0] /= np.sqrt(1 - a**2)
@@ -128,10 +147,17 @@ class SensorNoiseModel:
 
 
 def estimate_noise(x: Array, quiet: float = _QUIET) -> SensorNoiseModel:
-    """Noise of a sampled signal (T, c), told from its motion by frequency.
+    """Estimate the noise of a sampled signal, separated from its motion by frequency.
 
-    Above `quiet`, a part of the sampling rate, there is no motion: first-order noise is
-    fitted to the spectrum there by Whittle's likelihood.
+    Above `quiet` there is no motion: first-order noise is fitted to the spectrum there by
+    Whittle's likelihood.
+
+    Args:
+        x: (T, c) samples.
+        quiet: part of the sampling rate.
+
+    Returns:
+        Standard deviations and correlations of neighbouring samples, (c,) each.
     """
     d = x - np.linspace(0, 1, len(x))[:, None] * (x[-1] - x[0])  # ends meet: no leakage
     power = np.abs(np.fft.rfft(d - d.mean(axis=0), axis=0)) ** 2 / len(x)
@@ -148,7 +174,7 @@ def estimate_noise(x: Array, quiet: float = _QUIET) -> SensorNoiseModel:
 
 
 def repeats(signals: Mapping[str, Array]) -> dict[str, float]:
-    """Share of samples in which all of a signal (T, c) stays while every other one moves.
+    """Return the share of samples in which a signal (T, c) stays while every other one moves.
 
     Twice or more in a row: coarse readings repeat by chance. Less what chance has of that.
     """

@@ -1,8 +1,8 @@
-"""Evidence that keeps what the machine's parts answered, so that a diagnosis that was
-interrupted goes on where it was: fits and signatures then ask nothing twice.
+"""A cache of what the machine's parts answered, so that a diagnosis that was interrupted
+resumes: fits and signatures then ask nothing twice.
 
-One file per question, named by the SHA-256 of what was asked: a checksum and an array, no
-code. A file that is not whole counts as not there.
+One file per question, named by the SHA-256 of the question: a checksum and an array, no
+code. A file that is damaged counts as absent.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class AnswerCache:
         return np.asarray(np.load(io.BytesIO(data[4:]), allow_pickle=False))
 
     def put(self, key: str, answer: Array) -> None:
-        """Keep an answer: written under another name, then renamed."""
+        """Write an answer (array) under its key: complete under another name, then renamed."""
         self.folder.mkdir(parents=True, exist_ok=True)
         buffer = io.BytesIO()
         np.save(buffer, answer, allow_pickle=False)
@@ -73,14 +73,14 @@ class AnswerCache:
         os.replace(near, self.folder / f"{key}.bin")
 
     def done(self) -> None:
-        """All is written elsewhere: forget the answers."""
+        """Delete the answers: all results are written elsewhere."""
         shutil.rmtree(self.folder, ignore_errors=True)
         with contextlib.suppress(OSError):  # another diagnosis is unfinished there
             self.folder.parent.rmdir()
 
 
 class CachedResiduals(WhitenedResiduals):
-    """Evidence whose questions to the machine are answered once."""
+    """Whitened residuals whose questions to the machine are answered once."""
 
     def __init__(
         self, machine: Machine, runs: Sequence[Run], seed: int, cache: AnswerCache
@@ -90,12 +90,12 @@ class CachedResiduals(WhitenedResiduals):
         super().__init__(machine, runs, seed)
 
     def at_port(self, port: str, models: Sequence[Any]) -> Array:
-        """As `Evidence`."""
+        """Return as `WhitenedResiduals.at_port`, from the cache where it is there."""
         about = ("residual", port, *map(canonical_json, models))
         return self._once(about, lambda: WhitenedResiduals.at_port(self, port, models))
 
     def noise(self, model: Any, ports: Sequence[str]) -> Array:
-        """As `Evidence`."""
+        """Return as `WhitenedResiduals.noise`, from the cache where it is there."""
         about = ("noise", *sorted(ports), canonical_json(model))
         return self._once(about, lambda: WhitenedResiduals.noise(self, model, ports))
 
@@ -109,7 +109,7 @@ class CachedResiduals(WhitenedResiduals):
 
 
 def digest_of(run: Run) -> str:
-    """SHA-256 of a run's signals and noise."""
+    """Return the SHA-256 of a run's signals and noise."""
     sha = hashlib.sha256(repr((run.dt, run.band)).encode())
     for name, x in run.signals.items():
         noise = run.noise[name]

@@ -67,21 +67,21 @@ class Candidate:
 
     @property
     def k(self) -> int:
-        """How many numbers are free."""
+        """Number of free numbers."""
         return len(self.names)
 
     @property
     def price(self) -> int:
-        """How many numbers it counts as, at least."""
+        """Least number of parameters it counts as."""
         return 1 if self.sparse else self.k if self.counts is None else self.counts
 
     def effect(self, values: Array) -> Any:
-        """The effect with these numbers (k,), kept within their ranges."""
+        """Return the effect with these numbers (k,), clipped to their ranges."""
         return self.make(np.clip(values, self.low, self.high))
 
 
 class _Library:
-    """Collects candidates of kinds that exist and are wanted."""
+    """Collects candidates of kinds whose ports and mode are there."""
 
     def __init__(self, ports: Iterable[str], mode: str | None) -> None:
         self.ports, self.mode = frozenset(ports), mode
@@ -101,9 +101,17 @@ class _Library:
         sparse: bool = False,
         **free: Starts,
     ) -> None:
-        """`free`: name -> starts; `limits` of names that are no field of the effect.
+        """Add a candidate, unless none of its ports is there.
 
-        `fixed`: those that give a shape, not a size, as numbers without a null do.
+        Args:
+            kind: registered effect.
+            ports: at which it shows, separated by blanks.
+            slot: place, e.g. "joint 2".
+            fields: free numbers (k,) -> fields of the effect.
+            limits: (low, high, unit) of names that are no field of the effect.
+            fixed: numbers that give a shape, not a size, as those without a null do.
+            sets_in, within, blurs, sparse: see `Candidate`.
+            free: name -> starts.
         """
         cls = EFFECTS[kind]
         active_ports = tuple(p for p in ports.split() if p in self.ports)
@@ -151,9 +159,11 @@ def library(
     runs: Sequence[str] = (),
     stretch: float = 0.25,
 ) -> tuple[Candidate, ...]:
-    """All candidates of a machine with n joints and these ports.
+    """Return all candidates of a machine with n joints and these ports.
 
     Args:
+        n: joints.
+        ports: names.
         mode: of a `System`; effects that do not act in it are left out.
         runs: names of the runs, each of which a drifting sensor goes through in its own way.
         stretch: how far a leg of the platform is told to go in them, in parts of its stroke.
@@ -228,7 +238,7 @@ def library(
 
 
 def without(candidates: Sequence[Candidate], kinds: Sequence[str]) -> tuple[Candidate, ...]:
-    """The library less some kinds of effect.
+    """Return the library less some kinds of effect.
 
     Raises:
         ParameterError: a kind that is not in it.
@@ -244,7 +254,7 @@ def without(candidates: Sequence[Candidate], kinds: Sequence[str]) -> tuple[Cand
 
 
 def _joint(shelf: _Library, j: int, n: int) -> None:
-    """What may be wrong with joint j of n."""
+    """Add the candidates of joint j of n."""
 
     def at(value: float, elsewhere: float = 0.0) -> tuple[float, ...]:
         out = [elsewhere] * n
@@ -325,7 +335,7 @@ def _joint(shelf: _Library, j: int, n: int) -> None:
 
 
 def _elsewhere(i: int) -> Callable[[Any], Any]:
-    """A payload farther along an axis of its link."""
+    """Return a change of a payload that puts it farther along an axis of its link."""
     return lambda e: dataclasses.replace(
         e, position=tuple(x + _REACH * (k == i) for k, x in enumerate(e.position))
     )
@@ -335,7 +345,7 @@ _PLACES = tuple(_elsewhere(i) for i in range(3))
 
 
 def _sensor(shelf: _Library) -> None:
-    """What may be wrong with the force sensor."""
+    """Add the candidates of the force sensor."""
     for i, axis in enumerate(WRENCH):
         what, unit = ("force", "N") if i < 3 else ("moment", "N m")
         far = 50.0 if i < 3 else 20.0
@@ -367,7 +377,7 @@ def _sensor(shelf: _Library) -> None:
 
 
 def _drift(i: int, runs: Sequence[str]) -> Candidate:
-    """Drift of one signal: a level and slow cosines in each run, each with its own weight."""
+    """Return the drift of one signal: in each run a level and slow cosines of its own."""
     k = _WAVES * len(runs)
     unit = "N" if i < 3 else "N m"
 

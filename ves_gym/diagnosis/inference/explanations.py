@@ -1,5 +1,6 @@
-"""What a verdict rests on, for people to check: the map of the gap, the candidates side by
-side, what these runs cannot tell apart, and which of them tells best."""
+"""The grounds of a verdict, for people to check: the map of the gap, the candidates side by
+side, those that these runs cannot distinguish, and the runs that separate them best.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ class RankedCandidate:
     """A candidate alone on the residual of the description, with the numbers of its linear
     score."""
 
-    index: int  # in the bank
+    index: int  # in the library
     candidate: Candidate
     values: Array  # (k,)
     screen: float | None  # gain in deviance by the linear score; None if too low to be scored
@@ -45,7 +46,7 @@ class RankedCandidate:
 
 @dataclass(frozen=True)
 class Separation:
-    """How far two candidates are apart in one run, or at one port."""
+    """Likeness and distance of two candidates in one run, or at one port."""
 
     where: str
     likeness: float  # 0 to 1: how well the second imitates the first
@@ -54,7 +55,7 @@ class Separation:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What would tell two candidates apart."""
+    """Measurements that would distinguish two candidates."""
 
     between: tuple[str, str]
     runs: tuple[Separation, ...]
@@ -63,7 +64,7 @@ class Experiment:
 
     @property
     def sentence(self) -> str:
-        """What to measure, in words."""
+        """Advice: the run and port to measure at, and how often."""
         first, second = self.between
         best = max(self.runs, key=lambda a: a.sigma)
         port = max(self.ports, key=lambda a: a.sigma).where
@@ -89,7 +90,14 @@ class Experiment:
 def ranked(
     signatures: Signatures, null: Fit, chosen: Sequence[str] = (), most: int = 12
 ) -> list[RankedCandidate]:
-    """The candidates that score best alone, less what their numbers cost; those chosen too."""
+    """Rank the candidates that score best alone, less the cost of their numbers.
+
+    Args:
+        signatures: of the library.
+        null: fit of the description as it is.
+        chosen: names to rank however they score.
+        most: at the most this many others.
+    """
     residuals = signatures.residuals
     scores = signatures.scores(null.residual, null.tangents, null.size)
     screened = [s for s in scores if np.isfinite(s.deviance)]
@@ -134,7 +142,7 @@ def ranked(
 
 
 def _by_run(residuals: WhitenedResiduals, z: Array, size: Array) -> Array:
-    """(R,) deviance of each run under the sizes (G,) of the groups."""
+    """Return (R,) deviance of each run under the sizes (G,) of the groups."""
     out = np.zeros(len(residuals.runs))
     for group, v in zip(residuals.groups, np.maximum(size, 1.0), strict=True):
         for i, part in enumerate(group.runs):
@@ -143,14 +151,30 @@ def _by_run(residuals: WhitenedResiduals, z: Array, size: Array) -> Array:
 
 
 def likeness(signatures: Signatures, indices: Sequence[int]) -> Array:
-    """(n, n) how well the candidate of a column imitates that of a row, 0 to 1."""
+    """Return how well the candidate of a column imitates that of a row.
+
+    Args:
+        signatures: of the library.
+        indices: n candidates.
+
+    Returns:
+        (n, n), 0 to 1.
+    """
     return np.array([[signatures.likeness(i, j) for j in indices] for i in indices]).reshape(
         2 * (len(indices),)
     )
 
 
 def classes(names: Sequence[str], alike: Array) -> list[list[str]]:
-    """Names that these runs cannot tell apart: each imitates the other, or both a third."""
+    """Group names that these runs cannot distinguish: each imitates the other, or both a third.
+
+    Args:
+        names: n candidates.
+        alike: (n, n) likeness.
+
+    Returns:
+        Classes of two members and more.
+    """
     if not names:
         return []
     linked = np.minimum(alike, alike.T) > ALIKE
@@ -162,9 +186,11 @@ def classes(names: Sequence[str], alike: Array) -> list[list[str]]:
 def experiments(
     signatures: Signatures, selection: Selection, alike: float, untestable: Sequence[str]
 ) -> list[Experiment]:
-    """For every place in the answer that several kinds fill as well: what tells them apart.
+    """Propose measurements that separate kinds which explain a gap equally well.
 
     Args:
+        signatures: of the library.
+        selection: the answer with its rivals.
         alike: difference in cost below which two candidates are one class.
         untestable: ports whose signals the logs lack.
     """
@@ -201,7 +227,7 @@ def experiments(
 
 
 def _within(signatures: Signatures, rows: Index) -> Signatures:
-    """The bank as some rows of its evidence alone would have it."""
+    """Return the signatures as some rows of the residuals alone would have them."""
     J = signatures.residuals.slopes[rows]
     S = signatures.columns[rows].astype(float)
     inside = J.T @ J + np.eye(J.shape[1])
@@ -216,8 +242,12 @@ def _separation(where: str, signatures: Signatures, i: int, j: int) -> Separatio
 
 
 def overlays(selection: Selection, residuals: WhitenedResiduals) -> list[dict[str, Any]]:
-    """Residuals of the channel whose gap falls most and, of the others, of that with the
+    """Return residuals of the channel whose gap falls most and, of the others, of that with the
     largest gap, each over the run that shows it most.
+
+    Args:
+        selection: the answer.
+        residuals: that it was fitted to.
 
     Returns:
         Per channel: port, channel, unit, run; t [s], before, after: the residual under the
@@ -278,9 +308,11 @@ def overlays(selection: Selection, residuals: WhitenedResiduals) -> list[dict[st
 def residual_over_time(
     residuals: WhitenedResiduals, null: Fit, fit: Fit | None
 ) -> list[dict[str, Any]]:
-    """Every channel of every run over the time elapsed.
+    """Return the mean square of every channel of every run over the time elapsed.
 
     Args:
+        residuals: that were fitted.
+        null: fit of the description as it is.
         fit: of the better description; None where there is none.
 
     Returns:

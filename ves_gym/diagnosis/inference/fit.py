@@ -37,10 +37,14 @@ class Fit:
     tangents: Array  # (N, b + sum of k); other forms of the effects first
 
     def price(self, i: int, size: int) -> float:
-        """What the numbers of the effect in place i cost, of `size` numbers of evidence.
+        """Return the cost in deviance of the numbers of the effect in place i.
 
         Bayesian information criterion; for the choice of some coordinates among several that
         of Chen and Chen (Biometrika 95, 2008).
+
+        Args:
+            i: place.
+            size: count of whitened numbers that were fitted.
         """
         candidate, count = self.candidates[i], self.candidates[i].price
         choice = 0.0
@@ -56,7 +60,7 @@ class Fit:
         return tuple(c.effect(v) for c, v in zip(self.candidates, self.values, strict=True))
 
     def on_bound(self, i: int) -> bool:
-        """Whether a size of the effect in place i ended at the edge of its range."""
+        """Return True if a size of the effect in place i ended at the edge of its range."""
         c, at = self.candidates[i], list(self.candidates[i].factors)
         v, low, high = self.values[i][at], np.array(c.low)[at], np.array(c.high)[at]
         return bool(((v <= low) | (v >= high)).any())
@@ -65,7 +69,15 @@ class Fit:
 def fit(
     residuals: WhitenedResiduals, candidates: Sequence[Candidate], start: Sequence[Array]
 ) -> Fit:
-    """Gauss-Newton with halved steps, nuisances and group sizes eliminated in every round."""
+    """Fit effects by Gauss-Newton with halved steps, maximising the profile likelihood.
+
+    Nuisances and the sizes of the groups are eliminated in every round.
+
+    Args:
+        residuals: whitened, N numbers.
+        candidates: effects to fit together.
+        start: (k,) numbers of each.
+    """
     p = len(residuals.nuisances)
     if not candidates:
         none = np.zeros((residuals.size, 0))
@@ -85,7 +97,7 @@ def fit(
         return evaluate_residuals(residuals, candidates, [np.split(x, edges) for x in points])
 
     def blurs(x: Array, z: Array) -> Array:
-        """(N, b) what another form of each effect would change; each may be there in part."""
+        """Return (N, b) changes by another form of each effect; each may be there in part."""
         if not forms:
             return np.zeros((len(z), 0))
         values = np.split(x, edges)
@@ -154,7 +166,7 @@ class _FilteredNoise:
     """
 
     def __init__(self, residuals: WhitenedResiduals, candidates: Sequence[Candidate]) -> None:
-        self._evidence, self._candidates = residuals, candidates
+        self._residuals, self._candidates = residuals, candidates
         self._edges = np.cumsum([c.k for c in candidates])[:-1]
         first = [0, *self._edges.tolist()]
         self.filters = [(k, first[k]) for k, c in enumerate(candidates) if c.filters]
@@ -162,11 +174,16 @@ class _FilteredNoise:
         self._change: list[Array] = []  # (N,) of the mean square at `_at`
 
     def measure(self, x: Array, anyway: bool = True) -> None:
-        """Draw noise through each of the effects, unless little has changed."""
+        """Draw noise through each of the effects, unless little has changed.
+
+        Args:
+            x: (sum of k,) numbers of all effects.
+            anyway: draw even so.
+        """
         at = np.array([x[i] for _, i in self.filters])
         if not anyway and (np.abs(at - self._at) <= _NEAR * np.abs(self._at)).all():
             return
-        values, residuals = np.split(x, self._edges), self._evidence
+        values, residuals = np.split(x, self._edges), self._residuals
         self._at, self._change = at, []
         for k, _ in self.filters:
             candidate = self._candidates[k]
@@ -177,11 +194,19 @@ class _FilteredNoise:
             self._change.append(residuals.passed[effect])
 
     def scale(self, x: Array) -> Array | None:
-        """(N,) size of the noise; None where it is that of the description."""
+        """Return (N,) size of the noise; None where it is that of the description."""
         return np.sqrt(self._square(x)) if self.filters else None
 
     def slopes(self, x: Array, residual: Array) -> Array:
-        """(N, k) by which residuals `left` (N,) shrink because noise grows with x (k,)."""
+        """Return by how much residuals shrink because noise grows with the numbers.
+
+        Args:
+            x: (k,) numbers of all effects.
+            residual: (N,).
+
+        Returns:
+            (N, k) change per number.
+        """
         out = np.zeros((len(residual), len(x)))
         for (_, i), at, change in zip(self.filters, self._at, self._change, strict=True):
             if at > 0:
@@ -189,7 +214,7 @@ class _FilteredNoise:
         return out
 
     def _square(self, x: Array) -> Array:
-        out = np.ones(self._evidence.size)
+        out = np.ones(self._residuals.size)
         for (_, i), at, change in zip(self.filters, self._at, self._change, strict=True):
             if at > 0:
                 out += change * (x[i] / at)
@@ -203,7 +228,7 @@ def _residual_of_form(
     k: int,
     blur: Callable[[Any], Any],
 ) -> Array:
-    """(N,) residual with the k-th effect in another form."""
+    """Return (N,) residual with the k-th effect in another form."""
     effects = [c.effect(v) for c, v in zip(candidates, values, strict=True)]
     out = evaluate_residuals(residuals, candidates, [values])[0]
     for port in (p.name for p in residuals.ports if p.name in candidates[k].ports):
@@ -221,7 +246,16 @@ def evaluate_residuals(
     candidates: Sequence[Candidate],
     points: Sequence[Sequence[Array]],
 ) -> Array:
-    """(m, N) residuals under m sets of numbers; a port is asked about its own effects only."""
+    """Return whitened residuals under sets of numbers; a port sees its own effects only.
+
+    Args:
+        residuals: of the description.
+        candidates: effects.
+        points: m times the numbers (k,) of each.
+
+    Returns:
+        (m, N).
+    """
     out = np.tile(residuals.null, (len(points), 1))
     effects = [
         [c.effect(v) for c, v in zip(candidates, values, strict=True)] for values in points
@@ -237,7 +271,7 @@ def evaluate_residuals(
 def _evaluate_port(
     residuals: WhitenedResiduals, port: str, sets: Sequence[tuple[Effect, ...]]
 ) -> Array:
-    """Residuals of a port, each set of effects evaluated once for all fits."""
+    """Return residuals of a port, each set of effects evaluated once for all fits."""
     memory = residuals.memory
     missing = [k for k in dict.fromkeys(sets) if (port, k) not in memory]
     if missing:

@@ -25,9 +25,10 @@ _MOST = 30.0  # of the logarithm of an interval's end
 def stretches(
     residuals: WhitenedResiduals, groups: Sequence[VarianceGroup], z: Array
 ) -> list[Array]:
-    """(b,) sum of squares of a channel's whitened numbers in each stretch, run by run.
+    """Return (b,) sums of squares of a channel's whitened numbers in each stretch, run by run.
 
     Args:
+        residuals: of all runs.
         groups: the channel's, from low to high frequencies.
         z: (N,) whitened residual.
     """
@@ -47,11 +48,12 @@ def stretches(
 def intervals(
     count: int, sums: Sequence[Array], seed: int = 0
 ) -> tuple[tuple[float, float], ...]:
-    """95 % intervals of root mean squares, and of the last over the first.
+    """Return 95 % intervals of root mean squares, and of the last over the first.
 
     Args:
         count: numbers in all.
         sums: (b,) sums of squares of the same stretches, of each quantity.
+        seed: of the draws.
 
     Returns:
         Low and high, k + 1 times.

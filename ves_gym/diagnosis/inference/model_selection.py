@@ -1,8 +1,8 @@
-"""Which effects, together, the data ask for; and which others would do as well.
+"""Forward-backward selection of the effects that the data ask for, with their rivals.
 
-Forward and backward: a candidate comes in if it explains more than the best of the whole
-library would by chance, and goes again if the others do without it; at the end each is
-weighed against everything that could take its place.
+A candidate comes in if it explains more than the best of the whole library would by chance,
+and goes again if the others do without it; at the end each is weighed against everything
+that could take its place.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Thresholds:
-    """What it takes. To be frozen on the development set before a sealed one is opened."""
+    """Thresholds of the verdict, frozen before a sealed set is opened."""
 
     chance: float = 0.005  # that anything of the library is named where nothing is missing
     gain: float = 30.0  # least gain in deviance beyond the numbers it costs
@@ -68,7 +68,7 @@ class Selection:
 
 
 def cost(f: Fit, residuals: WhitenedResiduals) -> float:
-    """Deviance and what its numbers cost."""
+    """Return the deviance of a fit plus the cost of its numbers."""
     return f.deviance + sum(f.price(i, residuals.size) for i in range(len(f.candidates)))
 
 
@@ -78,7 +78,14 @@ def select(
     limits: Thresholds,
     report: Report = lambda text: None,
 ) -> Selection:
-    """Effects named one by one."""
+    """Name effects one by one: forward-backward selection.
+
+    Args:
+        residuals: whitened, of the runs to fit.
+        signatures: of the library on them.
+        limits: thresholds.
+        report: called with each step in words.
+    """
     null = current = fit(residuals, (), ())
     steps: list[str] = []
     while (at := len(current.candidates)) < limits.most:
@@ -120,7 +127,7 @@ def select(
 def _required_gain(
     residuals: WhitenedResiduals, signatures: Signatures, limits: Thresholds, f: Fit, i: int
 ) -> float:
-    """Gain in deviance for which the effect in place i is worth its numbers."""
+    """Return the gain in deviance for which the effect in place i is worth its numbers."""
     candidate = f.candidates[i]
     by_chance = float(
         scipy.stats.chi2.isf(limits.chance / len(signatures.candidates), candidate.k)
@@ -139,13 +146,19 @@ def _required_gain(
 
 
 def unexplained(f: Fit, residuals: WhitenedResiduals, imperfect: float = 1.0) -> float:
-    """Deviance of groups that are larger than noise, above that of noise."""
+    """Return the deviance of groups that are larger than noise, above that of noise.
+
+    Args:
+        f: fit.
+        residuals: that were fitted.
+        imperfect: mean square that is still taken for noise.
+    """
     n = np.array([g.n for g in residuals.groups], float)
     return float((n * np.log(np.maximum(f.size / imperfect, 1.0))).sum())
 
 
 def _without(residuals: WhitenedResiduals, full: Fit, i: int) -> Fit:
-    """The fit of all but the effect in place i."""
+    """Return the fit of all but the effect in place i."""
     others = [c for j, c in enumerate(full.candidates) if j != i]
     return fit(residuals, others, [v for j, v in enumerate(full.values) if j != i])
 
@@ -158,7 +171,7 @@ def _candidate_fits(
     taken: set[str],
     count: int,
 ) -> list[Fit]:
-    """Full fits of what scores best beside `rest`, put in place i, best first by score."""
+    """Return full fits of the best scores beside `reduced`, in place i, best score first."""
     price = float(np.log(residuals.size))
     scores = signatures.scores(reduced.residual, reduced.tangents, reduced.size)
     ahead = reduced.deviance - _screened(residuals, reduced)  # full fits know noise passed on
@@ -180,7 +193,7 @@ def _candidate_fits(
 
 
 def _screened(residuals: WhitenedResiduals, f: Fit) -> float:
-    """Deviance of a fit by the measure of the bank's scores."""
+    """Return the deviance of a fit by the measure of the screening scores."""
     if not any(c.filters for c in f.candidates):
         return f.deviance
     inner = products(residuals, f.residual, f.tangents)
@@ -188,7 +201,7 @@ def _screened(residuals: WhitenedResiduals, f: Fit) -> float:
 
 
 def _acts_long_enough(residuals: WhitenedResiduals, f: Fit, i: int) -> bool:
-    """Whether the effect in place i acts for as long as the band resolves: half a period.
+    """Return True if the effect in place i acts for half a period of the band's top or longer.
 
     A step between two samples looks like a limit that cuts a few of them.
     """
@@ -202,7 +215,7 @@ def _acts_long_enough(residuals: WhitenedResiduals, f: Fit, i: int) -> bool:
 def _exchange_members(
     residuals: WhitenedResiduals, signatures: Signatures, limits: Thresholds, best: Fit
 ) -> tuple[Fit, list[list[Fit]]]:
-    """The cheapest fit that exchanging single members leads to, and all that was tried."""
+    """Return the cheapest fit that exchanging single members leads to, and all alternatives."""
     places: list[list[Fit]] = []
     for _ in range(_EXCHANGES):
         places = []
@@ -230,7 +243,7 @@ def _alternatives(
     i: int,
     count: int,
 ) -> list[Fit]:
-    """The fit and those with another candidate in place i, cheapest first."""
+    """Return the fit and those with another candidate in place i, cheapest first."""
     reduced = _without(residuals, current, i)
     tried = _candidate_fits(
         residuals, signatures, reduced, i, {c.name for c in current.candidates}, count
@@ -242,7 +255,7 @@ def _alternatives(
 def _is_overelaborate(
     f: Fit, fits: list[Fit], reduced: Fit, i: int, limits: Thresholds
 ) -> bool:
-    """Whether a simpler kind in place i explains about as much as this one."""
+    """Return True if a simpler kind in place i explains about as much as this one."""
     candidate = f.candidates[i]
     simpler = [
         g.deviance
@@ -256,7 +269,7 @@ def _is_overelaborate(
 def _rivals(
     fits: list[Fit], i: int, residuals: WhitenedResiduals, limits: Thresholds
 ) -> tuple[Rival, ...]:
-    """What could stand in place i, most probable first."""
+    """Return the candidates for place i, most probable first."""
     costs = np.array([cost(f, residuals) for f in fits])
     weight = np.exp(-(costs - costs.min()) / (2 * limits.temperature))
     weight /= weight.sum()

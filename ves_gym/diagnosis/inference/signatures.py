@@ -1,8 +1,8 @@
-"""`Bank`: the signature of every candidate, and all their inner products.
+"""`Signatures`: of every candidate its signature, and all their inner products.
 
 A signature is the change of the whitened residual per number of the effect. With the
 products at hand, scoring a candidate, alone or beside others, and asking which candidates
-these data cannot tell apart, are small linear problems.
+these data cannot distinguish, are small linear problems.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ class SignatureBlock:
     """A candidate with the numbers held fast that do not enter as a factor."""
 
     candidate: int
-    columns: tuple[int, ...]  # of the bank
+    columns: tuple[int, ...]  # of the signatures
     values: tuple[float, ...]  # (k,) at which the columns were taken
     free: tuple[int, ...]  # which of the k numbers the columns stand for
 
 
 @dataclass(frozen=True)
 class Score:
-    """What a candidate explains of a residual."""
+    """Deviance left by a candidate, by its linear score."""
 
     candidate: int
     deviance: float
@@ -41,7 +41,13 @@ class Score:
 
 
 class Signatures:
-    """Signatures (N, M) of candidates and their products."""
+    """Signatures (N, M) of candidates and their inner products.
+
+    Args:
+        residuals: under the description, N numbers.
+        candidates: the library.
+        progress: called with the fraction done.
+    """
 
     def __init__(
         self,
@@ -91,11 +97,15 @@ class Signatures:
     # --------------------------------------------------------------- scoring
 
     def scores(self, z: Array, beside: Array, size: Array) -> list[Score]:
-        """Best score of each candidate on a residual z (N,), refitted together with nuisances
-        and the tangents `beside` (N, r) of what has been found already.
+        """Return the best score of each candidate, nuisances and accepted effects refitted.
 
-        A first pass takes the groups' mean squares `size` (G,) as they are; those that do well
-        in it are scored again with the sizes that they leave.
+        A first pass takes the groups' sizes as they are; candidates that do well in it are
+        scored again with the sizes that they leave.
+
+        Args:
+            z: (N,) residual.
+            beside: (N, r) tangents of the effects accepted already.
+            size: (G,) mean squares of the groups.
         """
         groups, p, r = self.residuals.groups, self._p, beside.shape[1]
         zz = np.array([z[g.part] @ z[g.part] for g in groups])
@@ -135,7 +145,7 @@ class Signatures:
         return [best[i] for i in range(len(self.candidates))]
 
     def _first_pass(self, weight: Array, xz: Array, bz: Array, bb: Array, bx: Array) -> Array:
-        """(shapes,) gain of each shape with the groups' weights held."""
+        """Return (blocks,) gain of each block with the groups' weights held."""
         p, r = self._p, bz.shape[1]
         xx = np.einsum("g,gij->ij", weight, self._xx, dtype=float)
         x, b = weight @ xz, weight @ bz
@@ -160,9 +170,13 @@ class Signatures:
     # ------------------------------------------- what these data can tell at all
 
     def likeness(self, i: int, j: int) -> float:
-        """How well candidate j can imitate candidate i at its usual size, 0 to 1.
+        """Return how well candidate j can imitate candidate i at its usual size.
 
-        The cosine between the signature of i and the nearest of j's, nuisances projected out.
+        Args:
+            i, j: indices of candidates.
+
+        Returns:
+            Cosine between the signature of i and the nearest of j's, nuisances projected out.
         """
         a = next(s for s in self.blocks if s.candidate == i)
         at = list(a.columns)
@@ -180,7 +194,7 @@ class Signatures:
         )
 
     def visible(self, i: int) -> float:
-        """Standard deviations by which candidate i at its usual size stands out of noise."""
+        """Return the standard deviations by which candidate i, of usual size, exceeds noise."""
         largest = 0.0
         for s in (s for s in self.blocks if s.candidate == i):
             at = list(s.columns)

@@ -1,9 +1,10 @@
-"""Fits of a residual by columns, in groups whose size is unknown but at least that of noise.
+"""Profile likelihood with a variance floor: fits of a residual by columns, in groups whose size
+is unknown but at least that of noise.
 
 With |z_g|^2 / n_g = s_g^2 after the fit, twice the negative log-likelihood of group g is
 n_g s_g^2 where the residual is no larger than noise, and n_g (1 + log s_g^2) where it is
-larger: its most probable size is then s_g^2 (derived in docs/diagnosis.md). What is left
-unexplained in a group thereby weakens, by itself, whatever else the group seems to say.
+larger: its most probable size is then s_g^2 (derived in docs/diagnosis.md). Whatever stays
+unexplained in a group thereby weakens, by itself, the weight of that group.
 """
 
 from __future__ import annotations
@@ -43,9 +44,12 @@ class Solution:
 def products(
     residuals: WhitenedResiduals, z: Array, X: Array, scale: Array | None = None
 ) -> InnerProducts:
-    """Products of a residual z (N,) and columns X (N, c), after those of the nuisances.
+    """Return products of a residual and columns, after those of the nuisances.
 
     Args:
+        residuals: whose groups and nuisances count.
+        z: (N,) residual.
+        X: (N, c) columns.
         scale: (N,) size of the noise, where it is not 1.
     """
     p, c = residuals.slopes.shape[1], X.shape[1]
@@ -70,9 +74,11 @@ def products(
 def solve(
     p: InnerProducts, nuisances: int, low: Array | None = None, high: Array | None = None
 ) -> Solution:
-    """The most probable x; the first `nuisances` have a unit normal prior, cut off far out.
+    """Return the most probable x by iterated reweighting.
 
     Args:
+        p: products of c columns.
+        nuisances: the first so many columns have a unit normal prior, cut off far out.
         low, high: (c - nuisances,) bounds of the others.
     """
     c = p.xz.shape[1]
@@ -100,12 +106,17 @@ def solve(
 
 
 def deviance(n: Array, size: Array) -> float:
-    """Twice the negative log-likelihood of groups with mean squares `size` (G,)."""
+    """Return the profile deviance: twice the negative log-likelihood, group sizes eliminated.
+
+    Args:
+        n: (G,) numbers in each group.
+        size: (G,) mean squares.
+    """
     return float((n * np.where(size > 1, 1 + np.log(np.maximum(size, 1.0)), size)).sum())
 
 
 def _within(A: Array, b: Array, x: Array, low: Array, high: Array) -> Array:
-    """Minimum of x^T A x / 2 - b x inside bounds, from the one without them, by active sets."""
+    """Return the minimum of x^T A x / 2 - b x inside bounds, by active sets."""
     fixed = np.zeros(len(x), bool)
     at = np.zeros(len(x))
     for _ in range(len(x) + 1):

@@ -1,9 +1,10 @@
-"""`Evidence`: residuals as numbers that are independent and of unit size under noise alone.
+"""Residual whitening: numbers that are independent and of unit size under noise alone.
 
 Residuals go through a window into the frequency domain, where noise of neighbouring
 frequencies is independent; there they are divided by what the measured noise becomes at the
-port. They are kept in groups, a channel in a range of frequencies over all runs, because a
-description is never equally good everywhere: each group's size is estimated (`groups.py`).
+port. They are sorted into groups, a channel in a range of frequencies over all runs, because
+a description is never equally good everywhere: each group's size is estimated
+(`variance_groups.py`).
 """
 
 from __future__ import annotations
@@ -41,12 +42,18 @@ class VarianceGroup:
 
     @property
     def n(self) -> int:
-        """How many numbers."""
+        """Count of numbers."""
         return self.part.stop - self.part.start
 
 
 class WhitenedResiduals:
-    """Whitened residuals of several runs of one machine."""
+    """Whitened residuals of several runs of one machine.
+
+    Args:
+        machine: the description.
+        runs: all with the same ports.
+        seed: of the noise draws.
+    """
 
     def __init__(self, machine: Machine, runs: Sequence[Run], seed: int = 0) -> None:
         self.machine, self.runs, self.seed = machine, list(runs), seed
@@ -92,7 +99,7 @@ class WhitenedResiduals:
     def _layout(
         self,
     ) -> tuple[list[VarianceGroup], list[dict[str, list[tuple[Index, slice, int]]]]]:
-        """Groups, and per run and port: (frequencies taken, where to, channel)."""
+        """Return groups, and per run and port (frequencies taken, place, channel)."""
         groups: list[VarianceGroup] = []
         rows: list[dict[str, list[tuple[Index, slice, int]]]] = [
             {p.name: [] for p in self.ports} for _ in self.runs
@@ -122,24 +129,48 @@ class WhitenedResiduals:
         return groups, rows
 
     def part(self, port: str) -> slice:
-        """Where a port's numbers lie in the long vector."""
+        """Return the place of a port's numbers in the long vector."""
         mine = [g.part for g in self.groups if g.port == port]
         return slice(mine[0].start, mine[-1].stop)
 
     def at_port(self, port: str, models: Sequence[Model]) -> Array:
-        """(m, n) whitened residuals of one port under m models."""
+        """Return whitened residuals of one port.
+
+        Args:
+            port: name.
+            models: m.
+
+        Returns:
+            (m, n).
+        """
         by_run = [self.machine.residuals(run, models, [port]) for run in self.runs]
         return self._whitened(port, [k[port] for k in by_run])
 
     def under(self, models: Sequence[Model], ports: Sequence[str]) -> Array:
-        """(m, N) whitened residuals; those of ports not named are the nominal ones."""
+        """Return whitened residuals; those of ports not named are the nominal ones.
+
+        Args:
+            models: m.
+            ports: names.
+
+        Returns:
+            (m, N).
+        """
         out = np.tile(self.null, (len(models), 1))
         for port in (p.name for p in self.ports if p.name in ports):
             out[:, self.part(port)] = self.at_port(port, models)
         return out
 
     def acts(self, model: Model, ports: Sequence[str]) -> float:
-        """Seconds, over all runs, in which a model differs from the description at ports."""
+        """Return the time in which a model differs from the description at some ports.
+
+        Args:
+            model: the description with effects.
+            ports: names.
+
+        Returns:
+            Seconds, over all runs.
+        """
         out = 0.0
         for run in self.runs:
             port_names = [p.name for p in self.ports if p.name in ports]
@@ -149,10 +180,17 @@ class WhitenedResiduals:
         return out
 
     def noise(self, model: Model, ports: Sequence[str]) -> Array:
-        """(N,) mean square that numbers would have under noise alone if this model were true.
+        """Return the mean square that noise alone would have if this model were true.
 
         1 where the model only subtracts something; else it may seem to explain a residual by
         damping the noise in it.
+
+        Args:
+            model: the description with effects.
+            ports: at which they act.
+
+        Returns:
+            (N,), relative to the description's.
         """
         out = np.ones(self.size)
         for port in (p for p in self.ports if p.name in ports):
@@ -163,7 +201,7 @@ class WhitenedResiduals:
         return out
 
     def _power(self, port: Port, model: Model) -> Array:
-        """(n,) of a port: mean square of whitened noise, the same draws under any model."""
+        """Return (n,) mean square of a port's whitened noise, the same draws for any model."""
         drawn = []
         for i, run in enumerate(self.runs):
             if (i, port.exact) not in self._copies:
@@ -185,7 +223,7 @@ class WhitenedResiduals:
         return power
 
     def _whitened(self, port: str, by_run: Sequence[Array]) -> Array:
-        """(m, n) numbers of a port from residuals (m, T, c) of every run."""
+        """Return (m, n) numbers of a port from residuals (m, T, c) of every run."""
         span = self.part(port)
         out = np.empty((len(by_run[0]), span.stop - span.start))
         for run, rows, whiten, residual in zip(
@@ -201,7 +239,7 @@ class WhitenedResiduals:
 
 
 def _whitener(spectra: Array, floor: Array) -> Array:
-    """(K, c, c) inverse roots of the cross-spectra of draws (D, K, c).
+    """Return (K, c, c) inverse roots of the cross-spectra of draws (D, K, c).
 
     The symmetric root: every number stays with the channel it comes from.
     """

@@ -1,4 +1,4 @@
-"""What is examined: a machine whose parts can each be run alone on measured input.
+"""A machine as parts that can each be run alone on measured input.
 
 A *port* is a place where the log holds both what goes into a part and what comes out of it.
 Its residual is what was measured there less what the part as described would have done with
@@ -58,19 +58,40 @@ class Machine(Protocol):
     def residuals(
         self, run: Run, models: Sequence[Any], ports: Sequence[str]
     ) -> dict[str, Array]:
-        """(m, ..., T, c) per port: the residual under each of m models."""
+        """Return (m, ..., T, c) per port: the residual under each of m models.
+
+        Args:
+            run: measured signals.
+            models: as `model` makes them.
+            ports: names.
+        """
 
     def floor(self, run: Run, port: str) -> Array:
-        """(c,) standard deviation below which a residual of the port means nothing."""
+        """Return (c,) standard deviation below which a residual of the port means nothing.
+
+        Args:
+            run: measured signals.
+            port: name.
+        """
 
 
 def testable(machine: Machine, runs: Sequence[Run]) -> tuple[Port, ...]:
-    """Ports whose signals all runs hold."""
+    """Return ports whose signals all runs hold.
+
+    Args:
+        machine: the description.
+        runs: measured.
+    """
     return tuple(p for p in machine.ports if all(k in run for run in runs for k in p.needs))
 
 
 def untestable(machine: Machine, runs: Sequence[Run]) -> dict[str, tuple[str, ...]]:
-    """Port -> the signals some run lacks."""
+    """Return signals that some run lacks, by port.
+
+    Args:
+        machine: the description.
+        runs: measured.
+    """
     out = {}
     for port in machine.ports:
         lacks = tuple(k for k in port.needs if not all(k in run for run in runs))

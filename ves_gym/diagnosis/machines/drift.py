@@ -19,7 +19,7 @@ class SlowPath:
     weights: tuple[tuple[str, tuple[float, ...]], ...]  # run -> weight of each
 
     def of(self, run: Run) -> Array:
-        """(T,) in this run; none in one it does not know."""
+        """Return the path (T,) in this run; zero in a run without weights."""
         weights = dict(self.weights).get(run.name, ())
         t = (np.arange(run.length) + 0.5) / run.length
         waves = (w * np.cos(np.pi * k * t) for k, w in enumerate(weights))

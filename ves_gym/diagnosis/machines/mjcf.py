@@ -185,14 +185,14 @@ class MjcfMachine:
         self.ports = tuple(ports)
 
     def model(self, effects: Sequence[Effect | RateError]) -> MjcfVariant:
-        """The description with effects added."""
+        """Return the description with effects added."""
         rates = tuple(e for e in effects if isinstance(e, RateError))
         added = tuple(e for e in effects if not isinstance(e, RateError))
         nominal = self.nominal
         return MjcfVariant((*nominal.effects, *added), rates=(*nominal.rates, *rates))
 
     def heavier(self, factor: float) -> MjcfMachine:
-        """The machine with all masses and inertias by a factor."""
+        """Return the machine with all masses and inertias by a factor."""
         out = copy.copy(self)
         bodies = range(1, self.mjcf.nbody if self.mjcf is not None else 0)
         out.nominal = dataclasses.replace(
@@ -201,12 +201,12 @@ class MjcfMachine:
         return out
 
     def floor(self, run: Run, port: str) -> Array:
-        """(n,) standard deviation below which a residual of the port means nothing."""
+        """Return (n,) standard deviation below which a residual of the port means nothing."""
         signal = run["tau" if port == "joint" else "v"]
         return _LEAST * np.maximum(np.asarray(signal.std(axis=-2)), 1e-12)
 
     def candidates(self) -> tuple[Candidate, ...]:
-        """The library as far as it applies, each effect in the units of its joint."""
+        """Return the library as far as it applies, each effect in the units of its joint."""
         n = len(self.joints)
         every = library(n, [p.name for p in self.ports])
         slots = {f"joint {i + 1}": i for i in range(n)}
@@ -255,7 +255,7 @@ class MjcfMachine:
     def residuals(
         self, run: Run, models: Sequence[MjcfVariant], ports: Sequence[str]
     ) -> dict[str, Array]:
-        """(m, ..., T, n) per port: the residual under each of m models."""
+        """Return (m, ..., T, n) per port, as `Machine.residuals`."""
         residual_of = {"joint": self._joint, "velocity": self._velocity}
         return {name: np.stack([residual_of[name](run, m) for m in models]) for name in ports}
 
@@ -339,7 +339,15 @@ class MjcfMachine:
 
 
 def joint_property(model: mujoco.MjModel, name: str) -> Array:
-    """(nv,) damping, frictionloss or armature as far as it acts and is one number per joint."""
+    """Return a property as far as it acts and is one number per joint.
+
+    Args:
+        model: compiled.
+        name: damping, frictionloss or armature.
+
+    Returns:
+        (nv,).
+    """
     value = np.array(getattr(model, f"dof_{name}"))
     if any(model.opt.disableflags & int(flag) for flag in _OFF.get(name, ())):
         value[:] = 0.0
@@ -349,7 +357,7 @@ def joint_property(model: mujoco.MjModel, name: str) -> Array:
 
 
 def _addresses(model: mujoco.MjModel, joints: Sequence[MjcfJoint]) -> tuple[Any, Any]:
-    """Where each joint is in qpos and qvel, (n,) each."""
+    """Return the place of each joint in qpos and in qvel, (n,) each."""
     indices = {model.joint(i).name: i for i in range(model.njnt)}
     for name, i in indices.items():
         if int(model.jnt_type[i]) not in _TYPES:

@@ -42,13 +42,21 @@ class Column:
     offset: float = 0.0
 
     def of(self, columns: dict[str, Array], where: str) -> Array:
-        """(T,) the quantity."""
+        """Return the quantity (T,).
+
+        Args:
+            columns: of the file, by name.
+            where: the file, in messages.
+
+        Raises:
+            ParameterError: the column is not there, or not finite.
+        """
         return self.gain * column_of(columns, self.column, where) + self.offset
 
 
 @dataclass(frozen=True)
 class JointColumns:
-    """What was measured of a joint."""
+    """Columns in which a joint was measured."""
 
     name: str
     position: Column
@@ -137,7 +145,13 @@ class MachineFile:
 
 
 def sum_of(parts: tuple[Column, ...], columns: dict[str, Array], where: str) -> Array:
-    """(T,) what several columns add up to."""
+    """Return the sum (T,) of several columns.
+
+    Args:
+        parts: to add up.
+        columns: of the file, by name.
+        where: the file, in messages.
+    """
     return np.asarray(
         sum(p.of(columns, where) for p in parts[1:]) + parts[0].of(columns, where)
     )
@@ -146,9 +160,10 @@ def sum_of(parts: tuple[Column, ...], columns: dict[str, Array], where: str) -> 
 def read_machine(
     path: str | os.PathLike[str], band: float | None = None
 ) -> tuple[MjcfMachine, Loader]:
-    """Machine and loader of its data files from a mapping file (.toml, .json).
+    """Return machine and loader of its data files from a mapping file (.toml, .json).
 
     Args:
+        path: of the mapping file.
         band: Hz, in place of the file's.
 
     Raises:
@@ -165,7 +180,11 @@ def read_machine(
 
 
 def machine_of(table: dict[str, Any], path: Path) -> tuple[MachineFile, MjcfMachine]:
-    """What a mapping file holds that is, or would be, at `path`, and its machine.
+    """Return the content of a mapping file that is, or would be, at `path`, and its machine.
+
+    Args:
+        table: content as plain data.
+        path: models are found from its folder.
 
     Raises:
         ParameterError: naming file and key.
@@ -182,7 +201,7 @@ def machine_of(table: dict[str, Any], path: Path) -> tuple[MachineFile, MjcfMach
 
 
 def read_model(path: Path) -> mujoco.MjModel:
-    """A compiled MJCF file.
+    """Return a compiled MJCF file.
 
     Raises:
         ParameterError: naming the file.
@@ -194,10 +213,11 @@ def read_model(path: Path) -> mujoco.MjModel:
 
 
 def load_emps(path: str | os.PathLike[str], band: float = BAND) -> Run:
-    """The EMPS axis (Janot, Gautier, Brunot; nonlinearbenchmark.org): q [m] and tau [N].
+    """Return the EMPS axis (Janot, Gautier, Brunot; nonlinearbenchmark.org): q [m] and tau [N].
 
     Args:
         path: the user's DATA_EMPS.mat or DATA_EMPS_PULSES.mat.
+        band: Hz.
     """
     columns = read_columns(path)
     gain = float(column_of(columns, "gtau", str(path))[0])  # N/V
@@ -209,12 +229,13 @@ def load_emps(path: str | os.PathLike[str], band: float = BAND) -> Run:
 
 
 def load_tiago(folder: str | os.PathLike[str], band: float = BAND) -> Run:
-    """The arm of a TIAGo (figaroh-plus): q and v of lift and seven joints [m, rad].
+    """Return the arm of a TIAGo (figaroh-plus): q and v of lift and seven joints [m, rad].
 
     Its efforts are raw drive values of unknown gain and are left out.
 
     Args:
         folder: the user's, with position.csv and velocity.csv.
+        band: Hz.
     """
     joints = tuple(
         JointColumns(

@@ -41,7 +41,7 @@ _BASE, _LOSS = 0.0012, 0.006  # relative, of the base's mass and stiffness; of i
 
 
 def system_nuisances(system: System) -> Iterator[Nuisance]:
-    """What any description of such a machine is off by; each model is a `System`."""
+    """Yield the small errors of any description of such a machine; each model is a `System`."""
     arm = system.arm
     both = ("joint", "wrench")
 

@@ -24,7 +24,13 @@ class Presliding:
     length: float = 1e-3  # of geared joints (Armstrong-Helouvry et al., Automatica 30(7), 1994)
 
     def built_up(self, torque: Array, v: Array, dt: float) -> Array:
-        """The law's torque (..., T, n) at rates v, as it builds up from sample to sample."""
+        """Return the law's torque as it builds up from sample to sample.
+
+        Args:
+            torque: (..., T, n) of the law [N m].
+            v: (..., T, n) joint rates [rad/s].
+            dt: between samples [s].
+        """
         from ves_gym.diagnosis.machines.recursions import follow  # numba takes a second to load
 
         part = -np.expm1(-np.abs(v) * dt / self.length)

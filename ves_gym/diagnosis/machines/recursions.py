@@ -11,7 +11,7 @@ from ves_gym._util.params import Array
 def deflection(
     torque: Array, stiffness: float, damping: float, half: float, dt: float
 ) -> Array:
-    """Angle x (..., T) by which a rotor leads its link: d x' + k free(x) = torque.
+    """Return the angle x by which a rotor leads its link: d x' + k free(x) = torque.
 
     free(x) is what x has beyond half the gap on either side. The torque is the one that goes
     through the gear, which the log holds; driven by the motion instead, a light link would
@@ -21,6 +21,9 @@ def deflection(
         torque: (..., T) through the gear [N m].
         stiffness, damping, half: k [N m/rad], d [N m s/rad], half the gap [rad].
         dt: between samples [s].
+
+    Returns:
+        (..., T) rad.
     """
     rows = _deflection(
         np.ascontiguousarray(torque).reshape(-1, torque.shape[-1]),
@@ -51,7 +54,12 @@ def _deflection(torque: Array, k: float, c: float, half: float) -> Array:
 
 @njit(cache=True)
 def follow(law: Array, part: Array) -> Array:
-    """Rows (m, T, n) that go a part (m, T, n) of the way to their law in every sample."""
+    """Return rows that go a part of the way to their law in every sample.
+
+    Args:
+        law: (m, T, n).
+        part: (m, T, n) of the way, 0 to 1.
+    """
     out = law.copy()
     for row in range(law.shape[0]):
         for t in range(1, law.shape[1]):

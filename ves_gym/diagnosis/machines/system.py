@@ -122,7 +122,7 @@ class SystemMachine:
         self.ports = tuple(ports)
 
     def model(self, effects: Sequence[Effect | SlowPath | Presliding]) -> SystemVariant:
-        """The description with effects added."""
+        """Return the description with effects added."""
         paths = tuple(e for e in effects if isinstance(e, SlowPath))
         grown = tuple(e for e in effects if isinstance(e, Presliding))
         added = tuple(e for e in effects if isinstance(e, Effect))
@@ -132,7 +132,7 @@ class SystemMachine:
         return SystemVariant(system, paths, grown)
 
     def floor(self, run: Run, port: str) -> Array:
-        """(c,) standard deviation below which a residual of the port means nothing."""
+        """Return (c,) standard deviation below which a residual of the port means nothing."""
         signal = run[_SEEN[port]]
         size = np.asarray(signal.std(axis=-2))
         kinds = np.array_split(size, max(1, len(size) // 3))  # forces and moments apart
@@ -140,7 +140,7 @@ class SystemMachine:
         return share * np.concatenate([np.full(len(k), max(k.max(), 1e-12)) for k in kinds])
 
     def stretch(self, runs: Sequence[Run]) -> float:
-        """How far a leg is told to go in the runs, in parts of its stroke; 0 without legs."""
+        """Return the part of its stroke that a leg uses at most in the runs; 0 without legs."""
         commands = [np.reshape(run["y_cmd"], (-1, 6)) for run in runs if "y_cmd" in run]
         if self.system.mode != "emulated" or not commands:
             return 0.0
@@ -161,7 +161,7 @@ class SystemMachine:
     def residuals(
         self, run: Run, models: Sequence[SystemVariant], ports: Sequence[str]
     ) -> dict[str, Array]:
-        """(m, ..., T, c) per port: the residual under each of m models."""
+        """Return (m, ..., T, c) per port, as `Machine.residuals`."""
         systems = [m.system for m in models]
         residual_of = {
             "servo": self._servo,
@@ -256,7 +256,7 @@ class SystemMachine:
         return np.asarray(run["tau"] - np.clip(demand, -most, most))
 
     def _sensed(self, system: System, wrench: Array, dt: float) -> Array:
-        """What the sensor would report of a wrench (..., T, 6)."""
+        """Return the sensor's reading of a wrench (..., T, 6)."""
         spec = system.emulator_settings.sensor
         p = (
             LoopParameters.nominal(system.arm, system.emulator_settings, 1)
@@ -360,7 +360,7 @@ def _hold_back(lab: EmulationLoop, command: Array) -> None:
 
 
 def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
-    """What follows from a run's signals alone, worked out once."""
+    """Return a quantity that follows from a run's signals alone, computed once."""
     if key not in run.memory:
         run.memory[key] = make()
     return run.memory[key]
@@ -372,7 +372,7 @@ def _total(system: System, kind: str, field: str) -> float:
 
 
 def _moved(run: Run, mode: str, late: int) -> tuple[Kinematics, Array, Array]:
-    """How the vehicle moves; wrench along its rates that moves it (..., T, 6); their map."""
+    """Return the vehicle's motion, the wrench along its rates (..., T, 6), and their map."""
     if mode == "ideal":
         motion, force = run.base, run["w"]
     else:

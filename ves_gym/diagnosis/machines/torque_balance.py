@@ -16,13 +16,15 @@ _PUSH = 1e-6  # relative, of a difference
 def torque_residual(
     tau: Array, needed: Array, effects: Iterable[Effect], laws: Callable[[Array], Array]
 ) -> Array:
-    """What was logged less what should have been (..., T, n).
+    """Return the torque logged less the torque that should have been (..., T, n).
 
     Not what acts less what is needed: a drive that gives less would seem to explain any
     residual by making all of it smaller.
 
     Args:
-        tau: logged; needed: what the motion takes, by the motors and by `laws`.
+        tau: (..., T, n) logged [N m].
+        needed: (..., T, n) that the motion takes, by the motors and by `laws`.
+        effects: those in `laws`.
         laws: torque logged -> torque that the effects add to it.
     """
     added = laws(tau)

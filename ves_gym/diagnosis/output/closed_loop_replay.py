@@ -1,6 +1,6 @@
-"""Free runs: the whole loop simulated from a log's start state with the logged references.
+"""Closed-loop replay: the whole loop simulated from a log's start state with its references.
 
-What a port shows on measured input is where a fault is; a free run shows what it does to the
+A port shows on measured input the place of a fault; a replay shows its consequence for the
 machine as a whole, all parts on each other's output.
 """
 
@@ -30,7 +30,7 @@ _FORCE = ("N",) * 3 + ("N m",) * 3
 
 @dataclass(frozen=True)
 class ClosedLoopReplay:
-    """The loop as described and as found, left to itself on some runs."""
+    """The loop as described and as diagnosed, left to itself on some runs."""
 
     runs: tuple[str, ...]
     gaps: tuple[ReplayGap, ...]
@@ -51,7 +51,12 @@ class ReplayGap:
 
 
 def why_not(system: System, runs: Sequence[Run]) -> str:
-    """What free runs lack; empty where they can be made."""
+    """Return the reason why runs cannot be replayed; empty where they can.
+
+    Args:
+        system: the machine.
+        runs: measured.
+    """
     if system.drive != "motor":
         return f"the drive is {system.drive}"
     controllers = [run.meta["controller"] for run in runs if "controller" in run]
@@ -66,16 +71,21 @@ def why_not(system: System, runs: Sequence[Run]) -> str:
 def replay_runs(
     system: System, runs: Sequence[Run], seconds: float = np.inf
 ) -> list[dict[str, Array]]:
-    """Simulated q, tau (T, n), y, w (T, 6) at the instants of each run, all in lockstep.
+    """Simulate the loop at the instants of each run, all in lockstep.
 
     References go linearly from sample to sample and are held where a run ends before others;
     state and clock begin as logged.
 
     Args:
+        system: the machine.
+        runs: whose references and start states count.
         seconds: simulated; after them, the last values are held.
 
+    Returns:
+        q, tau (T, n), y, w (T, 6) of each run.
+
     Raises:
-        ParameterError: the logs lack what a free run needs.
+        ParameterError: the logs lack what a replay needs.
         Divergence: a loop left the meaningful range.
     """
     lacks = why_not(system, runs)
@@ -129,8 +139,12 @@ def replay_runs(
 def compare_replays(
     described: System, better: System, reloaded: System, runs: Sequence[Run]
 ) -> ClosedLoopReplay:
-    """Free runs of the description, of the better one, and of the better one as read back
-    (that for its first seconds)."""
+    """Replay the description, the better one, and the better one as read back.
+
+    Args:
+        described, better, reloaded: systems; the last for its first seconds only.
+        runs: measured.
+    """
     names = tuple(run.name for run in runs)
     lacks = why_not(described, runs)
     if lacks:
@@ -151,7 +165,7 @@ def compare_replays(
 
 
 def _start(run: Run) -> list[Array]:
-    """q, v, y, yd where a run begins: as its metadata say, else as measured."""
+    """Return q, v, y, yd at a run's beginning: as its metadata say, else as measured."""
     initial = run.meta.get("initial", {})
     measured = {"q": run.joints.x, "v": run.joints.v, "y": run.base.x, "yd": run.base.v}
     return [np.asarray(initial.get(k, x[0]), float) for k, x in measured.items()]
@@ -175,7 +189,12 @@ def replay_gaps(
     before: Sequence[Mapping[str, Array]],
     after: Sequence[Mapping[str, Array]],
 ) -> tuple[ReplayGap, ...]:
-    """Measured less simulated, over all runs, of the channels that the logs hold."""
+    """Return measured less simulated, over all runs, of the channels that the logs hold.
+
+    Args:
+        runs: measured.
+        before, after: of each run, simulated signals of the description and the better one.
+    """
     out = []
     n = runs[0]["q"].shape[1]
     joints = tuple(str(i + 1) for i in range(n))
@@ -199,7 +218,7 @@ def replay_gaps(
 
 
 def _size(runs: Sequence[Run], parts: Sequence[Array]) -> Array:
-    """(c,) root mean square inside the band of signals (..., T, c) of every run."""
+    """Return (c,) root mean square inside the band of signals (..., T, c) of every run."""
     power = []
     for run, x in zip(runs, parts, strict=True):
         spectrum = np.abs(run.window.spectrum(x)) ** 2

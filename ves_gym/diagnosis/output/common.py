@@ -1,4 +1,4 @@
-"""What a diagnosis leaves behind: a better description, read back and played again."""
+"""A better description on disk: read back, compared, and played again."""
 
 from __future__ import annotations
 
@@ -34,8 +34,16 @@ class DescriptionFiles:
 def difference(
     machine: Machine, model: Any, other: Machine, other_model: Any, runs: Sequence[Run]
 ) -> float:
-    """Largest difference of any port's residual under two models, in parts of the largest
-    number of its channel's kind that the ports see."""
+    """Return the largest difference of any port's residual under two models.
+
+    Args:
+        machine, model: one description.
+        other, other_model: the other.
+        runs: that the ports play.
+
+    Returns:
+        In parts of the largest number of its channel's kind that the ports see.
+    """
     worst = 0.0
     ports = [p.name for p in testable(machine, runs)]
     for run in runs:
@@ -50,10 +58,14 @@ def difference(
 
 
 def require_same(deviation: float, where: Path) -> None:
-    """Refuse a file that does not say what was found.
+    """Refuse a file that does not reproduce the diagnosis.
+
+    Args:
+        deviation: of residuals after reading back, see `difference`.
+        where: the file, in the message.
 
     Raises:
-        ParameterError: the difference is above `SAME`.
+        ParameterError: the deviation is above `SAME`.
     """
     if not deviation <= SAME:
         raise ParameterError(
@@ -63,12 +75,17 @@ def require_same(deviation: float, where: Path) -> None:
 
 
 def unified_diff(old: str, new: str, names: tuple[str, str]) -> str:
-    """A unified diff."""
+    """Return a unified diff.
+
+    Args:
+        old, new: texts.
+        names: of the two.
+    """
     lines = difflib.unified_diff(old.splitlines(), new.splitlines(), *names, n=2, lineterm="")
     return "\n".join(lines)
 
 
 def rename_files(pairs: Sequence[tuple[Path, Path]]) -> None:
-    """Give files their names, the last one last."""
+    """Give files their final names, the last one last: pairs (written, final)."""
     for source, target in pairs:
         os.replace(source, target)

@@ -152,7 +152,7 @@ def _written(
 
 
 def described(mapping: Path) -> str:
-    """SHA-256 of a mapping file and its model."""
+    """Return the SHA-256 of a mapping file and its model."""
     table = read_table(mapping)
     source = table.get("model")
     return content_hash(

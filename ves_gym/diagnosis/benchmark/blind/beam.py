@@ -28,10 +28,14 @@ class BaseMatrices(NamedTuple):
 
 
 def base_of(vehicle: dict[str, Any], modes: int = MODES) -> BaseMatrices:
-    """The base that a vehicle description of kind "beam" stands for.
+    """Return the base that a vehicle description of kind "beam" stands for.
 
     The stated 6x6 mass is that of a light frame and of a body at its tip: base and
     description move alike where the frame's inner modes do not matter.
+
+    Args:
+        vehicle: description, plain data.
+        modes: inner modes of the frame.
     """
     K, M = assembled(vehicle)
     lumped = stated_mass(vehicle, reduced(K, M, 0)[1])
@@ -46,14 +50,19 @@ def base_of(vehicle: dict[str, Any], modes: int = MODES) -> BaseMatrices:
 
 
 def section(vehicle: dict[str, Any]) -> tuple[float, float]:
-    """Area [m^2] and second moment [m^4] of the tube."""
+    """Return area [m^2] and second moment [m^4] of the tube."""
     outer = float(vehicle["outer_diameter"])
     inner = outer - 2 * float(vehicle["wall"])
     return np.pi / 4 * (outer**2 - inner**2), np.pi / 64 * (outer**4 - inner**4)
 
 
 def assembled(vehicle: dict[str, Any], elements: int = ELEMENTS) -> tuple[Array, Array]:
-    """Stiffness and mass of the clamped frame, 6 rows per node, the tip's last."""
+    """Return stiffness and mass of the clamped frame, 6 rows per node, the tip's last.
+
+    Args:
+        vehicle: description, plain data.
+        elements: per tube.
+    """
     area, second = section(vehicle)
     material = vehicle["material"]
     E, G, rho = (material[k] for k in ("youngs_modulus", "shear_modulus", "density"))
@@ -73,7 +82,7 @@ def assembled(vehicle: dict[str, Any], elements: int = ELEMENTS) -> tuple[Array,
 
 
 def axes(along: Array) -> Array:
-    """(3, 3) rows: an element's own axes, the first along it."""
+    """Return (3, 3) rows: an element's own axes, the first along it."""
     helper = np.eye(3)[int(np.argmin(np.abs(along)))]
     second = np.cross(along, helper)
     second /= np.linalg.norm(second)
@@ -83,9 +92,15 @@ def axes(along: Array) -> Array:
 def element(
     length: float, EA: float, EI: float, GJ: float, line_density: float
 ) -> tuple[Array, Array]:
-    """Stiffness and mass (12, 12) of a frame element in its own axes, twist inertia aside.
+    """Return stiffness and mass (12, 12) of a frame element, its own axes, twist inertia aside.
 
-    Rows: displacement and rotation (6) of either end. `line`: mass per length [kg/m].
+    Args:
+        length: m.
+        EA, EI, GJ: stiffness in tension [N], bending and twist [N m^2].
+        line_density: mass per length [kg/m].
+
+    Returns:
+        Rows: displacement and rotation (6) of either end.
     """
     k, m = np.zeros((2, 12, 12))
     pair = np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -118,7 +133,15 @@ def element(
 
 
 def reduced(K: Array, M: Array, modes: int) -> tuple[Array, Array]:
-    """K, M (6 + modes, ...) in the tip's coordinates and the frame's modes with it held."""
+    """Reduce a frame to its tip's coordinates and its modes with the tip held.
+
+    Args:
+        K, M: stiffness and mass of the clamped frame.
+        modes: how many.
+
+    Returns:
+        K, M, (6 + modes, 6 + modes).
+    """
     inner = slice(0, len(K) - 6)
     shapes = -np.linalg.solve(K[inner, inner], K[inner, -6:])
     _, fixed_modes = scipy.linalg.eigh(K[inner, inner], M[inner, inner])
@@ -130,7 +153,12 @@ def reduced(K: Array, M: Array, modes: int) -> tuple[Array, Array]:
 
 
 def stated_mass(vehicle: dict[str, Any], consistent: Array) -> Array:
-    """(6, 6) mass at the tip as the description's mass model has it."""
+    """Return (6, 6) mass at the tip as the description's mass model has it.
+
+    Args:
+        vehicle: description, plain data.
+        consistent: (6, 6) mass of the frame reduced to its tip.
+    """
     if vehicle["mass_model"] == "consistent":
         return consistent
     segments = np.asarray(vehicle["segments"], float)
@@ -145,7 +173,12 @@ def stated_mass(vehicle: dict[str, Any], consistent: Array) -> Array:
 
 
 def modal(M: Array, K: Array, ratio: float) -> Array:
-    """D that gives every mode of (K, M) the damping ratio."""
+    """Return the damping matrix that gives every mode the same ratio.
+
+    Args:
+        M, K: mass and stiffness.
+        ratio: damping ratio.
+    """
     squares, shapes = scipy.linalg.eigh(K, M)
     weighted = M @ shapes
     return np.asarray(weighted @ np.diag(2 * ratio * np.sqrt(squares)) @ weighted.T)

@@ -58,7 +58,7 @@ DEVELOPMENT = "development"
 
 
 class CasePlan(NamedTuple):
-    """What a case is to be, before its machine is drawn."""
+    """A case before its machine is drawn."""
 
     category: str  # single, null, outside, pair or weak
     kinds: tuple[str, ...]
@@ -79,7 +79,7 @@ class BlindCase(NamedTuple):
 
 
 def table_effects() -> list[tuple[str, ...]]:
-    """The 27 effects of the table; kinds that share one line take turns."""
+    """Return the 27 effects of the table; kinds that share one row take turns."""
     shared = {kind: group for group in SHARED.values() for kind in group}
     rows: list[tuple[str, ...]] = []
     for kind in LIBRARY:
@@ -91,7 +91,7 @@ def table_effects() -> list[tuple[str, ...]]:
 
 @lru_cache(maxsize=1)
 def mix() -> tuple[CasePlan, ...]:
-    """All 600 plans in order: 324 single, 120 null, 60 outside, 84 pairs, 12 weak."""
+    """Return all 600 plans in order: 324 single, 120 null, 60 outside, 84 pairs, 12 weak."""
     plans = []
     for row in table_effects():
         for k in range(len(RATIOS) * SEEDS):
@@ -106,7 +106,7 @@ def mix() -> tuple[CasePlan, ...]:
 
 
 def _pairs(count: int) -> list[CasePlan]:
-    """Two effects each; half of the pairs enter at the same port."""
+    """Return plans of two effects each; half of the pairs enter at the same port."""
     rng = np.random.default_rng(27)
     ports = {kind: TRUTHS[kind].port for kind in LIBRARY}
     chosen: set[frozenset[str]] = set()
@@ -125,7 +125,15 @@ def _pairs(count: int) -> list[CasePlan]:
 
 
 def root_seed(set_name: str, salt: str = "") -> int:
-    """128-bit seed of a set; the development set needs no salt, others are secret."""
+    """Return the 128-bit seed of a set.
+
+    Args:
+        set_name: the development set needs no salt, others are secret.
+        salt: secret of a sealed set.
+
+    Raises:
+        ParameterError: a secret that is too short.
+    """
     if set_name != DEVELOPMENT and len(salt) < 16:
         raise ParameterError(
             f"set {set_name!r} needs a secret salt of at least 16 characters, got {len(salt)}"
@@ -134,13 +142,17 @@ def root_seed(set_name: str, salt: str = "") -> int:
 
 
 def order_of(root: int) -> list[int]:
-    """A set's shuffle: for every case the place of its plan in the mix."""
+    """Return a set's shuffle: for every case the place of its plan in the mix."""
     order: list[int] = np.random.default_rng((root, 0)).permutation(len(mix())).tolist()
     return order
 
 
 def plan_of(index: int, root: int) -> CasePlan:
-    """The plan that a set's shuffle puts at an index."""
+    """Return the plan that a set's shuffle puts at an index.
+
+    Raises:
+        ParameterError: no such index.
+    """
     plans = mix()
     if not 0 <= index < len(plans):
         raise ParameterError(f"case must be 0 to {len(plans) - 1}, got {index}")
@@ -157,7 +169,12 @@ class Runner:
         self.samples = samples_of(self.nominal.dt)
 
     def case(self, index: int, root: int) -> BlindCase:
-        """The case of a set at an index, the same every time."""
+        """Return a case of a set, the same every time.
+
+        Args:
+            index: of the case.
+            root: seed of the set.
+        """
         plan = plan_of(index, root)
         seeds = np.random.SeedSequence((root, 1 + index)).spawn(5)
         machine, choice, move, disturb, clock = map(np.random.default_rng, seeds)
@@ -179,13 +196,21 @@ class Runner:
         return BlindCase(index, plan, effects, reached, t, records, motions)
 
     def motions(self, rng: np.random.Generator) -> list[ExcitationMotion]:
-        """Six runs: every kind of the menu once in the first four, two more to hold back."""
+        """Return six runs: every kind once in the first four, two more to hold back."""
         first = rng.permutation(KINDS).tolist()
         last = rng.choice(KINDS, FINAL, replace=False).tolist()
         return [self.safe_motion(kind, rng) for kind in first + last]
 
     def safe_motion(self, kind: str, rng: np.random.Generator) -> ExcitationMotion:
-        """A motion during which the healthy platform stays inside its legs' range."""
+        """Return a motion during which the healthy platform stays inside its legs' range.
+
+        Args:
+            kind: of the menu.
+            rng: of the motion.
+
+        Raises:
+            ParameterError: no size of the motion is safe.
+        """
         stewart = self.description["emulator"]["stewart"]
         motion = excitation.draw(kind, self.limits, rng)
         for _ in range(6):
@@ -217,7 +242,13 @@ class Runner:
         noises: Sequence[NoiseSamples],
         step: float | None = None,
     ) -> list[Array]:
-        """The record of every run, drift drawn anew for each."""
+        """Return the record of every run, drift drawn anew for each.
+
+        Args:
+            setup: machine.
+            motions, noises: of each run.
+            step: of the integration [s].
+        """
         plant = setup.finished()
         out = []
         for k, (motion, noise) in enumerate(zip(motions, noises, strict=True)):
@@ -235,10 +266,14 @@ class Runner:
         rng: np.random.Generator,
         held_back: Sequence[ExcitationMotion] = (),
     ) -> tuple[tuple[HiddenEffect, ...], tuple[float, ...]]:
-        """The plan's effects, each as large as wanted, and the gaps they reach.
+        """Return the plan's effects, sized for the gaps planned, and the gaps they reach.
 
-        Gaps are those of `motions`, the runs that are fitted; that the loop stays stable is
-        asked of all.
+        Args:
+            plan: kinds and gaps.
+            setup: machine.
+            motions: runs that are fitted; gaps are those of these.
+            rng: of the effects.
+            held_back: runs in which the loop must stay stable, too.
         """
         sized, reached = [], []
         every = [*motions, *held_back]
@@ -275,7 +310,7 @@ class Runner:
         motions: Sequence[ExcitationMotion],
         plain: Sequence[Array],
     ) -> bool:
-        """Whether the loop stays stable with all effects at once."""
+        """Return True if the loop stays stable with all effects at once."""
         for effect in effects:
             setup = effect.applied(setup)
         quiet = [silent(self.samples) for _ in motions]

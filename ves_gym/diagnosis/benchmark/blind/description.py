@@ -17,7 +17,7 @@ BRISTLE_LENGTH = 8e-4  # rad over which a joint's friction builds up
 
 
 def bodies_of(arm: dict[str, Any]) -> BodyParameters:
-    """Geometry and masses of an arm description."""
+    """Return geometry and masses of an arm description."""
     links = arm["links"]
     parts = [arm["base"], *(link["inertial"] for link in links)]
     return BodyParameters(
@@ -31,7 +31,7 @@ def bodies_of(arm: dict[str, Any]) -> BodyParameters:
 def plant_of(
     description: dict[str, Any], controller: dict[str, Any]
 ) -> tuple[BlindPlant, BaseMatrices]:
-    """The healthy machine, and the base behind its admittance.
+    """Return the healthy machine, and the base behind its admittance.
 
     Args:
         description: mode emulated, without payload compensation and joint balance, a pose
@@ -113,7 +113,15 @@ def plant_of(
 
 
 def sampled(base: BaseMatrices, dt: float) -> tuple[Array, Array]:
-    """Phi (2z, 2z) and Gamma (2z, 6): the base over one period under a held wrench."""
+    """Sample the base exactly over one period under a held wrench.
+
+    Args:
+        base: z coordinates.
+        dt: period [s].
+
+    Returns:
+        Phi (2z, 2z) and Gamma (2z, 6).
+    """
     size = len(base.M)
     generator = np.zeros((2 * size + 6, 2 * size + 6))
     generator[:size, size : 2 * size] = np.eye(size)
@@ -127,7 +135,7 @@ def sampled(base: BaseMatrices, dt: float) -> tuple[Array, Array]:
 
 
 def leg_matrix(stewart: dict[str, Any]) -> Array:
-    """(6, 6) change of leg lengths per small pose about home."""
+    """Return (6, 6) change of leg lengths per small pose about home."""
     top = np.asarray(stewart["top"], float)
     home = np.array([0.0, 0.0, stewart["home_height"]])
     legs = top + home - np.asarray(stewart["base"], float)
@@ -136,7 +144,12 @@ def leg_matrix(stewart: dict[str, Any]) -> Array:
 
 
 def leg_lengths(stewart: dict[str, Any], y: Array) -> Array:
-    """(N, 6) leg lengths at poses (N, 6)."""
+    """Return (N, 6) leg lengths [m].
+
+    Args:
+        stewart: description of the platform.
+        y: (N, 6) poses [m, rad].
+    """
     top, base = np.asarray(stewart["top"], float), np.asarray(stewart["base"], float)
     turn = scipy.spatial.transform.Rotation.from_euler("xyz", y[:, 3:]).as_matrix()
     joints = np.einsum("nij,kj->nki", turn, top) + y[:, None, :3]
@@ -145,7 +158,7 @@ def leg_lengths(stewart: dict[str, Any], y: Array) -> Array:
 
 
 def sensor_frame(offset: Array) -> Array:
-    """(6, 6) wrench in platform axes -> in the sensor's, turned by pi about x (App. D)."""
+    """Return (6, 6) wrench in platform axes -> the sensor's, turned by pi about x (App. D)."""
     turn = np.diag([1.0, -1.0, -1.0])
     x, y, z = offset
     lever = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0.0]])

@@ -94,7 +94,16 @@ def truth(
     draw: Callable[[np.random.Generator], Constants] = _nothing,
     port: str = "",
 ) -> Callable[[Callable[[MachineSetup, int, float, Constants], MachineSetup]], Any]:
-    """File an effect; the decorated function applies it."""
+    """Register an effect; the decorated function applies it.
+
+    Args:
+        kind: of the library, or outside it.
+        slots: places.
+        start, most: magnitudes, of the search's beginning and at most.
+        parameters: magnitude and constants -> as the library names them; a name for one.
+        draw: constants.
+        port: at which it enters, where that is not said by the kind.
+    """
 
     def file(apply: Callable[[MachineSetup, int, float, Constants], MachineSetup]) -> Any:
         named = _named(parameters) if isinstance(parameters, str) else parameters
@@ -481,9 +490,16 @@ OUTSIDE = tuple(k for k in TRUTHS if k not in LIBRARY)
 
 
 def drawn(kind: str, rng: np.random.Generator) -> list[HiddenEffect]:
-    """Tries of a kind, as large as the search starts: its slots in random order.
+    """Return tries of a kind, as large as the search starts: its slots in random order.
 
     Kinds with few slots have each of them again, with other constants (and signs).
+
+    Args:
+        kind: of effect.
+        rng: of slots and constants.
+
+    Raises:
+        ParameterError: no such kind.
     """
     if kind not in TRUTHS:
         raise ParameterError(

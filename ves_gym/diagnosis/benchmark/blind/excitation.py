@@ -36,7 +36,7 @@ class JointLimits(NamedTuple):
 
 
 def limits_of(arm: dict[str, Any]) -> JointLimits:
-    """Joint limits of an arm description."""
+    """Return joint limits of an arm description."""
     return JointLimits(
         *(
             np.array([link[k] for link in arm["links"]])
@@ -54,7 +54,7 @@ class ExcitationMotion(NamedTuple):
     waves: list[Array]  # per joint (m, 3) amplitude [rad], rad/s, phase
 
     def at(self, t: Array) -> MotionSamples:
-        """Position, rate and acceleration at instants t (N,), held outside."""
+        """Return position, rate and acceleration at instants t (N,), held outside."""
         q, v, a = np.zeros((3, len(t), len(self.times)))
         for j in range(len(self.times)):
             q[:, j], v[:, j], a[:, j] = _moves(t, self.times[j], self.points[j], self.cubic[j])
@@ -63,7 +63,7 @@ class ExcitationMotion(NamedTuple):
         return MotionSamples(q, v, a)
 
     def scaled(self, factor: Array) -> ExcitationMotion:
-        """Joint j's motion about its first way-point times factor[j]."""
+        """Return joint j's motion about its first way-point times factor[j]."""
         return self._replace(
             points=[p[0] + f * (p - p[0]) for p, f in zip(self.points, factor, strict=True)],
             waves=[w * [f, 1.0, 1.0] for w, f in zip(self.waves, factor, strict=True)],
@@ -84,7 +84,7 @@ def _moves(t: Array, times: Array, points: Array, cubic: bool) -> tuple[Array, A
 
 
 def _waves(t: Array, waves: Array) -> tuple[Array, Array, Array]:
-    """Sines under a window that rises over the first second and falls in the last."""
+    """Return sines under a window that rises over the first second and falls in the last."""
     rise = np.clip(t, 0.0, 1.0), np.clip(DURATION - t, 0.0, 1.0)
     window, slope, bend = np.ones((3, len(t))) * [[1.0], [0.0], [0.0]]
     for u, sign in zip(rise, (1.0, -1.0), strict=True):
@@ -109,7 +109,16 @@ def _waves(t: Array, waves: Array) -> tuple[Array, Array, Array]:
 
 
 def draw(kind: str, limits: JointLimits, rng: np.random.Generator) -> ExcitationMotion:
-    """A random motion of one kind, within the limits of position, speed and acceleration."""
+    """Return a random motion of one kind, within position, speed and acceleration limits.
+
+    Args:
+        kind: of `KINDS`.
+        limits: of the joints.
+        rng: of the motion.
+
+    Raises:
+        ParameterError: no such kind.
+    """
     if kind not in KINDS:
         raise ParameterError(
             f"excitation must be one of {', '.join(KINDS)}, got {kind!r}"
@@ -140,7 +149,7 @@ def _multisine(rng: np.random.Generator) -> Array:
 def _legs(
     kind: str, start: float, j: int, limits: JointLimits, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Way-points with dwells between them."""
+    """Return way-points with dwells between them."""
     low, high = 0.6 * limits.low[j], 0.6 * limits.high[j]
     share, dwell = {"moves": (0.6, 0.4), "sweeps": (0.25, 0.8), "fast": (0.95, 0.25)}[kind]
     t, q = [0.0, rng.uniform(0.1, 0.4)], [start, start]
@@ -167,7 +176,11 @@ def _legs(
 
 
 def fitted(motion: ExcitationMotion, limits: JointLimits) -> ExcitationMotion:
-    """The motion, made smaller where it would break a limit."""
+    """Return the motion, made smaller where it would break a limit.
+
+    Raises:
+        ParameterError: no size stays within the limits.
+    """
     for _ in range(20):
         s = motion.at(np.linspace(0, DURATION, 4001))
         middle, half = (limits.high + limits.low) / 2, (limits.high - limits.low) / 2

@@ -18,7 +18,14 @@ SCALE = {**STD, "y_cmd": STD["y"], "wg": STD["w"]}
 
 
 def gaps(changed: Sequence[Array], plain: Sequence[Array]) -> dict[str, Array]:
-    """Channel group -> (k,) RMS difference over noise, mean over the runs."""
+    """Return the RMS difference over noise, mean over the runs.
+
+    Args:
+        changed, plain: records (N, 33) of the same runs.
+
+    Returns:
+        (k,) per group of channels.
+    """
     out = {}
     for name, std in SCALE.items():
         columns = CHANNELS[name]
@@ -31,7 +38,11 @@ def gaps(changed: Sequence[Array], plain: Sequence[Array]) -> dict[str, Array]:
 
 
 def gap(changed: Sequence[Array], plain: Sequence[Array]) -> float:
-    """That of the most affected channel; infinite where the machine ran away."""
+    """Return the gap of the most affected channel; infinite where the machine ran away.
+
+    Args:
+        changed, plain: records (N, 33) of the same runs.
+    """
     most = max(float(values.max()) for values in gaps(changed, plain).values())
     return most if np.isfinite(most) else np.inf
 
@@ -39,9 +50,15 @@ def gap(changed: Sequence[Array], plain: Sequence[Array]) -> float:
 def search(
     measure: Callable[[float], float], target: float, start: float, most: float
 ) -> tuple[float, float]:
-    """Magnitude whose gap is `wanted`, and the gap it has; `most` where that is too little.
+    """Return the magnitude whose gap is `target`, and the gap it has.
 
     Secant steps in logarithms inside a bracket that bisection keeps valid.
+
+    Args:
+        measure: magnitude -> gap over noise.
+        target: gap.
+        start: magnitude to begin with.
+        most: largest magnitude, returned where it is too little.
     """
     low, high = 1e-6 * most, most
     x, best = min(start, most), (start, 0.0)

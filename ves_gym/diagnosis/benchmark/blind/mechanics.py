@@ -30,7 +30,7 @@ class BodyParameters(NamedTuple):
 
 @compiled
 def turn_in(c, s, ca, sa, x, y, z):  # type: ignore[no-untyped-def]
-    """A vector of the frame before, in the link's frame."""
+    """Return a vector of the frame before, in the link's frame."""
     u = c * x + s * y
     w = -s * x + c * y
     return u, ca * w + sa * z, -sa * w + ca * z
@@ -38,14 +38,14 @@ def turn_in(c, s, ca, sa, x, y, z):  # type: ignore[no-untyped-def]
 
 @compiled
 def turn_out(c, s, ca, sa, x, y, z):  # type: ignore[no-untyped-def]
-    """A vector of the link's frame, in the frame before."""
+    """Return a vector of the link's frame, in the frame before."""
     w = ca * y - sa * z
     return c * x - s * w, s * x + c * w, sa * y + ca * z
 
 
 @compiled
 def body_force(m, r, inertia, wx, wy, wz, bx, by, bz, ax, ay, az):  # type: ignore[no-untyped-def]
-    """Force at, and moment about, the centre of mass: m a_c and I b + w x I w."""
+    """Return force at, and moment about, the centre of mass: m a_c and I b + w x I w."""
     x, y, z = r[0], r[1], r[2]
     # b x r + w x (w x r)
     dot = wx * x + wy * y + wz * z
@@ -64,7 +64,13 @@ def body_force(m, r, inertia, wx, wy, wz, bx, by, bz, ax, ay, az):  # type: igno
 
 @compiled
 def fill_trig(bodies, q, trig):  # type: ignore[no-untyped-def]
-    """cos, sin of the joint angles and of the twists: trig (n, 4)."""
+    """Fill cos, sin of the joint angles and of the twists.
+
+    Args:
+        bodies: geometry.
+        q: (n,) rad.
+        trig: (n, 4) output.
+    """
     for i in range(len(q)):
         angle, alpha = q[i] + bodies.dh[i, 3], bodies.dh[i, 2]
         trig[i, 0], trig[i, 1] = math.cos(angle), math.sin(angle)
@@ -73,9 +79,10 @@ def fill_trig(bodies, q, trig):  # type: ignore[no-untyped-def]
 
 @compiled
 def newton_euler(bodies, trig, v, a, spin, turn, pull, work, tau, wrench):  # type: ignore[no-untyped-def]
-    """Joint torques (n,) and the wrench (6,) the arm exerts on the platform at its origin.
+    """Compute joint torques (n,) and the wrench (6,) of the arm on the platform at its origin.
 
     Args:
+        bodies: geometry and mass.
         trig: (n, 4) of the joint angles, see `fill_trig`.
         v, a: (n,) joint rates and accelerations.
         spin, turn: (3,) angular velocity and acceleration of the platform, its own axes.
@@ -135,9 +142,16 @@ def newton_euler(bodies, trig, v, a, spin, turn, pull, work, tau, wrench):  # ty
 
 @compiled
 def unit_column(bodies, trig, j, work, column):  # type: ignore[no-untyped-def]
-    """What accelerating joint j alone takes, from rest: torques (n,) and wrench (6,).
+    """Compute torques (n,) and wrench (6,) that accelerating joint j alone takes, from rest.
 
     Newton-Euler without velocities; links before the joint stay at rest.
+
+    Args:
+        bodies: geometry and mass.
+        trig: (n, 4), see `fill_trig`.
+        j: joint.
+        work: (n + 1, 12) scratch.
+        column: (n + 6,) output.
     """
     n = len(trig)
     bx = by = ax = ay = az = 0.0
@@ -181,7 +195,7 @@ def unit_column(bodies, trig, j, work, column):  # type: ignore[no-untyped-def]
 
 @compiled
 def solve3(A, b, x):  # type: ignore[no-untyped-def]
-    """x with A x = b for a symmetric (3, 3) A, by cofactors."""
+    """Solve A x = b for a symmetric (3, 3) A, by cofactors; x is the output."""
     c00 = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
     c01 = A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2]
     c02 = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
@@ -197,9 +211,11 @@ def solve3(A, b, x):  # type: ignore[no-untyped-def]
 
 @compiled
 def platform_motion(pose, rate, acc, spin, turn, pull):  # type: ignore[no-untyped-def]
-    """Angular velocity and acceleration, and the origin's acceleration less free fall.
+    """Compute the platform's angular motion, and its origin's acceleration less free fall.
 
-    Platform axes, from the Z-Y-X pose and its two derivatives (6,); outputs (3,) each.
+    Args:
+        pose, rate, acc: (6,) Z-Y-X pose and its derivatives.
+        spin, turn, pull: (3,) outputs, platform axes.
     """
     cx, sx = math.cos(pose[3]), math.sin(pose[3])
     cy, sy = math.cos(pose[4]), math.sin(pose[4])
@@ -220,7 +236,12 @@ def platform_motion(pose, rate, acc, spin, turn, pull):  # type: ignore[no-untyp
 
 @compiled
 def conjugate(pose, wrench, force):  # type: ignore[no-untyped-def]
-    """Generalised force (6,) on the Z-Y-X pose of a wrench in platform axes."""
+    """Compute the generalised force on the Z-Y-X pose of a wrench in platform axes.
+
+    Args:
+        pose, wrench: (6,).
+        force: (6,) output.
+    """
     cx, sx = math.cos(pose[3]), math.sin(pose[3])
     cy, sy = math.cos(pose[4]), math.sin(pose[4])
     cz, sz = math.cos(pose[5]), math.sin(pose[5])
@@ -237,7 +258,16 @@ def conjugate(pose, wrench, force):  # type: ignore[no-untyped-def]
 def inverse_dynamics(
     bodies: BodyParameters, rotor: Array, q: Array, v: Array, a: Array
 ) -> Array:
-    """(N, n) motor torque of motions (N, n) on a base at rest, weight aside [N m]."""
+    """Return motor torques of motions on a base at rest, weight aside.
+
+    Args:
+        bodies: geometry and mass.
+        rotor: (n,) kg m^2.
+        q, v, a: (N, n).
+
+    Returns:
+        (N, n) N m.
+    """
     out = np.empty_like(q)
     _series(bodies, q, v, a, out)
     return out + rotor * a

@@ -31,7 +31,17 @@ BURST = 6  # samples, a lost link stays lost
 
 
 def coloured(std: Array, colour: float, samples: int, rng: np.random.Generator) -> Array:
-    """(samples, k) AR(1) noise of standard deviation (k,)."""
+    """Return AR(1) noise.
+
+    Args:
+        std: (k,) standard deviations.
+        colour: correlation of neighbouring samples.
+        samples: N.
+        rng: of the draws.
+
+    Returns:
+        (N, k).
+    """
     fresh = rng.standard_normal((samples + 50, len(std)))
     gain = np.sqrt(1 - colour**2)
     path = scipy.signal.lfilter([gain], [1.0, -colour], fresh, axis=0)[50:]
@@ -39,7 +49,13 @@ def coloured(std: Array, colour: float, samples: int, rng: np.random.Generator) 
 
 
 def draw_noise(samples: int, rng: np.random.Generator, lost: float = 0.0) -> NoiseSamples:
-    """Noise of one run; `lost` is the share of wrench packets lost."""
+    """Return noise of one run.
+
+    Args:
+        samples: N.
+        rng: of the draws.
+        lost: share of wrench packets lost.
+    """
     std = dict(STD)
     std["q"] = np.sqrt(STD["q"] ** 2 - ENCODER**2 / 12)
     parts = {k: coloured(std[k], COLOUR[k], samples, rng) for k in STD}
@@ -47,7 +63,16 @@ def draw_noise(samples: int, rng: np.random.Generator, lost: float = 0.0) -> Noi
 
 
 def losses(samples: int, share: float, rng: np.random.Generator) -> Array:
-    """(samples,) 1 where the packet is lost, in bursts; more with a larger share only."""
+    """Return 1 where a packet is lost, in bursts; more with a larger share only.
+
+    Args:
+        samples: N.
+        share: of packets.
+        rng: of the draws.
+
+    Returns:
+        (N,).
+    """
     chance = rng.random(samples // BURST + 1).repeat(BURST)[:samples]
     out = (chance < share).astype(float)
     out[0] = 0.0
@@ -55,7 +80,7 @@ def losses(samples: int, share: float, rng: np.random.Generator) -> Array:
 
 
 def converted(record: Array) -> Array:
-    """A record as its converters show it."""
+    """Return a record as its converters show it."""
     out = record.copy()
     for name, step in STEPS.items():
         columns = CHANNELS[name]
@@ -64,7 +89,7 @@ def converted(record: Array) -> Array:
 
 
 def digital(setup: MachineSetup) -> MachineSetup:
-    """The machine with encoders and converters of finite resolution."""
+    """Return the machine with encoders and converters of finite resolution."""
     return setup.edit(
         encoder=np.full(3, ENCODER),
         resolution=np.array([FORCE_STEP] * 3 + [MOMENT_STEP] * 3),
@@ -72,7 +97,17 @@ def digital(setup: MachineSetup) -> MachineSetup:
 
 
 def stamps(samples: int, dt: float, clock: float, rng: np.random.Generator) -> Array:
-    """(samples,) strictly increasing time stamps of a clock that runs off and jitters [s]."""
+    """Return strictly increasing time stamps of a clock that runs off and jitters.
+
+    Args:
+        samples: N.
+        dt: step [s].
+        clock: relative error of its rate.
+        rng: of the jitter.
+
+    Returns:
+        (N,) s.
+    """
     shake = np.clip(JITTER * rng.standard_normal(samples), -0.2, 0.2)
     shake[0] = 0.0
     late = (np.arange(samples) * (1 + clock) + shake) * dt

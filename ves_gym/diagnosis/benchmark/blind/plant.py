@@ -76,7 +76,7 @@ class BlindPlant(NamedTuple):
 
 
 class PlantInputs(NamedTuple):
-    """What happens to it in one run of N samples."""
+    """Commands and noise of one run of N samples."""
 
     q: Array  # (M, 3) commanded angle at half steps, warm-up included [rad]
     v: Array
@@ -118,7 +118,7 @@ class Scratch(NamedTuple):
 
 
 def scratch() -> Scratch:
-    """Fresh room for three joints."""
+    """Return fresh room for three joints."""
     z = np.zeros
     return Scratch(
         z((4, 12)), z((3, 4)), z(3), z(6), z(3), z(6), z((3, 9)), z((3, 3)), z(3), z(3),
@@ -128,14 +128,23 @@ def scratch() -> Scratch:
 
 @compiled
 def servo_torque(p, s, q, v, ff, j):  # type: ignore[no-untyped-def]
-    """Torque the drive asks its motor for, within the limit [N m]."""
+    """Return the torque that the drive asks of motor j, within the limit [N m]."""
     torque = p.kp[j] * (q[j] - s.angle[j]) + p.kd[j] * (v[j] - s.pace[j]) + ff[j]
     return min(max(torque, -p.limit[j]), p.limit[j])
 
 
 @compiled
 def rates(p, x, q, v, ff, goal, speed, t, dx, s):  # type: ignore[no-untyped-def]
-    """dx/dt of the machine under its commands; `s.wrench` is the arm's wrench."""
+    """Compute dx/dt of the machine under its commands; `s.wrench` becomes the arm's wrench.
+
+    Args:
+        p, s: plant and scratch.
+        x: (42,) state.
+        q, v, ff: (3,) commanded angle, rate, feed-forward torque.
+        goal, speed: (6,) that the platform's servo follows.
+        t: s.
+        dx: (42,) output.
+    """
     w, zeta = p.servo[0], p.servo[1]
     for i in range(6):
         dx[Y + i] = x[YD + i]
@@ -223,7 +232,16 @@ def rates(p, x, q, v, ff, goal, speed, t, dx, s):  # type: ignore[no-untyped-def
 
 @compiled
 def platform_command(p, sent, k, dt, t, goal, speed):  # type: ignore[no-untyped-def]
-    """Pose and rate the platform's servo follows at time t of period k, delay and stroke in."""
+    """Compute pose and rate that the platform's servo follows, delay and stroke in.
+
+    Args:
+        p: plant.
+        sent: (samples + 1, 12) commands of every period.
+        k: period.
+        dt: its length [s].
+        t: time [s].
+        goal, speed: (6,) outputs.
+    """
     when = (t - p.late) / dt
     row = min(math.floor(when), k)
     if row < 0:
@@ -249,11 +267,14 @@ def platform_command(p, sent, k, dt, t, goal, speed):  # type: ignore[no-untyped
 
 @compiled
 def observe(p, x, past, row, within, h, s):  # type: ignore[no-untyped-def]
-    """Motor angles and rates as their readings show them, into `s.angle`, `s.pace`.
+    """Compute motor angles and rates as their readings show them, into `s.angle`, `s.pace`.
 
     Args:
+        p, s: plant and scratch.
+        x: (42,) state.
         past: angles, rates and accelerations (rows, 9) at the steps so far, `row` the last.
         within: time since that step [s].
+        h: step [s].
     """
     back = (within - p.age) / h
     for j in range(3):
@@ -277,7 +298,13 @@ def observe(p, x, past, row, within, h, s):  # type: ignore[no-untyped-def]
 
 @compiled
 def run_plant(p, u, x, s, out):  # type: ignore[no-untyped-def]
-    """Play a run. `out` (N, 33): q 3, v 3, tau 3, y 6, y_cmd 6, w 6, wg 6."""
+    """Play a run.
+
+    Args:
+        p, u, s: plant, inputs and scratch.
+        x: (42,) state at the start, changed in place.
+        out: (N, 33) output: q 3, v 3, tau 3, y 6, y_cmd 6, w 6, wg 6.
+    """
     samples, h = len(out), u.dt / u.substeps
     k1, k2, k3, k4 = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE)
     mid, goal, speed = np.zeros(SIZE), np.zeros(6), np.zeros(6)

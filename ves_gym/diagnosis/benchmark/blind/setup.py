@@ -51,7 +51,7 @@ class MachineSetup(NamedTuple):
     clock: float  # relative error of the time stamps
 
     def finished(self) -> BlindPlant:
-        """The plant with the admittance of its base."""
+        """Return the plant with the admittance of its base."""
         phi, gamma = sampled(self.base, self.dt)
         plant = self.plant._replace(phi=phi, gamma=gamma)
         solid: dict[str, Any] = {  # one memory layout, so that the loop is compiled once
@@ -62,12 +62,12 @@ class MachineSetup(NamedTuple):
         return plant._replace(**solid)
 
     def edit(self, **changes: Any) -> MachineSetup:
-        """With other numbers in the plant."""
+        """Return the setup with other numbers in the plant."""
         return self._replace(plant=self.plant._replace(**changes))
 
 
 def nominal_setup(description: dict[str, Any], controller: dict[str, Any]) -> MachineSetup:
-    """The machine exactly as described."""
+    """Return the machine exactly as described."""
     plant, base = plant_of(description, controller)
     return MachineSetup(
         plant, Drive(plant.bodies, plant.rotor), base, description["control_dt"], 0.0
@@ -75,7 +75,7 @@ def nominal_setup(description: dict[str, Any], controller: dict[str, Any]) -> Ma
 
 
 def resting(bodies: BodyParameters) -> Array:
-    """(6,) weight of the arm on the level platform at q = 0."""
+    """Return (6,) weight of the arm on the level platform at q = 0."""
     room, zero = scratch(), np.zeros(3)
     fill_trig(bodies, zero, room.trig)
     pull = np.array([0.0, 0.0, GRAVITY])
@@ -88,7 +88,13 @@ def resting(bodies: BodyParameters) -> Array:
 def with_nuisance(
     setup: MachineSetup, rng: np.random.Generator, factor: float = 1.0
 ) -> MachineSetup:
-    """The machine with every nuisance drawn, `factor` times as wide as listed."""
+    """Return the machine with every nuisance drawn.
+
+    Args:
+        setup: as described.
+        rng: of the draws.
+        factor: times as wide as listed.
+    """
 
     def draw(name: str, *shape: int) -> Array:
         size = factor * NUISANCE[name][0]

@@ -51,13 +51,13 @@ class NoiseSamples(NamedTuple):
 
 
 def silent(samples: int) -> NoiseSamples:
-    """No noise at all."""
+    """Return no noise at all."""
     three, six = np.zeros((samples, 3)), np.zeros((samples, 6))
     return NoiseSamples(q=three, v=three, tau=three, y=six, w=six, lost=np.zeros(samples))
 
 
 class Drive(NamedTuple):
-    """What the joint servo knows of the arm, for its feed-forward, and its own delay."""
+    """The arm as the joint servo knows it, for its feed-forward, and its own delay."""
 
     bodies: BodyParameters
     rotor: Array
@@ -65,7 +65,7 @@ class Drive(NamedTuple):
 
 
 def samples_of(dt: float) -> int:
-    """Records of a run, both ends included."""
+    """Return the number of records of a run, both ends included."""
     return round(DURATION / dt) + 1
 
 
@@ -77,7 +77,19 @@ def simulate(
     dt: float,
     step: float = STEP,
 ) -> Array:
-    """(N, WIDTH) record of a run, columns as in `CHANNELS`, every dt [s]."""
+    """Return the record of a run, columns as in `CHANNELS`.
+
+    Args:
+        plant: machine.
+        drive: knowledge and delay of the joint servo.
+        motion: commanded.
+        noise: of N samples.
+        dt: between samples [s].
+        step: of the integration, at most [s].
+
+    Returns:
+        (N, WIDTH).
+    """
     samples, substeps, warm = len(noise.q), round(dt / step), round(WARM / dt)
     t = (np.arange(2 * substeps * (samples + warm) + 1) / (2 * substeps) - warm) * dt
     command = motion.at(t - drive.late)
@@ -97,7 +109,7 @@ def simulate(
 
 
 def _settle(plant: BlindPlant, start: Array, x: Array, room: Scratch) -> None:
-    """Joints sagging under their weight, sensor under that of the arm."""
+    """Start with joints sagging under their weight, the sensor under that of the arm."""
     pull, zero = np.array([0.0, 0.0, GRAVITY]), np.zeros(3)
     tau, wrench = np.zeros(3), np.zeros(6)
     q = start.copy()

@@ -23,7 +23,12 @@ LABELS = "labels.json"
 def logs_of(
     case: BlindCase, description: dict[str, Any], controller: dict[str, Any]
 ) -> list[RunLog]:
-    """The case's runs as logs; nothing in them says what is in the machine."""
+    """Return the case's runs as logs; nothing in them says what is in the machine.
+
+    Args:
+        case: to write.
+        description, controller: as the logs state them.
+    """
     return [_log(case, k, description, controller) for k in range(len(case.records))]
 
 
@@ -52,7 +57,7 @@ def _log(
 
 
 def label_of(case: BlindCase) -> dict[str, Any]:
-    """The truth about a case, plain data."""
+    """Return the truth about a case, plain data."""
     return {
         "index": case.number,
         "category": case.plan.category,
@@ -67,7 +72,7 @@ def label_of(case: BlindCase) -> dict[str, Any]:
 
 
 def case_name(index: int) -> str:
-    """Folder of a case."""
+    """Return the folder of a case."""
     return f"case-{index:03d}"
 
 
@@ -77,7 +82,13 @@ def write_case(
     description: dict[str, Any],
     controller: dict[str, Any],
 ) -> None:
-    """Write `case-NNN/run-1.parquet` and on; the label is not among them."""
+    """Write `case-NNN/run-1.parquet` and on; the label is not among them.
+
+    Args:
+        folder: of all cases.
+        case: to write.
+        description, controller: as the logs state them.
+    """
     place = Path(folder) / case_name(case.number)
     for k, log in enumerate(logs_of(case, description, controller)):
         log.save(place / f"run-{k + 1}.parquet")
@@ -91,7 +102,16 @@ def write_set(
     runner: Runner,
     controller: dict[str, Any],
 ) -> None:
-    """Write cases that are not there yet, logs to one folder and labels to another."""
+    """Write cases that are not there yet.
+
+    Args:
+        folder: of the logs.
+        labels: folder of the labels.
+        root: seed of the set.
+        indices: of the cases.
+        runner: makes them.
+        controller: as the logs state it.
+    """
     for index in indices:
         label = Path(labels) / f"{case_name(index)}.json"
         if label.exists():
@@ -102,12 +122,16 @@ def write_set(
 
 
 def read_labels(labels: str | os.PathLike[str]) -> list[dict[str, Any]]:
-    """All labels of a set, by index."""
+    """Return all labels of a set, by index."""
     return [read_table(path) for path in sorted(Path(labels).glob("case-*.json"))]
 
 
 def seal(labels: Sequence[dict[str, Any]], nonce: str | None = None) -> tuple[str, str]:
-    """SHA-256 over labels and a random nonce, which keeps them from being guessed.
+    """Return SHA-256 over labels and a random nonce, which keeps them from being guessed.
+
+    Args:
+        labels: in order.
+        nonce: to check a seal; a fresh one by default.
 
     Returns:
         The digest, to be published first, and the nonce, to be published with the labels.
