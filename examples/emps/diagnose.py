@@ -15,7 +15,7 @@ from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.diagnose import added, diagnose
 from ves_gym.diagnosis.inference.model_selection import Thresholds
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine, MjcfVariant
-from ves_gym.diagnosis.machines.mjcf_mapping import load_emps, read_machine
+from ves_gym.diagnosis.machines.mjcf_mapping import read_machine
 from ves_gym.effects import JointCoulomb, JointTorqueOffset, JointViscous
 
 MAPPING = Path(__file__).with_name("emps.toml")
@@ -56,7 +56,7 @@ def main() -> None:
     )
     print("force error, up to: described, published, found")
     for path, band in itertools.product((args.fitted, args.final), (12.0, 20.0, 30.0, 40.0)):
-        run = load_emps(path, band)
+        run = read_machine(MAPPING, band)[1](path)
         errors = [force_error(machine, run, m) for m in (machine.nominal, published, better)]
         print(f"{run.name} {band:g} Hz:", ", ".join(f"{100 * e:.2f} %" for e in errors))
 

@@ -14,8 +14,8 @@ from ves_gym.diagnosis.benchmark.blind.cases import mix, order_of, root_seed
 from ves_gym.diagnosis.benchmark.blind.write import seal
 from ves_gym.diagnosis.benchmark.run import scored_part, stratified, thresholds_hash
 from ves_gym.diagnosis.benchmark.score import score
-from ves_gym.diagnosis.benchmark.score_page import markdown
 from ves_gym.diagnosis.inference.model_selection import Thresholds
+from ves_gym.report.benchmark_page import markdown
 
 DOCS = Path(__file__).parents[2] / "docs"
 

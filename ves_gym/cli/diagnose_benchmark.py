@@ -39,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
     """Make cases, diagnose them, score the answers; go on where it was interrupted."""
     from ves_gym.diagnosis.benchmark import run as t
     from ves_gym.diagnosis.benchmark.score import score
-    from ves_gym.diagnosis.benchmark.score_page import markdown
     from ves_gym.diagnosis.inference.model_selection import Thresholds
+    from ves_gym.report.benchmark_page import markdown
 
     if args.workers < 1:
         raise ParameterError(f"--workers must be >= 1, got {args.workers}")

@@ -5,7 +5,7 @@ import pytest
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.benchmark import score as s
 from ves_gym.diagnosis.benchmark.labels import answer_name, label_name, numbers
-from ves_gym.diagnosis.benchmark.score_page import markdown
+from ves_gym.report.benchmark_page import markdown
 
 
 def truth(category, *effects, wanted=10.0, index=0):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.diagnosis.data.signals import (
+from ves_gym._util.signals import (
     SensorNoiseModel,
     SpectralWindow,
     differentiated,

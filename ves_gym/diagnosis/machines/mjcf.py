@@ -19,8 +19,8 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array, ParameterError, require_positive, unit
+from ves_gym._util.signals import differentiated
 from ves_gym.diagnosis.data.measured_run import Kinematics, Run
-from ves_gym.diagnosis.data.signals import differentiated
 from ves_gym.diagnosis.inference.candidates import Candidate, library
 from ves_gym.diagnosis.machines.base import Nuisance, Port
 from ves_gym.diagnosis.machines.torque_balance import SCALING, torque_residual

@@ -1,7 +1,4 @@
-"""From a mapping file to a machine in MJCF and its runs; docs/diagnosis.md has an example.
-
-`load_emps` and `load_tiago` read two public data sets from wherever the user has them.
-"""
+"""From a mapping file to a machine in MJCF and its runs; docs/diagnosis.md has an example."""
 
 from __future__ import annotations
 
@@ -22,15 +19,13 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
+from ves_gym._util.recordings import column_of, read_columns
 from ves_gym.diagnosis.data.measured_run import BAND, Run, require_steady, run_of_signals
-from ves_gym.diagnosis.data.recordings import column_of, read_columns
 from ves_gym.diagnosis.machines.mjcf import MjcfJoint, MjcfMachine, RateError, Tolerance
 from ves_gym.system.effect import Effect
 
 SCHEMA = "ves-machine/1"
 Loader = Callable[[str | os.PathLike[str]], Run]
-
-_TIAGO = ("torso_lift_joint", *(f"arm_{i}_joint" for i in range(1, 8)))
 
 
 @dataclass(frozen=True)
@@ -210,41 +205,3 @@ def read_model(path: Path) -> mujoco.MjModel:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise ParameterError(f"model {path}: {error}") from None
-
-
-def load_emps(path: str | os.PathLike[str], band: float = BAND) -> Run:
-    """Return the EMPS axis (Janot, Gautier, Brunot; nonlinearbenchmark.org): q [m] and tau [N].
-
-    Args:
-        path: the user's DATA_EMPS.mat or DATA_EMPS_PULSES.mat.
-        band: Hz.
-    """
-    columns = read_columns(path)
-    gain = float(column_of(columns, "gtau", str(path))[0])  # N/V
-    axis = JointColumns(
-        "axis", Column("qm"), force=(Column("vir", gain),), type="slide", radius=0.1
-    )
-    file = MachineFile(SCHEMA, "EMPS axis", Column("t"), (axis,), band=band)
-    return file.run(columns, Path(path).name)
-
-
-def load_tiago(folder: str | os.PathLike[str], band: float = BAND) -> Run:
-    """Return the arm of a TIAGo (figaroh-plus): q and v of lift and seven joints [m, rad].
-
-    Its efforts are raw drive values of unknown gain and are left out.
-
-    Args:
-        folder: the user's, with position.csv and velocity.csv.
-        band: Hz.
-    """
-    joints = tuple(
-        JointColumns(
-            name,
-            Column(f"- {name}_position"),
-            Column(f"- {name}_velocity"),
-            type="slide" if name.startswith("torso") else "hinge",
-        )
-        for name in _TIAGO
-    )
-    file = MachineFile(SCHEMA, "TIAGo arm", Column("t"), joints, band=band)
-    return file.run(read_columns(folder), Path(folder).name)

@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array
+from ves_gym._util.signals import differentiated, zero_order_hold
 from ves_gym.diagnosis.data.measured_run import Kinematics, Run
-from ves_gym.diagnosis.data.signals import differentiated, zero_order_hold
 from ves_gym.diagnosis.machines.base import WRENCH, Nuisance, Port
 from ves_gym.diagnosis.machines.drift import SlowPath
 from ves_gym.diagnosis.machines.nuisance_priors import system_nuisances

@@ -40,7 +40,12 @@ class Naming:
         workers: processes that make and diagnose cases.
     """
 
-    sources = ("diagnosis", "leaderboard/tracks/diagnosis.py", "leaderboard/protocol.py")
+    sources = (
+        "diagnosis",
+        "_util/signals.py",
+        "leaderboard/tracks/diagnosis.py",
+        "leaderboard/protocol.py",
+    )
 
     def __init__(self, folder: Path | None = None, workers: int = 1) -> None:
         self.folder, self.workers = folder or _FOLDER, workers
@@ -59,7 +64,7 @@ class Naming:
         """The cases, in a folder that is theirs alone, and that of these sources."""
         from ves_gym.diagnosis.benchmark.blind.cases import mix
 
-        what = f"{seeds.root} {fingerprint.sources(('diagnosis',))}"
+        what = f"{seeds.root} {fingerprint.sources(('diagnosis', '_util/signals.py'))}"
         name = hashlib.sha256(what.encode()).hexdigest()[:16]
         whole = len(mix())
         cases = (

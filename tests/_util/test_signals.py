@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ves_gym.diagnosis.data.signals import (
+from ves_gym._util.signals import (
     SensorNoiseModel,
     SpectralWindow,
     differentiated,
