@@ -165,8 +165,8 @@ def _report(result: dict[str, Any], found: Any, path: Path) -> list[Path]:
     if importlib.util.find_spec("matplotlib") is None:
         print("no HTML report: it needs matplotlib; pip install 'ves-gym[report]'")
         return []
-    from ves_gym.diagnosis.inference.explanations import overlays
     from ves_gym.report.diagnosis import write_page
+    from ves_gym.report.diagnosis_overlays import overlays
 
     write_page({**result, "overlays": overlays(found.selection, found.residuals)}, path)
     return [path]

@@ -53,7 +53,7 @@ def write_page(result: Result, path: str | os.PathLike[str]) -> None:
 
     Args:
         result: what `ves-gym diagnose` writes as JSON, with `overlays`
-            (`discrepancy.findings.overlays`) and `diff` (text) where there are any.
+            (`diagnosis_overlays.overlays`) and `diff` (text) where there are any.
 
     Raises:
         ParameterError: another schema, or matplotlib is not installed.

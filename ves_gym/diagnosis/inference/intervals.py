@@ -1,4 +1,4 @@
-"""How sure a gap is: block bootstrap over stretches of the runs.
+"""Intervals of a gap: block bootstrap over stretches of the runs.
 
 What is left of a residual comes in bursts (reversals, contacts), so neighbouring samples are
 no independent witnesses. Runs are cut into stretches of a second; stretches are drawn with
