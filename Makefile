@@ -10,7 +10,7 @@ PIP = $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv benchmark policies leaderboard test test-all test-processors test-ecosystem test-oldest check format bench constraints clean
+.PHONY: help venv benchmark policies leaderboard test test-all test-processors test-ecosystem test-oldest check format bench constraints platforms clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' Makefile
@@ -84,6 +84,9 @@ constraints: ## rewrite the known-good versions, keeping what still fits; newest
 	@$(UV) $(COMPILE) --extra dev --output-file constraints.txt $(ARGS) && \
 		"$$tools/bin/uv" $(COMPILE) --extra build --extra report \
 		--constraint constraints.txt --output-file constraints-run.txt
+
+platforms: $(DEV) ## write the README's table of what has wheels where
+	@$(UV) --version && $(BIN)/python scripts/platforms.py "$$tools/bin/uv"
 
 test-oldest: ## run the tests on the oldest versions that pyproject.toml admits
 	rm -rf $(VENV)-oldest && $(PYTHON) -m venv $(VENV)-oldest

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ves_gym._util import optional
 from ves_gym.rendering import opengl as gl
 from ves_gym.rendering import render
 from ves_gym.rendering.opengl import Probe, RenderError
@@ -112,8 +113,9 @@ def test_window_without_a_display_is_one_line(refused, run_log, monkeypatch):
 
 
 def test_missing_package_names_the_extra(refused, run_log, monkeypatch):
-    monkeypatch.setattr(render.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(optional, "installed", lambda module: False)
     assert "ves-gym[report]" in refused("view", run_log, "--gif", "a.gif")
+    assert "ves-gym[movie]" in refused("view", run_log, "--mp4", "a.mp4")
 
 
 # ------------------------------------------------------------------------- bad input

@@ -47,7 +47,7 @@ def test_what_is_missing_is_said(name):
             break
     else:
         pytest.skip("installed here")
-    with pytest.raises(ParameterError, match=f"backend {name} is not installed"):
+    with pytest.raises(ParameterError, match=f"backend {name} needs the package"):
         Simulator(System(), backend=name)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import copy
 import json
 import math
@@ -19,6 +18,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from ves_gym._util import optional
 from ves_gym.system.runlog import OPTIONAL, QUANTITIES, RunLog, RunLogError
 
 JOINTS = 3
@@ -513,19 +513,12 @@ def test_faulty_parquet_is_named(tmp_path: Path) -> None:
 
 
 def test_without_pyarrow_the_message_says_what_to_do(tmp_path: Path, monkeypatch: Any) -> None:
-    real = builtins.__import__
-
-    def blocked(name: str, *rest: Any, **options: Any) -> Any:
-        if name.startswith("pyarrow"):
-            raise ImportError(name)
-        return real(name, *rest, **options)
-
-    monkeypatch.setattr(builtins, "__import__", blocked)
+    monkeypatch.setattr(optional, "installed", lambda module: module != "pyarrow")
     for act in (make().save, RunLog.load):
         with pytest.raises(RunLogError) as caught:
             act(tmp_path / "run.parquet")
         assert str(caught.value).endswith(
-            "run.parquet: Parquet needs the 'report' extra: pip install 'ves-gym[report]';"
+            "run.parquet: Parquet needs the package pyarrow: pip install 'ves-gym[parquet]';"
             " or save as .csv"
         )
     make().save(tmp_path / "run.csv")

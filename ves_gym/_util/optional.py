@@ -30,12 +30,12 @@ PACKAGES = {  # module -> what installs it
     "matplotlib": Source("matplotlib", "report"),
     "mujoco.mjx": Source("mujoco-mjx", "gpu"),
     "mujoco_warp": Source("mujoco-warp", "gpu"),
-    "ompl": Source("ompl", wheels="Linux with Python 3.11 to 3.13"),
+    "ompl": Source("ompl", wheels="Linux and macOS 15, Python 3.11 to 3.13"),
     "optuna": Source("optuna", "scale"),
     "pinocchio": Source("pin", "pinocchio", wheels="Linux and macOS"),
     "pyarrow": Source("pyarrow", "parquet"),
     "ray": Source("ray"),
-    "safetensors": Source("safetensors", "rl"),
+    "safetensors": Source("safetensors"),
     "stable_baselines3": Source("stable-baselines3", "rl"),
     "submitit": Source("submitit", "scale"),
     "torch": Source("torch", "rl"),
@@ -69,7 +69,7 @@ def lacking(purpose: str, *modules: str) -> str:
         return ""
     names = " and ".join(dict.fromkeys(source.package for source in missing))
     kind = "package" if len(missing) == 1 else "packages"
-    return f"{purpose} needs the {kind} {names}, not installed here: {_how(missing)}"
+    return f"{purpose} needs the {kind} {names}: {_how(missing)}"
 
 
 def installed(module: str) -> bool:
@@ -88,7 +88,7 @@ def explain(error: ImportError) -> str | None:
         return None
     source = PACKAGES[known]
     if not installed(known):
-        return lacking("this", known)
+        return lacking("this command", known)
     return f"the package {source.package} does not load here ({error}): {_how([source])}"
 
 

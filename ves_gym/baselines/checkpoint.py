@@ -47,11 +47,12 @@ def load_state(path: str | os.PathLike[str], given: Mapping[str, Any] | None = N
     Raises:
         ParameterError: no such file, or another kind of file.
     """
+    load = _safetensors().load
     from safetensors import SafetensorError
 
     try:
         data = Path(path).read_bytes()
-        arrays = _safetensors().load(data)
+        arrays = load(data)
         size = int.from_bytes(data[:8], "little")
         tree = json.loads(json.loads(data[8 : 8 + size])["__metadata__"][_ENTRY])
     except OSError as error:

@@ -23,6 +23,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from ves_gym import __version__
+from ves_gym._util.optional import require
 from ves_gym._util.params import (
     Array,
     Index,
@@ -219,12 +220,9 @@ def _json(path: str | os.PathLike[str]) -> Path:
 
 
 def _safetensors() -> Any:
-    try:
-        import safetensors.numpy
-    except ImportError:
-        raise ParameterError(
-            "policies need the package safetensors: pip install 'ves-gym[rl]'"
-        ) from None
+    require("a policy's file", "safetensors")
+    import safetensors.numpy
+
     return safetensors.numpy
 
 
@@ -299,6 +297,7 @@ def read_sb3_zip(path: str | os.PathLike[str], algorithm: str, *, trusted: bool)
             f"{path}: reading it would run code from the file; pass trusted=True only if you"
             " would run a program from the same source"
         )
+    require("a zip of Stable-Baselines3", "stable_baselines3", "torch")
     import stable_baselines3
 
     if algorithm not in ("PPO", "SAC"):

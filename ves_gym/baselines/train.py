@@ -22,6 +22,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError, content_hash, write_text
 from ves_gym._util.process_pool import WorkerDied, Workers, note
 from ves_gym._util.statistics import STATISTICS, bootstrap, rate
@@ -35,6 +36,7 @@ from ves_gym.envs.task import Task
 
 CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.jsonl"
 SCHEMA = "ves-checkpoint/1"
+PACKAGES = ("torch", "stable_baselines3", "safetensors")  # what training needs
 TRAINING = 1_000_000  # seed of the training episodes, plus the run's own
 VALIDATION = 2_000_000  # first seed of the episodes that a run is judged by as it learns
 _ATTRIBUTES = (  # of the model, beside its parameters
@@ -69,7 +71,9 @@ def train(
     Raises:
         ParameterError: a run is already there and `resume` is not said, or it is another
             configuration's; hyper-parameters that the algorithm does not know.
+        MissingPackageError: a package of `PACKAGES` is not installed.
     """
+    require("training", *PACKAGES)
     import torch
 
     folder = Path(folder)
@@ -482,6 +486,7 @@ def train_seeds(
             goes on in another, from its checkpoint.
         progress: called with the seed, the fraction done and a few words.
     """
+    require("training", *PACKAGES)
     tell = progress or (lambda seed, done, note: None)
     folder = Path(folder)
     for seed in seeds:  # before the first is trained for an hour

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.optional import lacking
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import add_system_arguments, out_dir, progress, system_from, write_json
 from ves_gym.planners.benchmark import run_benchmark
@@ -138,6 +139,9 @@ def _pictures(result: dict[str, Any], folder: Path) -> list[Path]:
 
     page = folder / "report.html"
     write_page(result, page)
+    if sentence := lacking("drawing", "matplotlib"):
+        print(f"no pictures: {sentence}")
+        return [page]
     return [page, *write_figures(result, folder)]
 
 

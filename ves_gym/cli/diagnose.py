@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ves_gym._util.optional import lacking
 from ves_gym._util.params import ParameterError, write_text
 from ves_gym.cli.common import (
     add_effect_argument,
@@ -162,8 +162,8 @@ def _inputs(args: argparse.Namespace) -> DiagnosisInputs:
 
 def _report(result: dict[str, Any], found: Any, path: Path) -> list[Path]:
     """Write the HTML report; a machine without the extra gets everything else."""
-    if importlib.util.find_spec("matplotlib") is None:
-        print("no HTML report: it needs matplotlib; pip install 'ves-gym[report]'")
+    if sentence := lacking("its figures", "matplotlib"):
+        print(f"no HTML report: {sentence}")
         return []
     from ves_gym.report.diagnosis import write_page
     from ves_gym.report.diagnosis_overlays import overlays

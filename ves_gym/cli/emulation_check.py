@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.optional import lacking
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import (
     add_system_arguments,
@@ -119,12 +120,12 @@ def _figures(args: argparse.Namespace, system: System, at: Any) -> list[Path]:
     """Poles of the complete loop, and the leg loop's plots for leg servos."""
     from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
 
-    try:
-        from ves_gym.report.legs import write_leg_figures
-        from ves_gym.report.loop import write_loop_figures
-    except ImportError:
-        print("no pictures: matplotlib is missing (pip install 'ves-gym[report]')")
+    if sentence := lacking("drawing", "matplotlib"):
+        print(f"no pictures: {sentence}")
         return []
+    from ves_gym.report.legs import write_leg_figures
+    from ves_gym.report.loop import write_loop_figures
+
     folder = out_dir(args, "out/emulation-check")
     files = write_loop_figures(folder, system, at, GAINS[args.gains])
     platform = system.emulator_settings.platform

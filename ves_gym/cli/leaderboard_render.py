@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import write_json
 
@@ -30,6 +31,8 @@ def render(args: argparse.Namespace) -> int:
     from ves_gym.leaderboard.page import write_page
     from ves_gym.leaderboard.table import write_parquet, write_sqlite
 
+    if args.parquet:
+        require("Parquet", "pyarrow")
     path = Path(args.board)
     if not path.is_file():
         raise ParameterError(f"{path}: no such journal")

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from ves_gym import __version__
+from ves_gym._util.optional import explain
 from ves_gym._util.suggest import did_you_mean
 
 COMMANDS = {  # name -> what it does; the module of the same name is loaded when asked for
@@ -128,8 +129,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     except (ValueError, OSError, ArithmeticError) as error:
         # parameters, limits, logs, files and runs that diverge: all say what is wrong
-        print(f"ves-gym: error: {' '.join(str(error).split())}", file=sys.stderr)
-        return BAD_INPUT
+        return _refuse(str(error))
+    except ImportError as error:
+        sentence = explain(error)
+        if sentence is None:
+            raise  # no optional package: ours to repair
+        return _refuse(sentence)
+
+
+def _refuse(sentence: str) -> int:
+    print(f"ves-gym: error: {' '.join(sentence.split())}", file=sys.stderr)
+    return BAD_INPUT
 
 
 if __name__ == "__main__":

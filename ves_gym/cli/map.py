@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import io
 import itertools
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.optional import lacking
 from ves_gym._util.params import ParameterError, write_bytes
 from ves_gym.cli.common import (
     add_system_arguments,
@@ -127,8 +127,8 @@ def _write(args: argparse.Namespace, maps: list[CouplingMap], folder: Path) -> l
     np.savez_compressed(buffer, **arrays)
     written = [folder / "map.npz"]
     write_bytes(written[0], buffer.getvalue())
-    if importlib.util.find_spec("matplotlib") is None:
-        print("no picture: matplotlib is missing (pip install 'ves-gym[report]')")
+    if sentence := lacking("drawing", "matplotlib"):
+        print(f"no picture: {sentence}")
         return written
     from ves_gym.report.figures import coupling_figure, write_figure
 

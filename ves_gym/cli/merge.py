@@ -6,6 +6,7 @@ import argparse
 from collections import Counter
 from pathlib import Path
 
+from ves_gym._util.optional import require
 from ves_gym.cli.common import write_json
 
 SCHEMA = "ves-merge/1"
@@ -25,6 +26,8 @@ def run(args: argparse.Namespace) -> int:
     """Merge and write the rows, sorted: the same results give the same file."""
     from ves_gym.experiments.sweep import merge, write_rows
 
+    if args.parquet:
+        require("Parquet", "pyarrow")
     rows = merge(args.folders)
     path = Path(args.out or "out/merge") / ("rows.parquet" if args.parquet else "rows.jsonl")
     write_rows(path, rows)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import itertools
 import math
 import sys
@@ -13,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.optional import lacking
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.cli.common import (
     Tell,
@@ -348,8 +348,8 @@ def _figures(
 ) -> list[Path]:
     if args.no_figures:
         return []
-    if importlib.util.find_spec("matplotlib") is None:
-        print("no pictures: matplotlib is missing (pip install 'ves-gym[report]')")
+    if sentence := lacking("drawing", "matplotlib"):
+        print(f"no pictures: {sentence}")
         return []
     from ves_gym.report.damping import map_figure, pole_figure, response_figure
     from ves_gym.report.figures import write_figure

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.optional import lacking, require
 from ves_gym._util.params import Array, ParameterError, write_bytes
 from ves_gym.cli.common import (
     Tell,
@@ -294,6 +295,8 @@ def _log_name(args: argparse.Namespace) -> str:
         raise ParameterError(
             f"--log must be a file name ending in .csv or .parquet, got {name!r}"
         )
+    if name.endswith(".parquet"):
+        require("Parquet", "pyarrow")
     beside = (Path(args.out or "out/simulate") / name).with_suffix(".json")
     if args.json is not None and name.endswith(".csv") and _same(beside, Path(args.json)):
         raise ParameterError(
@@ -363,13 +366,13 @@ def _picture(
 
     `space`: the same run in space, dashed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        print("no picture: matplotlib is missing (pip install 'ves-gym[report]')")
+    if sentence := lacking("drawing", "matplotlib"):
+        print(f"no picture: {sentence}")
         return None
     import io
+
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
     assert log.yd is not None  # a recording has it
     E = base_energy(system, log.q, log.y, log.yd)

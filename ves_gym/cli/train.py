@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.config import TrainConfig, find_configs, read_config
 from ves_gym.cli.common import add_effect_argument, out_dir, with_effects, write_json
@@ -40,8 +41,9 @@ def run(args: argparse.Namespace) -> int:
     if args.workers < 1:
         raise ParameterError(f"--workers must be >= 1, got {args.workers}")
     seeds = [s + args.seed for s in config.seeds]
-    from ves_gym.baselines.train import train_seeds
+    from ves_gym.baselines.train import PACKAGES, train_seeds
 
+    require("training", *PACKAGES)
     with _bars() as tell:
         folder = out_dir(args, f"out/train/{config.name}")
         curves = train_seeds(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ves_gym._util.mujoco_loader import mujoco
+from ves_gym._util.optional import require
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm, Inertial
 from ves_gym.mechanics.vehicle import BaseModel
@@ -280,7 +281,11 @@ def pinocchio_model(arm: Arm, base: BaseModel) -> pinocchio.Model:
     Args:
         arm: the arm.
         base: the vehicle.
+
+    Raises:
+        MissingPackageError: Pinocchio is not installed.
     """
+    require("pinocchio_model", "pinocchio")
     import pinocchio as pin
 
     model = pin.Model()

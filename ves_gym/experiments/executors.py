@@ -20,6 +20,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
 from ves_gym._util.process_pool import JobTimeout, WorkerDied, Workers, one_thread, portable
 from ves_gym._util.suggest import did_you_mean
@@ -134,10 +135,9 @@ def _submitit(
     deaths: int,
     slurm: dict[str, Any],
 ) -> Iterator[Executor]:
-    try:
-        import submitit
-    except ImportError:
-        raise _missing("submitit", name) from None
+    require(f"executor {name}", "submitit")
+    import submitit
+
     jobs = folder / "jobs"
     if name == "slurm":
         if submitit.SlurmExecutor.affinity() < 0:
@@ -354,11 +354,10 @@ def _lost(seconds: float | None) -> WorkerDied:
 def _dask(
     workers: int, seconds: float | None, deaths: int, address: str | None
 ) -> Iterator[Executor]:
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-    except ImportError:
-        raise _missing("distributed", "dask") from None
+    require("executor dask", "distributed")
+    import dask
+    from distributed import Client, LocalCluster
+
     with ExitStack() as stack:
         if address is None:
             # a death is told at once; a running cluster tells it after some tries of its own
@@ -421,17 +420,12 @@ class _Ray:
 def _ray(
     workers: int, seconds: float | None, deaths: int, address: str | None
 ) -> Iterator[Executor]:
-    try:
-        import ray
-    except ImportError:
-        raise _missing("ray", "ray", "pip install ray") from None
+    require("executor ray", "ray")
+    import ray
+
     own = {} if address is not None else {"num_cpus": workers, "include_dashboard": False}
     ray.init(address=address, log_to_driver=False, **own)
     try:
         yield _Ray(ray, seconds, deaths)
     finally:
         ray.shutdown()
-
-
-def _missing(package: str, name: str, how: str = "pip install 'ves-gym[scale]'") -> Exception:
-    return ParameterError(f"executor {name} needs the package {package}: {how}")

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import (
     ParameterError,
     canonical_json,
@@ -453,11 +454,8 @@ def _repair(path: Path) -> None:
 
 
 def _optuna() -> Any:
-    try:
-        import optuna
-    except ImportError:
-        raise ParameterError(
-            "search needs the package optuna: pip install 'ves-gym[scale]'"
-        ) from None
+    require("search", "optuna")
+    import optuna
+
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import (
     ParameterError,
     canonical_json,
@@ -81,6 +82,10 @@ def sweep(
     report.skipped.extend(u.id for u in units if resume and finished(root, u))
     skipped = set(report.skipped)
     todo = [u for u in units if u.id not in skipped]
+    if any(u.identity["kind"] == "train" for u in todo):
+        from ves_gym.baselines.train import PACKAGES
+
+        require("training", *PACKAGES)
     tell = progress or (lambda stage, done: None)
     if not todo:
         tell("sweep", 1.0)
@@ -212,13 +217,10 @@ def write_rows(path: str | os.PathLike[str], rows: Sequence[dict[str, Any]]) -> 
         return
     if path.suffix != ".parquet":
         raise ParameterError(f"{path}: expected a .jsonl or .parquet name, got {path.suffix!r}")
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise ParameterError(
-            "Parquet needs the package pyarrow: pip install 'ves-gym[report]'"
-        ) from None
+    require("Parquet", "pyarrow")
+    import pyarrow
+    import pyarrow.parquet
+
     names = list(dict.fromkeys(name for row in rows for name in row))
     table = pyarrow.table({name: [_flat(row.get(name)) for row in rows] for name in names})
     sink = pyarrow.BufferOutputStream()

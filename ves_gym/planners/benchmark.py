@@ -22,11 +22,13 @@ import numpy as np
 import scipy.stats
 
 from ves_gym import __version__
+from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.process_pool import WorkerDied, Workers
 from ves_gym._util.statistics import STATISTICS, bootstrap
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
 from ves_gym.planners.best_known import add_scores, near_best
+from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.query import Plan, Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.scenes import PlayedPlan, coupling_maps, scene, trace
@@ -68,12 +70,14 @@ def run_benchmark(
         Plain data: rows, summary, traces, maps and scenes, and what reproduces them.
 
     Raises:
+        MissingPackageError: a planner is a search with OMPL, which is not installed.
         ParameterError: an unknown planner, or a query that no planner may be asked.
     """
     begin = time.perf_counter()
     names = list(dict.fromkeys([BASELINE, *(planners or suite.planners)]))
     for name in names:
-        get_planner(name)
+        if isinstance(get_planner(name), Ompl):
+            require(f"planner {name}", "ompl")  # before the others have planned for minutes
     report = progress or (lambda stage, done: None)
     questions = [(n, v, q) for v, q in suite.queries for n in names]
     jobs = [(n, v, replace(q, system=q.system.ideal())) for n, v, q in questions]

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError, require_choice
 from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.hotspot import feasible_part, resample
@@ -107,8 +108,10 @@ class Ompl:
             seed: of OMPL's random numbers, >= 0.
 
         Raises:
+            MissingPackageError: OMPL is not installed.
             NoPlan: no path within the budget, or the child failed.
         """
+        require(f"planner {self.name}", "ompl")
         ideal = replace(query, system=query.system.ideal())
         request = Request(
             query=ideal,

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.optimize
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.direct import Minimum, MotionProblem, minimise
@@ -57,6 +58,7 @@ class Refined:
         problem = MotionProblem(query, self.free)
         if query.surroundings is None or broken_limit(query, query.straight) is None:
             return _best(problem, [problem.straight, *detours(problem, self.starts - 1, seed)])
+        require(f"planner {self.name} among obstacles", "ompl")
         starts, why = [problem.straight], None
         for objective in ("time", "qt"):
             try:

@@ -7,7 +7,6 @@ backend that `opengl` chose, watched so that a hang ends in an error.
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import json
 import os
 import tempfile
@@ -18,6 +17,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError, require_positive, unit, write_bytes
 from ves_gym.rendering.opengl import RenderError, choose_backend, probe, require_display
 from ves_gym.rendering.process import DrawingProcess
@@ -27,10 +27,9 @@ from ves_gym.system.system import System
 
 _STALL = 180.0  # s without a finished frame after which drawing has hung
 
-_PILLOW = ("PIL", "pillow")  # draws the labels
-FORMATS = {  # suffix -> (module, package) of what writes it
-    ".gif": [_PILLOW],
-    ".mp4": [_PILLOW, ("imageio_ffmpeg", "imageio-ffmpeg")],
+FORMATS = {  # suffix -> modules that write it; Pillow draws the labels
+    ".gif": ("PIL",),
+    ".mp4": ("PIL", "imageio_ffmpeg"),
 }
 
 
@@ -109,12 +108,7 @@ def show(log: RunLog, view: View | None = None) -> None:
 def _require_format(path: Path, view: View) -> None:
     if path.suffix not in FORMATS:
         raise ParameterError(f"{path}: expected a {' or '.join(FORMATS)} name")
-    for module, package in FORMATS[path.suffix]:
-        if importlib.util.find_spec(module) is None:
-            raise RenderError(
-                f"{path.suffix} files need {package}, which is not installed:"
-                " pip install 'ves-gym[report]'"
-            )
+    require(f"{path.suffix[1:].upper()} output", *FORMATS[path.suffix])
     period = 100 / view.fps  # a GIF counts hundredths of a second
     if path.suffix == ".gif" and (round(period) < 1 or abs(period - round(period)) > 1e-6):
         near = 100 / max(2, round(period))

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ves_gym._util.params import ParameterError, write_bytes
+from ves_gym._util.optional import require
+from ves_gym._util.params import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -307,14 +308,10 @@ def _panels(
     count: int, width: float, height: float, columns: int = _COLUMNS
 ) -> tuple[Figure, list[Axes]]:
     """A figure of `count` axes of the given size [inch], without touching pyplot's state."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ParameterError(
-            f"figures need matplotlib, which is missing ({error});"
-            " install the extra: pip install 'ves-gym[report]'"
-        ) from None
+    require("drawing", "matplotlib")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     columns = min(columns, count)
     rows = math.ceil(count / columns)
     figure = Figure(figsize=(width * columns, height * rows + 0.5), layout="constrained")

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.optional import lacking
 from ves_gym._util.params import Array, write_bytes
 
 META_KEY = "ves_gym"  # of the Parquet schema's metadata
@@ -64,14 +65,11 @@ def suffix_of(path: Path) -> str:
 
 
 def load_pyarrow(path: Path) -> tuple[ModuleType, ModuleType]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise RunLogError(
-            f"{path}: Parquet needs the 'report' extra: pip install 'ves-gym[report]';"
-            " or save as .csv"
-        ) from None
+    if sentence := lacking("Parquet", "pyarrow"):
+        raise RunLogError(f"{path}: {sentence}; or save as .csv")
+    import pyarrow
+    import pyarrow.parquet
+
     return pyarrow, pyarrow.parquet
 
 

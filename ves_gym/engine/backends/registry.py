@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from typing import TYPE_CHECKING
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.engine.backends.base import Backend
@@ -51,15 +52,12 @@ def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
 
 
 def _on_a_device(name: str, system: System, n: int, threads: int) -> Backend:
-    try:
-        if name == "mjx":
-            from ves_gym.engine.backends.mjx import MjxBackend
+    if name == "mjx":
+        require("backend mjx", "jax", "mujoco.mjx")
+        from ves_gym.engine.backends.mjx import MjxBackend
 
-            return MjxBackend(system, n, threads)
-        from ves_gym.engine.backends.warp import WarpBackend
+        return MjxBackend(system, n, threads)
+    require("backend warp", "mujoco_warp", "warp")
+    from ves_gym.engine.backends.warp import WarpBackend
 
-        return WarpBackend(system, n, threads)
-    except ImportError as error:
-        raise ParameterError(
-            f"backend {name} is not installed ({error}): pip install 'ves-gym[gpu]'"
-        ) from None
+    return WarpBackend(system, n, threads)

@@ -1,0 +1,190 @@
+"""Commands without an optional package: one line that says how to get it, and exit status 2."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from ves_gym._util import optional
+from ves_gym._util.optional import PACKAGES, MissingPackageError, explain, require
+from ves_gym.engine.mjcf import pinocchio_model
+from ves_gym.system.system import System
+
+ROOT = Path(__file__).parents[2]
+
+# Runs the command as on a machine without the packages: they are neither found nor loaded.
+PROGRAM = """
+import sys
+from importlib.abc import MetaPathFinder
+
+class Hidden(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in hidden:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+hidden = set(sys.argv[1].split(","))
+sys.meta_path.insert(0, Hidden())
+from ves_gym.cli.main import main
+sys.exit(main(sys.argv[2:]))
+"""
+EVERYTHING = ",".join({name.partition(".")[0] for name in PACKAGES} - {"mujoco"})
+TRAIN = ["train", "ves/PumaDamp-v0", "--steps", "64"]
+SPEC = """
+[[train]]
+configs = ["BeamLQR-ppo"]
+
+[search]
+trials = 2
+batch = 2
+objective = "E_mean"
+space = { "train.0.changes.total_timesteps" = { low = 400, high = 800 } }
+"""
+
+
+@pytest.fixture
+def command(tmp_path):
+    """Run a command in an empty folder with packages hidden: (status, stdout, stderr)."""
+
+    def run(hidden, *words):
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM, hidden, *map(str, words)],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        return done.returncode, done.stdout, done.stderr
+
+    return run
+
+
+@pytest.mark.parametrize("hidden", [EVERYTHING, "torch", "stable_baselines3", "safetensors"])
+def test_train(command, hidden, tmp_path):
+    status, out, err = command(hidden, *TRAIN)
+    assert status == 2 and not out
+    assert err.startswith("ves-gym: error: training needs the package")
+    assert err.count("\n") == 1 and "pip install" in err
+    assert "'ves-gym[rl]'" in err or hidden == "safetensors"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["evaluate", "ves/PumaDamp-v0", "--policy", "released"], "pip install safetensors"),
+        (["view", "LOG", "--gif", "a.gif"], "GIF output needs the package pillow"),
+        (["view", "LOG", "--mp4", "a.mp4"], "'ves-gym[movie]'"),
+        (["simulate", "--log", "log.parquet"], "pip install 'ves-gym[parquet]'"),
+        (
+            ["teleop", "--keys", "KEYS", "--log", "log.parquet"],
+            "pip install 'ves-gym[parquet]'",
+        ),
+        (["leaderboard", "render", "board.jsonl", "--parquet"], "'ves-gym[parquet]'"),
+        (["merge", "folder", "--parquet"], "'ves-gym[parquet]'"),
+        (["diagnose", "a.parquet", "b.parquet"], "pip install 'ves-gym[parquet]'"),
+        (
+            ["plan", "--planner", "ompl-qt", "--start", "0,0,0", "--goal", "9,0,0"],
+            "planner ompl-qt needs the package ompl: pip install ompl; ompl has wheels for"
+            " Linux and macOS 15, Python 3.11 to 3.13",
+        ),
+        (["benchmark", "--quick", "--first", "1", "--planners", "ompl-qt"], "package ompl"),
+        (["sweep", "SWEEP"], "training needs the packages torch and stable-baselines3"),
+        (["search", "SPEC"], "search needs the package optuna: pip install 'ves-gym[scale]'"),
+        (
+            ["leaderboard", "import-sb3", "a.zip", "a.json", "--trust"],
+            "pip install 'ves-gym[rl]'",
+        ),
+    ],
+)
+def test_refused_in_one_line(command, run_log, tmp_path, words, says):
+    files = {"LOG": run_log}
+    texts = {"KEYS": "0.1 q 0.2\n", "SPEC": SPEC, "SWEEP": SPEC.partition("[search]")[0]}
+    for name, text in {**texts, "a.parquet": "", "b.parquet": "", "a.zip": ""}.items():
+        files[name] = tmp_path / f"{name}.toml" if name in texts else tmp_path / name
+        files[name].write_text(text)
+    there = sorted(tmp_path.iterdir())
+    status, out, err = command(EVERYTHING, *(files.get(word, word) for word in words))
+    assert status == 2, out + err
+    assert err.startswith("ves-gym: error: ") and err.count("\n") == 1, err
+    assert says in err
+    assert sorted(tmp_path.iterdir()) == there
+
+
+@pytest.mark.parametrize(
+    ("words", "written"),
+    [
+        (["map", "--joints", "2,3", "--points", "5"], "map.npz"),
+        (["simulate"], "run.csv"),
+    ],
+)
+def test_pictures_are_left_out_and_the_rest_is_done(command, tmp_path, words, written):
+    status, out, err = command(EVERYTHING, *words, "--out", "out")
+    assert status == 0 and not err, err
+    assert (
+        "no picture: drawing needs the package matplotlib: pip install 'ves-gym[report]'" in out
+    )
+    assert (tmp_path / "out" / written).exists()
+    assert not list(tmp_path.rglob("*.png"))
+
+
+def test_doctor_loads_what_is_there(command, tmp_path):
+    status, out, _ = command(EVERYTHING, "doctor", "--json", "doctor.json")
+    assert status == 0 and "the core works" in out
+    names = {
+        check["name"] for check in json.loads((tmp_path / "doctor.json").read_text())["checks"]
+    }
+    assert (
+        "import mujoco" in names and not {"import pinocchio", "import ompl.geometric"} & names
+    )
+
+
+# ------------------------------------------------------------------------- the sentences
+
+
+def test_what_is_installed_is_left_alone():
+    require("this test", "matplotlib", "PIL")
+    assert optional.lacking("this test", "matplotlib") == ""
+
+
+def test_several_packages_are_one_command(monkeypatch):
+    monkeypatch.setattr(optional, "installed", lambda module: False)
+    with pytest.raises(MissingPackageError) as caught:
+        require("a picture", "PIL", "matplotlib", "pyarrow", "ray")
+    assert str(caught.value) == (
+        "a picture needs the packages pillow and matplotlib and pyarrow and ray: pip install"
+        " 'ves-gym[report]' 'ves-gym[parquet]' ray"
+    )
+
+
+def test_pinocchio_is_asked_for_on_use(monkeypatch):
+    monkeypatch.setattr(optional, "installed", lambda module: False)
+    system = System()
+    with pytest.raises(MissingPackageError, match=r"'ves-gym\[pinocchio\]'; pin has wheels"):
+        pinocchio_model(system.arm, system.base)
+
+
+def test_a_package_that_does_not_load_is_told_from_one_that_is_missing():
+    broken = ImportError("libavcodec.so.61: cannot open", name="imageio_ffmpeg._binaries")
+    assert explain(broken) == (
+        "the package imageio-ffmpeg does not load here (libavcodec.so.61: cannot open): pip"
+        " install 'ves-gym[movie]'"
+    )
+    assert explain(ImportError("no", name="ves_gym.cli.nothing")) is None
+    assert explain(ImportError("no")) is None
+
+
+def test_every_extra_is_one_that_has_the_package():
+    """Else the command in the sentence would install something else."""
+    with open(ROOT / "pyproject.toml", "rb") as file:
+        project = tomllib.load(file)["project"]
+    extras = project["optional-dependencies"]
+    for module, source in PACKAGES.items():
+        texts = extras[source.extra] if source.extra else project["dependencies"]
+        names = [re.match(r"[\w.-]+", text)[0] for text in texts]
+        assert source.package in names or module == "ray"
