@@ -17,7 +17,6 @@ from ves_gym.diagnosis.benchmark.blind.magnitude import SCALE
 from ves_gym.diagnosis.benchmark.blind.simulate import CHANNELS
 from ves_gym.system.runlog import RunLog
 
-LABELS = "labels.json"
 
 
 def logs_of(
