@@ -18,7 +18,6 @@ from ves_gym.diagnosis.benchmark.blind.simulate import CHANNELS
 from ves_gym.system.runlog import RunLog
 
 
-
 def logs_of(
     case: BlindCase, description: dict[str, Any], controller: dict[str, Any]
 ) -> list[RunLog]:
