@@ -20,7 +20,7 @@ from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import get_suite
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.energy import Ledger, ledger
+from ves_gym.system.energy import EnergyBalance
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
@@ -34,21 +34,21 @@ def record(system: System, motion: Motion = MOTION, settle: float = 0.0) -> RunL
     return play_motions(system, [motion], settle=settle, record_dt=system.physics_dt).log(0)
 
 
-def at_step(dt: float, **changes) -> Ledger:
-    return ledger(record(System(physics_dt=dt, control_dt=dt, **changes)))
+def at_step(dt: float, **changes) -> EnergyBalance:
+    return EnergyBalance.of(record(System(physics_dt=dt, control_dt=dt, **changes)))
 
 
 @pytest.mark.parametrize("drive", ["motor", "prescribed"])
 @pytest.mark.parametrize("name", BEAMS)
 def test_residual_at_the_default_step(name, drive):
-    found = ledger(record(System(vehicle=VEHICLES[name], drive=drive)))
+    found = EnergyBalance.of(record(System(vehicle=VEHICLES[name], drive=drive)))
     assert found.relative <= PROMISED
     assert found.relative <= (1e-6 if drive == "motor" else 1e-4)  # measured 4e-8, 2e-5
 
 
 def test_residual_of_a_satellite():
     """At rest before and after, nothing passes a satellite's port; the arm's energy does."""
-    found = ledger(record(System(vehicle=VEHICLES["free-floating"])))
+    found = EnergyBalance.of(record(System(vehicle=VEHICLES["free-floating"])))
     assert np.abs(found.residual).max() <= 1e-6 * found.kinetic.max()
 
 
@@ -59,7 +59,7 @@ def test_residual_of_benchmark_motions(planner):
     queries = [q for _, q in get_suite("reach100", system=System()).queries if q.duration == 2]
     for query in queries[:5]:
         plan = solve(get_planner(planner), query)
-        found = ledger(record(query.system, plan.motion, settle=2.0))
+        found = EnergyBalance.of(record(query.system, plan.motion, settle=2.0))
         assert found.relative <= PROMISED, query.name
 
 
@@ -71,7 +71,7 @@ def test_residual_with_saturated_motors():
     arm = dataclasses.replace(System().arm, links=tuple(links))
     log = record(System(arm=arm))
     assert (np.abs(log.tau) >= arm.column("tau_max") * (1 - 1e-9)).any()
-    assert ledger(log).relative <= PROMISED
+    assert EnergyBalance.of(log).relative <= PROMISED
 
 
 def test_order_of_rk4():
@@ -102,7 +102,7 @@ def test_order_of_semi_implicit_euler(integrator):
 def test_the_ledger_fires(fault):
     """One channel wrong by 1 %: more than the promised residual."""
     log = record(System())
-    assert ledger(dataclasses.replace(log, **fault(log))).relative > PROMISED
+    assert EnergyBalance.of(dataclasses.replace(log, **fault(log))).relative > PROMISED
 
 
 def test_the_ledger_fires_on_missing_damping():
@@ -110,12 +110,12 @@ def test_the_ledger_fires_on_missing_damping():
     bent = VEHICLES["bent"]
     log = record(System(vehicle=dataclasses.replace(bent, damping_ratio=0.04)))
     stated = dataclasses.replace(log, meta={**log.meta, "system": System().to_dict()})
-    assert ledger(stated).relative > PROMISED
+    assert EnergyBalance.of(stated).relative > PROMISED
 
 
 def test_a_log_without_gains_is_integrated_as_it_is():
     """A real test bed's log names no servo: Simpson's rule, here within the promise too."""
     log = record(System())
     meta = {k: v for k, v in log.meta.items() if k != "controller"}
-    found = ledger(dataclasses.replace(log, meta=meta))
+    found = EnergyBalance.of(dataclasses.replace(log, meta=meta))
     assert 1e-4 < found.relative <= PROMISED  # measured 7.8e-4

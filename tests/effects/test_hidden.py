@@ -19,7 +19,7 @@ from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import transition
 from ves_gym.system.emulator_settings import EmulatorSettings
-from ves_gym.system.energy import ledger
+from ves_gym.system.energy import EnergyBalance
 from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")
@@ -284,8 +284,8 @@ def test_what_knows_nothing_of_hidden_states_says_so():
     with pytest.raises(ParameterError, match="derivatives know no gears"):
         linearise_ideal(elastic)
     run = play_motions(elastic, [SWING], settle=0.1)
-    with pytest.raises(ParameterError, match="ledger knows no gears"):
-        ledger(run.log(0))
+    with pytest.raises(ParameterError, match="energy balance knows no gears"):
+        EnergyBalance.of(run.log(0))
     with pytest.raises(ParameterError, match="implicitfast: use backend mujoco"):
         Simulator(elastic.replace(integrator="implicitfast"), backend="kernel")
     Simulator(elastic.replace(integrator="implicitfast"), backend="mujoco").step(0.0)

@@ -25,7 +25,7 @@ from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, MatrixVehi
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.emulator_settings import EmulatorSettings
-from ves_gym.system.energy import ledger
+from ves_gym.system.energy import EnergyBalance
 from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")
@@ -144,7 +144,7 @@ def test_the_energy_account_closes(more, tolerance):
     motion = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
     system = System(effects=(*PLANT, *more))
     run = play_motions(system, [motion], settle=0.5, record_dt=system.physics_dt)
-    assert ledger(run.log(0)).relative < tolerance
+    assert EnergyBalance.of(run.log(0)).relative < tolerance
 
 
 def test_feed_forward_goes_by_the_description():

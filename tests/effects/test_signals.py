@@ -19,7 +19,7 @@ from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import linearise, spectral_radius
 from ves_gym.system.emulator_settings import EmulatorSettings
-from ves_gym.system.energy import ledger
+from ves_gym.system.energy import EnergyBalance
 from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")
@@ -294,7 +294,7 @@ def test_drag_is_in_the_energy_account():
     motion = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
     system = System(effects=effects)
     run = play_motions(system, [motion], settle=0.5, record_dt=H)
-    assert ledger(run.log(0)).relative < 1e-5
+    assert EnergyBalance.of(run.log(0)).relative < 1e-5
 
 
 def test_nothing_holds_a_satellite():

@@ -15,11 +15,11 @@ from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy import (
     TAIL,
+    EnergyBalance,
     base_energy,
     base_rate,
     element_table,
     energies,
-    ledger,
     log_energies,
     motion_end,
 )
@@ -167,7 +167,7 @@ def test_a_saved_log_has_the_energies_of_the_recording(run, measured, tmp_path, 
     assert log_energies(log) == measured
     assert log.meta["note"] == "a test"
     assert log.meta["system"] == run.system.to_dict()
-    account = ledger(log)
+    account = EnergyBalance.of(log)
     assert len(account.residual) == len(run.t)
     assert account.work[0] == account.kinetic[0] == account.residual[0] == 0
     total = account.kinetic + account.strain + account.dissipated + account.residual
@@ -207,9 +207,9 @@ def test_a_given_duration_overrides_the_log(run, measured):
 def test_what_a_log_lacks_is_named(run):
     log = run.log(0)
     with pytest.raises(ParameterError, match="needs the columns tau, yd"):
-        ledger(dataclasses.replace(log, tau=None, yd=None))
+        EnergyBalance.of(dataclasses.replace(log, tau=None, yd=None))
     bare = dataclasses.replace(log, meta={"format": "ves-run/1"})
-    for measure in (log_energies, ledger):
+    for measure in (log_energies, EnergyBalance.of):
         with pytest.raises(ParameterError, match="needs the entry `system`"):
             measure(bare)
     wrong = dataclasses.replace(log, meta={**log.meta, "system": {"mode": "dream"}})
@@ -219,6 +219,6 @@ def test_what_a_log_lacks_is_named(run):
 
 def test_the_ledger_of_a_run_that_does_nothing_is_empty():
     run = play_motions(System(), [Motion.straight([0.1] * 3, [0.1] * 3, 0.1)], settle=0.1)
-    account = ledger(run.log(0))
+    account = EnergyBalance.of(run.log(0))
     assert np.abs(account.residual).max() < 1e-12
     assert account.relative >= 0

@@ -21,7 +21,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.effect import Effect, TorqueEffect, joint_torque, register
-from ves_gym.system.energy import ledger
+from ves_gym.system.energy import EnergyBalance
 from ves_gym.system.system import System
 
 FRICTION = (
@@ -50,10 +50,12 @@ def test_engines_agree_as_the_step_shrinks(mode):
 def test_friction_is_in_the_energy_account():
     system = System(effects=FRICTION)
     log = play_motions(system, [MOTION], settle=0.5, record_dt=system.physics_dt).log(0)
-    account = ledger(log)
+    account = EnergyBalance.of(log)
     assert account.relative < 1e-5
     free = play_motions(System(), [MOTION], settle=0.5, record_dt=system.physics_dt).log(0)
-    assert account.dissipated[-1] > ledger(free).dissipated[-1] + 1.0  # J, in the joints
+    assert (
+        account.dissipated[-1] > EnergyBalance.of(free).dissipated[-1] + 1.0
+    )  # J, in the joints
 
 
 def test_torques_are_those_of_the_formulas():

@@ -25,14 +25,13 @@ from ves_gym.cli.motions import (
     disturbance,
     limit_warnings,
     motion_from,
-    read_motion,
     servo_from,
 )
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.simulation.gravity_learning import learn_gravity
 from ves_gym.simulation.playback import Recording, play_motions, weigh_poses
-from ves_gym.system.energy import TAIL, Energies, base_energy, energies, ledger
+from ves_gym.system.energy import TAIL, Energies, EnergyBalance, base_energy, energies
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
@@ -114,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
     ideal = None if space is None else _energies(space, args.settle)
     residual = None
     if system.mode == "ideal":
-        account = ledger(log)
+        account = EnergyBalance.of(log)
         residual = account.relative if math.isfinite(account.relative) else None
 
     for warning in warnings:
@@ -207,7 +206,7 @@ def _play(
     default = system.physics_dt if system.mode == "ideal" else system.control_dt
     options: dict[str, Any] = {}
     if args.platform_motion:
-        follow = read_motion(args.platform_motion)
+        follow = Motion.load(args.platform_motion)
         if follow.n != 6:
             raise ParameterError(
                 f"{args.platform_motion}: a platform has 6 coordinates, got {follow.n}"

@@ -10,13 +10,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy
 
 from ves_gym._util.params import Array, Mask
 from ves_gym.envs.control import Control
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.spatial import quadratic, twist
+from ves_gym.system.energy import EnergyBalance
 from ves_gym.system.system import System
 
 
@@ -51,23 +49,14 @@ class Account:
 
 
 def _relative(system: System, control: Control, rows: Array) -> float:
-    n, base = system.arm.n, system.base
+    n = system.arm.n
     q, v, y, yd, tau, kp, kd = np.split(rows, np.cumsum([n, n, 6, 6, n, n])[:6], axis=1)
-    body = inertia(system.arm, q)
-    if base.body is not None:
-        body[..., :6, :6] += base.body.spatial()
-    rates = np.concatenate([twist(y, yd), v], axis=-1)
-    held = quadratic(body, rates) + quadratic(base.M, yd) + quadratic(base.K, y)
-    power = 2 * quadratic(base.D, yd)
-    if base.drag is not None:
-        power = power + np.sum(base.drag * np.abs(yd) ** 3, axis=-1)
     t = system.control_dt * np.arange(len(rows))
-    lost = scipy.integrate.cumulative_simpson(power, x=t, initial=0.0)
     done = _work(system, control, q, v, tau, kp, kd)
     work = np.r_[0.0, np.cumsum(done)]
-    residual = work - (held - held[0]) - lost
-    turned = held[0] + float(np.abs(done).sum())
-    return float(np.abs(residual).max()) / turned if turned > 0 else 0.0
+    turned_over = float(np.abs(done).sum())
+    balance = EnergyBalance.close(system, t, q, v, y, yd, work, turned_over=turned_over)
+    return balance.relative if balance.scale > 0 else 0.0
 
 
 def _work(

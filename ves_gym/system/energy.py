@@ -1,4 +1,4 @@
-"""Energy transferred to the base: the suite's measure, and the ledger that checks it.
+"""Energy transferred to the base: the suite's measure, and the balance that checks it.
 
 E(t) = 1/2 Y'^T M_t Y' + 1/2 Y^T K Y with M_t = M + H_b(q): what the base would keep if
 the joints were locked at that instant. `E_mean`, its mean over the motion and the ten
@@ -8,6 +8,7 @@ seconds after it, is the primary score; docs/physics.md says why not the end val
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ import numpy.typing as npt
 import scipy
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.views import Viewable
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import quadratic, twist
 from ves_gym.system.effect import joint_torque
@@ -58,6 +60,11 @@ class Energies:
     def to_dict(self) -> dict[str, float | None]:
         """Plain numbers; None where a value is not finite."""
         return {k: v if math.isfinite(v) else None for k, v in asdict(self).items()}
+
+    @staticmethod
+    def from_dict(plain: Mapping[str, float | None]) -> Energies:
+        """Rebuild from what `to_dict` returned; None becomes infinite."""
+        return Energies(**{k: math.inf if v is None else v for k, v in plain.items()})
 
 
 def base_energy(
@@ -196,60 +203,116 @@ def base_rate(log: RunLog) -> Array:
     return np.asarray(np.gradient(log.y, log.t, axis=0), dtype=np.float64)
 
 
-# ------------------------------------------------------------------------------ ledger
+# ----------------------------------------------------------------------------- balance
 
 
-class Ledger(NamedTuple):
-    """Energy account of a run, each (N,) [J], zero at the first sample."""
+@dataclass(frozen=True, eq=False, repr=False)
+class EnergyBalance(Viewable):
+    """Energy account of a run: what the drives did against where it went.
 
+    Each (N,) [J], zero at the first sample.
+    """
+
+    t: Array  # (N,) s
     work: Array  # of the joint drives
     kinetic: Array  # change, whole system
     strain: Array  # change
     dissipated: Array  # in the vehicle's damping, and by effects at the joints
-    residual: Array  # work - kinetic - strain - dissipated
-    relative: float  # largest |residual| over the largest work through the base port
+    scale: float  # J that the residual is judged by
 
+    @property
+    def residual(self) -> Array:
+        """Work less changes and losses: (N,) [J], zero where the account closes."""
+        residual: Array = self.work - self.kinetic - self.strain - self.dissipated
+        return residual
 
-def ledger(log: RunLog) -> Ledger:
-    """Close the energy account of a run: what the drives did against where it went.
+    @property
+    def relative(self) -> float:
+        """Largest residual over `scale`; inf where that is zero."""
+        return float(np.abs(self.residual).max()) / self.scale if self.scale > 0 else math.inf
 
-    Needs the columns `tau`, `v` and `yd`; quadrature is Simpson's rule on the log's
-    samples, so record densely (the physics step) where a small residual matters. There
-    the drive's command, known to be linear between samples, is integrated as such.
-    """
-    if log.tau is None or log.v is None or log.yd is None:
-        missing = [k for k in ("tau", "v", "yd") if getattr(log, k) is None]
-        raise ParameterError(f"the energy ledger needs the columns {', '.join(missing)}")
-    system = _system(log).actual
-    if system.arm.geared or system.base.extra:
-        raise ParameterError(
-            "the energy ledger knows no gears that give way and no oscillators of the vehicle"
+    def __repr__(self) -> str:
+        return (
+            f"<EnergyBalance: {self.work[-1]:.4g} J of work over {self.t[-1] - self.t[0]:g} s,"
+            f" closes to {self.relative:.1e}>"
         )
-    rates = np.concatenate([twist(log.y, log.yd), log.v], axis=-1)
-    body = inertia(system.arm, log.q)
-    if system.base.body is not None:
-        body[..., :6, :6] += system.base.body.spatial()
-    kinetic = quadratic(body, rates) + quadratic(system.base.M, log.yd)
-    strain = quadratic(system.base.K, log.y)
-    stored, power = _port_energy(system, log.y, log.yd)
-    dissipated = scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0)
-    laws = joint_torque(system.effects, log.q, log.v, log.tau, system.arm.column("tau_max"))
-    lost = -np.sum(laws * log.v, axis=-1)
-    in_joints = scipy.integrate.cumulative_simpson(lost, x=log.t, initial=0.0)
-    work = _drive_work(system, log)
-    residual = work - (kinetic - kinetic[0]) - (strain - strain[0]) - dissipated
-    residual = residual - in_joints
-    # the largest, not the last: a free base gives back what it took
-    port = float(np.abs(stored - stored[0] + dissipated).max())
-    relative = float(np.abs(residual).max()) / port if port > 0 else math.inf
-    return Ledger(
-        work,
-        kinetic - kinetic[0],
-        strain - strain[0],
-        dissipated + in_joints,
-        residual,
-        relative,
-    )
+
+    @classmethod
+    def of(cls, log: RunLog) -> EnergyBalance:
+        """Close the account of a run log; `scale` is the largest work through the base port.
+
+        Needs the columns `tau`, `v` and `yd`; quadrature is Simpson's rule on the log's
+        samples, so record densely (the physics step) where a small residual matters. There
+        the drive's command, known to be linear between samples, is integrated as such.
+
+        Raises:
+            ParameterError: a column is missing, or the system has gears that give way.
+        """
+        if log.tau is None or log.v is None or log.yd is None:
+            missing = [k for k in ("tau", "v", "yd") if getattr(log, k) is None]
+            raise ParameterError(f"the energy balance needs the columns {', '.join(missing)}")
+        system = _system(log).actual
+        if system.arm.geared or system.base.extra:
+            raise ParameterError(
+                "the energy balance knows no gears that give way and no oscillators of the"
+                " vehicle"
+            )
+        laws = joint_torque(system.effects, log.q, log.v, log.tau, system.arm.column("tau_max"))
+        power = -np.sum(laws * log.v, axis=-1)
+        in_joints = scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0)
+        parts = log.t, log.q, log.v, log.y, log.yd
+        return cls.close(system, *parts, _drive_work(system, log), in_joints=in_joints)
+
+    @classmethod
+    def close(
+        cls,
+        system: System,
+        t: Array,
+        q: Array,
+        v: Array,
+        y: Array,
+        yd: Array,
+        work: Array,
+        *,
+        in_joints: Array | float = 0.0,
+        turned_over: float | None = None,
+    ) -> EnergyBalance:
+        """Set the work of the drives against the energies of the samples.
+
+        Args:
+            system: mode ideal; arm and vehicle as they really are.
+            t: (N,) s.
+            q, v: (N, n) joint angles and rates [rad, rad/s].
+            y, yd: (N, 6) base pose and its rate.
+            work: (N,) of the drives since the first sample [J].
+            in_joints: (N,) taken by effects at the joints [J].
+            turned_over: all work of the drives, whatever its sign [J]. With it the residual
+                is judged by that and the energy at the first sample, else by the largest
+                work through the base port.
+
+        Returns:
+            The account, its losses in the vehicle by Simpson's rule.
+        """
+        rates = np.concatenate([twist(y, yd), v], axis=-1)
+        body = inertia(system.arm, q)
+        if system.base.body is not None:
+            body[..., :6, :6] += system.base.body.spatial()
+        kinetic = quadratic(body, rates) + quadratic(system.base.M, yd)
+        strain = quadratic(system.base.K, y)
+        stored, power = _port_energy(system, y, yd)
+        dissipated = scipy.integrate.cumulative_simpson(power, x=t, initial=0.0)
+        if turned_over is not None:
+            scale = float(kinetic[0] + strain[0]) + turned_over
+        else:  # the largest, not the last: a free base gives back what it took
+            scale = float(np.abs(stored - stored[0] + dissipated).max())
+        return cls(
+            t=t,
+            work=work,
+            kinetic=kinetic - kinetic[0],
+            strain=strain - strain[0],
+            dissipated=dissipated + in_joints,
+            scale=scale,
+        )
 
 
 def _drive_work(system: System, log: RunLog) -> Array:

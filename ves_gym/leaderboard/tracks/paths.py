@@ -31,7 +31,7 @@ from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import reach100
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Divergence
-from ves_gym.system.energy import TAIL, Energies, energies, ledger
+from ves_gym.system.energy import TAIL, Energies, EnergyBalance, energies
 from ves_gym.system.system import System
 
 _VEHICLE = "bent"
@@ -331,13 +331,13 @@ def _batch(
 def _require_account(
     queries: Sequence[Query], motions: Sequence[Motion], which: Sequence[int]
 ) -> None:
-    """Play the motions again with a record per physics step, as the ledger needs it."""
+    """Play the motions again with a record per physics step, as the balance needs it."""
     system, servo = queries[0].system, queries[0].servo
     dense = play_motions(
         system, motions, servo=servo, settle=_SETTLE, record_dt=system.physics_dt
     )
     for i, k in enumerate(which):
-        relative = ledger(dense.log(i)).relative
+        relative = EnergyBalance.of(dense.log(i)).relative
         if not relative <= LEDGER_PATHS:
             raise Rejection(
                 Code.LEDGER_RESIDUAL,
