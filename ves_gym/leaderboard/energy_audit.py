@@ -51,9 +51,9 @@ class Account:
 def _relative(system: System, control: Control, rows: Array) -> float:
     n = system.arm.n
     q, v, y, yd, tau, kp, kd = np.split(rows, np.cumsum([n, n, 6, 6, n, n])[:6], axis=1)
-    t = system.control_dt * np.arange(len(rows))
+    t: Array = np.arange(len(rows)) * np.float64(system.control_dt)
     done = _work(system, control, q, v, tau, kp, kd)
-    work = np.r_[0.0, np.cumsum(done)]
+    work: Array = np.r_[0.0, np.cumsum(done)]
     turned_over = float(np.abs(done).sum())
     balance = EnergyBalance.close(system, t, q, v, y, yd, work, turned_over=turned_over)
     return balance.relative if balance.scale > 0 else 0.0

@@ -213,9 +213,13 @@ function detail(e) {
 
 // -------------------------------------------------------------------------- charts
 
-// by rank: an entry keeps its colour however the table is sorted
-const tone = (k) => `var(--s${1 + (k % 6)})`;
-const dashOf = (k) => DASHES[Math.floor(k / 6) % DASHES.length];
+// a planner's own, else by rank: an entry keeps its colour however the table is sorted
+const styleOf = (k) => {
+  const name = group().entries[k]?.name;
+  return Object.hasOwn(STYLES, name) ? STYLES[name] : [1 + (k % 6), DASHES[Math.floor(k / 6) % DASHES.length]];
+};
+const tone = (k) => `var(--s${styleOf(k)[0]})`;
+const dashOf = (k) => styleOf(k)[1];
 
 function mark(k) {
   return svg("svg", { class: "swatch", viewBox: "0 0 22 12", "aria-hidden": "true" }, svg("line", {

@@ -11,7 +11,8 @@ from scipy.integrate import cumulative_trapezoid
 from ves_gym.planners.damping_map import DampingMap
 from ves_gym.planners.free_vibration import FreeVibration
 from ves_gym.planners.pped import Complexes
-from ves_gym.report.figures import _COLOURS, _IN_SPACE, _darker, _panels
+from ves_gym.report.figures import _IN_SPACE, _darker, _panels
+from ves_gym.report.planner_styles import COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -146,4 +147,4 @@ def _response_legend(figure: Figure, names: Sequence[str], both: bool) -> None:
 
 
 def _colour(k: int) -> str:
-    return _COLOURS[k % len(_COLOURS)]
+    return COLOURS[k % len(COLOURS)]

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ves_gym._util.params import ParameterError, write_text
-from ves_gym.report.figures import _COLOURS, _DPI, _panels
+from ves_gym.report.figures import _DPI, _panels
 from ves_gym.report.pages import part
+from ves_gym.report.planner_styles import COLOURS, css
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 SCHEMA = "ves-diagnose/1"
 Result = dict[str, Any]
 
-_BEFORE, _AFTER = _COLOURS[1], _COLOURS[3]
+_BEFORE, _AFTER = COLOURS[1], COLOURS[3]
 _MOST = 1e3  # mean square at which the colour of the map ends, if nothing is above it
 _LABELLED = 2.0  # mean square from which a cell of the map says its number
 _VISIBLE = 0.05  # standard deviations
@@ -91,7 +92,7 @@ def render_page(result: Result) -> str:
   content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
 <title>{_text(f"Diagnosis: {result['verdict']}")}</title>
 <style>
-{part("page.css")}{_STYLE}</style>
+{css()}{part("page.css")}{_STYLE}</style>
 </head>
 <body>
 <header class="top">

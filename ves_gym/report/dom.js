@@ -57,8 +57,6 @@ function ticks(low, high, count) {
 
 // ------------------------------------------------------------------------ drawing
 
-const DASHES = ["", "8 3", "2.5 2.5", "", "10 3 2 3", "5 2", "1.5 3"];
-
 const redraws = []; // what to draw again when the colour scheme or the width changes
 function redrawn(draw) {
   redraws.push(draw);

@@ -13,16 +13,15 @@ import numpy as np
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import write_bytes
+from ves_gym.report.planner_styles import COLOURS, colour_of, line_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
     from ves_gym._util.params import Array
 
 BASELINE = "straight"
-# The palette of page.css, light scheme; the first is the straight line's.
-_COLOURS = ("#7b828c", "#c8541a", "#8a4fb0", "#0a7bb5", "#1f8a58", "#b3316d", "#8a7312")
 _COLUMNS = 3  # panels side by side
 _DPI = 150
 _IN_SPACE: dict[str, Any] = {"linewidth": 0.8, "dashes": (6, 4)}
@@ -96,13 +95,13 @@ def ratio_figure(result: Result) -> Figure:
     }
     jitter = np.random.default_rng(0)
     for axes, vehicle in zip(panels, vehicles, strict=True):
-        axes.axhline(1.0, color=_COLOURS[0], linewidth=1)
+        axes.axhline(1.0, color=COLOURS[0], linewidth=1)
         for place, duration in enumerate(durations[vehicle]):
             for k, name in enumerate(names):
                 ratios = _ratios(rows, straight, (vehicle, duration, name))
                 if len(ratios):
                     at = place + 0.8 * ((k + 0.5) / len(names) - 0.5)
-                    _strip(axes, at, ratios, 0.5 / len(names), _colour(names, name), jitter)
+                    _strip(axes, at, ratios, 0.5 / len(names), colour_of(name, names), jitter)
         axes.set(yscale="log", ylabel="E_mean / straight line's", title=vehicle)
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.yaxis.set_major_formatter("{x:g}")
@@ -147,8 +146,9 @@ def time_figure(result: Result, key: str) -> Figure:
             for s in (played, played.get("ideal", played))
         )
         for series in trace["series"]:
-            colour, values = _colour(names, series["planner"]), factor * np.array(series[key])
-            axes.plot(series["t"], values, color=colour, linewidth=2.2 if emulated else 1.3)
+            colour, values = colour_of(series["planner"], names), factor * np.array(series[key])
+            style = line_style(series["planner"], names)
+            axes.plot(series["t"], values, linewidth=2.2 if emulated else 1.3, **style)
             if "ideal" not in series:
                 continue
             if series["t"][-1] < end - 0.1:
@@ -181,7 +181,7 @@ def coupling_figure(maps: Sequence[Result], planners: Sequence[str]) -> Figure:
     """
     figure, panels = _panels(len(maps), 4.6, 4.0)
     for axes, section in zip(panels, maps, strict=True):
-        _draw_map(figure, axes, section, planners)
+        draw_map(figure, axes, section, planners)
     if planners:
         _legend(figure, planners)
     return figure
@@ -202,7 +202,7 @@ def prediction_figure(result: Result) -> Figure:
         x = np.array([r["E_mean"] for r in rows if r["planner"] == name])
         y = np.array([r["predicted"] for r in rows if r["planner"] == name])
         if len(x):
-            style: dict[str, Any] = {"color": _colour(names, name), "alpha": 0.6}
+            style: dict[str, Any] = {"color": colour_of(name, names), "alpha": 0.6}
             level.plot(x, y, ".", **style)
             error.plot(x, 100 * (y / x - 1), ".", **style)
     if rows:
@@ -230,10 +230,8 @@ def anytime_figure(result: Result) -> Figure:
     for axes, case in zip(panels, cases, strict=True):
         for curve in result["anytime"]:
             if (curve["vehicle"], curve["duration"]) == case:
-                colour = _colour(names, curve["planner"])
-                axes.plot(
-                    curve["seconds"], curve["ratio"], color=colour, drawstyle="steps-post"
-                )
+                style = line_style(curve["planner"], names)
+                axes.plot(curve["seconds"], curve["ratio"], drawstyle="steps-post", **style)
         axes.axhline(1.05, color="0.4", linewidth=0.8, linestyle=":")
         axes.set(xscale="log", xlabel="planning time [s]", ylabel="best cost / final cost")
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
@@ -274,7 +272,17 @@ def _strip(
     )  # fmt: skip
 
 
-def _draw_map(figure: Figure, axes: Axes, section: Result, names: Sequence[str]) -> None:
+def draw_map(
+    figure: Figure | SubFigure, axes: Axes, section: Result, names: Sequence[str]
+) -> None:
+    """Draw one coupling map into axes, with the paths that its data hold.
+
+    Args:
+        figure: of the axes; it gets a colour bar.
+        axes: where to.
+        section: as `planners.scenes.map_data` gives it.
+        names: planners that are drawn together.
+    """
     from matplotlib.collections import LineCollection
     from scipy.interpolate import RegularGridInterpolator
 
@@ -291,7 +299,7 @@ def _draw_map(figure: Figure, axes: Axes, section: Result, names: Sequence[str])
     for path in section["paths"]:
         points = np.array(path["points"])
         axes.plot(*points.T, color="white", linewidth=3.6)
-        axes.plot(*points.T, color=_colour(names, path["planner"]), linewidth=2)
+        axes.plot(*points.T, linewidth=2, **line_style(path["planner"], names))
     for end, marker in (("goal", "s"), ("start", "o")):
         if section.get(end):
             axes.plot(
@@ -327,13 +335,6 @@ def _planners(result: Result) -> list[str]:
     return names or list(dict.fromkeys(r["planner"] for r in result.get("rows", ())))
 
 
-def _colour(names: Sequence[str], planner: str) -> str:
-    others = [n for n in names if n != BASELINE]
-    if planner == BASELINE or planner not in others:
-        return _COLOURS[0]
-    return _COLOURS[1 + others.index(planner) % (len(_COLOURS) - 1)]
-
-
 def _darker(colour: str) -> str:
     channels = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
     return "#" + "".join(f"{int(0.45 * c):02x}" for c in channels)
@@ -348,7 +349,7 @@ def _legend(
     from matplotlib.lines import Line2D
 
     entries = names if planners is None else planners
-    lines = [Line2D([], [], color=_colour(names, n), linewidth=3) for n in entries]
+    lines = [Line2D([], [], linewidth=3, **line_style(n, names)) for n in entries]
     names = entries
     if emulated:
         lines.append(Line2D([], [], color="black", **_IN_SPACE))

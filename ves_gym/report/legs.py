@@ -19,7 +19,8 @@ from ves_gym.hardware.leg_servo import (
     open_loop,
     step_response,
 )
-from ves_gym.report.figures import _COLOURS, _panels, write_figure
+from ves_gym.report.figures import _panels, write_figure
+from ves_gym.report.planner_styles import COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -150,7 +151,7 @@ def pole_figure(servos: Mapping[str, LegServo]) -> Figure:
 def _styles(count: int) -> list[dict[str, Any]]:
     dashes = ("-", "-", "--", "-.")
     return [
-        {"color": _COLOURS[k % len(_COLOURS)], "linestyle": dashes[k % len(dashes)]}
+        {"color": COLOURS[k % len(COLOURS)], "linestyle": dashes[k % len(dashes)]}
         for k in range(count)
     ]
 

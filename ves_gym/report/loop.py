@@ -12,7 +12,8 @@ from ves_gym._util.params import Array
 from ves_gym.hardware.leg_servo import LegServo
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.spatial import AXES
-from ves_gym.report.figures import _COLOURS, _panels, write_figure
+from ves_gym.report.figures import _panels, write_figure
+from ves_gym.report.planner_styles import COLOURS
 from ves_gym.simulation.loop_linearisation import Linearised
 from ves_gym.simulation.stability import in_space, linearise, poles_in_space
 from ves_gym.system.system import System
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 _UNITS = ("m/N", "m/N", "m/N", "rad/(N m)", "rad/(N m)", "rad/(N m)")
 _STEP_TIME = 6.0  # [s] shown of the step
-_SPACE, _LAB = _COLOURS[3], _COLOURS[1]
+_SPACE, _LAB = COLOURS[3], COLOURS[1]
 
 
 def write_loop_figures(
@@ -79,7 +80,7 @@ def pole_figure(system: System, loop: Linearised, space: tuple[Array, Array, Arr
     platform = system.emulator_settings.platform
     if isinstance(platform, LegServo):
         at = np.exp(2j * np.pi * np.linspace(platform.mode_long, platform.mode_short) * loop.dt)
-        wide.plot(at.real, at.imag, color=_COLOURS[2], lw=5, alpha=0.4, label="leg modes")
+        wide.plot(at.real, at.imag, color=COLOURS[2], lw=5, alpha=0.4, label="leg modes")
     wide.set(aspect="equal", xlabel="real", ylabel="imaginary", title="one control period (z)")
     wide.legend(loc="lower left", fontsize="small")
     s = np.log(z[np.abs(z) > 1e-9]) / loop.dt

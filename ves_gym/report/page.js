@@ -12,15 +12,17 @@ const names = (data.planners ?? []).map((planner) => planner.name);
 /** Labels of motions that a planner found and another machine played. */
 const replays = new Set((data.planners ?? []).filter((p) => p.motion_of).map((p) => p.name));
 
-/** Place of a planner in the palette; 0 (grey) is the straight line. */
-function place(planner) {
-  if (planner === BASELINE) return 0;
-  const others = names.filter((name) => name !== BASELINE);
-  return 1 + (Math.max(0, others.indexOf(planner)) % 6);
+/** [place in the palette, dash] of a planner; the rule of planner_styles.py. */
+const unlisted = names.filter((name) => !Object.hasOwn(STYLES, name));
+function styleOf(planner) {
+  if (Object.hasOwn(STYLES, planner)) return STYLES[planner];
+  const at = Math.max(0, unlisted.indexOf(planner));
+  const first = Object.keys(STYLES).find((name) => planner.startsWith(`${name} `));
+  if (first) return [STYLES[first][0], DASHES[1 + (at % 3)]];
+  return OTHER_STYLES[at % OTHER_STYLES.length];
 }
-
-const colour = (planner) => `var(--s${place(planner)})`;
-const dash = (planner) => DASHES[place(planner)];
+const colour = (planner) => `var(--s${styleOf(planner)[0]})`;
+const dash = (planner) => styleOf(planner)[1];
 /** A colour of the style sheet, resolved for a canvas. */
 const ink = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from ves_gym._util.params import ParameterError, write_text
 from ves_gym.report.pages import assemble, embedded, part
+from ves_gym.report.planner_styles import css, script
 
 SCHEMA = "ves-benchmark/1"
 _SCRIPTS = (
@@ -35,8 +36,8 @@ def render_page(result: dict[str, Any]) -> str:
         raise ParameterError(f"result.schema must be {SCHEMA!r}, got {result.get('schema')!r}")
     parts = {
         "title": html.escape(f"Energy in the base: {result.get('suite', 'benchmark')}"),
-        "style": part("page.css"),
-        "script": "\n".join(part(name) for name in _SCRIPTS),
+        "style": css() + part("page.css"),
+        "script": "\n".join([script(), *(part(name) for name in _SCRIPTS)]),
         "data": embedded(result),
     }
     return assemble(part("page.html"), parts)

@@ -1,0 +1,98 @@
+"""One colour and stroke per planner, in every figure and on every page.
+
+The only table of colours: Python figures read it, and `css` and `script` put it into pages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from ves_gym.report.pages import embedded
+
+# Palette, light and dark scheme; the first is the straight line's.
+COLOURS = ("#7b828c", "#c8541a", "#8a4fb0", "#0a7bb5", "#1f8a58", "#b3316d", "#8a7312")
+DARK = ("#9aa3ad", "#f0884d", "#c190e6", "#4db8ef", "#52c48c", "#f07fb0", "#d1b84a")
+_DASHES = ("", "8 3", "2.5 2.5", "10 3 2 3")  # as in SVG
+
+
+class Style(NamedTuple):
+    """How a planner is drawn."""
+
+    colour: int  # place in the palette
+    dash: str = ""  # lengths of strokes and gaps; solid without
+
+
+STYLES: dict[str, Style] = {
+    "straight": Style(0),
+    "smooth-jerk": Style(0, _DASHES[1]),
+    "hotspot-q": Style(1),
+    "bad-path": Style(1, _DASHES[2]),
+    "hotspot-qt": Style(2),
+    "reaction-null": Style(2, _DASHES[2]),
+    "direct": Style(3),
+    "refined": Style(4),
+    "refined-long": Style(4, _DASHES[1]),
+    "ompl-energy": Style(5),
+    "ompl-qt": Style(5, _DASHES[1]),
+    "ompl-q": Style(5, _DASHES[2]),
+    "ompl-time": Style(5, _DASHES[3]),
+    "shaped-zv": Style(6),
+    "shaped-zvd": Style(6, _DASHES[1]),
+}
+_OTHERS = [Style(k, dash) for dash in (_DASHES[3], _DASHES[2]) for k in (6, 3, 4, 1, 2)]
+
+
+def style_of(planner: str, names: Sequence[str] = ()) -> Style:
+    """Return how a planner is drawn.
+
+    Args:
+        planner: its name; "direct ..." is the motion of `direct`, played in another way.
+        names: all that are drawn together: a planner that the table does not have takes a
+            style that none of it has, by its place among those.
+
+    Returns:
+        Its style.
+    """
+    if planner in STYLES:
+        return STYLES[planner]
+    unlisted = [name for name in names if name not in STYLES]
+    place = unlisted.index(planner) if planner in unlisted else 0
+    first = next((name for name in STYLES if planner.startswith(f"{name} ")), None)
+    if first is not None:
+        return STYLES[first]._replace(dash=_DASHES[1 + place % 3])
+    return _OTHERS[place % len(_OTHERS)]
+
+
+def colour_of(planner: str, names: Sequence[str] = ()) -> str:
+    """Return the colour of a planner in the light scheme, as `style_of` finds it."""
+    return COLOURS[style_of(planner, names).colour]
+
+
+def line_style(planner: str, names: Sequence[str] = ()) -> dict[str, Any]:
+    """Return colour and stroke as matplotlib's keywords, as `style_of` finds them."""
+    style = style_of(planner, names)
+    if not style.dash:
+        return {"color": COLOURS[style.colour], "linestyle": "-"}
+    lengths = tuple(float(length) / 2 for length in style.dash.split())
+    return {"color": COLOURS[style.colour], "linestyle": (0, lengths)}
+
+
+def css() -> str:
+    """Return the palette as variables --s0, --s1, ... of a style sheet, both schemes."""
+    light, dark = (
+        " ".join(f"--s{k}: {colour};" for k, colour in enumerate(palette))
+        for palette in (COLOURS, DARK)
+    )
+    return (
+        f":root {{ {light} }}\n@media (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}\n"
+    )
+
+
+def script() -> str:
+    """Return the table as JavaScript: STYLES[planner] is [place in the palette, dash]."""
+    return (
+        f"const STYLES = {embedded(STYLES)};\n"
+        f"const OTHER_STYLES = {embedded(_OTHERS)};\n"
+        f"const DASHES = {embedded(_DASHES)};\n"
+    )
