@@ -31,6 +31,7 @@ ROOMS = (
     "experiments",
     "report",
     "leaderboard",
+    "api",  # one file, beside the commands
     "cli",
 )
 LEVEL = {room: level for level, room in enumerate(ROOMS)}
@@ -146,6 +147,7 @@ def imported(tree: ast.AST, package: str):
 def violations(source: str, path: str) -> list[str]:
     """Imports in one file, `path` from the root, that the import picture forbids."""
     place = path.split("/")[1]
+    place = "api" if place == "api.py" else place
     if place in ("__init__.py", "__main__.py"):
         return []  # the front door may name anything; test_import_stays_light watches it
     if place not in LEVEL:

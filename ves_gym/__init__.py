@@ -1,17 +1,241 @@
-"""A PUMA 560 on a long flexible beam in micro-gravity, judged by the energy in its base."""
+"""A PUMA 560 on a long flexible beam in micro-gravity, judged by the energy in its base.
 
-from importlib import import_module
-from types import ModuleType
+Everything public is here: `import ves_gym as vg`. Names are imported when they are first
+used, so the import itself costs little more than Gymnasium's.
+"""
+
+from importlib import import_module as _import
+from typing import TYPE_CHECKING
 
 from ves_gym import envs as envs  # files every environment with Gymnasium
-from ves_gym.system.effect import EFFECTS
+from ves_gym._util.lazy import lazily as _lazily
+from ves_gym._util.on_demand import LOADERS as _LOADERS
+from ves_gym._util.version import __version__ as __version__
 
-__version__ = "0.2.0"
+if TYPE_CHECKING:
+    from ves_gym import effects as effects
+    from ves_gym._util.params import ParameterError as ParameterError
+    from ves_gym.api import (
+        check_emulation as check_emulation,
+    )
+    from ves_gym.api import (
+        compare as compare,
+    )
+    from ves_gym.api import (
+        coupling_map as coupling_map,
+    )
+    from ves_gym.api import (
+        diagnose as diagnose,
+    )
+    from ves_gym.api import (
+        energy as energy,
+    )
+    from ves_gym.api import (
+        evaluate as evaluate,
+    )
+    from ves_gym.api import (
+        excitation as excitation,
+    )
+    from ves_gym.api import (
+        plan as plan,
+    )
+    from ves_gym.api import (
+        render as render,
+    )
+    from ves_gym.api import (
+        simulate as simulate,
+    )
+    from ves_gym.api import (
+        train as train,
+    )
+    from ves_gym.baselines.controllers import Controller as Controller
+    from ves_gym.baselines.policy import Policy as Policy
+    from ves_gym.baselines.policy import load_policy as load_policy
+    from ves_gym.diagnosis.diagnose import Diagnosis as Diagnosis
+    from ves_gym.diagnosis.inference.candidates import Candidate as Candidate
+    from ves_gym.diagnosis.machines.mjcf import MjcfMachine as MjcfMachine
+    from ves_gym.engine.kernel.sensitivity import rollout_gradients as rollout_gradients
+    from ves_gym.envs.task import Task as Task
+    from ves_gym.envs.task import register_task as register_task
+    from ves_gym.leaderboard.run import make_bundle as make_bundle
+    from ves_gym.leaderboard.verify import verify as verify_bundle
+    from ves_gym.mechanics.arm import Arm as Arm
+    from ves_gym.mechanics.arm import Inertial as Inertial
+    from ves_gym.mechanics.arm import Link as Link
+    from ves_gym.mechanics.motion import Motion as Motion
+    from ves_gym.mechanics.puma import PUMA_560 as PUMA_560
+    from ves_gym.mechanics.servo import JointServo as JointServo
+    from ves_gym.mechanics.vehicle import (
+        Beam as Beam,
+    )
+    from ves_gym.mechanics.vehicle import (
+        MatrixVehicle as MatrixVehicle,
+    )
+    from ves_gym.mechanics.vehicle import (
+        Satellite as Satellite,
+    )
+    from ves_gym.mechanics.vehicle import (
+        get_vehicle as get_vehicle,
+    )
+    from ves_gym.planners.query import (
+        NoPlan as NoPlan,
+    )
+    from ves_gym.planners.query import (
+        Plan as Plan,
+    )
+    from ves_gym.planners.query import (
+        Planner as Planner,
+    )
+    from ves_gym.planners.query import (
+        Query as Query,
+    )
+    from ves_gym.planners.registry import register_planner as register_planner
+    from ves_gym.simulation.simulator import (
+        Divergence as Divergence,
+    )
+    from ves_gym.simulation.simulator import (
+        Simulator as Simulator,
+    )
+    from ves_gym.simulation.simulator import (
+        State as State,
+    )
+    from ves_gym.system.effect import (
+        Effect as Effect,
+    )
+    from ves_gym.system.effect import (
+        parameter as parameter,
+    )
+    from ves_gym.system.effect import (
+        register as register_effect,
+    )
+    from ves_gym.system.emulator_settings import EmulatorSettings as EmulatorSettings
+    from ves_gym.system.energy import Energies as Energies
+    from ves_gym.system.energy import EnergyBalance as EnergyBalance
+    from ves_gym.system.runlog import RunLog as RunLog
+    from ves_gym.system.system import System as System
 
-EFFECTS.fill = lambda: import_module("ves_gym.effects")  # when first asked for one by name
+__all__ = [
+    "PUMA_560",
+    "Arm",
+    "Beam",
+    "Candidate",
+    "Controller",
+    "Diagnosis",
+    "Divergence",
+    "Effect",
+    "EmulatorSettings",
+    "Energies",
+    "EnergyBalance",
+    "Inertial",
+    "JointServo",
+    "Link",
+    "MatrixVehicle",
+    "MjcfMachine",
+    "Motion",
+    "NoPlan",
+    "ParameterError",
+    "Plan",
+    "Planner",
+    "Policy",
+    "Query",
+    "RunLog",
+    "Satellite",
+    "Simulator",
+    "State",
+    "System",
+    "Task",
+    "check_emulation",
+    "compare",
+    "coupling_map",
+    "diagnose",
+    "effects",
+    "energy",
+    "evaluate",
+    "excitation",
+    "get_vehicle",
+    "load_policy",
+    "make_bundle",
+    "parameter",
+    "plan",
+    "register_effect",
+    "register_planner",
+    "register_task",
+    "render",
+    "rollout_gradients",
+    "simulate",
+    "train",
+    "verify_bundle",
+]
 
+_HOMES = {
+    **dict.fromkeys(
+        (
+            "check_emulation",
+            "compare",
+            "coupling_map",
+            "diagnose",
+            "energy",
+            "evaluate",
+            "excitation",
+            "plan",
+            "render",
+            "simulate",
+            "train",
+        ),
+        "api",
+    ),
+    "Arm": "mechanics.arm",
+    "Beam": "mechanics.vehicle",
+    "Candidate": "diagnosis.inference.candidates",
+    "Controller": "baselines.controllers",
+    "Diagnosis": "diagnosis.diagnose",
+    "Divergence": "simulation.simulator",
+    "Effect": "system.effect",
+    "EmulatorSettings": "system.emulator_settings",
+    "Energies": "system.energy",
+    "EnergyBalance": "system.energy",
+    "Inertial": "mechanics.arm",
+    "JointServo": "mechanics.servo",
+    "Link": "mechanics.arm",
+    "MatrixVehicle": "mechanics.vehicle",
+    "MjcfMachine": "diagnosis.machines.mjcf",
+    "Motion": "mechanics.motion",
+    "NoPlan": "planners.query",
+    "PUMA_560": "mechanics.puma",
+    "ParameterError": "_util.params",
+    "Plan": "planners.query",
+    "Planner": "planners.query",
+    "Policy": "baselines.policy",
+    "Query": "planners.query",
+    "RunLog": "system.runlog",
+    "Satellite": "mechanics.vehicle",
+    "Simulator": "simulation.simulator",
+    "State": "simulation.simulator",
+    "System": "system.system",
+    "Task": "envs.task",
+    "get_vehicle": "mechanics.vehicle",
+    "load_policy": "baselines.policy",
+    "make_bundle": "leaderboard.run",
+    "parameter": "system.effect",
+    "register_effect": "system.effect:register",
+    "register_planner": "planners.registry",
+    "register_task": "envs.task",
+    "rollout_gradients": "engine.kernel.sensitivity",
+    "verify_bundle": "leaderboard.verify:verify",
+}
+_ROOMS = (
+    "baselines",
+    "diagnosis",
+    "effects",
+    "experiments",
+    "leaderboard",
+    "planners",
+    "rendering",
+    "simulation",
+)  # what their `__all__` names is public, too: `vg.experiments.sweep`
 
-def __getattr__(name: str) -> ModuleType:
-    if name == "effects":
-        return import_module("ves_gym.effects")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+# What rooms need that lies above them: the library of effects, the drawing of results.
+_LOADERS["effects"] = lambda: _import("ves_gym.effects")
+_LOADERS["views"] = lambda: _import("ves_gym.report.views")
+
+__getattr__, __dir__ = _lazily(__name__, _HOMES, _ROOMS)

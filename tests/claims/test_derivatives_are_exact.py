@@ -9,7 +9,7 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import JointStribeck
-from ves_gym.engine.kernel.sensitivity import rollout
+from ves_gym.engine.kernel.sensitivity import rollout_gradients
 from ves_gym.engine.kernel.trace import parameters
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import FREE_FLOATING, STRAIGHT_VERTICAL
@@ -55,14 +55,14 @@ def gains(system, p):
 def test_along_parameters(case):
     system, wrt = CASES[case]
     _, commands = played(system)
-    exact = rollout(system, commands, wrt=wrt)
+    exact = rollout_gradients(system, commands, wrt=wrt)
     names, p = gains(system, np.tile(parameters(system)[1], (2, 1)))
     for j, name in enumerate(wrt):
         k = names.index(name)
         step = 1e-4 * abs(p[0, k])
         values = p.copy()
         values[:, k] += step, -step
-        ends = rollout(system, np.repeat(commands, 2, axis=0), values=values)
+        ends = rollout_gradients(system, np.repeat(commands, 2, axis=0), values=values)
         slope = (ends.x[0] - ends.x[1]) / (2 * step)
         np.testing.assert_allclose(exact.dx[0, j], slope, atol=1e-6 * np.abs(slope).max())
         energy = (ends.energy[0] - ends.energy[1]) / (2 * step)
@@ -73,11 +73,11 @@ def test_along_commands():
     system = System()
     _, commands = played(system)
     along = np.random.default_rng(0).normal(0, 1, (1, 801, 2, 3))
-    exact = rollout(system, commands, along=along)
+    exact = rollout_gradients(system, commands, along=along)
     for j in range(2):
         step = 1e-3  # N m
         push = step * along[:, :, j]
-        ends = rollout(system, np.concatenate([commands + push, commands - push]))
+        ends = rollout_gradients(system, np.concatenate([commands + push, commands - push]))
         slope = (ends.x[0] - ends.x[1]) / (2 * step)
         np.testing.assert_allclose(exact.dx[0, j], slope, atol=1e-6 * np.abs(slope).max())
         energy = (ends.energy[0] - ends.energy[1]) / (2 * step)
@@ -87,7 +87,7 @@ def test_along_commands():
 def test_the_rollout_is_the_simulation():
     system = System()
     sim, commands = played(system)
-    end = rollout(system, commands)
+    end = rollout_gradients(system, commands)
     sim.play(commands)
     state = sim.state
     there = np.concatenate([state.y, state.q, state.yd, state.v], axis=1)
@@ -101,9 +101,9 @@ def test_every_run_has_its_own_derivative():
     system = System()
     _, commands = played(system)
     many = np.concatenate([commands, 1.01 * commands, 0.9 * commands])
-    together = rollout(system, many, wrt=("K11",))
+    together = rollout_gradients(system, many, wrt=("K11",))
     for i in range(3):
-        alone = rollout(system, many[i : i + 1], wrt=("K11",))
+        alone = rollout_gradients(system, many[i : i + 1], wrt=("K11",))
         np.testing.assert_array_equal(together.dx[i], alone.dx[0])
 
 
@@ -119,10 +119,10 @@ def test_every_run_has_its_own_derivative():
 def test_wrong_arguments_are_refused(change, message):
     _, commands = played(System())
     with pytest.raises(ParameterError, match=message):
-        rollout(System(), commands, **change)
+        rollout_gradients(System(), commands, **change)
 
 
 @pytest.mark.parametrize("system", [System(mode="emulated"), System(integrator="euler")])
 def test_other_modes_and_integrators_are_refused(system):
     with pytest.raises(ParameterError, match="need mode ideal and integrator rk4"):
-        rollout(system, np.zeros((1, 2, 3)))
+        rollout_gradients(system, np.zeros((1, 2, 3)))

@@ -70,4 +70,4 @@ def test_bad_input_is_one_line(refused, words, message):
 
 
 def test_a_configuration_of_another_algorithm_is_refused(refused, config):
-    assert "is for ppo, got --algo sac" in refused("train", config, "--algo", "sac")
+    assert "is for ppo, got algorithm sac" in refused("train", config, "--algo", "sac")

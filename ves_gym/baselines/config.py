@@ -141,3 +141,30 @@ def find_configs(env: str, algorithm: str | None = None) -> list[TrainConfig]:
         twin = env.replace("Emulated-v", "-v")
         found = [dataclasses.replace(c, env=env) for c in chosen if c.env == twin]
     return found
+
+
+def choose_config(source: str | os.PathLike[str], algorithm: str | None = None) -> TrainConfig:
+    """Return the configuration that a text stands for.
+
+    Args:
+        source: a .toml or .json file, or an environment that one comes with.
+        algorithm: ppo, sac or sac-her; None: the first there is.
+
+    Raises:
+        ParameterError: no such file or configuration, or it is for another algorithm.
+    """
+    text = str(source)
+    if Path(text).suffix in (".toml", ".json"):
+        config = read_config(text)
+        if algorithm not in (None, config.algorithm, config.label):
+            raise ParameterError(f"{text} is for {config.label}, got algorithm {algorithm}")
+        return config
+    name = text if "/" in text else f"ves/{text}"
+    configs = find_configs(name, algorithm)
+    if not configs:
+        raise ParameterError(
+            f"no configuration for {name}"
+            + (f" and {algorithm}" if algorithm else "")
+            + ": give a .toml file"
+        )
+    return configs[0]

@@ -22,7 +22,6 @@ from typing import Any, ClassVar
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from ves_gym import __version__
 from ves_gym._util.optional import require
 from ves_gym._util.params import (
     Array,
@@ -35,6 +34,7 @@ from ves_gym._util.params import (
     write_bytes,
     write_text,
 )
+from ves_gym._util.version import __version__
 from ves_gym.envs.vector import VesVectorEnv
 
 SCHEMA = "ves-policy/1"
@@ -167,9 +167,14 @@ def save_policy(policy: Policy, path: str | os.PathLike[str]) -> Path:
 def load_policy(path: str | os.PathLike[str]) -> Policy:
     """Read a policy; anything but the safe format is refused.
 
+    Args:
+        path: a .json file, or "PumaDamp/ppo": a released policy (`ves-gym list policies`).
+
     Raises:
         ParameterError: another kind of file, unknown keys, weights that do not fit.
     """
+    if not Path(path).suffix and (RELEASED / f"{path}.json").is_file():
+        path = RELEASED / f"{path}.json"
     path = _json(path)
     plain = read_table(path)
     known = ("schema", "network", "weights", "about")

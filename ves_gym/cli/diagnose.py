@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print the verdict, write the better description and the report."""
-    from ves_gym import __version__
+    from ves_gym._util.version import __version__
     from ves_gym.diagnosis import diagnose as d
     from ves_gym.diagnosis.data.sanity_checks import require_as_logged, suspected_mistake
     from ves_gym.diagnosis.inference.cache import AnswerCache

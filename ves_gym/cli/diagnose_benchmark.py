@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from ves_gym import __version__
 from ves_gym._util.params import ParameterError, canonical_json, read_table, write_text
+from ves_gym._util.version import __version__
 from ves_gym.cli.common import out_dir, progress, write_json
 
 SCHEMA = "ves-diagnose-benchmark/1"

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ves_gym._util.params import ParameterError
-from ves_gym._util.suggest import did_you_mean
-from ves_gym.baselines.controllers import Controller
-from ves_gym.baselines.evaluate import Evaluation, evaluate, pool, report
-from ves_gym.baselines.policy import load_policy, released
+from ves_gym.baselines.comparison import Lineup, compare_controllers, line_up
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.cli.common import add_effect_argument, progress, with_effects, write_json
 
@@ -43,73 +38,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print the table and who beats whom, write JSON."""
     id = args.id if "/" in args.id else f"ves/{args.id}"
-    chosen = _chosen(args, id)
+    lineup = _lineup(args, id)
     settings = with_effects(id, {"randomize": {}} if args.nominal else {}, args.effect)
-    found: list[Evaluation] = []
     with progress() as tell:
-        for name, group in chosen:
-            some = [
-                evaluate(
-                    controller,
-                    id,
-                    episodes=args.episodes,
-                    seed=args.seed,
-                    n_envs=args.n_envs,
-                    progress=lambda done, k=k, name=name, group=group: tell(  # type: ignore[misc]
-                        name, (k + done) / len(group)
-                    ),
-                    **settings,
-                )
-                for k, controller in enumerate(group)
-            ]
-            found.append(pool(some, name))
-    result = report(found)
+        comparison = compare_controllers(
+            id,
+            lineup,
+            episodes=args.episodes,
+            seed=args.seed,
+            n_envs=args.n_envs,
+            progress=tell,
+            **settings,
+        )
+    result = comparison.to_dict()
     _print(result, args)
     write_json(args.json, result)
     return 0
 
 
-def _chosen(args: argparse.Namespace, id: str) -> list[tuple[str, Sequence[Controller]]]:
+def _lineup(args: argparse.Namespace, id: str) -> Lineup:
     """Label and controllers (one, or a policy per training seed) of each column."""
-    out: list[tuple[str, Sequence[Controller]]]
-    names, texts = args.controller.split(",") if args.controller else [], list(args.policy)
-    if not names and not texts:
-        names, texts = ["zero", "random"], list(released(id))
-    if "released" in texts:
-        at = texts.index("released")
-        texts[at : at + 1] = released(id) or ["released"]  # the latter is refused
-    out = [(n, [get_controller(n.strip(), args.seed)]) for n in names]
-    for text in texts:
-        files = policy_files(text, id)
-        policies = [load_policy(file) for file in files]
-        label = str(policies[0].about.get("algorithm", policies[0].name))
-        label += f" x {len(files)}" if len(files) > 1 else ""
-        out.append((label if label not in [n for n, _ in out] else text, policies))
-    labels = [name for name, _ in out]
-    if len(set(labels)) < len(labels):
-        raise ParameterError(f"controllers must differ, got {', '.join(labels)}")
-    return out
-
-
-def policy_files(text: str, id: str) -> list[Path]:
-    """The .json files that a file, a folder of `train` or a released name stands for."""
-    path = Path(text)
-    if path.is_dir():
-        files = sorted(path.glob("seed-*/best.json")) or sorted(path.glob("best.json"))
-        if not files:
-            raise ParameterError(
-                f"{path}: no seed-*/best.json in it; give a run of ves-gym train"
-            )
-        return files
-    if not path.suffix and not path.exists():
-        known = released(id)
-        if text not in known:
-            raise ParameterError(
-                f"policy {text!r} is no file, and none released for {id}: known are"
-                f" {', '.join(known) or 'none'}{did_you_mean(text, known)}"
-            )
-        return [known[text]]
-    return [path]
+    names = args.controller.split(",") if args.controller else []
+    controllers = [get_controller(name.strip(), args.seed) for name in names]
+    policies = [text if text == "released" else Path(text) for text in args.policy]
+    return line_up(id, [*controllers, *policies], args.seed)
 
 
 def _print(result: dict[str, Any], args: argparse.Namespace) -> None:

@@ -197,8 +197,8 @@ def _method(words: Sequence[str], id: str | None) -> Any:
         if len(words) > 1:
             raise ParameterError(f"expected one method, got {' '.join(words)}")
         return words[0]
+    from ves_gym.baselines.comparison import policy_files
     from ves_gym.baselines.registry import CONTROLLERS
-    from ves_gym.cli.evaluate import policy_files
 
     if len(words) == 1 and words[0] in CONTROLLERS:
         return words[0]

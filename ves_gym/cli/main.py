@@ -11,9 +11,9 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from ves_gym import __version__
 from ves_gym._util.optional import explain
 from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.version import __version__
 
 COMMANDS = {  # name -> what it does; the module of the same name is loaded when asked for
     "benchmark": "planners x queries x durations: table, figures, HTML report",

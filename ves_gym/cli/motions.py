@@ -5,18 +5,16 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, from_plain, read_table, to_plain
+from ves_gym._util.params import Array, ParameterError
 from ves_gym.cli.common import degrees
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.motion import LimitError, Motion, require_limits
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
 from ves_gym.system.system import System
 
-MOTION_FORMAT = "ves-motion/1"
 GAINS = {"high": HIGH_GAINS, "pped": PPED_GAINS, "free": FREE}
 
 
@@ -26,7 +24,7 @@ def motion_from(args: argparse.Namespace, arm: Arm) -> Motion:
         for option in ("start", "goal", "via", "duration"):
             if getattr(args, option) is not None:
                 raise ParameterError(f"--motion FILE already says it: leave out --{option}")
-        motion = read_motion(args.motion)
+        motion = Motion.load(args.motion)
         if motion.n != arm.n:
             raise ParameterError(
                 f"{args.motion}: {arm.name} has {arm.n} joints, got {motion.n}"
@@ -65,31 +63,6 @@ def duration_from(value: float | None, default: float = 2.0) -> float:
     if value is not None and not (math.isfinite(value) and value > 0):
         raise ParameterError(f"--duration must be > 0 s, got {value}")
     return default if value is None else value
-
-
-def read_motion(path: str) -> Motion:
-    """A motion from JSON or TOML: {"format", "duration" [s], "control" [rad]}."""
-    table = read_table(path)
-    if table.get("format") != MOTION_FORMAT:
-        raise ParameterError(
-            f"{path}: format must be {MOTION_FORMAT!r}, got {table.get('format')!r}"
-        )
-    plain = {k: v for k, v in table.items() if k != "format"}
-    rows = plain.get("control")
-    if isinstance(rows, list):
-        widths = {len(row) if isinstance(row, list) else 0 for row in rows}
-        if len(widths) != 1 or 0 in widths:
-            raise ParameterError(f"{path}: control must be rows of equal length, one per point")
-    try:
-        motion: Motion = from_plain(Motion, plain, "motion")
-    except ParameterError as error:
-        raise ParameterError(f"{path}: {error}") from None
-    return motion
-
-
-def motion_table(motion: Motion) -> dict[str, Any]:
-    """A motion as plain data, as `read_motion` reads it."""
-    return {"format": MOTION_FORMAT, **to_plain(motion)}
 
 
 def servo_from(args: argparse.Namespace, system: System) -> JointServo:

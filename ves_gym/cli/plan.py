@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import ParameterError, write_text
+from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import add_system_arguments, degrees, out_dir, system_from, write_json
-from ves_gym.cli.motions import duration_from, joint_angles, motion_table
+from ves_gym.cli.motions import duration_from, joint_angles
 from ves_gym.mechanics.motion import Motion
+from ves_gym.planners.comparison import simulate_motions
 from ves_gym.planners.obstacles import read_surroundings
 from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.ompl_worker import ALGORITHMS
 from ves_gym.planners.prediction import Prediction
 from ves_gym.planners.query import Plan, Planner, Query, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
-from ves_gym.system.energy import TAIL, Energies, energies
+from ves_gym.system.energy import Energies, energies
 
 SCHEMA = "ves-plan/1"
 _SAMPLES = 101  # of the path in the result
-_RECORD = 12.5e-3  # s between records of the check
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -89,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         "info": plan.info,
     }
     file = out_dir(args, "out/plan") / "motion.json"
-    write_text(file, json.dumps(motion_table(plan.motion), indent=1, allow_nan=False) + "\n")
+    plan.motion.save(file)
     write_json(args.json, result)
     _print_table(plan, plan.predicted, simulated, straight)
     print(f"written: {file}   (play it: ves-gym simulate --motion {file})")
@@ -130,17 +129,7 @@ def _without_motion(args: argparse.Namespace, plan: Plan) -> int:
 
 def _simulated(query: Query, motion: Motion) -> tuple[Energies, Energies]:
     """Energies of a motion and of the straight line, on the full nonlinear system."""
-    from ves_gym.simulation.playback import play_motions
-
-    dt = query.system.physics_dt
-    record = max(1, round(_RECORD / dt)) * dt
-    run = play_motions(
-        query.system,
-        [motion, query.straight],
-        servo=query.servo,
-        settle=TAIL,
-        record_dt=record,
-    )
+    run = simulate_motions(query, [motion])
     first, second = energies(query.system, run.t, run.q, run.y, run.yd, duration=query.duration)
     return first, second
 

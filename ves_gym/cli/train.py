@@ -7,15 +7,13 @@ import dataclasses
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
-from ves_gym.baselines.config import TrainConfig, find_configs, read_config
+from ves_gym.baselines.config import TrainConfig, choose_config
+from ves_gym.baselines.training_result import TrainingResult
 from ves_gym.cli.common import add_effect_argument, out_dir, with_effects, write_json
-
-SCHEMA = "ves-train/1"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,27 +52,14 @@ def run(args: argparse.Namespace) -> int:
             resume=args.resume,
             progress=tell,
         )
-    runs = [_run(seed, rows, folder) for seed, rows in curves.items()]
-    _print(config, runs)
-    write_json(args.json, {"schema": SCHEMA, "config": config.to_dict(), "runs": runs})
+    result = TrainingResult(config, folder, curves).to_dict()
+    _print(config, result["runs"])
+    write_json(args.json, result)
     return 0
 
 
 def _config(args: argparse.Namespace) -> TrainConfig:
-    if Path(args.config).suffix in (".toml", ".json"):
-        config = read_config(args.config)
-        if args.algo not in (None, config.algorithm, config.label):
-            raise ParameterError(f"{args.config} is for {config.label}, got --algo {args.algo}")
-    else:
-        name = args.config if "/" in args.config else f"ves/{args.config}"
-        found = find_configs(name, args.algo)
-        if not found:
-            raise ParameterError(
-                f"no configuration for {name}"
-                + (f" and {args.algo}" if args.algo else "")
-                + ": give a .toml file"
-            )
-        config = found[0]
+    config = choose_config(args.config, args.algo)
     changes: dict[str, Any] = {}
     if args.effect:
         changes["settings"] = with_effects(config.env, config.settings, args.effect)
@@ -88,20 +73,6 @@ def _config(args: argparse.Namespace) -> TrainConfig:
                 f"--seeds must be whole numbers like 0,1,2, got {args.seeds!r}"
             ) from None
     return dataclasses.replace(config, **changes)
-
-
-def _run(seed: int, rows: list[dict[str, Any]], folder: Path) -> dict[str, Any]:
-    last = rows[-1]
-    return {
-        "seed": seed,
-        "policy": str(folder / f"seed-{seed}" / "best.json"),
-        "steps": last["steps"],
-        "seconds": last["seconds"],
-        "steps_per_second": round(last["steps"] / last["seconds"]),
-        "share_stepping": round(last["seconds_stepping"] / last["seconds"], 3),
-        "best": max(rows, key=lambda row: row["return"]),
-        "last": last,
-    }
 
 
 def _print(config: TrainConfig, runs: list[dict[str, Any]]) -> None:

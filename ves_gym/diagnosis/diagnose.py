@@ -7,14 +7,18 @@ description with it) -> verify (on runs that nothing before has touched).
 from __future__ import annotations
 
 import dataclasses
+import json
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array
+from ves_gym._util.params import Array, ParameterError, write_text
+from ves_gym._util.views import Viewable
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.data.quality import Fault, faults
 from ves_gym.diagnosis.inference.cache import AnswerCache, CachedResiduals
@@ -41,6 +45,7 @@ from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine, untestable
 from ves_gym.diagnosis.machines.drift import SlowPath
+from ves_gym.system.system import System
 
 NOTHING, NAMED, ONE_OF = "nothing missing", "named", "one of"
 MORE, UNKNOWN, WEAK = "named, more remains", "not in the library", "excitation too weak"
@@ -96,9 +101,9 @@ class Gap:
         return self.ratio > WORSE
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """The result of `diagnose`."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Viewable):
+    """Verdict on a machine: what its description lacks, and how sure that is."""
 
     verdict: str
     explanations: tuple[Explanation, ...]
@@ -113,6 +118,40 @@ class Diagnosis:
     signatures: Signatures
     limits: Thresholds = field(default_factory=Thresholds)
     seconds: dict[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis: {self.sentence}>"
+
+    @property
+    def effects(self) -> tuple[Any, ...]:
+        """Effects that a better description has beside those described."""
+        return added(self)
+
+    @property
+    def system(self) -> System:
+        """Better description: the system with what was missing; as described without a name.
+
+        Raises:
+            ParameterError: the machine is no `System`.
+        """
+        machine = self.residuals.machine
+        better = getattr(machine.model(self.effects), "system", None)
+        if better is None:
+            raise ParameterError(
+                f"{machine.name} is no System: `effects` are what its description lacks"
+            )
+        system: System = better
+        return system
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data; a number that is not known is None."""
+        return plain(self)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write verdict and numbers as JSON; `system.save` writes the better description."""
+        if Path(path).suffix != ".json":
+            raise ParameterError(f"{path}: expected a .json name, got {Path(path).suffix!r}")
+        write_text(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
 
     @property
     def sentence(self) -> str:

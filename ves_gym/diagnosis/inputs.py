@@ -4,6 +4,7 @@ better description is written. For run logs of a `System` and for data of any ma
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -46,8 +47,11 @@ class DiagnosisInputs:
     mistakes: tuple[tuple[str, Machine], ...] = ()  # usual ones in a description
 
 
+Source = RunLog | str | os.PathLike[str]  # a log, its file, or a folder of files
+
+
 def system_inputs(
-    sources: Sequence[str],
+    sources: Sequence[Source],
     system: System | None = None,
     *,
     effects: Sequence[Effect] = (),
@@ -55,9 +59,10 @@ def system_inputs(
     leave_out: Sequence[str] = (),
     band: float | None = None,
 ) -> DiagnosisInputs:
-    """Run logs of a system, and folders of them.
+    """Read run logs of a system, and folders of them.
 
     Args:
+        sources: logs, their files, or folders of those.
         system: the machine as described; without one, what the logs name.
         effects: that are described beside those of the system.
         final: how many of the last logs to hold back; without a number those that say
@@ -67,8 +72,7 @@ def system_inputs(
     Raises:
         ParameterError: logs that cannot be of one machine as it stands.
     """
-    paths = _logs(sources)
-    logs = [RunLog.load(path) for path in paths]
+    paths, logs = _logs(sources)
     _require_one_system(logs, paths)
     described = system or _system_of(logs, paths)
     if effects:
@@ -144,19 +148,62 @@ def mjcf_inputs(
     )
 
 
-def _logs(sources: Sequence[str]) -> list[Path]:
-    out: list[Path] = []
-    for text in sources:
-        path = Path(text)
+def _logs(sources: Sequence[Source]) -> tuple[list[Path], list[RunLog]]:
+    """Names and logs; a log that is no file is called by its number."""
+    paths: list[Path] = []
+    given: dict[Path, RunLog] = {}
+    for source in sources:
+        if isinstance(source, RunLog):
+            paths.append(Path(f"log {len(paths) + 1}"))
+            given[paths[-1]] = source
+            continue
+        path = Path(source)
         if path.is_dir():
             inside = sorted([*path.glob("*.parquet"), *path.glob("*.csv")])
             if not inside:
                 raise ParameterError(f"{path}: no run log (.parquet, .csv) in this folder")
-            out += inside
+            paths += inside
         else:
-            out.append(path)
-    _require_distinct(out)
-    return out
+            paths.append(path)
+    _require_distinct(paths)
+    return paths, [given[p] if p in given else RunLog.load(p) for p in paths]
+
+
+def machine_inputs(
+    machine: Machine,
+    runs: Sequence[Run],
+    *,
+    final: int | None = None,
+    leave_out: Sequence[str] = (),
+) -> DiagnosisInputs:
+    """Take runs of a machine that says itself which candidates it has.
+
+    Args:
+        machine: with `candidates()`, such as a `MjcfMachine`.
+        runs: as its loader reads them.
+        final: how many of the last runs to hold back; default the last third.
+        leave_out: kinds of effects.
+
+    Raises:
+        ParameterError: no candidates, or no run is left to fit.
+    """
+    offered = getattr(machine, "candidates", None)
+    if offered is None:
+        raise ParameterError(f"{machine.name} has no candidates()")
+    fitted, held_back = _split(len(runs), (), final)
+    return DiagnosisInputs(
+        machine=machine,
+        runs=tuple(runs[i] for i in fitted),
+        final=tuple(runs[i] for i in held_back),
+        candidates=tuple(without(offered(), leave_out)),
+        digests={run.name: digest_of(run) for run in runs},
+        described=machine.name,
+        write=_unwritten,
+    )
+
+
+def _unwritten(effects: Sequence[Any], folder: Path, free: bool) -> DescriptionFiles:
+    raise ParameterError("a machine that was read from no file has no description to write")
 
 
 def _require_distinct(paths: Sequence[Path]) -> None:

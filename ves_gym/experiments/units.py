@@ -27,7 +27,6 @@ from typing import Any
 
 import gymnasium as gym
 
-from ves_gym import __version__
 from ves_gym._util.params import (
     ParameterError,
     canonical_json,
@@ -36,6 +35,7 @@ from ves_gym._util.params import (
     write_bytes,
     write_text,
 )
+from ves_gym._util.version import __version__
 from ves_gym.baselines.config import TrainConfig, config_from_plain
 from ves_gym.baselines.evaluate import STATISTICS, evaluate
 from ves_gym.baselines.policy import load_policy, versions

@@ -13,8 +13,8 @@ from typing import Any
 import gymnasium as gym
 
 import ves_gym
-from ves_gym import __version__
 from ves_gym._util.params import content_hash
+from ves_gym._util.version import __version__
 from ves_gym.envs.build import build_task
 from ves_gym.system.system import System
 

@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 import scipy.stats
 
-from ves_gym import __version__
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.process_pool import WorkerDied, Workers
 from ves_gym._util.statistics import STATISTICS, bootstrap
+from ves_gym._util.version import __version__
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
 from ves_gym.planners.best_known import add_scores, near_best
 from ves_gym.planners.ompl_search import Ompl

@@ -14,8 +14,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ves_gym import __version__
 from ves_gym._util.params import ParameterError, read_table, write_text
+from ves_gym._util.version import __version__
 
 FORMAT = "ves-best/1"
 PACKAGED = "best_known.json"

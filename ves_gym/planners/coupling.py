@@ -8,7 +8,10 @@ a given duration.
 
 from __future__ import annotations
 
+import io
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +19,8 @@ import numpy.typing as npt
 import scipy.optimize
 from scipy.stats import qmc
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, ParameterError, write_bytes
+from ves_gym._util.views import Viewable
 from ves_gym.engine.kernel.maps import coupling_matrices
 from ves_gym.mechanics.modes import (
     InertiaBlocks,
@@ -184,7 +188,7 @@ def coupling_length(
 
 
 @dataclass(frozen=True)
-class CouplingMap:
+class CouplingMap(Viewable):
     """A cross-section of the coupling matrix: two joints swept, the others fixed."""
 
     joints: tuple[int, int]  # which joints, from 0
@@ -195,6 +199,53 @@ class CouplingMap:
     most: Array  # (ni, nj) larger eigenvalue
     direction: Array  # (ni, nj, 2) unit joint direction of least coupling
     disturbance: bool = False  # of a free-floating base instead of coupling
+
+    def __repr__(self) -> str:
+        i, j = self.joints
+        kind = "Q" if self.duration is None else f"Q_T for {self.duration:g} s"
+        kind, unit = ("disturbance", "") if self.disturbance else (kind, " J/rad^2")
+        return (
+            f"<CouplingMap: {kind} of joints {i + 1} and {j + 1}, {self.most.min():.4g} to"
+            f" {self.most.max():.4g}{unit} along the worst direction>"
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the arrays as .npz, completely or not at all."""
+        if Path(path).suffix != ".npz":
+            raise ParameterError(f"{path}: expected a .npz name, got {Path(path).suffix!r}")
+        buffer = io.BytesIO()
+        duration = np.nan if self.duration is None else self.duration
+        np.savez_compressed(
+            buffer,
+            joints=np.array(self.joints),
+            first=self.axes[0],
+            second=self.axes[1],
+            fixed=self.fixed,
+            duration=duration,
+            least=self.least,
+            most=self.most,
+            direction=self.direction,
+            disturbance=self.disturbance,
+        )
+        write_bytes(path, buffer.getvalue())
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> CouplingMap:
+        """Read what `save` wrote."""
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in file.files}
+        duration = float(arrays["duration"])
+        i, j = (int(k) for k in arrays["joints"])
+        return CouplingMap(
+            joints=(i, j),
+            axes=(arrays["first"], arrays["second"]),
+            fixed=arrays["fixed"],
+            duration=None if np.isnan(duration) else duration,
+            least=arrays["least"],
+            most=arrays["most"],
+            direction=arrays["direction"],
+            disturbance=bool(arrays["disturbance"]),
+        )
 
     def lines(self, spacing: float = 0.05, step: float = 0.2) -> list[Array]:
         """Minimum-energy lines: curves along the least-coupling direction.

@@ -2,22 +2,39 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
 import time
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
+from ves_gym._util.params import (
+    Array,
+    ParameterError,
+    Vector,
+    finite,
+    from_plain,
+    read_table,
+    require_positive,
+    to_plain,
+    unit,
+    write_text,
+)
+from ves_gym._util.views import Viewable
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.motion import Motion, limit_ratios
 from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 from ves_gym.planners.obstacles import RESOLUTION, Surroundings, collisions
 from ves_gym.planners.prediction import Prediction, predict
 from ves_gym.system.system import System
+
+SCHEMA = "ves-plan-file/1"  # of a saved plan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,13 +75,25 @@ class Query:
         return Motion.straight(self.start, self.goal, self.duration)
 
     @property
+    def ends_in_words(self) -> str:
+        """Start, goal [deg] and duration as text."""
+        start, goal = (
+            "(" + ", ".join(f"{np.rad2deg(x) + 0.0:.4g}" for x in end) + ")"
+            for end in (self.start, self.goal)
+        )
+        return f"{start} to {goal} deg in {self.duration:g} s"
+
+    def __repr__(self) -> str:
+        return f"<Query: {self.name or self.ends_in_words} on {self.system!r}>"
+
+    @property
     def ends(self) -> tuple[Array, Array]:
         """start and goal as arrays (n,)."""
         return np.array(self.start), np.array(self.goal)
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(Viewable):
     """A planner's answer: a motion, or the reason why there is none."""
 
     planner: str
@@ -79,6 +108,58 @@ class Plan:
     def feasible(self) -> bool:
         """True if there is a motion, inside the limits and clear of everything."""
         return self.failure is None
+
+    def __repr__(self) -> str:
+        if self.predicted is None:
+            return f"<Plan: {self.planner}, no motion: {self.failure}>"
+        verdict = "inside the limits" if self.feasible else f"NOT feasible: {self.failure}"
+        return (
+            f"<Plan: {self.planner}, {self.query.duration:g} s, E_mean"
+            f" {self.predicted.E_mean:.4g} J predicted; {verdict}>"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, the query with its system included."""
+        return {
+            "schema": SCHEMA,
+            "planner": self.planner,
+            "query": to_plain(self.query),
+            "motion": None if self.motion is None else self.motion.to_dict(),
+            "predicted": None if self.predicted is None else self.predicted.to_dict(),
+            "seconds": self.seconds,
+            "failure": self.failure,
+            "info": self.info,
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write as JSON, completely or not at all (`plan.motion.save`: the motion alone)."""
+        if Path(path).suffix != ".json":
+            raise ParameterError(f"{path}: expected a .json name, got {Path(path).suffix!r}")
+        write_text(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Plan:
+        """Read what `save` wrote.
+
+        Raises:
+            ParameterError: another schema, unknown keys, or no plan.
+        """
+        plain = read_table(path)
+        if plain.get("schema") != SCHEMA:
+            raise ParameterError(
+                f"{path}: schema must be {SCHEMA!r}, got {plain.get('schema')!r}"
+            )
+        query: Query = from_plain(Query, plain["query"], f"{path}: query")
+        motion, predicted = plain["motion"], plain["predicted"]
+        return Plan(
+            planner=plain["planner"],
+            query=query,
+            motion=None if motion is None else Motion.from_dict(motion, str(path)),
+            predicted=None if predicted is None else Prediction(**predicted),
+            seconds=plain["seconds"],
+            failure=plain["failure"],
+            info=plain["info"],
+        )
 
 
 class NoPlan(Exception):

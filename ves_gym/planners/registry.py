@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, TypeVar
+
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.planners.direct import Direct
@@ -26,7 +29,37 @@ _ALL: list[Planner] = [
     Refined(),
     Refined(free=32, starts=24, name="refined-long"),  # what is best known comes from it
 ]
+P = TypeVar("P", bound=Planner | type[Planner])
 PLANNERS: dict[str, Planner] = {planner.name: planner for planner in _ALL}
+
+
+def register_planner(planner: P) -> P:
+    """File a planner under its name; a name already taken is an error.
+
+    Args:
+        planner: a `Planner`, or a class of planners that needs no arguments (so that this
+            function also decorates one).
+
+    Returns:
+        The planner or class.
+
+    Raises:
+        ParameterError: the name is taken, or something of a `Planner` is missing.
+    """
+    instance: Any = planner() if isinstance(planner, type) else planner
+    for part, kind in (("name", str), ("summary", str), ("find", Callable)):
+        if not isinstance(getattr(instance, part, None), kind):
+            raise ParameterError(
+                "a planner needs name, summary and find(query, seed),"
+                f" got {instance!r} without {part}"
+            )
+    if instance.name in PLANNERS:
+        raise ParameterError(
+            f"planner {instance.name!r} is already registered by"
+            f" {type(PLANNERS[instance.name]).__name__}"
+        )
+    PLANNERS[instance.name] = instance
+    return planner
 
 
 def get_planner(name: str) -> Planner:

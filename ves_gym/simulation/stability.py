@@ -15,6 +15,7 @@ import numpy.typing as npt
 import scipy.linalg
 
 from ves_gym._util.params import Array, ParameterError, to_plain
+from ves_gym._util.views import Viewable
 from ves_gym.hardware.leg_servo import LegServo
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.dynamics import inertia
@@ -39,8 +40,8 @@ class Mode:
     emulated_damping: float  # ratio; added damping is the difference
 
 
-@dataclass(frozen=True)
-class EmulationCheck:
+@dataclass(frozen=True, repr=False)
+class EmulationCheck(Viewable):
     """Properties of an emulation known before it runs, at one configuration of the arm."""
 
     spectral_radius: float  # of one control period
@@ -51,6 +52,13 @@ class EmulationCheck:
     lag: float  # s from wrench to motion, slow motion
     growth: float  # 1/s of the least stable mode; negative decays
     modes: tuple[Mode, ...]
+
+    def __repr__(self) -> str:
+        verdict = "stable" if self.stable else "UNSTABLE"
+        return (
+            f"<EmulationCheck: {verdict}, spectral radius {self.spectral_radius:.6f}, payload"
+            f" ratio {self.payload_ratio:.3g}, lag {1e3 * self.lag:.1f} ms>"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
+from ves_gym._util.on_demand import load
 from ves_gym._util.params import Array, ParameterError, to_plain, unit
 from ves_gym._util.suggest import did_you_mean
 
@@ -26,17 +27,13 @@ if TYPE_CHECKING:
 
 
 class Registry(UserDict[str, "type[Effect]"]):
-    """Effects by kind. `fill` is called once, before the first question: their modules take
+    """Effects by kind. The library is loaded before the first question: its modules take
     longer to load than a nominal simulation takes to begin."""
-
-    fill: Callable[[], object] | None = None
 
     @property
     def data(self) -> dict[str, type[Effect]]:
         """All kinds."""
-        if self.fill is not None:
-            fill, self.fill = self.fill, None
-            fill()
+        load("effects")
         return self._kinds
 
     @data.setter

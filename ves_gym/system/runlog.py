@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, canonical_json, write_bytes
+from ves_gym._util.views import Viewable
 from ves_gym.system.runlog_files import (
     BASE,
     DIGEST_KEY,
@@ -49,7 +50,7 @@ _VECTORS = {
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class RunLog:
+class RunLog(Viewable):
     """One run of n joints on a base, N samples; float64, SI, arrays are read-only copies.
 
     Logs compare by `digest`. The metadata needs `{"format": "ves-run/1"}`; `system`,

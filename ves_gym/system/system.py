@@ -24,7 +24,7 @@ from ves_gym._util.params import (
 )
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import BENT, BaseModel, Vehicle, altered, get_vehicle
+from ves_gym.mechanics.vehicle import BENT, VEHICLES, BaseModel, Vehicle, altered, get_vehicle
 from ves_gym.system.effect import ArmEffect, BaseEffect, Effect
 from ves_gym.system.emulator_settings import NOMINAL, EmulatorSettings
 
@@ -75,6 +75,7 @@ class System:
                 "System.emulator belongs to mode emulated, got one with mode ideal"
                 " (System.ideal() drops it)"
             )
+        object.__setattr__(self, "effects", tuple(self.effects))  # a list has no hash
         for effect in self.effects:
             if not isinstance(effect, Effect):
                 raise ParameterError(f"System.effects must hold effects, got {effect!r}")
@@ -84,6 +85,12 @@ class System:
                     f" got mode {self.mode}"
                 )
             effect.check(self)
+
+    def __repr__(self) -> str:
+        names = [name for name, vehicle in VEHICLES.items() if vehicle == self.vehicle]
+        vehicle = f"{names[0]} ({self.vehicle.kind})" if names else self.vehicle.kind
+        effects = "".join(f", {effect}" for effect in self.effects)
+        return f"<System: {self.arm.name} on {vehicle}, {self.mode}{effects}>"
 
     @property
     def substeps(self) -> int:

@@ -34,7 +34,7 @@ class Rollout:
     denergy: Array  # (n, m)
 
 
-def rollout(
+def rollout_gradients(
     system: System,
     commands: npt.ArrayLike,
     *,

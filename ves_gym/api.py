@@ -1,0 +1,556 @@
+"""The verbs of `import ves_gym as vg`: each composes what the rooms hold, and adds no physics.
+
+SI units throughout: angles in radians, as everywhere in Python; the command line takes degrees.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array, ParameterError, Vector, finite
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.motion import Motion, require_limits
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
+from ves_gym.system.energy import TAIL, Energies, log_energies
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
+
+if TYPE_CHECKING:
+    from ves_gym.baselines.comparison import ControllerComparison
+    from ves_gym.baselines.config import TrainConfig
+    from ves_gym.baselines.controllers import Controller
+    from ves_gym.baselines.training_result import TrainingResult
+    from ves_gym.diagnosis.diagnose import Diagnosis
+    from ves_gym.diagnosis.inference.candidates import Candidate
+    from ves_gym.diagnosis.machines.mjcf import MjcfMachine
+    from ves_gym.planners.comparison import Comparison
+    from ves_gym.planners.coupling import CouplingMap
+    from ves_gym.planners.obstacles import Surroundings
+    from ves_gym.planners.query import Plan, Planner, Query
+    from ves_gym.simulation.stability import EmulationCheck
+
+    Follow = Callable[[Array], tuple[Array, Array]]  # instants (m,) -> pose and rate (m, 6)
+
+
+@overload
+def simulate(motion: Motion | Plan, system: System | None = ..., **options: Any) -> RunLog: ...
+@overload
+def simulate(
+    motion: Sequence[Motion | Plan], system: System | None = ..., **options: Any
+) -> list[RunLog]: ...
+def simulate(
+    motion: Motion | Plan | Sequence[Motion | Plan],
+    system: System | None = None,
+    *,
+    servo: JointServo | None = None,
+    settle: float = TAIL,
+    record_dt: float | None = None,
+    y: npt.ArrayLike = 0.0,
+    yd: npt.ArrayLike = 0.0,
+    platform: Follow | None = None,
+    seed: int = 0,
+    backend: str = "auto",
+    note: str = "",
+) -> RunLog | list[RunLog]:
+    """Play a motion on a system and record it, as `ves-gym simulate` does.
+
+    Args:
+        motion: a motion or a plan; or several of one duration, simulated in lockstep.
+        system: what is simulated; default the plan's own, else `System()`.
+        servo: of the joints; default the plan's own, else the thesis's high gains.
+        settle: how long the joints are held afterwards [s].
+        record_dt: between records [s]; default the physics step, in mode emulated the
+            control period.
+        y, yd: base pose and rate at the start (6,) [m, rad].
+        platform: what the platform follows under operation "position": instants (m,) [s] ->
+            pose and rate, (m, 6) each.
+        seed: of sensor noise and drift.
+        backend: engine: auto, kernel, mujoco, mjx or warp.
+        note: text for the log.
+
+    Returns:
+        The run log, or one per motion; a run that a safety stop ended is as long as it ran.
+
+    Raises:
+        ParameterError: a motion outside the joints' range, a plan without a motion, plans of
+            different systems, or a value out of its range.
+        Divergence: the simulation left the meaningful range.
+    """
+    from ves_gym.planners.query import Plan
+    from ves_gym.simulation.playback import play_motions
+
+    several = isinstance(motion, Sequence)
+    items = list(motion) if isinstance(motion, Sequence) else [motion]
+    motions, queries = [], []
+    for item in items:
+        if isinstance(item, Plan):
+            if item.motion is None:
+                raise ParameterError(f"{item.planner} found no motion: {item.failure}")
+            queries.append(item.query)
+            motions.append(item.motion)
+        elif isinstance(item, Motion):
+            motions.append(item)
+        else:
+            raise ParameterError(f"simulate needs a Motion or a Plan, got {item!r}")
+    system = _system(system, queries[0].system if queries else None)
+    if servo is None:
+        servo = queries[0].servo if queries else HIGH_GAINS
+    for part in motions:
+        if part.n == system.arm.n:
+            require_limits(system.arm, part, ("position",))
+    default = system.physics_dt if system.mode == "ideal" else system.control_dt
+    recording = play_motions(
+        system,
+        motions,
+        servo=servo,
+        settle=settle,
+        record_dt=default if record_dt is None else record_dt,
+        y=y,
+        yd=yd,
+        platform=platform,
+        seed=seed,
+        backend=backend,
+    )
+    logs = [recording.log(i, note) for i in range(len(motions))]
+    return logs if several else logs[0]
+
+
+def plan(
+    start: npt.ArrayLike,
+    goal: npt.ArrayLike,
+    *,
+    duration: float = 2.0,
+    planner: str | Planner = "direct",
+    system: System | None = None,
+    v_max: npt.ArrayLike | None = None,
+    a_max: npt.ArrayLike | None = None,
+    surroundings: Surroundings | str | os.PathLike[str] | None = None,
+    servo: JointServo = HIGH_GAINS,
+    seed: int = 0,
+) -> Plan:
+    """Find one path with one planner, as `ves-gym plan` does.
+
+    Args:
+        start, goal: joint angles (n,) [rad].
+        duration: of the motion [s].
+        planner: name (`ves-gym list planners`) or planner.
+        system: arm and vehicle; default `System()`.
+        v_max, a_max: limits of joint speed [rad/s] and acceleration [rad/s^2], (n,).
+        surroundings: what not to touch, or the file that says it.
+        servo: what will move the joints.
+        seed: of planners that search.
+
+    Returns:
+        The motion with its predicted energies; or, in `failure`, why there is none or which
+        limit it breaks.
+
+    Raises:
+        ParameterError: an unknown planner, or ends outside the joints' range.
+    """
+    from ves_gym.planners.obstacles import read_surroundings
+    from ves_gym.planners.query import Query, solve
+
+    system = _system(system)
+    n = system.arm.n
+    if isinstance(surroundings, (str, os.PathLike)):
+        surroundings = read_surroundings(surroundings)
+    query = Query(
+        system=system,
+        start=_vector(start, n, "start"),
+        goal=_vector(goal, n, "goal"),
+        duration=duration,
+        v_max=None if v_max is None else _vector(v_max, n, "v_max"),
+        a_max=None if a_max is None else _vector(a_max, n, "a_max"),
+        surroundings=surroundings,
+        servo=servo,
+    )
+    return solve(_planner(planner), query, seed)
+
+
+def compare(
+    query: Query | Plan, planners: Sequence[str | Planner] | None = None, *, seed: int = 0
+) -> Comparison:
+    """Plan one query with several planners and simulate their motions side by side.
+
+    Args:
+        query: ends, duration and system; of a plan, its query.
+        planners: names or planners; default straight, hotspot-qt, direct and refined.
+        seed: of planners that search.
+
+    Returns:
+        Predicted and simulated energies, and their ratio to the straight line's.
+
+    Raises:
+        ParameterError: an unknown planner, or none.
+    """
+    from ves_gym.planners.comparison import compare_planners
+    from ves_gym.planners.query import Plan, Query
+
+    if isinstance(query, Plan):
+        query = query.query
+    if not isinstance(query, Query):
+        raise ParameterError(f"compare needs a Query or a Plan, got {query!r}")
+    if isinstance(planners, str):
+        planners = [planners]
+    names = ("straight", "hotspot-qt", "direct", "refined") if planners is None else planners
+    return compare_planners(query, [_planner(name) for name in names], seed=seed)
+
+
+def coupling_map(
+    system: System | None = None,
+    *,
+    joints: tuple[int, int] | None = None,
+    duration: float | None = None,
+    points: int = 61,
+    **at: float,
+) -> CouplingMap:
+    """Sweep two joints over their range and map how strongly they couple to the base.
+
+    Args:
+        system: default `System()`.
+        joints: the two that are swept, counted from 1; default the first two that `at` does
+            not fix.
+        duration: of the motions meant, for Q_T [s]; None: the thesis's Q.
+        points: per axis.
+        at: angles of the other joints [rad] by name, q1, q2, ...; default 0.
+
+    Returns:
+        The map, as `ves-gym map` makes it.
+
+    Raises:
+        ParameterError: no such joint, or a value out of its range.
+    """
+    from ves_gym.planners.coupling import coupling_map as swept
+
+    system = _system(system)
+    n = system.arm.n
+    fixed = np.zeros(n)
+    names = {f"q{k + 1}": k for k in range(n)}
+    for name, value in at.items():
+        if name not in names:
+            raise ParameterError(
+                f"coupling_map: a joint must be one of {', '.join(names)}, got {name!r}"
+            )
+        fixed[names[name]] = value
+    if joints is None:
+        free = [k for name, k in names.items() if name not in at]
+        if len(free) < 2:
+            raise ParameterError(
+                f"coupling_map sweeps two joints, got {', '.join(at)} fixed of {n}"
+            )
+        pair = free[0], free[1]
+    else:
+        pair = _pair(joints, n)
+    return swept(system, pair, fixed, duration=duration, points=points)
+
+
+def diagnose(
+    logs: RunLog | str | os.PathLike[str] | Sequence[Any],
+    system: System | MjcfMachine | None = None,
+    *,
+    final: int | None = None,
+    candidates: Sequence[Candidate] = (),
+    leave_out: Sequence[str] = (),
+    most: int = 3,
+    band: float | None = None,
+    as_logged: bool = False,
+    seed: int = 0,
+    progress: Callable[[float, str], None] = lambda done, stage: None,
+) -> Diagnosis:
+    """Name what is missing in the description of a machine, as `ves-gym diagnose` does.
+
+    Args:
+        logs: of one machine: run logs, their files, or folders of them; of a `MjcfMachine`
+            runs, as the loader of `diagnosis.read_machine` gives them.
+        system: the machine as described; default what the logs name.
+        final: how many of the last logs to hold back and open once, at the end; default those
+            that say `held_back`, else the last third.
+        candidates: what is considered beside the library of effects.
+        leave_out: kinds of effects that are not considered.
+        most: effects to name at most.
+        band: frequency up to which log and description are compared [Hz]; default 12.
+        as_logged: ask no questions about units, signs and exchanged channels.
+        seed: of the noise draws.
+        progress: called with the fraction done and a few words.
+
+    Returns:
+        `sentence` says it, `system` is the better description.
+
+    Raises:
+        ParameterError: logs that cannot be of one machine as it stands.
+    """
+    from ves_gym.diagnosis.data.sanity_checks import require_as_logged
+    from ves_gym.diagnosis.diagnose import diagnose as name_missing
+    from ves_gym.diagnosis.inference.model_selection import Thresholds
+    from ves_gym.diagnosis.inputs import system_inputs
+
+    sources = [logs] if isinstance(logs, (RunLog, str, os.PathLike)) else list(logs)
+    if not sources:
+        raise ParameterError("diagnose needs at least one run log, got none")
+    inputs = system_inputs(sources, system, final=final, leave_out=leave_out, band=band)
+    if not as_logged:
+        require_as_logged(inputs.machine, inputs.runs, inputs.mistakes)
+    return name_missing(
+        inputs.machine,
+        inputs.runs,
+        inputs.final,
+        candidates=(*inputs.candidates, *candidates),
+        limits=Thresholds(most=most),
+        progress=progress,
+        seed=seed,
+    )
+
+
+def excitation(
+    n: int = 4, system: System | None = None, *, duration: float = 10.0, seed: int = 0
+) -> list[Motion]:
+    """Return motions whose logs show what `diagnose` asks for.
+
+    Every joint reverses, rests, moves slowly and fast, within 0.9 of its limits.
+
+    Args:
+        n: how many; four are enough for one or two effects, a third of them held back.
+        system: whose arm's limits hold; default `System()`.
+        duration: of each [s].
+        seed: of the draw.
+
+    Returns:
+        Motions of one duration, from rest to rest.
+
+    Raises:
+        ParameterError: n or the duration is out of range.
+    """
+    from ves_gym.diagnosis.excitation import excitation_motions
+
+    arm: Arm = PUMA_560 if system is None else _system(system).arm
+    return excitation_motions(n, arm, duration=duration, seed=seed)
+
+
+def evaluate(
+    id: str,
+    controllers: str | Path | Controller | Sequence[str | Path | Controller] = (),
+    *,
+    episodes: int = 100,
+    seed: int = 0,
+    n_envs: int | None = None,
+    threads: int = 0,
+    progress: Callable[[str, float], None] = lambda name, done: None,
+    **settings: Any,
+) -> ControllerComparison:
+    """Run controllers and policies on the same episodes, as `ves-gym evaluate` does.
+
+    Args:
+        id: of the environment, such as ves/PumaDamp-v0.
+        controllers: names of built-in controllers (`ves-gym list controllers`), policies, their
+            files, folders that `train` made, names of released policies, or "released" for
+            all of them; default zero, random and the released policies.
+        episodes, seed: episode k begins with `env.reset(seed=seed + k)`.
+        n_envs: how many run at once; the results do not depend on it.
+        threads: of the engine, 0 = one per processor.
+        progress: called with a label and the fraction done.
+        settings: of the environment (`gym.make`'s); `randomize={}` turns randomisation off.
+
+    Returns:
+        An evaluation per controller; `ratio` compares two episode by episode.
+
+    Raises:
+        ParameterError: an unknown environment, controller or setting.
+    """
+    from ves_gym.baselines.comparison import compare_controllers, line_up
+
+    id = id if "/" in id else f"ves/{id}"
+    one = isinstance(controllers, (str, os.PathLike)) or hasattr(controllers, "act")
+    chosen: Any = [controllers] if one else controllers
+    return compare_controllers(
+        id,
+        line_up(id, chosen, seed),
+        episodes=episodes,
+        seed=seed,
+        n_envs=n_envs,
+        threads=threads,
+        progress=progress,
+        **settings,
+    )
+
+
+def train(
+    config: str | os.PathLike[str] | TrainConfig,
+    *,
+    algorithm: str | None = None,
+    steps: int | None = None,
+    seeds: Sequence[int] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    folder: str | os.PathLike[str] | None = None,
+    workers: int = 1,
+    resume: bool = False,
+    progress: Callable[[int, float, str], None] | None = None,
+) -> TrainingResult:
+    """Learn policies with Stable-Baselines3, one per seed, as `ves-gym train` does.
+
+    Args:
+        config: an environment that a configuration comes with, a .toml file, or a
+            `TrainConfig`.
+        algorithm: ppo, sac or sac-her; default the first there is.
+        steps: in all, instead of the configuration's.
+        seeds: of weights, exploration and training episodes; default the configuration's.
+        settings: of the environment, beside the configuration's.
+        folder: for policies, curves and checkpoints; default out/train/NAME.
+        workers: seeds at once, each in a process of its own.
+        resume: go on from the checkpoints in `folder`.
+        progress: called with the seed, the fraction done and a few words.
+
+    Returns:
+        Learning curves and the best policy of each seed.
+
+    Raises:
+        ParameterError: no such configuration, the extra `rl` is not installed, or `folder`
+            holds a run and `resume` is false.
+    """
+    import dataclasses
+
+    from ves_gym.baselines.config import TrainConfig, choose_config
+    from ves_gym.baselines.train import train_seeds
+    from ves_gym.baselines.training_result import TrainingResult
+
+    chosen = config if isinstance(config, TrainConfig) else choose_config(config, algorithm)
+    changes: dict[str, Any] = {}
+    if steps is not None:
+        changes["total_timesteps"] = steps
+    if seeds is not None:
+        changes["seeds"] = tuple(seeds)
+    if settings is not None:
+        changes["settings"] = {**chosen.settings, **settings}
+    chosen = dataclasses.replace(chosen, **changes)
+    if workers < 1:
+        raise ParameterError(f"workers must be >= 1, got {workers}")
+    where = Path("out", "train", chosen.name) if folder is None else Path(folder)
+    curves = train_seeds(
+        chosen, chosen.seeds, where, workers=workers, resume=resume, progress=progress
+    )
+    return TrainingResult(chosen, where, curves)
+
+
+def energy(log: RunLog, *, duration: float | None = None, tail: float = TAIL) -> Energies:
+    """Measure the energy that a run transferred to its base.
+
+    Args:
+        log: names its system in the metadata.
+        duration: of the motion [s]; default what the log says, else the last moving command.
+        tail: how long after the motion `E_mean` reaches [s].
+
+    Returns:
+        `E_mean`, the primary score, and the other measures.
+
+    Raises:
+        ParameterError: the log is shorter than duration and tail, or names no system.
+    """
+    if not isinstance(log, RunLog):
+        raise ParameterError(f"energy needs a RunLog, got {log!r}")
+    return log_energies(log, duration=duration, tail=tail)
+
+
+def check_emulation(
+    system: System | None = None,
+    q: npt.ArrayLike = 0.0,
+    *,
+    servo: JointServo | None = HIGH_GAINS,
+    search: bool = True,
+) -> EmulationCheck:
+    """Judge an emulation before it runs, as `ves-gym emulation-check` does.
+
+    Args:
+        system: in mode emulated; default `System(mode="emulated")`.
+        q: joint angles (n,) [rad] at which the loop is linearised.
+        servo: of the joints; None: none.
+        search: also find the largest stable bandwidth of the platform.
+
+    Returns:
+        Whether it is stable, and how true: added damping, lag, payload ratio.
+
+    Raises:
+        ParameterError: the system is not emulated, or its platform is position controlled.
+    """
+    from ves_gym.simulation.stability import check_emulation as judged
+
+    system = System(mode="emulated") if system is None else _system(system)
+    return judged(system, q, servo=servo, search=search)
+
+
+def render(
+    log: RunLog,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    width: int = 960,
+    height: int = 480,
+    fps: float = 25.0,
+    speed: float = 1.0,
+    magnify: float = 1.0,
+    progress: Callable[[float], None] | None = None,
+) -> Path | None:
+    """Draw a run as a movie, or replay it in a window, as `ves-gym view` does.
+
+    Args:
+        log: names its system in the metadata.
+        path: .gif or .mp4; None: a window, until it is closed.
+        width, height: of the picture [px].
+        fps: pictures per second.
+        speed: of the run's clock.
+        magnify: factor on the base's motion.
+        progress: called with the fraction done.
+
+    Returns:
+        The path, None after a window.
+
+    Raises:
+        ParameterError: another suffix, or a value out of its range.
+        RenderError: no OpenGL or display, or the extra `report` is not installed.
+    """
+    from ves_gym.rendering.render import View, show
+    from ves_gym.rendering.render import render as draw
+
+    view = View(width=width, height=height, fps=fps, speed=speed, magnify=magnify)
+    if path is None:
+        show(log, view)
+        return None
+    draw(log, path, view, progress)
+    return Path(path)
+
+
+# ---------------------------------------------------------------------------- arguments
+
+
+def _system(system: System | None, default: System | None = None) -> System:
+    if system is None:
+        return System() if default is None else default
+    if not isinstance(system, System):
+        raise ParameterError(f"system must be a System, got {system!r}")
+    return system
+
+
+def _planner(planner: str | Planner) -> Planner:
+    from ves_gym.planners.registry import get_planner
+
+    return get_planner(planner) if isinstance(planner, str) else planner
+
+
+def _vector(value: npt.ArrayLike, n: int, name: str) -> Vector:
+    return tuple(finite(value, (n,), name).tolist())
+
+
+def _pair(joints: Any, n: int) -> tuple[int, int]:
+    try:
+        i, j = (int(k) for k in joints)
+    except (TypeError, ValueError):
+        i = j = 0
+    if not (1 <= i <= n and 1 <= j <= n and i != j):
+        raise ParameterError(
+            f"joints must be two different numbers from 1 to {n}, got {joints!r}"
+        )
+    return i - 1, j - 1

@@ -1,0 +1,232 @@
+"""Controllers and policies side by side on the same episodes of an environment."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ves_gym._util.params import ParameterError, read_table, write_text
+from ves_gym._util.statistics import Estimate
+from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.views import Viewable
+from ves_gym.baselines.controllers import Controller
+from ves_gym.baselines.evaluate import SCHEMA, Evaluation, evaluate, pool, ratio, report
+from ves_gym.baselines.policy import load_policy, released
+from ves_gym.baselines.registry import CONTROLLERS, get_controller
+
+Lineup = list[tuple[str, Sequence[Controller]]]  # label, a controller or a policy per seed
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ControllerComparison(Viewable):
+    """Evaluations on the same episodes; iterates over them, in the order that was asked for."""
+
+    evaluations: tuple[Evaluation, ...]
+
+    def __iter__(self) -> Iterator[Evaluation]:
+        return iter(self.evaluations)
+
+    def __len__(self) -> int:
+        """Return the number of controllers."""
+        return len(self.evaluations)
+
+    def __getitem__(self, name: str) -> Evaluation:
+        for evaluation in self.evaluations:
+            if evaluation.name == name:
+                return evaluation
+        known = [evaluation.name for evaluation in self.evaluations]
+        raise ParameterError(
+            f"controller must be one of {', '.join(known)}, got {name!r}"
+            f"{did_you_mean(name, known)}"
+        )
+
+    def ratio(self, controller: str, reference: str, measure: str = "E_mean") -> Estimate:
+        """Return the median over the episodes of a measure over the reference's.
+
+        Args:
+            controller, reference: names of two of the evaluations.
+            measure: E_mean, E_peak, E_res or E_int.
+
+        Returns:
+            The median and its 95 % interval.
+        """
+        return ratio(self[controller], self[reference], measure)
+
+    @property
+    def best(self) -> Evaluation:
+        """Evaluation with the largest interquartile mean return."""
+        return max(self.evaluations, key=_score)
+
+    @property
+    def table(self) -> str:
+        """Rows as aligned text: return (interquartile mean), success, failures, `E_mean`."""
+        rows = [("controller", "return", "success", "failed", "E_mean")]
+        for evaluation in self.evaluations:
+            s = evaluation.summary()
+            rows.append(
+                (
+                    evaluation.name,
+                    f"{s['return']['iqm'].value:.3f}",
+                    f"{s['success'].value:.0%}",
+                    str(s["failed"]),
+                    f"{s['E_mean']['median'].value:.3g} J",
+                )
+            )
+        widths = [max(len(row[k]) for row in rows) for k in range(5)]
+        return "\n".join(
+            "  ".join(
+                text.rjust(width) if k else text.ljust(width)
+                for k, (text, width) in enumerate(zip(row, widths, strict=True))
+            )
+            for row in rows
+        )
+
+    def __str__(self) -> str:
+        return self.table
+
+    def __repr__(self) -> str:
+        first = self.evaluations[0]
+        scores = ", ".join(f"{e.name} {_score(e):.3f}" for e in self.evaluations)
+        episodes = len(first.rows)
+        return f"<ControllerComparison: {first.id}, {episodes} episodes; return {scores}>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, schema ves-evaluate/1, as `ves-gym evaluate --json` writes it."""
+        return report(self.evaluations)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write as JSON, completely or not at all."""
+        if Path(path).suffix != ".json":
+            raise ParameterError(f"{path}: expected a .json name, got {Path(path).suffix!r}")
+        write_text(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> ControllerComparison:
+        """Read what `save` or `ves-gym evaluate --json` wrote.
+
+        Raises:
+            ParameterError: another schema.
+        """
+        plain = read_table(path)
+        if plain.get("schema") != SCHEMA:
+            raise ParameterError(
+                f"{path}: schema must be {SCHEMA!r}, got {plain.get('schema')!r}"
+            )
+        out = []
+        for entry in plain["controllers"]:
+            rows = [
+                {k: float("inf") if v is None else v for k, v in row.items()}
+                for row in entry["rows"]
+            ]
+            about, seconds = entry["about"], entry["seconds"]
+            out.append(
+                Evaluation(entry["name"], plain["id"], entry["settings"], rows, about, seconds)
+            )
+        return ControllerComparison(tuple(out))
+
+
+def _score(evaluation: Evaluation) -> float:
+    return float(evaluation.summary()["return"]["iqm"].value)
+
+
+def compare_controllers(
+    id: str,
+    lineup: Lineup,
+    *,
+    progress: Callable[[str, float], None] = lambda name, done: None,
+    **options: Any,
+) -> ControllerComparison:
+    """Evaluate each of a line-up on the same episodes.
+
+    Args:
+        id: of the environment.
+        lineup: as `line_up` makes it.
+        progress: called with a label and the fraction done.
+        options: of `evaluate`, the environment's settings among them.
+    """
+    out = []
+    for label, group in lineup:
+        parts = []
+        for k, controller in enumerate(group):
+
+            def step(done: float, label: str = label, k: int = k, group: Any = group) -> None:
+                progress(label, (k + done) / len(group))
+
+            parts.append(evaluate(controller, id, progress=step, **options))
+        out.append(pool(parts, label))
+    return ControllerComparison(tuple(out))
+
+
+def line_up(id: str, chosen: Sequence[str | Path | Controller], seed: int = 0) -> Lineup:
+    """Turn names, files and controllers into labelled groups of controllers.
+
+    Args:
+        id: of the environment.
+        chosen: names of built-in controllers, files of policies, folders that `train` made
+            (its seeds as one), names of released policies, "released" for all of them, or
+            controllers; none at all stands for zero, random and the released policies.
+        seed: of controllers that draw.
+
+    Raises:
+        ParameterError: an unknown name, no such policy, or two of one label.
+    """
+    entries: list[str | Path | Controller] = []
+    for entry in chosen or ("zero", "random", *released(id)):
+        entries += (released(id) or [entry]) if entry == "released" else [entry]
+    out: Lineup = []
+    for entry in entries:
+        if not isinstance(entry, (str, os.PathLike)):
+            out.append((entry.name, [entry]))
+        elif str(entry) in CONTROLLERS:
+            out.append((str(entry), [get_controller(str(entry), seed)]))
+        else:
+            if isinstance(entry, str):
+                _require_known(entry, id)
+            files = policy_files(str(entry), id)
+            policies = [load_policy(file) for file in files]
+            label = str(policies[0].about.get("algorithm", policies[0].name))
+            label += f" x {len(files)}" if len(files) > 1 else ""
+            out.append((label if label not in [n for n, _ in out] else str(entry), policies))
+    labels = [label for label, _ in out]
+    if len(set(labels)) < len(labels):
+        raise ParameterError(f"controllers must differ, got {', '.join(labels)}")
+    return out
+
+
+def _require_known(text: str, id: str) -> None:
+    names = [*CONTROLLERS, *released(id)]
+    if not Path(text).suffix and not Path(text).exists() and text not in names:
+        raise ParameterError(
+            f"controller must be a file or folder of policies, or one of {', '.join(names)},"
+            f" got {text!r}{did_you_mean(text, names)}"
+        )
+
+
+def policy_files(text: str, id: str) -> list[Path]:
+    """Return the .json files that a text stands for.
+
+    Args:
+        text: a file, a folder of `train`, or the name of a released policy.
+        id: of the environment.
+    """
+    path = Path(text)
+    if path.is_dir():
+        files = sorted(path.glob("seed-*/best.json")) or sorted(path.glob("best.json"))
+        if not files:
+            raise ParameterError(
+                f"{path}: no seed-*/best.json in it; give a run of ves-gym train"
+            )
+        return files
+    if not path.suffix and not path.exists():
+        known = released(id)
+        if text not in known:
+            raise ParameterError(
+                f"policy {text!r} is no file, and none released for {id}: known are"
+                f" {', '.join(known) or 'none'}{did_you_mean(text, known)}"
+            )
+        return [known[text]]
+    return [path]

@@ -1,0 +1,117 @@
+"""Motions that show what a diagnosis asks for: every joint reversing, resting, slow and fast.
+
+Friction shows at reversals and at rest, viscous friction and delays at speed, inertia and
+ripple over the range. Random motions that mix all of these are drawn, brought inside the
+limits of the joints, and chosen greedily by the information that their torques carry on the
+inertial and friction numbers of the arm (D-optimality; Swevers et al., IEEE Transactions on
+Robotics and Automation 13(5), 1997).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.engine.regressors import inertia_regressor
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.motion import Motion, limit_ratios, quintic
+from ves_gym.mechanics.puma import PUMA_560
+
+_DRAWN = 6  # motions for each that is chosen
+_MARGIN = 0.9  # of every limit
+_TEMPI = (0.2, 0.45, 0.8)  # of the speed limit, in turn along a motion
+_REST = (0.15, 0.5)  # s between two moves
+_SHORTEST, _LONGEST = 0.6, 2.5  # s, of a move
+_REACH = 0.6  # of the joint's range that way-points are drawn from
+_SAMPLES = 101  # of a motion where its information is computed
+_STICTION = 0.05  # rad/s over which the column of Coulomb friction changes sign
+_LEAST = 1e-6  # of the mean information, so that numbers without any do no harm
+
+
+def excitation_motions(
+    n: int, arm: Arm = PUMA_560, *, duration: float = 10.0, seed: int = 0
+) -> list[Motion]:
+    """Return n motions whose logs can tell the effects of the library apart.
+
+    Args:
+        n: how many; four are enough for one or two effects, a third of them held back.
+        arm: whose limits of position, speed, acceleration and torque hold.
+        duration: of each [s].
+        seed: of the draw.
+
+    Returns:
+        Motions from rest to rest, each of its own start and goal.
+
+    Raises:
+        ParameterError: n or the duration is out of range.
+    """
+    if not isinstance(n, int) or isinstance(n, bool) or n < 1:
+        raise ParameterError(f"n must be a whole number of motions >= 1, got {n!r}")
+    if not 2.0 <= duration <= 600.0:
+        raise ParameterError(f"duration must be from 2 to 600 s, got {duration!r}")
+    if seed < 0:
+        raise ParameterError(f"seed must be >= 0, got {seed}")
+    rng = np.random.default_rng(seed)
+    drawn = [_drawn(arm, duration, rng) for _ in range(_DRAWN * n)]
+    rows = [_information_rows(arm, motion) for motion in drawn]
+    size = np.sqrt(np.mean([np.mean(y**2, axis=0) for y in rows], axis=0))
+    rows = [y[:, size > 0] / size[size > 0] for y in rows]
+    total = _LEAST * np.eye(rows[0].shape[1])
+    chosen: list[Motion] = []
+    left = list(range(len(drawn)))
+    for _ in range(n):
+        gains = [np.linalg.slogdet(total + rows[k].T @ rows[k] / len(rows[k]))[1] for k in left]
+        k = left.pop(int(np.argmax(gains)))
+        total = total + rows[k].T @ rows[k] / len(rows[k])
+        chosen.append(drawn[k])
+    return chosen
+
+
+def _drawn(arm: Arm, duration: float, rng: np.random.Generator) -> Motion:
+    """Draw one motion inside 0.9 of all limits."""
+    t = np.linspace(0.0, duration, round(40 * duration) + 1)
+    q = np.stack([_moves(arm, j, t, rng) for j in range(arm.n)], axis=1)
+    controls = max(12, round(8 * duration))
+    for _ in range(60):
+        motion = Motion.fit(q, duration, controls=controls)
+        ratios = limit_ratios(arm, motion, samples=round(80 * duration) + 1)
+        worst = np.max(list(ratios.values()), axis=0)
+        if (worst <= _MARGIN).all():
+            return motion
+        middle = (arm.column("q_min") + arm.column("q_max")) / 2
+        excess = np.where(worst > _MARGIN, np.maximum(0.97 * _MARGIN / worst, 0.8), 1.0)
+        # rates are what is in the way, seldom the place: shrink about where the joint is
+        centre = np.where(ratios["position"] > _MARGIN, middle, q.mean(axis=0))
+        q = centre + (q - centre) * excess
+    raise ParameterError(f"{arm.name} allows no excitation of {duration:g} s within its limits")
+
+
+def _moves(arm: Arm, j: int, t: Array, rng: np.random.Generator) -> Array:
+    """Draw angles (N,) [rad] of a joint: moves of changing tempo with rests between them."""
+    link = arm.links[j]
+    middle, half = (link.q_min + link.q_max) / 2, (link.q_max - link.q_min) / 2
+    place = middle + _REACH * half * rng.uniform(-1, 1)
+    out = np.full(len(t), place)
+    now, k = rng.uniform(*_REST), int(rng.integers(len(_TEMPI)))
+    while (room := t[-1] - _REST[0] - now) > _SHORTEST:
+        goal = middle + _REACH * half * rng.uniform(-1, 1)
+        longest = rng.uniform(_SHORTEST, min(room, _LONGEST))
+        speed = _TEMPI[k % len(_TEMPI)] * link.v_max
+        # a quintic peaks at 15/8 of its mean speed and 5.8 of distance over time squared
+        most = min(longest * speed / 1.875, longest**2 * 0.6 * link.a_max / 5.8)
+        step = np.clip(goal - place, -most, most)
+        span = longest * abs(step) / most
+        out += step * quintic((t - now) / span)
+        place, k = place + step, k + 1
+        now += span + rng.uniform(*_REST)
+    return out
+
+
+def _information_rows(arm: Arm, motion: Motion) -> Array:
+    """Torque per number, in parts of the torque limits: (samples x joints, numbers)."""
+    s = motion.at(np.linspace(0.0, motion.duration, _SAMPLES))
+    inertial = inertia_regressor(arm, s.q, s.v, s.a)[:, 6:]
+    eye = np.eye(arm.n)
+    friction = [eye * x[:, None, :] for x in (np.tanh(s.v / _STICTION), s.v, np.ones_like(s.v))]
+    rows = np.concatenate([inertial, *friction], axis=2) / arm.column("tau_max")[:, None]
+    return np.asarray(rows.reshape(-1, rows.shape[2]), dtype=np.float64)

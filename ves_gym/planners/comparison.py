@@ -1,0 +1,236 @@
+"""Planners side by side on one query: planned, simulated, and measured on the same system."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError, read_table, write_text
+from ves_gym._util.views import Viewable
+from ves_gym.mechanics.motion import Motion
+from ves_gym.planners.query import Plan, Planner, Query, solve
+from ves_gym.simulation.playback import Recording, play_motions
+from ves_gym.system.energy import TAIL, Energies, base_energy, energies
+
+SCHEMA = "ves-compare/1"
+_RECORD = 12.5e-3  # s between records of a simulation
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonRow:
+    """One planner's answer to the query."""
+
+    planner: str
+    predicted: dict[str, float] | None  # E_mean, E_res, E_peak [J]
+    simulated: Energies | None  # None: no motion, or the run was stopped
+    ratio: float | None  # simulated E_mean over that of the straight line
+    seconds: float  # planning time
+    failure: str | None  # why there is no motion, or what limit it breaks
+    energy: Array | None  # (N,) E of the base [J]
+
+    @property
+    def feasible(self) -> bool:
+        """True where there is a motion, inside the limits and clear of everything."""
+        return self.failure is None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "planner": self.planner,
+            "predicted": self.predicted,
+            "simulated": None if self.simulated is None else self.simulated.to_dict(),
+            "ratio": self.ratio,
+            "seconds": self.seconds,
+            "failure": self.failure,
+            "energy": None if self.energy is None else self.energy.tolist(),
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Viewable):
+    """Planners on one query; iterates over its rows, in the order that was asked for."""
+
+    name: str  # of the query
+    duration: float  # of the motions [s]
+    t: Array  # (N,) s, clock of the energies
+    rows: tuple[ComparisonRow, ...]
+    straight: Energies | None  # of the straight line
+    plans: tuple[Plan, ...] = ()  # empty in one that was read from a file
+
+    def __iter__(self) -> Iterator[ComparisonRow]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        """Return the number of planners."""
+        return len(self.rows)
+
+    def __getitem__(self, planner: str) -> ComparisonRow:
+        for row in self.rows:
+            if row.planner == planner:
+                return row
+        known = ", ".join(row.planner for row in self.rows)
+        raise ParameterError(f"planner must be one of {known}, got {planner!r}")
+
+    @property
+    def best(self) -> ComparisonRow | None:
+        """Row of the feasible motion with the least simulated `E_mean`; None without one."""
+        able = [row for row in self.rows if row.feasible and row.simulated is not None]
+        return min(able, key=lambda row: row.simulated.E_mean, default=None)  # type: ignore[union-attr]
+
+    @property
+    def table(self) -> str:
+        """Rows as aligned text: predicted and simulated `E_mean` [J], ratio, time, verdict."""
+        head = ("planner", "predicted", "simulated", "ratio", "planned in", "")
+        lines = [head]
+        for row in self.rows:
+            lines.append(
+                (
+                    row.planner,
+                    "-" if row.predicted is None else f"{row.predicted['E_mean']:.4g} J",
+                    "-" if row.simulated is None else f"{row.simulated.E_mean:.4g} J",
+                    "-" if row.ratio is None else f"{row.ratio:.3f}",
+                    f"{row.seconds:.2f} s",
+                    row.failure or "",
+                )
+            )
+        widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
+        return "\n".join(
+            "  ".join(
+                text.ljust(width) if k in (0, 5) else text.rjust(width)
+                for k, (text, width) in enumerate(zip(line, widths, strict=True))
+            ).rstrip()
+            for line in lines
+        )
+
+    def __str__(self) -> str:
+        return self.table
+
+    def __repr__(self) -> str:
+        best = self.best
+        text = "none feasible" if best is None else f"best {best.planner}"
+        if best is not None and best.ratio is not None:
+            text += f", E_mean {best.ratio:.3f} of the straight line's"
+        return f"<Comparison: {len(self)} planners on {self.name}; {text}>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "schema": SCHEMA,
+            "name": self.name,
+            "duration": self.duration,
+            "t": self.t.tolist(),
+            "rows": [row.to_dict() for row in self.rows],
+            "straight": None if self.straight is None else self.straight.to_dict(),
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write as JSON, completely or not at all; plans are saved on their own."""
+        if Path(path).suffix != ".json":
+            raise ParameterError(f"{path}: expected a .json name, got {Path(path).suffix!r}")
+        write_text(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Comparison:
+        """Read what `save` wrote; it has no `plans`.
+
+        Raises:
+            ParameterError: another schema.
+        """
+        plain = read_table(path)
+        if plain.get("schema") != SCHEMA:
+            raise ParameterError(
+                f"{path}: schema must be {SCHEMA!r}, got {plain.get('schema')!r}"
+            )
+        rows = []
+        for row in plain["rows"]:
+            trace = None if row["energy"] is None else np.array(row["energy"])
+            measured = row["simulated"] and Energies.from_dict(row["simulated"])
+            rows.append(ComparisonRow(**{**row, "simulated": measured, "energy": trace}))
+        straight = plain["straight"] and Energies.from_dict(plain["straight"])
+        times = np.array(plain["t"])
+        return Comparison(plain["name"], plain["duration"], times, tuple(rows), straight)
+
+
+def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0) -> Comparison:
+    """Plan a query with each planner and simulate the motions in lockstep.
+
+    Args:
+        query: ends, duration and system.
+        planners: one or more, of different names.
+        seed: of planners that search.
+
+    Returns:
+        Predicted and simulated energies of each beside those of the straight line.
+
+    Raises:
+        ParameterError: no planner, or two of one name.
+    """
+    names = [planner.name for planner in planners]
+    if not names or len(set(names)) < len(names):
+        raise ParameterError(
+            f"planners must be one or more of different names, got {', '.join(names) or 'none'}"
+        )
+    plans = [solve(planner, query, seed) for planner in planners]
+    motions = [plan.motion for plan in plans if plan.motion is not None]
+    run = simulate_motions(query, motions)
+    measured = _measured(run)
+    straight = measured[-1]
+    rows = []
+    i = -1
+    for plan in plans:
+        i += plan.motion is not None  # its run
+        simulated = None if plan.motion is None else measured[i]
+        ratio = None
+        if simulated is not None and straight is not None and straight.E_mean > 0:
+            ratio = simulated.E_mean / straight.E_mean
+        trace = None
+        if simulated is not None:
+            trace = base_energy(query.system, run.q[i], run.y[i], run.yd[i]).total
+        rows.append(
+            ComparisonRow(
+                planner=plan.planner,
+                predicted=None if plan.predicted is None else plan.predicted.to_dict(),
+                simulated=simulated,
+                ratio=ratio,
+                seconds=plan.seconds,
+                failure=plan.failure,
+                energy=trace,
+            )
+        )
+    name = query.name or query.ends_in_words
+    return Comparison(name, query.duration, run.t, tuple(rows), straight, tuple(plans))
+
+
+def simulate_motions(query: Query, motions: Sequence[Motion]) -> Recording:
+    """Simulate motions of a query and, as the last run, the straight line.
+
+    Args:
+        query: its system, servo and ends.
+        motions: of the query's duration.
+
+    Returns:
+        The recording, long enough for `E_mean`.
+    """
+    dt = query.system.physics_dt
+    return play_motions(
+        query.system,
+        [*motions, query.straight],
+        servo=query.servo,
+        settle=TAIL,
+        record_dt=max(1, round(_RECORD / dt)) * dt,
+    )
+
+
+def _measured(run: Recording) -> list[Energies | None]:
+    """Energies of each run; None for one that a safety stop ended."""
+    stopped = {event.simulation for event in run.events}
+    if len(stopped) == len(run.q):
+        return [None] * len(run.q)
+    parts = energies(run.system, run.t, run.q, run.y, run.yd, duration=run.duration)
+    return [None if k in stopped else part for k, part in enumerate(parts)]
