@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,14 +39,8 @@ if TYPE_CHECKING:
     Follow = Callable[[Array], tuple[Array, Array]]  # instants (m,) -> pose and rate (m, 6)
 
 
-@overload
-def simulate(motion: Motion | Plan, system: System | None = ..., **options: Any) -> RunLog: ...
-@overload
 def simulate(
-    motion: Sequence[Motion | Plan], system: System | None = ..., **options: Any
-) -> list[RunLog]: ...
-def simulate(
-    motion: Motion | Plan | Sequence[Motion | Plan],
+    motion: Motion | Plan,
     system: System | None = None,
     *,
     servo: JointServo | None = None,
@@ -58,11 +52,11 @@ def simulate(
     seed: int = 0,
     backend: str = "auto",
     note: str = "",
-) -> RunLog | list[RunLog]:
+) -> RunLog:
     """Play a motion on a system and record it, as `ves-gym simulate` does.
 
     Args:
-        motion: a motion or a plan; or several of one duration, simulated in lockstep.
+        motion: a motion or a plan.
         system: what is simulated; default the plan's own, else `System()`.
         servo: of the joints; default the plan's own, else the thesis's high gains.
         settle: how long the joints are held afterwards [s].
@@ -76,40 +70,31 @@ def simulate(
         note: text for the log.
 
     Returns:
-        The run log, or one per motion; a run that a safety stop ended is as long as it ran.
+        The run log; a run that a safety stop ended is as long as it ran.
 
     Raises:
-        ParameterError: a motion outside the joints' range, a plan without a motion, plans of
-            different systems, or a value out of its range.
+        ParameterError: a motion outside the joints' range, a plan without a motion, or
+            a value out of its range.
         Divergence: the simulation left the meaningful range.
     """
     from ves_gym.planners.query import Plan
     from ves_gym.simulation.playback import play_motions
 
-    several = isinstance(motion, Sequence)
-    items = list(motion) if isinstance(motion, Sequence) else [motion]
-    motions, queries = [], []
-    for item in items:
-        if isinstance(item, Plan):
-            if item.motion is None:
-                raise ParameterError(f"{item.planner} found no motion: {item.failure}")
-            queries.append(item.query)
-            motions.append(item.motion)
-        elif isinstance(item, Motion):
-            motions.append(item)
-        else:
-            raise ParameterError(f"simulate needs a Motion or a Plan, got {item!r}")
-    system = _system(system, queries[0].system if queries else None)
-    if servo is None:
-        servo = queries[0].servo if queries else HIGH_GAINS
-    for part in motions:
-        if part.n == system.arm.n:
-            require_limits(system.arm, part, ("position",))
+    if isinstance(motion, Plan):
+        answer, query = motion.motion, motion.query
+        if answer is None:
+            raise ParameterError(f"{motion.planner} found no motion: {motion.failure}")
+        motion, system, servo = answer, system or query.system, servo or query.servo
+    if not isinstance(motion, Motion):
+        raise ParameterError(f"simulate needs a Motion or a Plan, got {motion!r}")
+    system = _system(system)
+    if motion.n == system.arm.n:
+        require_limits(system.arm, motion, ("position",))
     default = system.physics_dt if system.mode == "ideal" else system.control_dt
     recording = play_motions(
         system,
-        motions,
-        servo=servo,
+        [motion],
+        servo=servo or HIGH_GAINS,
         settle=settle,
         record_dt=default if record_dt is None else record_dt,
         y=y,
@@ -118,8 +103,7 @@ def simulate(
         seed=seed,
         backend=backend,
     )
-    logs = [recording.log(i, note) for i in range(len(motions))]
-    return logs if several else logs[0]
+    return recording.log(0, note)
 
 
 def plan(
@@ -289,12 +273,23 @@ def diagnose(
     from ves_gym.diagnosis.data.sanity_checks import require_as_logged
     from ves_gym.diagnosis.diagnose import diagnose as name_missing
     from ves_gym.diagnosis.inference.model_selection import Thresholds
-    from ves_gym.diagnosis.inputs import system_inputs
+    from ves_gym.diagnosis.inputs import machine_inputs, system_inputs
 
-    sources = [logs] if isinstance(logs, (RunLog, str, os.PathLike)) else list(logs)
+    single = isinstance(logs, (RunLog, str, os.PathLike))
+    sources: list[Any] = [logs] if single else list(logs)  # type: ignore[arg-type]
     if not sources:
         raise ParameterError("diagnose needs at least one run log, got none")
-    inputs = system_inputs(sources, system, final=final, leave_out=leave_out, band=band)
+    if isinstance(most, bool) or not isinstance(most, int) or not 1 <= most <= 8:
+        raise ParameterError(f"most must be 1 to 8 effects, got {most!r}")
+    if system is None or isinstance(system, System):
+        for source in sources:
+            if not isinstance(source, (RunLog, str, os.PathLike)):
+                raise ParameterError(f"diagnose needs run logs or their files, got {source!r}")
+        inputs = system_inputs(sources, system, final=final, leave_out=leave_out, band=band)
+    elif hasattr(system, "residuals"):
+        inputs = machine_inputs(system, sources, final=final, leave_out=leave_out)
+    else:
+        raise ParameterError(f"system must be a System or a MjcfMachine, got {system!r}")
     if not as_logged:
         require_as_logged(inputs.machine, inputs.runs, inputs.mistakes)
     return name_missing(
@@ -526,9 +521,9 @@ def render(
 # ---------------------------------------------------------------------------- arguments
 
 
-def _system(system: System | None, default: System | None = None) -> System:
+def _system(system: System | None) -> System:
     if system is None:
-        return System() if default is None else default
+        return System()
     if not isinstance(system, System):
         raise ParameterError(f"system must be a System, got {system!r}")
     return system

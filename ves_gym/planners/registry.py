@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, TypeVar
 
 from ves_gym._util.params import ParameterError
@@ -47,8 +46,9 @@ def register_planner(planner: P) -> P:
         ParameterError: the name is taken, or something of a `Planner` is missing.
     """
     instance: Any = planner() if isinstance(planner, type) else planner
-    for part, kind in (("name", str), ("summary", str), ("find", Callable)):
-        if not isinstance(getattr(instance, part, None), kind):
+    for part in ("name", "summary", "find"):
+        value = getattr(instance, part, None)
+        if not (callable(value) if part == "find" else isinstance(value, str)):
             raise ParameterError(
                 "a planner needs name, summary and find(query, seed),"
                 f" got {instance!r} without {part}"
