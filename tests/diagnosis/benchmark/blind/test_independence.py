@@ -10,6 +10,7 @@ import ves_gym.diagnosis.benchmark.blind
 PACKAGE = Path(ves_gym.diagnosis.benchmark.blind.__file__).parent
 ROOT = PACKAGE.parents[2]
 SHARED = {
+    "ves_gym._util.optional",
     "ves_gym._util.params",
     "ves_gym._util.suggest",
     "ves_gym.system.runlog",
