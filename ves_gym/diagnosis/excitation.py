@@ -58,10 +58,12 @@ def excitation_motions(
     rows = [y[:, size > 0] / size[size > 0] for y in rows]
     total = _LEAST * np.eye(rows[0].shape[1])
     chosen: list[Motion] = []
-    left = list(range(len(drawn)))
+    remaining = list(range(len(drawn)))
     for _ in range(n):
-        gains = [np.linalg.slogdet(total + rows[k].T @ rows[k] / len(rows[k]))[1] for k in left]
-        k = left.pop(int(np.argmax(gains)))
+        gains = [
+            np.linalg.slogdet(total + rows[k].T @ rows[k] / len(rows[k]))[1] for k in remaining
+        ]
+        k = remaining.pop(int(np.argmax(gains)))
         total = total + rows[k].T @ rows[k] / len(rows[k])
         chosen.append(drawn[k])
     return chosen
@@ -92,8 +94,8 @@ def _moves(arm: Arm, j: int, t: Array, rng: np.random.Generator) -> Array:
     middle, half = (link.q_min + link.q_max) / 2, (link.q_max - link.q_min) / 2
     place = middle + _REACH * half * rng.uniform(-1, 1)
     out = np.full(len(t), place)
-    now, k = rng.uniform(*_REST), int(rng.integers(len(_TEMPI)))
-    while (room := t[-1] - _REST[0] - now) > _SHORTEST:
+    clock, k = rng.uniform(*_REST), int(rng.integers(len(_TEMPI)))
+    while (room := t[-1] - _REST[0] - clock) > _SHORTEST:
         goal = middle + _REACH * half * rng.uniform(-1, 1)
         longest = rng.uniform(_SHORTEST, min(room, _LONGEST))
         speed = _TEMPI[k % len(_TEMPI)] * link.v_max
@@ -101,9 +103,9 @@ def _moves(arm: Arm, j: int, t: Array, rng: np.random.Generator) -> Array:
         most = min(longest * speed / 1.875, longest**2 * 0.6 * link.a_max / 5.8)
         step = np.clip(goal - place, -most, most)
         span = longest * abs(step) / most
-        out += step * quintic((t - now) / span)
+        out += step * quintic((t - clock) / span)
         place, k = place + step, k + 1
-        now += span + rng.uniform(*_REST)
+        clock += span + rng.uniform(*_REST)
     return out
 
 

@@ -151,11 +151,11 @@ def mjcf_inputs(
 def _logs(sources: Sequence[Source]) -> tuple[list[Path], list[RunLog]]:
     """Names and logs; a log that is no file is called by its number."""
     paths: list[Path] = []
-    given: dict[Path, RunLog] = {}
+    in_memory: dict[Path, RunLog] = {}
     for source in sources:
         if isinstance(source, RunLog):
             paths.append(Path(f"log {len(paths) + 1}"))
-            given[paths[-1]] = source
+            in_memory[paths[-1]] = source
             continue
         path = Path(source)
         if path.is_dir():
@@ -166,7 +166,7 @@ def _logs(sources: Sequence[Source]) -> tuple[list[Path], list[RunLog]]:
         else:
             paths.append(path)
     _require_distinct(paths)
-    return paths, [given[p] if p in given else RunLog.load(p) for p in paths]
+    return paths, [in_memory[p] if p in in_memory else RunLog.load(p) for p in paths]
 
 
 def machine_inputs(
