@@ -71,7 +71,7 @@ def test_marker_runs_along_what_is_left():
     task, scene = env.task, env.batch.scene
     marker = task.marker(scene)
     np.testing.assert_array_equal(marker[:, :-5], task.path(scene)[:, 5:])
-    np.testing.assert_array_equal(marker[:, 0], task.wanted(scene))
+    np.testing.assert_array_equal(marker[:, 0], task.target(scene))
     np.testing.assert_array_equal(marker[:, -1], task.path(scene)[:, -1])
 
 

@@ -25,20 +25,22 @@ _ENTRY = "state"  # of the header
 
 
 def save_state(
-    path: str | os.PathLike[str], value: Any, given: Mapping[str, Any] | None = None
+    path: str | os.PathLike[str], value: Any, references: Mapping[str, Any] | None = None
 ) -> None:
     """Write nested state completely or not at all.
 
     Args:
         given: objects that the reader has; they are saved by name.
     """
-    packer = _Packer(given or {})
+    packer = _Packer(references or {})
     tree = {"value": packer.pack(value), "systems": packer.systems}
     data = _safetensors().save(packer.arrays, metadata={_ENTRY: json.dumps(tree)})
     write_bytes(path, data)
 
 
-def load_state(path: str | os.PathLike[str], given: Mapping[str, Any] | None = None) -> Any:
+def load_state(
+    path: str | os.PathLike[str], references: Mapping[str, Any] | None = None
+) -> Any:
     """Read what `save_state` wrote.
 
     Args:
@@ -60,28 +62,28 @@ def load_state(path: str | os.PathLike[str], given: Mapping[str, Any] | None = N
     except (SafetensorError, ValueError, KeyError) as error:
         raise ParameterError(f"{path}: no checkpoint: {error}") from None
     systems = [System.from_dict(plain, str(path)) for plain in tree["systems"]]
-    return _unpack(tree["value"], arrays, systems, given or {})
+    return _unpack(tree["value"], arrays, systems, references or {})
 
 
 class _Packer:
-    def __init__(self, given: Mapping[str, Any]) -> None:
-        self.given = {id(value): name for name, value in given.items()}
+    def __init__(self, references: Mapping[str, Any]) -> None:
+        self.references = {id(value): name for name, value in references.items()}
         self.arrays: dict[str, Array] = {}
         self.systems: list[Any] = []
-        self._seen: dict[str, int] = {}  # hash of a system -> its place
+        self._places: dict[str, int] = {}  # hash of a system -> its place
 
     def pack(self, value: Any) -> Any:
         """What JSON can hold; arrays and systems go to their lists."""
         if value is None or isinstance(value, (bool, str)) or type(value) in (int, float):
             return value
-        if id(value) in self.given:
-            return {_TAG: "given", "name": self.given[id(value)]}
+        if id(value) in self.references:
+            return {_TAG: "given", "name": self.references[id(value)]}
         if isinstance(value, (np.ndarray, np.generic)):
             return self._array(np.asarray(value), "array")
         if type(value).__module__ == "torch":  # a Tensor
             return self._array(value.detach().cpu().numpy(), "tensor")
         if isinstance(value, System):
-            at = self._seen.setdefault(value.hash, len(self.systems))
+            at = self._places.setdefault(value.hash, len(self.systems))
             if at == len(self.systems):
                 self.systems.append(value.to_dict())
             return {_TAG: "system", "at": at}
@@ -109,19 +111,19 @@ class _Packer:
         name = str(len(self.arrays))
         # sums may depend on the order in memory: it is kept
         turned = array.ndim > 1 and array.flags.f_contiguous and not array.flags.c_contiguous
-        kept = array.T if turned else array
-        self.arrays[name] = np.ascontiguousarray(kept).reshape(kept.shape)
+        stored = array.T if turned else array
+        self.arrays[name] = np.ascontiguousarray(stored).reshape(stored.shape)
         return {_TAG: kind, "at": name, **({"turned": True} if turned else {})}
 
 
 def _unpack(
-    tree: Any, arrays: Mapping[str, Array], systems: list[System], given: Mapping[str, Any]
+    tree: Any, arrays: Mapping[str, Array], systems: list[System], references: Mapping[str, Any]
 ) -> Any:
-    def each(items: list[Any]) -> list[Any]:
-        return [_unpack(item, arrays, systems, given) for item in items]
+    def unpack_all(items: list[Any]) -> list[Any]:
+        return [_unpack(item, arrays, systems, references) for item in items]
 
     if isinstance(tree, list):
-        return each(tree)
+        return unpack_all(tree)
     if not isinstance(tree, dict):
         return tree
     kind = tree[_TAG]
@@ -134,14 +136,14 @@ def _unpack(
 
         return torch.from_numpy(array)
     if kind == "given":
-        return given[tree["name"]]
+        return references[tree["name"]]
     if kind == "system":
         return systems[tree["at"]]
     if kind == "tuple":
-        return tuple(each(tree["of"]))
+        return tuple(unpack_all(tree["of"]))
     if kind == "dict":
-        return dict(map(each, tree["of"]))
-    return _build(tree["class"], dict(map(each, tree["of"])))
+        return dict(map(unpack_all, tree["of"]))
+    return _build(tree["class"], dict(map(unpack_all, tree["of"])))
 
 
 def _is_ours(cls: type) -> bool:

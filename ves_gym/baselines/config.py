@@ -128,19 +128,19 @@ def find_configs(env: str, algorithm: str | None = None) -> list[TrainConfig]:
     An ...Emulated id without its own is trained as its ideal twin.
     """
     every = [read_config(path) for path in sorted(CONFIGS.glob("*.toml"))]
-    wanted = (None, *ALGORITHMS, *(c.label for c in every))
-    if algorithm not in wanted:
+    choices = (None, *ALGORITHMS, *(c.label for c in every))
+    if algorithm not in choices:
         names = sorted({c.label for c in every})
         raise ParameterError(
             f"algorithm must be one of {', '.join(names)}, got {algorithm!r}"
             f"{did_you_mean(algorithm, names)}"
         )
     chosen = [c for c in every if algorithm in (None, c.label, c.algorithm)]
-    found = [c for c in chosen if c.env == env]
-    if not found:
+    matching = [c for c in chosen if c.env == env]
+    if not matching:
         twin = env.replace("Emulated-v", "-v")
-        found = [dataclasses.replace(c, env=env) for c in chosen if c.env == twin]
-    return found
+        matching = [dataclasses.replace(c, env=env) for c in chosen if c.env == twin]
+    return matching
 
 
 def choose_config(source: str | os.PathLike[str], algorithm: str | None = None) -> TrainConfig:

@@ -82,7 +82,7 @@ class Random:
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
-        return _now(env, self._actions)
+        return _row_of_step(env, self._actions)
 
 
 class Hold:
@@ -120,8 +120,8 @@ class Hold:
         if isinstance(control, Gains):
             return np.tile(gains_action(control, kp, kd), (env.num_envs, 1))
         if isinstance(control, Torque):
-            own = control.damping if control.damping is not None else (0.0,)
-            tau = kp * (self._place - s.q) - (kd - np.resize(own, len(kd))) * s.v
+            damping = control.damping if control.damping is not None else (0.0,)
+            tau = kp * (self._place - s.q) - (kd - np.resize(damping, len(kd))) * s.v
             return _torque_action(env, control, tau)
         return np.zeros((env.num_envs, env.batch.width))  # the reference rests where it is
 
@@ -179,36 +179,36 @@ class Follow:
             v_max=tuple(arm.column("v_max").tolist()),
             servo=HIGH_GAINS if task.control.level == "torque" else task.control.servo,
         )
-        found = solve(get_planner(self.planner), query, self.seed).motion
-        return query.straight if found is None else found  # better than not to move
+        motion = solve(get_planner(self.planner), query, self.seed).motion
+        return query.straight if motion is None else motion  # better than not to move
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
         control, s, arm = env.task.control, env.batch.scene, env.task.system.arm
-        wanted = _now(env, self._plan, ahead=1)
+        target = _row_of_step(env, self._plan, ahead=1)
         if isinstance(control, Torque):
-            q, v, a = np.moveaxis(_now(env, self._plan), 1, 0)
+            q, v, a = np.moveaxis(_row_of_step(env, self._plan), 1, 0)
             a = a + _TORQUE_FOLLOW * (2 * (v - s.v) + _TORQUE_FOLLOW * (q - s.q))
             tau = inverse_dynamics(arm, s.q, s.v, a)[0]
             if control.damping is not None:  # what the control takes off again
                 tau = tau + np.resize(control.damping, arm.n) * s.v
             return _torque_action(env, control, tau)
-        return reference_action(env, control, wanted)
+        return reference_action(env, control, target)
 
 
-def reference_action(env: VesVectorEnv, control: Control, wanted: Array) -> Array:
-    """Actions that lead the reference to `wanted` (n, 3, joints) at the period's end.
+def reference_action(env: VesVectorEnv, control: Control, target: Array) -> Array:
+    """Actions that lead the reference to `target` (n, 3, joints) at the period's end.
 
     Within a period the reference moves linearly with the action. One number per joint cannot
     set angle, rate and acceleration at once: it sets a + 2 c v + c^2 q, so that what is left
     of all three dies away like exp(-c t).
     """
     s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
-    left = np.asarray(env.task.duration - env.batch.episodes.steps * dt, dtype=np.float64)
+    remaining = np.asarray(env.task.duration - env.batch.episodes.steps * dt, dtype=np.float64)
     ends = []
     for small in (-_SMALL, _SMALL):  # at a speed limit only one of them does anything
         moving = SimpleNamespace(time=s.time, q=s.q, v=s.v, ref=s.ref.copy(), goal=s.goal)
-        control.advance(moving, np.full_like(s.q, small), arm, dt, left)
+        control.advance(moving, np.full_like(s.q, small), arm, dt, remaining)
         ends.append(moving.ref)
     c = _FOLLOW
     mix = np.array([c * c, 2 * c, 1.0])
@@ -216,7 +216,7 @@ def reference_action(env: VesVectorEnv, control: Control, wanted: Array) -> Arra
         mix = np.array([1.0, 0.0, 0.0])
     still, slope = mix @ (ends[0] + ends[1]) / 2, mix @ (ends[1] - ends[0]) / (2 * _SMALL)
     free = np.abs(slope) > 0  # the last periods of guided are not
-    action = np.where(free, (mix @ wanted - still) / np.where(free, slope, 1.0), 0.0)
+    action = np.where(free, (mix @ target - still) / np.where(free, slope, 1.0), 0.0)
     return np.clip(action, -1.0, 1.0)
 
 
@@ -251,8 +251,8 @@ class Optimal:
 def gains_action(control: Gains, kp: Array, kd: Array) -> Array:
     """The action of control pd_gains that sets gains (joints,), within its range."""
     parts = []
-    for (low, high), wanted in ((control.kp, kp), (control.kd, kd)):
-        parts.append(2 * np.log(np.clip(wanted, low, high) / low) / np.log(high / low) - 1)
+    for (low, high), gain in ((control.kp, kp), (control.kd, kd)):
+        parts.append(2 * np.log(np.clip(gain, low, high) / low) / np.log(high / low) - 1)
     return np.concatenate(parts)
 
 
@@ -261,7 +261,7 @@ def _torque_action(env: VesVectorEnv, control: Torque, tau: Array) -> Array:
     return np.clip(tau / full, -1.0, 1.0)
 
 
-def _now(env: VesVectorEnv, table: Array, ahead: int = 0) -> Array:
+def _row_of_step(env: VesVectorEnv, table: Array, ahead: int = 0) -> Array:
     """Rows of a table (n, steps, ...) for each episode's present step."""
     at = np.minimum(env.batch.episodes.steps + ahead, table.shape[1] - 1)
     return table[np.arange(env.num_envs), at]

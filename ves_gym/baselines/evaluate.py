@@ -54,10 +54,10 @@ class Evaluation:
         groups: dict[int, dict[int, float]] = {}
         for row in self.rows:
             groups.setdefault(row["group"], {})[row["seed"]] = float(row[measure])
-        some = list(groups.values())
-        if len(some) > 1 and all(g.keys() == some[0].keys() for g in some):
-            return [np.array([[g[seed] for g in some] for seed in some[0]])]
-        return [np.array(list(g.values())) for g in some]
+        strata = list(groups.values())
+        if len(strata) > 1 and all(g.keys() == strata[0].keys() for g in strata):
+            return [np.array([[g[seed] for g in strata] for seed in strata[0]])]
+        return [np.array(list(g.values())) for g in strata]
 
     def summary(self) -> dict[str, Any]:
         """Mean, median and interquartile mean of the measures, and the rates of success."""
@@ -152,9 +152,9 @@ def spec_of(id: str) -> EnvSpec:
     try:
         return gym.spec(id)
     except gym.error.Error as error:
-        known = sorted(k for k in gym.registry if k.startswith("ves/"))
+        ids = sorted(k for k in gym.registry if k.startswith("ves/"))
         raise ParameterError(
-            f"{error}; known: {', '.join(known)}{did_you_mean(id, known)}"
+            f"{error}; known: {', '.join(ids)}{did_you_mean(id, ids)}"
         ) from None
 
 

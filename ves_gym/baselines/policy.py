@@ -81,14 +81,14 @@ class Policy:
     about: Mapping[str, Any] = field(default_factory=dict)  # where it comes from, plain data
     name: str = "policy"
     privileged: ClassVar[bool] = False  # it sees what the observation holds
-    _held: Array | None = field(default=None, init=False, repr=False, compare=False)
+    _action: Array | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         sizes = self.network.sizes
-        wanted = list(itertools.pairwise(sizes))
+        shapes = list(itertools.pairwise(sizes))
         got = [W.shape for W, _ in self.weights]
-        if got != wanted or [b.shape for _, b in self.weights] != [(k,) for k in sizes[1:]]:
-            raise ParameterError(f"policy weights must have shapes {wanted}, got {got}")
+        if got != shapes or [b.shape for _, b in self.weights] != [(k,) for k in sizes[1:]]:
+            raise ParameterError(f"policy weights must have shapes {shapes}, got {got}")
         if not all(np.isfinite(W).all() and np.isfinite(b).all() for W, b in self.weights):
             raise ParameterError("policy weights must be finite")
 
@@ -110,13 +110,13 @@ class Policy:
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """Actions (n, a) of observations (n, o); of the environment only its clock is read."""
         due = env.batch.episodes.steps % self.network.hold == 0
-        held = self._held
-        if held is None or len(held) != len(due) or due.all():
-            held = self(observation)
+        action = self._action
+        if action is None or len(action) != len(due) or due.all():
+            action = self(observation)
         elif due.any():
-            held = np.where(due[:, None], self(observation), held)
-        self._held = held
-        return held.copy()
+            action = np.where(due[:, None], self(observation), action)
+        self._action = action
+        return action.copy()
 
     def __call__(self, observation: Any) -> Array:
         """Actions (n, a) of observations (n, o), in [-1, 1]."""
@@ -177,10 +177,10 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
         path = RELEASED / f"{path}.json"
     path = _json(path)
     plain = read_table(path)
-    known = ("schema", "network", "weights", "about")
-    if plain.get("schema") != SCHEMA or set(plain) != set(known):
+    keys = ("schema", "network", "weights", "about")
+    if plain.get("schema") != SCHEMA or set(plain) != set(keys):
         raise ParameterError(
-            f"{path}: expected a policy {SCHEMA} with {', '.join(known)}, got"
+            f"{path}: expected a policy {SCHEMA} with {', '.join(keys)}, got"
             f" {plain.get('schema')!r} with {', '.join(plain)}"
         )
     network: Network = from_plain(Network, plain["network"], f"{path}: network")
@@ -209,9 +209,9 @@ def released(id: str) -> dict[str, Path]:
     An ...Emulated id without its own has those of its ideal twin.
     """
     name = id.rpartition("/")[2].rpartition("-v")[0]
-    found = sorted((RELEASED / name).glob("*.json"))
-    found = found or sorted((RELEASED / name.removesuffix("Emulated")).glob("*.json"))
-    return {path.stem: path for path in found}
+    files = sorted((RELEASED / name).glob("*.json"))
+    files = files or sorted((RELEASED / name.removesuffix("Emulated")).glob("*.json"))
+    return {path.stem: path for path in files}
 
 
 def _json(path: str | os.PathLike[str]) -> Path:
@@ -311,7 +311,7 @@ def read_sb3_zip(path: str | os.PathLike[str], algorithm: str, *, trusted: bool)
     return from_sb3(model, name=Path(path).stem)
 
 
-def versions(*more: str) -> dict[str, str]:
+def versions(*packages: str) -> dict[str, str]:
     """What ran: ves_gym, Python, NumPy and the packages named."""
-    found = {name: version(name) for name in ("numpy", "gymnasium", *more)}
-    return {"ves_gym": __version__, "python": platform.python_version(), **found}
+    installed = {name: version(name) for name in ("numpy", "gymnasium", *packages)}
+    return {"ves_gym": __version__, "python": platform.python_version(), **installed}

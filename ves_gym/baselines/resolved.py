@@ -70,20 +70,20 @@ class Resolved:
         """See `Controller`."""
         s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
         rows, step = np.arange(env.num_envs), env.batch.episodes.steps
-        before, now, then = (
+        before, present, then = (
             self._plan[rows, np.minimum(step + k, env.task.steps + 1)] for k in (0, 1, 2)
         )
         y = s.y_seen + dt * s.yd_seen  # of the base at the period's end
-        reach = joint_positions(arm, now)[:, -1]
-        wanted = self._path[rows, np.minimum(step + 1, env.task.steps)] - y[:, :3]
-        gap = matvec(np.swapaxes(rotation(y), -1, -2), wanted) - reach
+        reach = joint_positions(arm, present)[:, -1]
+        offset = self._path[rows, np.minimum(step + 1, env.task.steps)] - y[:, :3]
+        gap = matvec(np.swapaxes(rotation(y), -1, -2), offset) - reach
         base = twist(y, s.yd_seen)
         drift = base[:, :3] + np.cross(base[:, 3:], reach)  # of the tool with the base
-        inverse = _inverse(tool_jacobian(arm, now))
+        inverse = _inverse(tool_jacobian(arm, present))
         reference = [
-            now + matvec(inverse, gap),
+            present + matvec(inverse, gap),
             (then - before) / (2 * dt) - matvec(inverse, drift),
-            (then - 2 * now + before) / dt**2,
+            (then - 2 * present + before) / dt**2,
         ]
         return reference_action(env, env.task.control, np.stack(reference, axis=1))
 

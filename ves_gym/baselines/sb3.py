@@ -101,7 +101,7 @@ class Sb3VecEnv(VecEnv):
             if ended.any():
                 failed = info["reward/failure"] < 0
                 limit = ~failed if self.endless else truncated & ~terminated
-                infos = self._tell(infos, ended, limit, info)
+                infos = self._annotate(infos, ended, limit, info)
                 done |= ended
         if done.any():
             batch.reset(np.flatnonzero(done))
@@ -109,7 +109,7 @@ class Sb3VecEnv(VecEnv):
         self.stepping += time.perf_counter() - start
         return observation, (self.reward_scale * reward).astype(np.float32), done, infos
 
-    def _tell(
+    def _annotate(
         self, infos: list[dict[str, Any]], ended: Mask, truncated: Mask, info: dict[str, Any]
     ) -> list[dict[str, Any]]:
         """The infos, with those of episodes that have just ended."""
@@ -129,8 +129,8 @@ class Sb3VecEnv(VecEnv):
         return out
 
     def _smoothed(self) -> Array:
-        seen = self._observe()
-        gap = seen["achieved_goal"].astype(float) - seen["desired_goal"]
+        observation = self._observe()
+        gap = observation["achieved_goal"].astype(float) - observation["desired_goal"]
         d = np.linalg.norm(gap, axis=1)
         return -d / (d + self.smooth)
 
@@ -180,5 +180,5 @@ class Sb3VecEnv(VecEnv):
         self.env.close()
 
     def _indices(self, indices: Any) -> Iterable[int]:
-        found: Iterable[int] = self._get_indices(indices)
-        return found
+        chosen: Iterable[int] = self._get_indices(indices)
+        return chosen

@@ -140,12 +140,12 @@ class _Run:
         self.earlier = 0.0  # s, before the run was last resumed
         self.stepping = 0.0  # s of them in the environment
         self.saved = -1  # steps at the last checkpoint
-        self.made = {  # what a checkpoint must agree with
+        self.identity = {  # what a checkpoint must agree with
             "schema": SCHEMA,
             "config": {**config.to_dict(), "seeds": [seed]},
             "task": content_hash(env.task),
         }
-        self.given = {"task": env.task}
+        self.references = {"task": env.task}
         if (folder / CHECKPOINT).exists():
             self._restore(self._read(folder / CHECKPOINT))
         self.begin = time.perf_counter()
@@ -155,10 +155,13 @@ class _Run:
     def learn(self) -> list[dict[str, Any]]:
         """Train to the end."""
         total = self.config.total_timesteps
-        left = total - self.model.num_timesteps
-        if left > 0:
+        remaining = total - self.model.num_timesteps
+        if remaining > 0:
             self.model.learn(
-                left, callback=_callback(self), log_interval=None, reset_num_timesteps=False
+                remaining,
+                callback=_callback(self),
+                log_interval=None,
+                reset_num_timesteps=False,
             )
         self.between_rollouts(last=True)
         return self.rows
@@ -209,8 +212,8 @@ class _Run:
     def _judge(self, steps: int) -> None:
         """A row of the curve, and the policies' files."""
         policy = self._policy(steps)
-        found = self._evaluate(policy)
-        mean = bootstrap(found.values("return"), STATISTICS["mean"])
+        evaluation = self._evaluate(policy)
+        mean = bootstrap(evaluation.values("return"), STATISTICS["mean"])
         seconds, stepping = self._time()
         row: dict[str, Any] = {
             "steps": steps,
@@ -219,16 +222,16 @@ class _Run:
             "return_high": mean.high,
         }
         for name in ("success", "success_once"):
-            row[name] = rate(np.concatenate(found.values(name)) > 0).value
+            row[name] = rate(np.concatenate(evaluation.values(name)) > 0).value
         for name in ("E_mean", "E_peak", "E_int"):
-            row[name] = _finite(np.median(np.concatenate(found.values(name))))
-            row[f"{name}_ratio"] = self._ratio(found, name)
+            row[name] = _finite(np.median(np.concatenate(evaluation.values(name))))
+            row[f"{name}_ratio"] = self._ratio(evaluation, name)
         row["train_episodes"] = len(self.returns)
         row["train_return"] = float(np.mean(self.returns)) if self.returns else None
         row["train_success"] = self.solved / len(self.returns) if self.returns else None
-        told = self.model.logger.name_to_value
+        logged = self.model.logger.name_to_value
         row["train"] = {
-            k.removeprefix("train/"): _finite(v) for k, v in told.items() if "train/" in k
+            k.removeprefix("train/"): _finite(v) for k, v in logged.items() if "train/" in k
         }
         row["seconds"], row["seconds_stepping"] = round(seconds, 3), round(stepping, 3)
         self.returns, self.solved = [], 0
@@ -237,9 +240,9 @@ class _Run:
         self.rows.append(row)
         self._write(policy)
 
-    def _ratio(self, found: Evaluation, measure: str) -> float | None:
+    def _ratio(self, evaluation: Evaluation, measure: str) -> float | None:
         try:
-            return _finite(ratio(found, self.zero, measure).value)
+            return _finite(ratio(evaluation, self.zero, measure).value)
         except ParameterError:  # a base that nothing moves
             return None
 
@@ -266,7 +269,7 @@ class _Run:
         seconds, stepping = self._time()
         self.saved = steps
         state = {
-            **self.made,
+            **self.identity,
             "versions": _versions(),
             "rows": self.rows,
             "best": self.best,
@@ -286,11 +289,11 @@ class _Run:
                 model.action_space.np_random.bit_generator.state,
             ),
         }
-        save_state(self.folder / CHECKPOINT, state, self.given)
+        save_state(self.folder / CHECKPOINT, state, self.references)
 
     def _read(self, path: Path) -> dict[str, Any]:
-        state: dict[str, Any] = load_state(path, self.given)
-        for name, value in self.made.items():
+        state: dict[str, Any] = load_state(path, self.references)
+        for name, value in self.identity.items():
             if state.get(name) != value:
                 raise ParameterError(
                     f"{path} is of another run: its {name} is {state.get(name)}, this one's"
@@ -336,18 +339,18 @@ def _model(config: TrainConfig, seed: int, venv: Any) -> Any:
     from stable_baselines3.common.logger import Logger
 
     cls = getattr(stable_baselines3, config.algorithm)
-    given = dict(config.hyperparameters)
-    known = [k for k in inspect.signature(cls).parameters if k != "policy_kwargs"]
-    unknown = [k for k in given if k not in known]
+    settings = dict(config.hyperparameters)
+    parameters = [k for k in inspect.signature(cls).parameters if k != "policy_kwargs"]
+    unknown = [k for k in settings if k not in parameters]
     if unknown:
         raise ParameterError(
             f"{config.algorithm} has no hyper-parameter {unknown[0]!r}; known:"
-            f" {', '.join(known)}{did_you_mean(unknown[0], known)}"
+            f" {', '.join(parameters)}{did_you_mean(unknown[0], parameters)}"
         )
-    rate, end = given.pop("learning_rate", 3e-4), config.final_rate
+    rate, end = settings.pop("learning_rate", 3e-4), config.final_rate
     if config.her is not None:
-        given["replay_buffer_class"] = stable_baselines3.HerReplayBuffer
-        given["replay_buffer_kwargs"] = config.her
+        settings["replay_buffer_class"] = stable_baselines3.HerReplayBuffer
+        settings["replay_buffer_kwargs"] = config.her
     kwargs: dict[str, Any] = {
         "net_arch": list(config.layers),
         "activation_fn": {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[config.activation],
@@ -358,11 +361,11 @@ def _model(config: TrainConfig, seed: int, venv: Any) -> Any:
         model = cls(
             "MultiInputPolicy" if venv.env.goal else "MlpPolicy",
             venv,
-            learning_rate=lambda left: rate * (end + (1 - end) * max(0.0, left)),
+            learning_rate=lambda remaining: rate * (end + (1 - end) * max(0.0, remaining)),
             policy_kwargs=kwargs,
             seed=seed,
             device="cpu",
-            **given,
+            **settings,
         )
     except (TypeError, AssertionError) as error:
         raise ParameterError(f"{config.algorithm}: {error}") from error
@@ -453,14 +456,14 @@ def _refill(buffer: Any, state: dict[str, Any]) -> None:
 
 def _stored(buffer: Any) -> dict[str, Any]:
     """Every array of numbers with a row per transition; parts of dictionaries by both names."""
-    found = {}
+    flat = {}
     for name, value in vars(buffer).items():
         parts = value if isinstance(value, dict) else {"": value}
         for key, array in parts.items():
             rows = isinstance(array, np.ndarray) and array.dtype != object and array.ndim > 1
             if rows and len(array) == buffer.buffer_size:
-                found[f"{name}/{key}"] = array
-    return found
+                flat[f"{name}/{key}"] = array
+    return flat
 
 
 def _finite(value: Any) -> float | None:
@@ -487,7 +490,7 @@ def train_seeds(
         progress: called with the seed, the fraction done and a few words.
     """
     require("training", *PACKAGES)
-    tell = progress or (lambda seed, done, note: None)
+    report = progress or (lambda seed, done, note: None)
     folder = Path(folder)
     for seed in seeds:  # before the first is trained for an hour
         _require_free(folder / f"seed-{seed}", resume)
@@ -498,13 +501,13 @@ def train_seeds(
                 seed,
                 folder / f"seed-{seed}",
                 resume=resume,
-                progress=lambda done, note, seed=seed: tell(seed, done, note),  # type: ignore[misc]
+                progress=lambda done, note, seed=seed: report(seed, done, note),  # type: ignore[misc]
             )
             for seed in seeds
         }
     with Workers(min(workers, len(seeds))) as pool:
         jobs = {
-            seed: pool.submit(_job, config, seed, folder / f"seed-{seed}", on_note=tell)
+            seed: pool.submit(_job, config, seed, folder / f"seed-{seed}", on_note=report)
             for seed in seeds
         }
         try:

@@ -29,19 +29,19 @@ class ActionError(ValueError):
 
 def checked(action: Any, shape: tuple[int, ...]) -> Array:
     """An action, or those of a batch, as float64; an `ActionError` says what is wrong."""
-    wanted = f"an action must be finite numbers of shape {shape}, got"
+    expected = f"an action must be finite numbers of shape {shape}, got"
     try:
-        given = np.asarray(action)
+        numbers = np.asarray(action)
     except ValueError:
-        raise ActionError(f"{wanted} ragged rows") from None
-    if given.dtype.kind not in "fiu":
-        raise ActionError(f"{wanted} {action!r}")
-    if given.shape != shape:
-        raise ActionError(f"{wanted} {given.shape}")
-    out = given.astype(np.float64)
+        raise ActionError(f"{expected} ragged rows") from None
+    if numbers.dtype.kind not in "fiu":
+        raise ActionError(f"{expected} {action!r}")
+    if numbers.shape != shape:
+        raise ActionError(f"{expected} {numbers.shape}")
+    out = numbers.astype(np.float64)
     if not np.isfinite(out).all():
         where = np.argwhere(~np.isfinite(out))[0].tolist()
-        raise ActionError(f"{wanted} {out[tuple(where)]} at {where}")
+        raise ActionError(f"{expected} {out[tuple(where)]} at {where}")
     return out
 
 
@@ -155,7 +155,7 @@ class Batch:
         s.goal[ids], s.memory[ids], s.tail[ids] = begin.goal, 0.0, 0.0
         for k in (e.steps, e.clipped, e.once, e.total, e.sums):
             k[ids] = 0
-        self._look()
+        self._update_scene()
         s.tau[ids] = self._command()[ids]
         e.peaks[ids] = s.energies[ids]
         if self.recorder is not None:
@@ -208,7 +208,7 @@ class Batch:
             actions = np.clip(actions, -1.0, 1.0)
         self._drive(actions)
         before = s.energies
-        self._look()
+        self._update_scene()
         e.steps += 1
         task.remember(s, self.dt)
         e.sums += (before + s.energies) * (self.dt / 2)
@@ -268,8 +268,10 @@ class Batch:
         return reward, terminated, truncated, info
 
     def _drive(self, action: Array) -> None:
-        left = np.subtract(self.task.duration, self.episodes.steps * self.dt, dtype=np.float64)
-        self.task.control.drive(self.sim, self.scene, action, left, self._command)
+        remaining = np.subtract(
+            self.task.duration, self.episodes.steps * self.dt, dtype=np.float64
+        )
+        self.task.control.drive(self.sim, self.scene, action, remaining, self._command)
 
     def _command(self) -> Array:
         """Drive command that follows the reference as it is now."""
@@ -283,7 +285,7 @@ class Batch:
             out = out + self._torques(s.ref)
         return np.asarray(out, dtype=np.float64)
 
-    def _look(self) -> None:
+    def _update_scene(self) -> None:
         """Read the state into the scene."""
         s, sim = self.scene, self.sim
         s.time, s.y, s.yd, s.q, s.v = sim.last_state
@@ -322,23 +324,29 @@ class Batch:
 
     def get_state(self) -> Any:
         """Everything needed to continue exactly from here; picklable."""
-        held = (self.scene, self.episodes, self.drawn)
-        kept = None if self.recorder is None else self.recorder.get_state()
-        return self.task, copy.deepcopy(held), tuple(self._space), self.sim.snapshot(), kept
+        episodes_state = (self.scene, self.episodes, self.drawn)
+        recorded = None if self.recorder is None else self.recorder.get_state()
+        return (
+            self.task,
+            copy.deepcopy(episodes_state),
+            tuple(self._space),
+            self.sim.snapshot(),
+            recorded,
+        )
 
     def set_state(self, state: Any) -> None:
         """Return to a state handed out by `get_state` of a batch of the same task and n."""
-        task, held, space, snapshot, kept = state
+        task, episodes_state, space, snapshot, recorded = state
         if task != self.task:
             raise ParameterError(
                 f"snapshot is of task {task.kind} {content_hash(task)[:12]}, this is"
                 f" {self.task.kind} {content_hash(self.task)[:12]}"
             )
         self.sim.restore(snapshot)  # refuses what does not fit, before anything changes
-        self.scene, self.episodes, self.drawn = copy.deepcopy(held)
+        self.scene, self.episodes, self.drawn = copy.deepcopy(episodes_state)
         self._space = list(space)
         if self.task.randomize:
             self._scenes.assign(np.arange(self.n), self._space)
             self._torques.assign(np.arange(self.n), self._space)
         if self.recorder is not None:
-            self.recorder.set_state(kept)
+            self.recorder.set_state(recorded)

@@ -118,10 +118,10 @@ def get_task(task: str | type[Task]) -> type[Task]:
     if ":" in task:
         module, _, name = task.partition(":")
         try:
-            found = getattr(importlib.import_module(module), name)
+            cls = getattr(importlib.import_module(module), name)
         except (ImportError, AttributeError) as error:
             raise ParameterError(f"task {task!r} cannot be imported: {error}") from error
-        return get_task(found)
+        return get_task(cls)
     if task in _FILES:
         importlib.import_module(f"ves_gym.envs.{task}")
     if task not in TASKS:
@@ -162,33 +162,33 @@ def _system(start: System, system: Any, mode: Any, vehicle: Any, effects: Any) -
     return start.replace(**changes)
 
 
-def _effects(given: Any) -> tuple[Effect, ...]:
-    if isinstance(given, str):
-        if given != "laboratory":
-            raise ParameterError(f"effects must be a list or 'laboratory', got {given!r}")
+def _effects(effects: Any) -> tuple[Effect, ...]:
+    if isinstance(effects, str):
+        if effects != "laboratory":
+            raise ParameterError(f"effects must be a list or 'laboratory', got {effects!r}")
         from ves_gym.effects.budget import LABORATORY_ERRORS  # the laboratory's modules
 
         return LABORATORY_ERRORS
     out = []
-    for i, effect in enumerate(given):
+    for i, effect in enumerate(effects):
         if not isinstance(effect, Effect):
             effect = from_plain(Effect, effect, f"effects[{i}]")
         out.append(effect)
     return tuple(out)
 
 
-def _control(given: str | Mapping[str, Any] | Control) -> Control:
-    if isinstance(given, Control):
-        return given
-    if isinstance(given, str):
-        return get_control(given)
-    control: Control = from_plain(Control, given, "control")
+def _control(control_spec: str | Mapping[str, Any] | Control) -> Control:
+    if isinstance(control_spec, Control):
+        return control_spec
+    if isinstance(control_spec, str):
+        return get_control(control_spec)
+    control: Control = from_plain(Control, control_spec, "control")
     return control
 
 
-def _ranges(given: Mapping[str, Mapping[str, Any]]) -> tuple[Range, ...]:
+def _ranges(spec: Mapping[str, Mapping[str, Any]]) -> tuple[Range, ...]:
     out = []
-    for effect, parameters in given.items():
+    for effect, parameters in spec.items():
         if not isinstance(parameters, Mapping):
             raise ParameterError(
                 f"randomize[{effect!r}] must map parameters to (low, high), got {parameters!r}"

@@ -72,10 +72,8 @@ class Control:
     def check(self, system: System, duration: float) -> None:
         """Raise ParameterError where the control does not fit a system or a duration [s]."""
         if system.drive not in self.drives:
-            wanted = " or ".join(self.drives)
-            raise ParameterError(
-                f"control {self.kind} needs drive {wanted}, got {system.drive}"
-            )
+            kinds = " or ".join(self.drives)
+            raise ParameterError(f"control {self.kind} needs drive {kinds}, got {system.drive}")
         if system.drive == "motor" and len(self.servo.kp) not in (system.arm.n, 3):
             raise ParameterError(
                 f"control {self.kind}: servo must have gains for {system.arm.n} joints, got"
@@ -83,7 +81,12 @@ class Control:
             )
 
     def drive(
-        self, sim: Simulator, s: Driven, action: Array, left: Array, follow: Callable[[], Array]
+        self,
+        sim: Simulator,
+        s: Driven,
+        action: Array,
+        remaining: Array,
+        follow: Callable[[], Array],
     ) -> None:
         """Run one control period: here, from the last command to that of the moved reference.
 
@@ -91,11 +94,11 @@ class Control:
             action: (n, width) in [-1, 1]. left: (n,) s until the deadline, before the period.
             follow: drive command (n, joints) that follows the reference as it is then.
         """
-        self.advance(s, action, sim.system.arm, sim.system.control_dt, left)
+        self.advance(s, action, sim.system.arm, sim.system.control_dt, remaining)
         start, s.tau = s.tau, follow()
         sim.step(start, until=s.tau)
 
-    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, left: Array) -> None:
+    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
         """Move the reference on by one period."""
 
 
@@ -140,10 +143,10 @@ class Guided(Control):
                 f" {duration:g} s"
             )
 
-    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, left: Array) -> None:
+    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
         """See `Control`."""
         table = _guidance(dt)
-        periods = np.minimum(np.rint(left / dt).astype(np.intp), len(table) - 1)
+        periods = np.minimum(np.rint(remaining / dt).astype(np.intp), len(table) - 1)
         goal = s.goal[:, None, : arm.n]
         moved = table[periods] @ np.concatenate([s.ref, goal], axis=1)
         free = (periods > 2)[:, None] * self.jerk * action
@@ -157,8 +160,8 @@ def _guidance(dt: float) -> Array:
     q(t) = q + v t + a t^2/2 + c3 t^3 + c4 t^4 + c5 t^5 with rest at the goal at the deadline.
     """
     T = np.maximum(np.arange(_LONGEST / dt), 1.0) * dt
-    one, none = np.ones_like(T), np.zeros_like(T)
-    gap = np.stack([-one, -T, -T * T / 2, one])  # each column: weight of q, v, a, goal
+    ones, none = np.ones_like(T), np.zeros_like(T)
+    gap = np.stack([-ones, -T, -T * T / 2, ones])  # each column: weight of q, v, a, goal
     slope = np.stack([none, -T, -T * T, none])
     bend = np.stack([none, none, -T * T, none])
     c3 = (10 * gap - 4 * slope + bend / 2) / T**3
@@ -196,7 +199,7 @@ class Acceleration(Control):
         if not (finite(self.a_max, (system.arm.n,), "Acceleration.a_max") > 0).all():
             raise ParameterError(f"Acceleration.a_max must be > 0 rad/s^2, got {self.a_max}")
 
-    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, left: Array) -> None:
+    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
         most = arm.column("a_max") if self.a_max is None else np.asarray(self.a_max, float)
         q, v, a = s.ref.swapaxes(0, 1)
         # Angle and rate if the acceleration ran to zero within this period. Whatever the
@@ -208,8 +211,8 @@ class Acceleration(Control):
         down = _stoppable(ahead - arm.column("q_min") - spare, most, dt)
         fast = arm.column("v_max")
         low, high = -np.minimum(down, fast), np.minimum(up, fast)
-        wanted = np.clip(rate + action * most * dt, low, high)
-        _ramp(s, np.clip((wanted - rate) / dt, -most, most), dt)
+        speed = np.clip(rate + action * most * dt, low, high)
+        _ramp(s, np.clip((speed - rate) / dt, -most, most), dt)
 
 
 def _stoppable(room: Array, most: Array, dt: float) -> Array:
@@ -231,7 +234,7 @@ class Target(Control):
     def __post_init__(self) -> None:
         require_positive(self, "speed")
 
-    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, left: Array) -> None:
+    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
         step = self.speed * arm.column("v_max") * action * dt
         before = s.ref[:, 0]
         moved = np.clip(before + step, arm.column("q_min"), arm.column("q_max"))
@@ -259,7 +262,12 @@ class Torque(Control):
         return JointServo(kp=(0.0,) * len(self.damping), kd=self.damping, feedforward=False)
 
     def drive(
-        self, sim: Simulator, s: Driven, action: Array, left: Array, follow: Callable[[], Array]
+        self,
+        sim: Simulator,
+        s: Driven,
+        action: Array,
+        remaining: Array,
+        follow: Callable[[], Array],
     ) -> None:
         """See `Control`."""
         s.tau = self.torque(action, sim.system.arm)
@@ -294,7 +302,12 @@ class Gains(Control):
         return 2 * arm.n
 
     def drive(
-        self, sim: Simulator, s: Driven, action: Array, left: Array, follow: Callable[[], Array]
+        self,
+        sim: Simulator,
+        s: Driven,
+        action: Array,
+        remaining: Array,
+        follow: Callable[[], Array],
     ) -> None:
         """See `Control`."""
         s.kp, s.kd = self.gains(action)

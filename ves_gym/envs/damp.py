@@ -134,13 +134,13 @@ class Damp(Task):
 
     def fields(self) -> tuple[Field, ...]:
         """See `Task`."""
-        root, whole = np.full(6, np.sqrt(self.energy)), np.full(6, self.energy)
+        root, energies = np.full(6, np.sqrt(self.energy)), np.full(6, self.energy)
         parts = (
             Field("joint_angle", "rad", self._room, "joint angles less `home`"),
             *rate_fields(self.control, self.system.arm),
             Field("mode_shift", "J^0.5", root / 2, "base modes: signed root of strain energy"),
             Field("mode_rate", "J^0.5", root / 2, "base modes: signed root of kinetic energy"),
-            Field("mode_energy", "J", whole / 4, "base modes: energy"),
+            Field("mode_energy", "J", energies / 4, "base modes: energy"),
         )
         if self.control.level != "gains":
             return parts

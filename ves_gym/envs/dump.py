@@ -59,13 +59,13 @@ class Recorder:
 
     def begin(self, ids: Index) -> None:
         """Forget the episodes of these simulations: they are at the beginning of others."""
-        now = self._now()
+        record = self._record()
         if self._rows:  # their last row was the end of the episode before
             merged = self._rows[-1].copy()
-            merged[ids] = now[ids]
+            merged[ids] = record[ids]
             self._rows[-1] = merged
         else:
-            self._rows.append(now)
+            self._rows.append(record)
         self._first[ids] = len(self._rows) - 1
         gone = int(self._first.min())
         del self._rows[:gone]
@@ -73,20 +73,22 @@ class Recorder:
 
     def step(self, diverged: Mask) -> dict[str, Any]:
         """Keep the state after a step; what `info` tells of those that diverged in it."""
-        self._rows.append(self._now())
+        self._rows.append(self._record())
         if self.folder is None or not diverged.any():
             return {}
         return {"dump": self.dump(self.folder, diverged), "_dump": diverged.copy()}
 
-    def _now(self) -> Array:
+    def _record(self) -> Array:
         batch, s, sim = self.batch, self.batch.scene, self.batch.sim
         tau, acceleration = sim.evaluate(s.tau)
         row = [s.time[:, None], s.ref[:, 0], s.ref[:, 1], s.q, s.v, tau, s.y, s.yd]
         with np.errstate(all="ignore"):  # a diverged state has no wrench, and is cut off
-            felt = wrench_on_base(batch, acceleration)
+            base_wrench = wrench_on_base(batch, acceleration)
         if sim.emulation_loop is None:
-            return np.concatenate([*row, felt], axis=1)
-        return np.concatenate([*row, sim.readings.wrench, felt, sim.readings.y_cmd], axis=1)
+            return np.concatenate([*row, base_wrench], axis=1)
+        return np.concatenate(
+            [*row, sim.readings.wrench, base_wrench, sim.readings.y_cmd], axis=1
+        )
 
     # ------------------------------------------------------------------- logs
 

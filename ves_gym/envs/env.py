@@ -106,8 +106,8 @@ class VesEnv(gym.Env[Any, Any]):
             raise gym.error.ResetNeeded(
                 "the episode is over: call reset" if self._ready else "call reset before step"
             )
-        given = checked(action, (self.batch.width,))[None]
-        reward, terminated, truncated, info = self.batch.step(given)
+        actions = checked(action, (self.batch.width,))[None]
+        reward, terminated, truncated, info = self.batch.step(actions)
         ended = bool(terminated[0] or truncated[0])
         self._over = ended
         flat = {k: _first(v) for k, v in info.items() if k[0] != "_"}
@@ -175,15 +175,15 @@ class VesEnv(gym.Env[Any, Any]):
         self.batch.set_state(state)
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = self.__dict__.copy()
-        kept["_renderer"] = None
-        kept["batch"] = self.batch.get_state()
-        return kept
+        state = self.__dict__.copy()
+        state["_renderer"] = None
+        state["batch"] = self.batch.get_state()
+        return state
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
         self.batch = self._batch()
-        self.batch.set_state(kept["batch"])
+        self.batch.set_state(state["batch"])
 
     # --------------------------------------------------------------- rendering
 

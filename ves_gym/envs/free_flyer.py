@@ -108,15 +108,15 @@ class FreeFlyerReach(Task):
 
     def remember(self, s: Scene, dt: float) -> None:
         """See `Task`."""
-        left = np.linalg.norm(s.goal - s.tool, axis=1)
-        there = (left <= self.tolerance) & (np.abs(s.v) <= self.rest).all(axis=1)
-        s.memory[:, 0] = left
+        distance = np.linalg.norm(s.goal - s.tool, axis=1)
+        there = (distance <= self.tolerance) & (np.abs(s.v) <= self.rest).all(axis=1)
+        s.memory[:, 0] = distance
         s.memory[:, 1] = np.where(there, s.memory[:, 1] + dt, 0.0)
 
     def success(self, s: Scene) -> Mask:
         """The tool has come to stay."""
-        held: Mask = s.memory[:, 1] >= self.hold
-        return held
+        settled: Mask = s.memory[:, 1] >= self.hold
+        return settled
 
     def fields(self) -> tuple[Field, ...]:
         """See `Task`."""
@@ -144,9 +144,9 @@ class FreeFlyerReach(Task):
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         """See `Task`."""
-        left, share = s.memory[:, 0], dt / self.duration
+        distance, share = s.memory[:, 0], dt / self.duration
         return {
-            "distance": -share * left / self.far,
+            "distance": -share * distance / self.far,
             "energy": -share * self.energy * s.energy,
             "turn": -share * self.turn * np.linalg.norm(s.y[:, 3:], axis=1),
         }

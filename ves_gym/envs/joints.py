@@ -10,9 +10,9 @@ from ves_gym.envs.task import Field, Scene, Task
 from ves_gym.mechanics.arm import Arm
 
 
-def wide(given: Vector, arm: Arm) -> Array:
+def wide(values: Vector, arm: Arm) -> Array:
     """One number per joint (joints,); fewer are repeated."""
-    return np.resize(np.asarray(given, float), arm.n)
+    return np.resize(np.asarray(values, float), arm.n)
 
 
 def joint_box(task: Task, centre: Vector, span: Vector) -> tuple[Array, Array]:
@@ -26,10 +26,10 @@ def joint_box(task: Task, centre: Vector, span: Vector) -> tuple[Array, Array]:
     low, high = middle - half, middle + half
     least, most = arm.column("q_min"), arm.column("q_max")
     if (half < 0).any() or (low < least).any() or (high > most).any():
-        given = [np.rad2deg(k).round(1).tolist() for k in (low, high, least, most)]
+        limits = [np.rad2deg(k).round(1).tolist() for k in (low, high, least, most)]
         raise ParameterError(
-            f"{task.kind}: episodes must start within the joint limits {given[2]} to {given[3]}"
-            f" deg, got {given[0]} to {given[1]} deg"
+            f"{task.kind}: episodes must start within the joint limits {limits[2]} to"
+            f" {limits[3]} deg, got {limits[0]} to {limits[1]} deg"
         )
     return low, high
 

@@ -132,14 +132,14 @@ class Reach(Task):
 
     def remember(self, s: Scene, dt: float) -> None:
         """See `Task`."""
-        left = np.sqrt(((s.goal[:, :3] - s.tool) ** 2).sum(axis=1))
-        s.memory[:, 1] = np.where(left <= self.tolerance, s.memory[:, 1] + dt, 0.0)
-        s.memory[:, 0] = left
+        distance = np.sqrt(((s.goal[:, :3] - s.tool) ** 2).sum(axis=1))
+        s.memory[:, 1] = np.where(distance <= self.tolerance, s.memory[:, 1] + dt, 0.0)
+        s.memory[:, 0] = distance
 
     def success(self, s: Scene) -> Mask:
         """(n,) whether the tool has come to stay."""
-        held: Mask = s.memory[:, 1] >= self.hold
-        return held
+        settled: Mask = s.memory[:, 1] >= self.hold
+        return settled
 
     # --------------------------------------------------------------- observation
 
@@ -166,8 +166,8 @@ class Reach(Task):
         )
 
     def _sense(self, s: Scene) -> tuple[Array, ...]:
-        left = (self.duration - s.time)[:, None]
-        return s.q, *rates(self.control, s), s.y_seen, s.yd_seen, left
+        remaining = (self.duration - s.time)[:, None]
+        return s.q, *rates(self.control, s), s.y_seen, s.yd_seen, remaining
 
     # -------------------------------------------------------------------- reward
 

@@ -50,10 +50,10 @@ class ReachGoal(Reach):
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         """See `Task`."""
-        achieved, desired = self._shown(s.tool_seen), self._shown(s.goal[:, :3])
+        achieved, desired = self._goal_of(s.tool_seen), self._goal_of(s.goal[:, :3])
         return {"reached": self.goal_reward(achieved, desired)}
 
-    def _shown(self, place: Array) -> Array:
+    def _goal_of(self, place: Array) -> Array:
         """(n, 3) a place as the observation gives it."""
         return np.clip(place / _SCALE, -self.CLIP, self.CLIP).astype(np.float32)
 

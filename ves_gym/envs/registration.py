@@ -45,7 +45,7 @@ STEPS = {
 def register() -> None:
     """File every id with Gymnasium; ids that are there already stay."""
     for name, (task, settings) in IDS.items():
-        for suffix, more in (("", {}), ("Emulated", _LABORATORY)):
+        for suffix, mode_settings in (("", {}), ("Emulated", _LABORATORY)):
             id = f"ves/{name}{suffix}-v0"
             if id not in gym.registry:
                 gym.register(
@@ -54,7 +54,7 @@ def register() -> None:
                     vector_entry_point="ves_gym.envs.vector:VesVectorEnv",
                     max_episode_steps=Deadline(STEPS[name]),
                     additional_wrappers=(UNLIMITED,),
-                    kwargs={"task": task, **settings, **more},
+                    kwargs={"task": task, **settings, **mode_settings},
                     # `VesEnv` asks for a reset itself, and Gymnasium's passive checker breaks
                     # the first step after a refused seed (tests/envs/test_contract.py)
                     order_enforce=False,

@@ -100,11 +100,11 @@ class RestToRest(Task):
         """See `Task`."""
         n = self.system.arm.n
         scale = s.goal[:, n] * (self.duration + self.tail)
-        left = np.abs(s.goal[:, :n] - s.q).sum(axis=1)
+        distance = np.abs(s.goal[:, :n] - s.q).sum(axis=1)
         return {
             "energy": -s.energy * dt / scale,
             "tail": -s.tail / scale,
-            "miss": np.where(last, -self.miss * left, 0.0),
+            "miss": np.where(last, -self.miss * distance, 0.0),
         }
 
     def marker(self, s: Scene) -> Array:

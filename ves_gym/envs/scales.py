@@ -55,9 +55,9 @@ def motion_energy(system: System, q: Array, dt: float, tail: float) -> Array:
     x = state.imag / pole.imag[:, None]
     energy = ((state.real + pole.real[:, None] * x) ** 2 + (omega[:, None] * x) ** 2) / 2
     decay = 2 * _DAMPING * omega
-    left = energy[:, -1] * -np.expm1(-decay * tail) / decay
-    whole = (energy.sum(axis=1) * dt + left) / (dt * push.shape[1] + tail)
-    return np.asarray(_FLOOR + whole.sum(axis=1), dtype=np.float64)
+    remainder = energy[:, -1] * -np.expm1(-decay * tail) / decay
+    mean = (energy.sum(axis=1) * dt + remainder) / (dt * push.shape[1] + tail)
+    return np.asarray(_FLOOR + mean.sum(axis=1), dtype=np.float64)
 
 
 def _modes(system: System, q: Array) -> tuple[Array, Array]:

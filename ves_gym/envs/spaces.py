@@ -33,10 +33,10 @@ def goal_space(task: Task, space: gym.spaces.Box) -> gym.spaces.Dict:
     parts = _parts(task)
     goals = [parts[name] for name in task.goal_fields]
     size = goals[0].stop - goals[0].start
-    rest = space.shape[0] - sum(k.stop - k.start for k in goals)
+    remaining = space.shape[0] - sum(k.stop - k.start for k in goals)
     box = lambda n: gym.spaces.Box(-task.CLIP, task.CLIP, (n,), np.float32)  # noqa: E731
     return gym.spaces.Dict(
-        {"observation": box(rest), "achieved_goal": box(size), "desired_goal": box(size)}
+        {"observation": box(remaining), "achieved_goal": box(size), "desired_goal": box(size)}
     )
 
 
@@ -45,24 +45,24 @@ def split_goals(task: Task, row: npt.NDArray[np.float32]) -> dict[str, npt.NDArr
     assert task.goal_fields is not None
     parts = _parts(task)
     achieved, desired = (row[..., parts[name]] for name in task.goal_fields)
-    rest = [row[..., k] for name, k in parts.items() if name not in task.goal_fields]
+    observed = [row[..., k] for name, k in parts.items() if name not in task.goal_fields]
     return {  # in the order of the space
         "achieved_goal": achieved.copy(),
         "desired_goal": desired.copy(),
-        "observation": np.concatenate(rest, axis=-1),
+        "observation": np.concatenate(observed, axis=-1),
     }
 
 
 def require_seed(seed: Any) -> None:
     """Seeds are whole numbers >= 0 and below 2**64."""
-    whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
-    if not whole or not 0 <= seed < 2**64:
+    integral = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
+    if not integral or not 0 <= seed < 2**64:
         raise gym.error.Error(f"seed must be a whole number in [0, 2**64), got {seed!r}")
 
 
 def require_index(index: Any) -> int:
     """Which of a seed's simulations: a whole number >= 0."""
-    whole = isinstance(index, (int, np.integer)) and not isinstance(index, bool)
-    if not whole or not 0 <= index < 2**63:
+    integral = isinstance(index, (int, np.integer)) and not isinstance(index, bool)
+    if not integral or not 0 <= index < 2**63:
         raise ParameterError(f"reset: index must be a whole number >= 0, got {index!r}")
     return int(index)

@@ -54,11 +54,11 @@ def tail_energy(
     strain[:, :6, :6] = base.K / 2
     total = strain.copy()
     total[:, size : size + 6, size : size + 6] = H[:, :6, :6] / 2
-    whole = np.stack([total, strain])
-    sums, step = sum_quadratic(step, whole, _DOUBLINGS)
+    weights = np.stack([total, strain])
+    sums, step = sum_quadratic(step, weights, _DOUBLINGS)
     end = matvec(step, x)
     out = []
-    for W, P in zip(whole, sums, strict=True):
+    for W, P in zip(weights, sums, strict=True):
         first, last, inner = (
             np.einsum("ki,kij,kj->k", z, B, z) for z, B in ((x, W), (end, W), (x, P))
         )

@@ -195,10 +195,10 @@ class Task(ABC):
                 out[name] = value
                 continue
             if name not in self.options:
-                known = (*extra, *self.options)
+                keys = (*extra, *self.options)
                 raise ParameterError(
-                    f"reset: unknown option {name!r}; known: {', '.join(known)}"
-                    f"{did_you_mean(name, known)}"
+                    f"reset: unknown option {name!r}; known: {', '.join(keys)}"
+                    f"{did_you_mean(name, keys)}"
                 )
             width = 6 if name in ("y", "yd") else 3 if name == "target" else self.system.arm.n
             shape = (width,) if rows is None else (rows, width)

@@ -105,7 +105,7 @@ class Teleop:
             self.batch.recorder = Recorder(self.batch)
         self.batch.seed(_ALL, seed, 0)
         self.batch.reset(_ALL)
-        self.held: set[str] = set()
+        self.pressed: set[str] = set()
         self.pace, self.done = _FIRST, False
 
     # -------------------------------------------------------------------- keys
@@ -126,7 +126,7 @@ class Teleop:
         if key not in self.keys():
             return
         if key in UP + DOWN:
-            self.held.add(key)
+            self.pressed.add(key)
         elif key in "+-":
             self.pace += 1 if key == "+" else -1
             self.pace = min(max(self.pace, 0), len(SPEEDS) - 1)
@@ -141,7 +141,7 @@ class Teleop:
 
     def release(self, key: str) -> None:
         """A key comes up."""
-        self.held.discard(key)
+        self.pressed.discard(key)
 
     # -------------------------------------------------------------------- time
 
@@ -149,7 +149,7 @@ class Teleop:
         """One control period under the keys that are held."""
         s, dt = self.batch.scene, self.batch.dt
         n = self.task.system.arm.n
-        way = np.array([(UP[i] in self.held) - (DOWN[i] in self.held) for i in range(n)])
+        way = np.array([(UP[i] in self.pressed) - (DOWN[i] in self.pressed) for i in range(n)])
         wish = SPEEDS[self.pace] * self._fast * way
         rate = s.ref[:, 1] + s.ref[:, 2] * (dt / 2)  # if the acceleration ran to zero
         self.batch.step(np.clip((wish - rate) / (self._brisk * dt), -1.0, 1.0))
@@ -165,7 +165,7 @@ class Teleop:
         self,
         script: Iterable[Press],
         seconds: float,
-        each: Callable[[float], None] = lambda time: None,
+        on_period: Callable[[float], None] = lambda time: None,
     ) -> None:
         """Press the keys of a script, as fast as it goes, until its end or a key that quits.
 
@@ -184,7 +184,7 @@ class Teleop:
             if self.done or self.diverged:
                 return
             self.step()
-            each((k + 1) * dt)
+            on_period((k + 1) * dt)
 
     @property
     def diverged(self) -> bool:
@@ -201,8 +201,11 @@ class Teleop:
         pace = f"{100 * SPEEDS[self.pace]:.0f} %"
         lines = [f"q {angles} deg  base {move:.1f} mm  speed {pace}"]
         if sim.emulation_loop is not None:
-            now = sim.readings
-            for name, w in (("measured ", now.wrench[0]), ("estimated", now.gravity[0])):
+            readings = sim.readings
+            for name, w in (
+                ("measured ", readings.wrench[0]),
+                ("estimated", readings.gravity[0]),
+            ):
                 w = w.round(1) + 0.0  # no -0.0
                 force, moment = (" ".join(f"{k:7.1f}" for k in part) for part in np.split(w, 2))
                 lines.append(f"{name} {force} N {moment} N m")
@@ -216,7 +219,7 @@ class Teleop:
         return self.batch.recorder.log(0, note)
 
 
-def read_script(lines: Iterable[str], known: Iterable[str], name: str) -> list[Press]:
+def read_script(lines: Iterable[str], names: Iterable[str], name: str) -> list[Press]:
     """Keys from lines `TIME KEY [SECONDS]`: held so long, else tapped; # begins a comment.
 
     Args:
@@ -226,7 +229,7 @@ def read_script(lines: Iterable[str], known: Iterable[str], name: str) -> list[P
     Raises:
         ParameterError: a line that is none of this, with its number.
     """
-    out, keys = [], [*known, "="]
+    out, keys = [], [*names, "="]
     for number, line in enumerate(lines, 1):
         words = line.partition("#")[0].split()
         if not words:
@@ -243,12 +246,12 @@ def read_script(lines: Iterable[str], known: Iterable[str], name: str) -> list[P
             )
         if words[1] not in keys:
             raise ParameterError(
-                f"{name}, line {number}: key must be one of {' '.join(known)}, got {words[1]!r}"
+                f"{name}, line {number}: key must be one of {' '.join(names)}, got {words[1]!r}"
             )
         out.append(Press(time, words[1], hold))
     return out
 
 
-def load_script(path: str | os.PathLike[str], known: Iterable[str]) -> list[Press]:
+def load_script(path: str | os.PathLike[str], names: Iterable[str]) -> list[Press]:
     """`read_script` of a file."""
-    return read_script(Path(path).read_text(encoding="utf-8").splitlines(), known, str(path))
+    return read_script(Path(path).read_text(encoding="utf-8").splitlines(), names, str(path))

@@ -117,11 +117,11 @@ class Track(Task):
         up, down = arm.column("q_max") - q, q - arm.column("q_min")
         for room, way in ((up, 1 - aside), (down, 1 + aside)):
             swing = np.minimum(swing, np.maximum(room - _SPARE, 0) / np.maximum(way, 1e-9))
-        whole = np.stack([q, swing, waves, shift])  # (4, k, tries, joints)
+        parameters = np.stack([q, swing, waves, shift])  # (4, k, tries, joints)
         looked_at = 2 * np.pi * np.arange(_CHECKED) / _CHECKED
-        worst = dexterity(arm, _joints(whole, looked_at)).min(axis=-1)
+        worst = dexterity(arm, _joints(parameters, looked_at)).min(axis=-1)
         lack = np.maximum(1 - worst / self.dexterous, 0.0)
-        chosen = whole[:, np.arange(k), lack.argmin(axis=1)]
+        chosen = parameters[:, np.arange(k), lack.argmin(axis=1)]
         along = _joints(chosen, self._phase)
         path = joint_positions(arm, along)[..., -1, :]
         stride = max(1, round(_COARSE / self.system.control_dt))
@@ -134,7 +134,7 @@ class Track(Task):
         """(n, steps + 1, 3) where the tool is to be at the end of every period [m]."""
         return s.goal[:, 1:].reshape(len(s.goal), -1, 3)
 
-    def wanted(self, s: Scene) -> Array:
+    def target(self, s: Scene) -> Array:
         """(n, 3) where the tool is to be now [m]."""
         return self.path(s)[np.arange(len(s.goal)), self._step(s)]
 
@@ -145,12 +145,14 @@ class Track(Task):
 
     def marker(self, s: Scene) -> Array:
         """Where the tool is to be, and what is left of the path."""
-        left = self._step(s)[:, None] + np.arange(self.steps + 1)
-        return self.path(s)[np.arange(len(s.goal))[:, None], np.minimum(left, self.steps)]
+        steps_ahead = self._step(s)[:, None] + np.arange(self.steps + 1)
+        return self.path(s)[
+            np.arange(len(s.goal))[:, None], np.minimum(steps_ahead, self.steps)
+        ]
 
     def remember(self, s: Scene, dt: float) -> None:
         """See `Task`."""
-        s.memory[:, 0] = ((self.wanted(s) - s.tool) ** 2).sum(axis=1)
+        s.memory[:, 0] = ((self.target(s) - s.tool) ** 2).sum(axis=1)
         s.memory[:, 1] += dt * s.memory[:, 0]
 
     def success(self, s: Scene) -> Mask:

@@ -125,13 +125,13 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             raise gym.error.ResetNeeded("call reset before step")
         mode = self.autoreset_mode
         if mode is AutoresetMode.DISABLED and self._over.any():
-            some = np.flatnonzero(self._over)[:5].tolist()
+            first = np.flatnonzero(self._over)[:5].tolist()
             raise gym.error.ResetNeeded(
-                f"environments {some} are over: reset them with options={{'reset_mask': ...}}"
+                f"environments {first} are over: reset them with options={{'reset_mask': ...}}"
             )
-        given = self.batch.check(actions)
+        checked = self.batch.check(actions)
         over = self._over if self._over.any() else None
-        reward, terminated, truncated, info = self.batch.step(given, over)
+        reward, terminated, truncated, info = self.batch.step(checked, over)
         if over is not None:  # their action was only the call for the next episode
             self.batch.reset(np.flatnonzero(over))
             info.update(self.batch.randomized())
@@ -178,14 +178,14 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.batch.set_state(state)
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = self.__dict__.copy()
-        kept["batch"] = self.batch.get_state()
-        return kept
+        state = self.__dict__.copy()
+        state["batch"] = self.batch.get_state()
+        return state
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
         self.batch = Batch(self.task, self.num_envs, **self._engine)
-        self.batch.set_state(kept["batch"])
+        self.batch.set_state(state["batch"])
 
     def close_extras(self, **kwargs: Any) -> None:
         """Nothing outlives the arrays."""
@@ -195,18 +195,18 @@ def _step_limit(limit: Any) -> int | None:
     """Return a limit of the caller's, None where there is none but the task's own."""
     if limit is None or isinstance(limit, Deadline):
         return None
-    whole = isinstance(limit, (int, np.integer)) and not isinstance(limit, bool)
-    if whole and limit == -1:
+    integral = isinstance(limit, (int, np.integer)) and not isinstance(limit, bool)
+    if integral and limit == -1:
         return None
-    if not whole or limit < 1:
+    if not integral or limit < 1:
         raise ParameterError(
             f"max_episode_steps must be a whole number >= 1, or -1 for none, got {limit!r}"
         )
     return int(limit)
 
 
-def _mask(given: Any, n: int) -> Mask:
-    mask = np.asarray(given)
+def _mask(mask_in: Any, n: int) -> Mask:
+    mask = np.asarray(mask_in)
     if mask.shape != (n,) or mask.dtype != bool:
-        raise gym.error.Error(f"reset_mask must be {n} truth values, got {given!r}")
+        raise gym.error.Error(f"reset_mask must be {n} truth values, got {mask_in!r}")
     return mask
