@@ -69,14 +69,14 @@ def run(args: argparse.Namespace) -> int:
         ),
         args,
     )
-    with progress() as tell:
+    with progress() as on_progress:
         result = run_benchmark(
             suite,
             planners=names,
             seed=args.seed,
             workers=args.workers,
             command=shlex.join(["ves-gym", *sys.argv[1:]]),
-            progress=tell,
+            progress=on_progress,
         )
     result["quick"] = bool(args.quick)
     _print_tables(result)
@@ -100,32 +100,32 @@ def _part_of(suite: Suite, args: argparse.Namespace) -> Suite:
     queries = list(suite.queries)
     if args.durations is not None:
         try:
-            wanted = {float(part) for part in args.durations.split(",")}
+            durations = {float(part) for part in args.durations.split(",")}
         except ValueError:
             raise ParameterError(
                 f"--durations must be numbers like 1,2,4 [s], got {args.durations!r}"
             ) from None
-        known = sorted({q.duration for _, q in queries})
-        if not wanted <= set(known):
+        available = sorted({q.duration for _, q in queries})
+        if not durations <= set(available):
             raise ParameterError(
-                f"--durations must be of {', '.join(f'{k:g}' for k in known)} s, got"
+                f"--durations must be of {', '.join(f'{k:g}' for k in available)} s, got"
                 f" {args.durations}"
             )
-        queries = [(v, q) for v, q in queries if q.duration in wanted]
+        queries = [(v, q) for v, q in queries if q.duration in durations]
     skip = 0 if args.skip is None else args.skip
     if skip < 0:
         raise ParameterError(f"--skip must be >= 0, got {skip}")
     if args.first is not None and args.first < 1:
         raise ParameterError(f"--first must be >= 1, got {args.first}")
     counted: Counter[tuple[str, float]] = Counter()
-    some = []
+    chosen = []
     for vehicle, query in queries:
         counted[vehicle, query.duration] += 1
         if skip < counted[vehicle, query.duration] <= skip + (args.first or len(queries)):
-            some.append((vehicle, query))
-    if not some:
+            chosen.append((vehicle, query))
+    if not chosen:
         raise ParameterError(f"--skip {skip} leaves none of {max(counted.values())} queries")
-    return replace(suite, queries=tuple(some))
+    return replace(suite, queries=tuple(chosen))
 
 
 def _compact(result: dict[str, Any]) -> dict[str, Any]:
@@ -209,11 +209,11 @@ def _print_tables(result: dict[str, Any]) -> None:
 
 def _print_failures(result: dict[str, Any], console: Any) -> None:
     """What planners said of queries they had no answer to, most frequent first."""
-    said = Counter((r["planner"], r["failure"]) for r in result["rows"] if r["failure"])
-    for (planner, why), count in said.most_common(_STOPS):
+    failures = Counter((r["planner"], r["failure"]) for r in result["rows"] if r["failure"])
+    for (planner, why), count in failures.most_common(_STOPS):
         console.print(f"failed {count} x: {planner}: {why}", soft_wrap=True)
-    if len(said) > _STOPS:
-        console.print(f"... and {len(said) - _STOPS} more reasons, see benchmark.json")
+    if len(failures) > _STOPS:
+        console.print(f"... and {len(failures) - _STOPS} more reasons, see benchmark.json")
     among = [s for s in result["summary"] if s["solvable"] < s["n"]]
     if among:
         rates = {s["planner"]: [0, 0] for s in among}
@@ -228,10 +228,10 @@ def _print_machine(result: dict[str, Any], console: Any) -> None:
     """What was emulated with, and which runs it had to stop."""
     machine = "; ".join(f"{k}: {v}" for k, v in result["machine"].items())
     console.print(f"\n{machine}", soft_wrap=True)
-    for one in result["rank_correlation"]:
+    for entry in result["rank_correlation"]:
         console.print(
-            f"planners rank as in space: {one['vehicle']}, T = {one['duration']:g} s:"
-            f" rho = {_number(one['rho_median'], '.2f')} (median of {one['n']})",
+            f"planners rank as in space: {entry['vehicle']}, T = {entry['duration']:g} s:"
+            f" rho = {_number(entry['rho_median'], '.2f')} (median of {entry['n']})",
             soft_wrap=True,
         )
     stopped = [row for row in result["rows"] if row["stopped"]]

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         raise ParameterError("--rezero is about a second log: give --check LOG")
     log = RunLog.load(args.poses)
     arm = read_arm(args.arm) if args.arm else _arm_of(log, args.poses)
-    found = fit(
+    calibration = fit(
         arm,
         log.q,
         log.y,
@@ -62,24 +62,24 @@ def run(args: argparse.Namespace) -> int:
     if args.check:
         other = RunLog.load(args.check)
         w = _readings(other, args.check)
-        check = predict_errors(found, arm, other.q, other.y, w, rezero=args.rezero)
+        check = predict_errors(calibration, arm, other.q, other.y, w, rezero=args.rezero)
 
     path = out_dir(args, "out/calibrate") / "calibration.toml"
-    write_table(path, found)
-    plain = to_plain(found)
+    write_table(path, calibration)
+    plain = to_plain(calibration)
     result = {
         "schema": SCHEMA,
         "log": args.poses,
         "digest": log.digest,
-        "M_total": found.model.mass,
-        "P": list(found.model.P),
+        "M_total": calibration.model.mass,
+        "P": list(calibration.model.P),
         **{key: plain[key] for key in ("arm", "names", "C", "offset", "poses", "iterations")},
         **{key: plain[key] for key in ("rms", "max", "rms_before", "max_before", "condition")},
         "check": None if check is None else {k: v.tolist() for k, v in check._asdict().items()},
         "files": [str(path)],
     }
     write_json(args.json, result)
-    _print_tables(arm, found, check)
+    _print_tables(arm, calibration, check)
     print(f"written: {path}")
     return 0
 
@@ -104,32 +104,34 @@ def _iterations(text: str) -> int | None:
     return int(text)
 
 
-def _print_tables(arm: Arm, found: Calibration, check: Errors | None) -> None:
+def _print_tables(arm: Arm, calibration: Calibration, check: Errors | None) -> None:
     from rich.console import Console
     from rich.table import Table
 
     console = Console(width=None if sys.stdout.isatty() else 120, markup=False)
     nominal, model = GravityModel.of(arm), minimal_model(arm)
-    table = Table(title=f"gravity model of {arm.name} from {found.poses} poses")
+    table = Table(title=f"gravity model of {arm.name} from {calibration.poses} poses")
     for name in ("parameter", "nominal", "estimated", "unit", "meaning"):
-        right = name in ("nominal", "estimated")
-        table.add_column(name, justify="right" if right else "left")
-    rows = [("M_total", nominal.mass, found.model.mass, "kg", "total mass")]
+        numeric = name in ("nominal", "estimated")
+        table.add_column(name, justify="right" if numeric else "left")
+    rows = [("M_total", nominal.mass, calibration.model.mass, "kg", "total mass")]
     for j, meaning in enumerate(model.descriptions):
-        rows.append((f"P{j + 1}", nominal.P[j], found.model.P[j], "kg m", meaning))
-    for name, before, now, symbol, meaning in rows:
-        table.add_row(name, f"{before:.4f}", f"{now:.4f}", symbol, meaning)
+        rows.append((f"P{j + 1}", nominal.P[j], calibration.model.P[j], "kg m", meaning))
+    for name, before, after, symbol, meaning in rows:
+        table.add_row(name, f"{before:.4f}", f"{after:.4f}", symbol, meaning)
     console.print(table)
 
     columns = {
-        "rms before": found.rms_before,
-        "max before": found.max_before,
-        "rms": found.rms,
-        "max": found.max,
+        "rms before": calibration.rms_before,
+        "max before": calibration.max_before,
+        "rms": calibration.rms,
+        "max": calibration.max,
     }
     if check is not None:
         columns |= {"check rms": tuple(check.rms), "check max": tuple(check.max)}
-    table = Table(title=f"estimated - measured; matrix estimated {found.iterations} times")
+    table = Table(
+        title=f"estimated - measured; matrix estimated {calibration.iterations} times"
+    )
     table.add_column("axis")
     for name in columns:
         table.add_column(name, justify="right")
@@ -138,5 +140,5 @@ def _print_tables(arm: Arm, found: Calibration, check: Errors | None) -> None:
         values = (f"{column[i]:.3g}" for column in columns.values())
         table.add_row(axis, *values, "N" if i < 3 else "N m")
     console.print(table)
-    gap = np.abs(np.array(found.C) - np.eye(6)).max()
-    print(f"largest entry of C - 1: {gap:.3g}; condition {max(found.condition):.3g}")
+    gap = np.abs(np.array(calibration.C) - np.eye(6)).max()
+    print(f"largest entry of C - 1: {gap:.3g}; condition {max(calibration.condition):.3g}")

@@ -78,14 +78,14 @@ def system_from(args: argparse.Namespace) -> System:
 def _laboratory_from(args: argparse.Namespace, system: System) -> System:
     """The system with the laboratory's own arguments applied."""
     options = ("operation", "platform", "no_compensation", "zero", "calibration", "effect")
-    given = [k for k in options if getattr(args, k)]
-    if not given:
+    named = [k for k in options if getattr(args, k)]
+    if not named:
         return system
     effects = system.effects + tuple(parse_effect(text) for text in args.effect)
-    if given == ["effect"]:
+    if named == ["effect"]:
         return system.replace(effects=effects)
     if system.mode != "emulated":
-        raise ParameterError(f"--{given[0].replace('_', '-')} needs --mode emulated")
+        raise ParameterError(f"--{named[0].replace('_', '-')} needs --mode emulated")
     lab, clock = system.emulator_settings, {}
     if args.operation:
         lab = replace(lab, operation=args.operation)
@@ -119,11 +119,11 @@ def _platform(text: str) -> PoseServo | LegServo:
 
 
 def _calibrated(lab: EmulatorSettings, path: str) -> EmulatorSettings:
-    found = read_calibration(path)
+    calibration = read_calibration(path)
     return replace(
         lab,
-        gravity=found.model,
-        sensor=lab.sensor.calibrated(found.C, found.offset),
+        gravity=calibration.model,
+        sensor=lab.sensor.calibrated(calibration.C, calibration.offset),
     )
 
 
@@ -152,7 +152,7 @@ def parse_effect(text: str) -> Effect:
     Raises:
         ParameterError: unknown kind or parameter, or a value that it cannot have.
     """
-    kind, _, rest = text.partition(":")
+    kind, _, assignments = text.partition(":")
     if kind not in EFFECTS:
         raise ParameterError(
             f"--effect must be one of {', '.join(sorted(EFFECTS))}, got {kind!r}"
@@ -160,7 +160,7 @@ def parse_effect(text: str) -> Effect:
         )
     fields = {f.name: f for f in dataclasses.fields(EFFECTS[kind])}  # type: ignore[arg-type]
     values: dict[str, Any] = {}
-    for part in _NEXT.split(rest) if rest.strip() else ():
+    for part in _NEXT.split(assignments) if assignments.strip() else ():
         name, equals, value = (k.strip() for k in part.partition("="))
         if not equals or not value:
             raise ParameterError(
@@ -279,9 +279,9 @@ def progress() -> Iterator[Tell]:
     with Progress(console=Console(stderr=True), transient=True) as bars:
         tasks: dict[str, Any] = {}
 
-        def tell(stage: str, done: float) -> None:
+        def on_progress(stage: str, done: float) -> None:
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=1.0)
             bars.update(tasks[stage], completed=done)
 
-        yield tell
+        yield on_progress

@@ -94,14 +94,14 @@ def run(args: argparse.Namespace) -> int:
     if cache.n_restored:
         print(f"going on: {cache.n_restored} answers are known from before", file=sys.stderr)
     try:
-        with progress() as tell:
-            found = d.diagnose(
+        with progress() as on_progress:
+            diagnosis = d.diagnose(
                 inputs.machine,
                 inputs.runs,
                 inputs.final,
                 candidates=inputs.candidates,
                 limits=Thresholds(most=args.most),
-                progress=lambda done, what: tell("diagnose", done),
+                progress=lambda done, what: on_progress("diagnose", done),
                 seed=args.seed,
                 cache=cache,
             )
@@ -110,10 +110,10 @@ def run(args: argparse.Namespace) -> int:
         raise
     late = () if args.as_logged else inputs.final
     doubts = [suspected_mistake(inputs.machine, run, inputs.mistakes) for run in late]
-    written = inputs.write(d.added(found), folder, not args.no_free_run)
+    written = inputs.write(d.added(diagnosis), folder, not args.no_free_run)
     result = {
         "schema": SCHEMA,
-        **d.plain(found),
+        **d.plain(diagnosis),
         "logs": inputs.digests,
         "held_back": [run.name for run in inputs.final],
         "machine": inputs.machine.name,
@@ -131,15 +131,15 @@ def run(args: argparse.Namespace) -> int:
     }
     write_json(args.json, result)
     write_json(str(folder / "diagnosis.json"), result)
-    write_text(folder / "verdict.txt", found.sentence + "\n")
-    shown = list(written.files)
+    write_text(folder / "verdict.txt", diagnosis.sentence + "\n")
+    paths = list(written.files)
     if not args.no_figures:
-        shown += _report({**result, "diff": written.diff}, found, folder / "diagnosis.html")
+        paths += _report({**result, "diff": written.diff}, diagnosis, folder / "diagnosis.html")
     cache.done()
-    _print(found, result)
-    for path in shown:
+    _print(diagnosis, result)
+    for path in paths:
         print(path)
-    return 1 if found.verdict in (d.UNKNOWN, d.MORE, d.WEAK) else 0
+    return 1 if diagnosis.verdict in (d.UNKNOWN, d.MORE, d.WEAK) else 0
 
 
 def _inputs(args: argparse.Namespace) -> DiagnosisInputs:
@@ -160,7 +160,7 @@ def _inputs(args: argparse.Namespace) -> DiagnosisInputs:
     return mjcf_inputs(args.logs, args.machine, **how)
 
 
-def _report(result: dict[str, Any], found: Any, path: Path) -> list[Path]:
+def _report(result: dict[str, Any], diagnosis: Any, path: Path) -> list[Path]:
     """Write the HTML report; a machine without the extra gets everything else."""
     if sentence := lacking("its figures", "matplotlib"):
         print(f"no HTML report: {sentence}")
@@ -168,23 +168,23 @@ def _report(result: dict[str, Any], found: Any, path: Path) -> list[Path]:
     from ves_gym.report.diagnosis import write_page
     from ves_gym.report.diagnosis_overlays import overlays
 
-    write_page({**result, "overlays": overlays(found.selection, found.residuals)}, path)
+    write_page({**result, "overlays": overlays(diagnosis.selection, diagnosis.residuals)}, path)
     return [path]
 
 
-def _print(found: Any, result: dict[str, Any]) -> None:
+def _print(diagnosis: Any, result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
     from ves_gym.diagnosis.diagnose import ONE_OF, UNKNOWN, WIDE
 
     console = Console(width=None if sys.stdout.isatty() else 110, markup=False)
-    console.print(found.sentence, style="bold")
-    for experiment in result["experiments"] if found.verdict == ONE_OF else ():
+    console.print(diagnosis.sentence, style="bold")
+    for experiment in result["experiments"] if diagnosis.verdict == ONE_OF else ():
         console.print(f"next experiment: {experiment['sentence']}")
-    if found.verdict == UNKNOWN and found.explanations:
+    if diagnosis.verdict == UNKNOWN and diagnosis.explanations:
         console.print("the best that the library can do, not a name:")
-    for f in found.explanations:
+    for f in diagnosis.explanations:
         numbers = ", ".join(
             f"{name} = {value:.4g} +- {WIDE * std:.2g} {unit}"
             for name, value, std, unit in zip(
@@ -192,10 +192,14 @@ def _print(found: Any, result: dict[str, Any]) -> None:
             )
         )
         console.print(f"  {f.candidate.name}: {numbers} (90 %), p = {f.probability:.2f}")
-    gaps = found.final or found.gaps
+    gaps = diagnosis.final or diagnosis.gaps
     table = Table(
         title="gap in standard deviations of noise, "
-        + (f"held back: {', '.join(result['held_back'])}" if found.final else "the runs fitted")
+        + (
+            f"held back: {', '.join(result['held_back'])}"
+            if diagnosis.final
+            else "the runs fitted"
+        )
     )
     for name in ("port", "channel", "before", "95 %", "after", "95 %"):
         table.add_column(name, justify="left" if name in ("port", "channel") else "right")

@@ -49,8 +49,8 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.out or f"out/diagnose-benchmark-{args.set}")
     benchmark = t.benchmark_run(folder, args.set, salt, cases)
     out_dir(args, str(folder))
-    with progress() as tell:
-        t.run_benchmark(benchmark, args.workers, tell)
+    with progress() as on_progress:
+        t.run_benchmark(benchmark, args.workers, on_progress)
     truth, answers = (
         t.read_truth(benchmark),
         [t.scored_part(a) for a in t.read_answers(benchmark)],
@@ -75,8 +75,8 @@ def run(args: argparse.Namespace) -> int:
         write_text(path, page)
     if args.docs:  # all that the page is computed from
         about = {k: v for k, v in result.items() if k != "score"}
-        whole = {**about, "labels": truth, "answers": answers}
-        write_text(Path(args.docs).with_suffix(".json"), canonical_json(whole) + "\n")
+        record = {**about, "labels": truth, "answers": answers}
+        write_text(Path(args.docs).with_suffix(".json"), canonical_json(record) + "\n")
     write_json(str(folder / "scores.json"), result)
     write_json(args.json, result)
     return 0

@@ -43,10 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print every finding; exit 1 if a core check fails."""
     checks: list[Check] = []
-    with progress() as tell:
+    with progress() as on_progress:
         for done, check in _checks(Path(args.out or "out")):
             checks.append(check)
-            tell(f"after {check.name}", done)
+            on_progress(f"after {check.name}", done)
     ok = all(check.status != FAIL for check in checks)
     write_json(
         args.json, {"schema": SCHEMA, "ok": ok, "checks": [check._asdict() for check in checks]}
@@ -105,8 +105,8 @@ def requirements() -> tuple[list[str], dict[str, list[str]], str]:
                 group.append(
                     "; ".join(filter(None, [requirement.strip(), " and ".join(where)]))
                 )
-    own = ("all", "build", "dev")  # of other extras, or for those who change the package
-    return core, {k: v for k, v in extras.items() if v and k not in own}, python
+    internal = ("all", "build", "dev")  # of other extras, or for those who change the package
+    return core, {k: v for k, v in extras.items() if v and k not in internal}, python
 
 
 def applies(marker: str) -> bool:
@@ -214,7 +214,7 @@ def _child(code: str, timeout: float = _PATIENCE) -> tuple[bool, str]:
     if done.returncode < 0:
         return False, f"crashes with signal {-done.returncode}"
     text = done.stdout if done.returncode == 0 else done.stderr
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    lines = [text_line.strip() for text_line in text.splitlines() if text_line.strip()]
     return done.returncode == 0, lines[-1] if lines else f"exit status {done.returncode}"
 
 
@@ -256,8 +256,8 @@ print(f"{{took:.2f}} us per physics step, batch of 64")
 def check_stepping() -> list[Check]:
     """Whether a batch of simulations steps, and how fast, on each engine."""
     good, words = _child(_STEP.format(backend="mujoco"))
-    fast, said = _child(_STEP.format(backend="kernel"))
-    kernel = Check("kernel", OK if fast else NOTE, said if fast else f"MuJoCo runs: {said}")
+    fast, answer = _child(_STEP.format(backend="kernel"))
+    kernel = Check("kernel", OK if fast else NOTE, answer if fast else f"MuJoCo runs: {answer}")
     return [Check("batch stepping", OK if good else FAIL, words), kernel]
 
 
@@ -266,16 +266,16 @@ def check_opengl() -> Check:
     from ves_gym.rendering.opengl import RenderError, candidates, install_hint, probe
 
     try:
-        asked = candidates()
+        automatic = candidates()
     except RenderError as error:
         return Check("OpenGL", NOTE, str(error))
     linux = platform.system() == "Linux"
-    every = dict.fromkeys([*asked, *(("egl", "osmesa", "glfw") if linux else ())])
-    found = [probe(backend) for backend in every]
-    detail = "; ".join(f"{p.backend}: {p.reason}" for p in found)
+    every = dict.fromkeys([*automatic, *(("egl", "osmesa", "glfw") if linux else ())])
+    probes = [probe(backend) for backend in every]
+    detail = "; ".join(f"{p.backend}: {p.reason}" for p in probes)
     setting = os.environ.get("MUJOCO_GL")
     state = "MUJOCO_GL is not set" if setting is None else f"MUJOCO_GL is {setting!r}"
-    if any(p.works for p in found if p.backend in asked):
+    if any(p.works for p in probes if p.backend in automatic):
         return Check("OpenGL", OK, f"{state}; {detail}")
     return Check("OpenGL", NOTE, f"no pictures from `view`: {detail}; {install_hint()}")
 
@@ -296,10 +296,10 @@ def check_processor() -> Check:
         return Check("processor", OK, f"{kind}, {cores} cores; vector instructions unknown")
     match = re.search(r"^(?:flags|Features)\s*:\s*(.*)$", text, re.MULTILINE)
     flags = set(match[1].split()) if match else set()
-    known = [
+    features = [
         k for k in ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd", "sve") if k in flags
     ]
-    detail = f"{kind}, {cores} cores; {' '.join(known) or 'no known vector instructions'}"
+    detail = f"{kind}, {cores} cores; {' '.join(features) or 'no known vector instructions'}"
     if kind == "x86_64" and flags and "avx" not in flags:
         return Check("processor", NOTE, f"{detail}; MuJoCo's wheels need AVX")
     return Check("processor", OK, detail)

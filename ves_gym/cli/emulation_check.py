@@ -45,8 +45,8 @@ def run(args: argparse.Namespace) -> int:
         args.mode = "emulated"
     system = system_from(args)
     at = joint_angles(args.at, system.arm, "--at")
-    with progress() as tell:
-        tell("linearising the loop", 0.0)
+    with progress() as on_progress:
+        on_progress("linearising the loop", 0.0)
         check = check_emulation(system, at, servo=GAINS[args.gains], search=not args.no_search)
     _print(system, check, searched=not args.no_search)
     files: list[Path] = []
@@ -92,12 +92,12 @@ def _print(system: System, check: EmulationCheck, searched: bool) -> None:
     ]
     if searched and isinstance(lab.platform, PoseServo):
         limit = check.max_bandwidth
-        shown = "none up to 200 Hz" if limit is None else f"{limit:.2f} Hz"
-        rows.append(("largest bandwidth", shown, f"this one has {lab.platform.bandwidth:g} Hz"))
+        text = "none up to 200 Hz" if limit is None else f"{limit:.2f} Hz"
+        rows.append(("largest bandwidth", text, f"this one has {lab.platform.bandwidth:g} Hz"))
     elif searched:
         gain = check.max_gain
-        shown = "none up to 16" if gain is None else f"{gain:.2f}"
-        rows.append(("largest gain factor", shown, "on K1 and K2 of the legs"))
+        text = "none up to 16" if gain is None else f"{gain:.2f}"
+        rows.append(("largest gain factor", text, "on K1 and K2 of the legs"))
     table = Table(show_header=False)
     for row in rows:
         table.add_row(*row)

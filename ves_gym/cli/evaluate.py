@@ -40,14 +40,14 @@ def run(args: argparse.Namespace) -> int:
     id = args.id if "/" in args.id else f"ves/{args.id}"
     lineup = _lineup(args, id)
     settings = with_effects(id, {"randomize": {}} if args.nominal else {}, args.effect)
-    with progress() as tell:
+    with progress() as on_progress:
         comparison = compare_controllers(
             id,
             lineup,
             episodes=args.episodes,
             seed=args.seed,
             n_envs=args.n_envs,
-            progress=tell,
+            progress=on_progress,
             **settings,
         )
     result = comparison.to_dict()
@@ -74,10 +74,10 @@ def _print(result: dict[str, Any], args: argparse.Namespace) -> None:
     table.add_column("controller", no_wrap=True)
     for name in ("return", "success", "failed", "E_mean [J]", "ratio", "E_peak", "E_int"):
         table.add_column(name, justify="right", no_wrap=True)
-    for one in result["controllers"]:
-        s, ratios = one["summary"], result["ratios"][one["name"]]
+    for entry in result["controllers"]:
+        s, ratios = entry["summary"], result["ratios"][entry["name"]]
         table.add_row(
-            one["name"],
+            entry["name"],
             _estimate(s["return"]["iqm"], ".3f"),
             _estimate(s["success"], ".0%"),
             str(s["failed"]),
@@ -93,10 +93,10 @@ def _print(result: dict[str, Any], args: argparse.Namespace) -> None:
         " intervals.",
         style="dim",
     )
-    for one in result["controllers"]:
-        worse = [b for a, b in result["beats"] if a == one["name"]]
+    for entry in result["controllers"]:
+        worse = [b for a, b in result["beats"] if a == entry["name"]]
         if worse:
-            print(f"{one['name']} beats {', '.join(worse)} (return, intervals apart)")
+            print(f"{entry['name']} beats {', '.join(worse)} (return, intervals apart)")
 
 
 def _estimate(e: dict[str, Any] | None, form: str) -> str:

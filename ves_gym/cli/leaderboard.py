@@ -121,7 +121,7 @@ def _run(args: argparse.Namespace) -> int:
     problem = get_problem(args.track, args.problem)
     method = _method(args.method, problem.environment)
     path = _place(args, method)
-    with progress() as tell:
+    with progress() as on_progress:
         make_bundle(
             path,
             args.track,
@@ -134,7 +134,7 @@ def _run(args: argparse.Namespace) -> int:
             training=_training(args.training),
             folder=_blind(args),
             workers=_workers(args),
-            progress=tell,
+            progress=on_progress,
         )
     manifest, data = bundle_manifest(path)
     write_json(

@@ -56,8 +56,8 @@ def render(args: argparse.Namespace) -> int:
     if args.sqlite:
         files.append(folder / "board.sqlite")
         write_sqlite(journal, files[-1])
-    for line in board["unranked"]:
-        print(f"not ranked: line {line['line']}, {line['name']}: {line['why']}")
+    for entry in board["unranked"]:
+        print(f"not ranked: line {entry['line']}, {entry['name']}: {entry['why']}")
     print(f"{len(journal.records)} entries, last hash {journal.head}")
     for file in files:
         print(f"written {file}")

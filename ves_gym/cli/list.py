@@ -33,9 +33,9 @@ def run(args: argparse.Namespace) -> int:
             f"{did_you_mean(args.what, KINDS)}"
         )
     names = list(KINDS) if args.what is None else [args.what]
-    found = {name: KINDS[name]() for name in names}
-    write_json(args.json, {"schema": SCHEMA, **found})
-    for name, rows in found.items():
+    tables = {name: KINDS[name]() for name in names}
+    write_json(args.json, {"schema": SCHEMA, **tables})
+    for name, rows in tables.items():
         _print_table(name, rows)
     return 0
 
@@ -204,13 +204,13 @@ def _print_table(title: str, rows: Rows) -> None:
         name, _, last = key.rpartition("_")
         table.add_column(f"{name} [{UNITS[last]}]" if last in UNITS else key.replace("_", " "))
     for row in rows:
-        table.add_row(*(_shown(value) for value in row.values()))
+        table.add_row(*(_text(value) for value in row.values()))
     Console(width=None if sys.stdout.isatty() else 140, markup=False).print(table)
 
 
-def _shown(value: Any) -> str:
+def _text(value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in value) or "-"
     if isinstance(value, dict):
-        return ", ".join(f"{k} {_shown(v)}" for k, v in value.items())
+        return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
     return str(value)

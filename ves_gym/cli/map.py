@@ -53,10 +53,10 @@ def run(args: argparse.Namespace) -> int:
     if not 4 <= args.points <= _MOST:
         raise ParameterError(f"--points must be from 4 to {_MOST}, got {args.points}")
     maps = []
-    with progress() as tell:
+    with progress() as on_progress:
         for pair in pairs:
             maps.append(coupling_map(system, pair, at, duration=duration, points=args.points))
-            tell("mapping", len(maps) / len(pairs))
+            on_progress("mapping", len(maps) / len(pairs))
     write_json(args.json, _result(system, maps))
     written = _write(args, maps, out_dir(args, "out/map"))
     for section in maps:
@@ -109,7 +109,7 @@ def _result(system: System, maps: list[CouplingMap]) -> dict[str, Any]:
                 "least": section.least.tolist(),
                 "most": section.most.tolist(),
                 "direction": section.direction.tolist(),
-                "lines": [line.tolist() for line in section.lines()],
+                "lines": [curve.tolist() for curve in section.lines()],
             }
             for section in maps
         ],

@@ -52,10 +52,10 @@ def joint_angles(
 ) -> Array:
     """Joint angles [rad] from degrees, inside the limits; zeros if neither is given."""
     if text is None:
-        given = np.deg2rad(default) if default and len(default) == arm.n else np.zeros(arm.n)
+        angles = np.deg2rad(default) if default and len(default) == arm.n else np.zeros(arm.n)
     else:
-        given = np.array(degrees(text, arm.n, name))
-    return arm.require_within_limits(given, name)
+        angles = np.array(degrees(text, arm.n, name))
+    return arm.require_within_limits(angles, name)
 
 
 def duration_from(value: float | None, default: float = 2.0) -> float:

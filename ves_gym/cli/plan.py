@@ -99,14 +99,14 @@ def _planner_from(args: argparse.Namespace) -> Planner:
     """The planner by name, a search with the budget that is asked for."""
     planner = get_planner(args.planner)
     names = ("algorithm", "evaluations", "seconds")
-    asked = {k: getattr(args, k) for k in names if getattr(args, k) is not None}
-    if not asked:
+    options = {k: getattr(args, k) for k in names if getattr(args, k) is not None}
+    if not options:
         return planner
     if not isinstance(planner, Ompl):
         raise ParameterError(
-            f"--{next(iter(asked))} is for planners ompl-..., got {planner.name}"
+            f"--{next(iter(options))} is for planners ompl-..., got {planner.name}"
         )
-    return replace(planner, **asked)
+    return replace(planner, **options)
 
 
 def _without_motion(args: argparse.Namespace, plan: Plan) -> int:
@@ -147,10 +147,10 @@ def _print_table(
         table.add_column(name, justify="left" if name == "measure" else "right")
     predicted: dict[str, Any] = prediction.to_dict()
     for name in predicted:
-        here, there = getattr(simulated, name), getattr(straight, name)
-        ratio = f"{here / there:.3f}" if there > 0 else "-"
+        planned, reference = getattr(simulated, name), getattr(straight, name)
+        ratio = f"{planned / reference:.3f}" if reference > 0 else "-"
         table.add_row(
-            f"{name} [J]", f"{predicted[name]:.4g}", f"{here:.4g}", f"{there:.4g}", ratio
+            f"{name} [J]", f"{predicted[name]:.4g}", f"{planned:.4g}", f"{reference:.4g}", ratio
         )
     Console(width=None if sys.stdout.isatty() else 120, markup=False).print(table)
     verdict = "inside the limits" if plan.feasible else f"NOT feasible: {plan.failure}"

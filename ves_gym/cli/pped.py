@@ -115,13 +115,13 @@ def run(args: argparse.Namespace) -> int:
         raise ParameterError(f"--map needs two joints or more, {system.arm.name} has 1")
     bounds = _bounds(args.bounds)
     plant = plant_at(system, q)
-    found: list[Configuration] = []
+    configurations: list[Configuration] = []
     maps: list[DampingMap] = []
-    with progress() as tell:
-        rows = _rows(args, system, plant, q, y, bounds, tell)
+    with progress() as on_progress:
+        rows = _rows(args, system, plant, q, y, bounds, on_progress)
         linear, simulated, trouble = _released(system, q, y, rows)
         if args.map:
-            found, maps = _maps(args, system, y, bounds, tell)
+            configurations, maps = _maps(args, system, y, bounds, on_progress)
     best = min((r for r in rows if r.objective), key=lambda r: r.damping.E_int)
     files = _figures(args, plant, system, rows, linear, simulated, maps)
     write_json(
@@ -139,13 +139,13 @@ def run(args: argparse.Namespace) -> int:
             "gains": [_row_result(r, k, simulated) for k, r in enumerate(rows)],
             "configurations": [
                 {"q": c.q.tolist(), "promised": c.estimated, "E_int": c.tuned.value}
-                for c in found
+                for c in configurations
             ],
             "map": [_map_result(m) for m in maps],
             "files": [str(f) for f in files],
         },
     )
-    _print(system, q, y, rows, simulated, found)
+    _print(system, q, y, rows, simulated, configurations)
     if trouble:
         print(f"not simulated: {trouble}")
     if files:
@@ -173,17 +173,17 @@ def _rows(
     q: Array,
     y: Array,
     bounds: Bounds,
-    tell: Tell,
+    on_progress: Tell,
 ) -> list[_Row]:
     """The thesis's gains, then those found."""
     rows = []
     if plant.n == len(HIGH_GAINS.kp):
         for name, servo in ((_HIGH, HIGH_GAINS), (_PPED, PPED_GAINS)):
             rows.append(_Row(name=name, damping=analyse(plant, GainMatrices.of(servo), y)))
-    wanted = ("estimator", "strain") if args.objective == "both" else (args.objective,)
-    searches = list(itertools.product(wanted, (False, True) if args.full else (False,)))
+    objectives = ("estimator", "strain") if args.objective == "both" else (args.objective,)
+    searches = list(itertools.product(objectives, (False, True) if args.full else (False,)))
     for k, (objective, full) in enumerate(searches):
-        tell("searching gains", k / (len(searches) + 1))
+        on_progress("searching gains", k / (len(searches) + 1))
         tuned = tune(plant, objective, y=y, full=full, bounds=bounds, seed=args.seed)
         rows.append(
             _Row(
@@ -194,11 +194,11 @@ def _rows(
                 seconds=tuned.seconds,
             )
         )
-    tell("searching gains", len(searches) / (len(searches) + 1))
+    on_progress("searching gains", len(searches) / (len(searches) + 1))
     virtual = tune_virtual(system, q, y=y, bounds=bounds, seed=args.seed)
     damping = analyse(plant, virtual.gains, y)
     rows.append(_Row(name="virtual arm (4.1)", damping=damping))
-    tell("searching gains", 1.0)
+    on_progress("searching gains", 1.0)
     return rows
 
 
@@ -214,26 +214,26 @@ def _released(
 
 
 def _maps(
-    args: argparse.Namespace, system: System, y: Array, bounds: Bounds, tell: Tell
+    args: argparse.Namespace, system: System, y: Array, bounds: Bounds, on_progress: Tell
 ) -> tuple[list[Configuration], list[DampingMap]]:
-    found = best_configurations(
+    configurations = best_configurations(
         system, y, bounds=bounds, seed=args.seed,
-        progress=lambda done: tell("looking for configurations", done),
+        progress=lambda done: on_progress("looking for configurations", done),
     )  # fmt: skip
     pairs = list(itertools.combinations(range(min(system.arm.n, _WIDEST)), 2))
     maps = []
     for k, pair in enumerate(pairs):
 
         def part(done: float, k: int = k) -> None:
-            tell("mapping", (k + done) / len(pairs))
+            on_progress("mapping", (k + done) / len(pairs))
 
         maps.append(
             damping_map(
-                system, pair, found[0].q, y, bounds=bounds, points=args.points,
+                system, pair, configurations[0].q, y, bounds=bounds, points=args.points,
                 seed=args.seed, progress=part,
             )
         )  # fmt: skip
-    return found, maps
+    return configurations, maps
 
 
 def _row_result(row: _Row, k: int, simulated: FreeVibration | None) -> dict[str, Any]:
@@ -274,7 +274,7 @@ def _print(
     y: Array,
     rows: list[_Row],
     simulated: FreeVibration | None,
-    found: list[Configuration],
+    configurations: list[Configuration],
 ) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -289,11 +289,12 @@ def _print(
                "worst [s]", "eq. 4.4", "effort", "found in")  # fmt: skip
     for name in columns:
         table.add_column(name, justify="left" if name == "gains" else "right")
-    given = {r.name: r.damping.E_int for r in rows if r.objective is None}
+    reference = {r.name: r.damping.E_int for r in rows if r.objective is None}
     for k, row in enumerate(rows):
         d = row.damping
         ratios = (
-            f"{d.E_int / given[name]:.3f}" if name in given else "-" for name in (_PPED, _HIGH)
+            f"{d.E_int / reference[name]:.3f}" if name in reference else "-"
+            for name in (_PPED, _HIGH)
         )
         table.add_row(
             row.name,
@@ -314,19 +315,21 @@ def _print(
     for row in rows:
         gains, poles = row.damping.gains, row.damping.poles
         console.print(f"{row.name}")
-        console.print(f"  K {_shown(gains.K)} N m/rad   B {_shown(gains.B)} N m s/rad")
+        console.print(
+            f"  K {_matrix_text(gains.K)} N m/rad   B {_matrix_text(gains.B)} N m s/rad"
+        )
         console.print("  poles " + "  ".join(_pole(p) for p in poles if p.imag >= 0) + " 1/s")
-    if found:
+    if configurations:
         console.print("configurations that damp best (strain-energy integral of their gains)")
-        for c in found[:_LISTED]:
+        for c in configurations[:_LISTED]:
             console.print(f"  {_listed(np.rad2deg(c.q))} deg: {c.tuned.value:.4g} J s")
 
 
-def _shown(gain: Array) -> str:
+def _matrix_text(gain: Array) -> str:
     if np.count_nonzero(gain - np.diag(np.diag(gain))) == 0:
         return "diag " + _listed(np.diag(gain))
-    seen = np.where(np.abs(gain) < 1e-6 * np.abs(gain).max(), 0.0, gain)
-    return "[" + "; ".join(_listed(row) for row in seen) + "]"
+    cleaned = np.where(np.abs(gain) < 1e-6 * np.abs(gain).max(), 0.0, gain)
+    return "[" + "; ".join(_listed(row) for row in cleaned) + "]"
 
 
 def _listed(values: Array) -> str:

@@ -28,30 +28,30 @@ def run(args: argparse.Namespace) -> int:
     """Search, print the best trials; exit status 1 if every trial failed."""
     from ves_gym.experiments.search import read_search, search
 
-    wanted, _ = read_search(args.spec)
+    specification, _ = read_search(args.spec)
     folder = Path(args.out or f"out/search/{Path(args.spec).stem}")
-    with progress() as tell:
-        found = search(
+    with progress() as on_progress:
+        outcome = search(
             args.spec,
             folder,
             storage=args.storage,
             seed=args.seed,
-            progress=tell,
+            progress=on_progress,
             **executor_options(args),
         )
-    _print(found.trials, wanted.objective, wanted.direction)
+    _print(outcome.trials, specification.objective, specification.direction)
     write_json(
         args.json,
         {
             "schema": SCHEMA,
             "folder": str(folder),
-            "objective": wanted.objective,
-            "direction": wanted.direction,
-            "best": found.best,
-            "trials": found.trials,
+            "objective": specification.objective,
+            "direction": specification.direction,
+            "best": outcome.best,
+            "trials": outcome.trials,
         },
     )
-    return 0 if found.best is not None else 1
+    return 0 if outcome.best is not None else 1
 
 
 def _print(trials: list[dict[str, Any]], objective: str, direction: str) -> None:

@@ -104,8 +104,8 @@ def run(args: argparse.Namespace) -> int:
                 f"{option} must be {'>= 0' if least == 0 else '> 0'} s, got {value}"
             )
     warnings = limit_warnings(system.arm, motion)
-    with progress() as tell:
-        recording = _play(args, system, motion, servo, tell)
+    with progress() as on_progress:
+        recording = _play(args, system, motion, servo, on_progress)
         space = _in_space(system, motion, servo, args, recording)
     log = recording.log(0)
     stop = recording.events[0] if recording.events else None
@@ -182,7 +182,11 @@ def _check_experiment(args: argparse.Namespace, system: System) -> None:
 
 
 def _play(
-    args: argparse.Namespace, system: System, motion: Motion, servo: JointServo, tell: Tell
+    args: argparse.Namespace,
+    system: System,
+    motion: Motion,
+    servo: JointServo,
+    on_progress: Tell,
 ) -> Recording:
     pose = disturbance(args.disturb)
     if args.learn is not None:
@@ -193,7 +197,7 @@ def _play(
             settle=args.settle,
             servo=servo,
             seed=args.seed,
-            progress=lambda done: tell("learning", done),
+            progress=lambda done: on_progress("learning", done),
         )
         for i, k in enumerate(learnt.iterations):
             move, turn = 1e3 * k.change[:3].max(), 1e3 * k.change[3:].max()
@@ -225,7 +229,7 @@ def _play(
         record_dt=args.record_dt or default,
         y=pose,
         seed=args.seed,
-        progress=lambda done: tell("simulating", done),
+        progress=lambda done: on_progress("simulating", done),
         **options,
     )
 
@@ -343,18 +347,18 @@ def _print_table(
     tail = min(TAIL, float(log.t[-1] - log.t[0]) - motion.duration)
     for name, value in measured.to_dict().items():
         symbol = {"E_int": "J s", "t_5": "s"}.get(name, "J")
-        shown = [_shown(value)] + ([_shown(space[name])] if space else [])
-        table.add_row(name, *shown, symbol, _MEANING[name].format(tail=round(tail, 6)))
+        cells = [_text(value)] + ([_text(space[name])] if space else [])
+        table.add_row(name, *cells, symbol, _MEANING[name].format(tail=round(tail, 6)))
     if system.mode == "ideal":
         table.add_section()
-        shown = ["-" if residual is None else f"{residual:.1e}"]
+        cells = ["-" if residual is None else f"{residual:.1e}"]
         every = 1e3 * float(log.t[1] - log.t[0])
         what = f"relative residual of the energy account, records every {every:g} ms"
-        table.add_row("ledger", *shown, "1", what)
+        table.add_row("ledger", *cells, "1", what)
     Console(width=None if sys.stdout.isatty() else 120, markup=False).print(table)
 
 
-def _shown(value: float | None) -> str:
+def _text(value: float | None) -> str:
     return "-" if value is None else f"{value:.5g}"
 
 
@@ -379,15 +383,15 @@ def _picture(
     FigureCanvasAgg(figure)
     place, turn, joint, error, energy = figure.subplots(5, 1, sharex=True)
     for k, name in enumerate("xyz"):
-        (line,) = place.plot(log.t, 1e3 * log.y[:, k], label=name, lw=1)
+        (curve,) = place.plot(log.t, 1e3 * log.y[:, k], label=name, lw=1)
         turn.plot(log.t, np.rad2deg(log.y[:, 3 + k]), label=f"$\\phi_{name}$", lw=1)
         if space is not None:
-            dashed = {"color": line.get_color(), "lw": 0.8, "ls": "--"}
+            dashed = {"color": curve.get_color(), "lw": 0.8, "ls": "--"}
             place.plot(space.t, 1e3 * space.y[0, :, k], **dashed)
             turn.plot(space.t, np.rad2deg(space.y[0, :, 3 + k]), **dashed)
     for k in range(log.n_joints):
-        (line,) = joint.plot(log.t, np.rad2deg(log.q[:, k]), label=f"$q_{k + 1}$", lw=1)
-        joint.plot(log.t, np.rad2deg(log.q_cmd[:, k]), "--", color=line.get_color(), lw=1)
+        (curve,) = joint.plot(log.t, np.rad2deg(log.q[:, k]), label=f"$q_{k + 1}$", lw=1)
+        joint.plot(log.t, np.rad2deg(log.q_cmd[:, k]), "--", color=curve.get_color(), lw=1)
         error.plot(log.t, np.rad2deg(log.q_cmd - log.q)[:, k], label=f"$q_{k + 1}$", lw=1)
     energy.plot(log.t, E.total, label="total", lw=1.2)
     energy.plot(log.t, E.strain, label="strain", lw=0.8)

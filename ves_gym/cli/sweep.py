@@ -54,13 +54,13 @@ def run(args: argparse.Namespace) -> int:
     from ves_gym.experiments.sweep import merge, sweep, write_rows
 
     folder = Path(args.out or f"out/sweep/{Path(args.spec).stem}")
-    with progress() as tell:
+    with progress() as on_progress:
         report = sweep(
             args.spec,
             folder,
             resume=not args.again,
             part=_part(args.part),
-            progress=tell,
+            progress=on_progress,
             **executor_options(args),
         )
     rows = merge([folder]) if report.done or report.skipped else []
@@ -99,13 +99,13 @@ def executor_options(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _slurm(words: list[str]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    labels: dict[str, Any] = {}
     for word in words:
         name, equal, value = word.partition("=")
         if not name or not equal:
             raise ParameterError(f"--slurm must be NAME=VALUE, got {word!r}")
-        found[name] = int(value) if value.isdigit() else value
-    return found
+        labels[name] = int(value) if value.isdigit() else value
+    return labels
 
 
 def _part(text: str) -> tuple[int, int]:

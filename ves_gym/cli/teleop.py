@@ -52,12 +52,12 @@ def run(args: argparse.Namespace) -> int:
         _window(teleop)
     else:
         _script(teleop, args)
-    now, sim = teleop.batch.scene, teleop.batch.sim
+    scene, sim = teleop.batch.scene, teleop.batch.sim
     result = {
         "schema": SCHEMA,
         "system": system.hash,
         "mode": system.mode,
-        "seconds": float(now.time[0]),
+        "seconds": float(scene.time[0]),
         "E_peak": float(teleop.batch.episodes.peaks[0, 0]),
         "events": [{"time": e.time, "reason": e.reason} for e in sim.events],
         "diverged": teleop.diverged,
@@ -119,20 +119,20 @@ def _script(teleop: Teleop, args: argparse.Namespace) -> None:
     else:
         script = load_script(args.keys, keys)
     seconds = _duration(args.duration, script)
-    shown = 0.0
+    reported = 0.0
 
-    def tell(time: float) -> None:
-        nonlocal shown
-        if time >= shown + _EVERY - 1e-9:
-            shown = time
+    def on_progress(time: float) -> None:
+        nonlocal reported
+        if time >= reported + _EVERY - 1e-9:
+            reported = time
             print(f"{time:6.2f} s  " + "  ".join(teleop.readings()))
 
-    teleop.play(script, seconds, tell)
+    teleop.play(script, seconds, on_progress)
 
 
-def _duration(asked: float | None, script: list[Press]) -> float:
-    if asked is None:
+def _duration(seconds: float | None, script: list[Press]) -> float:
+    if seconds is None:
         return max((k.time + k.hold for k in script), default=0.0) + _AFTER
-    if not (asked > 0 and math.isfinite(asked)):
-        raise ParameterError(f"--duration must be > 0 s, got {asked}")
-    return asked
+    if not (seconds > 0 and math.isfinite(seconds)):
+        raise ParameterError(f"--duration must be > 0 s, got {seconds}")
+    return seconds

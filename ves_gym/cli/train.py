@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     from ves_gym.baselines.train import PACKAGES, train_seeds
 
     require("training", *PACKAGES)
-    with _bars() as tell:
+    with _bars() as on_progress:
         folder = out_dir(args, f"out/train/{config.name}")
         curves = train_seeds(
             config,
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
             folder,
             workers=args.workers,
             resume=args.resume,
-            progress=tell,
+            progress=on_progress,
         )
     result = TrainingResult(config, folder, curves).to_dict()
     _print(config, result["runs"])
@@ -139,9 +139,9 @@ def _bars() -> Iterator[Callable[[int, float, str], None]]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
         tasks: dict[int, Any] = {}
 
-        def tell(seed: int, done: float, note: str) -> None:
+        def on_progress(seed: int, done: float, note: str) -> None:
             if seed not in tasks:
                 tasks[seed] = bars.add_task(f"seed {seed}", total=1.0, note="")
             bars.update(tasks[seed], completed=done, note=note)
 
-        yield tell
+        yield on_progress

@@ -48,8 +48,8 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, {**result, "file": None})
         return 0
     path = _target(args)
-    with progress() as tell:
-        drawn = render(log, path, view, lambda done: tell("drawing", done))
+    with progress() as on_progress:
+        drawn = render(log, path, view, lambda done: on_progress("drawing", done))
     write_json(args.json, {**result, "file": str(path), **drawn})
     print(f"written: {path} ({drawn['frames']} frames, drawn with {drawn['backend']})")
     return 0

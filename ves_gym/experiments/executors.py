@@ -99,9 +99,9 @@ def answer(
         faulthandler.cancel_dump_traceback_later()
 
 
-def _settle(future: Future[Any], found: tuple[Any, BaseException | None]) -> None:
+def _settle(future: Future[Any], outcome: tuple[Any, BaseException | None]) -> None:
     """End a future as `answer` says."""
-    result, error = found
+    result, error = outcome
     if error is None:
         future.set_result(result)
     else:
@@ -280,7 +280,7 @@ class _Dask:
         self.client, self.seconds, self.deaths = client, seconds, deaths
         self.waiting: deque[_Ticket] = deque()
         self.running = self.threads = 0
-        self.asked = -math.inf  # when the number of threads was
+        self.last_asked = -math.inf  # when the number of threads was
         self.change = threading.Lock()
         self.over = threading.Event()
         self.thread = threading.Thread(target=self._watch, daemon=True)
@@ -307,16 +307,16 @@ class _Dask:
 
     def _fill(self) -> None:
         with self.change:
-            if time.monotonic() - self.asked > _ASK:
+            if time.monotonic() - self.last_asked > _ASK:
                 self.threads = sum(self.client.nthreads().values())
-                self.asked = time.monotonic()
+                self.last_asked = time.monotonic()
             while self.waiting and self.running < max(1, self.threads):
                 ticket = self.waiting.popleft()
                 if ticket.future.running() or ticket.future.set_running_or_notify_cancel():
                     call = answer, self.seconds, ticket.function, ticket.args
                     inner = self.client.submit(*call, pure=False)
                     self.running += 1
-                    inner.add_done_callback(lambda done, own=ticket: self._end(own, done))
+                    inner.add_done_callback(lambda done, entry=ticket: self._end(entry, done))
 
     def _end(self, ticket: _Ticket, done: Any) -> None:
         from distributed import KilledWorker
@@ -328,7 +328,7 @@ class _Dask:
             if error is None:
                 _settle(ticket.future, done.result())
             elif isinstance(error, KilledWorker):
-                self.asked = -math.inf
+                self.last_asked = -math.inf
                 ticket.deaths += 1
                 if ticket.deaths < self.deaths:
                     self.waiting.appendleft(ticket)
@@ -339,15 +339,15 @@ class _Dask:
             self._fill()
         except BaseException as lost:  # the scheduler is gone, or the job was cancelled
             text = f"the cluster lost it: {lost or type(lost).__name__}"
-            for some in (ticket, *self.waiting):
-                if not some.future.done():
-                    some.future.set_exception(WorkerDied(text))
+            for affected in (ticket, *self.waiting):
+                if not affected.future.done():
+                    affected.future.set_exception(WorkerDied(text))
 
 
 def _lost(seconds: float | None) -> WorkerDied:
     """Of a cluster that tells only that a job ended its workers, not how."""
-    more = "" if seconds is None else f", or it took longer than {seconds:g} s"
-    return WorkerDied(f"its worker died as often as allowed{more}: given up")
+    limit = "" if seconds is None else f", or it took longer than {seconds:g} s"
+    return WorkerDied(f"its worker died as often as allowed{limit}: given up")
 
 
 @contextmanager
@@ -423,8 +423,8 @@ def _ray(
     require("executor ray", "ray")
     import ray
 
-    own = {} if address is not None else {"num_cpus": workers, "include_dashboard": False}
-    ray.init(address=address, log_to_driver=False, **own)
+    local = {} if address is not None else {"num_cpus": workers, "include_dashboard": False}
+    ray.init(address=address, log_to_driver=False, **local)
     try:
         yield _Ray(ray, seconds, deaths)
     finally:

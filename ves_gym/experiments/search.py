@@ -109,19 +109,19 @@ class Found:
 def read_search(path: str | os.PathLike[str]) -> tuple[Search, dict[str, Any]]:
     """A search from a TOML or JSON file, and the plain data of the spec that it varies."""
     table = read_table(path)
-    given = table.pop("search", None)
-    if not isinstance(given, dict):
+    entries = table.pop("search", None)
+    if not isinstance(entries, dict):
         raise ParameterError(f"{path}: expected a table [search] beside those of a sweep")
     where = f"{path}: search"
-    space = given.get("space", {})
+    space = entries.get("space", {})
     if not isinstance(space, dict):
         raise ParameterError(f"{where}.space must be a table, got {space!r}")
     axes = {k: from_plain(Axis, v, f"{where}.space.{k}") for k, v in space.items()}
-    search: Search = from_plain(_Plain, {**given, "space": space}, where).search(axes)
+    search: Search = from_plain(_Plain, {**entries, "space": space}, where).search(axes)
     changed = table
     for name, axis in axes.items():  # every path leads somewhere
-        some = axis.choices[0] if axis.choices else axis.low
-        changed = _put(changed, name, int(some) if axis.integer else some)  # type: ignore[arg-type]
+        sample = axis.choices[0] if axis.choices else axis.low
+        changed = _put(changed, name, int(sample) if axis.integer else sample)  # type: ignore[arg-type]
     spec_from_plain(changed, str(path))
     return search, table
 
@@ -186,10 +186,10 @@ def search(
         seed: added to the search's: one of its own for each machine.
     """
     _optuna()
-    wanted, plain = read_search(path)
+    plan, plain = read_search(path)
     spec = spec_from_plain(plain, str(path))
     root = Path(folder)
-    tell = progress or (lambda stage, done: None)
+    on_progress = progress or (lambda stage, done: None)
     with (
         open_executor(
             executor,
@@ -199,23 +199,23 @@ def search(
             deaths=spec.deaths,
             **options,
         ) as pool,
-        _study(root, wanted, storage) as (study, beat),
+        _study(root, plan, storage) as (study, beat),
     ):
-        while (ended := len(_ended(study))) < wanted.trials:
-            tell("search", ended / wanted.trials)
-            study.sampler = _sampler(wanted, seed, ended)
-            size = wanted.batch - ended % wanted.batch
-            asked = [_ask(study) for _ in range(min(size, wanted.trials - ended))]
-            with beat(asked):
-                _batch(study, asked, wanted, plain, root, Path(path).parent, pool)
-        tell("search", 1.0)
-        return _found(study)
+        while (ended := len(_ended(study))) < plan.trials:
+            on_progress("search", ended / plan.trials)
+            study.sampler = _sampler(plan, seed, ended)
+            size = plan.batch - ended % plan.batch
+            trials = [_ask(study) for _ in range(min(size, plan.trials - ended))]
+            with beat(trials):
+                _batch(study, trials, plan, plain, root, Path(path).parent, pool)
+        on_progress("search", 1.0)
+        return _outcome(study)
 
 
 def _batch(
     study: Any,
-    asked: list[Any],
-    wanted: Search,
+    trials: list[Any],
+    plan: Search,
     plain: dict[str, Any],
     root: Path,
     base: Path,
@@ -224,25 +224,27 @@ def _batch(
     """Run some trials side by side, then tell how they ended, in order."""
     units: dict[int, list[Unit]] = {}
     wrong: dict[int, str] = {}
-    for trial in asked:
+    for trial in trials:
         changed = plain
-        for name, axis in wanted.space.items():
+        for name, axis in plan.space.items():
             changed = _put(changed, name, axis.draw(trial, name))
         try:
             units[trial.number] = units_of(spec_from_plain(changed), base)
         except ParameterError as error:  # settings that do not go together
             wrong[trial.number] = str(error)
-    every = {unit.id: unit for some in units.values() for unit in some}
+    every = {unit.id: unit for own_units in units.values() for unit in own_units}
     report = Report(root)
     run_units(pool, [unit for unit in every.values() if not finished(root, unit)], report)
-    for trial in asked:
-        some = units.get(trial.number, [])
-        trial.set_user_attr(_UNITS, [unit.id for unit in some])
+    for trial in trials:
+        own_units = units.get(trial.number, [])
+        trial.set_user_attr(_UNITS, [unit.id for unit in own_units])
         why = wrong.get(trial.number)
-        why = why or next((report.failed[u.id] for u in some if u.id in report.failed), None)
-        value = None if why else _value(root, some, wanted.objective)
+        why = why or next(
+            (report.failed[u.id] for u in own_units if u.id in report.failed), None
+        )
+        value = None if why else _value(root, own_units, plan.objective)
         if value is None:
-            why = why or f"its units have no number {wanted.objective}"
+            why = why or f"its units have no number {plan.objective}"
             trial.set_user_attr(_WHY, why)
             study.tell(trial, state=_optuna().trial.TrialState.FAIL)
         else:
@@ -277,17 +279,17 @@ def _ended(study: Any) -> list[Any]:
     return [t for t in trials if t.state == states.COMPLETE or _WHY in t.user_attrs]
 
 
-def _sampler(wanted: Search, seed: int, ended: int) -> Any:
+def _sampler(plan: Search, seed: int, ended: int) -> Any:
     """A sampler for the next batch: the seed and what was found decide what it draws."""
-    samplers, mixed = _optuna().samplers, (wanted.seed + seed) * 1_000_003 + ended
-    if wanted.sampler == "random":
+    samplers, mixed = _optuna().samplers, (plan.seed + seed) * 1_000_003 + ended
+    if plan.sampler == "random":
         return samplers.RandomSampler(seed=mixed % 2**32)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", _optuna().exceptions.ExperimentalWarning)
         return samplers.TPESampler(seed=mixed % 2**32, constant_liar=True)
 
 
-def _found(study: Any) -> Found:
+def _outcome(study: Any) -> Found:
     trials = [
         {
             "number": t.number,
@@ -311,17 +313,17 @@ Beat = Callable[[list[Any]], contextlib.AbstractContextManager[None]]
 
 
 @contextlib.contextmanager
-def _study(root: Path, wanted: Search, storage: str | None) -> Iterator[tuple[Any, Beat]]:
+def _study(root: Path, plan: Search, storage: str | None) -> Iterator[tuple[Any, Beat]]:
     """The study, and a context that shows a database that trials are alive."""
     optuna = _optuna()
-    named = {"study_name": "search", "direction": wanted.direction, "load_if_exists": True}
+    named = {"study_name": "search", "direction": plan.direction, "load_if_exists": True}
     if storage is None:
         root.mkdir(parents=True, exist_ok=True)
         with _alone(root / ".search.lock"):
             (root / f"{JOURNAL}.lock").unlink(missing_ok=True)  # whoever held it is dead
-            kept = open_journal(root / JOURNAL)
-            study = optuna.create_study(storage=kept, **named)
-            _take_over(study, wanted)
+            journal = open_journal(root / JOURNAL)
+            study = optuna.create_study(storage=journal, **named)
+            _take_over(study, plan)
             yield study, lambda trials: contextlib.nullcontext()
         return
     with warnings.catch_warnings():
@@ -338,7 +340,7 @@ def _study(root: Path, wanted: Search, storage: str | None) -> Iterator[tuple[An
     yield study, lambda trials: _alive(database, study, trials)
 
 
-def _take_over(study: Any, wanted: Search) -> None:
+def _take_over(study: Any, plan: Search) -> None:
     """Fail what is left running by a search that died, and ask for the same again.
 
     Where it died while it asked, its next batch is drawn again, to the same trials.
@@ -347,11 +349,11 @@ def _take_over(study: Any, wanted: Search) -> None:
     dead = [t for t in study.get_trials(deepcopy=False) if t.state == state.RUNNING]
     for trial in dead:
         study.tell(trial.number, state=state.FAIL)
-    whole = [t for t in dead if t.params.keys() == wanted.space.keys()]
+    complete = [t for t in dead if t.params.keys() == plan.space.keys()]
     ended = len(_ended(study))
-    told = ended % wanted.batch
-    if told + len(whole) == min(wanted.batch, told + wanted.trials - ended):
-        for trial in whole:
+    offset = ended % plan.batch
+    if offset + len(complete) == min(plan.batch, offset + plan.trials - ended):
+        for trial in complete:
             study.enqueue_trial(trial.params)
 
 
@@ -363,9 +365,9 @@ def _fail_dead(study: Any) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         optuna.storages.fail_stale_trials(study)
-    now = study.get_trials(deepcopy=False)
+    current = study.get_trials(deepcopy=False)
     for trial in running:
-        if now[trial.number].state == state.FAIL:
+        if current[trial.number].state == state.FAIL:
             study.enqueue_trial(trial.params)
 
 
@@ -432,10 +434,10 @@ def _repair(path: Path) -> None:
     data = path.read_bytes()
     lines = data.splitlines(keepends=True)
     sound = 0
-    for k, line in enumerate(lines):
+    for k, entry in enumerate(lines):
         try:
-            json.loads(line)
-            if not line.endswith(b"\n"):
+            json.loads(entry)
+            if not entry.endswith(b"\n"):
                 raise ValueError
         except ValueError:
             if k < len(lines) - 1:
@@ -444,7 +446,7 @@ def _repair(path: Path) -> None:
                     f" search last began is in {path.name}.snapshot"
                 ) from None
             break
-        sound += len(line)
+        sound += len(entry)
     write_bytes(path.with_name(path.name + ".snapshot"), data[:sound])
     if sound < len(data):
         with open(path, "r+b") as file:

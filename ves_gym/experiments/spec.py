@@ -75,9 +75,9 @@ class Spec:
         for table in tables:
             if any(seed < 0 for seed in table.seeds or ()) or table.seeds == ():
                 raise ParameterError(f"seeds must be numbers >= 0, got {table.seeds}")
-        for some in self.evaluate:
-            if some.episodes < 1:
-                raise ParameterError(f"episodes must be >= 1, got {some.episodes}")
+        for entry in self.evaluate:
+            if entry.episodes < 1:
+                raise ParameterError(f"episodes must be >= 1, got {entry.episodes}")
 
 
 def read_spec(path: str | os.PathLike[str]) -> Spec:
@@ -97,7 +97,7 @@ def units_of(spec: Spec, base: Path = Path()) -> list[Unit]:
     Args:
         base: folder that paths in the spec start from.
     """
-    found: dict[str, Unit] = {}
+    units: dict[str, Unit] = {}
     parts: tuple[tuple[Iterable[Any], Callable[[Any, Path], Iterable[Unit]]], ...] = (
         (spec.evaluate, _evaluations),
         (spec.train, _trainings),
@@ -106,8 +106,8 @@ def units_of(spec: Spec, base: Path = Path()) -> list[Unit]:
     for tables, expand in parts:
         for table in tables:
             for unit in expand(table, base):
-                found.setdefault(unit.id, unit)
-    return list(found.values())
+                units.setdefault(unit.id, unit)
+    return list(units.values())
 
 
 def _evaluations(table: Evaluations, base: Path) -> Iterable[Unit]:
@@ -149,10 +149,10 @@ def _trainings(table: Trainings, base: Path) -> Iterable[Unit]:
 def _config(name: str, changes: Mapping[str, Any], base: Path) -> TrainConfig:
     path = base / name if Path(name).suffix in (".toml", ".json") else CONFIGS / f"{name}.toml"
     if path.parent == CONFIGS and not path.exists():
-        known = sorted(p.stem for p in CONFIGS.glob("*.toml"))
+        names = sorted(p.stem for p in CONFIGS.glob("*.toml"))
         raise ParameterError(
-            f"config must be a .toml file or one of {', '.join(known)}, got {name!r}"
-            f"{did_you_mean(name, known)}"
+            f"config must be a .toml file or one of {', '.join(names)}, got {name!r}"
+            f"{did_you_mean(name, names)}"
         )
     return config_from_plain(_changed(read_table(path), changes), str(path))
 
@@ -188,8 +188,10 @@ def _plannings(table: Plannings, base: Path) -> Iterable[Unit]:
             for seed in table.seeds:
                 yield plan_unit(suite.name, vehicle, query, planner, seed)
     if not taken:
-        known = ", ".join(f"{d:g}" for d in dict.fromkeys(q.duration for _, q in suite.queries))
+        durations = ", ".join(
+            f"{d:g}" for d in dict.fromkeys(q.duration for _, q in suite.queries)
+        )
         raise ParameterError(
-            f"suite {suite.name} has durations {known} s, got {table.durations} and"
+            f"suite {suite.name} has durations {durations} s, got {table.durations} and"
             f" {table.queries} queries of each"
         )

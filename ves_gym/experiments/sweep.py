@@ -86,9 +86,9 @@ def sweep(
         from ves_gym.baselines.train import PACKAGES
 
         require("training", *PACKAGES)
-    tell = progress or (lambda stage, done: None)
+    on_progress = progress or (lambda stage, done: None)
     if not todo:
-        tell("sweep", 1.0)
+        on_progress("sweep", 1.0)
         return report
     with open_executor(
         executor,
@@ -98,7 +98,9 @@ def sweep(
         deaths=spec.deaths,
         **options,
     ) as pool:
-        run_units(pool, todo, report, lambda n: tell("sweep", (len(skipped) + n) / len(units)))
+        run_units(
+            pool, todo, report, lambda n: on_progress("sweep", (len(skipped) + n) / len(units))
+        )
     return report
 
 
@@ -106,7 +108,7 @@ def run_units(
     pool: Executor,
     units: Sequence[Unit],
     report: Report,
-    tell: Callable[[int], None] = lambda count: None,
+    on_progress: Callable[[int], None] = lambda count: None,
 ) -> None:
     """Do units and enter them in the report.
 
@@ -127,10 +129,10 @@ def run_units(
             report.done.append(unit.id)
         else:
             kind, text = why
-            told = {"schema": FAILURE, "id": unit.id, "unit": dict(unit.identity)}
-            write_text(failure, canonical_json({**told, "kind": kind, "why": text}) + "\n")
+            record = {"schema": FAILURE, "id": unit.id, "unit": dict(unit.identity)}
+            write_text(failure, canonical_json({**record, "kind": kind, "why": text}) + "\n")
             report.failed[unit.id] = f"{unit.label}: {text}"
-        tell(count + 1)
+        on_progress(count + 1)
 
 
 def _why(future: Future[Any]) -> tuple[str, str] | None:
@@ -185,21 +187,21 @@ def merge(folders: Iterable[str | os.PathLike[str]]) -> list[dict[str, Any]]:
             raise ParameterError(f"{folder}: expected the folder of a sweep with results in it")
         for path in paths:
             try:
-                found = read_result(path)
+                result = read_result(path)
             except ParameterError as error:
                 warnings.warn(f"{error}; left out", stacklevel=2)
                 continue
-            id = found["id"]
-            if results.setdefault(id, found) != found:
+            id = result["id"]
+            if results.setdefault(id, result) != result:
                 raise ParameterError(
                     f"{origin[id]} and {path}: two results of one unit that differ"
                 )
             origin.setdefault(id, path)
     rows = []
-    for id, found in results.items():
-        unit = found["unit"]
+    for id, result in results.items():
+        unit = result["unit"]
         head = {k: unit[k] for k in _ORDER[:-1]} | {"unit": id}
-        rows += [{**head, "row": k, **_beside(row)} for k, row in enumerate(found["rows"])]
+        rows += [{**head, "row": k, **_beside(row)} for k, row in enumerate(result["rows"])]
     return sorted(rows, key=lambda row: (*(row[k] for k in _ORDER), row["row"]))
 
 

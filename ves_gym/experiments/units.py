@@ -123,12 +123,12 @@ def _identity(kind: str, where: str, who: str, seed: int, system: str) -> dict[s
 def _task(env: str, settings: Mapping[str, Any]) -> str:
     """Hash of an environment's task, the system in it; nothing is simulated."""
     try:
-        given = gym.spec(env).kwargs
+        defaults = gym.spec(env).kwargs
     except gym.error.Error as error:
         raise ParameterError(str(error)) from None
-    if "task" not in given:
+    if "task" not in defaults:
         raise ParameterError(f"{env} is no environment of ves_gym")
-    return content_hash(build_task(**{**given, **settings}))
+    return content_hash(build_task(**{**defaults, **settings}))
 
 
 def _name(who: str) -> str:
@@ -155,14 +155,14 @@ def run_unit(unit: Unit, folder: str | None) -> Outcome | None:
     begun, begin = datetime.now(UTC), time.perf_counter()
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(scratch) if folder is None else Path(folder) / "work" / unit.id
-        found = _RUN[unit.identity["kind"]](unit, work)
+        answer = _RUN[unit.identity["kind"]](unit, work)
     body = {
         "schema": RESULT,
         "id": unit.id,
         "unit": dict(unit.identity),
-        "rows": found.rows,
-        "summary": found.summary,
-        "files": {name: hashlib.sha256(data).hexdigest() for name, data in found.digested},
+        "rows": answer.rows,
+        "summary": answer.summary,
+        "files": {name: hashlib.sha256(data).hexdigest() for name, data in answer.digested},
     }
     about = {
         "schema": ABOUT,
@@ -173,13 +173,13 @@ def run_unit(unit: Unit, folder: str | None) -> Outcome | None:
         "ended": datetime.now(UTC).isoformat(timespec="milliseconds"),
         "seconds": round(time.perf_counter() - begin, 3),
         "versions": versions("mujoco"),
-        "clocked": found.clocked,
+        "clocked": answer.clocked,
     }
     outcome = Outcome(
         unit.id,
         canonical_json({**body, "digest": content_hash(body)}) + "\n",
         canonical_json(about) + "\n",
-        found.files,
+        answer.files,
     )
     if folder is None:
         return outcome
@@ -229,28 +229,32 @@ class _Found:
 
 
 def _evaluate(unit: Unit, work: Path) -> _Found:
-    given, who = unit.identity, unit.source["who"]
-    if _weights(who) != given["weights"]:
+    identity, who = unit.identity, unit.source["who"]
+    if _weights(who) != identity["weights"]:
         raise ParameterError(f"{who}: is not the policy any more that the sweep began with")
-    controller = get_controller(who, given["seed"]) if who in CONTROLLERS else load_policy(who)
-    found = evaluate(
-        controller,
-        given["where"],
-        episodes=given["episodes"],
-        seed=given["seed"],
-        threads=1,
-        **given["settings"],
+    controller = (
+        get_controller(who, identity["seed"]) if who in CONTROLLERS else load_policy(who)
     )
-    summary: dict[str, float | None] = {"return": _number(_statistic(found, "return", "iqm"))}
+    evaluation = evaluate(
+        controller,
+        identity["where"],
+        episodes=identity["episodes"],
+        seed=identity["seed"],
+        threads=1,
+        **identity["settings"],
+    )
+    summary: dict[str, float | None] = {
+        "return": _number(_statistic(evaluation, "return", "iqm"))
+    }
     for name in ("success", "success_once", "failed"):
-        summary[name] = _statistic(found, name, "mean")
+        summary[name] = _statistic(evaluation, name, "mean")
     for name in ("E_mean", "E_peak", "E_res", "E_int"):
-        summary[name] = _number(_statistic(found, name, "median"))
-    return _Found(found.to_dict()["rows"], summary)
+        summary[name] = _number(_statistic(evaluation, name, "median"))
+    return _Found(evaluation.to_dict()["rows"], summary)
 
 
-def _statistic(found: Any, measure: str, kind: str) -> float:
-    return float(STATISTICS[kind](found.values(measure)[0]))
+def _statistic(evaluation: Any, measure: str, kind: str) -> float:
+    return float(STATISTICS[kind](evaluation.values(measure)[0]))
 
 
 def _train(unit: Unit, work: Path) -> _Found:
@@ -259,16 +263,18 @@ def _train(unit: Unit, work: Path) -> _Found:
     config = config_from_plain(unit.identity["config"])
     rows = train(config, unit.identity["seed"], work, resume=True)
     clocked = [{k: row[k] for k in _CLOCKED if k in row} for row in rows]
-    kept = [{k: v for k, v in row.items() if k not in _CLOCKED} for row in rows]
-    best = max(kept, key=lambda row: row["return"])
+    timeless = [{k: v for k, v in row.items() if k not in _CLOCKED} for row in rows]
+    best = max(timeless, key=lambda row: row["return"])
     summary = {k: v for k, v in best.items() if isinstance(v, float | int)}
     files = {name: (work / name).read_bytes() for name in ("best.json", "best.safetensors")}
-    return _Found(kept, summary, clocked, files)
+    return _Found(timeless, summary, clocked, files)
 
 
 def _plan(unit: Unit, work: Path) -> _Found:
-    given = unit.identity
-    row = run_query(given["who"], given["vehicle"], unit.source["query"], given["seed"])
+    identity = unit.identity
+    row = run_query(
+        identity["who"], identity["vehicle"], unit.source["query"], identity["seed"]
+    )
     clocked = {k: row.pop(k) for k in _CLOCKED if k in row}
     clocked["curve"] = row["info"].pop("curve", None)  # of (seconds, evaluations, cost)
     summary = {k: row[k] for k in ("E_mean", "E_peak", "E_res", "E_int", "predicted")}
