@@ -19,7 +19,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from tests.envs.walks import IDS, SHORT, actions, flat, part, same, walk
 from ves_gym._util.params import ParameterError
 from ves_gym.envs.batch import ActionError
-from ves_gym.envs.workers import AsyncVectorEnv, WorkerDied
+from ves_gym.envs.workers import AsyncVectorEnv, EnvWorkerDied
 
 pytestmark = pytest.mark.bits
 
@@ -445,7 +445,7 @@ def test_a_killed_worker_is_named_and_leaves_no_process(when):
         "call": lambda: env.get_attr("spec"),
     }[when]
     said = rf"worker 1 \(process {processes[1].pid}\) ended with -9\."
-    with pytest.raises(WorkerDied, match=said):
+    with pytest.raises(EnvWorkerDied, match=said):
         work()
     assert not any(p.is_alive() for p in processes)
     assert not set(processes) & set(active_children())
@@ -463,7 +463,7 @@ def test_a_worker_killed_while_it_works_is_named():
     env.step_async(np.zeros((2, 3), np.float32))
     os.kill(processes[0].pid, signal.SIGKILL)
     begin = time.monotonic()
-    with pytest.raises(WorkerDied, match=r"worker 0 .* ended with -9"):
+    with pytest.raises(EnvWorkerDied, match=r"worker 0 .* ended with -9"):
         env.step_wait()
     assert time.monotonic() - begin < 20  # no hang
     assert not any(p.is_alive() for p in processes)

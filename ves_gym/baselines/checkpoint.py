@@ -73,7 +73,7 @@ class _Packer:
         self._places: dict[str, int] = {}  # hash of a system -> its place
 
     def pack(self, value: Any) -> Any:
-        """What JSON can hold; arrays and systems go to their lists."""
+        """Return plain data that JSON can hold; arrays and systems go to their lists."""
         if value is None or isinstance(value, (bool, str)) or type(value) in (int, float):
             return value
         if id(value) in self.references:

@@ -27,7 +27,7 @@ _TORQUE_FOLLOW = 12.0  # 1/s: slower, for its torque is held over a control peri
 
 
 class Controller(Protocol):
-    """What acts. Every array has the leading axis env.num_envs.
+    """Agent on a vector environment. Every array has the leading axis env.num_envs.
 
     One that needs settings of the environment has a method `settings(spec)` that tells
     `evaluate` which, by the specification of the registered id.
@@ -37,7 +37,7 @@ class Controller(Protocol):
 
     @property
     def privileged(self) -> bool:
-        """Whether it reads the true state."""
+        """True if it reads the true state."""
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """Episodes have begun in the environments `ids`."""

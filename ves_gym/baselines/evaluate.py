@@ -35,12 +35,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What came of every episode.
-
-    A row: seed, group (which of several policies), return, length, success (at the end),
-    success_once, failed (ended early or diverged), E_mean, E_peak, E_res [J], E_int [J s];
-    an energy that is no number, after a divergence, is infinite.
-    """
+    """Results of every episode."""
 
     name: str
     id: str
@@ -242,7 +237,13 @@ def ratio(a: Evaluation, b: Evaluation, measure: str = "E_mean") -> Estimate:
 def beats(
     a: Evaluation, b: Evaluation, measure: str = "return", statistic: str = "iqm"
 ) -> bool:
-    """Whether a is better than b with 95 % intervals apart."""
+    """Return True if a is better than b with 95 % intervals apart.
+
+    Args:
+        a, b: evaluations on the same episodes.
+        measure: of the episodes.
+        statistic: of the measure.
+    """
     better, worse = (bootstrap(e.values(measure), STATISTICS[statistic]) for e in (a, b))
     if measure == "return":
         return better.low > worse.high

@@ -93,7 +93,7 @@ class Policy:
             raise ParameterError("policy weights must be finite")
 
     def settings(self, spec: EnvSpec) -> dict[str, Any]:
-        """What it was trained with and cannot do without: see `controllers.Controller`."""
+        """Settings that it was trained with and needs: see `controllers.Controller`."""
         trained = self.about.get("settings", {})
         return {key: trained[key] for key in _NEEDED if key in trained}
 
@@ -312,6 +312,6 @@ def read_sb3_zip(path: str | os.PathLike[str], algorithm: str, *, trusted: bool)
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """What ran: ves_gym, Python, NumPy and the packages named."""
+    """Versions of ves_gym, Python, NumPy and the packages named."""
     installed = {name: version(name) for name in ("numpy", "gymnasium", *packages)}
     return {"ves_gym": __version__, "python": platform.python_version(), **installed}

@@ -208,7 +208,7 @@ def _print_tables(result: dict[str, Any]) -> None:
 
 
 def _print_failures(result: dict[str, Any], console: Any) -> None:
-    """What planners said of queries they had no answer to, most frequent first."""
+    """Print the reasons why planners had no answer, most frequent first."""
     failures = Counter((r["planner"], r["failure"]) for r in result["rows"] if r["failure"])
     for (planner, why), count in failures.most_common(_STOPS):
         console.print(f"failed {count} x: {planner}: {why}", soft_wrap=True)
@@ -225,7 +225,7 @@ def _print_failures(result: dict[str, Any], console: Any) -> None:
 
 
 def _print_machine(result: dict[str, Any], console: Any) -> None:
-    """What was emulated with, and which runs it had to stop."""
+    """Print the emulator's settings and the runs that it had to stop."""
     machine = "; ".join(f"{k}: {v}" for k, v in result["machine"].items())
     console.print(f"\n{machine}", soft_wrap=True)
     for entry in result["rank_correlation"]:

@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _command(args: argparse.Namespace) -> str:
-    """What makes this result again; folders and the place of the secret do not matter."""
+    """Return the command that makes this result again, without folders or the secret."""
     words = ["ves-gym", "diagnose-benchmark", "--set", args.set]
     words += ["--salt", "SALT"] if args.salt else []
     words += ["--quick"] if args.quick else []

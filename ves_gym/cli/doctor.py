@@ -142,7 +142,12 @@ _COMPARE = {
 
 
 def inside(version: str, ranges: str) -> bool:
-    """Whether a version lies in ranges like `>=1.0,<2` (release numbers only)."""
+    """Return True if a version lies in ranges like `>=1.0,<2` (release numbers only).
+
+    Args:
+        version: installed.
+        ranges: admitted.
+    """
     for part in filter(None, (p.strip() for p in ranges.split(","))):
         match = re.fullmatch(r"(>=|<=|==|!=|>|<)\s*([\d.]+)", part)
         if match is None:
@@ -185,7 +190,12 @@ def check_version(requirement: str) -> Check:
 
 
 def check_extra(name: str, texts: list[str]) -> Check:
-    """Whether an optional set of packages is complete; never a failure."""
+    """Check that an optional set of packages is complete; never a failure.
+
+    Args:
+        name: of the extra.
+        texts: its requirements.
+    """
     checks = [check_version(text) for text in texts]
     lacking = [
         f"{c.name} {c.detail.split(' (')[0].split(':')[0]}" for c in checks if c.status != OK
@@ -254,7 +264,7 @@ print(f"{{took:.2f}} us per physics step, batch of 64")
 
 
 def check_stepping() -> list[Check]:
-    """Whether a batch of simulations steps, and how fast, on each engine."""
+    """Step a batch of simulations on each engine, and time it."""
     good, words = _child(_STEP.format(backend="mujoco"))
     fast, answer = _child(_STEP.format(backend="kernel"))
     kernel = Check("kernel", OK if fast else NOTE, answer if fast else f"MuJoCo runs: {answer}")
@@ -306,7 +316,7 @@ def check_processor() -> Check:
 
 
 def check_folder(out: Path) -> Check:
-    """Whether results can be written."""
+    """Check that results can be written."""
     folder = out.absolute()
     while not folder.exists():
         folder = folder.parent

@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _log_path(args: argparse.Namespace) -> Path | None:
-    """Where the log goes; faults are found before anyone drives."""
+    """Return the path of the log; faults are found before anyone drives."""
     if args.log is None:
         return None
     path = Path(args.out, args.log) if args.out else Path(args.log)

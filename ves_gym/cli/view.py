@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _target(args: argparse.Namespace) -> Path:
-    """Where the picture goes; --gif and --mp4 names lie in --out if that is given."""
+    """Return the path of the picture; --gif and --mp4 names lie in --out if that is given."""
     for option in ("gif", "mp4"):
         name = getattr(args, option)
         if name is None:

@@ -34,7 +34,7 @@ _LONGEST = 120.0  # s before the deadline that guidance is tabulated for
 
 
 class Moving(Protocol):
-    """What a control reads and moves on: part of `Scene`."""
+    """Reference state that a control reads and moves on: part of `Scene`."""
 
     time: Array
     q: Array
@@ -44,7 +44,7 @@ class Moving(Protocol):
 
 
 class Driven(Moving, Protocol):
-    """What a control drives with: part of `Scene`."""
+    """Measured and reference state that a control drives with: part of `Scene`."""
 
     tau: Array
     kp: Array

@@ -151,7 +151,7 @@ class Recorder:
     # --------------------------------------------------------------- snapshot
 
     def get_state(self) -> Rows:
-        """What has been kept; the rows are never written to."""
+        """Return the rows recorded so far; they are never written to."""
         return list(self._rows), self._first.copy()
 
     def set_state(self, state: Rows | None) -> None:

@@ -43,7 +43,12 @@ def require_control(task: Task, *kinds: str) -> None:
 
 
 def rate_fields(control: Control, arm: Arm) -> tuple[Field, ...]:
-    """How fast the joints move; where they follow a reference, how fast that moves."""
+    """Return the fields of the joints' rates; where they follow a reference, of its rates.
+
+    Args:
+        control: of the task.
+        arm: whose joints.
+    """
     fast = arm.column("v_max")
     if not isinstance(control, Acceleration):
         return (Field("joint_rate", "rad/s", fast, "joint rates"),)

@@ -22,7 +22,7 @@ _POINTS = 100  # most of a marker
 
 
 def render_modes() -> list[str]:
-    """What this machine can show: a window needs a display."""
+    """Return the modes that this machine can show: a window needs a display."""
     from ves_gym.rendering.opengl import has_display
 
     return ["human", "rgb_array"] if has_display() else ["rgb_array"]
@@ -78,7 +78,7 @@ class Renderer:
 
     @property
     def open(self) -> bool:
-        """Whether the window is still there."""
+        """True while the window is there."""
         return self.live.open
 
     def frame(self, batch: Batch, text: tuple[str, ...] = ()) -> npt.NDArray[np.uint8] | None:

@@ -49,7 +49,7 @@ class Field:
 
 
 class Start(NamedTuple):
-    """How k episodes begin."""
+    """Initial states of k episodes."""
 
     q: Array  # (k, joints) rad
     goal: Array  # (k, g) whatever the task compares with
@@ -97,7 +97,7 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class Task(ABC):
-    """What an episode asks.
+    """Question that an episode asks: starts, goals, reward, success.
 
     `tail` seconds after the deadline count into `E_mean`, joints held, as in the planning
     benchmark; their energy is computed from the linearised motion, not simulated.
@@ -218,7 +218,7 @@ class Task(ABC):
 
     @cached_property
     def sway(self) -> tuple[Array, Array]:
-        """What counts as one of Y and of Y' (6,): there each holds one joule, or m and rad."""
+        """Units of Y and of Y' (6,) in observations: each holds one joule, or m and rad."""
         base = self.system.ideal().base
         K, M = np.diag(base.K), np.diag(base.mass_matrix) + self.system.arm.mass
         soft = np.where(K > 0, K, 2.0)

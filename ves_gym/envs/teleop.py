@@ -111,7 +111,7 @@ class Teleop:
     # -------------------------------------------------------------------- keys
 
     def keys(self) -> dict[str, str]:
-        """What each key does."""
+        """Function of each key, in words."""
         out: dict[str, str] = {}
         for i in range(self.task.system.arm.n):
             out |= {UP[i]: f"joint {i + 1} +", DOWN[i]: f"joint {i + 1} -"}
@@ -188,13 +188,13 @@ class Teleop:
 
     @property
     def diverged(self) -> bool:
-        """Whether there is nothing left to drive."""
+        """True if there is nothing to drive any more."""
         return bool(self.batch.sim.diverged[0])
 
     # ---------------------------------------------------------------- readings
 
     def readings(self) -> list[str]:
-        """Where everything is, and in the laboratory measured and estimated wrench."""
+        """Return state and, in mode emulated, measured and estimated wrench, in words."""
         s, sim = self.batch.scene, self.batch.sim
         angles = " ".join(f"{a:6.1f}" for a in np.rad2deg(s.q[0]))
         move = 1e3 * np.linalg.norm(s.y[0, :3])
@@ -213,7 +213,7 @@ class Teleop:
         return lines
 
     def log(self, note: str = "teleoperation") -> RunLog:
-        """What was recorded since the start, or since it was started again."""
+        """Return the record since the start, or since it was started anew."""
         if self.batch.recorder is None:
             raise ParameterError("nothing was recorded: Teleop(record=True)")
         return self.batch.recorder.log(0, note)

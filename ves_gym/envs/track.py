@@ -144,7 +144,7 @@ class Track(Task):
         return np.minimum(periods, self.steps).astype(np.intp)
 
     def marker(self, s: Scene) -> Array:
-        """Where the tool is to be, and what is left of the path."""
+        """Return the tool's target and the remaining path."""
         steps_ahead = self._step(s)[:, None] + np.arange(self.steps + 1)
         return self.path(s)[
             np.arange(len(s.goal))[:, None], np.minimum(steps_ahead, self.steps)

@@ -16,7 +16,7 @@ from typing import Any
 import gymnasium as gym
 
 
-class WorkerDied(RuntimeError):
+class EnvWorkerDied(RuntimeError):
     """A worker process ended by itself; the others have been ended."""
 
 
@@ -28,7 +28,7 @@ def _guarded(name: str) -> Callable[..., Any]:
         try:
             return method(self, *args, **kwargs)
         except (EOFError, ConnectionError) as error:
-            raise WorkerDied(self.end()) from error
+            raise EnvWorkerDied(self.end()) from error
 
     return call
 

@@ -48,7 +48,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """What an entry of the spec may be: a range or one of some choices."""
+    """Range or choices of an entry of the spec."""
 
     low: float | None = None
     high: float | None = None
@@ -78,7 +78,7 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True)
 class Search:
-    """What is varied and what counts; the table `search` beside the tables of a sweep."""
+    """Varied entries and objective; the table `search` beside the tables of a sweep."""
 
     trials: int
     objective: str  # an entry of the units' summaries, such as return or E_mean
@@ -99,8 +99,8 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Found:
-    """What a search found."""
+class SearchResult:
+    """Trials of a search and the best of them."""
 
     best: dict[str, Any] | None  # number, value, params of the best trial; None: all failed
     trials: list[dict[str, Any]]  # number, state, value, params, units, why
@@ -174,7 +174,7 @@ def search(
     seed: int = 0,
     progress: Progress | None = None,
     **options: Any,
-) -> Found:
+) -> SearchResult:
     """Search until the file's number of trials have ended.
 
     A trial whose units fail, and one whose process died, is entered as failed; the units of
@@ -289,7 +289,7 @@ def _sampler(plan: Search, seed: int, ended: int) -> Any:
         return samplers.TPESampler(seed=mixed % 2**32, constant_liar=True)
 
 
-def _outcome(study: Any) -> Found:
+def _outcome(study: Any) -> SearchResult:
     trials = [
         {
             "number": t.number,
@@ -304,7 +304,7 @@ def _outcome(study: Any) -> Found:
     complete = [t for t in trials if t["state"] == "complete"]
     sign = 1.0 if study.direction.name == "MINIMIZE" else -1.0
     best = min(complete, key=lambda t: sign * t["value"], default=None)
-    return Found(best and {k: best[k] for k in ("number", "value", "params")}, trials)
+    return SearchResult(best and {k: best[k] for k in ("number", "value", "params")}, trials)
 
 
 # ------------------------------------------------------------------------------ storage

@@ -35,7 +35,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Report:
-    """What came of a sweep."""
+    """Outcome of a sweep."""
 
     folder: Path
     done: list[str] = field(default_factory=list)  # ids of units done now
@@ -44,7 +44,7 @@ class Report:
 
     @property
     def complete(self) -> bool:
-        """Whether every unit has a result."""
+        """True if every unit has a result."""
         return not self.failed
 
 
@@ -136,7 +136,7 @@ def run_units(
 
 
 def _why(future: Future[Any]) -> tuple[str, str] | None:
-    """What kept a unit from its result: died, too long or failed, and in words."""
+    """Return the reason why a unit has no result: died, too long or failed, and in words."""
     error = future.exception()
     if error is None:
         return None
@@ -155,7 +155,12 @@ def _part(units: list[Unit], part: tuple[int, int]) -> list[Unit]:
 
 
 def finished(folder: Path, unit: Unit) -> bool:
-    """Whether a unit has a sound result; a damaged one is not, and a warning says so."""
+    """Return True if a unit has a sound result; a damaged one is not, and a warning says so.
+
+    Args:
+        folder: of the sweep.
+        unit: asked about.
+    """
     path = folder / "results" / f"{unit.id}.json"
     if not path.exists():
         return False

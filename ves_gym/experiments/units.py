@@ -50,7 +50,7 @@ _CLOCKED = ("seconds", "seconds_stepping", "plan_seconds")  # no part of a resul
 
 @dataclass(frozen=True)
 class Unit:
-    """What is to be done, by plain data, and where its parts are on this machine."""
+    """Piece of work as plain data, and where its parts are on this machine."""
 
     identity: Mapping[str, Any]  # schema, version, kind, where, who, seed, system, settings
     source: Mapping[str, Any] = field(default_factory=dict)  # no part of the id
@@ -68,7 +68,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a unit ends with: the texts and files to be stored."""
+    """Texts and files of a finished unit, to be stored."""
 
     id: str
     result: str

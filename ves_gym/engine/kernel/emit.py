@@ -54,7 +54,7 @@ def splat(value: float) -> str:
     return f"<{', '.join([text] * LANES)}>"
 
 
-class Code:
+class FunctionBody:
     """Lines of one function body; every method appends one instruction and names its result."""
 
     def __init__(self) -> None:
@@ -182,7 +182,7 @@ def emit_function(name: str, graph: casadi.Function) -> str:
     """
     import casadi as ca
 
-    code = Code()
+    code = FunctionBody()
     registers: dict[int, str] = {}
     outputs: dict[tuple[int, int], str] = {}
     unity, zero = splat(1.0), splat(0.0)
@@ -206,7 +206,9 @@ def emit_function(name: str, graph: casadi.Function) -> str:
     return "\n".join([head, *code.lines, "  ret void", "}"])
 
 
-def _operation(code: Code, ca: object, op: int, args: list[str], unity: str, zero: str) -> str:
+def _operation(
+    code: FunctionBody, ca: object, op: int, args: list[str], unity: str, zero: str
+) -> str:
     a = args[0]
     b = args[1] if len(args) > 1 else ""
 
@@ -300,7 +302,7 @@ def _declarations() -> str:
     return "\n".join(lines)
 
 
-def _spread(code: Code, scalar: str) -> str:
+def _spread(code: FunctionBody, scalar: str) -> str:
     first = code.put(f"insertelement {_V} undef, double {scalar}, i32 0")
     mask = f"<{LANES} x i32> zeroinitializer"
     return code.put(f"shufflevector {_V} {first}, {_V} undef, {mask}")
@@ -308,7 +310,7 @@ def _spread(code: Code, scalar: str) -> str:
 
 def _rk4(nx: int, nu: int, ny: int) -> str:
     """Classical Runge-Kutta on scratch rows: k (nx), sum (nx), stage (nx), middle u (nu)."""
-    code = Code()
+    code = FunctionBody()
     k, total, stage = (code.row("%scratch", i * nx) for i in range(3))
     middle = code.row("%scratch", 3 * nx)
     h = _spread(code, "%h")
@@ -335,7 +337,7 @@ def _rk4(nx: int, nu: int, ny: int) -> str:
 
 def _rates_first(nx: int, ny: int, order: int) -> str:
     """Semi-implicit Euler: rates from here, coordinates with the new rates."""
-    code = Code()
+    code = FunctionBody()
     k, h = code.row("%scratch", 0), _spread(code, "%h")
     code.lines.append(f"  call void @observe(ptr %xb, ptr %u0, ptr %pb, ptr {k}, ptr %ob)")
     for i in range(order):
