@@ -216,3 +216,35 @@ def test_a_forbidden_import_is_found(file, source):
 )
 def test_an_allowed_import_is_left_alone(file, source):
     assert violations(source, f"ves_gym/{file}") == []
+
+
+# ---------------------------------------------------------------------- documents
+
+# a path of the repository, as `docs/physics.md` or, below ves_gym/, as `planners/query.py`
+PATH = re.compile(r"`((?:[a-z_]+/)+[\w.-]+\.(?:py|md|toml|jsonl|json|js|css|html))`")
+PLACES = ("ves_gym", "docs", "tests", "benchmarks", "examples", "scripts")
+
+
+def missing_paths(text: str) -> list[str]:
+    """Paths in backticks that begin with a folder of the repository and lead nowhere."""
+    tops = {*PLACES, *(path.name for path in PACKAGE.iterdir() if path.is_dir())}
+    paths = [path for path in PATH.findall(text) if path.partition("/")[0] in tops]
+    paths = [path for path in paths if "NAME" not in path]  # which stands for any
+    roots = (ROOT, PACKAGE, ROOT / "docs")
+    return [path for path in paths if not any((root / path).exists() for root in roots)]
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        "README.md",
+        *(f"docs/{p.relative_to(ROOT / 'docs')}" for p in (ROOT / "docs").rglob("*.md")),
+    ],
+)
+def test_pages_name_files_that_exist(page):
+    assert not missing_paths((ROOT / page).read_text("utf-8"))
+
+
+def test_a_path_that_leads_nowhere_is_seen():
+    text = "`planners/query.py`, `docs/physics.md`, `planners/nowhere.py`, `out/report.html`"
+    assert missing_paths(text) == ["planners/nowhere.py"]
