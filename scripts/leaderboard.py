@@ -2,8 +2,8 @@
 
 Every entry of the table below is answered, bundled (in out/leaderboard/bundles), verified and
 appended to docs/leaderboard/board.jsonl; then docs/leaderboard/index.html is written. What is
-on the board already by the present evaluator is left alone, so it can be stopped at any moment
-and goes on where it was; without board.jsonl it begins with nothing.
+on the board already, for the present version of its problem, is left alone, so it can be
+stopped at any moment and goes on where it was; without board.jsonl it begins with nothing.
 
     --track T       only entries of this track; repeatable
     --problem P     only entries of this problem; repeatable
@@ -28,16 +28,15 @@ from ves_gym.baselines.policy import released
 from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.diagnosis.benchmark.score import METHODS
 from ves_gym.envs.registration import IDS
-from ves_gym.leaderboard import fingerprint
 from ves_gym.leaderboard.board import make_board
 from ves_gym.leaderboard.entry import Entry
 from ves_gym.leaderboard.errors import Rejection
+from ves_gym.leaderboard.evaluators import history_reason, resolve, version_of
 from ves_gym.leaderboard.journal import append, read
 from ves_gym.leaderboard.page import write_page
-from ves_gym.leaderboard.protocol import DURATIONS, MODES, QUICK
+from ves_gym.leaderboard.protocol import DURATIONS, MODES, QUICK, get_problem
 from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.tracks.damping import TUNERS
-from ves_gym.leaderboard.tracks.registry import get_track
 from ves_gym.leaderboard.verify import bundle_manifest, verify
 
 PLACE = Path(__file__).parents[1] / "docs" / "leaderboard"
@@ -133,31 +132,35 @@ def prove(wanted: Wanted, blind: Path | None) -> Entry:
 
 
 def _current(wanted: Wanted) -> bool:
-    """Whether its bundle is there, whole, and made by the evaluator of today."""
+    """Whether its bundle is there, whole, and made by the evaluator of today's version."""
     if not wanted.bundle.exists():
         return False
     try:
         manifest, _ = bundle_manifest(wanted.bundle)
     except Rejection:
         return False
-    evaluator: str = manifest["spec"]["evaluator"]
-    return evaluator == _evaluator(wanted.track)
+    return _of_today(wanted, manifest["spec"]["evaluator"])
 
 
-def _evaluator(track: str) -> str:
-    return fingerprint.sources(get_track(track).sources)
+def _of_today(wanted: Wanted, evaluator: str) -> bool:
+    """Return whether an evaluator is of the present version of an entry's problem."""
+    problem = get_problem(wanted.track, wanted.problem)
+    return resolve(problem.track, problem.base, evaluator) == version_of(problem)
 
 
 def missing(wanted: Sequence[Wanted], board: Path) -> list[Wanted]:
-    """Those that are not on the board, or by another evaluator."""
+    """Return those that are not on the board, or by the evaluator of another version.
+
+    Args:
+        wanted: entries that the board should have.
+        board: its journal.
+    """
     there = {
-        (e["track"], e["problem"], e["name"], e["about"]["evaluator"])
+        (e["track"], e["problem"], e["name"])
         for e in (record.entry for record in read(board).records)
-        if e["author"] == AUTHOR and e["seeds"] == "public"
+        if e["author"] == AUTHOR and e["seeds"] == "public" and history_reason(e) is None
     }
-    return [
-        w for w in wanted if (w.track, w.problem, w.method, _evaluator(w.track)) not in there
-    ]
+    return [w for w in wanted if (w.track, w.problem, w.method) not in there]
 
 
 def fill(wanted: Sequence[Wanted], board: Path, workers: int, blind: Path | None) -> int:

@@ -75,7 +75,7 @@ def board(tmp_path_factory):
     bad["score"]["name"] = HOSTILE
     append(path, bad)
     append(path, make(HOSTILE, scores=[1.0], problem=HOSTILE))
-    return make_board(read(path))
+    return make_board(read(path), lambda entry: None)  # made-up problems rank as well
 
 
 @pytest.fixture

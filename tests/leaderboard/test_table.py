@@ -10,7 +10,7 @@ import pytest
 from ves_gym.leaderboard import statistics
 from ves_gym.leaderboard.board import ALL, make_board
 from ves_gym.leaderboard.journal import append, read
-from ves_gym.leaderboard.table import write_parquet, write_sqlite
+from ves_gym.leaderboard.table import make_tables, write_parquet, write_sqlite
 
 
 @pytest.fixture
@@ -102,13 +102,29 @@ def test_a_share_has_no_profile(tmp_path, make_entry):
     assert only["entries"][0]["score"][0] == 0.5
 
 
-def test_an_older_protocol_does_not_count(tmp_path, make_entry, noisy_scores):
+def test_an_older_version_is_history(tmp_path, make_entry, noisy_scores):
+    """Not ranked, not among those that count, and still there to be read with its reason."""
     path = tmp_path / "board.jsonl"
     append(path, make_entry("old", scores=noisy_scores(0.1)))
+    append(path, make_entry("old", scores=noisy_scores(0.2)))  # came again in its time
+    append(path, make_entry("old", scores=noisy_scores(0.6), protocol=2))
     append(path, make_entry("new", scores=noisy_scores(0.5), protocol=2))
-    (track,) = make_board(read(path))["tracks"]
+
+    def history(entry):
+        return None if entry["protocol"] == 2 else "rules 1 of the track, today 2"
+
+    board = make_board(read(path), history)
+    (track,) = board["tracks"]
     assert track["protocol"] == 2
-    assert [e["name"] for e in track["groups"][0]["entries"]] == ["new"]
+    assert [e["name"] for e in track["groups"][0]["entries"]] == ["new", "old"]
+    (past,) = board["history"]
+    assert (past["line"], past["name"], past["problem"]) == (2, "old", "reach100-2s")
+    assert past["why"] == "rules 1 of the track, today 2" and past["level"] == "replayed"
+    assert past["score"] == pytest.approx(
+        statistics.score([read(path).records[1].entry]), rel=1e-5
+    )
+    rows = make_tables(read(path), history)["entries"]
+    assert [row["current"] for row in rows] == [False, False, True, True]
 
 
 def test_training_seeds_are_told_apart(journal):

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.leaderboard import statistics
+from ves_gym.leaderboard.evaluators import history_reason
 from ves_gym.leaderboard.journal import Journal, Record
 
 SCHEMA = "ves-board/1"
@@ -32,17 +33,23 @@ _POINTS = 41  # of anytime curves
 _DIGITS = 6
 
 Plain = dict[str, Any]
+History = Callable[[Mapping[str, Any]], str | None]
 
 
-def make_board(journal: Journal) -> Plain:
-    """Plain data of schema ves-board/1.
+def make_board(journal: Journal, history: History = history_reason) -> Plain:
+    """Return plain data of schema ves-board/1.
 
     Of an entry that came again (same track, problem, seeds, author and name) the latest
-    counts; of a track, the latest protocol. An entry that cannot be compared, for too few or
-    other episodes, is not ranked; `unranked` says why.
+    counts. An entry that cannot be compared, for too few or other episodes, is not ranked;
+    `unranked` says why. One by an evaluator of another version than today's is in `history`.
+
+    Args:
+        journal: what is on the board.
+        history: why an entry is not of today's version, None where it is.
     """
     unranked: list[Plain] = []
-    cells = _cells(current(journal.records), unranked)
+    present, past = divided(journal.records, history)
+    cells = _cells(present, unranked)
     tracks = []
     for track, title in TRACKS.items():
         groups = [_group(*key[1:], some) for key, some in cells.items() if key[0] == track]
@@ -59,20 +66,43 @@ def make_board(journal: Journal) -> Plain:
         "newest": max((r.entry["about"]["ended"] for r in journal.records), default=None),
         "tracks": tracks,
         "unranked": unranked,
+        "history": [_past(record, why) for record, why in past],
     }
 
 
-def current(records: Sequence[Record]) -> list[Record]:
-    """The records that count: the latest of each entry, of each track's latest protocol."""
-    newest: dict[str, int] = defaultdict(int)
-    latest: dict[tuple[str, ...], Record] = {}
+def divided(
+    records: Sequence[Record], history: History = history_reason
+) -> tuple[list[Record], list[tuple[Record, str]]]:
+    """Return the records that count, and those of older versions with the reason.
+
+    In both the latest of each entry, in the order of the journal.
+
+    Args:
+        records: of the journal.
+        history: why an entry is not of today's version, None where it is.
+    """
+    latest: dict[tuple[str, ...], tuple[Record, str | None]] = {}
     for record in records:
-        e = record.entry
-        newest[e["track"]] = max(newest[e["track"]], e["protocol"])
-        key = (*(str(e[k]) for k in ("track", "problem", "seeds", "author", "name")),)
-        latest[key] = record
-    some = (r for r in latest.values() if r.entry["protocol"] == newest[r.entry["track"]])
-    return sorted(some, key=lambda r: r.index)
+        e, why = record.entry, history(record.entry)
+        key = (*(str(e[k]) for k in ("track", "problem", "seeds", "author", "name")), why or "")
+        latest[key] = record, why
+    ordered = sorted(latest.values(), key=lambda pair: pair[0].index)
+    return [r for r, why in ordered if why is None], [(r, w) for r, w in ordered if w]
+
+
+def _past(record: Record, why: str) -> Plain:
+    """Return what stays readable of an entry of an older version."""
+    e = record.entry
+    try:
+        score = _plain(statistics.score([e]))
+    except ParameterError:  # too few episodes for an interval
+        score = None
+    return {
+        "line": record.index + 1,
+        **{k: e[k] for k in ("track", "problem", "seeds", "name", "author", "level", "bundle")},
+        "score": score,
+        "why": why,
+    }
 
 
 Candidate = tuple[Record, ...]  # one record, or one per problem

@@ -18,7 +18,10 @@ class Code(Enum):
     OLD_ENVIRONMENT = "made for another version or other settings of the environment"
     SYSTEM_MISMATCH = "made on another system: arm, vehicle, mode, effects or steps"
     MODEL_MISMATCH = "made on another model of the engine"
-    EVALUATOR_MISMATCH = "made by other sources of the evaluation"
+    EVALUATOR_MISMATCH = "made by another version of the evaluator, or by one that is not known"
+    EVALUATOR_CHANGED = (
+        "the code here does not compute what its version does: the probe is named"
+    )
     WRONG_SEEDS = "not the seeds of the problem"
     MISSING_EPISODE = "an episode, query or case has no row"
     REPEATED_GROUP = "two trainings or seeds are one: it would count twice"

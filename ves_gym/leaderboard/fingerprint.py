@@ -1,4 +1,4 @@
-"""What a result depends on, as hashes and words: environment, system, sources, machine."""
+"""Hashes and words of what a result depends on: environment, system, packages, machine."""
 
 from __future__ import annotations
 
@@ -12,31 +12,15 @@ from typing import Any
 
 import gymnasium as gym
 
-import ves_gym
 from ves_gym._util.params import content_hash
 from ves_gym._util.version import __version__
 from ves_gym.envs.build import build_task
 from ves_gym.system.system import System
 
-_ROOT = Path(ves_gym.__file__).parent
 _PACKAGES = ("numpy", "scipy", "mujoco", "llvmlite", "gymnasium", "ompl", "casadi")
-# on these the last bit depends, apart from the processor
-ENGINE = ("ves_gym", "numpy", "scipy", "mujoco", "llvmlite")
-
-
-@cache
-def sources(parts: tuple[str, ...]) -> str:
-    """SHA-256 of source files, line ends aside; a folder stands for every .py file in it."""
-    files: set[Path] = set()
-    for part in parts:
-        place = _ROOT / part
-        files |= {place} if place.suffix else set(place.rglob("*.py"))
-    whole = hashlib.sha256()
-    for file in sorted(files):
-        text = file.read_bytes().replace(b"\r\n", b"\n")
-        name = file.relative_to(_ROOT).as_posix()
-        whole.update(f"{name}\0{len(text)}\0".encode() + text)
-    return whole.hexdigest()
+# On these the last bit depends, apart from the processor. Not on ves_gym's version: that is a
+# name for a state of the sources, and what they compute is told by `evaluators`.
+ENGINE = ("numpy", "scipy", "mujoco", "llvmlite")
 
 
 @cache

@@ -429,6 +429,7 @@ function drawFrame() {
     $("unranked").append(el("li", {}, `Line ${line}, ${name} on ${problem}: ${why}.`));
   }
   $("unranked-section").hidden = data.unranked.length === 0;
+  drawHistory(data.history ?? []); // a board of before has none
   const facts = [
     ["Journal", `${data.entries} lines; the hash of the last stands for all before it`],
     ["Last hash", el("code", {}, data.head)],
@@ -436,6 +437,17 @@ function drawFrame() {
     ["Schema", el("code", {}, data.schema)],
   ];
   for (const [term, value] of facts) $("provenance").append(el("dt", {}, term), el("dd", {}, value));
+}
+
+/** Entries of older versions, as the journal has them: no rank, for there is nobody to rank them with. */
+function drawHistory(entries) {
+  $("history-section").hidden = entries.length === 0;
+  const head = el("tr", {}, ...["problem", "entry", "score", "level", "line", "version"].map((name) => el("th", { scope: "col" }, name)));
+  const body = entries.map((e) => el("tr", {}, el("td", {}, ...withSub(e.problem, e.track)),
+    el("th", { scope: "row", class: "who" }, ...withSub(e.name, e.author)),
+    el("td", { class: "number" }, ...(e.score ? withSub(amount(e.score[0]), range(e.score)) : ["–"])),
+    el("td", {}, e.level), el("td", { class: "number" }, String(e.line)), el("td", {}, e.why)));
+  $("history").replaceChildren(el("thead", {}, head), el("tbody", {}, ...body));
 }
 
 function filtered() {

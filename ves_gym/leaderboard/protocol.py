@@ -20,6 +20,9 @@ from ves_gym.envs.registration import IDS
 from ves_gym.planners.suites import REACH_SEED
 
 PROTOCOL = {"paths": 1, "policies": 1, "damping": 1, "discrepancy": 1}
+# Versions of problems whose behaviour was changed on purpose, by track and name; 1 of the rest.
+# A new version starts with an empty table; entries of the one before are history.
+VERSIONS: dict[tuple[str, str], int] = {}
 QUICK = "-quick"  # after a problem's name: a part of it, for a first try
 DURATIONS = {"1s": 1.0, "2s": 2.0, "4s": 4.0}
 MODES = ("", "-obstacles")

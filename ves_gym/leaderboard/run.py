@@ -15,9 +15,10 @@ from ves_gym._util.params import ParameterError, to_plain
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.policy import load_policy
 from ves_gym.baselines.registry import get_controller
-from ves_gym.leaderboard import fingerprint
+from ves_gym.leaderboard import evaluators, fingerprint
 from ves_gym.leaderboard.archive import MANIFEST, write_members
 from ves_gym.leaderboard.bundle import SCHEMA, digest, sealed
+from ves_gym.leaderboard.errors import Rejection
 from ves_gym.leaderboard.policy_files import ARCHITECTURES, policy_names
 from ves_gym.leaderboard.protocol import (
     MOST_GROUPS,
@@ -69,6 +70,10 @@ def make_bundle(
     """
     asked = get_problem(track, problem)
     drawn = seeds_of(asked, salt)
+    try:
+        evaluators.require_behaviour(asked)
+    except Rejection as error:  # of what nobody would accept, sooner than hours later
+        raise ParameterError(error.why) from None
     rules = get_track(track, folder, workers)
     begun = _now()
     with threadpool_limits(1, user_api="blas"):  # as `verify` does
@@ -120,7 +125,7 @@ def spec_of(rules: Track, problem: Problem) -> dict[str, Any]:
         "environment": None if id is None else fingerprint.environment(id),
         "system": system.hash,
         "model": fingerprint.model_xml(system),
-        "evaluator": fingerprint.sources(rules.sources),
+        "evaluator": evaluators.identity(problem),
     }
 
 

@@ -14,7 +14,8 @@ from typing import Any
 
 from ves_gym._util.params import ParameterError, canonical_json, write_bytes
 from ves_gym.leaderboard import statistics
-from ves_gym.leaderboard.board import ENERGIES, current, summary
+from ves_gym.leaderboard.board import ENERGIES, History, divided, summary
+from ves_gym.leaderboard.evaluators import history_reason
 from ves_gym.leaderboard.journal import Journal, Record
 from ves_gym.system.runlog_files import load_pyarrow
 
@@ -60,9 +61,14 @@ TABLES: Mapping[str, Columns] = {
 }
 
 
-def make_tables(journal: Journal) -> dict[str, list[Row]]:
-    """Rows of every table; null where there is no number, also for what is infinite."""
-    counts = {r.index for r in current(journal.records)}
+def make_tables(journal: Journal, history: History = history_reason) -> dict[str, list[Row]]:
+    """Return rows of every table; null where there is no number, also for what is infinite.
+
+    Args:
+        journal: what is on the board.
+        history: why an entry is not of today's version, None where it is.
+    """
+    counts = {r.index for r in divided(journal.records, history)[0]}
     return {
         "entries": [_entry(r, r.index in counts) for r in journal.records],
         "episodes": [row for r in journal.records for row in _episodes(r)],

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.leaderboard import fingerprint
+from ves_gym.leaderboard import evaluators, fingerprint
 from ves_gym.leaderboard.archive import MANIFEST, read_members
 from ves_gym.leaderboard.bundle import digest, read_manifest
 from ves_gym.leaderboard.entry import LEVELS, Entry, check_entry
@@ -83,6 +83,8 @@ def verify(
         raise Rejection(Code.HASH_MISMATCH, f"{MANIFEST} is {own}, expected {expect}")
     manifest = read_manifest(members[MANIFEST])
     problem = _problem(manifest)
+    evaluators.require_same(problem, manifest["spec"]["evaluator"])
+    evaluators.require_behaviour(problem)  # before anything else is computed here
     rules = get_track(problem.track, folder, workers)
     method = _method(manifest)
     _require_members(manifest, members, rules.payload(problem), method)
@@ -96,6 +98,7 @@ def verify(
     if method.kind == "policy":
         require_fit(problem, method, policies_of(method, members))
     same = fingerprint.same_machine(manifest["about"])
+    same = same and not evaluators.moved_bits(manifest["spec"]["evaluator"])
     rules.require_possible(problem, seeds, manifest["rows"])
     data = members[rules.payload(problem)]
     with _careful(Code.BAD_ACTION):
@@ -199,7 +202,6 @@ def _require_spec(manifest: Plain, here: Plain) -> None:
     alike = manifest["about"]["versions"].get("mujoco") == versions["mujoco"]
     for name, code in (
         ("system", Code.SYSTEM_MISMATCH),
-        ("evaluator", Code.EVALUATOR_MISMATCH),
         *((("model", Code.MODEL_MISMATCH),) if alike else ()),
     ):
         if there[name] != here[name]:

@@ -54,6 +54,7 @@ class BenchmarkRun:
     root: int  # the set's seed
     sealed: bool
     cases: tuple[int, ...]
+    answers: str = "answers"  # folder in it, of one version of the method
 
     @property
     def labels(self) -> Path:
@@ -62,7 +63,7 @@ class BenchmarkRun:
 
     def answer_file(self, index: int) -> Path:
         """File of a case's answer."""
-        return self.folder / "answers" / f"case-{index:03d}.json"
+        return self.folder / self.answers / f"case-{index:03d}.json"
 
 
 def benchmark_run(

@@ -14,6 +14,7 @@ import os
 import shutil
 import zlib
 from collections.abc import Callable, Sequence
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ class AnswerCache:
     """
 
     def __init__(self, folder: Path, about: Any) -> None:
-        mark = content_hash([about, _source()])
+        mark = content_hash([about, source_digest()])
         self.folder = folder / FOLDER / mark[:16]
         self.n_restored = len(list(self.folder.glob("*.bin")))  # answers there from before
 
@@ -119,8 +120,9 @@ def digest_of(run: Run) -> str:
     return sha.hexdigest()
 
 
-def _source() -> str:
-    """SHA-256 of the code that answers."""
+@cache
+def source_digest() -> str:
+    """Return the SHA-256 of the code that answers: any edit of it makes answers anew."""
     sha = hashlib.sha256()
     for name in _SOURCES:
         package = Path(str(files("ves_gym"))) / name

@@ -49,10 +49,6 @@ class Answers:
 class Track(Protocol):
     """A track of the leaderboard. Rows are ordered by group, then as the cases are."""
 
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """What evaluates, files and folders below ves_gym/."""
-
     def payload(self, problem: Problem) -> str:
         """File of the answers."""
 

@@ -44,14 +44,6 @@ _EDGE = 1 + 1e-6  # of a bound, for rounding
 class Damping(Episodes):
     """Environments as in `Episodes`; problems pped-... ask for gains instead."""
 
-    sources = (
-        *Episodes.sources,
-        "planners/pped.py",
-        "planners/free_vibration.py",
-        "leaderboard/tracks/damping.py",
-        "leaderboard/lower_bounds.py",
-    )
-
     def payload(self, problem: Problem) -> str:
         """See `Track`."""
         return super().payload(problem) if problem.environment is not None else _GAINS

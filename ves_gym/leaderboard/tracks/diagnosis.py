@@ -19,9 +19,9 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.diagnosis.benchmark import run as blind_benchmark
 from ves_gym.diagnosis.benchmark.score import METHODS, OWN, ScoredCase, is_correct
 from ves_gym.diagnosis.diagnose import MORE, NAMED, NOTHING, ONE_OF, UNKNOWN, WEAK
-from ves_gym.leaderboard import fingerprint
 from ves_gym.leaderboard.entry import number, text
 from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.evaluators import identity
 from ves_gym.leaderboard.protocol import PLANNED_SHARE, Problem, Seeds
 from ves_gym.leaderboard.tracks.base import Answers, Case, Method, Progress, Row, row
 from ves_gym.system.system import System
@@ -40,13 +40,6 @@ class Naming:
         workers: processes that make and diagnose cases.
     """
 
-    sources = (
-        "diagnosis",
-        "_util/signals.py",
-        "leaderboard/tracks/diagnosis.py",
-        "leaderboard/protocol.py",
-    )
-
     def __init__(self, folder: Path | None = None, workers: int = 1) -> None:
         self.folder, self.workers = folder or _FOLDER, workers
 
@@ -61,11 +54,20 @@ class Naming:
         return nominal()
 
     def benchmark(self, problem: Problem, seeds: Seeds) -> blind_benchmark.BenchmarkRun:
-        """The cases, in a folder that is theirs alone, and that of these sources."""
-        from ves_gym.diagnosis.benchmark.blind.cases import mix
+        """Return the cases, in a folder that belongs to them and to this evaluator alone.
 
-        what = f"{seeds.root} {fingerprint.sources(('diagnosis', '_util/signals.py'))}"
-        name = hashlib.sha256(what.encode()).hexdigest()[:16]
+        Logs and labels are the evaluator's and last as long as its version; answers are the
+        method's, and those of other sources are never taken for its own.
+
+        Args:
+            problem: which cases.
+            seeds: where they come from.
+        """
+        from ves_gym.diagnosis.benchmark.blind.cases import mix
+        from ves_gym.diagnosis.inference.cache import source_digest
+
+        name = hashlib.sha256(f"{seeds.root} {identity(problem)}".encode()).hexdigest()[:16]
+        answers = f"answers-{source_digest()[:16]}"
         whole = len(mix())
         cases = (
             range(whole)
@@ -73,8 +75,9 @@ class Naming:
             else blind_benchmark.stratified(problem.count, seeds.root)
         )
         sealed = seeds.which == "official"
+        asked = tuple(sorted(cases))
         return blind_benchmark.BenchmarkRun(
-            self.folder / name, seeds.root, sealed, tuple(sorted(cases))
+            self.folder / name, seeds.root, sealed, asked, answers
         )
 
     def seed_list(self, problem: Problem, seeds: Seeds) -> list[int]:

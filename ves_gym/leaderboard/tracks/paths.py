@@ -51,22 +51,6 @@ class Paths:
         workers: processes that plan.
     """
 
-    sources = (
-        "_util",
-        "mechanics",
-        "hardware",
-        "system",
-        "engine",
-        "simulation",
-        "effects",
-        "planners/obstacles.py",
-        "planners/query.py",
-        "planners/suites.py",
-        "leaderboard/tracks/paths.py",
-        "leaderboard/lower_bounds.py",
-        "leaderboard/protocol.py",
-    )
-
     def __init__(self, workers: int = 1) -> None:
         self.workers = workers
 

@@ -37,21 +37,6 @@ _SLACK = 1e-12  # of an action's bound
 class Episodes:
     """Policies and controllers on a registered environment; score: minus the return."""
 
-    sources: tuple[str, ...] = (
-        "_util",
-        "mechanics",
-        "hardware",
-        "system",
-        "engine",
-        "simulation",
-        "effects",
-        "envs",
-        "baselines/evaluate.py",
-        "leaderboard/tracks/policies.py",
-        "leaderboard/tracks/action_recorder.py",
-        "leaderboard/protocol.py",
-    )
-
     def payload(self, problem: Problem) -> str:
         """See `Track`."""
         return _ACTIONS
