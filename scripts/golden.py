@@ -18,7 +18,7 @@ from typing import Any
 
 import ves_gym
 from ves_gym._util.params import write_text
-from ves_gym.leaderboard import evaluators, probes
+from ves_gym.leaderboard import evaluators, probes, stored_results
 from ves_gym.leaderboard.protocol import PROTOCOL, QUICK, Problem, problems
 
 FOLDER = Path(ves_gym.__file__).parent / "leaderboard" / "golden"
@@ -38,7 +38,7 @@ def check() -> int:
     """Print the largest difference of every probe; return how many are not permitted."""
     refused, largest, seen = 0, 0.0, set[str]()
     for problem in every_problem():
-        for name, stored in probes.golden(problem).items():
+        for name, stored in stored_results.golden(problem).items():
             if name in seen:
                 continue
             seen.add(name)
@@ -68,14 +68,14 @@ def record() -> None:
         for problem, versions in rows.items()
         if str(evaluators.version_of(problem)) in versions
         for name in probes.probes_of(problem)
-        if probes.is_stored(name)
+        if stored_results.is_stored(name)
     }
     for problem in rows:
         for name in probes.probes_of(problem):
             if name not in settled:
                 settled.add(name)
                 store(name, probes.measure(problem, name))
-    probes.forget()
+    stored_results.forget()
     for problem, versions in rows.items():
         digests = versions.setdefault(str(evaluators.version_of(problem)), [])
         if (own := evaluators.identity(problem)) not in digests:
@@ -90,7 +90,7 @@ def store(name: str, results: dict[str, Any]) -> None:
         name: of the probe.
         results: plain data, all digits of every number.
     """
-    file = FOLDER / probes.file_of(name)
+    file = FOLDER / stored_results.file_of(name)
     table = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
     table[name] = results
     lines = [f"{json.dumps(k)}: {json.dumps(table[k], sort_keys=True)}" for k in sorted(table)]

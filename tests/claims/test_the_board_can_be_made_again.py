@@ -16,7 +16,9 @@ import pytest
 from ves_gym.baselines.policy import released
 from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.leaderboard.board import divided, make_board
+from ves_gym.leaderboard.evaluators import resolve, version_of
 from ves_gym.leaderboard.journal import check
+from ves_gym.leaderboard.protocol import get_problem
 from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.verify import verify
 
@@ -38,6 +40,18 @@ def test_the_chain_holds_and_everything_was_verified(journal):
     assert len(entries) >= 100
     assert {e["track"] for e in entries} >= {"paths", "policies", "damping"}
     assert all(e["level"] == "reproduced" for e in entries)
+
+
+def test_every_entry_belongs_to_the_evaluator_of_its_version(journal):
+    """Superseded ones too; none is history, for no behaviour was changed on purpose."""
+    for record in journal.records:
+        e = record.entry
+        problem = get_problem(e["track"], e["problem"])
+        version = resolve(e["track"], problem.base, e["about"]["evaluator"])
+        assert version == version_of(problem), f"line {record.index + 1}"
+        assert version.protocol == e["protocol"]
+    present, past = divided(journal.records)
+    assert len(present) == 168 and past == []
 
 
 def test_the_board_has_every_entry_that_make_leaderboard_fills(journal):

@@ -8,21 +8,18 @@ instead; the table says which version those sources were shown to be, and by whi
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from functools import cache
-from importlib.resources import files
 from typing import Any, NamedTuple
 
 from ves_gym._util.params import ParameterError, content_hash
 from ves_gym.leaderboard.errors import Code, Rejection
-from ves_gym.leaderboard.probes import Deviation, first_difference, golden
 from ves_gym.leaderboard.protocol import (
     PROTOCOL,
     VERSIONS,
     Problem,
     get_problem,
 )
+from ves_gym.leaderboard.stored_results import golden, read_golden
 
 SCHEMA = "ves-evaluators/1"
 _FILE = "evaluators.json"
@@ -90,16 +87,6 @@ def resolve(track: str, base: str, evaluator: str) -> Version | None:
     return None
 
 
-def moved_bits(evaluator: str) -> bool:
-    """Return whether sources of before were seen to round otherwise than the present ones.
-
-    Args:
-        evaluator: the hash that a result carries.
-    """
-    row = _table()["sources"].get(evaluator)
-    return row is not None and row["largest"] > 0
-
-
 def history_reason(entry: Plain) -> str | None:
     """Return why an entry of the board is history, None where it is of the present version.
 
@@ -139,37 +126,13 @@ def require_same(problem: Problem, evaluator: str) -> None:
     raise Rejection(Code.EVALUATOR_MISMATCH, why)
 
 
-def require_behaviour(problem: Problem) -> None:
-    """Raise a Rejection (EVALUATOR_CHANGED) where the code is not the version it says.
-
-    The probes of the problem run once per process.
-    """
-    difference = first_difference(problem)
-    if difference is not None:
-        raise Rejection(Code.EVALUATOR_CHANGED, described(problem, *difference))
-
-
-def described(problem: Problem, name: str, deviation: Deviation) -> str:
-    """Return a probe's difference in words."""
-    size = f" by {deviation.size:.3g} of its size" if deviation.size < float("inf") else ""
-    return (
-        f"probe {name}: {deviation.where} differs{size} from what version"
-        f" {version_of(problem)} of {problem.base} gives"
-    )
-
-
 def _version(text: str) -> Version:
     protocol, problem = text.split(".")
     return Version(int(protocol), int(problem))
 
 
-@cache
-def _table() -> dict[str, Any]:
-    place = files("ves_gym.leaderboard") / "golden" / _FILE
-    try:
-        table: dict[str, Any] = json.loads(place.read_text(encoding="utf-8"))
-    except FileNotFoundError:  # before the first recording
-        return {"schema": SCHEMA, "versions": {}, "sources": {}}
+def _table() -> Plain:
+    table = read_golden(_FILE) or {"schema": SCHEMA, "versions": {}, "sources": {}}
     if table.get("schema") != SCHEMA:
         raise ParameterError(f"{_FILE}: schema must be {SCHEMA!r}, got {table.get('schema')!r}")
     return table

@@ -13,19 +13,21 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ves_gym._util.params import Array, ParameterError, to_plain
+from ves_gym._util.params import Array, ParameterError, content_hash, to_plain
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.leaderboard import lower_bounds, protocol
+from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.evaluators import version_of
 from ves_gym.leaderboard.npy_io import pack
 from ves_gym.leaderboard.protocol import PROTOCOL, Problem, seeds_of
+from ves_gym.leaderboard.stored_results import golden, probe_names
 from ves_gym.leaderboard.tracks.base import Method
 from ves_gym.mechanics.motion import Motion, limit_ratios
 
@@ -40,6 +42,7 @@ RELATIVE = 1e-9
 # below what any sensor of the machine resolves, and 1e4 times the rounding of numbers about 1.
 ABSOLUTE = 1e-12
 
+BITS = "bits"  # beside the versions of packages in a bundle: see `bits`
 _SALT = "not a secret, for probes"  # shows how official seeds are derived
 _FIRST_SEED = 19_940_000  # what `Rehearsed` counts from; the probes of rules hold the seeds
 _STEPS = 48  # control periods of a short episode
@@ -64,27 +67,22 @@ class Deviation(NamedTuple):
 
 
 def probes_of(problem: Problem) -> dict[str, Measure]:
-    """Return the probes of a problem by name, `subject/experiment`.
-
-    Names do not depend on whether the problem is the quick one.
-    """
+    """Return the probes of a problem by name; those of `stored_results.probe_names`."""
     whole = Problem(problem.track, problem.base)
-    subject = whole.base.removeprefix("ves/")
     id = whole.environment
-    out: dict[str, Measure] = {f"{subject}/rules-{whole.track}": lambda: rules(whole)}
+    experiments: dict[str, Measure] = {
+        f"rules-{whole.track}": lambda: rules(whole),
+        "queries": lambda: queries(whole),
+        "motions": lambda: motions(whole),
+        "releases": lambda: releases(whole),
+        "answers": answers,
+        "case": case,
+        "effects": effects,
+    }
     if id is not None:
-        out[f"{subject}/episode"] = lambda: episode(id)
-        out[f"{subject}/evaluation-{whole.track}"] = lambda: evaluation(whole)
-    elif whole.track == "paths":
-        out[f"{subject}/queries"] = lambda: queries(whole)
-        out[f"{subject}/motions"] = lambda: motions(whole)
-    elif whole.track == "damping":
-        out[f"{subject}/releases"] = lambda: releases(whole)
-    else:
-        out["blind/answers"] = answers
-        out["blind/case"] = case
-        out["blind/effects"] = effects
-    return out
+        experiments["episode"] = lambda: episode(id)
+        experiments[f"evaluation-{whole.track}"] = lambda: evaluation(whole)
+    return {name: experiments[name.partition("/")[2]] for name in probe_names(whole)}
 
 
 def rules(problem: Problem) -> Plain:
@@ -278,6 +276,7 @@ def releases(problem: Problem) -> Plain:
     """Return the rows of fixed gains, full matrices among them, on the first releases."""
     from ves_gym.leaderboard.tracks.registry import get_track
     from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
+    from ves_gym.planners.pped import WIDE
 
     excerpt = Excerpt(problem.track, problem.name, _RELEASES)
     track: Any = get_track(problem.track)
@@ -295,6 +294,7 @@ def releases(problem: Problem) -> Plain:
     system = track.system(excerpt)
     return {
         "rows": [_named(row) for row in rows],
+        "bounds": [*WIDE.K, *WIDE.B],
         "gains": gains[::_RELEASES].reshape(3, -1).tolist(),
         "lower bound": lower_bounds.strain_floor(system.ideal(), 25.0, 30.0),
     }
@@ -484,64 +484,53 @@ def _array(value: Any) -> Array | None:
     return np.asarray(value, dtype=np.float64)
 
 
-# ------------------------------------------------------------------------------- storage
-
-_FOLDER = "golden"
-
-
-def golden(problem: Problem) -> dict[str, Plain]:
-    """Return the stored results of a problem's probes, by name.
-
-    Raises:
-        ParameterError: there are none.
-    """
-    return {name: _stored(name) for name in probes_of(problem)}
-
-
-def file_of(name: str) -> str:
-    """Return the file of `golden` that holds a probe's results."""
-    return f"{name.partition('/')[0]}.json"
-
-
-def is_stored(name: str) -> bool:
-    """Return whether there are results of a probe."""
-    return name in _table(file_of(name))
-
-
-def forget() -> None:
-    """Read the stored results anew when they are asked for next."""
-    _table.cache_clear()
-
-
-def _stored(name: str) -> Plain:
-    table = _table(file_of(name))
-    if name not in table:
-        raise ParameterError(f"no stored results of probe {name!r}; known: {', '.join(table)}")
-    results: Plain = table[name]
-    return results
+# ------------------------------------------------------------------------------ judgement
 
 
 @cache
-def _table(file: str) -> dict[str, Plain]:
-    place = files("ves_gym.leaderboard") / _FOLDER / file
-    try:
-        table: dict[str, Plain] = json.loads(place.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    return table
+def _once(problem: Problem, name: str) -> Plain:
+    return measure(problem, name)
 
 
-@cache
 def first_difference(problem: Problem) -> tuple[str, Deviation] | None:
-    """Run a problem's probes, once per process; return the first that differs, with its name.
+    """Return the first probe of a problem that differs from what is stored, with its name.
 
-    A quick problem has the probes of the whole one.
+    A probe runs once per process.
     """
-    for name, stored in golden(problem).items():
+    whole = Problem(problem.track, problem.base)
+    for name, stored in golden(whole).items():
         try:
-            deviation = compare(stored, measure(problem, name))
-        except Exception as error:  # an evaluator that cannot even run them is another one
-            return name, Deviation(f"{type(error).__name__}: {error}", math.inf, False)
+            deviation = compare(stored, _once(whole, name))
+        except Exception as error:  # code that cannot even run it is another evaluator
+            why = f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
+            return name, Deviation(why, math.inf, False)
         if not deviation.permitted:
             return name, deviation
     return None
+
+
+def bits(problem: Problem) -> str:
+    """Return a hash of every bit of the probes' results here: what a replay can repeat exactly.
+
+    The same version computes other last bits on another processor, with other packages, or
+    after its sums were written in another order.
+    """
+    whole = Problem(problem.track, problem.base)
+    return content_hash({name: _once(whole, name) for name in probe_names(whole)})[:16]
+
+
+def require_behaviour(problem: Problem) -> None:
+    """Raise a Rejection (EVALUATOR_CHANGED) where the code is not the version it says.
+
+    The probes of the problem run once per process.
+    """
+    difference = first_difference(problem)
+    if difference is None:
+        return
+    name, deviation = difference
+    size = f" by {deviation.size:.3g} of its size" if math.isfinite(deviation.size) else ""
+    raise Rejection(
+        Code.EVALUATOR_CHANGED,
+        f"probe {name}: {deviation.where} differs{size} from version {version_of(problem)} of"
+        f" {problem.base}",
+    )

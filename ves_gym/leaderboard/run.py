@@ -20,6 +20,7 @@ from ves_gym.leaderboard.archive import MANIFEST, write_members
 from ves_gym.leaderboard.bundle import SCHEMA, digest, sealed
 from ves_gym.leaderboard.errors import Rejection
 from ves_gym.leaderboard.policy_files import ARCHITECTURES, policy_names
+from ves_gym.leaderboard.probes import BITS, bits, require_behaviour
 from ves_gym.leaderboard.protocol import (
     MOST_GROUPS,
     PROTOCOL,
@@ -71,7 +72,7 @@ def make_bundle(
     asked = get_problem(track, problem)
     drawn = seeds_of(asked, salt)
     try:
-        evaluators.require_behaviour(asked)
+        require_behaviour(asked)
     except Rejection as error:  # of what nobody would accept, sooner than hours later
         raise ParameterError(error.why) from None
     rules = get_track(track, folder, workers)
@@ -101,7 +102,7 @@ def make_bundle(
         "members": {},
         "rows": answers.rows,
         "about": {
-            "versions": fingerprint.package_versions(),
+            "versions": fingerprint.package_versions() | {BITS: bits(asked)},
             "cpu": fingerprint.cpu_model(),
             "simd": fingerprint.simd(),
             "settings": told.get("settings", {}),

@@ -23,6 +23,7 @@ from ves_gym.leaderboard.bundle import digest, read_manifest
 from ves_gym.leaderboard.entry import LEVELS, Entry, check_entry
 from ves_gym.leaderboard.errors import Code, Rejection
 from ves_gym.leaderboard.policy_files import policies_of, policy_names
+from ves_gym.leaderboard.probes import BITS, bits, require_behaviour
 from ves_gym.leaderboard.protocol import (
     ABSOLUTE,
     FLIPPED,
@@ -84,7 +85,7 @@ def verify(
     manifest = read_manifest(members[MANIFEST])
     problem = _problem(manifest)
     evaluators.require_same(problem, manifest["spec"]["evaluator"])
-    evaluators.require_behaviour(problem)  # before anything else is computed here
+    require_behaviour(problem)  # before anything else is computed here
     rules = get_track(problem.track, folder, workers)
     method = _method(manifest)
     _require_members(manifest, members, rules.payload(problem), method)
@@ -98,7 +99,7 @@ def verify(
     if method.kind == "policy":
         require_fit(problem, method, policies_of(method, members))
     same = fingerprint.same_machine(manifest["about"])
-    same = same and not evaluators.moved_bits(manifest["spec"]["evaluator"])
+    same = same and manifest["about"]["versions"].get(BITS) == bits(problem)
     rules.require_possible(problem, seeds, manifest["rows"])
     data = members[rules.payload(problem)]
     with _careful(Code.BAD_ACTION):
