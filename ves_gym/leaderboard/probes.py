@@ -302,7 +302,7 @@ def releases(problem: Problem) -> Plain:
 
 def answers() -> Plain:
     """Return which fixed answers to fixed truths count as right."""
-    from ves_gym.diagnosis.benchmark.score import Case, fine
+    from ves_gym.diagnosis.benchmark.score import ScoredCase, is_correct
     from ves_gym.leaderboard.tracks.diagnosis import VERDICTS
 
     viscous = {"kind": "joint/viscous", "slot": "joint 2", "value": {"coefficient": 4.0}}
@@ -321,7 +321,7 @@ def answers() -> Plain:
     out: Plain = {"verdicts": list(VERDICTS)}
     for category, label in truths.items():
         out[category] = {
-            f"{verdict}, {name}": _judged(fine, Case(label, verdict, some, {}))
+            f"{verdict}, {name}": _judged(is_correct, ScoredCase(label, verdict, some, {}))
             for verdict in VERDICTS
             for name, some in given.items()
         }
