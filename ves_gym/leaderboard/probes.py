@@ -169,7 +169,7 @@ def episode(id: str) -> Plain:
         action = pattern(step, batch.width)
         observation, reward, terminated, truncated, info = env.step(action)
         out["reward"].append(float(reward))
-        out["terms"].append([float(k) for k in info["reward_terms"].values()])
+        out["terms"].append([float(v) for k, v in info.items() if k.startswith("reward/")])
         out["ended"].append([bool(terminated), bool(truncated), bool(info["success"])])
         if terminated or truncated:
             break
