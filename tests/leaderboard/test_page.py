@@ -111,8 +111,8 @@ def test_entries_of_older_versions_stay_readable(show, board):
     page = show()
     assert page.do("document.getElementById('history-section').hidden") is True
     past = {
-        "line": 7, "track": "paths", "problem": "reach100-1s", "seeds": "public", "name": HOSTILE,
-        "author": "someone", "level": "reproduced", "bundle": "ab" * 32,
+        "line": 7, "track": "paths", "problem": "reach100-1s", "seeds": "public",
+        "name": HOSTILE, "author": "someone", "level": "reproduced", "bundle": "ab" * 32,
         "score": [0.5, 0.4, None], "why": "version 1.1 of the problem, today 1.2",
     }  # fmt: skip
     rows = [past, {**past, "line": 9, "name": "old", "score": None}]
@@ -123,7 +123,7 @@ def test_entries_of_older_versions_stay_readable(show, board):
         "[...document.querySelectorAll('#history tbody tr')].map(r => r.innerText.split('\\t'))"
     )
     assert len(cells) == 2 and HOSTILE in cells[0][1]
-    assert "0.5" in cells[0][2] and "0.4 to ∞" in cells[0][2] and cells[1][2].strip() == "–"
+    assert "0.5" in cells[0][2] and "0.400 to ∞" in cells[0][2] and cells[1][2].strip() == "–"
     assert [row[4:] for row in cells] == [["7", past["why"]], ["9", past["why"]]]
     assert page.do("window.hacked") is None
 
