@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.motion import Motion, require_limits
+from ves_gym.mechanics.limits import require_limits
+from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 from ves_gym.system.energy import TAIL, Energies, log_energies
@@ -126,7 +127,8 @@ def plan(
         duration: of the motion [s].
         planner: name (`ves-gym list planners`) or planner.
         system: arm and vehicle; default `System()`.
-        v_max, a_max: limits of joint speed [rad/s] and acceleration [rad/s^2], (n,).
+        v_max: limits of joint speed (n,) [rad/s]; default those of the arm, "none" for none.
+        a_max: limits of joint acceleration (n,) [rad/s^2]; default none.
         surroundings: what not to touch, or the file that says it.
         servo: what will move the joints.
         seed: of planners that search.
@@ -139,7 +141,7 @@ def plan(
         ParameterError: an unknown planner, or ends outside the joints' range.
     """
     from ves_gym.planners.obstacles import read_surroundings
-    from ves_gym.planners.query import Query, solve
+    from ves_gym.planners.query import Query, solve, speed_limits
 
     system = _system(system)
     n = system.arm.n
@@ -150,7 +152,7 @@ def plan(
         start=_vector(start, n, "start"),
         goal=_vector(goal, n, "goal"),
         duration=duration,
-        v_max=None if v_max is None else _vector(v_max, n, "v_max"),
+        v_max=speed_limits(system.arm, v_max),
         a_max=None if a_max is None else _vector(a_max, n, "a_max"),
         surroundings=surroundings,
         servo=servo,

@@ -75,8 +75,13 @@ def test_simulate_writes_parquet_at_the_asked_interval(call):
 def test_simulate_warns_of_a_motion_that_is_too_fast(call):
     status, _, err, result = call("simulate", "--goal", "90,0,0", *SHORT)
     assert status == 0
-    assert err.startswith("ves-gym: warning: motion breaks the velocity limit of joint 1")
-    assert len(result["warnings"]) == err.count("\n") == 2  # and of torque
+    lines = err.splitlines()
+    assert lines[0].startswith("ves-gym: warning: reference: velocity of joint 1 reaches ")
+    assert lines[1].startswith("ves-gym: warning: reference: torque of joint 1 reaches ")
+    assert lines[2].startswith("ves-gym: warning: simulated arm: velocity of joint 1 reaches ")
+    assert len(result["warnings"]) == len(lines) == 3  # the motors keep within their torque
+    assert not result["limits"]["reference"]["inside"]
+    assert not result["limits"]["simulated"]["inside"]
 
 
 def test_simulate_passes_way_points(call):
@@ -328,3 +333,45 @@ def test_result_is_plain_json_without_nan(call, tmp_path):
     _, _, _, result = call("simulate", "--goal", "0,0,0", *SHORT)
     assert result["ledger_residual"] is None
     assert "NaN" not in json.dumps(result) and "Infinity" not in json.dumps(result)
+
+
+# ---------------------------------------------------------------- files that are written
+
+
+def _files(folder):
+    return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("words", "log", "system"),
+    [
+        ((), "out/simulate/run.csv", "out/simulate/system.toml"),
+        (("--log", "a.csv"), "a.csv", "a.system.toml"),
+        (("--log", "deep/er/a.parquet"), "deep/er/a.parquet", "deep/er/a.system.toml"),
+        (("--out", "o"), "o/run.csv", "o/system.toml"),
+        (("--out", "o", "--log", "sub/a.csv"), "o/sub/a.csv", "o/system.toml"),
+    ],
+)
+def test_simulate_names_every_file_it_writes(words, log, system, tmp_path, capsys, monkeypatch):
+    """What is there afterwards is what was told, and the log is where `--log` says."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", *SHORT, *words]) == 0
+    out = capsys.readouterr().out
+    told = {line.removeprefix("written: ") for line in out.splitlines() if "written: " in line}
+    assert set(told.pop().split("  ")) == _files(tmp_path)
+    assert {log, system} <= _files(tmp_path)
+    assert RunLog.load(log).digest and System.load(system) == System()
+
+
+def test_an_absolute_log_goes_where_it_says(call, tmp_path):
+    status, _, _, result = call("simulate", *SHORT, "--log", tmp_path / "there" / "a.csv")
+    assert status == 0 and result["log"] == str(tmp_path / "there" / "a.csv")
+    assert set(result["files"]) == {str(tmp_path / f) for f in _files(tmp_path)}
+
+
+def test_weighing_names_its_files_too(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["simulate", "--mode", "emulated", "--poses", "3", "--log", "w/poses.csv"]
+    assert main(words) == 0
+    assert "written: w/poses.csv  w/poses.json" in capsys.readouterr().out
+    assert _files(tmp_path) == {"w/poses.csv", "w/poses.json"}

@@ -48,6 +48,25 @@ def test_the_search_is_as_asked(call):
     assert 700 <= result["info"]["evaluations"] < 1200
 
 
+def test_benchmark_shows_why_a_planner_refuses(call):
+    words = ("benchmark", "--vehicle", "free-floating", "--first", "1", "--durations", "2")
+    words += (
+        "--planners",
+        "straight,hotspot-q,reaction-null",
+        "--workers",
+        "1",
+        "--no-figures",
+    )
+    status, out, _, result = call(*words)
+    assert status == 0
+    failures = {r["planner"]: r["failure"] for r in result["rows"]}
+    assert failures["straight"] is None
+    assert failures["hotspot-q"].endswith("has no stiffness (Q = 0)")
+    assert failures["reaction-null"].startswith("no reactionless motion: every motion of 3 ")
+    for name in ("hotspot-q", "reaction-null"):
+        assert f"failed 1 x: {name}: {failures[name]}" in out.replace("\n", " ")
+
+
 def test_acceleration_limits_are_kept(call):
     _, _, _, result = call("plan", "--goal", "20,10,-20", "--a-max", "60,60,90")
     t, q = np.array(result["t"]), np.array(result["path"])

@@ -10,15 +10,13 @@ from hypothesis import strategies as st
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.limits import LimitError, limit_ratios, require_limits
 from ves_gym.mechanics.motion import (
     QUINTIC_PEAK_SPEED,
-    LimitError,
     Motion,
     basis,
     knots,
-    limit_ratios,
     quintic,
-    require_limits,
 )
 from ves_gym.mechanics.puma import PUMA_560
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.optimize
 
 from ves_gym.mechanics.dynamics import inverse_dynamics
-from ves_gym.mechanics.motion import limit_ratios
+from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
 from ves_gym.planners.direct import Direct, MotionProblem, minimise, quadratic_program
 from ves_gym.planners.obstacles import Sphere, Surroundings

@@ -8,6 +8,7 @@ import pytest
 from tests.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
+from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.coupling import coupling_length, coupling_matrix, spots
 from ves_gym.planners.hotspot import Lattice, Roadmap, resample
 from ves_gym.planners.query import Query, solve
@@ -174,3 +175,13 @@ def test_two_joints_are_fine():
     )
     for name in ("hotspot-q", "hotspot-qt", "bad-path"):
         assert solve(get_planner(name), query).motion.n == 2
+
+
+@pytest.mark.parametrize("name", ["hotspot-q", "hotspot-qt"])
+@pytest.mark.parametrize("vehicle", ["free-floating", "free-flying"])
+def test_a_base_without_stiffness_has_no_hot_spots(name, vehicle):
+    system = System(vehicle=get_vehicle(vehicle))
+    query = Query(system=system, start=(0.0, 0, 0), goal=(0.5, 0.2, 0.3), duration=2.0)
+    plan = solve(get_planner(name), query)
+    assert plan.motion is None and plan.failure.startswith("no hot spots: ")
+    assert plan.failure.endswith("has no stiffness (Q = 0)")

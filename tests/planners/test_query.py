@@ -175,10 +175,22 @@ for planner in reversed(PLANNERS.values()):
 def test_every_planner_answers_on_every_vehicle(planner, vehicle):
     q = query(system=System(vehicle=vehicle))
     plan = solve(planner, q)
+    if cannot(planner, vehicle):
+        assert plan.motion is None and plan.failure.startswith(cannot(planner, vehicle))
+        return
     np.testing.assert_array_equal(plan.motion.start, ENDS["start"])
     np.testing.assert_array_equal(plan.motion.goal, ENDS["goal"])
     assert plan.motion.duration == 2.0
     assert np.isfinite(list(plan.predicted.to_dict().values())).all()
+
+
+def cannot(planner, vehicle):
+    """How a planner begins to say that there is nothing on this vehicle for it, or None."""
+    if planner.name == "reaction-null":  # three joints
+        return "no reactionless motion: every motion of 3 joints moves this base"
+    if planner.name.startswith("hotspot") and vehicle is FREE_FLOATING:
+        return "no hot spots: they are where joint motion strains the base"
+    return None
 
 
 def test_staying_where_one_is(planner):
@@ -191,6 +203,9 @@ def test_staying_where_one_is(planner):
 def test_moving_one_joint_only(planner):
     start = ENDS["start"]
     plan = solve(planner, query(goal=(start[0] + 0.5, *start[1:])))
+    if cannot(planner, None):
+        assert not plan.feasible and plan.failure.startswith(cannot(planner, None))
+        return
     assert plan.feasible
     assert plan.predicted.E_mean > 0
 

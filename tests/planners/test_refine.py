@@ -9,7 +9,8 @@ import pytest
 from tests.arms import WRIST_GAINS, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.dynamics import frames
-from ves_gym.mechanics.motion import Motion, limit_ratios
+from ves_gym.mechanics.limits import limit_ratios
+from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import FREE_FLOATING
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions

@@ -13,6 +13,7 @@ from ves_gym.mechanics.spatial import matvec, rotation, twist
 from ves_gym.mechanics.vehicle import FREE_FLOATING, MatrixVehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Divergence, Simulator
+from ves_gym.system.effect import EFFECTS
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
@@ -228,3 +229,65 @@ def test_a_run_that_diverges_is_an_error(tmp_path, monkeypatch):
 def test_bad_gains_are_refused(gains):
     with pytest.raises(ParameterError, match="JointServo"):
         JointServo(**gains)
+
+
+# ---------------------------------------------------------------------------- limits
+
+VMAX = System().arm.column("v_max")
+DELAYS = tuple(
+    EFFECTS[kind](**{name: value})
+    for kind, name, value in (
+        ("joint/measurement_delay", "delay", 0.004),
+        ("joint/velocity_lag", "time_constant", (0.01, 0.01, 0.01)),
+        ("command/delay", "delay", 0.003),
+    )
+)
+QUICK_TURN = Motion.straight(np.zeros(3), np.deg2rad([40.0, -25, 50]), 0.5)
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        System(),
+        System(drive="prescribed"),
+        System(vehicle=FREE_FLOATING),
+        System(effects=DELAYS),
+        System(mode="emulated", physics_dt=1.25e-3, control_dt=5e-3),
+    ],
+    ids=["motor", "prescribed", "free", "delays", "emulated"],
+)
+def test_watching_the_joints_changes_no_record(system):
+    dt = 25e-3
+    plain, watched = (
+        play_motions(system, [QUICK_TURN], settle=0.3, record_dt=dt, watch=w)
+        for w in (False, True)
+    )
+    for name in ("q", "v", "tau", "y", "yd", "w", "wg", "y_cmd"):
+        a, b = getattr(plain, name), getattr(watched, name)
+        assert a is b is None or np.array_equal(a, b), name
+    assert plain.extremes is None and watched.extremes is not None
+
+
+def test_the_joints_are_watched_at_every_physics_step():
+    """Records every 125 ms miss the peak; the check does not. Dense records are the truth."""
+    system = System()
+    coarse = play_motions(system, [QUICK_TURN], settle=0.3, record_dt=0.125, watch=True)
+    dense = play_motions(system, [QUICK_TURN], settle=0.3, record_dt=system.physics_dt)
+    here, truth = coarse.limit_check(0), dense.limit_check(0)
+    assert here == truth
+    velocity = next(e for e in here.extremes if e.kind == "velocity")
+    assert velocity.breaks and velocity.ratio > np.abs(coarse.v[0] / VMAX).max() * 1.001
+    assert (
+        velocity.value
+        == dense.v[0, np.searchsorted(dense.t, velocity.time - 1e-9)][velocity.joint - 1]
+    )
+    assert "simulated arm: velocity of joint" in truth.sentences("simulated arm")[0]
+
+
+def test_the_tighter_of_two_speed_limits_holds():
+    run = play_motions(System(), [QUICK_TURN], settle=0.1, watch=True)
+    own = run.limit_check(0)
+    assert [e.kind for e in own.extremes] == ["position", "velocity", "torque"]
+    assert not own.inside and run.limit_check(0, v_max=(9.0, 9.0, 9.0)) == own
+    tight = run.limit_check(0, v_max=(0.1, 9.0, 9.0)).extremes[1]
+    assert tight.joint == 1 and tight.limit == 0.1

@@ -196,6 +196,7 @@ def _print_tables(result: dict[str, Any]) -> None:
         style="dim",
     )
     _print_failures(result, console)
+    _print_limits(result, console)
     if emulated:
         console.print(
             "Energies are those of the emulated base. emulation error: its E_mean over that of"
@@ -222,6 +223,23 @@ def _print_failures(result: dict[str, Any], console: Any) -> None:
             rates[s["planner"]][1] += s["solvable"]
         text = ", ".join(f"{name} {a}/{b}" for name, (a, b) in rates.items())
         console.print(f"of the solvable queries: {text}", soft_wrap=True)
+
+
+def _print_limits(result: dict[str, Any], console: Any) -> None:
+    """Say which successes leave the limits: as commanded, and as the arm moved."""
+    for of, key in (("reference", "reference_breaks"), ("simulated arm", "arm_breaks")):
+        counts: Counter[str] = Counter()
+        for row in result["rows"]:
+            counts[row["planner"]] += bool(row["success"] and row[key])
+        if not (some := +counts):
+            console.print(f"{of} inside the limits on every success")
+            continue
+        text = ", ".join(f"{name} {count}" for name, count in some.items())
+        console.print(f"{of} NOT inside the limits, of the successes: {text}", soft_wrap=True)
+        first = next(r for r in result["rows"] if r["success"] and r[key])
+        console.print(
+            f"  such as {first['planner']}, {first['query']}: {first[key]}", soft_wrap=True
+        )
 
 
 def _print_machine(result: dict[str, Any], console: Any) -> None:

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError, Vector, to_plain, write_text
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
@@ -259,6 +260,32 @@ def out_dir(args: argparse.Namespace, default: str) -> Path:
     path = Path(args.out or default)
     path.mkdir(parents=True, exist_ok=True)
     return path
+
+
+def log_path(args: argparse.Namespace) -> Path:
+    """Return where `--log` says that the run log goes: from `--out`, where that is given."""
+    path = Path(args.out or "", args.log)
+    if path.suffix not in (".csv", ".parquet"):
+        raise ParameterError(f"--log must end in .csv or .parquet, got {args.log!r}")
+    if path.is_dir():
+        raise ParameterError(f"--log must be a file to write, got the folder {args.log!r}")
+    if path.suffix == ".parquet":
+        require("Parquet", "pyarrow")
+    beside = path.with_suffix(".json")
+    if args.json is not None and path.suffix == ".csv" and _same(beside, Path(args.json)):
+        raise ParameterError(
+            f"--json {args.json} is where the log's metadata goes; give another name"
+        )
+    return path
+
+
+def log_files(path: Path) -> list[Path]:
+    """Return the files that a run log consists of: a CSV file has its metadata beside it."""
+    return [path, path.with_suffix(".json")] if path.suffix == ".csv" else [path]
+
+
+def _same(a: Path, b: Path) -> bool:
+    return a.resolve() == b.resolve()
 
 
 class Tell(Protocol):

@@ -11,7 +11,8 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.cli.common import degrees
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.motion import LimitError, Motion, require_limits
+from ves_gym.mechanics.limits import require_limits
+from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
 from ves_gym.system.system import System
 
@@ -92,17 +93,6 @@ def _numbers(text: str, n: int) -> JointServo:
     if {len(kp), len(kd)} - {1, n}:
         raise ParameterError(f"--gains must be {expected}, got {text!r}")
     return JointServo(kp=tuple(kp * (n // len(kp))), kd=tuple(kd * (n // len(kd))))
-
-
-def limit_warnings(arm: Arm, motion: Motion) -> list[str]:
-    """One line per kind of limit, other than position, that a motion breaks."""
-    out = []
-    for kind in ("velocity", "torque"):
-        try:
-            require_limits(arm, motion, (kind,))
-        except LimitError as error:
-            out.append(str(error))
-    return out
 
 
 def disturbance(text: str | None) -> Array:

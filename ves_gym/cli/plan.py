@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import ParameterError
+from ves_gym._util.params import ParameterError, Vector
 from ves_gym.cli.common import add_system_arguments, degrees, out_dir, system_from, write_json
 from ves_gym.cli.motions import duration_from, joint_angles
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.limits import LimitCheck
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.comparison import simulate_motions
 from ves_gym.planners.obstacles import read_surroundings
 from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.ompl_worker import ALGORITHMS
 from ves_gym.planners.prediction import Prediction
-from ves_gym.planners.query import Plan, Planner, Query, solve
+from ves_gym.planners.query import Plan, Planner, Query, solve, speed_limits
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.system.energy import Energies, energies
 
@@ -34,7 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--planner", default="direct", metavar="P", help=f"{', '.join(PLANNERS)} (direct)"
     )
-    parser.add_argument("--v-max", metavar="A,B,C", help="joint speed limits [deg/s] (none)")
+    parser.add_argument(
+        "--v-max",
+        metavar="A,B,C",
+        help="joint speed limits [deg/s], or none (default: those of the arm)",
+    )
     parser.add_argument(
         "--a-max", metavar="A,B,C", help="joint acceleration limits [deg/s^2] (none)"
     )
@@ -61,14 +67,16 @@ def run(args: argparse.Namespace) -> int:
         start=tuple(joint_angles(args.start, arm, "--start").tolist()),
         goal=tuple(joint_angles(args.goal, arm, "--goal").tolist()),
         duration=duration_from(args.duration),
-        v_max=None if args.v_max is None else degrees(args.v_max, arm.n, "--v-max"),
+        v_max=_v_max(args.v_max, arm),
         a_max=None if args.a_max is None else degrees(args.a_max, arm.n, "--a-max"),
         surroundings=None if args.obstacles is None else read_surroundings(args.obstacles),
     )
     plan = solve(planner, query, args.seed)
     if plan.motion is None or plan.predicted is None:
         return _without_motion(args, plan)
-    simulated, straight = _simulated(query, plan.motion)
+    reference = plan.reference
+    assert reference is not None
+    simulated, straight, played = _simulated(query, plan.motion)
     times = np.linspace(0, query.duration, _SAMPLES)
     result = {
         "schema": SCHEMA,
@@ -85,12 +93,15 @@ def run(args: argparse.Namespace) -> int:
         "plan_seconds": plan.seconds,
         "feasible": plan.feasible,
         "failure": plan.failure,
+        "limits": {"reference": reference.to_dict(), "simulated": played.to_dict()},
         "info": plan.info,
     }
     file = out_dir(args, "out/plan") / "motion.json"
     plan.motion.save(file)
     write_json(args.json, result)
     _print_table(plan, plan.predicted, simulated, straight)
+    print(reference.verdict("reference"))
+    print(played.verdict("simulated arm"))
     print(f"written: {file}   (play it: ves-gym simulate --motion {file})")
     return 0 if plan.feasible else 1
 
@@ -127,11 +138,21 @@ def _without_motion(args: argparse.Namespace, plan: Plan) -> int:
     return 1
 
 
-def _simulated(query: Query, motion: Motion) -> tuple[Energies, Energies]:
-    """Energies of a motion and of the straight line, on the full nonlinear system."""
+def _v_max(text: str | None, arm: Arm) -> Vector | None:
+    """Return the speed limits [rad/s] that are asked for, None for none."""
+    value = text if text in (None, "none") else degrees(str(text), arm.n, "--v-max")
+    return speed_limits(arm, value)
+
+
+def _simulated(query: Query, motion: Motion) -> tuple[Energies, Energies, LimitCheck]:
+    """Simulate a motion and the straight line on the full nonlinear system.
+
+    Returns:
+        Energies of both, and whether the arm keeps its limits on the former.
+    """
     run = simulate_motions(query, [motion])
     first, second = energies(query.system, run.t, run.q, run.y, run.yd, duration=query.duration)
-    return first, second
+    return first, second, run.limit_check(0, v_max=query.v_max)
 
 
 def _print_table(
@@ -153,5 +174,5 @@ def _print_table(
             f"{name} [J]", f"{predicted[name]:.4g}", f"{planned:.4g}", f"{reference:.4g}", ratio
         )
     Console(width=None if sys.stdout.isatty() else 120, markup=False).print(table)
-    verdict = "inside the limits" if plan.feasible else f"NOT feasible: {plan.failure}"
+    verdict = "feasible" if plan.feasible else f"NOT feasible: {plan.failure}"
     print(f"planned in {plan.seconds:.2f} s; {verdict}")

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.optional import lacking, require
+from ves_gym._util.optional import lacking
 from ves_gym._util.params import Array, ParameterError, write_bytes
 from ves_gym.cli.common import (
     Tell,
     add_system_arguments,
-    out_dir,
+    log_files,
+    log_path,
     progress,
     system_from,
     write_json,
@@ -23,10 +24,10 @@ from ves_gym.cli.common import (
 from ves_gym.cli.motions import (
     GAINS,
     disturbance,
-    limit_warnings,
     motion_from,
     servo_from,
 )
+from ves_gym.mechanics.limits import check_reference, limits_of
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.simulation.gravity_learning import learn_gravity
@@ -69,7 +70,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="between records (default physics step; mode emulated: control period)",
     )
     parser.add_argument(
-        "--log", default="run.csv", metavar="NAME", help=".csv or .parquet (run.csv)"
+        "--log",
+        metavar="FILE",
+        help="the run log, .csv or .parquet, from --out if given (out/simulate/run.csv)",
     )
     add_system_arguments(parser)
     lab = parser.add_argument_group("experiments (mode emulated)")
@@ -88,11 +91,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play the motion; write log, system and picture; print the energies."""
-    name = _log_name(args)
+    path, description = _places(args)
     system = system_from(args)
     _check_experiment(args, system)
     if args.poses is not None:
-        return _weigh(args, system, name)
+        return _weigh(args, system, path)
     motion = motion_from(args, system.arm)
     servo = servo_from(args, system)
     for option, value, least in (
@@ -103,7 +106,8 @@ def run(args: argparse.Namespace) -> int:
             raise ParameterError(
                 f"{option} must be {'>= 0' if least == 0 else '> 0'} s, got {value}"
             )
-    warnings = limit_warnings(system.arm, motion)
+    limits = limits_of(system.arm, motor=system.drive == "motor")
+    reference = check_reference(system.arm, motion, limits)
     with progress() as on_progress:
         recording = _play(args, system, motion, servo, on_progress)
         space = _in_space(system, motion, servo, args, recording)
@@ -116,13 +120,13 @@ def run(args: argparse.Namespace) -> int:
         account = EnergyBalance.of(log)
         residual = account.relative if math.isfinite(account.relative) else None
 
+    simulated = recording.limit_check(0)
+    warnings = reference.sentences("reference") + simulated.sentences("simulated arm")
     for warning in warnings:
         print(f"ves-gym: warning: {warning}", file=sys.stderr)
-    folder = out_dir(args, "out/simulate")
-    path = folder / name
     log.save(path)
-    system.save(folder / "system.toml")
-    written = [path, folder / "system.toml"]
+    system.save(description)
+    written = [*log_files(path), description]
     picture = _picture(log, system, motion.duration, path.with_suffix(".png"), space)
     written += [picture] if picture else []
     result = {
@@ -135,8 +139,9 @@ def run(args: argparse.Namespace) -> int:
         "tail": min(TAIL, args.settle),
         "energies": None if measured is None else measured.to_dict(),
         "ledger_residual": residual,
+        "limits": {"reference": reference.to_dict(), "simulated": simulated.to_dict()},
         "warnings": warnings,
-        "files": [str(p) for p in written],
+        "files": [str(p) for p in written + ([Path(args.json)] if args.json else [])],
     }
     if system.mode == "emulated":
         result["energies_in_space"] = None if ideal is None else ideal.to_dict()
@@ -145,10 +150,11 @@ def run(args: argparse.Namespace) -> int:
     write_json(args.json, result)
     if measured is not None:
         _print_table(system, motion, measured, ideal, residual, log)
+    print(f"{reference.brief('reference')}; {simulated.brief('simulated arm')}")
     if space is not None:
         error = _base_error(recording, space)
         print(f"base position off by {100 * error:.1f} % of its largest displacement in space")
-    print("written: " + "  ".join(str(p) for p in written))
+    print("written: " + "  ".join(result["files"]))
     if stop is not None:
         print(f"ves-gym: {stop}; the log ends there", file=sys.stderr)
     return 0 if stop is None else 1
@@ -227,6 +233,7 @@ def _play(
         servo=servo,
         settle=args.settle,
         record_dt=args.record_dt or default,
+        watch=True,
         y=pose,
         seed=args.seed,
         progress=lambda done: on_progress("simulating", done),
@@ -275,41 +282,42 @@ def _base_error(recording: Recording, space: Recording) -> float:
     return float(gap / size) if size > 0 else 0.0
 
 
-def _weigh(args: argparse.Namespace, system: System, name: str) -> int:
+def _weigh(args: argparse.Namespace, system: System, path: Path) -> int:
     """Record static poses for the Model Method."""
     from ves_gym.simulation.gravity_calibration import calibration_poses
 
     q, y = calibration_poses(system.arm, args.poses, seed=args.seed)
     log = weigh_poses(system, q, y, seed=args.seed)
-    path = out_dir(args, "out/simulate") / name
     log.save(path)
+    files = [str(p) for p in log_files(path)]
     write_json(
         args.json,
-        {"schema": SCHEMA, "log": str(path), "digest": log.digest, "poses": args.poses},
+        {
+            "schema": SCHEMA,
+            "log": str(path),
+            "digest": log.digest,
+            "poses": args.poses,
+            "files": files,
+        },
     )
-    print(f"weighed {args.poses} poses; written: {path}")
+    print(f"weighed {args.poses} poses; written: {'  '.join(files)}")
     print(f"next: ves-gym calibrate {path}")
     return 0
 
 
-def _log_name(args: argparse.Namespace) -> str:
-    name = str(args.log)
-    if Path(name).suffix not in (".csv", ".parquet") or Path(name).name != name:
-        raise ParameterError(
-            f"--log must be a file name ending in .csv or .parquet, got {name!r}"
-        )
-    if name.endswith(".parquet"):
-        require("Parquet", "pyarrow")
-    beside = (Path(args.out or "out/simulate") / name).with_suffix(".json")
-    if args.json is not None and name.endswith(".csv") and _same(beside, Path(args.json)):
-        raise ParameterError(
-            f"--json {args.json} is where the log's metadata goes; give another name"
-        )
-    return name
+def _places(args: argparse.Namespace) -> tuple[Path, Path]:
+    """Return where run log and system go.
 
-
-def _same(a: Path, b: Path) -> bool:
-    return a.resolve() == b.resolve()
+    Without --log and --out both are in out/simulate. A log that --log puts elsewhere has the
+    system beside it under its own name, so that no system.toml there is written over.
+    """
+    if args.log is None:
+        folder = Path(args.out or "out/simulate")
+        args.log = str("run.csv" if args.out else folder / "run.csv")
+        return log_path(args), folder / "system.toml"
+    path = log_path(args)
+    own = path.with_name(f"{path.stem}.system.toml")
+    return path, Path(args.out, "system.toml") if args.out else own
 
 
 # ------------------------------------------------------------------------------ output

@@ -9,7 +9,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from ves_gym._util.params import ParameterError
-from ves_gym.cli.common import add_system_arguments, system_from, write_json
+from ves_gym.cli.common import (
+    add_system_arguments,
+    log_files,
+    log_path,
+    system_from,
+    write_json,
+)
 from ves_gym.cli.motions import joint_angles
 from ves_gym.envs.teleop import Press, Teleop, load_script, read_script
 from ves_gym.system.runlog_files import load_pyarrow
@@ -69,7 +75,8 @@ def run(args: argparse.Namespace) -> int:
         log = teleop.log()
         log.save(path)
         result |= {"log": str(path), "digest": log.digest}
-        print(f"written: {path} (watch it: ves-gym view {path})")
+        files = "  ".join(map(str, log_files(path)))
+        print(f"written: {files}   (watch it: ves-gym view {path})")
     write_json(args.json, result)
     if teleop.diverged:
         print(f"ves-gym: {sim.describe_divergence(0)}", file=sys.stderr)
@@ -80,9 +87,7 @@ def _log_path(args: argparse.Namespace) -> Path | None:
     """Return the path of the log; faults are found before anyone drives."""
     if args.log is None:
         return None
-    path = Path(args.out, args.log) if args.out else Path(args.log)
-    if path.suffix not in (".csv", ".parquet"):
-        raise ParameterError(f"--log must end in .csv or .parquet, got {args.log!r}")
+    path = log_path(args)
     if path.suffix == ".parquet":
         load_pyarrow(path)
     return path

@@ -6,7 +6,6 @@ way-points and the path an optimiser shapes; its control points are the decision
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,18 +27,12 @@ from ves_gym._util.params import (
     unit,
     write_table,
 )
-from ves_gym._util.suggest import did_you_mean
-from ves_gym.mechanics.arm import Arm, matrix
-from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.arm import matrix
 
 FORMAT = "ves-motion/1"  # of a file
 DEGREE = 5
 _GRADING = 0.6  # of the knots: 1 - this is their relative spacing at the ends
 _HELD = 3  # equal control points at each end: zero velocity and acceleration there
-
-
-class LimitError(ValueError):
-    """A motion breaks a joint limit; the message names joint, time and value."""
 
 
 class Samples(NamedTuple):
@@ -282,71 +275,3 @@ def basis(m: int, u: npt.ArrayLike, derivative: int = 0) -> Array:
     spline = scipy.interpolate.BSpline(knots(m), np.eye(m), DEGREE)
     out: Array = spline(np.asarray(u, float), nu=derivative)
     return out
-
-
-# --------------------------------------------------------------------------- limits
-
-
-def limit_ratios(arm: Arm, motion: Motion, samples: int = 201) -> dict[str, Array]:
-    """Largest |value| / limit per joint, by kind of limit: {name: (n,)}.
-
-    Torque is that of the motion on a base that stands still. A position ratio is
-    measured from the middle of the joint's range.
-    """
-    s = motion.at(np.linspace(0, motion.duration, samples))
-    tau = inverse_dynamics(arm, s.q, s.v, s.a)[0]
-    return {
-        name: (np.abs(x) / limit).max(axis=0)
-        for name, (x, limit) in _limits(arm, s, tau).items()
-    }
-
-
-_SHOWN = {  # unit in messages, and its factor
-    "position": ("deg", math.degrees(1)),
-    "velocity": ("deg/s", math.degrees(1)),
-    "acceleration": ("rad/s^2", 1.0),
-    "torque": ("N m", 1.0),
-}
-
-
-def _limits(arm: Arm, s: Samples, tau: Array) -> dict[str, tuple[Array, Array]]:
-    low, high = arm.column("q_min"), arm.column("q_max")
-    return {
-        "position": (s.q - (low + high) / 2, (high - low) / 2),
-        "velocity": (s.v, arm.column("v_max")),
-        "acceleration": (s.a, arm.column("a_max")),
-        "torque": (tau, arm.column("tau_max")),
-    }
-
-
-def require_limits(
-    arm: Arm,
-    motion: Motion,
-    names: tuple[str, ...] = ("position", "torque"),
-    samples: int = 201,
-) -> None:
-    """Raise LimitError when a motion breaks one of the named joint limits.
-
-    The PUMA's own speed limits are a rule of the benchmark (DESIGN), so velocity is
-    only checked when asked for.
-    """
-    unknown = [name for name in names if name not in _SHOWN]
-    if unknown:
-        raise ParameterError(
-            f"limits are {', '.join(_SHOWN)}, got {unknown[0]!r}"
-            f"{did_you_mean(unknown[0], _SHOWN)}"
-        )
-    s = motion.at(np.linspace(0, motion.duration, samples))
-    tau = inverse_dynamics(arm, s.q, s.v, s.a)[0]
-    for name, (x, limit) in _limits(arm, s, tau).items():
-        if name not in names:
-            continue
-        ratio = np.abs(x) / limit
-        k, j = (int(i) for i in np.unravel_index(int(ratio.argmax()), ratio.shape))
-        if ratio[k, j] > 1 + 1e-9:
-            symbol, factor = _SHOWN[name]
-            raise LimitError(
-                f"motion breaks the {name} limit of joint {j + 1} at t = {s.t[k]:.3f} s:"
-                f" {x[k, j] * factor:.1f} {symbol}, allowed +-{limit[j] * factor:.1f} {symbol}"
-                + (" about the middle of its range" if name == "position" else "")
-            )

@@ -27,6 +27,7 @@ from ves_gym._util.process_pool import WorkerDied, Workers
 from ves_gym._util.statistics import STATISTICS, bootstrap
 from ves_gym._util.version import __version__
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
+from ves_gym.mechanics.limits import LimitCheck
 from ves_gym.planners.best_known import add_scores, near_best
 from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.query import Plan, Query, solve
@@ -228,7 +229,8 @@ def _simulate_all(
                 ideal = _play(system.ideal(), plans, _record_dt(system), seed)
                 in_space = _measure(ideal)
             for k, (i, run) in enumerate(zip(part, batch, strict=True)):
-                rows[i] = _row(run, measured[k], in_space[k])
+                check = recording.limit_check(k, v_max=run.plan.query.v_max)
+                rows[i] = _row(run, measured[k], in_space[k], check)
                 if ideal is not None:
                     rows[i] |= _emulation(recording, ideal, k, rows[i], in_space[k])
                 name = run.plan.query.name
@@ -254,7 +256,7 @@ def _record_dt(system: System) -> float:
 def _play(system: System, plans: Sequence[Plan], record_dt: float, seed: int) -> Recording:
     motions, servo = [p.motion for p in plans if p.motion is not None], plans[0].query.servo
     return play_motions(
-        system, motions, servo=servo, settle=TAIL, record_dt=record_dt, seed=seed
+        system, motions, servo=servo, settle=TAIL, record_dt=record_dt, seed=seed, watch=True
     )
 
 
@@ -293,7 +295,10 @@ def _showcase(groups: list[Group]) -> list[Group]:
     ]
 
 
-def _row(run: _Run, measured: Energies | None, in_space: Energies | None) -> dict[str, Any]:
+def _row(
+    run: _Run, measured: Energies | None, in_space: Energies | None, arm: LimitCheck
+) -> dict[str, Any]:
+    """The row of a motion that was played; `arm`: the limits of the joints as they moved."""
     plan = run.plan
     assert in_space is not None  # nothing stops a run in space
     assert plan.predicted is not None
@@ -305,6 +310,8 @@ def _row(run: _Run, measured: Energies | None, in_space: Energies | None) -> dic
         "plan_seconds": plan.seconds,
         "success": plan.feasible and measured is not None,
         "failure": plan.failure,
+        "reference_breaks": None if plan.reference is None else plan.reference.reasons,
+        "arm_breaks": arm.reasons,
         "info": plan.info,
     }
 
@@ -321,6 +328,7 @@ def _row_without_motion(run: _Run) -> dict[str, Any]:
         "plan_seconds": run.plan.seconds,
         "success": False,
         "failure": run.plan.failure,
+        **dict.fromkeys(("reference_breaks", "arm_breaks")),
         "info": run.plan.info,
         **emulated,
     }
@@ -417,6 +425,8 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "planner": planner,
                 "n": len(members),
                 "success_rate": float(np.mean([r["success"] for r in members])),
+                "reference_breaks": sum(_outside(r, "reference_breaks") for r in members),
+                "arm_breaks": sum(_outside(r, "arm_breaks") for r in members),
                 "E_mean_median": _median(_numbers(members, "E_mean")),
                 "ratio_median": _median(ratios["E_mean"]),
                 "ratio_low": low,
@@ -523,6 +533,11 @@ def _ratios(
         if reference[key] > _NO_RATIO * reference["E_peak"]:
             out.append(row[key] / reference[key])
     return out
+
+
+def _outside(row: dict[str, Any], key: str) -> bool:
+    """True for a success that a check of limits, which does not count yet, would refuse."""
+    return bool(row["success"] and row.get(key))  # results of before 0.2.0 have no such key
 
 
 def _numbers(rows: Iterable[dict[str, Any]], key: str) -> list[float]:

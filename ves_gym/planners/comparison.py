@@ -33,11 +33,18 @@ class ComparisonRow:
     seconds: float  # planning time
     failure: str | None  # why there is no motion, or what limit it breaks
     energy: Array | None  # (N,) E of the base [J]
+    reference_breaks: str | None = None  # limits that the motion breaks, asked for or not
+    arm_breaks: str | None = None  # limits that the simulated arm breaks
 
     @property
     def feasible(self) -> bool:
         """True where there is a motion, inside the limits and clear of everything."""
         return self.failure is None
+
+    @property
+    def arm_verdict(self) -> str:
+        """'simulated arm NOT inside the limits' where it is not, else nothing."""
+        return "simulated arm NOT inside the limits" if self.arm_breaks else ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
@@ -49,6 +56,8 @@ class ComparisonRow:
             "seconds": self.seconds,
             "failure": self.failure,
             "energy": None if self.energy is None else self.energy.tolist(),
+            "reference_breaks": self.reference_breaks,
+            "arm_breaks": self.arm_breaks,
         }
 
 
@@ -96,7 +105,7 @@ class Comparison(Viewable):
                     "-" if row.simulated is None else f"{row.simulated.E_mean:.4g} J",
                     "-" if row.ratio is None else f"{row.ratio:.3f}",
                     f"{row.seconds:.2f} s",
-                    row.failure or "",
+                    row.failure or row.arm_verdict,
                 )
             )
         widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
@@ -201,6 +210,10 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
                 seconds=plan.seconds,
                 failure=plan.failure,
                 energy=trace,
+                reference_breaks=None if plan.reference is None else plan.reference.reasons,
+                arm_breaks=None
+                if plan.motion is None
+                else run.limit_check(i, v_max=query.v_max).reasons,
             )
         )
     name = query.name or query.ends_in_words
@@ -224,6 +237,7 @@ def simulate_motions(query: Query, motions: Sequence[Motion]) -> Recording:
         servo=query.servo,
         settle=TAIL,
         record_dt=max(1, round(_RECORD / dt)) * dt,
+        watch=True,
     )
 
 

@@ -26,7 +26,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.coupling import coupling_length, metric
 from ves_gym.planners.metric import LEAST, Metric
-from ves_gym.planners.query import Query, is_feasible
+from ves_gym.planners.query import NoPlan, Query, is_feasible
 from ves_gym.system.system import System
 
 Ints = npt.NDArray[np.signedinteger[Any]]
@@ -56,7 +56,15 @@ class HotSpot:
 
         Returns:
             The motion, and coupling lengths [J^(1/2)].
+
+        Raises:
+            NoPlan: the base has no stiffness, so that no joint motion stores energy in it.
         """
+        if not query.system.base.K.any():
+            raise NoPlan(
+                "no hot spots: they are where joint motion strains the base, and"
+                f" {query.system.vehicle.source} has no stiffness (Q = 0)"
+            )
         duration = query.duration if self.band_limited else None
         start, goal = query.ends
         straight = np.linspace(start, goal, _POINTS + 1)

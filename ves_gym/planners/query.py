@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 from threadpoolctl import ThreadpoolController
 
 from ves_gym._util.params import (
@@ -28,7 +29,8 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.views import Viewable
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.motion import Motion, limit_ratios
+from ves_gym.mechanics.limits import LimitCheck, check_reference, limits_of
+from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 from ves_gym.planners.obstacles import RESOLUTION, Surroundings, collisions
 from ves_gym.planners.prediction import Prediction, predict
@@ -109,10 +111,19 @@ class Plan(Viewable):
         """True if there is a motion, inside the limits and clear of everything."""
         return self.failure is None
 
+    @property
+    def reference(self) -> LimitCheck | None:
+        """The motion against the limits of arm and query; None without a motion."""
+        if self.motion is None:
+            return None
+        return check_reference(self.query.system.arm, self.motion, limits_of_query(self.query))
+
     def __repr__(self) -> str:
         if self.predicted is None:
             return f"<Plan: {self.planner}, no motion: {self.failure}>"
-        verdict = "inside the limits" if self.feasible else f"NOT feasible: {self.failure}"
+        verdict = f"NOT feasible: {self.failure}"
+        if self.feasible and self.reference is not None:
+            verdict = self.reference.brief("reference")
         return (
             f"<Plan: {self.planner}, {self.query.duration:g} s, E_mean"
             f" {self.predicted.E_mean:.4g} J predicted; {verdict}>"
@@ -263,21 +274,42 @@ def broken_limit(query: Query, motion: Motion) -> str | None:
         return "the motion does not join the ends of the query"
     if not math.isclose(motion.duration, query.duration):
         return f"the motion takes {motion.duration:g} s, asked {query.duration:g} s"
-    ratios = limit_ratios(arm, motion)
-    by_limit = {"position": ratios["position"]}
-    for name, limit in (("velocity", query.v_max), ("acceleration", query.a_max)):
-        if limit is not None:
-            rated = arm.column("v_max" if name == "velocity" else "a_max")
-            by_limit[name] = ratios[name] * rated / np.array(limit)
-    if query.system.drive == "motor":
-        by_limit["torque"] = ratios["torque"]
-    for name, ratio in by_limit.items():
-        if ratio.max() > 1 + 1e-6:
-            joint = int(ratio.argmax())
-            worst = ratio[joint]
-            text = f"{worst:.3g}" if worst > 1.005 else f"{worst:.7g}"
-            return f"{name} of joint {joint + 1} reaches {text} of its limit"
+    limits = limits_of_query(query)
+    if query.v_max is None:
+        del limits["velocity"]  # an answer may be faster than the arm: the question says so
+    else:
+        limits["velocity"] = np.array(query.v_max)
+    broken = check_reference(arm, motion, limits).broken
+    if broken:
+        return broken[0].short
     return _touched(query, motion)
+
+
+def speed_limits(arm: Arm, v_max: npt.ArrayLike | None = None) -> Vector | None:
+    """Return the speed limits of a query that `plan` makes, None for none.
+
+    Args:
+        arm: whose own limits hold unless others are given.
+        v_max: (n,) [rad/s], "none" to lift them, None for those of the arm.
+    """
+    if isinstance(v_max, str):
+        if v_max != "none":
+            raise ParameterError(
+                f"v_max must be {arm.n} numbers in rad/s, or none, got {v_max!r}"
+            )
+        return None
+    limits = arm.column("v_max") if v_max is None else finite(v_max, (arm.n,), "v_max")
+    return tuple(limits.tolist())
+
+
+def limits_of_query(query: Query) -> dict[str, Array]:
+    """Return what joints may do: the limits of the arm and of the query, see `limits_of`."""
+    return limits_of(
+        query.system.arm,
+        v_max=query.v_max,
+        a_max=query.a_max,
+        motor=query.system.drive == "motor",
+    )
 
 
 def _touched(query: Query, motion: Motion) -> str | None:

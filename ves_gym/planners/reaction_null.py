@@ -17,7 +17,8 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.coupling import blocks
 from ves_gym.planners.hotspot import feasible_part
-from ves_gym.planners.query import Query
+from ves_gym.planners.prediction import predict
+from ves_gym.planners.query import NoPlan, Query
 from ves_gym.system.system import System
 
 NEARLY = 0.02  # of the largest coupling (root of the eigenvalue) that counts as none
@@ -86,10 +87,36 @@ class ReactionNull:
             float(np.linalg.norm(np.diff(k, axis=0), axis=1).sum()) for k in (ahead, back)
         ]
         gap = float(np.linalg.norm(ahead[-1] - back[-1]))
+        self._require_less(query, motion, moved=sum(lengths) > 0)
         return motion, {
             "null_share": sum(lengths) / max(sum(lengths) + gap, 1e-300),  # of the length
             "share": share,  # of the way from the straight line that the limits allow
         }
+
+    def _require_less(self, query: Query, motion: Motion, moved: bool) -> None:
+        """Raise NoPlan where an arm that cannot be reactionless gains nothing by trying.
+
+        Args:
+            moved: some of the way is along a (nearly) reactionless direction.
+        """
+        free, (start, goal) = not query.system.base.K.any(), query.ends
+        spaces = (reaction_null_space(query.system, q, attitude=free) for q in (start, goal))
+        if np.array_equal(start, goal) or any(space.shape[1] for space in spaces):
+            return
+        n, rest = query.system.arm.n, "keeps a free base from turning" if free else "spares it"
+        why = (
+            f"no reactionless motion: every motion of {n} joints moves this base; in general it"
+            f" takes {4 if free else 7} joints for one that {rest}"
+        )
+        if not moved:
+            raise NoPlan(why)
+        ours, straight = (
+            predict(query.system, m, query.servo).E_mean for m in (motion, query.straight)
+        )
+        if ours > straight:
+            raise NoPlan(
+                f"{why}; what comes nearest costs {ours / straight:.3g} x the straight line"
+            )
 
     def _flow(self, system: System, start: Array, goal: Array) -> Array:
         """(k, n) configurations from start towards goal along null directions."""

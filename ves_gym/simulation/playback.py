@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.limits import LimitCheck, check_limits, limits_of, middle_of_range
 from ves_gym.mechanics.motion import Motion, Samples
 from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix
@@ -18,6 +19,32 @@ from ves_gym.simulation.emulation_loop import Event
 from ves_gym.simulation.simulator import Simulator, State
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
+
+_OVERSHOOT = 0.2  # s after a motion in which joints are still watched at every step
+WATCHED = ("position", "velocity", "torque")
+
+
+@dataclass(frozen=True)
+class Extremes:
+    """Where each joint was nearest to its limits, between the records as well.
+
+    Axes: kind (`WATCHED`), run, joint. Positions are from the middle of the range.
+    """
+
+    time: Array  # (3, n, joints) s
+    value: Array  # (3, n, joints) rad, rad/s, N m
+
+    @staticmethod
+    def none(n: int, joints: int) -> Extremes:
+        """Return arrays to be filled by `watch`."""
+        return Extremes(np.zeros((3, n, joints)), np.zeros((3, n, joints)))
+
+    def watch(self, t: float, position: Array, v: Array, tau: Array) -> None:
+        """Take the joints of all runs (n, joints) at time t [s] into account."""
+        value = np.stack([position, v, tau])
+        larger = np.abs(value) > np.abs(self.value)
+        self.value[larger] = value[larger]
+        self.time[larger] = t
 
 
 @dataclass(frozen=True)
@@ -41,6 +68,7 @@ class Recording:
     y_cmd: Array | None = None  # (n, N, 6) pose the platform is told; laboratory only
     events: tuple[Event, ...] = ()  # safety stops; a run is meaningful up to its own
     backend: str = ""  # the engine that ran
+    extremes: Extremes | None = None  # of the joints, where they were watched
 
     def records(self, i: int) -> int:
         """Records of run i up to its safety stop (that included), all N without one."""
@@ -48,6 +76,35 @@ class Recording:
         if not stops:
             return len(self.t)
         return max(2, int(np.searchsorted(self.t, stops[0] + 1e-9)) + 1)
+
+    def limit_check(
+        self,
+        i: int,
+        *,
+        v_max: Sequence[float] | None = None,
+    ) -> LimitCheck:
+        """Check the joints of run i as they moved, up to its safety stop if it had one.
+
+        A torque is what the drives are told, which the simulator keeps within their limits.
+
+        Args:
+            i: number of the run.
+            v_max: (joints,) speed limits besides the arm's own [rad/s].
+        """
+        arm = self.system.arm
+        limits = limits_of(arm, v_max=v_max, motor=self.system.drive == "motor")
+        if self.extremes is not None:
+            times, parts = self.extremes.time[:, i], self.extremes.value[:, i]
+            found = [
+                check_limits({k: limits[k]}, t[None], {k: x[None]}).extremes
+                for k, t, x in zip(WATCHED, times, parts, strict=True)
+                if k in limits
+            ]
+            return LimitCheck(tuple(e for part in found for e in part))
+        end = self.records(i)
+        q, v, tau = (part[i, :end] for part in (self.q, self.v, self.tau))
+        values = dict(zip(WATCHED, (q - middle_of_range(arm), v, tau), strict=True))
+        return check_limits(limits, self.t[:end], values)
 
     def log(self, i: int, note: str = "") -> RunLog:
         """Return a run as a log that can be saved: up to its safety stop, if it had one.
@@ -104,6 +161,7 @@ def play_motions(
     gravity: Callable[[Array], Array] | None = None,
     seed: int = 0,
     backend: str = "auto",
+    watch: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
     """Play motions of one duration in lockstep, then hold the joints for `settle` s.
@@ -121,6 +179,8 @@ def play_motions(
             that takes the place of the estimate (Learning Method).
         seed: of sensor noise and drift.
         backend: engine, as `Simulator` takes it.
+        watch: look at the joints between the records, too, until shortly after the motion: at
+            every physics step, in mode emulated every control period. Changes no record.
         progress: called with the fraction done.
 
     Raises:
@@ -149,7 +209,9 @@ def play_motions(
     table = None if gravity is None else _tabulated(gravity, clock, n)
 
     rows: list[tuple[Array, ...]] = []
-    periods = stride // system.substeps
+    extremes = Extremes.none(n, sim.joints) if watch else None
+    middle = middle_of_range(system.arm)
+    fine = system.substeps if emulated else 1  # steps between looks at the joints
     if table is not None:
         sim.use_gravity(table[:, :1])
     sim.reset(q=np.stack([m.start for m in motions]), y=y, yd=yd)
@@ -157,6 +219,8 @@ def play_motions(
         state = sim.state
         tau, ydd = sim.evaluate(commands[:, k * stride])
         row = (*sim.measured, tau, state.y, state.yd)
+        if extremes is not None:
+            extremes.watch(edges[k * stride], row[0] - middle, row[1], tau)
         if emulated:
             readings = sim.readings
             rows.append(
@@ -167,13 +231,20 @@ def play_motions(
         else:
             rows.append((*row, base_wrench(system, state, ydd, sim.internal_state)))
         if k + 1 < records:
-            part = slice(k * periods, (k + 1) * periods)
-            if table is not None:
-                sim.use_gravity(table[:, k * periods + 1 : (k + 1) * periods + 1])
-            sim.play(
-                commands[:, k * stride : (k + 1) * stride + 1],
-                platform=None if follow is None else follow[:, part],
-            )
+            last = (k + 1) * stride
+            apart = extremes is not None and edges[k * stride] < duration + _OVERSHOOT
+            for step in range(k * stride, last, fine if apart else stride):
+                end = min(step + (fine if apart else stride), last)
+                part = slice(step // system.substeps, end // system.substeps)
+                if table is not None:
+                    sim.use_gravity(table[:, part.start + 1 : part.stop + 1])
+                sim.play(
+                    commands[:, step : end + 1],
+                    platform=None if follow is None else follow[:, part],
+                )
+                if extremes is not None and end < last:
+                    q, v = sim.measured
+                    extremes.watch(edges[end], q - middle, v, sim.evaluate(commands[:, end])[0])
         if progress is not None and k % 32 == 0:
             progress(k / records)
     names = ("q", "v", "tau", "y", "yd", "w", "wg", "y_cmd")
@@ -189,6 +260,7 @@ def play_motions(
         **dict(zip(names, stacked, strict=False)),
         events=tuple(sim.events),
         backend=sim.backend_name,
+        extremes=extremes,
     )
 
 

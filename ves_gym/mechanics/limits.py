@@ -1,0 +1,232 @@
+"""The one rule of joint limits: for the reference motion and for the arm that follows it.
+
+Every command asks here. What is checked: position, velocity and, where motors drive the
+joints, torque; acceleration where a query limits it. The limits are the arm's own and, where
+they are tighter, those of a query.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.suggest import did_you_mean
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.motion import Motion, Samples
+
+TOLERANCE = 1e-6  # of a limit: an optimum lies on it, up to rounding
+_SAMPLES = 201  # of a reference motion
+_UNITS = {  # unit in messages, and its factor
+    "position": ("deg", math.degrees(1)),
+    "velocity": ("deg/s", math.degrees(1)),
+    "acceleration": ("rad/s^2", 1.0),
+    "torque": ("N m", 1.0),
+}
+
+
+class LimitError(ValueError):
+    """A motion breaks a joint limit; the message names joint, time and value."""
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """Where something comes nearest to its limit, or exceeds it most."""
+
+    kind: str  # position, velocity, acceleration or torque
+    joint: int  # from 1
+    time: float  # s
+    value: float  # rad, rad/s, rad/s^2 or N m; of a position from the middle of its range
+    limit: float
+
+    @property
+    def ratio(self) -> float:
+        """|value| / limit."""
+        return abs(self.value) / self.limit
+
+    @property
+    def breaks(self) -> bool:
+        """True where the limit is exceeded by more than rounding."""
+        return self.ratio > 1 + TOLERANCE
+
+    @property
+    def short(self) -> str:
+        """Like 'velocity of joint 2 reaches 1.03 of its limit'."""
+        close = 1 < self.ratio <= 1.005  # three digits would say that it is on the limit
+        ratio = f"{self.ratio:.7g}" if close else f"{self.ratio:.3g}"
+        return f"{self.kind} of joint {self.joint} reaches {ratio} of its limit"
+
+    def __str__(self) -> str:
+        symbol, factor = _UNITS[self.kind]
+        middle = " from the middle of its range" if self.kind == "position" else ""
+        return (
+            f"{self.short} at t = {self.time:.3f} s ({self.value * factor:.1f} {symbol},"
+            f" allowed +-{self.limit * factor:.1f} {symbol}{middle})"
+        )
+
+
+@dataclass(frozen=True)
+class LimitCheck:
+    """The largest share of its limit that each kind of quantity takes."""
+
+    extremes: tuple[Extreme, ...]  # one per kind
+
+    @property
+    def broken(self) -> tuple[Extreme, ...]:
+        """Those that break their limit."""
+        return tuple(e for e in self.extremes if e.breaks)
+
+    @property
+    def inside(self) -> bool:
+        """True where no limit is broken."""
+        return not self.broken
+
+    def sentences(self, of: str) -> list[str]:
+        """Return a sentence per broken limit; `of` is "reference" or "simulated arm"."""
+        return [f"{of}: {e}" for e in self.broken]
+
+    def brief(self, of: str) -> str:
+        """Return '`of` inside the limits', or that it is not, for a line of output."""
+        return f"{of} {'' if self.inside else 'NOT '}inside the limits"
+
+    def verdict(self, of: str) -> str:
+        """Return `brief`, and which limits are broken."""
+        return self.brief(of) + (f": {self.reasons}" if self.broken else "")
+
+    @property
+    def reasons(self) -> str | None:
+        """The broken limits in a sentence, None without any."""
+        return "; ".join(map(str, self.broken)) or None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: the verdict, and by kind joint, time, value, limit and ratio."""
+        return {
+            "inside": self.inside,
+            "extremes": {
+                e.kind: {
+                    "joint": e.joint,
+                    "time": e.time,
+                    "value": e.value,
+                    "limit": e.limit,
+                    "ratio": e.ratio,
+                }
+                for e in self.extremes
+            },
+        }
+
+
+def limits_of(
+    arm: Arm,
+    *,
+    v_max: Sequence[float] | None = None,
+    a_max: Sequence[float] | None = None,
+    motor: bool = True,
+) -> dict[str, Array]:
+    """Return what is allowed by kind, in the order in which it is checked.
+
+    Args:
+        v_max: (n,) speed limits of a query [rad/s]; those of the arm hold as well.
+        a_max: (n,) acceleration limits of a query [rad/s^2]; without them none.
+        motor: joints are driven by motors, so that torque is limited.
+    """
+    out = {
+        "position": (arm.column("q_max") - arm.column("q_min")) / 2,
+        "velocity": np.minimum(arm.column("v_max"), np.inf if v_max is None else v_max),
+    }
+    if a_max is not None:
+        out["acceleration"] = np.asarray(a_max, float)
+    if motor:
+        out["torque"] = arm.column("tau_max")
+    return out
+
+
+def middle_of_range(arm: Arm) -> Array:
+    """Return the angles (n,) from which positions are measured [rad]."""
+    return (arm.column("q_min") + arm.column("q_max")) / 2
+
+
+def check_limits(
+    limits: Mapping[str, Array], t: npt.ArrayLike, values: Mapping[str, Array]
+) -> LimitCheck:
+    """Compare what joints do with what they may do.
+
+    Args:
+        limits: (n,) by kind, see `limits_of`; only these kinds are checked.
+        t: (N,) times [s], or (N, n) where each joint has its own.
+        values: (N, n) by kind; positions from the middle of the range.
+    """
+    times = np.asarray(t, float)
+    extremes = []
+    for kind, limit in limits.items():
+        x = values[kind]
+        ratio = np.abs(x) / limit
+        k, j = (int(i) for i in np.unravel_index(int(ratio.argmax()), ratio.shape))
+        time = float(times[k] if times.ndim == 1 else times[k, j])
+        extremes.append(Extreme(kind, j + 1, time, float(x[k, j]), float(limit[j])))
+    return LimitCheck(tuple(extremes))
+
+
+def check_reference(
+    arm: Arm, motion: Motion, limits: Mapping[str, Array] | None = None
+) -> LimitCheck:
+    """Check a motion as it is commanded.
+
+    Its torque is that of the motion on a base that stands still.
+
+    Args:
+        limits: see `limits_of`; default the arm's own, driven by motors.
+    """
+    s = motion.at(np.linspace(0, motion.duration, _SAMPLES))
+    return check_limits(limits_of(arm) if limits is None else limits, s.t, _values(arm, s))
+
+
+def _values(arm: Arm, s: Samples) -> dict[str, Array]:
+    torque = inverse_dynamics(arm, s.q, s.v, s.a)[0]
+    position = s.q - middle_of_range(arm)
+    return {"position": position, "velocity": s.v, "acceleration": s.a, "torque": torque}
+
+
+def limit_ratios(arm: Arm, motion: Motion, samples: int = _SAMPLES) -> dict[str, Array]:
+    """Return the largest |value| / limit per joint, by kind of limit: {name: (n,)}.
+
+    Torque is that of the motion on a base that stands still. A position ratio is
+    measured from the middle of the joint's range.
+
+    Args:
+        samples: evenly spaced over the motion, its ends included.
+    """
+    s = motion.at(np.linspace(0, motion.duration, samples))
+    limits = limits_of(arm, a_max=tuple(arm.column("a_max")))
+    values = _values(arm, s)
+    return {k: (np.abs(values[k]) / limits[k]).max(axis=0) for k in limits}
+
+
+def require_limits(
+    arm: Arm, motion: Motion, names: tuple[str, ...] = ("position", "torque")
+) -> None:
+    """Raise LimitError when a motion breaks one of the named joint limits.
+
+    Args:
+        names: of position, velocity, acceleration and torque; the arm's own limits.
+    """
+    unknown = [name for name in names if name not in _UNITS]
+    if unknown:
+        raise ParameterError(
+            f"limits are {', '.join(_UNITS)}, got {unknown[0]!r}"
+            f"{did_you_mean(unknown[0], _UNITS)}"
+        )
+    limits = limits_of(arm, a_max=tuple(arm.column("a_max")))
+    check = check_reference(arm, motion, {k: limits[k] for k in limits if k in names})
+    for e in check.broken:
+        symbol, factor = _UNITS[e.kind]
+        raise LimitError(
+            f"motion breaks the {e.kind} limit of joint {e.joint} at t = {e.time:.3f} s:"
+            f" {e.value * factor:.1f} {symbol}, allowed +-{e.limit * factor:.1f} {symbol}"
+            + (" about the middle of its range" if e.kind == "position" else "")
+        )
