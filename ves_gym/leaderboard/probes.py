@@ -29,7 +29,8 @@ from ves_gym.leaderboard.npy_io import pack
 from ves_gym.leaderboard.protocol import PROTOCOL, Problem, seeds_of
 from ves_gym.leaderboard.stored_results import golden, probe_names
 from ves_gym.leaderboard.tracks.base import Method
-from ves_gym.mechanics.motion import Motion, limit_ratios
+from ves_gym.mechanics.limits import limit_ratios
+from ves_gym.mechanics.motion import Motion
 
 Plain = dict[str, Any]
 Measure = Callable[[], Plain]
