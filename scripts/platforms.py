@@ -12,6 +12,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -82,20 +83,20 @@ def resolves(uv: str, texts: list[str], platform: str, python: str) -> str:
 def table(uv: str) -> str:
     """Return the table in Markdown; each cell names the Pythons that have wheels."""
     lines = [f"| | {' | '.join(PLATFORMS)} |", "|---" * (len(PLATFORMS) + 1) + "|"]
+    core = requirements("")
+    machines = [(platform, python) for platform in PLATFORMS.values() for python in PYTHONS]
     for label, what in WHAT.items():
-        texts, cells = requirements(what), []
-        if what:  # together with the core, on which it stands
-            texts = [*requirements(""), *texts]
-        for platform in PLATFORMS.values():
-            good = []
-            for python in PYTHONS:
-                why = resolves(uv, texts, platform, python)
-                if why:
-                    print(f"{label}, {platform}, {python}: {why}", file=sys.stderr)
-                else:
-                    good.append(python)
-            cells.append(span(good))
+        texts = [*core, *requirements(what)] if what else core  # an extra stands on the core
+        with ThreadPoolExecutor(4) as pool:  # they wait for the index
+            answers = list(pool.map(lambda m, texts=texts: resolves(uv, texts, *m), machines))
+        for machine, why in zip(machines, answers, strict=True):
+            if why:
+                print(f"{label}, {' '.join(machine)}: {why}", file=sys.stderr)
+        good = [machine for machine, why in zip(machines, answers, strict=True) if not why]
+        cells = [span([v for p, v in good if p == platform]) for platform in PLATFORMS.values()]
         lines.append(f"| {label} | {' | '.join(cells)} |")
+        if not what:
+            machines = good  # where the core has no wheels nothing else helps
     return "\n".join(lines)
 
 
