@@ -2,6 +2,7 @@
 
 import ast
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -107,6 +108,22 @@ def test_what_the_benchmark_needs_is_part_of_everything():
     texts = [*project["dependencies"], *project["optional-dependencies"]["report"]]
     assert {re.match(r"[\w.-]+", text)[0] for text in texts} <= lean.keys()
     assert not {"torch", "triton", "pyarrow", "pin", "imageio-ffmpeg", "mypy"} & lean.keys()
+
+
+def test_the_readme_says_what_has_wheels_where():
+    """Rows and columns are those that `make platforms` asks about, no cell is made up."""
+    script = runpy.run_path(str(ROOT / "scripts" / "platforms.py"))
+    table = (ROOT / "README.md").read_text("utf-8").split(script["MARK"])[1].strip()
+    head, _, *rows = [
+        [k.strip() for k in row.strip("|").split("|")] for row in table.split("\n")
+    ]
+    assert head[1:] == list(script["PLATFORMS"])
+    assert [row[0] for row in rows] == list(script["WHAT"])
+    pythons = script["PYTHONS"]
+    spans = {script["span"](list(pythons[i:j])) for i in range(4) for j in range(i, 5)}
+    assert {cell for row in rows for cell in row[1:]} <= spans
+    for what in script["WHAT"].values():
+        assert script["requirements"](what)
 
 
 @pytest.mark.parametrize("name", LINKS)
