@@ -179,6 +179,12 @@ def test_a_package_that_does_not_load_is_told_from_one_that_is_missing():
     assert explain(ImportError("no")) is None
 
 
+def test_windows_has_no_posix_locks(command, tmp_path):
+    (tmp_path / "board.jsonl").write_text("")
+    status, out, err = command("fcntl", "leaderboard", "render", "board.jsonl")
+    assert (status, out) == (2, "") and err.count("\n") == 1 and "on Windows" in err
+
+
 def test_every_extra_is_one_that_has_the_package():
     """Else the command in the sentence would install something else."""
     with open(ROOT / "pyproject.toml", "rb") as file:

@@ -83,6 +83,8 @@ def installed(module: str) -> bool:
 def explain(error: ImportError) -> str | None:
     """Return the sentence for an optional package that failed to load, None for any other."""
     name = error.name or ""
+    if name == "fcntl":  # of the standard library, but not on Windows
+        return "this command locks files as POSIX systems do: it does not run on Windows"
     known = next((m for m in PACKAGES if f"{name}.".startswith(f"{m}.")), None)
     if known is None:
         return None
