@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--keep-best", metavar="FILE", help="merge the least energies into FILE (best known)"
     )
     parser.add_argument("--no-figures", action="store_true", help="skip figures and report")
-    add_system_arguments(parser)
+    add_system_arguments(parser, angles=False)
 
 
 def run(args: argparse.Namespace) -> int:

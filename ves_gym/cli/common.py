@@ -28,7 +28,9 @@ from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
 from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
 
 
-def add_system_arguments(parser: argparse.ArgumentParser, *, vehicle: bool = True) -> None:
+def add_system_arguments(
+    parser: argparse.ArgumentParser, *, vehicle: bool = True, angles: bool = True
+) -> None:
     """--system, --vehicle, --mode, --drive, --integrator, --physics-dt, --control-dt."""
     group = parser.add_argument_group("system")
     group.add_argument("--system", metavar="FILE", help="a System in TOML or JSON")
@@ -42,6 +44,8 @@ def add_system_arguments(parser: argparse.ArgumentParser, *, vehicle: bool = Tru
     group.add_argument("--physics-dt", type=float, metavar="S", help="physics step [s]")
     group.add_argument("--control-dt", type=float, metavar="S", help="control period [s]")
     add_effect_argument(group)
+    if angles:
+        add_angle_unit(group)
     lab = parser.add_argument_group("laboratory (mode emulated)")
     lab.add_argument("--operation", metavar="O", help=f"{', '.join(OPERATIONS)}")
     lab.add_argument(
@@ -234,19 +238,40 @@ def with_effects(id: str, settings: Mapping[str, Any], texts: Sequence[str]) -> 
     return {**settings, "effects": [*(to_plain(e) for e in task.system.effects), *added]}
 
 
-def degrees(text: str, n: int, name: str) -> Vector:
-    """Comma-separated joint angles in degrees -> radians."""
+def add_angle_unit(parser: argparse._ActionsContainer) -> None:
+    """--degrees or --radians, for joint angles."""
+    parser.set_defaults(angle_unit=None)
+    for unit, text in (
+        ("degrees", "joint angles are meant in degrees, however small (ask nothing)"),
+        ("radians", "joint angles are given in radians"),
+    ):
+        parser.add_argument(
+            f"--{unit}", dest="angle_unit", action="store_const", const=unit, help=text
+        )
+
+
+def numbers(text: str, n: int, name: str, what: str, like: str) -> list[float]:
+    """Return n numbers with commas between them.
+
+    Args:
+        text: what was given.
+        n: how many it must be.
+        name: of the option.
+        what: they are, in the plural, for the error.
+        like: an example.
+    """
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
-        raise ParameterError(
-            f"{name} must be {n} angles in degrees, like 0,-45,90, got {text!r}"
-        ) from None
+        raise ParameterError(f"{name} must be {n} {what}, like {like}, got {text!r}") from None
     if len(values) != n:
-        raise ParameterError(
-            f"{name} must be {n} angles in degrees, got {len(values)}: {text!r}"
-        )
-    return tuple(np.deg2rad(values).tolist())
+        raise ParameterError(f"{name} must be {n} {what}, got {len(values)}: {text!r}")
+    return values
+
+
+def degrees(text: str, n: int, name: str) -> Vector:
+    """Return speeds or accelerations, given in degrees with commas between them, in radians."""
+    return tuple(np.deg2rad(numbers(text, n, name, "angles in degrees", "0,-45,90")).tolist())
 
 
 def write_json(path: str | None, result: dict[str, Any]) -> None:

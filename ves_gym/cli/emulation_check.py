@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     if args.system is None:  # a file says its own mode
         args.mode = "emulated"
     system = system_from(args)
-    at = joint_angles(args.at, system.arm, "--at")
+    at = joint_angles(args.at, system.arm, "--at", args.angle_unit)
     with progress() as on_progress:
         on_progress("linearising the loop", 0.0)
         check = check_emulation(system, at, servo=GAINS[args.gains], search=not args.no_search)

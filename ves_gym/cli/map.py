@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     """Sweep, write arrays and pictures."""
     system = system_from(args)
     pairs = _pairs(args.joints, system.arm.n)
-    at = joint_angles(args.at, system.arm, "--at")
+    at = joint_angles(args.at, system.arm, "--at", args.angle_unit)
     duration = _duration(args.duration)
     if not 4 <= args.points <= _MOST:
         raise ParameterError(f"--points must be from 4 to {_MOST}, got {args.points}")

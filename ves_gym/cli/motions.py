@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
+import sys
 
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.cli.common import degrees
+from ves_gym.cli.common import numbers
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.limits import require_limits
 from ves_gym.mechanics.motion import Motion
@@ -37,26 +38,78 @@ def motion_from(args: argparse.Namespace, arm: Arm) -> Motion:
 
 
 def _motion_through(args: argparse.Namespace, arm: Arm) -> Motion:
-    start = joint_angles(args.start, arm, "--start")
+    start = joint_angles(args.start, arm, "--start", args.angle_unit)
     if args.goal is None and args.via:
         raise ParameterError("--via needs --goal: way-points lie between start and goal")
-    goal = joint_angles(args.goal, arm, "--goal", default=(60.0, 40.0, -30.0))
+    goal = joint_angles(args.goal, arm, "--goal", args.angle_unit, (60.0, 40.0, -30.0))
     duration = duration_from(args.duration)
-    vias = [joint_angles(via, arm, "--via") for via in args.via or ()]
+    vias = [joint_angles(via, arm, "--via", args.angle_unit) for via in args.via or ()]
     if not vias:
         return Motion.straight(start, goal, duration)
     return Motion.through(np.stack([start, *vias, goal]), duration)
 
 
 def joint_angles(
-    text: str | None, arm: Arm, name: str, default: tuple[float, ...] | None = None
+    text: str | None,
+    arm: Arm,
+    name: str,
+    unit: str | None,
+    default: tuple[float, ...] | None = None,
 ) -> Array:
-    """Joint angles [rad] from degrees, inside the limits; zeros if neither is given."""
+    """Return joint angles [rad] inside the arm's limits.
+
+    Args:
+        text: what was given: numbers with commas between them; None: the default.
+        arm: whose joints they are.
+        name: of the option.
+        unit: `args.angle_unit`: degrees, radians, or None: degrees, and a note on stderr if
+            they look like radians.
+        default: angles [deg] of an arm with as many joints; zeros otherwise.
+    """
     if text is None:
         angles = np.deg2rad(default) if default and len(default) == arm.n else np.zeros(arm.n)
-    else:
-        angles = np.array(degrees(text, arm.n, name))
-    return arm.require_within_limits(angles, name)
+        return arm.require_within_limits(angles, name)
+    values = numbers(text, arm.n, name, f"angles in {unit or 'degrees'}", "0,-45,90")
+    angles = np.array(values) if unit == "radians" else np.deg2rad(values)
+    out = arm.require_within_limits(angles, name)
+    if unit is None and (note := radians_note(text, name)):
+        print(f"ves-gym: note: {note}", file=sys.stderr)
+    return out
+
+
+def radians_note(text: str, name: str) -> str | None:
+    """Return the question that angles given in degrees raise if they look like radians.
+
+    They do if none is beyond a whole turn in radians and one of them has two decimals or more
+    and is, to half of its last, a multiple of 15 degrees: 1.57, 0.785, -2.36.
+
+    Args:
+        text: numbers with commas between them.
+        name: of the option.
+    """
+    parts = text.split(",")
+    values = [float(part) for part in parts]
+    if max(map(abs, values)) > 2 * math.pi or not any(map(_is_round, parts)):
+        return None
+    meant = ",".join(f"{_nearest(part):g}" for part in parts)
+    return (
+        f"{name} {text} looks like radians; angles are degrees: did you mean {meant}?"
+        " (--degrees: no; --radians: take them as they are meant)"
+    )
+
+
+def _is_round(part: str) -> bool:
+    value, decimals = abs(float(part)), len(part.strip().partition(".")[2])
+    if decimals < 2 or "e" in part.lower() or value < math.radians(15) - 5e-3:
+        return False
+    off = abs(value - math.radians(15) * round(value / math.radians(15)))
+    return off <= 0.5001 * 10.0**-decimals
+
+
+def _nearest(part: str) -> float:
+    """Return an angle given in radians in degrees: round where it is meant to be."""
+    angle = math.degrees(float(part))
+    return 15.0 * round(angle / 15) if _is_round(part) else round(angle, 1)
 
 
 def duration_from(value: float | None, default: float = 2.0) -> float:

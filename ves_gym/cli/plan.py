@@ -64,8 +64,8 @@ def run(args: argparse.Namespace) -> int:
     arm = system.arm
     query = Query(
         system=system,
-        start=tuple(joint_angles(args.start, arm, "--start").tolist()),
-        goal=tuple(joint_angles(args.goal, arm, "--goal").tolist()),
+        start=tuple(joint_angles(args.start, arm, "--start", args.angle_unit).tolist()),
+        goal=tuple(joint_angles(args.goal, arm, "--goal", args.angle_unit).tolist()),
         duration=duration_from(args.duration),
         v_max=_v_max(args.v_max, arm),
         a_max=None if args.a_max is None else degrees(args.a_max, arm.n, "--a-max"),

@@ -105,7 +105,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Search, compare, simulate, draw."""
     system = system_from(args)
-    q = joint_angles(args.q, system.arm, "--q", default=(45.0, 0.0, 0.0))
+    q = joint_angles(args.q, system.arm, "--q", args.angle_unit, default=(45.0, 0.0, 0.0))
     y = np.array(THESIS_DISPLACEMENT) if args.disturb is None else disturbance(args.disturb)
     if not y.any():
         raise ParameterError("--disturb must be a displacement other than zero")

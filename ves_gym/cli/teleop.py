@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     system = system_from(args)
     teleop = Teleop(
         system,
-        start=joint_angles(args.start, system.arm, "--start"),
+        start=joint_angles(args.start, system.arm, "--start", args.angle_unit),
         seed=args.seed,
         record=path is not None,
     )
