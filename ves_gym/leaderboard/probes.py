@@ -35,9 +35,9 @@ from ves_gym.mechanics.motion import Motion
 Plain = dict[str, Any]
 Measure = Callable[[], Plain]
 
-# Permitted between a stored number and one measured, over the largest of its series. Rounding
-# moves them by 1e-13 at most between AVX-512, AVX2 and neither (docs/decisions/0015): episodes
-# are short and calm enough that it does not grow further.
+# Permitted between a stored number and one measured, over the largest of its series. Between
+# AVX-512, AVX2 and neither, rounding moves what is simulated by 2e-11 at most and predicted
+# energies by 2e-10 (docs/decisions/0015): episodes are calm enough that it grows no further.
 RELATIVE = 1e-9
 # The same where the series itself is about zero: 1e-12 m, rad, J or N m is four decimal places
 # below what any sensor of the machine resolves, and 1e4 times the rounding of numbers about 1.
