@@ -60,7 +60,7 @@ def install(name: str, needs: list[str], share: Path | None) -> tuple[Path, str]
         packages = next(share.glob("lib/python*/site-packages"), None)
         if packages is None:
             raise SystemExit(f"--share: {share} is no virtual environment")
-        link = next(place.glob("lib/python*/site-packages")) / "zz_shared.pth"
+        link = next(place.glob("lib/python*/site-packages")) / "00_shared.pth"
         link.write_text(f"{packages}\n", encoding="utf-8")
     pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     done = subprocess.run(

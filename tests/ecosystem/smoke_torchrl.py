@@ -68,7 +68,7 @@ def main() -> str:
         env = GymEnv(name)
         check_env_specs(env)
         env.close()
-    env = GymEnv(ids[0], duration=0.25)
+    env = GymEnv("ves/PumaReach-v0", duration=0.25)
     keys = ["reward/energy", "energy/E_mean"]
     env.set_info_dict_reader(default_info_dict_reader(keys))
     rows = env.rollout(30)["next"]
@@ -76,7 +76,9 @@ def main() -> str:
     for name in ids:
         rows = GymEnv(name, num_envs=2, duration=0.25).rollout(45, break_when_any_done=False)
         assert rows["next", "done"].sum() >= 4 and torch.isfinite(rows["next", "reward"]).all()
-    native = gym.make_vec(ids[0], num_envs=3, duration=0.25, autoreset_mode="Disabled")
+    native = gym.make_vec(
+        "ves/PumaReach-v0", num_envs=3, duration=0.25, autoreset_mode="Disabled"
+    )
     rows = GymWrapper(native).auto_register_info_dict().rollout(45, break_when_any_done=False)
     assert rows["next", "done"].sum() == 6 and (rows["next", "reward/energy"] != 0).any()
     single = train("ves/PumaDamp-v0", 400, duration=0.25)
