@@ -26,8 +26,6 @@ from ves_gym.leaderboard.verify import verify
 from ves_gym.planners.best_known import key, packaged
 from ves_gym.system.system import System
 
-pytestmark = pytest.mark.bits
-
 ROOT = Path(__file__).parents[2]
 SALT = "a secret of the maintainer"
 
@@ -56,6 +54,7 @@ def rejection(path, **options):
 # ---------------------------------------------------------------------------- policies
 
 
+@pytest.mark.bits
 @pytest.mark.parametrize("level", ["replayed", "reproduced"])
 def test_a_policy(policy, level):
     entry = verify(policy, level=level)
@@ -67,6 +66,7 @@ def test_a_policy(policy, level):
     assert len(entry.rows) == 10 and all("length" not in row for row in entry.rows)
 
 
+@pytest.mark.bits
 def test_scores_are_those_of_evaluate(policy):
     """Bit for bit, though that ran the policy and this its recorded actions."""
     from ves_gym.baselines.policy import load_policy, released
@@ -79,6 +79,7 @@ def test_scores_are_those_of_evaluate(policy):
         assert [r[name] for r in entry.rows] == [line[name] for line in found.rows]
 
 
+@pytest.mark.bits
 def test_a_folder_proves_what_a_zip_does(policy, folder):
     unpacked = policy_bundle(folder, name="unpacked")
     ours, theirs = Bundle(unpacked), Bundle(policy)
@@ -87,6 +88,7 @@ def test_a_folder_proves_what_a_zip_does(policy, folder):
     assert verify(unpacked).rows == verify(policy).rows
 
 
+@pytest.mark.bits
 def test_several_policies_are_groups(folder, tmp_path):
     """One, and one a little louder; the same one twice is refused."""
     from ves_gym.baselines.policy import load_policy, released, save_policy
@@ -129,6 +131,7 @@ def test_a_controller_with_settings_of_its_own(folder):
     assert entry.about["settings"]["privileged"] is True
 
 
+@pytest.mark.bits
 def test_another_seed_is_not_reproduced(folder, tmp_path):
     path = make_bundle(folder / "random", *POLICY, "random", seeds=(3,))
     assert verify(path, level="reproduced").level == "reproduced"
@@ -139,6 +142,7 @@ def test_another_seed_is_not_reproduced(folder, tmp_path):
     assert rejection(other, level="reproduced").code is Code.NOT_REPRODUCED
 
 
+@pytest.mark.bits
 def test_a_controller_of_ones_own_is_replayed(folder):
     class Lean:
         name, privileged = "lean", False
@@ -173,6 +177,7 @@ def test_every_environment(name, suffix, tmp_path):
 # ------------------------------------------------------------------------------- paths
 
 
+@pytest.mark.bits
 def test_the_straight_line(paths):
     entry = verify(paths, level="reproduced")
     assert (entry.track, entry.problem) == PATHS and entry.kind == "planner"
