@@ -9,7 +9,7 @@ import platform
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks import environments, kernel, training
+from benchmarks import environments, kernel, startup, training
 from benchmarks.coupling import COUNT, coupling_against_loop
 from benchmarks.laboratory import SYSTEMS, emulated_against_ideal
 from benchmarks.simulator import simulator_against_batch, steps_per_second
@@ -88,6 +88,7 @@ def main() -> None:
     )
     results["environments"] = environments.report()
     results["training"] = training.report()
+    results["startup"] = startup.report()
     swept = overhead()
     results["sweep"] = asdict(swept) | {"efficiency": swept.efficiency}
     print(
