@@ -8,18 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+import ves_gym as vg
 from ves_gym.effects import LABORATORY_ERRORS, SensorBias, SensorCalibration
-from ves_gym.mechanics.motion import Motion
-from ves_gym.simulation.gravity_calibration import calibration_poses, fit
-from ves_gym.simulation.playback import play_motions, weigh_poses
-from ves_gym.simulation.simulator import Simulator
-from ves_gym.simulation.stability import check_emulation
-from ves_gym.system.energy import log_energies
-from ves_gym.system.system import System
 
 # The machine as it is: noise, drift, a zero nobody set, and 1 % of cross-talk.
 cross_talk = np.random.default_rng(0).normal(0, 0.01, (6, 6)).tolist()
-machine = System(
+machine = vg.System(
     mode="emulated",
     effects=(
         *LABORATORY_ERRORS,
@@ -27,13 +21,13 @@ machine = System(
         SensorCalibration(error=tuple(map(tuple, cross_talk))),
     ),
 )
-check = check_emulation(machine, search=False)
+check = vg.check_emulation(machine, search=False)
 print(f"stable: {check.stable}; slowest mode {check.modes[0].emulated_frequency:.3f} Hz")
 
 # Calibrate: 47 poses, gravity model and sensor matrix.
-q, y = calibration_poses(machine.arm, 47)
-poses = weigh_poses(machine, q, y)
-found = fit(machine.arm, poses.q, poses.y, poses.w)
+q, y = vg.simulation.calibration_poses(machine.arm, 47)
+poses = vg.simulation.weigh_poses(machine, q, y)
+found = vg.simulation.fit_gravity(machine.arm, poses.q, poses.y, poses.w)
 lab = machine.emulator_settings
 calibrated = machine.replace(
     emulator=replace(
@@ -46,14 +40,14 @@ calibrated = machine.replace(
 print(f"weight {found.model.mass * 9.81:.1f} N, residual {max(found.rms[:3]):.2f} N rms")
 
 # Zero the sensor and look at measured against estimated wrench.
-sim = Simulator(calibrated)
+sim = vg.Simulator(calibrated)
 sim.reset(q=[0.0, 0.4, -0.8])
 now = sim.readings
 print("measured ", now.wrench[0].round(2))
 print("estimated", now.gravity[0].round(2))
 
 # Run a spline motion, record, reset (every run starts at home, with the sensor zeroed).
-motion = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 2.0)
+motion = vg.Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 2.0)
 for name, system in (("laboratory", calibrated), ("in space", machine.ideal())):
-    log = play_motions(system, [motion]).log(0)
-    print(f"{name:10s} E_mean {log_energies(log).E_mean:.4f} J, {len(log)} records")
+    log = vg.simulate(motion, system, record_dt=system.control_dt)
+    print(f"{name:10s} E_mean {vg.energy(log).E_mean:.4f} J, {len(log)} records")

@@ -1,6 +1,7 @@
 """What holds for the project as a whole: packaging, versions, links, imports."""
 
 import ast
+import importlib
 import re
 import runpy
 import subprocess
@@ -265,3 +266,123 @@ def test_pages_name_files_that_exist(page):
 def test_a_path_that_leads_nowhere_is_seen():
     text = "`planners/query.py`, `docs/physics.md`, `planners/nowhere.py`, `out/report.html`"
     assert missing_paths(text) == ["planners/nowhere.py"]
+
+
+# ----------------------------------------------------------------------- front door
+
+# what `import ves_gym as vg` promises: a name less breaks somebody's program
+PUBLIC = """
+    simulate plan compare coupling_map diagnose evaluate train energy check_emulation render
+    excitation
+    System Arm Link Inertial PUMA_560 Beam MatrixVehicle Satellite get_vehicle EmulatorSettings
+    JointServo Motion
+    Simulator State Divergence RunLog Energies EnergyBalance rollout_gradients
+    effects Effect parameter register_effect
+    Query Plan Planner NoPlan register_planner
+    Task register_task Policy Controller load_policy
+    Diagnosis Candidate MjcfMachine make_bundle verify_bundle
+    ParameterError
+"""
+DOORS = sorted(  # packages that import their names on first use
+    path.relative_to(ROOT).as_posix()
+    for path in PACKAGE.rglob("__init__.py")
+    if "_lazily(" in path.read_text("utf-8")
+)
+
+
+def test_the_public_names_are_frozen():
+    import ves_gym
+
+    assert sorted(ves_gym.__all__) == sorted(PUBLIC.split())
+    assert set(dir(ves_gym)) >= set(PUBLIC.split())
+
+
+@pytest.mark.parametrize("path", DOORS)
+def test_a_lazy_name_is_the_one_that_type_checkers_see(path):
+    """What is imported under TYPE_CHECKING, what `__getattr__` finds, and `__all__` agree."""
+    package = path.removesuffix("/__init__.py").replace("/", ".")
+    module = importlib.import_module(package)
+    tree = ast.parse((ROOT / path).read_text("utf-8"))
+    (block,) = [
+        node
+        for node in tree.body
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    ]
+    declared = {
+        alias.asname: (node.module, alias.name)
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert set(module.__all__) <= set(declared)
+    for name, (home, there) in declared.items():
+        known = getattr(importlib.import_module(home), there)
+        assert getattr(module, name) is known, name
+    with pytest.raises(AttributeError, match="no attribute 'simulte'"):
+        _ = module.simulte
+
+
+def test_every_public_name_has_a_docstring():
+    import ves_gym
+
+    for name in set(PUBLIC.split()) - {"PUMA_560"}:
+        assert (getattr(ves_gym, name).__doc__ or "").strip(), name
+
+
+def deep_imports(text: str) -> list[str]:
+    """Imports that go past the doors: modules of rooms, and names that no door has."""
+
+    rooms = {path.split("/")[-2] for path in DOORS} | {"effects", "envs"}
+    out = []
+    for package, names in re.findall(
+        r"^[ >.]*from (ves_gym[\w.]*) import ([^#\n(]+|\([^)]*\))", text, re.MULTILINE
+    ):
+        door = package == "ves_gym" or package.split(".")[1:] in [[room] for room in rooms]
+        public = importlib.import_module(package).__all__ if door else ()
+        for name in (n.split(" as ")[0].strip() for n in names.strip("() \n").split(",")):
+            if name and name not in public and not (package == "ves_gym" and name in rooms):
+                out.append(f"from {package} import {name}")
+    found = re.findall(r"^[ >.]*import (ves_gym\.[\w.]+)", text, re.MULTILINE)
+    return out + [f"import {name}" for name in found]
+
+
+PAGES = [
+    ROOT / "README.md",
+    *(p for p in (ROOT / "docs").rglob("*.md") if "decisions" not in p.parts),
+    *(ROOT / "docs").rglob("*.ipynb"),
+    *(ROOT / "examples").rglob("*.py"),
+]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_documentation_uses_public_paths_only(page):
+    assert deep_imports(page.read_text("utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from ves_gym.system.system import System",
+        ">>> from ves_gym.leaderboard.statistics import score",
+        "from ves_gym import report",
+        "from ves_gym._util import params",
+        "import ves_gym.planners.query as query",
+        "from ves_gym.simulation import weigh_poses, EmulationLoop",
+    ],
+)
+def test_a_deep_import_is_found(line):
+    assert len(deep_imports(line)) == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "import ves_gym as vg",
+        "from ves_gym import System, diagnosis",
+        "from ves_gym.effects import JointCoulomb",
+        ">>> from ves_gym.leaderboard import statistics as s",
+        "from ves_gym.simulation import (\n    weigh_poses,\n    play_motions,\n)",
+    ],
+)
+def test_a_public_import_is_left_alone(text):
+    assert deep_imports(text) == []

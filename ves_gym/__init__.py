@@ -1,7 +1,8 @@
 """A PUMA 560 on a long flexible beam in micro-gravity, judged by the energy in its base.
 
 Everything public is here: `import ves_gym as vg`. Names are imported when they are first
-used, so the import itself costs little more than Gymnasium's.
+used, so the import itself costs little more than Gymnasium's. What is rarer is under
+`vg.simulation`, `vg.planners`, ... (docs/api.md).
 """
 
 from importlib import import_module as _import
@@ -13,7 +14,33 @@ from ves_gym._util.on_demand import LOADERS as _LOADERS
 from ves_gym._util.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from ves_gym import effects as effects
+    from ves_gym import (
+        baselines as baselines,
+    )
+    from ves_gym import (
+        diagnosis as diagnosis,
+    )
+    from ves_gym import (
+        effects as effects,
+    )
+    from ves_gym import (
+        experiments as experiments,
+    )
+    from ves_gym import (
+        hardware as hardware,
+    )
+    from ves_gym import (
+        leaderboard as leaderboard,
+    )
+    from ves_gym import (
+        mechanics as mechanics,
+    )
+    from ves_gym import (
+        planners as planners,
+    )
+    from ves_gym import (
+        simulation as simulation,
+    )
     from ves_gym._util.params import ParameterError as ParameterError
     from ves_gym.api import (
         check_emulation as check_emulation,
@@ -228,11 +255,12 @@ _ROOMS = (
     "diagnosis",
     "effects",
     "experiments",
+    "hardware",
     "leaderboard",
+    "mechanics",
     "planners",
-    "rendering",
     "simulation",
-)  # what their `__all__` names is public, too: `vg.experiments.sweep`
+)  # for what is rarer: the names in their `__all__` are public, too
 
 # What rooms need that lies above them: the library of effects, the drawing of results.
 _LOADERS["effects"] = lambda: _import("ves_gym.effects")

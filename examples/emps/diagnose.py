@@ -8,20 +8,17 @@ Fits the first file, opens the second once, and says by how much the force is wr
 import argparse
 import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.diagnose import added, diagnose
-from ves_gym.diagnosis.inference.model_selection import Thresholds
-from ves_gym.diagnosis.machines.mjcf import MjcfMachine, MjcfVariant
-from ves_gym.diagnosis.machines.mjcf_mapping import read_machine
+import ves_gym as vg
 from ves_gym.effects import JointCoulomb, JointTorqueOffset, JointViscous
 
 MAPPING = Path(__file__).with_name("emps.toml")
 
 
-def force_error(machine: MjcfMachine, run: Run, variant: MjcfVariant) -> float:
+def force_error(machine: vg.MjcfMachine, run: Any, variant: vg.diagnosis.MjcfVariant) -> float:
     """Size of the force that is not explained over that of the force, up to the run's band."""
     left = machine.residuals(run, [variant], ["joint"])["joint"][0]
     spectra = (run.window.spectrum(x) for x in (left, run["tau"]))
@@ -35,17 +32,11 @@ def main() -> None:
     parser.add_argument("fitted", help="DATA_EMPS.mat")
     parser.add_argument("final", help="DATA_EMPS_PULSES.mat, held back")
     args = parser.parse_args()
-    machine, load = read_machine(MAPPING)
-    fitted, final = load(args.fitted), load(args.final)
-    found = diagnose(
-        machine,
-        [fitted],
-        [final],
-        candidates=machine.candidates(),
-        limits=Thresholds(most=5),
-    )
+    machine, load = vg.diagnosis.read_machine(MAPPING)
+    runs = [load(args.fitted), load(args.final)]
+    found = vg.diagnose(runs, machine, final=1, most=5, as_logged=True)
     print(found.sentence)
-    better = machine.model(added(found))
+    better = machine.model(found.effects)
     r = machine.joints[0].radius
     published = machine.model(
         [
@@ -56,7 +47,7 @@ def main() -> None:
     )
     print("force error, up to: described, published, found")
     for path, band in itertools.product((args.fitted, args.final), (12.0, 20.0, 30.0, 40.0)):
-        run = read_machine(MAPPING, band)[1](path)
+        run = vg.diagnosis.read_machine(MAPPING, band)[1](path)
         errors = [force_error(machine, run, m) for m in (machine.nominal, published, better)]
         print(f"{run.name} {band:g} Hz:", ", ".join(f"{100 * e:.2f} %" for e in errors))
 

@@ -9,10 +9,11 @@ the part of the difference that it leaves, whatever its size, over 47 poses.
 from collections.abc import Iterator
 
 import numpy as np
+import numpy.typing as npt
 
-from ves_gym._util.params import Array
-from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.simulation.gravity_calibration import calibration_poses
+import ves_gym as vg
+
+Array = npt.NDArray[np.float64]
 
 # Thesis C.3: kg, kg m. Sign of the measured P5 restored (docs/errata.md).
 IDENTIFIED = np.array(
@@ -109,7 +110,7 @@ def size(w: Array) -> tuple[float, float]:
 
 def explained(described: Array = MEASURED) -> dict[str, tuple[int, Array, float, float]]:
     """Cause -> how many numbers, their sizes, and what they leave [N], [N m]."""
-    q, y = calibration_poses(PUMA_560, 47, tilt=np.deg2rad(5))
+    q, y = vg.simulation.calibration_poses(vg.PUMA_560, 47, tilt=np.deg2rad(5))
     difference = weight(IDENTIFIED - described, q, y)
     out = {"nothing": (0, np.zeros(0), *size(difference))}
     for name, columns in causes(described, q, y):

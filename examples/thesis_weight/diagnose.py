@@ -22,20 +22,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array
-from ves_gym.diagnosis.data.measured_run import Run, run_of
-from ves_gym.diagnosis.diagnose import Diagnosis, diagnose
-from ves_gym.diagnosis.inference.candidates import Candidate, library
-from ves_gym.diagnosis.machines.system import SystemMachine
+import ves_gym as vg
 from ves_gym.effects import LABORATORY_ERRORS, SensorNoise
-from ves_gym.hardware.force_sensor import ForceSensor
-from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.gravity import GravityModel, minimal_model
-from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.simulation.gravity_calibration import calibration_poses
-from ves_gym.system.runlog import RunLog
-from ves_gym.system.system import System
+from ves_gym.hardware import ForceSensor
+from ves_gym.mechanics import GravityModel, minimal_model
+
+Array = npt.NDArray[np.float64]
 
 IDENTIFIED = GravityModel(
     mass=95.065,
@@ -53,7 +45,7 @@ STEP, BAND = 0.4, 0.25  # s, Hz
 NOISE = next(e for e in LABORATORY_ERRORS if isinstance(e, SensorNoise))
 
 
-def reweighed(arm: Arm, mass: float, P: npt.ArrayLike) -> Arm:
+def reweighed(arm: vg.Arm, mass: float, P: npt.ArrayLike) -> vg.Arm:
     """The arm with this much more mass [kg] and minimal parameters P (9,) [kg m] larger.
 
     The foot takes the mass; centres of mass move as little as will do.
@@ -74,38 +66,38 @@ def reweighed(arm: Arm, mass: float, P: npt.ArrayLike) -> Arm:
     return dataclasses.replace(arm, base=foot, links=moved)
 
 
-def system_of(model: GravityModel) -> System:
+def system_of(model: GravityModel) -> vg.System:
     """The laboratory with an arm of that weight."""
-    known = GravityModel.of(PUMA_560)
-    arm = reweighed(PUMA_560, model.mass - known.mass, np.subtract(model.P, known.P))
-    return System(arm=dataclasses.replace(arm, source=model.source), mode="emulated")
+    known = GravityModel.of(vg.PUMA_560)
+    arm = reweighed(vg.PUMA_560, model.mass - known.mass, np.subtract(model.P, known.P))
+    return vg.System(arm=dataclasses.replace(arm, source=model.source), mode="emulated")
 
 
-def paths() -> list[Motion]:
+def paths() -> list[vg.Motion]:
     """Joints and the platform's tilts about x and y, (m, 5): the poses, then the check."""
-    q, y = calibration_poses(PUMA_560, POSES, tilt=TILT)
+    q, y = vg.simulation.calibration_poses(vg.PUMA_560, POSES, tilt=TILT)
     parts = np.array_split(np.hstack([q, y[:, 3:5]]), RUNS)
     check = np.array([-np.pi / 2, 0, 0, TILT, TILT])
     return [
-        *(Motion.through(points, PER_POSE * len(points)) for points in parts),
-        Motion.straight(check, -check, CHECK),
+        *(vg.Motion.through(points, PER_POSE * len(points)) for points in parts),
+        vg.Motion.straight(check, -check, CHECK),
     ]
 
 
-def log_of(path: Motion, weight: GravityModel, seed: int) -> RunLog:
+def log_of(path: vg.Motion, weight: GravityModel, seed: int) -> vg.RunLog:
     """What the force sensor reads of such a weight: late by its filter, noise on top."""
     t = np.arange(0.0, path.duration, STEP)
     now, felt = path.at(t), path.at(t - ForceSensor().lag)
     (q, y), then = (_split(s.q) for s in (now, felt))
     std = np.array([*NOISE.force, *NOISE.moment])
     noise = std * np.random.default_rng(seed).standard_normal((len(t), 6))
-    return RunLog(
+    return vg.RunLog(
         t=t,
         q_cmd=q,
         v_cmd=now.v[:, :3],
         q=q,
         y=y,
-        w=weight.wrench(PUMA_560, *then) + noise,
+        w=weight.wrench(vg.PUMA_560, *then) + noise,
         meta={
             "format": "ves-run/1",
             "noise_std": {"w": std.tolist()},
@@ -130,32 +122,32 @@ def write_logs(folder: Path, weight: GravityModel, seed: int = 0) -> list[Path]:
     return out
 
 
-def read_runs(files: list[Path], band: float = BAND) -> list[Run]:
-    """The logs as the workflow takes them."""
-    return [run_of(RunLog.load(file), file.name, band) for file in files]
-
-
 def verdict(
-    described: GravityModel, runs: list[Run], more: Sequence[Candidate] = ()
-) -> Diagnosis:
-    """What a machine with this arm lacks of the runs, the last of them held back.
+    described: GravityModel,
+    files: Sequence[Path],
+    more: Sequence[vg.Candidate] = (),
+    band: float = BAND,
+) -> vg.Diagnosis:
+    """Diagnose a machine with this arm from logs, the last of them held back.
 
-    `more`: candidates beside those of the library.
+    Args:
+        described: weight of the arm as described.
+        files: of the logs.
+        more: candidates beside those of the library.
+        band: what is compared [Hz].
     """
-    machine = SystemMachine(system_of(described))
-    ports, names = [p.name for p in machine.ports], [r.name for r in runs[:-1]]
-    candidates = library(machine.system.arm.n, ports, machine.system.mode, names)
-    return diagnose(machine, runs[:-1], runs[-1:], candidates=(*candidates, *more))
+    system = system_of(described)
+    return vg.diagnose(files, system, final=1, band=band, candidates=more, as_logged=True)
 
 
-def stretched(found: Diagnosis) -> list[tuple[str, float]]:
+def stretched(found: vg.Diagnosis) -> list[tuple[str, float]]:
     """Tolerances that the answer takes beyond 3 times their size, largest first."""
     sizes: Array = found.selection.fit.nuisances
     pairs = zip((k.name for k in found.residuals.nuisances), sizes.tolist(), strict=True)
     return sorted((p for p in pairs if abs(p[1]) > 3), key=lambda p: -abs(p[1]))
 
 
-def show(found: Diagnosis) -> None:
+def show(found: vg.Diagnosis) -> None:
     """Print the verdict, what was tried, and what is left."""
     print(found.sentence)
     for step in found.selection.steps:
@@ -180,7 +172,7 @@ def main() -> None:
         folder = Path(args.folder or scratch)
         files = write_logs(folder / "logs", IDENTIFIED)
         system_of(MEASURED).save(folder / "measured.toml")
-        found = verdict(MEASURED, read_runs(files))
+        found = verdict(MEASURED, files)
     show(found)
 
 

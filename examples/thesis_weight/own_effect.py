@@ -10,37 +10,35 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from diagnose import IDENTIFIED, MEASURED, read_runs, reweighed, show, verdict, write_logs
+from diagnose import IDENTIFIED, MEASURED, reweighed, show, verdict, write_logs
 
-from ves_gym._util.params import Array, Vector
-from ves_gym.diagnosis.inference.candidates import Candidate
-from ves_gym.mechanics.arm import Arm
-from ves_gym.system.effect import ArmEffect, parameter, register
+import ves_gym as vg
+from ves_gym.effects import ArmEffect
 
 NAMES = ("mass", *(f"P{k}" for k in range(1, 10)))
 
 
-@register("arm/weight")
+@vg.register_effect("arm/weight")
 @dataclass(frozen=True, kw_only=True)
 class ArmWeight(ArmEffect):
     """Mass and minimal moment parameters of the arm differ from the description."""
 
     modes = ("ideal", "emulated")
     port = "wrench"
-    mass: float = parameter("kg", bounds=(-20.0, 20.0))
-    P: Vector = parameter("kg m", bounds=(-20.0, 20.0), shape=(9,))
+    mass: float = vg.parameter("kg", bounds=(-20.0, 20.0))
+    P: tuple[float, ...] = vg.parameter("kg m", bounds=(-20.0, 20.0), shape=(9,))
 
-    def arm(self, arm: Arm) -> Arm:
+    def arm(self, arm: vg.Arm) -> vg.Arm:
         """The arm that is really there."""
         return arm if self.is_null else reweighed(arm, self.mass, self.P)
 
 
-def made(x: Array) -> ArmWeight:
+def made(x: np.ndarray) -> ArmWeight:
     """The effect with numbers x (10,)."""
     return ArmWeight(mass=float(x[0]), P=tuple(x[1:].tolist()))
 
 
-CANDIDATE = Candidate(
+CANDIDATE = vg.Candidate(
     kind=ArmWeight.kind,
     slot="",
     ports=("joint", "wrench"),
@@ -57,8 +55,8 @@ CANDIDATE = Candidate(
 def main() -> None:
     """Diagnose with it, and compare with the thesis."""
     with tempfile.TemporaryDirectory() as folder:
-        runs = read_runs(write_logs(Path(folder), IDENTIFIED))
-        found = verdict(MEASURED, runs, [CANDIDATE])
+        files = write_logs(Path(folder), IDENTIFIED)
+        found = verdict(MEASURED, files, [CANDIDATE])
     show(found)
     true = np.subtract([IDENTIFIED.mass, *IDENTIFIED.P], [MEASURED.mass, *MEASURED.P])
     pairs = zip(NAMES, true, strict=True)

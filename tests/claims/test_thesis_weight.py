@@ -15,10 +15,8 @@ import pytest
 
 from examples.thesis_weight import by_hand
 from examples.thesis_weight.diagnose import (
-    BAND,
     IDENTIFIED,
     MEASURED,
-    read_runs,
     stretched,
     verdict,
     write_logs,
@@ -79,7 +77,7 @@ def test_no_body_of_1_4_kg_and_no_tilt_makes_the_lateral_moment():
 
 
 def test_what_is_missing_is_not_in_the_library(files):
-    found = verdict(MEASURED, read_runs(files))
+    found = verdict(MEASURED, files)
     print(found.sentence, [f.candidate.name for f in found.explanations], stretched(found))
     assert found.verdict == UNKNOWN
     assert added(found) == ()
@@ -89,7 +87,7 @@ def test_what_is_missing_is_not_in_the_library(files):
 
 
 def test_the_arm_that_made_the_logs_is_left_alone(files):
-    found = verdict(IDENTIFIED, read_runs(files))
+    found = verdict(IDENTIFIED, files)
     assert not found.explanations and found.remaining == 0
 
 
@@ -97,7 +95,7 @@ def test_the_arm_that_made_the_logs_is_left_alone(files):
 @pytest.mark.parametrize("band", [0.1, 0.5])
 def test_other_bands_leave_much_without_a_name(files, band):
     """The library imitates about half of it: which side of half depends on the band."""
-    found = verdict(MEASURED, read_runs(files, band))
+    found = verdict(MEASURED, files, band=band)
     print(found.verdict, [f.candidate.name for f in found.explanations], stretched(found))
     assert found.verdict in (UNKNOWN, MORE)
     assert found.remaining > 2 * found.limits.remains
@@ -106,7 +104,7 @@ def test_other_bands_leave_much_without_a_name(files, band):
 @pytest.mark.slow
 def test_this_package_s_arm_lacks_it_too(files):
     """B.2's masses, with the foot and r1z that C.3's second column does not have."""
-    assert verdict(GravityModel.of(PUMA_560), read_runs(files, BAND)).verdict == UNKNOWN
+    assert verdict(GravityModel.of(PUMA_560), files).verdict == UNKNOWN
 
 
 @pytest.mark.slow

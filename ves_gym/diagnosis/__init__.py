@@ -1,1 +1,24 @@
 """Discrepancy workflow: where simulation and data disagree, what is missing, how to add it."""
+
+from typing import TYPE_CHECKING
+
+from ves_gym._util.lazy import lazily as _lazily
+
+if TYPE_CHECKING:
+    from ves_gym.diagnosis import benchmark as benchmark
+    from ves_gym.diagnosis.data.measured_run import run_of as run_of
+    from ves_gym.diagnosis.machines.mjcf import MjcfJoint as MjcfJoint
+    from ves_gym.diagnosis.machines.mjcf import MjcfVariant as MjcfVariant
+    from ves_gym.diagnosis.machines.mjcf_mapping import read_machine as read_machine
+    from ves_gym.diagnosis.machines.system import SystemMachine as SystemMachine
+
+__all__ = ["MjcfJoint", "MjcfVariant", "SystemMachine", "benchmark", "read_machine", "run_of"]
+
+_HOMES = {
+    "MjcfJoint": "machines.mjcf",
+    "MjcfVariant": "machines.mjcf",
+    "SystemMachine": "machines.system",
+    "read_machine": "machines.mjcf_mapping",
+    "run_of": "data.measured_run",
+}
+__getattr__, __dir__ = _lazily(__name__, _HOMES, ("benchmark",))

@@ -1,1 +1,13 @@
 """Reproducible leaderboard: entries, bundles that prove them, runs that outgrow a machine."""
+
+from typing import TYPE_CHECKING
+
+from ves_gym._util.lazy import lazily as _lazily
+
+if TYPE_CHECKING:
+    from ves_gym.leaderboard import statistics as statistics
+
+__all__ = ["statistics"]
+
+_HOMES: dict[str, str] = {}
+__getattr__, __dir__ = _lazily(__name__, _HOMES, ("statistics",))

@@ -25,12 +25,21 @@ from ves_gym._util.params import (
     require_positive,
     symmetric,
     unit,
+    write_table,
 )
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Inertial, diagonal, matrix, skew
 from ves_gym.mechanics.modes import natural_modes
 
 _GAUSS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; the beam needs 6
+
+
+class _Saved:
+    """A vehicle that can be written into a file."""
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write as .toml or .json, completely or not at all; `get_vehicle` reads it."""
+        write_table(path, self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +147,7 @@ ALUMINIUM = Material(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Beam:
+class Beam(_Saved):
     """A clamped polyline of straight tubes; the arm rides on its free end.
 
     Compliance: exact Euler-Bernoulli statics of the polyline (derived in
@@ -294,7 +303,7 @@ def _carry(r: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MatrixVehicle:
+class MatrixVehicle(_Saved):
     """The user's own M, D, K in Y; each symmetric and positive semidefinite.
 
     `drag`: damping that grows with speed, a force c |Y'| Y' along each axis. `extra`:
@@ -323,7 +332,7 @@ class MatrixVehicle:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Satellite:
+class Satellite(_Saved):
     """A rigid body in free space under the arm: K = D = 0.
 
     `thrusters` False is free-floating (no outside force), True is free-flying (its jets

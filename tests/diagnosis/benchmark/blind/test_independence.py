@@ -11,8 +11,10 @@ PACKAGE = Path(ves_gym.diagnosis.benchmark.blind.__file__).parent
 ROOT = PACKAGE.parents[2]
 SHARED = {
     "ves_gym._util.optional",
+    "ves_gym._util.on_demand",
     "ves_gym._util.params",
     "ves_gym._util.suggest",
+    "ves_gym._util.views",
     "ves_gym.system.runlog",
     "ves_gym.system.runlog_files",
 }

@@ -1,0 +1,106 @@
+"""Write docs/api.md from the docstrings: `python scripts/api.py`.
+
+tests/test_api.py compares: the page does not go stale.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from pathlib import Path
+from typing import Any
+
+import ves_gym as vg
+
+PAGE = Path(__file__).parents[1] / "docs" / "api.md"
+
+GROUPS = {
+    "Verbs": (
+        "simulate plan compare coupling_map diagnose evaluate train energy check_emulation"
+        " render excitation"
+    ),
+    "Model": (
+        "System Arm Link Inertial PUMA_560 Beam MatrixVehicle Satellite get_vehicle"
+        " EmulatorSettings JointServo Motion"
+    ),
+    "Simulation": "Simulator State Divergence RunLog Energies EnergyBalance rollout_gradients",
+    "Effects": "effects Effect parameter register_effect",
+    "Planning": "Query Plan Planner NoPlan register_planner",
+    "Environments and policies": "Task register_task Policy Controller load_policy",
+    "Diagnosis and board": "Diagnosis Candidate MjcfMachine make_bundle verify_bundle",
+    "Errors": "ParameterError",
+}
+ROOMS = (
+    "baselines",
+    "diagnosis",
+    "diagnosis.benchmark",
+    "envs",
+    "experiments",
+    "hardware",
+    "leaderboard",
+    "mechanics",
+    "planners",
+    "simulation",
+)
+CONSTANTS = {
+    "PUMA_560": "The thesis's arm, without its wrist.",
+    "BENT": "The thesis's bent beam.",
+}
+
+HEAD = """# Names
+
+`import ves_gym as vg` has every name below; each is loaded when it is first used. SI units,
+angles in radians. `help(vg.simulate)` and an editor show arguments, shapes and errors. Bad
+input raises `vg.ParameterError` with the value and what was expected.
+
+A result prints in one line, shows itself in a notebook, and draws itself: `plot(ax=None)` takes
+matplotlib axes (without them it makes a figure) and returns them. `RunLog.plot` has three
+panels, or base energy alone in one; `CouplingMap.plot` takes `paths=[plan, ...]`,
+`Comparison.plot` `log=True`, that of `evaluate` `measure="E_int"`. Logs, motions, systems,
+vehicles, plans, maps, comparisons and evaluations have `save` and `load` (vehicles:
+`get_vehicle`); a `Diagnosis` has `save`, and its `system` is saved and loaded like any other.
+"""
+MIDDLE = """
+## Rarer things
+
+Under the package that they belong to: `vg.simulation.weigh_poses(...)`, or
+`from ves_gym.simulation import weigh_poses`. What is not named here may change between
+versions.
+"""
+
+
+def summary(value: Any, name: str) -> str:
+    """Return the first sentence of a docstring, fit for a table's cell."""
+    name = name.rpartition(".")[2]
+    if name in CONSTANTS:
+        return CONSTANTS[name]
+    text = inspect.getdoc(value) or ""
+    first = " ".join(text.split("\n\n")[0].split())
+    sentence = re.match(r".+?[.](?= |$)", first)
+    return (sentence[0] if sentence else first).replace("|", "\\|")
+
+
+def row(name: str, value: Any) -> str:
+    """Return the line of a name."""
+    call = f"{name}()" if inspect.isfunction(value) else name
+    return f"| `{call}` | {summary(value, name)} |"
+
+
+def page() -> str:
+    """Return the text of the page."""
+    parts = [HEAD]
+    for title, names in GROUPS.items():
+        rows = [row(name, getattr(vg, name)) for name in names.split()]
+        parts.append("\n".join([f"## {title}\n", "| name | |", "|---|---|", *rows, ""]))
+    parts.append(MIDDLE.strip("\n") + "\n")
+    rows = []
+    for room in ROOMS:
+        module = importlib.import_module(f"ves_gym.{room}")
+        rows += [row(f"{room}.{name}", getattr(module, name)) for name in module.__all__]
+    parts.append("\n".join(["| name | |", "|---|---|", *rows, ""]))
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), "utf-8")

@@ -1,0 +1,305 @@
+"""The front door: its names, its verbs beside the commands, and what results show."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ves_gym as vg
+from ves_gym.cli.main import main
+
+DEGREES = "20,10,-5"
+GOAL = np.deg2rad([20, 10, -5]).tolist()
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return vg.plan([0, 0, 0], GOAL, duration=1.0, planner="direct")
+
+
+@pytest.fixture(scope="module")
+def log(plan):
+    return vg.simulate(plan)
+
+
+@pytest.fixture(scope="module")
+def comparison(plan):
+    return vg.compare(plan.query, ["straight", "direct"])
+
+
+@pytest.fixture(autouse=True)
+def no_window(monkeypatch):
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    yield
+    import matplotlib.pyplot as plt
+
+    plt.close("all")
+
+
+def command(tmp_path, *words):
+    """What a command writes as JSON."""
+    file = tmp_path / "result.json"
+    status = main([*words, "--json", str(file), "--out", str(tmp_path)])
+    assert status == 0
+    return json.loads(file.read_text())
+
+
+# ----------------------------------------------------------- the same as the commands
+
+
+def test_plan_and_energy_are_those_of_the_command(tmp_path, plan, comparison):
+    words = ("plan", f"--goal={DEGREES}", "--duration", "1", "--planner", "direct")
+    result = command(tmp_path, *words)
+    assert result["control"] == np.array(plan.motion.control).tolist()
+    assert result["predicted"] == plan.predicted.to_dict()
+    assert result["simulated"] == comparison["direct"].simulated.to_dict()
+    assert result["straight"] == comparison.straight.to_dict()
+    assert vg.Motion.load(tmp_path / "motion.json") == plan.motion
+
+
+def test_simulate_is_that_of_the_command(tmp_path, plan, log):
+    plan.motion.save(tmp_path / "motion.json")
+    result = command(tmp_path, "simulate", "--motion", str(tmp_path / "motion.json"))
+    there = vg.RunLog.load(result["log"])
+    assert there.digest == result["digest"]
+    for name in ("t", "q", "v", "tau", "y", "yd", "w"):
+        assert np.array_equal(getattr(there, name), getattr(log, name)), name
+    assert result["energies"] == vg.energy(log).to_dict()
+    assert result["ledger_residual"] == vg.EnergyBalance.of(log).relative
+
+
+def test_map_is_that_of_the_command(tmp_path):
+    result = command(tmp_path, "map", "--joints", "1,2", "--at", "0,0,-30", "--points", "9")
+    section = vg.coupling_map(q3=np.deg2rad(-30.0), points=9)
+    assert result["maps"][0]["most"] == section.most.tolist()
+
+
+def test_emulation_check_is_that_of_the_command(tmp_path):
+    result = command(tmp_path, "emulation-check", "--no-search", "--no-figures")
+    check = vg.check_emulation(search=False)
+    assert result["spectral_radius"] == check.spectral_radius
+    assert "stable" in repr(check)
+
+
+def test_evaluate_is_that_of_the_command(tmp_path):
+    id = "ves/BeamLQR-v0"
+    words = ("evaluate", id, "--controller", "zero,lqr", "--episodes", "3")
+    result = command(tmp_path, *words)
+    ours = vg.evaluate(id, ["zero", "lqr"], episodes=3)
+    for mine, theirs in zip(ours.to_dict()["controllers"], result["controllers"], strict=True):
+        assert mine["rows"] == theirs["rows"]
+    assert ours.best.name == "lqr"
+    assert ours.ratio("lqr", "zero").value == result["ratios"]["lqr"]["E_mean"]["value"]
+    ours.save(tmp_path / "evaluation.json")
+    again = type(ours).load(tmp_path / "evaluation.json")
+    assert again["lqr"].rows == ours["lqr"].rows and repr(again) == repr(ours)
+
+
+# --------------------------------------------------------- hide, name, better, picture
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return vg.System(effects=[vg.effects.JointCoulomb(torque=(0, 0, 3))])
+
+
+@pytest.fixture(scope="module")
+def diagnosis(machine):
+    logs = [vg.simulate(m, machine, settle=1.0, record_dt=0.0125) for m in vg.excitation(3)]
+    return vg.diagnose(logs, vg.System())
+
+
+def test_a_hidden_friction_is_named_and_added(diagnosis, machine):
+    assert diagnosis.verdict == "named"
+    assert diagnosis.sentence.startswith("Missing: joint/coulomb at joint 3 (torque ")
+    (effect,) = diagnosis.system.effects
+    assert effect.torque == pytest.approx((0, 0, 3), abs=0.1)
+    assert repr(diagnosis) == f"<Diagnosis: {diagnosis.sentence}>"
+
+
+def test_excitation_keeps_inside_the_limits():
+    from ves_gym.mechanics.limits import limit_ratios
+
+    motions = vg.excitation(3)
+    assert motions == vg.excitation(3) and motions != vg.excitation(3, seed=1)
+    for motion in motions:
+        ratios = limit_ratios(vg.PUMA_560, motion, samples=2001)
+        assert max(r.max() for r in ratios.values()) <= 0.91
+        s = motion.at(np.linspace(0, motion.duration, 2001))
+        turns = (np.diff(np.sign(s.v[np.abs(s.v).max(axis=1) > 0.02]), axis=0) != 0).sum(axis=0)
+        assert (turns >= 2).all()  # every joint reverses
+        assert (np.ptp(s.q, axis=0) > 0.2).all()
+
+
+# ------------------------------------------------------------------- results look good
+
+
+def results(plan, log, comparison, diagnosis):
+    return {
+        "plan": plan,
+        "log": log,
+        "comparison": comparison,
+        "map": vg.coupling_map(q3=-0.1, points=9),
+        "balance": vg.EnergyBalance.of(log),
+        "check": vg.check_emulation(search=False),
+        "diagnosis": diagnosis,
+        "evaluation": vg.evaluate("ves/BeamLQR-v0", ["zero", "lqr"], episodes=3),
+    }
+
+
+@pytest.fixture(scope="module")
+def shown(plan, log, comparison, diagnosis):
+    return results(plan, log, comparison, diagnosis)
+
+
+NAMES = ("plan", "log", "comparison", "map", "balance", "check", "diagnosis", "evaluation")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_result_is_one_line_a_page_and_axes(shown, name):
+    import matplotlib.pyplot as plt
+
+    result = shown[name]
+    assert "\n" not in repr(result) and len(repr(result)) < 200
+    page = result._repr_html_()
+    assert page.startswith("<div>") and "<script" not in page and "data:image/png" in page
+    assert not plt.get_fignums()  # the page leaves no figure behind
+    axes = plt.subplots()[1]
+    assert result.plot(axes) is axes
+    assert axes.has_data()
+    with pytest.raises(vg.ParameterError, match="ax must be one axes"):
+        result.plot(plt.subplots(1, 4)[1])
+
+
+def test_a_log_has_three_panels(log):
+    assert len(log.plot()) == 3
+
+
+def test_a_notebook_shows_hostile_names_as_text(comparison):
+    import dataclasses
+
+    row = dataclasses.replace(comparison.rows[0], planner="<script>alert(1)</script>")
+    bad = dataclasses.replace(comparison, rows=(row,))
+    assert "<script" not in bad._repr_html_()
+
+
+def test_paths_keep_their_planners_colours(comparison):
+    from ves_gym.report.planner_styles import colour_of
+
+    axes = vg.coupling_map(q3=-0.1, points=9).plot(paths=comparison.plans)
+    drawn = {line.get_label(): line.get_color() for line in axes.lines}
+    curves = {
+        line.get_label().split(" ")[0]: line.get_color() for line in comparison.plot().lines
+    }
+    for name in ("straight", "direct"):
+        assert drawn[name] == curves[name] == colour_of(name)
+
+
+def test_results_are_saved_and_read(tmp_path, plan, comparison):
+    plan.save(tmp_path / "plan.json")
+    assert vg.Plan.load(tmp_path / "plan.json") == plan
+    comparison.save(tmp_path / "comparison.json")
+    again = type(comparison).load(tmp_path / "comparison.json")
+    assert again.to_dict() == comparison.to_dict() and again.table == comparison.table
+    section = vg.coupling_map(q3=-0.1, points=9)
+    section.save(tmp_path / "map.npz")
+    there = type(section).load(tmp_path / "map.npz")
+    assert np.array_equal(there.most, section.most) and repr(there) == repr(section)
+
+
+# --------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: vg.plan([0, 0], GOAL), r"start.*\(3,\).*\(2,\)"),
+        (lambda: vg.plan([0, 0, 0], [9, 0, 0]), "goal"),
+        (lambda: vg.plan([0, 0, 0], GOAL, planner="dircet"), 'did you mean "direct"'),
+        (lambda: vg.plan([0, 0, 0], GOAL, duration=-1.0), "duration must be > 0"),
+        (lambda: vg.plan([0, 0, 0], GOAL, system="bent"), "must be a System, got 'bent'"),
+        (lambda: vg.simulate([1, 2]), "needs a Motion or a Plan"),
+        (lambda: vg.compare("direct"), "needs a Query or a Plan, got 'direct'"),
+        (lambda: vg.coupling_map(q4=0.0), "q1, q2, q3, got 'q4'"),
+        (lambda: vg.coupling_map(q1=0.0, q2=0.0), "sweeps two joints"),
+        (lambda: vg.coupling_map(joints=(1, 1)), "two different numbers from 1 to 3"),
+        (lambda: vg.diagnose([]), "at least one run log"),
+        (lambda: vg.diagnose([3]), "needs run logs or their files, got 3"),
+        (lambda: vg.excitation(0), "n must be a whole number of motions >= 1, got 0"),
+        (lambda: vg.excitation(1, duration=1.0), "duration must be from 2 to 600 s"),
+        (lambda: vg.evaluate("ves/BeamLQR-v0", ["lqrr"]), 'did you mean "lqr"'),
+        (lambda: vg.evaluate("ves/No-v0", ["zero"]), "known: ves/BeamLQR-v0"),
+        (lambda: vg.energy("run.csv"), "needs a RunLog"),
+        (lambda: vg.train("ves/No-v0"), "no configuration for ves/No-v0"),
+        (lambda: vg.register_planner(object()), "a planner needs name"),
+        (lambda: vg.load_policy("policy.zip"), "a policy is a .json file"),
+    ],
+)
+def test_bad_input_says_what_was_expected(call, message):
+    with pytest.raises(vg.ParameterError, match=message):
+        call()
+
+
+def test_a_plan_without_a_motion_is_not_simulated(plan):
+    class Stuck:
+        name, summary = "stuck", "finds nothing"
+
+        def find(self, query, seed):
+            raise vg.NoPlan("no motion: stuck")
+
+    blocked = vg.plan([0, 0, 0], GOAL, duration=1.0, planner=Stuck())
+    assert blocked.motion is None and blocked.query == plan.query
+    assert "no motion" in repr(blocked) and "<img" not in blocked._repr_html_()
+    with pytest.raises(vg.ParameterError, match="stuck found no motion"):
+        vg.simulate(blocked)
+
+
+def test_a_planner_of_one_s_own_has_a_name_everywhere(plan):
+    from ves_gym.planners.registry import PLANNERS
+
+    class Own:
+        name, summary = "own", "the straight line"
+
+        def find(self, query, seed):
+            return query.straight, {}
+
+    try:
+        assert vg.register_planner(Own) is Own
+        answer = vg.plan([0, 0, 0], GOAL, duration=1.0, planner="own")
+        assert answer.motion == plan.query.straight
+        with pytest.raises(vg.ParameterError, match="'own' is already registered by Own"):
+            vg.register_planner(Own())
+    finally:
+        PLANNERS.pop("own", None)
+
+
+def test_a_released_policy_is_loaded_by_name():
+    pytest.importorskip("safetensors")
+    assert vg.load_policy("BeamLQR/ppo").network.sizes[-1] == 3
+
+
+# ------------------------------------------------------------------------------ pages
+
+
+def test_the_page_of_names_is_up_to_date():
+    """Else: `python scripts/api.py`."""
+    from scripts import api
+
+    assert api.PAGE.read_text("utf-8") == api.page()
+    listed = " ".join(api.GROUPS.values()).split()
+    assert sorted(listed) == sorted(vg.__all__)
+
+
+def test_the_readme_names_a_friction_in_twelve_lines_and_one_import():
+    text = (Path(__file__).parents[1] / "README.md").read_text("utf-8")
+    (snippet,) = [
+        s for s in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "diagnose" in s
+    ]
+    lines = [line for line in snippet.splitlines() if line.strip()]
+    assert len(lines) <= 12
+    assert [line for line in lines if "import" in line] == ["import ves_gym as vg"]
+    for word in ("JointCoulomb", "found.sentence", "found.system", "found.plot()"):
+        assert word in snippet  # tests/test_examples.py runs it
