@@ -26,7 +26,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator, State
-from ves_gym.system.effect import EFFECTS, Effect, parameter, register
+from ves_gym.system.effect import EFFECTS, TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
 pytestmark = pytest.mark.bits
@@ -104,12 +104,12 @@ def test_the_place_does_not_matter(mode, backend, geared):
     require_that_places_do_not_matter(system, backend)
 
 
-def register_placed() -> type[Effect]:
+def register_placed() -> type[TorqueEffect]:
     """A friction that rounds by the place in the batch, as a vector loop's remainder may."""
 
     @register("joint/test_only_place")
     @dataclass(frozen=True, kw_only=True)
-    class Placed(Effect):
+    class Placed(TorqueEffect):
         modes = ("ideal", "emulated")
         port = "joint"
         damping: tuple = parameter("N m s/rad", bounds=(0.0, 10.0), shape=(3,))
