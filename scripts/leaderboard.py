@@ -30,7 +30,7 @@ from ves_gym.diagnosis.benchmark.score import METHODS
 from ves_gym.envs.registration import IDS
 from ves_gym.leaderboard.board import make_board
 from ves_gym.leaderboard.entry import Entry
-from ves_gym.leaderboard.errors import Rejection
+from ves_gym.leaderboard.errors import BundleError
 from ves_gym.leaderboard.evaluators import history_reason, resolve, version_of
 from ves_gym.leaderboard.journal import append, read
 from ves_gym.leaderboard.page import write_page
@@ -137,7 +137,7 @@ def _current(wanted: Wanted) -> bool:
         return False
     try:
         manifest, _ = bundle_manifest(wanted.bundle)
-    except Rejection:
+    except BundleError:
         return False
     return _of_today(wanted, manifest["spec"]["evaluator"])
 

@@ -17,11 +17,11 @@ from ves_gym.leaderboard import fingerprint, protocol
 from ves_gym.leaderboard.archive import LIMITS, MANIFEST, limit, read_members, write_members
 from ves_gym.leaderboard.bundle import KEYS, digest, read_manifest, sealed
 from ves_gym.leaderboard.entry import ABOUT, ROW, check_entry
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.npy_io import pack, unpack
 from ves_gym.leaderboard.policy_files import policy_names
 from ves_gym.leaderboard.protocol import Problem, get_problem, problems, read_salt, seeds_of
-from ves_gym.leaderboard.tracks.paths import Paths
+from ves_gym.leaderboard.tracks.paths import PathTrack
 from ves_gym.planners.suites import get_suite
 from ves_gym.system.system import System
 
@@ -49,11 +49,11 @@ def test_problems_of_every_track():
 
 def test_public_queries_are_those_of_the_benchmark():
     problem = get_problem("paths", "reach100-2s")
-    ours = Paths().queries(problem, seeds_of(problem, None))
+    ours = PathTrack().queries(problem, seeds_of(problem, None))
     suite = get_suite("reach100", system=System()).queries
     assert ours == [q for _, q in suite if q.duration == 2.0]
     among = get_problem("paths", "reach100-2s-obstacles")
-    query = Paths().queries(among, seeds_of(among, None))[0]
+    query = PathTrack().queries(among, seeds_of(among, None))[0]
     assert query.surroundings is not None and query.start == ours[0].start
 
 
@@ -72,8 +72,8 @@ def test_official_seeds_are_secret_and_differ():
                 roots.add(official.root)
     assert len(roots) == 6 + 14 + 3
     paths = get_problem("paths", "reach100-1s-quick")
-    there = Paths().queries(paths, seeds_of(paths, SALT))
-    assert there != Paths().queries(paths, seeds_of(paths, None))
+    there = PathTrack().queries(paths, seeds_of(paths, SALT))
+    assert there != PathTrack().queries(paths, seeds_of(paths, None))
 
 
 def test_blind_sets_and_their_salt():
@@ -228,7 +228,7 @@ def test_arrays_keep_every_bit(values):
 )  # fmt: skip
 def test_other_arrays_are_refused(values, tmp_path):
     np.save(tmp_path / "a.npy", values, allow_pickle=True)
-    with pytest.raises(Rejection) as refused:
+    with pytest.raises(BundleError) as refused:
         unpack((tmp_path / "a.npy").read_bytes(), "a.npy", (None, 3))
     assert refused.value.code is Code.BAD_ACTION
 
@@ -318,7 +318,7 @@ def test_sizes_are_bounded(tmp_path, monkeypatch):
     monkeypatch.setattr(archive, "TOTAL", 500)
     (tmp_path / "c.zip").write_bytes(b"x" * 501)
     for name in ("b.zip", "b", "c.zip"):
-        with pytest.raises(Rejection) as refused:
+        with pytest.raises(BundleError) as refused:
             read_members(tmp_path / name)
         assert refused.value.code is Code.UNSAFE_ARCHIVE
 

@@ -15,7 +15,7 @@ import ves_gym
 from tests.leaderboard.bundles import Bundle, path_bundle
 from ves_gym._util.params import ParameterError
 from ves_gym.leaderboard import evaluators, probes, protocol, stored_results
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.evaluators import Version
 from ves_gym.leaderboard.protocol import PROTOCOL, Problem, get_problem, problems
 from ves_gym.leaderboard.run import make_bundle
@@ -110,7 +110,7 @@ def test_the_pattern_is_exact_in_binary():
 _VERIFY = """
 import sys
 import ves_gym
-from ves_gym.leaderboard.errors import Rejection
+from ves_gym.leaderboard.errors import BundleError
 from ves_gym.leaderboard.probes import require_behaviour
 from ves_gym.leaderboard.protocol import get_problem
 from ves_gym.leaderboard.verify import verify
@@ -122,7 +122,7 @@ for what in sys.argv[1:]:
         else:
             require_behaviour(get_problem(*what.split(" ")))
         print("accepted")
-    except Rejection as error:
+    except BundleError as error:
         print(error)
 """
 
@@ -290,7 +290,7 @@ def test_a_bundle_of_0_1_0(name, level):
 def test_sources_that_nobody_measured(tmp_path):
     bundle = Bundle(OLD / "paths.zip")
     bundle.manifest["spec"]["evaluator"] = "ab" * 32
-    with pytest.raises(Rejection) as refused:
+    with pytest.raises(BundleError) as refused:
         verify(bundle.write(tmp_path / "b.zip"))
     assert refused.value.code is Code.EVALUATOR_MISMATCH
     assert "no known evaluator of reach100-1s: make the bundle again" in refused.value.why
@@ -300,7 +300,7 @@ def test_sources_of_another_track(tmp_path):
     damping = Bundle(OLD / "damping.zip").manifest["spec"]["evaluator"]
     bundle = Bundle(OLD / "paths.zip")
     bundle.manifest["spec"]["evaluator"] = damping
-    with pytest.raises(Rejection, match="no known evaluator"):
+    with pytest.raises(BundleError, match="no known evaluator"):
         verify(bundle.write(tmp_path / "b.zip"))
 
 
@@ -315,7 +315,7 @@ def test_another_ves_gym_is_no_other_machine(tmp_path):
     row = bundle.manifest["rows"][0]
     for key in ("E_mean", "E_peak", "E_res"):
         row[key] *= 1 + 1e-12
-    with pytest.raises(Rejection, match="score-differs"):  # every bit, as before
+    with pytest.raises(BundleError, match="score-differs"):  # every bit, as before
         verify(bundle.write(tmp_path / "c.zip"))
     bundle.manifest["about"]["versions"]["bits"] = "other last bits"
     assert verify(bundle.write(tmp_path / "d.zip")).name == "straight"
@@ -337,7 +337,7 @@ def second_version(monkeypatch):
 
 
 def test_a_new_version_starts_empty(second_version, tmp_path):
-    with pytest.raises(Rejection) as refused:
+    with pytest.raises(BundleError) as refused:
         verify(OLD / "paths.zip")
     assert refused.value.code is Code.EVALUATOR_MISMATCH
     assert refused.value.why == "version 1.1 of reach100-1s then, 1.2 now"

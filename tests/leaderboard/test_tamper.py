@@ -28,7 +28,7 @@ from tests.leaderboard.bundles import (
 )
 from ves_gym.leaderboard.archive import MANIFEST, read_members
 from ves_gym.leaderboard.bundle import digest
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.npy_io import pack, unpack
 from ves_gym.leaderboard.verify import verify
 
@@ -106,7 +106,7 @@ def refused(tmp_path):
 def code_of(place, **options):
     try:
         verify(place, **options)
-    except Rejection as error:
+    except BundleError as error:
         assert str(error).startswith(error.code.slug + ": ") and "\n" not in str(error)
         return error.code
     return None
@@ -527,7 +527,7 @@ def guarded(tmp_path):
         place = tmp_path / "fuzz.zip"
         write(place)
         before = sorted(p.name for p in tmp_path.iterdir())
-        code_of(place)  # a Rejection or nothing: anything else fails the test
+        code_of(place)  # a BundleError or nothing: anything else fails the test
         assert sorted(p.name for p in tmp_path.iterdir()) == before
 
     return check
@@ -598,7 +598,7 @@ def test_fuzzed_names(guarded, policy, name, data):
 @given(data=st.binary(max_size=300), head=st.booleans())
 def test_fuzzed_arrays(data, head):
     given_ = b"\x93NUMPY\x01\x00" + data if head else data
-    with pytest.raises(Rejection):
+    with pytest.raises(BundleError):
         unpack(given_, "actions.npy", (None, 3))
 
 

@@ -16,12 +16,12 @@ from ves_gym.baselines.registry import get_controller
 from ves_gym.leaderboard import lower_bounds, protocol
 from ves_gym.leaderboard.energy_audit import Account
 from ves_gym.leaderboard.entry import check_entry
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.npy_io import pack, unpack
 from ves_gym.leaderboard.protocol import get_problem, seeds_of
 from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.tracks.action_recorder import Recorded, in_episode
-from ves_gym.leaderboard.tracks.paths import Paths
+from ves_gym.leaderboard.tracks.paths import PathTrack
 from ves_gym.leaderboard.verify import verify
 from ves_gym.planners.best_known import key, packaged
 from ves_gym.system.system import System
@@ -46,7 +46,7 @@ def paths(folder):
 
 
 def rejection(path, **options):
-    with pytest.raises(Rejection) as refused:
+    with pytest.raises(BundleError) as refused:
         verify(path, **options)
     return refused.value
 
@@ -419,7 +419,7 @@ def looked_at(id, name, episodes=4):
 
     class Watched(Recorded):
         def act(self, env, observation):
-            account.look(env, in_episode(env))
+            account.observe(env, in_episode(env))
             return super().act(env, observation)
 
     evaluate(Watched(inner), id, episodes=episodes)
@@ -472,7 +472,7 @@ def test_a_limit_of_the_account_refuses(policy, paths, monkeypatch):
 def test_what_momentum_permits_is_below_all_that_is_known(duration):
     """Far below: it is there for what is impossible, not for what is good."""
     problem = get_problem("paths", f"reach100-{duration}")
-    for query in Paths().queries(problem, seeds_of(problem, None)):
+    for query in PathTrack().queries(problem, seeds_of(problem, None)):
         least = lower_bounds.path_floor(query.system, *query.ends, query.duration)
         best = packaged()[key(query.system.hash, query.name)]["E_mean"]
         assert 0 < least < 1e-4 * best

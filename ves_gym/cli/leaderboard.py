@@ -148,7 +148,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _verify(args: argparse.Namespace) -> int:
-    from ves_gym.leaderboard.errors import Rejection
+    from ves_gym.leaderboard.errors import BundleError
     from ves_gym.leaderboard.journal import append
     from ves_gym.leaderboard.verify import verify
 
@@ -161,7 +161,7 @@ def _verify(args: argparse.Namespace) -> int:
             folder=_blind(args),
             workers=_workers(args),
         )
-    except Rejection as refused:
+    except BundleError as refused:
         print(f"ves-gym: rejected: {refused}", file=sys.stderr)
         return _NEGATIVE
     write_json(args.json, entry.to_dict())

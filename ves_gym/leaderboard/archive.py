@@ -14,7 +14,7 @@ import zlib
 from pathlib import Path
 
 from ves_gym._util.params import ParameterError, write_bytes
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 
 MANIFEST = "manifest.json"
 _MIB = 2**20
@@ -48,8 +48,8 @@ _BROKEN = (
 
 def limit(name: str) -> int | None:
     """Most bytes of a member, None for a name that no bundle has."""
-    found = POLICY.fullmatch(name)
-    return _POLICY_LIMIT[found[2]] if found else LIMITS.get(name)
+    match = POLICY.fullmatch(name)
+    return _POLICY_LIMIT[match[2]] if match else LIMITS.get(name)
 
 
 def read_members(path: str | os.PathLike[str]) -> dict[str, bytes]:
@@ -57,7 +57,7 @@ def read_members(path: str | os.PathLike[str]) -> dict[str, bytes]:
 
     Raises:
         ParameterError: there is no such file or folder.
-        Rejection: UNSAFE_ARCHIVE.
+        BundleError: UNSAFE_ARCHIVE.
     """
     path = Path(path)
     if path.is_dir():
@@ -67,8 +67,8 @@ def read_members(path: str | os.PathLike[str]) -> dict[str, bytes]:
     return _from_zip(path)
 
 
-def _unsafe(why: str) -> Rejection:
-    return Rejection(Code.UNSAFE_ARCHIVE, why)
+def _unsafe(why: str) -> BundleError:
+    return BundleError(Code.UNSAFE_ARCHIVE, why)
 
 
 def _require(name: str, size: int) -> None:
@@ -81,8 +81,8 @@ def _require(name: str, size: int) -> None:
 
 def _from_folder(folder: Path) -> dict[str, bytes]:
     out: dict[str, bytes] = {}
-    with os.scandir(folder) as found:
-        for item in found:
+    with os.scandir(folder) as entries:
+        for item in entries:
             _require(item.name, 0)
             out[item.name] = _read_file(folder / item.name, item.name)
             if sum(map(len, out.values())) > TOTAL:
@@ -160,11 +160,11 @@ def write_members(path: str | os.PathLike[str], members: dict[str, bytes]) -> Pa
         return path
     import io
 
-    whole = io.BytesIO()
-    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in sorted(members):
             info = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
             info.external_attr = (stat.S_IFREG | 0o644) << 16
             archive.writestr(info, members[name], zipfile.ZIP_DEFLATED)
-    write_bytes(path, whole.getvalue())
+    write_bytes(path, buffer.getvalue())
     return path

@@ -52,7 +52,9 @@ def make_board(journal: Journal, history: History = history_reason) -> Plain:
     cells = _cells(present, unranked)
     tracks = []
     for track, title in TRACKS.items():
-        groups = [_group(*key[1:], some) for key, some in cells.items() if key[0] == track]
+        groups = [
+            _group(*key[1:], members) for key, members in cells.items() if key[0] == track
+        ]
         if groups:
             protocol = next(iter(groups))["protocol"]
             groups.sort(key=lambda g: (g["problem"] == ALL, g["problem"], g["seeds"]))
@@ -123,13 +125,13 @@ def _cells(
         else:
             cells[e["track"], e["problem"], e["seeds"]].append(record)
     out: dict[tuple[str, str, str], list[Candidate]] = {}
-    for key, some in cells.items():
-        out[key] = [(r,) for r in _alike(some, unranked)]
+    for key, members in cells.items():
+        out[key] = [(r,) for r in _alike(members, unranked)]
     for track, seeds in sorted({(k[0], k[2]) for k in out}):
         problems = sorted(k for k in out if (k[0], k[2]) == (track, seeds))
-        whole = _over_all([out[k] for k in problems]) if track in RELATIVE else []
-        if whole:
-            out[track, ALL, seeds] = whole
+        overall = _over_all([out[k] for k in problems]) if track in RELATIVE else []
+        if overall:
+            out[track, ALL, seeds] = overall
     return out
 
 
@@ -149,11 +151,12 @@ def _kind(entry: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def _over_all(problems: list[list[Candidate]]) -> list[Candidate]:
-    """Who has an entry in every problem of a track."""
+    """Return those who have an entry in every problem of a track."""
     if len(problems) < 2:
         return []
     by_name = [
-        {(c[0].entry["author"], c[0].entry["name"]): c[0] for c in some} for some in problems
+        {(c[0].entry["author"], c[0].entry["name"]): c[0] for c in members}
+        for members in problems
     ]
     return [
         tuple(p[who] for p in by_name) for who in by_name[0] if all(who in p for p in by_name)
@@ -187,10 +190,10 @@ def _group(problem: str, seeds: str, candidates: list[Candidate]) -> Plain:
             {
                 "rank": _plain(place.rank),
                 "score": _plain(place.score),
-                **summary(some),
+                **summary(group_entries),
                 **_identity(c),
             }
-            for c, some, place in zip(candidates, entries, stand, strict=True)
+            for c, group_entries, place in zip(candidates, entries, stand, strict=True)
         ],
         "reference": 1.0 if first["track"] in RATIOS else None,
         "statistic": statistics.STATISTIC[first["track"]],
@@ -242,20 +245,25 @@ _LEVELS = ("replayed", "reproduced")  # the second says more
 
 
 def _profiles(entries: Sequence[Sequence[Mapping[str, Any]]]) -> Plain:
-    at = statistics.thresholds([e for some in entries for e in some])
-    curves = [[_plain(k, 4) for k in statistics.profile(some, at)[1:]] for some in entries]
+    at = statistics.thresholds([e for group_entries in entries for e in group_entries])
+    curves = [
+        [_plain(k, 4) for k in statistics.profile(group_entries, at)[1:]]
+        for group_entries in entries
+    ]
     return {"at": _plain(at), "curves": curves}
 
 
 def _anytime(entries: Sequence[Sequence[Mapping[str, Any]]]) -> Plain | None:
     """Curves of those that tell how they came to their score; None where nobody does."""
-    told = [
-        some[0] if len(some) == 1 and any(r.get("anytime") for r in some[0]["rows"]) else None
-        for some in entries
+    anytime_entries = [
+        group_entries[0]
+        if len(group_entries) == 1 and any(r.get("anytime") for r in group_entries[0]["rows"])
+        else None
+        for group_entries in entries
     ]
     steps = [
         [s for s, _ in row["anytime"]]
-        for e in told
+        for e in anytime_entries
         if e
         for row in e["rows"]
         if row.get("anytime")
@@ -266,7 +274,9 @@ def _anytime(entries: Sequence[Sequence[Mapping[str, Any]]]) -> Plain | None:
     at = np.geomspace(low, max(max(s[-1] for s in steps), 2 * low), _POINTS)
     return {
         "at": _plain(at),
-        "curves": [None if e is None else _plain(statistics.anytime(e, at)) for e in told],
+        "curves": [
+            None if e is None else _plain(statistics.anytime(e, at)) for e in anytime_entries
+        ],
     }
 
 

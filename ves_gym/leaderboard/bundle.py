@@ -24,12 +24,12 @@ from ves_gym.leaderboard.entry import (
     SEEDS,
     check_about,
     checked_row,
+    integer,
     plain_data,
     table_of,
     text,
-    whole,
 )
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.protocol import MOST_GROUPS
 
 SCHEMA = "ves-bundle/1"
@@ -58,7 +58,7 @@ def read_manifest(data: bytes) -> dict[str, Any]:
     """The manifest, checked by itself.
 
     Raises:
-        Rejection: MALFORMED_MANIFEST, HASH_MISMATCH.
+        BundleError: MALFORMED_MANIFEST, HASH_MISMATCH.
     """
     try:
         plain = json.loads(
@@ -66,15 +66,15 @@ def read_manifest(data: bytes) -> dict[str, Any]:
         )
         if not isinstance(plain, dict):
             raise ParameterError("expected a table")
-        again = (canonical_json(plain) + "\n").encode()
+        canonical = (canonical_json(plain) + "\n").encode()
     except (ValueError, RecursionError, OverflowError) as error:
         raise malformed(str(error)) from None
     if plain.get("schema") != SCHEMA:
         raise malformed(f"schema must be {SCHEMA!r}, got {str(plain.get('schema'))[:80]!r}")
-    if again != data:
+    if canonical != data:
         raise malformed("not canonical: sorted keys, no spaces, shortest floats")
     if sealed(plain) != data:
-        raise Rejection(Code.HASH_MISMATCH, f"{MANIFEST}: the seal is of other contents")
+        raise BundleError(Code.HASH_MISMATCH, f"{MANIFEST}: the seal is of other contents")
     try:
         _check(plain)
     except (ParameterError, RecursionError) as error:
@@ -82,9 +82,9 @@ def read_manifest(data: bytes) -> dict[str, Any]:
     return plain
 
 
-def malformed(why: str) -> Rejection:
+def malformed(why: str) -> BundleError:
     """A manifest that is none."""
-    return Rejection(Code.MALFORMED_MANIFEST, f"{MANIFEST}: {why[:300]}")
+    return BundleError(Code.MALFORMED_MANIFEST, f"{MANIFEST}: {why[:300]}")
 
 
 def _check(plain: dict[str, Any]) -> None:
@@ -92,7 +92,7 @@ def _check(plain: dict[str, Any]) -> None:
     table_of(plain, KEYS, "manifest")
     for name in ("track", "problem", "name", "author"):
         text(plain[name], name, empty=name == "author")
-    whole(plain["protocol"], "protocol", least=1)
+    integer(plain["protocol"], "protocol", least=1)
     if plain["kind"] not in KINDS:
         raise ParameterError(f"kind must be one of {', '.join(KINDS)}")
     seeds = table_of(plain["seeds"], ("which", "mark", "list"), "seeds")
@@ -110,7 +110,7 @@ def _check(plain: dict[str, Any]) -> None:
     if spec["environment"] is not None:
         env = table_of(spec["environment"], ("id", "version", "spec"), "spec.environment")
         text(env["id"], "spec.environment.id")
-        whole(env["version"], "spec.environment.version")
+        integer(env["version"], "spec.environment.version")
         _digest(env["spec"], "spec.environment.spec")
     _check_method(plain)
     if not isinstance(plain["members"], dict):
@@ -118,11 +118,11 @@ def _check(plain: dict[str, Any]) -> None:
     for name, about in plain["members"].items():
         text(name, "members")
         about = table_of(about, ("bytes", "sha256"), f"members.{name}")
-        whole(about["bytes"], f"members.{name}.bytes")
+        integer(about["bytes"], f"members.{name}.bytes")
         _digest(about["sha256"], f"members.{name}.sha256")
     for k, row in enumerate(_list(plain["rows"], "rows", _MOST)):
-        found = checked_row(row, f"rows[{k}]", ("length",))
-        if whole(found["length"], f"rows[{k}].length") > _LONGEST:
+        checked = checked_row(row, f"rows[{k}]", ("length",))
+        if integer(checked["length"], f"rows[{k}].length") > _LONGEST:
             raise ParameterError(f"rows[{k}].length must be at most {_LONGEST}")
     check_about(plain["about"], _ABOUT, "about")
 
@@ -131,7 +131,7 @@ def _check_method(plain: dict[str, Any]) -> None:
     method = table_of(plain["method"], _METHOD, "method")
     text(method["name"], "method.name", empty=True)
     for k in _list(method["seeds"], "method.seeds", MOST_GROUPS, least=1):
-        whole(k, "method.seeds")
+        integer(k, "method.seeds")
     if method["architecture"] is not None:
         text(method["architecture"], "method.architecture")
     for k in _list(method["weights"], "method.weights", MOST_GROUPS):

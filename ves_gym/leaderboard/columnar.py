@@ -37,14 +37,14 @@ def from_columns(plain: Any) -> list[Plain]:
     count, columns = plain["count"], plain["columns"]
     if type(count) is not int or not 0 <= count <= _MOST or not isinstance(columns, Mapping):
         raise ParameterError(f"entry.rows must have 0 to {_MOST} rows in columns")
-    whole = {}
+    full = {}
     for name, values in columns.items():
         if isinstance(values, list) and len(values) != count:
             raise ParameterError(
                 f"entry.rows: column {name!r:.80} has {len(values)} values for {count} rows"
             )
-        whole[name] = values if isinstance(values, list) else [values] * count
-    return [{name: values[k] for name, values in whole.items()} for k in range(count)]
+        full[name] = values if isinstance(values, list) else [values] * count
+    return [{name: values[k] for name, values in full.items()} for k in range(count)]
 
 
 def _short(values: list[Any]) -> Any:

@@ -26,7 +26,7 @@ class Account:
         self._system: System | None = None
         self._control: Control | None = None
 
-    def look(self, env: VesVectorEnv, fresh: Mask) -> None:
+    def observe(self, env: VesVectorEnv, fresh: Mask) -> None:
         """Keep the state before a step; `fresh` (n,): environments that are in an episode."""
         s = env.batch.scene
         self._system, self._control = env.task.system, env.task.control

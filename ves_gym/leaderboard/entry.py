@@ -38,7 +38,7 @@ ABOUT = ("versions", "cpu", "simd", "model", "evaluator", "settings", "training"
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """What `verify` hands to the journal. `rows` and `about` are plain data."""
+    """Result as `verify` hands it to the journal. `rows` and `about` are plain data."""
 
     schema: str = SCHEMA
     track: str
@@ -84,52 +84,52 @@ def check_entry(data: Any) -> Entry:
         ParameterError: what is missing, unknown, of the wrong kind or out of range.
     """
     names = tuple(Entry.__dataclass_fields__)
-    given = table_of(data, names, "entry")
-    if given["schema"] != SCHEMA:
-        raise ParameterError(f"entry.schema must be {SCHEMA!r}, got {given['schema']!r}")
-    for name, known in (
+    plain_entry = table_of(data, names, "entry")
+    if plain_entry["schema"] != SCHEMA:
+        raise ParameterError(f"entry.schema must be {SCHEMA!r}, got {plain_entry['schema']!r}")
+    for name, choices in (
         ("track", TRACKS),
         ("kind", KINDS),
         ("level", LEVELS),
         ("seeds", SEEDS),
     ):
-        if given[name] not in known:
+        if plain_entry[name] not in choices:
             raise ParameterError(
-                f"entry.{name} must be one of {', '.join(known)}, got {given[name]!r}"
+                f"entry.{name} must be one of {', '.join(choices)}, got {plain_entry[name]!r}"
             )
-    whole(given["protocol"], "entry.protocol", least=1)
+    integer(plain_entry["protocol"], "entry.protocol", least=1)
     for name in ("problem", "name", "author"):
-        text(given[name], f"entry.{name}", empty=name == "author")
-    if not (isinstance(given["bundle"], str) and DIGEST.fullmatch(given["bundle"])):
-        raise ParameterError(f"entry.bundle must be a SHA-256, got {given['bundle']!r}")
-    score = table_of(given["score"], ("name", "unit", "better"), "entry.score")
+        text(plain_entry[name], f"entry.{name}", empty=name == "author")
+    if not (isinstance(plain_entry["bundle"], str) and DIGEST.fullmatch(plain_entry["bundle"])):
+        raise ParameterError(f"entry.bundle must be a SHA-256, got {plain_entry['bundle']!r}")
+    score = table_of(plain_entry["score"], ("name", "unit", "better"), "entry.score")
     text(score["name"], "entry.score.name")
     text(score["unit"], "entry.score.unit")
     if score["better"] != "lower":
         raise ParameterError(f"entry.score.better must be 'lower', got {score['better']!r}")
-    rows = given["rows"]
+    rows = plain_entry["rows"]
     if not isinstance(rows, (list, tuple)) or not 0 < len(rows) <= _MOST:
         raise ParameterError(f"entry.rows must be a list of 1 to {_MOST} rows")
-    seen = set()
+    keys = set()
     for k, row in enumerate(rows):
         checked_row(row, f"entry.rows[{k}]")
         key = (row["group"], row["id"])
-        if key in seen:
+        if key in keys:
             raise ParameterError(
                 f"entry.rows[{k}]: {row['id']} of group {key[0]} is there twice"
             )
-        seen.add(key)
-    about = check_about(given["about"], ABOUT, "entry.about")
-    canonical_json(given)  # whatever else is in it
-    return Entry(**{**given, "score": score, "rows": tuple(rows), "about": about})
+        keys.add(key)
+    about = check_about(plain_entry["about"], ABOUT, "entry.about")
+    canonical_json(plain_entry)  # whatever else is in it
+    return Entry(**{**plain_entry, "score": score, "rows": tuple(rows), "about": about})
 
 
-def checked_row(row: Any, where: str, more: tuple[str, ...] = ()) -> dict[str, Any]:
-    """A row of an entry or, with `more` keys, of a manifest."""
-    plain = table_of(row, (*ROW, *more), where, OPTIONAL)
+def checked_row(row: Any, where: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
+    """A row of an entry or, with `extra` keys, of a manifest."""
+    plain = table_of(row, (*ROW, *extra), where, OPTIONAL)
     text(plain["id"], f"{where}.id")
     for name in ("seed", "group"):
-        whole(plain[name], f"{where}.{name}")
+        integer(plain[name], f"{where}.{name}")
     for name in ("success", "failed"):
         if not isinstance(plain[name], bool):
             raise ParameterError(f"{where}.{name} must be a truth value, got {plain[name]!r}")
@@ -147,21 +147,27 @@ def checked_row(row: Any, where: str, more: tuple[str, ...] = ()) -> dict[str, A
 
 
 def _check_curve(curve: Any, where: str) -> None:
-    wanted = f"{where} must be [[seconds, cost], ...], times rising and costs falling"
+    expected = f"{where} must be [[seconds, cost], ...], times rising and costs falling"
     if not isinstance(curve, (list, tuple)) or len(curve) > 10_000:
-        raise ParameterError(wanted)
+        raise ParameterError(expected)
     before = (0.0, math.inf)
     for point in curve:
         if not isinstance(point, (list, tuple)) or len(point) != 2:
-            raise ParameterError(wanted)
-        now = number(point[0], where), number(point[1], where)
-        if now[0] < before[0] or now[1] > before[1] or now[1] < 0:
-            raise ParameterError(wanted)
-        before = now
+            raise ParameterError(expected)
+        point_now = number(point[0], where), number(point[1], where)
+        if point_now[0] < before[0] or point_now[1] > before[1] or point_now[1] < 0:
+            raise ParameterError(expected)
+        before = point_now
 
 
 def check_about(about: Any, names: tuple[str, ...], where: str) -> dict[str, Any]:
-    """What is told of how a result came about."""
+    """Check the account of how a result came about.
+
+    Args:
+        about: plain data.
+        names: keys that must be there.
+        where: path of the entry, for the message.
+    """
     plain = table_of(about, names, where)
     versions = plain["versions"]
     if not isinstance(versions, Mapping):
@@ -221,7 +227,7 @@ def number(value: Any, where: str) -> float:
     return float(value)
 
 
-def whole(value: Any, where: str, least: int = 0) -> int:
+def integer(value: Any, where: str, least: int = 0) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value < 2**63:
         raise ParameterError(f"{where} must be a whole number >= {least}, got {value!r:.80}")
     return value
@@ -230,12 +236,12 @@ def whole(value: Any, where: str, least: int = 0) -> int:
 def instant(value: Any, where: str) -> datetime:
     """A time with its zone, ISO 8601."""
     try:
-        found = datetime.fromisoformat(value)
+        moment = datetime.fromisoformat(value)
     except (TypeError, ValueError):
-        found = None
-    if found is None or found.tzinfo is None:
+        moment = None
+    if moment is None or moment.tzinfo is None:
         raise ParameterError(f"{where} must be a time such as 2026-01-31T12:00:00+00:00")
-    return found
+    return moment
 
 
 def plain_data(value: Any, where: str, depth: int = _DEPTH) -> None:

@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Code(Enum):
-    """What is wrong with a bundle; the text is its meaning (docs/leaderboard.md)."""
+    """Faults of a bundle; the text is the meaning (docs/leaderboard.md)."""
 
     UNSAFE_ARCHIVE = "a link, a path, a name or a size that no bundle has, or no archive at all"
     MISSING_MEMBER = "a file that the bundle needs is not in it"
@@ -44,7 +44,7 @@ class Code(Enum):
         return self.name.lower().replace("_", "-")
 
 
-class Rejection(Exception):
+class BundleError(Exception):
     """A bundle that is refused."""
 
     def __init__(self, code: Code, why: str) -> None:

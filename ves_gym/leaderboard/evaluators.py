@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from ves_gym._util.params import ParameterError, content_hash
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.protocol import (
     PROTOCOL,
     VERSIONS,
@@ -109,7 +109,7 @@ def history_reason(entry: Plain) -> str | None:
 
 
 def require_same(problem: Problem, evaluator: str) -> None:
-    """Raise a Rejection (EVALUATOR_MISMATCH) unless a bundle is of the present version.
+    """Raise a BundleError (EVALUATOR_MISMATCH) unless a bundle is of the present version.
 
     Args:
         problem: what the bundle answers.
@@ -123,7 +123,7 @@ def require_same(problem: Problem, evaluator: str) -> None:
         why = f"{evaluator[:12]} is no known evaluator of {problem.base}: make the bundle again"
     else:
         why = f"version {there} of {problem.base} then, {present} now"
-    raise Rejection(Code.EVALUATOR_MISMATCH, why)
+    raise BundleError(Code.EVALUATOR_MISMATCH, why)
 
 
 def _version(text: str) -> Version:

@@ -41,12 +41,12 @@ def environment(id: str) -> dict[str, Any]:
     spec = gym.spec(id)
     settings = {k: v for k, v in spec.kwargs.items() if k != "goal"}
     task = build_task(**settings)
-    told = {"task": task.to_dict(), "goal": bool(spec.kwargs.get("goal", False))}
-    return {"id": id, "version": spec.version, "spec": content_hash(told)}
+    described = {"task": task.to_dict(), "goal": bool(spec.kwargs.get("goal", False))}
+    return {"id": id, "version": spec.version, "spec": content_hash(described)}
 
 
 def package_versions() -> dict[str, str]:
-    """What is installed of what a result depends on."""
+    """Return the installed versions on which a result depends."""
     out = {"ves_gym": __version__, "python": platform.python_version()}
     for name in _PACKAGES:
         try:
@@ -82,9 +82,14 @@ def simd() -> str:
 
 
 def same_machine(about: Mapping[str, Any], ignore: Sequence[str] = ()) -> bool:
-    """Whether bits must agree: the same engine, made for the same instruction sets."""
-    here = package_versions()
+    """Return True if bits must agree: the same engine, made for the same instruction sets.
+
+    Args:
+        about: of a bundle.
+        ignore: packages whose version does not matter.
+    """
+    ours = package_versions()
     there = about["versions"]
     return about["simd"] == simd() and all(
-        there.get(k) == here.get(k) for k in ENGINE if k not in ignore
+        there.get(k) == ours.get(k) for k in ENGINE if k not in ignore
     )

@@ -56,11 +56,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Journal:
-    """What a journal holds.
-
-    `records`: the lines before the first broken one; `problems`: one sentence per broken line,
-    none where the chain holds; `torn`: bytes after the last whole line.
-    """
+    """Records of a journal, and the faults in its file."""
 
     records: tuple[Record, ...]
     problems: tuple[str, ...] = ()
@@ -139,9 +135,9 @@ def _body(index: int, previous: str, entry: Mapping[str, Any]) -> dict[str, Any]
 
 def _sound(path: Path_, journal: Journal) -> Journal:
     if journal.problems:
-        more = len(journal.problems) - 1
-        rest = f" (and {more} more)" if more else ""
-        raise JournalError(f"{path}: {journal.problems[0]}{rest}")
+        others = len(journal.problems) - 1
+        suffix = f" (and {others} more)" if others else ""
+        raise JournalError(f"{path}: {journal.problems[0]}{suffix}")
     return journal
 
 
@@ -151,17 +147,17 @@ def _checked(data: bytes, head: str | None) -> Journal:
     problems: list[str] = []
     previous, index = FIRST, 0
     for number, line in enumerate(lines, 1):
-        found = _parse(line)
-        if isinstance(found, str):
-            problems.append(f"line {number}: {found}")
+        record = _parse(line)
+        if isinstance(record, str):
+            problems.append(f"line {number}: {record}")
             previous, index = "", index + 1
             continue
-        problem = _problem(found, index, previous)
+        problem = _problem(record, index, previous)
         if problem:
             problems.append(f"line {number}: {problem}")
         elif not problems:
-            records.append(found)
-        previous, index = found.hash, found.index + 1
+            records.append(record)
+        previous, index = record.hash, record.index + 1
     if head is not None and previous != head:
         problems.append(
             f"line {len(lines)}: the last hash is {previous[:12] or 'unknown'}, expected"

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 
 from ves_gym._util.params import Array
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.system.energy import TAIL
@@ -36,11 +36,13 @@ def require_energies(row: Mapping[str, Any]) -> None:
     for name in ("E_mean", "E_peak", "E_res", "E_int"):
         value = row.get(name)
         if value is not None and value < 0:
-            raise Rejection(Code.BELOW_FLOOR, f"{row['id']}: {name} is {value:.6g}, below zero")
+            raise BundleError(
+                Code.BELOW_FLOOR, f"{row['id']}: {name} is {value:.6g}, below zero"
+            )
     peak = row.get("E_peak")
     value = row.get("E_res")
     if peak is not None and value is not None and value > peak * (1 + _ROUNDING):
-        raise Rejection(
+        raise BundleError(
             Code.BELOW_FLOOR, f"{row['id']}: E_peak {peak:.6g} J is below E_res {value:.6g} J"
         )
 
@@ -48,7 +50,7 @@ def require_energies(row: Mapping[str, Any]) -> None:
 def require_path(row: Mapping[str, Any], least: float) -> None:
     """Refuse a motion that disturbs the base less than `path_floor`."""
     if row["E_mean"] is not None and row["E_mean"] < least:
-        raise Rejection(
+        raise BundleError(
             Code.BELOW_FLOOR,
             f"{row['id']}: E_mean {row['E_mean']:.3g} J, momentum permits {least:.3g} J",
         )

@@ -14,7 +14,7 @@ import struct
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 
 _MAGIC = b"\x93NUMPY\x01\x00"
 _LONGEST = 1024  # bytes of a header
@@ -36,18 +36,18 @@ def unpack(data: bytes, name: str, shape: tuple[int | None, ...]) -> Array:
         shape: None where any length will do.
 
     Raises:
-        Rejection: BAD_ACTION, it is no such array or not finite.
+        BundleError: BAD_ACTION, it is no such array or not finite.
     """
-    found, body = _header(data, name)
-    good = len(found) == len(shape) and all(
-        want is None or have == want for have, want in zip(found, shape, strict=True)
+    shape_in, body = _header(data, name)
+    good = len(shape_in) == len(shape) and all(
+        want is None or have == want for have, want in zip(shape_in, shape, strict=True)
     )
     if not good:
-        wanted = tuple("any" if k is None else k for k in shape)
-        raise _bad(f"{name} must have the shape {wanted}, got {found}")
-    if len(body) != 8 * math.prod(found):
-        raise _bad(f"{name}: {len(body)} bytes are no array of shape {found}")
-    values: Array = np.frombuffer(body, "<f8").astype(np.float64).reshape(found)
+        expected = tuple("any" if k is None else k for k in shape)
+        raise _bad(f"{name} must have the shape {expected}, got {shape_in}")
+    if len(body) != 8 * math.prod(shape_in):
+        raise _bad(f"{name}: {len(body)} bytes are no array of shape {shape_in}")
+    values: Array = np.frombuffer(body, "<f8").astype(np.float64).reshape(shape_in)
     if not np.isfinite(values).all():
         raise _bad(f"{name} is not finite at {np.argwhere(~np.isfinite(values))[0].tolist()}")
     return values
@@ -70,13 +70,13 @@ def _header(data: bytes, name: str) -> tuple[tuple[int, ...], bytes]:
     if header["descr"] != "<f8" or header["fortran_order"] is not False:
         raise _bad(f"{name} must hold float64, little endian, in C order")
     shape = header["shape"]
-    whole = isinstance(shape, tuple) and all(
+    integral = isinstance(shape, tuple) and all(
         isinstance(k, int) and not isinstance(k, bool) and 0 <= k < 2**40 for k in shape
     )
-    if not whole:
+    if not integral:
         raise _bad(f"{name}: no shape: {str(shape)[:80]}")
     return shape, data[start + size :]
 
 
-def _bad(why: str) -> Rejection:
-    return Rejection(Code.BAD_ACTION, why)
+def _bad(why: str) -> BundleError:
+    return BundleError(Code.BAD_ACTION, why)

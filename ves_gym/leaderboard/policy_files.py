@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ves_gym._util.params import read_table
 from ves_gym.baselines.policy import Policy, load_policy
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.tracks.base import Method
 
 ARCHITECTURES = ("mlp",)  # of `baselines/policy.py`: dense layers, tanh or ReLU
@@ -25,10 +25,10 @@ def policies_of(method: Method, members: Mapping[str, bytes]) -> list[Policy]:
     """The policies in a bundle's files.
 
     Raises:
-        Rejection: UNKNOWN_ARCHITECTURE, HASH_MISMATCH, BAD_WEIGHTS.
+        BundleError: UNKNOWN_ARCHITECTURE, HASH_MISMATCH, BAD_WEIGHTS.
     """
     if method.architecture not in ARCHITECTURES:
-        raise Rejection(
+        raise BundleError(
             Code.UNKNOWN_ARCHITECTURE,
             f"must be one of {', '.join(ARCHITECTURES)}, got {str(method.architecture)[:80]!r}",
         )
@@ -37,7 +37,9 @@ def policies_of(method: Method, members: Mapping[str, bytes]) -> list[Policy]:
         for group, digest in enumerate(method.weights):
             named, weights = policy_names(group)
             if hashlib.sha256(members[weights]).hexdigest() != digest:
-                raise Rejection(Code.HASH_MISMATCH, f"{weights}: not the weights of the method")
+                raise BundleError(
+                    Code.HASH_MISMATCH, f"{weights}: not the weights of the method"
+                )
             for name in (named, weights):
                 (Path(folder) / name).write_bytes(members[name])
             out.append(_policy(Path(folder) / named))
@@ -49,19 +51,20 @@ def _policy(path: Path) -> Policy:
         table = read_table(path)
         network = table.get("network")
         kinds = {"activation": ("tanh", "relu"), "output": ("clip", "tanh")}
-        for key, known in kinds.items():
-            if isinstance(network, dict) and network.get(key, known[0]) not in known:
-                raise Rejection(
+        for key, choices in kinds.items():
+            if isinstance(network, dict) and network.get(key, choices[0]) not in choices:
+                raise BundleError(
                     Code.UNKNOWN_ARCHITECTURE,
-                    f"{key} must be one of {', '.join(known)}, got {str(network[key])[:80]!r}",
+                    f"{key} must be one of {', '.join(choices)}, got"
+                    f" {str(network[key])[:80]!r}",
                 )
         if table.get("schema") != "ves-policy/1":
-            raise Rejection(
+            raise BundleError(
                 Code.UNKNOWN_ARCHITECTURE, f"schema {str(table.get('schema'))[:80]!r}"
             )
         return load_policy(path)
-    except Rejection:
+    except BundleError:
         raise
     except Exception as error:  # the parsers' own, whatever a file made them raise
         why = f"{path.name}: {type(error).__name__}: {str(error).replace(str(path.parent), '')}"
-        raise Rejection(Code.BAD_WEIGHTS, why[:300]) from None
+        raise BundleError(Code.BAD_WEIGHTS, why[:300]) from None

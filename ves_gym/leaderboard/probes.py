@@ -23,7 +23,7 @@ from ves_gym._util.params import Array, ParameterError, content_hash, to_plain
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.leaderboard import lower_bounds, protocol
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.evaluators import version_of
 from ves_gym.leaderboard.npy_io import pack
 from ves_gym.leaderboard.protocol import PROTOCOL, Problem, seeds_of
@@ -69,21 +69,21 @@ class Deviation(NamedTuple):
 
 def probes_of(problem: Problem) -> dict[str, Measure]:
     """Return the probes of a problem by name; those of `stored_results.probe_names`."""
-    whole = Problem(problem.track, problem.base)
-    id = whole.environment
+    full = Problem(problem.track, problem.base)
+    id = full.environment
     experiments: dict[str, Measure] = {
-        f"rules-{whole.track}": lambda: rules(whole),
-        "queries": lambda: queries(whole),
-        "motions": lambda: motions(whole),
-        "releases": lambda: releases(whole),
+        f"rules-{full.track}": lambda: rules(full),
+        "queries": lambda: queries(full),
+        "motions": lambda: motions(full),
+        "releases": lambda: releases(full),
         "answers": answers,
         "case": case,
         "effects": effects,
     }
     if id is not None:
         experiments["episode"] = lambda: episode(id)
-        experiments[f"evaluation-{whole.track}"] = lambda: evaluation(whole)
-    return {name: experiments[name.partition("/")[2]] for name in probe_names(whole)}
+        experiments[f"evaluation-{full.track}"] = lambda: evaluation(full)
+    return {name: experiments[name.partition("/")[2]] for name in probe_names(full)}
 
 
 def rules(problem: Problem) -> Plain:
@@ -157,16 +157,17 @@ def episode(id: str) -> Plain:
         "ended": [],
     }
     scale = np.concatenate([field.scale for field in task.fields()])
-    shown = True
+    faithful = True
     for step in range(_STEPS):
         if step % _EVERY == 0:
             # before it is rounded to single precision, of which 1e-9 cannot be asked
             exact = np.concatenate(task.observe(batch.scene), axis=1)[0]
             out["observed"].append(exact.tolist())
-            told = np.sort(np.concatenate([observation[k] for k in sorted(observation)])) if (
-                isinstance(observation, dict)) else np.sort(observation)  # fmt: skip
+            if isinstance(observation, dict):
+                observation = np.concatenate([observation[k] for k in sorted(observation)])
+            observed = np.sort(observation)
             clipped = np.sort(np.clip(exact / scale, -task.CLIP, task.CLIP))
-            shown &= bool(np.abs(told - clipped).max() < 1e-5)
+            faithful &= bool(np.abs(observed - clipped).max() < 1e-5)
         action = pattern(step, batch.width)
         observation, reward, terminated, truncated, info = env.step(action)
         out["reward"].append(float(reward))
@@ -175,7 +176,7 @@ def episode(id: str) -> Plain:
         if terminated or truncated:
             break
     out["clipped"] = int(info["clipped"])
-    out["shown as observed"] = shown
+    out["shown as observed"] = faithful
     env.close()
     return out
 
@@ -221,13 +222,13 @@ def evaluation(problem: Problem) -> Plain:
     excerpt = Excerpt(problem.track, problem.name)
     track: Any = get_track(problem.track)
     seeds, method = seeds_of(problem, None), Method(kind="controller", name="rehearsed")
-    answered = track.run(excerpt, seeds, [Rehearsed()], method, {})
+    answers = track.run(excerpt, seeds, [Rehearsed()], method, {})
     id = problem.environment
     assert id is not None
     measured = evaluate(Rehearsed(), id, episodes=_EPISODES, seed=seeds.root)
     return {
         "seeds": track.seed_list(excerpt, seeds),
-        "rows": [_named(row) for row in answered.rows],
+        "rows": [_named(row) for row in answers.rows],
         "returns": [row["return"] for row in measured.rows],
     }
 
@@ -235,16 +236,16 @@ def evaluation(problem: Problem) -> Plain:
 def queries(problem: Problem) -> Plain:
     """Return the first questions of a suite, its last one, and what no motion can undercut."""
     suite = _paths().queries(problem, seeds_of(problem, None))
-    some = [*suite[:_QUERIES], suite[-1]]
+    chosen = [*suite[:_QUERIES], suite[-1]]
     return {
         "number": len(suite),
-        "names": [q.name for q in some],
-        "ends": [[*q.start, *q.goal] for q in some],
-        "durations": [q.duration for q in some],
-        "speed limits": [list(q.v_max or ()) for q in some],
-        "obstacles": _numbers([to_plain(q.surroundings) for q in some]),
+        "names": [q.name for q in chosen],
+        "ends": [[*q.start, *q.goal] for q in chosen],
+        "durations": [q.duration for q in chosen],
+        "speed limits": [list(q.v_max or ()) for q in chosen],
+        "obstacles": _numbers([to_plain(q.surroundings) for q in chosen]),
         "lower bounds": [
-            lower_bounds.path_floor(q.system, q.ends[0], q.ends[1], q.duration) for q in some
+            lower_bounds.path_floor(q.system, q.ends[0], q.ends[1], q.duration) for q in chosen
         ],
     }
 
@@ -256,18 +257,18 @@ def motions(problem: Problem) -> Plain:
 
     excerpt = Excerpt(problem.track, problem.name, _QUERIES)
     track, seeds = _paths(), seeds_of(problem, None)
-    asked = track.queries(excerpt, seeds)
-    every = [_beside(query, bump) for bump in _BUMPS for query in asked]
+    queries_in = track.queries(excerpt, seeds)
+    every = [_beside(query, bump) for bump in _BUMPS for query in queries_in]
     method = Method(kind="planner", name="fixed", seeds=tuple(range(len(_BUMPS))))
     claimed: list[Plain] = [{"length": len(m.control)} for m in every]
     data = pack(np.concatenate([np.array(m.control) for m in every]))
     rows = track.replay(excerpt, seeds, method, claimed, data)
-    pairs = list(zip(asked * len(_BUMPS), every, strict=True))
+    pairs = list(zip(queries_in * len(_BUMPS), every, strict=True))
     return {
         "rows": [_named(row) for row in rows],
         # near the straight line: rounding moves predictions of wilder motions by up to 2e-10
         "predicted": [
-            predict(q.system, m, q.servo).to_dict() for q, m in pairs[: 2 * len(asked)]
+            predict(q.system, m, q.servo).to_dict() for q, m in pairs[: 2 * len(queries_in)]
         ],
         "inside the limits": [broken_limit(q, m) is None for q, m in pairs],
         "shares of the limits": [
@@ -314,20 +315,20 @@ def answers() -> Plain:
     moved = {**viscous, "slot": "joint 1"}
     truths = {
         category: {"index": 0, "category": category, "variant": "", "effects": [
-            {**k, "wanted": 3.0, "reached": 3.0} for k in some]}
-        for category, some in (
+            {**k, "wanted": 3.0, "reached": 3.0} for k in chosen]}
+        for category, chosen in (
             ("null", []), ("single", [viscous]), ("pair", [viscous, other]),
             ("weak", [viscous]), ("outside", [{**viscous, "kind": "outside/packet_loss"}]),
         )
     }  # fmt: skip
-    given = {"none": [], "right": [viscous], "both": [viscous, other], "joint": [moved],
+    cases = {"none": [], "right": [viscous], "both": [viscous, other], "joint": [moved],
              "kind": [other]}  # fmt: skip
     out: Plain = {"verdicts": list(VERDICTS)}
     for category, label in truths.items():
         out[category] = {
-            f"{verdict}, {name}": _judged(is_correct, ScoredCase(label, verdict, some, {}))
+            f"{verdict}, {name}": _judged(is_correct, ScoredCase(label, verdict, chosen, {}))
             for verdict in VERDICTS
-            for name, some in given.items()
+            for name, chosen in cases.items()
         }
     return out
 
@@ -387,9 +388,9 @@ def _blind_runner() -> Any:
 
 
 def _paths() -> Any:
-    from ves_gym.leaderboard.tracks.paths import Paths
+    from ves_gym.leaderboard.tracks.paths import PathTrack
 
-    return Paths()
+    return PathTrack()
 
 
 def _beside(query: Any, bump: float) -> Motion:
@@ -425,12 +426,12 @@ def _named(row: Mapping[str, Any]) -> Plain:
 
 def measure(problem: Problem, name: str) -> Plain:
     """Run a probe of a problem; the result is as JSON would give it back."""
-    known = probes_of(problem)
-    if name not in known:
-        raise ParameterError(f"probe must be one of {', '.join(known)}, got {name!r}")
+    available = probes_of(problem)
+    if name not in available:
+        raise ParameterError(f"probe must be one of {', '.join(available)}, got {name!r}")
     # sums over more than one thread would end in other bits every time
     with threadpool_limits(1, user_api="blas"), np.errstate(all="ignore"):
-        out: Plain = json.loads(json.dumps(known[name](), allow_nan=False))
+        out: Plain = json.loads(json.dumps(available[name](), allow_nan=False))
     return out
 
 
@@ -501,10 +502,10 @@ def first_difference(problem: Problem) -> tuple[str, Deviation] | None:
 
     A probe runs once per process.
     """
-    whole = Problem(problem.track, problem.base)
-    for name, stored in golden(whole).items():
+    full = Problem(problem.track, problem.base)
+    for name, stored in golden(full).items():
         try:
-            deviation = compare(stored, _once(whole, name))
+            deviation = compare(stored, _once(full, name))
         except Exception as error:  # code that cannot even run it is another evaluator
             why = f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
             return name, Deviation(why, math.inf, False)
@@ -519,12 +520,12 @@ def bits(problem: Problem) -> str:
     The same version computes other last bits on another processor, with other packages, or
     after its sums were written in another order.
     """
-    whole = Problem(problem.track, problem.base)
-    return content_hash({name: _once(whole, name) for name in probe_names(whole)})[:16]
+    full = Problem(problem.track, problem.base)
+    return content_hash({name: _once(full, name) for name in probe_names(full)})[:16]
 
 
 def require_behaviour(problem: Problem) -> None:
-    """Raise a Rejection (EVALUATOR_CHANGED) where the code is not the version it says.
+    """Raise a BundleError (EVALUATOR_CHANGED) where the code is not the version it says.
 
     The probes of the problem run once per process.
     """
@@ -533,7 +534,7 @@ def require_behaviour(problem: Problem) -> None:
         return
     name, deviation = difference
     size = f" by {deviation.size:.3g} of its size" if math.isfinite(deviation.size) else ""
-    raise Rejection(
+    raise BundleError(
         Code.EVALUATOR_CHANGED,
         f"probe {name}: {deviation.where} differs{size} from version {version_of(problem)} of"
         f" {problem.base}",

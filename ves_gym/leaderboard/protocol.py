@@ -65,7 +65,7 @@ KINDS = {
 
 
 class Seeds(NamedTuple):
-    """Where a problem's questions come from."""
+    """Origin of a problem's questions."""
 
     which: str  # public or official
     root: int
@@ -81,7 +81,7 @@ class Problem:
 
     @property
     def quick(self) -> bool:
-        """Whether it is the short one."""
+        """True of the short form."""
         return self.name.endswith(QUICK)
 
     @property
@@ -129,12 +129,12 @@ def problems(track: str) -> tuple[str, ...]:
 
 def get_problem(track: str, name: str) -> Problem:
     """A problem by track and name."""
-    known = problems(track)
-    if name not in known:
-        shown = ", ".join(k for k in known if not k.endswith(QUICK))
+    names = problems(track)
+    if name not in names:
+        listed = ", ".join(k for k in names if not k.endswith(QUICK))
         raise ParameterError(
-            f"problem of track {track} must be one of {shown}, or with {QUICK} after it, got"
-            f" {name!r:.80}{did_you_mean(name, known)}"
+            f"problem of track {track} must be one of {listed}, or with {QUICK} after it, got"
+            f" {name!r:.80}{did_you_mean(name, names)}"
         )
     return Problem(track, name)
 
@@ -180,7 +180,7 @@ def _derived(salt: str, problem: Problem) -> int:
 
 
 def salt_mark(salt: str) -> str:
-    """What says which salt it was."""
+    """Return a mark that tells salts apart and gives none away."""
     return _keyed(salt, "ves-leaderboard/mark").hex()
 
 

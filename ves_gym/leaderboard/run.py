@@ -18,7 +18,7 @@ from ves_gym.baselines.registry import get_controller
 from ves_gym.leaderboard import evaluators, fingerprint
 from ves_gym.leaderboard.archive import MANIFEST, write_members
 from ves_gym.leaderboard.bundle import SCHEMA, digest, sealed
-from ves_gym.leaderboard.errors import Rejection
+from ves_gym.leaderboard.errors import BundleError
 from ves_gym.leaderboard.policy_files import ARCHITECTURES, policy_names
 from ves_gym.leaderboard.probes import BITS, bits, require_behaviour
 from ves_gym.leaderboard.protocol import (
@@ -29,11 +29,17 @@ from ves_gym.leaderboard.protocol import (
     get_problem,
     seeds_of,
 )
-from ves_gym.leaderboard.tracks.base import Answers, Method, Progress, Track, repeated
-from ves_gym.leaderboard.tracks.damping import Damping
-from ves_gym.leaderboard.tracks.diagnosis import Naming
-from ves_gym.leaderboard.tracks.paths import Paths
-from ves_gym.leaderboard.tracks.policies import Episodes, chosen_settings
+from ves_gym.leaderboard.tracks.base import (
+    Answers,
+    LeaderboardTrack,
+    Method,
+    Progress,
+    repeated,
+)
+from ves_gym.leaderboard.tracks.damping import DampingTrack
+from ves_gym.leaderboard.tracks.diagnosis import DiagnosisTrack
+from ves_gym.leaderboard.tracks.paths import PathTrack
+from ves_gym.leaderboard.tracks.policies import PolicyTrack, chosen_settings
 from ves_gym.leaderboard.tracks.registry import get_track
 from ves_gym.planners.query import Planner
 from ves_gym.planners.registry import get_planner
@@ -64,21 +70,21 @@ def make_bundle(
         seeds: of the method: one group of rows each. Policies: one per file, as told by them.
         salt: of the official seeds; None for the public ones.
         training: what it took to make the method, plain data; default what policies tell.
-        folder, workers: see `Naming` and `Paths`.
+        folder, workers: see `DiagnosisTrack` and `PathTrack`.
 
     Returns:
         The path.
     """
-    asked = get_problem(track, problem)
-    drawn = seeds_of(asked, salt)
+    question = get_problem(track, problem)
+    drawn = seeds_of(question, salt)
     try:
-        require_behaviour(asked)
-    except Rejection as error:  # of what nobody would accept, sooner than hours later
+        require_behaviour(question)
+    except BundleError as error:  # of what nobody would accept, sooner than hours later
         raise ParameterError(error.why) from None
     rules = get_track(track, folder, workers)
-    begun = _now()
+    begun = _timestamp()
     with threadpool_limits(1, user_api="blas"):  # as `verify` does
-        answers, told = _answered(rules, asked, drawn, method, tuple(seeds), progress)
+        answers, described = _answer(rules, question, drawn, method, tuple(seeds), progress)
     if (twice := repeated(answers.rows, len(answers.method.seeds))) is not None:
         raise ParameterError(
             f"groups {twice[0]} and {twice[1]} are the same to the last bit, and one of them"
@@ -89,37 +95,44 @@ def make_bundle(
         "track": track,
         "protocol": PROTOCOL[track],
         "problem": problem,
-        "name": name or answers.method.name or told.get("name", ""),
+        "name": name or answers.method.name or described.get("name", ""),
         "author": author,
         "kind": answers.method.kind,
         "seeds": {
             "which": drawn.which,
             "mark": drawn.mark,
-            "list": rules.seed_list(asked, drawn),
+            "list": rules.seed_list(question, drawn),
         },
-        "spec": spec_of(rules, asked),
+        "spec": spec_of(rules, question),
         "method": {k: v for k, v in to_plain(vars(answers.method)).items() if k != "kind"},
         "members": {},
         "rows": answers.rows,
         "about": {
-            "versions": fingerprint.package_versions() | {BITS: bits(asked)},
+            "versions": fingerprint.package_versions() | {BITS: bits(question)},
             "cpu": fingerprint.cpu_model(),
             "simd": fingerprint.simd(),
-            "settings": told.get("settings", {}),
-            "training": dict(training) if training is not None else told.get("training", {}),
+            "settings": described.get("settings", {}),
+            "training": dict(training)
+            if training is not None
+            else described.get("training", {}),
             "begun": begun,
-            "ended": _now(),
+            "ended": _timestamp(),
         },
     }
-    members = {rules.payload(asked): answers.payload, **answers.members}
+    members = {rules.payload(question): answers.payload, **answers.members}
     manifest["members"] = {
         k: {"bytes": len(data), "sha256": digest(data)} for k, data in members.items()
     }
     return write_members(path, {**members, MANIFEST: sealed(manifest)})
 
 
-def spec_of(rules: Track, problem: Problem) -> dict[str, Any]:
-    """What an answer to a problem depends on, as hashes."""
+def spec_of(rules: LeaderboardTrack, problem: Problem) -> dict[str, Any]:
+    """Return the hashes of all that an answer to a problem depends on.
+
+    Args:
+        rules: its track.
+        problem: the problem.
+    """
     system = rules.system(problem)
     id = problem.environment
     return {
@@ -130,44 +143,44 @@ def spec_of(rules: Track, problem: Problem) -> dict[str, Any]:
     }
 
 
-def _answered(
-    rules: Track,
+def _answer(
+    rules: LeaderboardTrack,
     problem: Problem,
     drawn: Seeds,
     method: Any,
     seeds: tuple[int, ...],
-    tell: Progress,
+    on_progress: Progress,
 ) -> tuple[Answers, dict[str, Any]]:
     if not 1 <= len(seeds) <= MOST_GROUPS or len(set(seeds)) < len(seeds):
         raise ParameterError(f"seeds must be 1 to {MOST_GROUPS} different ones, got {seeds}")
-    if isinstance(rules, Paths):
+    if isinstance(rules, PathTrack):
         planner = get_planner(method) if isinstance(method, str) else method
-        found = Method(kind="planner", name=planner.name, seeds=seeds)
-        return rules.run(problem, drawn, planner, found, tell), {}
-    if isinstance(rules, Naming):
-        found = Method(kind="selector", name=str(method))
-        return rules.run(problem, drawn, found, tell), {}
+        chosen = Method(kind="planner", name=planner.name, seeds=seeds)
+        return rules.run(problem, drawn, planner, chosen, on_progress), {}
+    if isinstance(rules, DiagnosisTrack):
+        chosen = Method(kind="selector", name=str(method))
+        return rules.run(problem, drawn, chosen, on_progress), {}
     if problem.environment is None:
-        assert isinstance(rules, Damping)
-        found = Method(kind="gains", name=str(method), seeds=seeds)
-        return rules.run_tuner(problem, drawn, found, tell), {}
-    assert isinstance(rules, Episodes)
-    own = hasattr(method, "act")
-    if own or isinstance(method, str):
-        some = [method] if own else [get_controller(method, seed) for seed in seeds]
-        found = Method(
+        assert isinstance(rules, DampingTrack)
+        chosen = Method(kind="gains", name=str(method), seeds=seeds)
+        return rules.run_tuner(problem, drawn, chosen, on_progress), {}
+    assert isinstance(rules, PolicyTrack)
+    is_controller = hasattr(method, "act")
+    if is_controller or isinstance(method, str):
+        agents = [method] if is_controller else [get_controller(method, seed) for seed in seeds]
+        chosen = Method(
             kind="controller",
-            name=some[0].name,
-            seeds=seeds[: len(some)],
-            settings=chosen_settings(some[0], problem.environment),
+            name=agents[0].name,
+            seeds=seeds[: len(agents)],
+            settings=chosen_settings(agents[0], problem.environment),
         )
-        told = {"settings": {"privileged": bool(some[0].privileged)}}
-        return rules.run(problem, drawn, some, found, {}, tell), told
-    return _policies(rules, problem, drawn, [Path(p) for p in method], tell)
+        described = {"settings": {"privileged": bool(agents[0].privileged)}}
+        return rules.run(problem, drawn, agents, chosen, {}, on_progress), described
+    return _policies(rules, problem, drawn, [Path(p) for p in method], on_progress)
 
 
 def _policies(
-    rules: Episodes, problem: Problem, drawn: Seeds, files: list[Path], tell: Progress
+    rules: PolicyTrack, problem: Problem, drawn: Seeds, files: list[Path], on_progress: Progress
 ) -> tuple[Answers, dict[str, Any]]:
     if not 1 <= len(files) <= MOST_GROUPS:
         raise ParameterError(f"a bundle holds 1 to {MOST_GROUPS} policies, got {len(files)}")
@@ -185,20 +198,20 @@ def _policies(
         weights.append(hashlib.sha256(members[data]).hexdigest())
     told_seeds = [p.about.get("seed") for p in policies]
     seeds = [k for k in told_seeds if isinstance(k, int) and k >= 0]
-    known = len(seeds) == len(files) and len(set(seeds)) == len(seeds)
+    distinct = len(seeds) == len(files) and len(set(seeds)) == len(seeds)
     method = Method(
         kind="policy",
-        seeds=tuple(seeds) if known else tuple(range(len(files))),
+        seeds=tuple(seeds) if distinct else tuple(range(len(files))),
         architecture=ARCHITECTURES[0],
         weights=tuple(weights),
         settings=choices[0],
     )
     about = policies[0].about
     training = {k: about[k] for k in ("algorithm", "steps", "env") if k in about}
-    told = {"name": str(about.get("algorithm", policies[0].name)), "training": training}
+    described = {"name": str(about.get("algorithm", policies[0].name)), "training": training}
     controllers: list[Controller] = list(policies)
-    return rules.run(problem, drawn, controllers, method, members, tell), told
+    return rules.run(problem, drawn, controllers, method, members, on_progress), described
 
 
-def _now() -> str:
+def _timestamp() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")

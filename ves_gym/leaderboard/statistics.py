@@ -106,7 +106,7 @@ def score(entries: Sequence[Entry]) -> Estimate:
 
 
 def statistic(entry: Entry) -> Statistic:
-    """What makes one score of many: interquartile mean, or the mean of what is 0 or 1."""
+    """Return the statistic of an entry's scores: interquartile mean, or the mean of 0 and 1."""
     return STATISTICS[STATISTIC[entry["track"]]]
 
 
@@ -133,16 +133,16 @@ def thresholds(entries: Sequence[Entry], points: int = 61) -> Array:
     One in three is spaced evenly (geometrically where all are above zero), the others are
     quantiles of all scores.
     """
-    found = np.concatenate([values(e).ravel() for e in entries])
-    found = found[np.isfinite(found)]
-    if not len(found):
+    scores = np.concatenate([values(e).ravel() for e in entries])
+    scores = scores[np.isfinite(scores)]
+    if not len(scores):
         return np.array([0.0, 1.0])
-    low, high = float(found.min()), float(found.max())
+    low, high = float(scores.min()), float(scores.max())
     if low == high:  # some room to either side
         return np.array([low - 0.5 * (abs(low) or 1.0), low, high + 0.5 * (abs(high) or 1.0)])
     space = np.geomspace if low > 0 else np.linspace
     even = space(low, high, points // 3)[1:-1]
-    dense = np.quantile(found, np.linspace(0, 1, points - len(even)), method="nearest")
+    dense = np.quantile(scores, np.linspace(0, 1, points - len(even)), method="nearest")
     return np.unique(np.concatenate([even, dense]))
 
 
@@ -168,9 +168,9 @@ def anytime(entry: Entry, at: Array) -> Array:
         if row["score"] is None or not row.get("anytime"):
             continue
         seconds, cost = np.array(row["anytime"], float).T
-        found = np.searchsorted(seconds, at, side="right") - 1
+        latest = np.searchsorted(seconds, at, side="right") - 1
         scale = row["score"] / cost[-1] if cost[-1] > 0 else 1.0
-        stood[k, found >= 0] = scale * cost[found[found >= 0]]
+        stood[k, latest >= 0] = scale * cost[latest[latest >= 0]]
     return iqm(stood.T)
 
 
@@ -199,25 +199,18 @@ def _wins(a: Entry, b: Entry) -> Array:
 
 
 def standings(candidates: Sequence[Sequence[Entry]]) -> list[Standing]:
-    """Where each candidate stands, on the same draws: what is hard for all moves none.
-
-    Args:
-        candidates: each its entries of the same problems in the same order.
-
-    Raises:
-        ParameterError: they did not play the same episodes.
-    """
+    """Return the standing of each candidate on the same draws: what is hard moves none."""
     played = [[(e["problem"], episodes(e)) for e in entries] for entries in candidates]
-    for entries, one in zip(candidates, played, strict=True):
-        if one != played[0]:
+    for entries, cases in zip(candidates, played, strict=True):
+        if cases != played[0]:
             raise ParameterError(
                 f"{_name(entries[0])} and {_name(candidates[0][0])} did not play the same"
                 " episodes"
             )
     of = statistic(candidates[0][0])
     strata = [[values(e) for e in entries] for entries in candidates]
-    value = [float(of(np.concatenate([g.ravel() for g in some]))) for some in strata]
-    drawn = np.array([resample(some, of) for some in strata])  # (candidates, draws)
+    value = [float(of(np.concatenate([g.ravel() for g in group]))) for group in strata]
+    drawn = np.array([resample(group, of) for group in strata])  # (candidates, draws)
     rank = scipy.stats.rankdata(value, "min")
     placed = scipy.stats.rankdata(drawn, "min", axis=0)
     ends = zip(*interval(drawn.T), *interval(placed.T), strict=True)

@@ -84,21 +84,23 @@ def _entry(record: Record, counts: bool) -> Row:
     out |= {"score_name": e["score"]["name"], "score_unit": e["score"]["unit"]}
     out["about"] = canonical_json(e["about"])
     try:
-        found = summary([e])
+        summarised = summary([e])
         score = statistics.score([e])
     except ParameterError:  # rows that make no whole: no statistics
         return out
     for key in ("score", "success"):
         three = [k if abs(k) < float("inf") else None for k in score]
-        three = three if key == "score" else found[key]
+        three = three if key == "score" else summarised[key]
         out |= dict(zip((key, f"{key}_low", f"{key}_high"), three, strict=True))
-    return out | {key: found[key] for key in found if key in _OF_ENTRY and key != "success"}
+    return out | {
+        key: summarised[key] for key in summarised if key in _OF_ENTRY and key != "success"
+    }
 
 
 def _episodes(record: Record) -> Iterator[Row]:
     for row in record.entry["rows"]:
-        given = {key: row.get(key) for key in _OF_EPISODE}
-        yield given | {"line": record.index + 1, "training_seed": row["group"]}
+        values = {key: row.get(key) for key in _OF_EPISODE}
+        yield values | {"line": record.index + 1, "training_seed": row["group"]}
 
 
 def _anytime(record: Record) -> Iterator[Row]:
@@ -123,8 +125,8 @@ def write_sqlite(journal: Journal, path: str | os.PathLike[str]) -> None:
         base.execute("INSERT INTO journal VALUES (?, ?)", (journal.head, len(journal.records)))
         for name, rows in make_tables(journal).items():
             columns = TABLES[name]
-            given = ", ".join(f"{c} {kinds[kind]}" for c, kind in columns.items())
-            base.execute(f"CREATE TABLE {name} ({given})")
+            described = ", ".join(f"{c} {kinds[kind]}" for c, kind in columns.items())
+            base.execute(f"CREATE TABLE {name} ({described})")
             marks = ", ".join("?" * len(columns))
             base.executemany(
                 f"INSERT INTO {name} VALUES ({marks})", ([r[c] for c in columns] for r in rows)

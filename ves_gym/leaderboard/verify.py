@@ -21,7 +21,7 @@ from ves_gym.leaderboard import evaluators, fingerprint
 from ves_gym.leaderboard.archive import MANIFEST, read_members
 from ves_gym.leaderboard.bundle import digest, read_manifest
 from ves_gym.leaderboard.entry import LEVELS, Entry, check_entry
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.policy_files import policies_of, policy_names
 from ves_gym.leaderboard.probes import BITS, bits, require_behaviour
 from ves_gym.leaderboard.protocol import (
@@ -36,7 +36,7 @@ from ves_gym.leaderboard.protocol import (
     seeds_of,
 )
 from ves_gym.leaderboard.run import spec_of
-from ves_gym.leaderboard.tracks.base import Case, Method, Row, Track, repeated
+from ves_gym.leaderboard.tracks.base import Case, LeaderboardTrack, Method, Row, repeated
 from ves_gym.leaderboard.tracks.policies import require_fit, require_settings
 from ves_gym.leaderboard.tracks.registry import get_track
 
@@ -62,14 +62,14 @@ def verify(
         level: "replayed" or "reproduced".
         salt: the maintainer's secret, for a bundle of official seeds.
         expect: SHA-256 that the manifest must have, such as a board tells.
-        folder, workers: see `Naming` and `Paths`.
+        folder, workers: see `DiagnosisTrack` and `PathTrack`.
 
     Returns:
         The entry, its numbers those computed here.
 
     Raises:
         ParameterError: no such bundle, a level that there is not, a salt that is missing.
-        Rejection: what is wrong with the bundle.
+        BundleError: what is wrong with the bundle.
     """
     if level not in LEVELS:
         raise ParameterError(
@@ -78,10 +78,10 @@ def verify(
         )
     members = read_members(path)
     if MANIFEST not in members:
-        raise Rejection(Code.MISSING_MEMBER, f"there is no {MANIFEST}")
-    own = digest(members[MANIFEST])
-    if expect is not None and own != expect:
-        raise Rejection(Code.HASH_MISMATCH, f"{MANIFEST} is {own}, expected {expect}")
+        raise BundleError(Code.MISSING_MEMBER, f"there is no {MANIFEST}")
+    computed = digest(members[MANIFEST])
+    if expect is not None and computed != expect:
+        raise BundleError(Code.HASH_MISMATCH, f"{MANIFEST} is {computed}, expected {expect}")
     manifest = read_manifest(members[MANIFEST])
     problem = _problem(manifest)
     evaluators.require_same(problem, manifest["spec"]["evaluator"])
@@ -94,7 +94,7 @@ def verify(
     if problem.environment is not None:
         require_settings(problem, method.settings)
     elif method.settings:
-        raise Rejection(Code.MALFORMED_MANIFEST, "method.settings: there is no environment")
+        raise BundleError(Code.MALFORMED_MANIFEST, "method.settings: there is no environment")
     _require_rows(manifest["rows"], problem, seeds, method, rules)
     if method.kind == "policy":
         require_fit(problem, method, policies_of(method, members))
@@ -103,15 +103,15 @@ def verify(
     rules.require_possible(problem, seeds, manifest["rows"])
     data = members[rules.payload(problem)]
     with _careful(Code.BAD_ACTION):
-        found = rules.replay(problem, seeds, method, manifest["rows"], data)
-    rules.require_possible(problem, seeds, found)
-    _compare(manifest["rows"], found, same)
-    if (twice := repeated(found, len(method.seeds))) is not None:
-        raise Rejection(Code.REPEATED_GROUP, f"groups {twice[0]} and {twice[1]}")
+        replayed = rules.replay(problem, seeds, method, manifest["rows"], data)
+    rules.require_possible(problem, seeds, replayed)
+    _compare(manifest["rows"], replayed, same)
+    if (twice := repeated(replayed, len(method.seeds))) is not None:
+        raise BundleError(Code.REPEATED_GROUP, f"groups {twice[0]} and {twice[1]}")
     if level == "reproduced":
         with _careful(Code.NOT_REPRODUCIBLE):
-            rules.again(problem, seeds, method, members, found, same)
-    return _entry(manifest, found, level, own)
+            rules.reproduce(problem, seeds, method, members, replayed, same)
+    return _entry(manifest, replayed, level, computed)
 
 
 @contextmanager
@@ -124,32 +124,32 @@ def _careful(code: Code) -> Iterator[None]:
         with threadpool_limits(1, user_api="blas"), np.errstate(all="ignore"):
             yield
     except (ValueError, ArithmeticError) as error:
-        raise Rejection(code, f"cannot be run: {str(error)[:200]}") from None
+        raise BundleError(code, f"cannot be run: {str(error)[:200]}") from None
 
 
 def bundle_manifest(path: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes]:
     """A bundle's manifest, checked by itself alone, and its bytes."""
     members = read_members(path)
     if MANIFEST not in members:
-        raise Rejection(Code.MISSING_MEMBER, f"there is no {MANIFEST}")
+        raise BundleError(Code.MISSING_MEMBER, f"there is no {MANIFEST}")
     return read_manifest(members[MANIFEST]), members[MANIFEST]
 
 
 def _problem(manifest: Plain) -> Problem:
     name = manifest["track"]
     if name not in PROTOCOL:
-        raise Rejection(Code.UNKNOWN_PROBLEM, f"no track {name!r:.80}")
+        raise BundleError(Code.UNKNOWN_PROBLEM, f"no track {name!r:.80}")
     if manifest["protocol"] != PROTOCOL[name]:
-        raise Rejection(
+        raise BundleError(
             Code.OLD_PROTOCOL,
             f"version {manifest['protocol']} of track {name}, now it is {PROTOCOL[name]}",
         )
     try:
         problem = get_problem(name, manifest["problem"])
     except ParameterError as error:
-        raise Rejection(Code.UNKNOWN_PROBLEM, str(error)) from None
+        raise BundleError(Code.UNKNOWN_PROBLEM, str(error)) from None
     if manifest["kind"] not in problem.kinds():
-        raise Rejection(
+        raise BundleError(
             Code.UNKNOWN_PROBLEM,
             f"{problem.name} is answered by {' or '.join(problem.kinds())}, not by"
             f" {manifest['kind']}",
@@ -173,30 +173,30 @@ def _require_members(
     manifest: Plain, members: Mapping[str, bytes], payload: str, method: Method
 ) -> None:
     """The files that this bundle must have, with the digests that the manifest tells."""
-    wanted = {payload}
+    expected = {payload}
     for group in range(len(method.weights)):
-        wanted |= set(policy_names(group))
+        expected |= set(policy_names(group))
     for there in (set(manifest["members"]), set(members) - {MANIFEST}):
-        if missing := sorted(wanted - there):
-            raise Rejection(Code.MISSING_MEMBER, missing[0])
-        if extra := sorted(there - wanted):
-            raise Rejection(Code.EXTRA_MEMBER, extra[0])
-    for name in sorted(wanted):
-        told, data = manifest["members"][name], members[name]
-        if told != {"bytes": len(data), "sha256": digest(data)}:
-            raise Rejection(Code.HASH_MISMATCH, f"{name} is not the file of the manifest")
+        if missing := sorted(expected - there):
+            raise BundleError(Code.MISSING_MEMBER, missing[0])
+        if extra := sorted(there - expected):
+            raise BundleError(Code.EXTRA_MEMBER, extra[0])
+    for name in sorted(expected):
+        claimed, data = manifest["members"][name], members[name]
+        if claimed != {"bytes": len(data), "sha256": digest(data)}:
+            raise BundleError(Code.HASH_MISMATCH, f"{name} is not the file of the manifest")
     for group, weights in enumerate(method.weights):
         name = policy_names(group)[1]
         if digest(members[name]) != weights:
-            raise Rejection(Code.HASH_MISMATCH, f"{name}: not the weights of the method")
+            raise BundleError(Code.HASH_MISMATCH, f"{name}: not the weights of the method")
 
 
-def _require_spec(manifest: Plain, here: Plain) -> None:
+def _require_spec(manifest: Plain, ours: Plain) -> None:
     there = manifest["spec"]
-    if there["environment"] != here["environment"]:
-        raise Rejection(
+    if there["environment"] != ours["environment"]:
+        raise BundleError(
             Code.OLD_ENVIRONMENT,
-            f"{_env(there['environment'])} then, {_env(here['environment'])} now",
+            f"{_env(there['environment'])} then, {_env(ours['environment'])} now",
         )
     # MJCF's text is of MuJoCo's version as well: another one says nothing, the system does
     versions = fingerprint.package_versions()
@@ -205,87 +205,93 @@ def _require_spec(manifest: Plain, here: Plain) -> None:
         ("system", Code.SYSTEM_MISMATCH),
         *((("model", Code.MODEL_MISMATCH),) if alike else ()),
     ):
-        if there[name] != here[name]:
-            raise Rejection(code, f"{there[name][:12]} then, {here[name][:12]} now")
+        if there[name] != ours[name]:
+            raise BundleError(code, f"{there[name][:12]} then, {ours[name][:12]} now")
 
 
 def _env(plain: Plain | None) -> str:
     return "none" if plain is None else f"{plain['id']} of {plain['spec'][:12]}"
 
 
-def _seeds(manifest: Plain, problem: Problem, salt: str | None, rules: Track) -> Seeds:
-    told = manifest["seeds"]
-    if told["which"] == "official" and salt is None:
+def _seeds(
+    manifest: Plain, problem: Problem, salt: str | None, rules: LeaderboardTrack
+) -> Seeds:
+    claimed = manifest["seeds"]
+    if claimed["which"] == "official" and salt is None:
         raise ParameterError("a bundle of official seeds: give the salt (--salt FILE)")
     try:
-        seeds = seeds_of(problem, salt if told["which"] == "official" else None)
+        seeds = seeds_of(problem, salt if claimed["which"] == "official" else None)
     except ParameterError as error:
-        raise Rejection(Code.WRONG_SEEDS, str(error)) from None
-    if told["mark"] != seeds.mark:
-        raise Rejection(Code.WRONG_SEEDS, "the mark is of another salt")
-    wanted = rules.seed_list(problem, seeds)
-    if told["list"] != wanted:
-        raise Rejection(Code.WRONG_SEEDS, f"not the {told['which']} seeds of {problem.name}")
+        raise BundleError(Code.WRONG_SEEDS, str(error)) from None
+    if claimed["mark"] != seeds.mark:
+        raise BundleError(Code.WRONG_SEEDS, "the mark is of another salt")
+    expected = rules.seed_list(problem, seeds)
+    if claimed["list"] != expected:
+        raise BundleError(
+            Code.WRONG_SEEDS, f"not the {claimed['which']} seeds of {problem.name}"
+        )
     return seeds
 
 
 def _require_rows(
-    rows: Sequence[Row], problem: Problem, seeds: Seeds, method: Method, rules: Track
+    rows: Sequence[Row], problem: Problem, seeds: Seeds, method: Method, rules: LeaderboardTrack
 ) -> None:
     """One row per question and group, in order, with its seed."""
-    wanted: list[tuple[int, Case]] = [
+    questions: list[tuple[int, Case]] = [
         (group, case)
         for group in range(len(method.seeds))
         for case in rules.cases(problem, seeds, method, group)
     ]
-    names = {(group, case.id) for group, case in wanted}
-    seen: set[tuple[int, str]] = set()
+    names = {(group, case.id) for group, case in questions}
+    answered: set[tuple[int, str]] = set()
     for row in rows:
         key = (row["group"], row["id"])
-        if key not in names or key in seen:
-            again = "is there twice" if key in seen else "is no question of the problem"
-            raise Rejection(Code.EXTRA_EPISODE, f"{row['id']!r} of group {key[0]} {again}")
-        seen.add(key)
-    if missing := [case.id for group, case in wanted if (group, case.id) not in seen]:
-        raise Rejection(Code.MISSING_EPISODE, f"{missing[0]}, {len(missing)} in all")
-    for row, (group, case) in zip(rows, wanted, strict=True):
+        if key not in names or key in answered:
+            how = "is there twice" if key in answered else "is no question of the problem"
+            raise BundleError(Code.EXTRA_EPISODE, f"{row['id']!r} of group {key[0]} {how}")
+        answered.add(key)
+    if missing := [case.id for group, case in questions if (group, case.id) not in answered]:
+        raise BundleError(Code.MISSING_EPISODE, f"{missing[0]}, {len(missing)} in all")
+    for row, (group, case) in zip(rows, questions, strict=True):
         if (row["group"], row["id"]) != (group, case.id):
-            raise Rejection(Code.MALFORMED_MANIFEST, f"{row['id']!r} is out of order")
+            raise BundleError(Code.MALFORMED_MANIFEST, f"{row['id']!r} is out of order")
         if row["seed"] != case.seed:
-            raise Rejection(Code.WRONG_SEEDS, f"{case.id}: seed {row['seed']}, not {case.seed}")
+            raise BundleError(
+                Code.WRONG_SEEDS, f"{case.id}: seed {row['seed']}, not {case.seed}"
+            )
 
 
-def _compare(told: Sequence[Row], found: Sequence[Row], same: bool) -> None:
+def _compare(claimed: Sequence[Row], replayed: Sequence[Row], same: bool) -> None:
     """Claims against what the replay gives: every bit, or elsewhere a tolerance."""
     off = [
-        (own, its, name)
-        for own, its in zip(found, told, strict=True)
-        if (name := _difference(own, its, same)) is not None
+        (mine, its, name)
+        for mine, its in zip(replayed, claimed, strict=True)
+        if (name := _difference(mine, its, same)) is not None
     ]
-    allowed = 0 if same else int(FLIPPED * len(found))
+    allowed = 0 if same else int(FLIPPED * len(replayed))
     if len(off) > allowed:
-        own, its, name = off[0]
-        raise Rejection(
+        mine, its, name = off[0]
+        raise BundleError(
             Code.SCORE_DIFFERS,
-            f"{own['id']} of group {own['group']}: {name} is {own.get(name)}, told was"
+            f"{mine['id']} of group {mine['group']}: {name} is {mine.get(name)}, told was"
             f" {its.get(name)}",
         )
 
 
-def _difference(own: Row, its: Row, same: bool) -> str | None:
+def _difference(mine: Row, its: Row, same: bool) -> str | None:
     """Name of the first entry that differs."""
     for name in _EXACT:
-        if own[name] != its[name]:
+        if mine[name] != its[name]:
             return name
     for name in _NUMBERS:
-        a, b = own.get(name), its.get(name)
+        a, b = mine.get(name), its.get(name)
         if a is None or b is None:
             if a is not b:
                 return name
         elif a != b and (same or abs(a - b) > ABSOLUTE + RELATIVE * abs(a)):
             return name
     for name in (*_TOLD, "length"):  # taken over as told: a track that cannot have it says None
-        if own.get(name) != its.get(name):
+        if mine.get(name) != its.get(name):
             return name
     return None
 

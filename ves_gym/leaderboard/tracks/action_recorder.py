@@ -18,7 +18,7 @@ class Recorded:
 
     def __init__(self, inner: Controller) -> None:
         self.inner, self.name, self.privileged = inner, inner.name, inner.privileged
-        self._kept: dict[int, list[Array]] = {}
+        self._recorded: dict[int, list[Array]] = {}
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
@@ -29,12 +29,12 @@ class Recorded:
         actions = np.clip(env.batch.check(self.inner.act(env, observation)), -1.0, 1.0)
         roots = env.batch.episodes.root
         for i in np.flatnonzero(in_episode(env)).tolist():
-            self._kept.setdefault(int(roots[i]), []).append(actions[i].copy())
+            self._recorded.setdefault(int(roots[i]), []).append(actions[i].copy())
         return actions
 
     def actions(self, seed: int) -> Array:
         """(steps, width) of the episode of a seed."""
-        return np.array(self._kept[seed])
+        return np.array(self._recorded[seed])
 
 
 class Replayed:
@@ -55,11 +55,11 @@ class Replayed:
         e, fresh = env.batch.episodes, in_episode(env)
         out = np.zeros((env.num_envs, env.batch.width))
         for i in np.flatnonzero(fresh).tolist():
-            known = self._actions[int(e.root[i])]
-            if e.steps[i] < len(known):
-                out[i] = known[e.steps[i]]
+            recorded = self._actions[int(e.root[i])]
+            if e.steps[i] < len(recorded):
+                out[i] = recorded[e.steps[i]]
         if env.task.system.mode == "ideal":
-            self.account.look(env, fresh)
+            self.account.observe(env, fresh)
         return out
 
 

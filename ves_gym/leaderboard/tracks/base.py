@@ -23,10 +23,7 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """What answers: something built in, by its name, or policies whose files are given.
-
-    One group per seed of a planner or tuner, or per policy.
-    """
+    """Answerer of a problem: something built in, by its name, or policies by their files."""
 
     kind: str
     name: str = ""  # of what is built in, "" of anything else
@@ -46,14 +43,14 @@ class Answers:
     members: dict[str, bytes] = field(default_factory=dict)
 
 
-class Track(Protocol):
+class LeaderboardTrack(Protocol):
     """A track of the leaderboard. Rows are ordered by group, then as the cases are."""
 
     def payload(self, problem: Problem) -> str:
         """File of the answers."""
 
     def system(self, problem: Problem) -> System:
-        """What is simulated."""
+        """Return the system that is simulated."""
 
     def seed_list(self, problem: Problem, seeds: Seeds) -> list[int]:
         """The seeds that make the questions."""
@@ -70,17 +67,17 @@ class Track(Protocol):
             rows: as claimed; only id, seed, group and length are read.
 
         Raises:
-            Rejection: EPISODE_LENGTH, BAD_ACTION, LEDGER_RESIDUAL.
+            BundleError: EPISODE_LENGTH, BAD_ACTION, LEDGER_RESIDUAL.
         """
 
     def require_possible(self, problem: Problem, seeds: Seeds, rows: Sequence[Row]) -> None:
-        """Raise a Rejection (BELOW_FLOOR) where rows are better than physics permits.
+        """Raise a BundleError (BELOW_FLOOR) where rows are better than physics permits.
 
         Args:
             rows: as claimed or as replayed, all of the problem and in order.
         """
 
-    def again(
+    def reproduce(
         self,
         problem: Problem,
         seeds: Seeds,
@@ -95,7 +92,7 @@ class Track(Protocol):
             rows: as replayed. same: whether every bit must agree.
 
         Raises:
-            Rejection: NOT_REPRODUCED, NOT_REPRODUCIBLE.
+            BundleError: NOT_REPRODUCED, NOT_REPRODUCIBLE.
         """
 
 
@@ -137,13 +134,13 @@ def repeated(rows: Sequence[Row], groups: int) -> tuple[int, int] | None:
     """
     if len(rows) % groups:
         return None
-    size, seen = len(rows) // groups, dict[tuple[Any, ...], int]()
+    size, groups_of = len(rows) // groups, dict[tuple[Any, ...], int]()
     for group in range(groups):
         part = rows[group * size : (group + 1) * size]
         key = tuple(r.get(k) for r in part for k in ("score", "E_mean", "E_peak", "E_res"))
-        if key in seen and any(value is not None for value in key):
-            return seen[key], group
-        seen[key] = group
+        if key in groups_of and any(value is not None for value in key):
+            return groups_of[key], group
+        groups_of[key] = group
     return None
 
 

@@ -17,7 +17,7 @@ from ves_gym.baselines.evaluate import Evaluation
 from ves_gym.baselines.registry import get_controller
 from ves_gym.envs.damp import Damp
 from ves_gym.leaderboard import lower_bounds
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.npy_io import pack, unpack
 from ves_gym.leaderboard.protocol import (
     PLANNED,
@@ -27,7 +27,7 @@ from ves_gym.leaderboard.protocol import (
     Seeds,
 )
 from ves_gym.leaderboard.tracks.base import Answers, Case, Method, Progress, Row, row
-from ves_gym.leaderboard.tracks.policies import Episodes, evaluated
+from ves_gym.leaderboard.tracks.policies import PolicyTrack, evaluated
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.free_vibration import simulate_free_vibration
@@ -41,27 +41,27 @@ _GAINS = "gains.npy"
 _EDGE = 1 + 1e-6  # of a bound, for rounding
 
 
-class Damping(Episodes):
-    """Environments as in `Episodes`; problems pped-... ask for gains instead."""
+class DampingTrack(PolicyTrack):
+    """Environments as in `PolicyTrack`; problems pped-... ask for gains instead."""
 
     def payload(self, problem: Problem) -> str:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         return super().payload(problem) if problem.environment is not None else _GAINS
 
     def system(self, problem: Problem) -> System:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         if problem.environment is not None:
             return super().system(problem)
         return System(vehicle=get_vehicle(PPED_VEHICLE))
 
     def seed_list(self, problem: Problem, seeds: Seeds) -> list[int]:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         if problem.environment is not None:
             return super().seed_list(problem, seeds)
         return [seeds.root]
 
     def cases(self, problem: Problem, seeds: Seeds, method: Method, group: int) -> list[Case]:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         if problem.environment is not None:
             return super().cases(problem, seeds, method, group)
         seed = method.seeds[group]
@@ -72,45 +72,47 @@ class Damping(Episodes):
         problem: Problem,
         seeds: Seeds,
         method: Method,
-        tell: Progress = lambda stage, done: None,
+        on_progress: Progress = lambda stage, done: None,
     ) -> Answers:
         """Find gains for every release, and simulate them."""
-        found = self._tuned(problem, seeds, method, tell)
-        rows = self._released(problem, seeds, method, found)
-        return Answers(rows, pack(found.reshape(-1, *found.shape[2:])), method)
+        tuned = self._tuned(problem, seeds, method, on_progress)
+        rows = self._released(problem, seeds, method, tuned)
+        return Answers(rows, pack(tuned.reshape(-1, *tuned.shape[2:])), method)
 
     def replay(
         self, problem: Problem, seeds: Seeds, method: Method, rows: Sequence[Row], data: bytes
     ) -> list[Row]:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         if problem.environment is not None:
             return super().replay(problem, seeds, method, rows, data)
         n = self.system(problem).arm.n
         if any(r["length"] != 1 for r in rows):
-            raise Rejection(Code.EPISODE_LENGTH, "a release has one set of gains")
+            raise BundleError(Code.EPISODE_LENGTH, "a release has one set of gains")
         gains = unpack(data, _GAINS, (None, 2, n, n))
         if len(gains) != len(rows):
-            raise Rejection(Code.EPISODE_LENGTH, f"{len(gains)} gains for {len(rows)} releases")
+            raise BundleError(
+                Code.EPISODE_LENGTH, f"{len(gains)} gains for {len(rows)} releases"
+            )
         _require_gains(gains)
         groups = len(method.seeds)
         return self._released(problem, seeds, method, gains.reshape(groups, -1, 2, n, n))
 
     def require_possible(self, problem: Problem, seeds: Seeds, rows: Sequence[Row]) -> None:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         system = self.system(problem).ideal()
-        for line in rows:
-            lower_bounds.require_energies(line)
-            if line["score"] is None or line["E_int"] is None or line["E_peak"] is None:
+        for result in rows:
+            lower_bounds.require_energies(result)
+            if result["score"] is None or result["E_int"] is None or result["E_peak"] is None:
                 continue
-            least = lower_bounds.strain_floor(system, _ENERGY, line["E_peak"])
-            if line["E_int"] < least:
-                raise Rejection(
+            least = lower_bounds.strain_floor(system, _ENERGY, result["E_peak"])
+            if result["E_int"] < least:
+                raise BundleError(
                     Code.BELOW_FLOOR,
-                    f"{line['id']}: E_int {line['E_int']:.3g} J s, the base cannot give its"
+                    f"{result['id']}: E_int {result['E_int']:.3g} J s, the base cannot give its"
                     f" energy away faster than {least:.3g} J s",
                 )
 
-    def again(
+    def reproduce(
         self,
         problem: Problem,
         seeds: Seeds,
@@ -119,46 +121,48 @@ class Damping(Episodes):
         rows: Sequence[Row],
         same: bool,
     ) -> None:
-        """See `Track`. Elsewhere the scores of the gains must agree, not the gains."""
+        """See `LeaderboardTrack`. Elsewhere the gains' scores must agree, not the gains."""
         if problem.environment is not None:
-            return super().again(problem, seeds, method, members, rows, same)
+            return super().reproduce(problem, seeds, method, members, rows, same)
         if method.name not in TUNERS:
-            raise Rejection(Code.NOT_REPRODUCIBLE, f"no tuner {method.name!r:.80}")
-        found = self._tuned(problem, seeds, method)
-        n = found.shape[-1]
+            raise BundleError(Code.NOT_REPRODUCIBLE, f"no tuner {method.name!r:.80}")
+        tuned = self._tuned(problem, seeds, method)
+        n = tuned.shape[-1]
         if same:
-            given = unpack(members[_GAINS], _GAINS, (len(rows), 2, n, n))
-            gap = float(np.abs(given - found.reshape(given.shape)).max())
+            submitted = unpack(members[_GAINS], _GAINS, (len(rows), 2, n, n))
+            gap = float(np.abs(submitted - tuned.reshape(submitted.shape)).max())
             if gap > 0:
-                raise Rejection(Code.NOT_REPRODUCED, f"gains are off by up to {gap:.3g}")
+                raise BundleError(Code.NOT_REPRODUCED, f"gains are off by up to {gap:.3g}")
             return None
-        for mine, its in zip(self._released(problem, seeds, method, found), rows, strict=True):
+        for mine, its in zip(self._released(problem, seeds, method, tuned), rows, strict=True):
             a, b = mine["score"], its["score"]
             if (a is None) != (b is None) or (a is not None and abs(a - b) > PLANNED * b):
-                raise Rejection(Code.NOT_REPRODUCED, f"{its['id']}: {b} instead of {a}")
+                raise BundleError(Code.NOT_REPRODUCED, f"{its['id']}: {b} instead of {a}")
         return None
 
     # ---------------------------------------------------------------------- rows
 
-    def _scores(self, problem: Problem, seeds: Seeds, found: Evaluation) -> list[float | None]:
-        held = evaluated(get_controller("high"), problem, seeds, {})
+    def _scores(
+        self, problem: Problem, seeds: Seeds, evaluation: Evaluation
+    ) -> list[float | None]:
+        high = evaluated(get_controller("high"), problem, seeds, {})
         return [
-            own["E_int"] / its["E_int"] if np.isfinite(own["E_int"] / its["E_int"]) else None
-            for own, its in zip(found.rows, held.rows, strict=True)
+            mine["E_int"] / its["E_int"] if np.isfinite(mine["E_int"] / its["E_int"]) else None
+            for mine, its in zip(evaluation.rows, high.rows, strict=True)
         ]
 
     def _released(
-        self, problem: Problem, seeds: Seeds, method: Method, found: Array
+        self, problem: Problem, seeds: Seeds, method: Method, gains: Array
     ) -> list[Row]:
         system, out = self.system(problem), []
         high = GainMatrices.of(HIGH_GAINS)
         for group in range(len(method.seeds)):
-            asked = self.cases(problem, seeds, method, group)
+            cases = self.cases(problem, seeds, method, group)
             for case, (q, y), (K, B) in zip(
-                asked, releases(problem, seeds), found[group], strict=True
+                cases, releases(problem, seeds), gains[group], strict=True
             ):
-                line = _let_go(system, case, group, q, y, [high, GainMatrices(K, B)])
-                out.append(line)
+                result = _let_go(system, case, group, q, y, [high, GainMatrices(K, B)])
+                out.append(result)
         return out
 
     def _tuned(
@@ -166,7 +170,7 @@ class Damping(Episodes):
         problem: Problem,
         seeds: Seeds,
         method: Method,
-        tell: Progress = lambda stage, done: None,
+        on_progress: Progress = lambda stage, done: None,
     ) -> Array:
         """(groups, releases, 2, n, n) gains."""
         if method.name not in TUNERS:
@@ -174,13 +178,13 @@ class Damping(Episodes):
                 f"gains must be one of {', '.join(TUNERS)}, got {method.name!r:.80}"
                 f"{did_you_mean(method.name, TUNERS)}"
             )
-        system, asked = self.system(problem), releases(problem, seeds)
+        system, questions = self.system(problem), releases(problem, seeds)
         out: list[list[Array]] = []
         for seed in method.seeds:
             out.append([])
-            for k, (q, y) in enumerate(asked):
+            for k, (q, y) in enumerate(questions):
                 out[-1].append(np.stack(_gains(system, method.name, q, y, seed)))
-                tell("gains", (k + 1) / len(asked))
+                on_progress("gains", (k + 1) / len(questions))
         return np.array(out)
 
 
@@ -197,8 +201,8 @@ def _gains(system: System, name: str, q: Array, y: Array, seed: int) -> GainMatr
     if name in ("high", "thesis"):
         return GainMatrices.of(HIGH_GAINS if name == "high" else PPED_GAINS)
     objective = name.removesuffix("-full")
-    found = tune(plant_at(system, q), objective, y=y, full=name != objective, seed=seed)
-    return found.gains
+    tuned = tune(plant_at(system, q), objective, y=y, full=name != objective, seed=seed)
+    return tuned.gains
 
 
 def _let_go(
@@ -225,12 +229,12 @@ def _let_go(
 def _require_gains(gains: Array) -> None:
     """Refuse gains that are not symmetric with eigenvalues inside the bounds."""
     if not np.allclose(gains, np.swapaxes(gains, -1, -2), rtol=1e-9, atol=1e-9):
-        raise Rejection(Code.BAD_ACTION, "gains must be symmetric matrices")
+        raise BundleError(Code.BAD_ACTION, "gains must be symmetric matrices")
     for k, name in enumerate(("K", "B")):
         low, high = getattr(WIDE, name)
         values = np.linalg.eigvalsh(gains[:, k])
         if values.min() < low / _EDGE or values.max() > high * _EDGE:
-            raise Rejection(
+            raise BundleError(
                 Code.BAD_ACTION,
                 f"{name} must have eigenvalues from {low:g} to {high:g}, got"
                 f" {values.min():.4g} to {values.max():.4g}",

@@ -20,7 +20,7 @@ from ves_gym.diagnosis.benchmark import run as blind_benchmark
 from ves_gym.diagnosis.benchmark.score import METHODS, OWN, ScoredCase, is_correct
 from ves_gym.diagnosis.diagnose import MORE, NAMED, NOTHING, ONE_OF, UNKNOWN, WEAK
 from ves_gym.leaderboard.entry import number, text
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.evaluators import identity
 from ves_gym.leaderboard.protocol import PLANNED_SHARE, Problem, Seeds
 from ves_gym.leaderboard.tracks.base import Answers, Case, Method, Progress, Row, row
@@ -32,7 +32,7 @@ _MOST = 20  # effects named in an answer
 _FOLDER = Path("out/leaderboard/blind")
 
 
-class Naming:
+class DiagnosisTrack:
     """Selectors on the cases of a set. Score: 0 for an answer as wanted, 1 for any other.
 
     Args:
@@ -44,11 +44,11 @@ class Naming:
         self.folder, self.workers = folder or _FOLDER, workers
 
     def payload(self, problem: Problem) -> str:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         return "answers.json"
 
     def system(self, problem: Problem) -> System:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         from ves_gym.diagnosis.benchmark.blind.machine import nominal
 
         return nominal()
@@ -68,24 +68,24 @@ class Naming:
 
         name = hashlib.sha256(f"{seeds.root} {identity(problem)}".encode()).hexdigest()[:16]
         answers = f"answers-{source_digest()[:16]}"
-        whole = len(mix())
+        size = len(mix())
         cases = (
-            range(whole)
-            if problem.count == whole
+            range(size)
+            if problem.count == size
             else blind_benchmark.stratified(problem.count, seeds.root)
         )
         sealed = seeds.which == "official"
-        asked = tuple(sorted(cases))
+        indices = tuple(sorted(cases))
         return blind_benchmark.BenchmarkRun(
-            self.folder / name, seeds.root, sealed, asked, answers
+            self.folder / name, seeds.root, sealed, indices, answers
         )
 
     def seed_list(self, problem: Problem, seeds: Seeds) -> list[int]:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         return list(self.benchmark(problem, seeds).cases)
 
     def cases(self, problem: Problem, seeds: Seeds, method: Method, group: int) -> list[Case]:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         return [Case(f"case-{i:03d}", i) for i in self.seed_list(problem, seeds)]
 
     def run(
@@ -93,7 +93,7 @@ class Naming:
         problem: Problem,
         seeds: Seeds,
         method: Method,
-        tell: Progress = lambda stage, done: None,
+        on_progress: Progress = lambda stage, done: None,
     ) -> Answers:
         """Make the cases and diagnose them; go on where it was interrupted."""
         if method.name not in METHODS:
@@ -102,34 +102,36 @@ class Naming:
                 f"{did_you_mean(method.name, METHODS)}"
             )
         benchmark = self.benchmark(problem, seeds)
-        blind_benchmark.run_benchmark(benchmark, self.workers, tell)
+        blind_benchmark.run_benchmark(benchmark, self.workers, on_progress)
         answers = [_short(a, method.name) for a in blind_benchmark.read_answers(benchmark)]
         data = (canonical_json({"answers": answers}) + "\n").encode()
         rows = [row_ | {"length": 1} for row_ in self._rows(problem, seeds, method, answers)]
         if method.name == OWN:
-            for line, answer in zip(rows, blind_benchmark.read_answers(benchmark), strict=True):
-                line["seconds"] = float(answer["seconds"]["total"])
+            for result, answer in zip(
+                rows, blind_benchmark.read_answers(benchmark), strict=True
+            ):
+                result["seconds"] = float(answer["seconds"]["total"])
         return Answers(rows, data, method)
 
     def replay(
         self, problem: Problem, seeds: Seeds, method: Method, rows: Sequence[Row], data: bytes
     ) -> list[Row]:
-        """See `Track`. What is told of the time is taken over as it is."""
+        """See `LeaderboardTrack`. What is told of the time is taken over as it is."""
         if any(r["length"] != 1 for r in rows):
-            raise Rejection(Code.EPISODE_LENGTH, "a case has one answer")
+            raise BundleError(Code.EPISODE_LENGTH, "a case has one answer")
         answers = _read(data, self.seed_list(problem, seeds))
         out = self._rows(problem, seeds, method, answers)
-        for line, told in zip(out, rows, strict=True):
-            line["seconds"] = told["seconds"]
+        for result, claimed in zip(out, rows, strict=True):
+            result["seconds"] = claimed["seconds"]
         return out
 
     def require_possible(self, problem: Problem, seeds: Seeds, rows: Sequence[Row]) -> None:
-        """See `Track`. There is no energy, and the best score is 0."""
-        for line in rows:
-            if line["score"] is not None and line["score"] < 0:
-                raise Rejection(Code.BELOW_FLOOR, f"{line['id']}: a score below 0")
+        """See `LeaderboardTrack`. There is no energy, and the best score is 0."""
+        for result in rows:
+            if result["score"] is not None and result["score"] < 0:
+                raise BundleError(Code.BELOW_FLOOR, f"{result['id']}: a score below 0")
 
-    def again(
+    def reproduce(
         self,
         problem: Problem,
         seeds: Seeds,
@@ -138,19 +140,19 @@ class Naming:
         rows: Sequence[Row],
         same: bool,
     ) -> None:
-        """See `Track`. Elsewhere most answers must agree, not all."""
+        """See `LeaderboardTrack`. Elsewhere most answers must agree, not all."""
         if method.name not in METHODS:
-            raise Rejection(Code.NOT_REPRODUCIBLE, f"no selector {method.name!r:.80}")
+            raise BundleError(Code.NOT_REPRODUCIBLE, f"no selector {method.name!r:.80}")
         benchmark = self.benchmark(problem, seeds)
         with tempfile.TemporaryDirectory() as folder:  # nothing that was found before
             fresh = replace(benchmark, folder=Path(folder))
             blind_benchmark.run_benchmark(fresh, self.workers)
             mine = [_short(a, method.name) for a in blind_benchmark.read_answers(fresh)]
         its = _read(members[self.payload(problem)], list(benchmark.cases))
-        agree = [_said(a) == _said(b) for a, b in zip(mine, its, strict=True)]
+        agree = [_verdict_of(a) == _verdict_of(b) for a, b in zip(mine, its, strict=True)]
         if sum(agree) < (1.0 if same else PLANNED_SHARE) * len(agree):
             first = benchmark.cases[agree.index(False)]
-            raise Rejection(Code.NOT_REPRODUCED, f"case {first}: another answer is found")
+            raise BundleError(Code.NOT_REPRODUCED, f"case {first}: another answer is found")
 
     def _rows(
         self,
@@ -170,15 +172,15 @@ class Naming:
         ):
             failed = answer["verdict"] == blind_benchmark.FAILED
             effects = answer["effects"] if answer["verdict"] in _SPEAK else []
-            right = not failed and is_correct(
+            correct = not failed and is_correct(
                 ScoredCase(label, answer["verdict"], effects, answer)
             )
             out.append(
                 row(
                     case,
                     0,
-                    score=None if failed else float(not right),
-                    success=right,
+                    score=None if failed else float(not correct),
+                    success=correct,
                     failed=failed,
                     energies={},
                     length=1,
@@ -188,20 +190,20 @@ class Naming:
 
 
 def _short(answer: Mapping[str, Any], method: str) -> dict[str, Any]:
-    """What a score needs of an answer, in one form for every method."""
+    """Return the part of an answer that a score needs, in one form for every method."""
     verdict, effects = answer["verdict"], answer["effects"]
     if method != OWN and verdict != blind_benchmark.FAILED:
         effects = answer["baselines"][method]
         verdict = NAMED if effects else NOTHING
-    kept = [{k: e[k] for k in ("kind", "slot", "value")} for e in effects]
-    return {"index": answer["index"], "verdict": verdict, "effects": kept}
+    effects_named = [{k: e[k] for k in ("kind", "slot", "value")} for e in effects]
+    return {"index": answer["index"], "verdict": verdict, "effects": effects_named}
 
 
-def _said(answer: Mapping[str, Any]) -> tuple[str, list[tuple[str, str]]]:
+def _verdict_of(answer: Mapping[str, Any]) -> tuple[str, list[tuple[str, str]]]:
     return answer["verdict"], sorted((e["kind"], e["slot"]) for e in answer["effects"])
 
 
-def _read(data: bytes, wanted: Sequence[int]) -> list[dict[str, Any]]:
+def _read(data: bytes, indices: Sequence[int]) -> list[dict[str, Any]]:
     """The answers of a bundle, checked."""
     try:
         table = json.loads(data.decode("utf-8"), parse_constant=_no_number)
@@ -212,9 +214,9 @@ def _read(data: bytes, wanted: Sequence[int]) -> list[dict[str, Any]]:
             raise ParameterError("answers must be a list")
         out = [_answer(a, f"answers[{k}]") for k, a in enumerate(answers)]
     except (ValueError, RecursionError, OverflowError) as error:
-        raise Rejection(Code.BAD_ACTION, f"answers.json: {str(error)[:200]}") from None
-    if [a["index"] for a in out] != list(wanted):
-        raise Rejection(Code.EPISODE_LENGTH, "the answers are not those to the cases asked")
+        raise BundleError(Code.BAD_ACTION, f"answers.json: {str(error)[:200]}") from None
+    if [a["index"] for a in out] != list(indices):
+        raise BundleError(Code.EPISODE_LENGTH, "the answers are not those to the cases asked")
     return out
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.leaderboard import lower_bounds
-from ves_gym.leaderboard.errors import Code, Rejection
+from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.npy_io import pack, unpack
 from ves_gym.leaderboard.protocol import (
     DURATIONS,
@@ -41,7 +41,7 @@ _SETTLE = 0.5  # s after a motion that its energy account covers
 _MOST = 512  # control points of a motion
 
 
-class Paths:
+class PathTrack:
     """Planners on the queries of one duration, among obstacles or not.
 
     Score: E_mean over that of the straight line on the same query. A motion that breaks a
@@ -55,11 +55,11 @@ class Paths:
         self.workers = workers
 
     def payload(self, problem: Problem) -> str:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         return "motions.npy"
 
     def system(self, problem: Problem) -> System:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         return System(vehicle=get_vehicle(_VEHICLE))
 
     def queries(self, problem: Problem, seeds: Seeds) -> list[Query]:
@@ -76,11 +76,11 @@ class Paths:
         return [query for _, query in suite.queries]
 
     def seed_list(self, problem: Problem, seeds: Seeds) -> list[int]:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         return [seeds.root]
 
     def cases(self, problem: Problem, seeds: Seeds, method: Method, group: int) -> list[Case]:
-        """See `Track`. The seed is the planner's."""
+        """See `LeaderboardTrack`. The seed is the planner's."""
         seed = method.seeds[group]
         return [Case(q.name, seed) for q in self.queries(problem, seeds)]
 
@@ -90,36 +90,36 @@ class Paths:
         seeds: Seeds,
         planner: Planner,
         method: Method,
-        tell: Progress = lambda stage, done: None,
+        on_progress: Progress = lambda stage, done: None,
     ) -> Answers:
         """Plan every query, with each of the method's seeds."""
-        plans = self._plans(problem, seeds, planner, method, tell)
+        plans = self._plans(problem, seeds, planner, method, on_progress)
         motions = [plan.motion for plan in plans]
-        told = [_told(plan) for plan in plans]
-        rows = self._rows(problem, seeds, method, motions, told)
+        effort = [_effort_of(plan) for plan in plans]
+        rows = self._rows(problem, seeds, method, motions, effort)
         points = [np.array(m.control) for m in motions if m is not None]
         n = self.system(problem).arm.n
-        whole = np.concatenate(points) if points else np.zeros((0, n))
-        return Answers(rows, pack(whole), method)
+        packed = np.concatenate(points) if points else np.zeros((0, n))
+        return Answers(rows, pack(packed), method)
 
     def replay(
         self, problem: Problem, seeds: Seeds, method: Method, rows: Sequence[Row], data: bytes
     ) -> list[Row]:
-        """See `Track`. What is told of the planning is taken over as it is."""
-        told = [{k: r.get(k) for k in ("seconds", "evaluations", "anytime")} for r in rows]
+        """See `LeaderboardTrack`. What is told of the planning is taken over as it is."""
+        effort = [{k: r.get(k) for k in ("seconds", "evaluations", "anytime")} for r in rows]
         motions = self._motions(problem, seeds, method, rows, data)
-        return self._rows(problem, seeds, method, motions, told)
+        return self._rows(problem, seeds, method, motions, effort)
 
     def require_possible(self, problem: Problem, seeds: Seeds, rows: Sequence[Row]) -> None:
-        """See `Track`."""
+        """See `LeaderboardTrack`."""
         queries = self.queries(problem, seeds)
-        for k, line in enumerate(rows):
+        for k, result in enumerate(rows):
             query = queries[k % len(queries)]
-            lower_bounds.require_energies(line)
+            lower_bounds.require_energies(result)
             least = lower_bounds.path_floor(query.system, *query.ends, query.duration)
-            lower_bounds.require_path(line, least)
+            lower_bounds.require_path(result, least)
 
-    def again(
+    def reproduce(
         self,
         problem: Problem,
         seeds: Seeds,
@@ -128,25 +128,27 @@ class Paths:
         rows: Sequence[Row],
         same: bool,
     ) -> None:
-        """See `Track`. Elsewhere the energies of most motions must agree, not the motions:
+        """See `LeaderboardTrack`.
+
+        Elsewhere the energies of most motions must agree, not the motions:
         a search that rounding leads into another valley is not what this is about."""
         if method.name not in PLANNERS:
-            raise Rejection(Code.NOT_REPRODUCIBLE, f"no built-in planner {method.name!r:.80}")
+            raise BundleError(Code.NOT_REPRODUCIBLE, f"no built-in planner {method.name!r:.80}")
         plans = self._plans(problem, seeds, get_planner(method.name), method)
-        given = self._motions(problem, seeds, method, rows, members[self.payload(problem)])
+        submitted = self._motions(problem, seeds, method, rows, members[self.payload(problem)])
         if same:
-            for plan, motion in zip(plans, given, strict=True):
+            for plan, motion in zip(plans, submitted, strict=True):
                 if plan.motion != motion:
-                    raise Rejection(
+                    raise BundleError(
                         Code.NOT_REPRODUCED, f"{plan.query.name}: another motion is planned"
                     )
             return
         mine = self._rows(
-            problem, seeds, method, [p.motion for p in plans], [_told(p) for p in plans]
+            problem, seeds, method, [p.motion for p in plans], [_effort_of(p) for p in plans]
         )
         agree = [_alike(a, b) for a, b in zip(mine, rows, strict=True)]
         if np.mean(agree) < PLANNED_SHARE:
-            raise Rejection(
+            raise BundleError(
                 Code.NOT_REPRODUCED,
                 f"{sum(agree)} of {len(agree)} queries agree within {PLANNED:g}",
             )
@@ -157,21 +159,21 @@ class Paths:
         seeds: Seeds,
         planner: Planner,
         method: Method,
-        tell: Progress = lambda stage, done: None,
+        on_progress: Progress = lambda stage, done: None,
     ) -> list[Plan]:
         """Plans of every query with every seed, in order, whoever made them."""
         queries = self.queries(problem, seeds)
         jobs = [(planner, query, seed) for seed in method.seeds for query in queries]
         plans: list[Plan] = []
         with ExitStack() as stack:
-            found: Iterator[Plan] = map(_planned, jobs)
+            planned: Iterator[Plan] = map(_planned, jobs)
             if self.workers > 1:
                 context = multiprocessing.get_context("spawn")
                 pool = stack.enter_context(ProcessPoolExecutor(self.workers, context))
-                found = pool.map(_planned, jobs)
-            for plan in found:
+                planned = pool.map(_planned, jobs)
+            for plan in planned:
                 plans.append(plan)
-                tell("planning", len(plans) / len(jobs))
+                on_progress("planning", len(plans) / len(jobs))
         return plans
 
     # ---------------------------------------------------------------------- rows
@@ -184,7 +186,7 @@ class Paths:
         points = unpack(data, self.payload(problem), (None, queries[0].system.arm.n))
         lengths = [r["length"] for r in rows]
         if sum(lengths) != len(points):
-            raise Rejection(
+            raise BundleError(
                 Code.EPISODE_LENGTH,
                 f"{len(points)} control points, the rows speak of {sum(lengths)}",
             )
@@ -203,7 +205,7 @@ class Paths:
         seeds: Seeds,
         method: Method,
         motions: Sequence[Motion | None],
-        told: Sequence[dict],
+        efforts: Sequence[dict],
     ) -> list[Row]:
         queries = self.queries(problem, seeds)
         straight = _lines(problem, seeds)
@@ -217,28 +219,32 @@ class Paths:
             played = _played(queries, good)
             cases = self.cases(problem, seeds, method, group)
             for k, case in enumerate(cases):
-                motion, own, line = motions[part][k], played[k], straight[k]
+                motion, energies_of, straight_line = motions[part][k], played[k], straight[k]
                 score = None
-                if own is not None and line is not None and line.E_mean > 0:
-                    score = own.E_mean / line.E_mean
-                found = row(
+                if (
+                    energies_of is not None
+                    and straight_line is not None
+                    and straight_line.E_mean > 0
+                ):
+                    score = energies_of.E_mean / straight_line.E_mean
+                result = row(
                     case,
                     group,
                     score=score,
                     success=score is not None,
                     failed=score is None,
-                    energies={} if own is None else own.to_dict(),
+                    energies={} if energies_of is None else energies_of.to_dict(),
                     length=0 if motion is None else len(motion.control),
-                    **told[part][k],
+                    **efforts[part][k],
                 )
-                out.append(found)
+                out.append(result)
         return out
 
 
 @lru_cache(maxsize=len(DURATIONS) * len(MODES))
 def _lines(problem: Problem, seeds: Seeds) -> tuple[Energies | None, ...]:
     """Energies of the straight lines, the same for whoever is compared with them."""
-    queries = Paths().queries(problem, seeds)
+    queries = PathTrack().queries(problem, seeds)
     return tuple(_played(queries, [q.straight for q in queries], account=False))
 
 
@@ -252,8 +258,8 @@ def _planned(job: tuple[Planner, Query, int]) -> Plan:
         return Plan(planner.name, query, None, None, 0.0, f"{type(error).__name__}: {error}")
 
 
-def _told(plan: Plan) -> dict:
-    """What a plan tells of how it was found."""
+def _effort_of(plan: Plan) -> dict:
+    """Return the seconds, evaluations and history of a plan."""
     evaluations = plan.info.get("evaluations")
     curve: list[list[float]] = []
     for seconds, _, cost in plan.info.get("curve") or ():
@@ -268,7 +274,7 @@ def _told(plan: Plan) -> dict:
 
 def _motion(query: Query, control: Array) -> Motion:
     if not DEGREE + 1 <= len(control) <= _MOST:
-        raise Rejection(
+        raise BundleError(
             Code.BAD_ACTION,
             f"{query.name}: a motion has {DEGREE + 1} to {_MOST} control points, got"
             f" {len(control)}",
@@ -277,19 +283,19 @@ def _motion(query: Query, control: Array) -> Motion:
     try:
         return Motion(duration=query.duration, control=points)
     except ParameterError as error:
-        raise Rejection(Code.BAD_ACTION, f"{query.name}: {error}") from None
+        raise BundleError(Code.BAD_ACTION, f"{query.name}: {error}") from None
 
 
 def _played(
     queries: Sequence[Query], motions: Sequence[Motion | None], account: bool = True
 ) -> list[Energies | None]:
     """Energies of the motions that there are; with `account`, theirs must close."""
-    some = [k for k, m in enumerate(motions) if m is not None]
+    moving = [k for k, m in enumerate(motions) if m is not None]
     out: list[Energies | None] = [None] * len(queries)
-    for at in range(0, len(some), _AT_ONCE):
-        part = some[at : at + _AT_ONCE]
-        for k, found in zip(part, _batch(queries, motions, part, account), strict=True):
-            out[k] = found
+    for at in range(0, len(moving), _AT_ONCE):
+        part = moving[at : at + _AT_ONCE]
+        for k, played in zip(part, _batch(queries, motions, part, account), strict=True):
+            out[k] = played
     return out
 
 
@@ -300,11 +306,11 @@ def _batch(
     account: bool,
 ) -> list[Energies | None]:
     system, servo = queries[0].system, queries[0].servo
-    some = [m for k in which if (m := motions[k]) is not None]
+    moving = [m for k in which if (m := motions[k]) is not None]
     try:
-        run = play_motions(system, some, servo=servo, settle=TAIL, record_dt=_RECORD)
+        run = play_motions(system, moving, servo=servo, settle=TAIL, record_dt=_RECORD)
         if account:
-            _require_account(queries, some, which)
+            _require_account(queries, moving, which)
     except Divergence:
         if len(which) == 1:
             return [None]
@@ -323,7 +329,7 @@ def _require_account(
     for i, k in enumerate(which):
         relative = EnergyBalance.of(dense.log(i)).relative
         if not relative <= LEDGER_PATHS:
-            raise Rejection(
+            raise BundleError(
                 Code.LEDGER_RESIDUAL,
                 f"{queries[k].name}: {relative:.3g} of the work through the base port is"
                 f" unaccounted for, at most {LEDGER_PATHS:g}",

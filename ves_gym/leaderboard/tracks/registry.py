@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ves_gym.leaderboard.tracks.base import Track
+from ves_gym.leaderboard.tracks.base import LeaderboardTrack
 
 
-def get_track(name: str, folder: Path | None = None, workers: int = 1) -> Track:
+def get_track(name: str, folder: Path | None = None, workers: int = 1) -> LeaderboardTrack:
     """Return a track.
 
     Args:
         name: paths, policies, damping or discrepancy.
-        folder: of the discrepancy track's cases, None for `Naming`'s own.
+        folder: of the discrepancy track's cases, None for `DiagnosisTrack`'s own.
         workers: processes, 1 for none.
     """
     if name == "paths":
-        from ves_gym.leaderboard.tracks.paths import Paths
+        from ves_gym.leaderboard.tracks.paths import PathTrack
 
-        return Paths(workers)
+        return PathTrack(workers)
     if name == "discrepancy":
-        from ves_gym.leaderboard.tracks.diagnosis import Naming
+        from ves_gym.leaderboard.tracks.diagnosis import DiagnosisTrack
 
-        return Naming(folder, workers)
-    from ves_gym.leaderboard.tracks.damping import Damping
-    from ves_gym.leaderboard.tracks.policies import Episodes
+        return DiagnosisTrack(folder, workers)
+    from ves_gym.leaderboard.tracks.damping import DampingTrack
+    from ves_gym.leaderboard.tracks.policies import PolicyTrack
 
-    return Episodes() if name == "policies" else Damping()
+    return PolicyTrack() if name == "policies" else DampingTrack()
