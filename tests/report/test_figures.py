@@ -95,6 +95,6 @@ def test_a_map_without_lines_or_ends_is_drawn(tmp_path, make_result):
 
 
 def test_without_matplotlib_the_extra_is_named(tmp_path, make_result, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ParameterError, match=r"ves-gym\[report\]"):
         write_figures(make_result(queries=1, points=9), tmp_path)

@@ -37,7 +37,7 @@ class LimitError(ValueError):
 
 @dataclass(frozen=True)
 class Extreme:
-    """Where something comes nearest to its limit, or exceeds it most."""
+    """Place and time at which something comes nearest to its limit, or exceeds it most."""
 
     kind: str  # position, velocity, acceleration or torque
     joint: int  # from 1

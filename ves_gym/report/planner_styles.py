@@ -17,7 +17,7 @@ _DASHES = ("", "8 3", "2.5 2.5", "10 3 2 3")  # as in SVG
 
 
 class Style(NamedTuple):
-    """How a planner is drawn."""
+    """Colour and stroke of a planner."""
 
     colour: int  # place in the palette
     dash: str = ""  # lengths of strokes and gaps; solid without

@@ -26,7 +26,7 @@ WATCHED = ("position", "velocity", "torque")
 
 @dataclass(frozen=True)
 class Extremes:
-    """Where each joint was nearest to its limits, between the records as well.
+    """Nearest approach of each joint to its limits, between the records as well.
 
     Axes: kind (`WATCHED`), run, joint. Positions are from the middle of the range.
     """
