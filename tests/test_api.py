@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -33,9 +34,9 @@ def comparison(plan):
 def no_window(monkeypatch):
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
-    yield
     import matplotlib.pyplot as plt
 
+    yield
     plt.close("all")
 
 
@@ -172,6 +173,14 @@ def test_a_result_is_one_line_a_page_and_axes(shown, name):
     assert axes.has_data()
     with pytest.raises(vg.ParameterError, match="ax must be one axes"):
         result.plot(plt.subplots(1, 4)[1])
+
+
+def test_without_matplotlib_the_extra_is_named_and_a_notebook_has_the_table(plan, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(vg.ParameterError, match=r"ves-gym\[report\]"):
+        plan.plot()
+    page = plan._repr_html_()
+    assert "predicted" in page and "<img" not in page
 
 
 def test_a_log_has_three_panels(log):

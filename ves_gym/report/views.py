@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ves_gym._util.optional import lacking, require
 from ves_gym._util.params import ParameterError
 from ves_gym._util.views import Viewable, draw, facts, picture
 from ves_gym.baselines.comparison import ControllerComparison
@@ -47,13 +48,9 @@ _DPI = 80  # of a notebook's picture
 
 def _axes(ax: Any, titles: Sequence[str], size: tuple[float, float]) -> list[Axes]:
     """Return one axes per panel: those given, or those of a new figure."""
-    try:
-        import matplotlib.pyplot as plt
-    except ImportError as error:
-        raise ParameterError(
-            f"plots need matplotlib, which is missing ({error}); install the extra:"
-            " pip install 'ves-gym[report]'"
-        ) from None
+    require("drawing", "matplotlib")
+    import matplotlib.pyplot as plt
+
     if ax is None:
         _, new = plt.subplots(
             len(titles), 1, figsize=size, layout="constrained", squeeze=False, sharex=True
@@ -415,10 +412,10 @@ def _(check: EmulationCheck, ax: Any = None) -> Any:
 @picture.register
 def _(result: Viewable) -> str | None:
     """Draw a result without touching the figures of the session."""
-    try:
-        import matplotlib.pyplot as plt
-    except ImportError:
+    if lacking("drawing", "matplotlib"):
         return None
+    import matplotlib.pyplot as plt
+
     before = set(plt.get_fignums())
     try:
         axes = np.atleast_1d(np.asarray(result.plot(), object))[0]
