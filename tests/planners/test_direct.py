@@ -12,7 +12,7 @@ from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, STRAIGHT_V
 from ves_gym.planners.direct import Direct, MotionProblem, minimise, quadratic_program
 from ves_gym.planners.obstacles import Sphere, Surroundings
 from ves_gym.planners.prediction import predict
-from ves_gym.planners.query import Query, solve
+from ves_gym.planners.query import NoPlan, Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import SPEED_LIMITS, reach100
 from ves_gym.system.system import System
@@ -54,6 +54,19 @@ def test_speed_position_and_torque_hold_at_every_instant(case):
     assert (s.q <= arm.column("q_max") + 1e-9).all()
     ratios = limit_ratios(arm, plan.motion, samples=5001)
     assert ratios["torque"].max() <= 1 + 1e-2  # the torque is no polynomial: sampled
+
+
+def test_a_turn_faster_than_its_speed_limit_is_refused():
+    """180 degrees at 82 deg/s take 2.2 s."""
+    query = Query(
+        system=System(),
+        start=(-np.pi / 2, 0.0, 0.0),
+        goal=(np.pi / 2, 0.0, 0.0),
+        duration=2.0,
+        v_max=SPEED_LIMITS,
+    )
+    with pytest.raises(NoPlan, match=r"joint 1 needs 2.2 s at its speed limit, there are 2 s"):
+        get_planner("direct").find(query, 0)
 
 
 def test_without_speed_limits_it_finds_less_still():

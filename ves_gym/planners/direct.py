@@ -23,7 +23,7 @@ from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots
 from ves_gym.planners.momentum import momentum, torque
 from ves_gym.planners.obstacles import Collisions, collisions
 from ves_gym.planners.prediction import MeanEnergy
-from ves_gym.planners.query import Query
+from ves_gym.planners.query import Query, require_time
 
 _FIXED = 3  # control points held at each end
 _SHARE = 1 - 1e-4  # of speed and acceleration limits: more than the optimiser's tolerance
@@ -57,7 +57,11 @@ class Direct:
 
         Returns:
             The motion and the search's statistics.
+
+        Raises:
+            NoPlan: a joint cannot cover its way in time.
         """
+        require_time(query)
         problem = MotionProblem(query, self.free)
         minimum = minimise(problem, problem.straight, self.iterations)
         return problem.motion(minimum.x), minimum.info()

@@ -339,16 +339,27 @@ def sample_path(motion: Motion, step: float) -> Array:
     return out
 
 
+def require_time(query: Query) -> None:
+    """Raise NoPlan where a joint cannot cover its way within its speed limit.
+
+    Args:
+        query: with its duration [s] and, if any, speed limits [rad/s].
+    """
+    if query.v_max is None:
+        return
+    start, goal = query.ends
+    least = np.abs(goal - start) / np.array(query.v_max)
+    if least.max() > query.duration:
+        raise NoPlan(
+            f"no motion: joint {int(least.argmax()) + 1} needs {least.max():.3g} s at its"
+            f" speed limit, there are {query.duration:g} s"
+        )
+
+
 def require_possible(query: Query) -> None:
     """Raise NoPlan where the ends alone rule a motion out: too far, or too near something."""
+    require_time(query)
     start, goal = query.ends
-    if query.v_max is not None:
-        least = np.abs(goal - start) / np.array(query.v_max)
-        if least.max() > query.duration:
-            raise NoPlan(
-                f"no motion: joint {int(least.argmax()) + 1} needs {least.max():.3g} s at its"
-                f" speed limit, there are {query.duration:g} s"
-            )
     if query.surroundings is None:
         return
     checker = collisions(query.system.ideal(), query.surroundings)
