@@ -18,6 +18,7 @@ from ves_gym.mechanics.vehicle import (
     STRAIGHT_VERTICAL,
 )
 from ves_gym.planners.coupling import (
+    CouplingMap,
     band_limited,
     blocks,
     coupling_length,
@@ -258,3 +259,26 @@ def test_a_disturbance_map():
     assert section.lines()
     with pytest.raises(ParameterError, match=r"a disturbance map has no duration, got 2\.0"):
         coupling_map(system, (0, 1), (0.0,) * 3, duration=2.0, disturbance=True)
+
+
+def test_a_map_comes_back_from_its_file(tmp_path):
+    section = coupling_map(SYSTEM, (0, 1), (0.0, 0.0, 0.3), points=9)
+    section.save(tmp_path / "map.npz")
+    again = CouplingMap.load(tmp_path / "map.npz")
+    np.testing.assert_array_equal(again.most, section.most)
+    assert (again.joints, again.duration) == (section.joints, section.duration)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no map", b"PK\x03\x04 and no more"])
+def test_a_file_that_holds_no_map_is_refused(content, tmp_path):
+    path = tmp_path / "map.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ParameterError, match=r"map\.npz: no coupling map can be read"):
+        CouplingMap.load(path)
+
+
+def test_another_archive_is_refused_with_what_it_lacks(tmp_path):
+    np.savez(tmp_path / "other.npz", joints=np.zeros(2))
+    with pytest.raises(ParameterError, match=r"no coupling map can be read: .*first"):
+        CouplingMap.load(tmp_path / "other.npz")

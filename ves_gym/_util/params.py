@@ -340,6 +340,37 @@ def write_table(path: str | os.PathLike[str], value: Any) -> None:
         raise ParameterError(f"{path}: expected a .toml or .json name, got {path.suffix!r}")
 
 
+def write_result(path: str | os.PathLike[str], plain: Mapping[str, Any]) -> None:
+    """Write a result as JSON, atomically.
+
+    Args:
+        path: ends in .json.
+        plain: plain data with an entry `schema`, all numbers finite.
+
+    Raises:
+        ParameterError: another suffix.
+    """
+    if Path(path).suffix != ".json":
+        raise ParameterError(f"{path}: expected a .json name, got {Path(path).suffix!r}")
+    write_text(path, json.dumps(plain, indent=1, allow_nan=False) + "\n")
+
+
+def read_result(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
+    """Read what `write_result` wrote.
+
+    Args:
+        path: the file.
+        schema: that it must have.
+
+    Raises:
+        ParameterError: it cannot be read, or has another schema.
+    """
+    plain = read_table(path)
+    if plain.get("schema") != schema:
+        raise ParameterError(f"{path}: schema must be {schema!r}, got {plain.get('schema')!r}")
+    return plain
+
+
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a file completely or not at all: temporary name, fsync, rename.
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ves_gym._util.params import ParameterError, read_table, write_text
+from ves_gym._util.params import (
+    ParameterError,
+    read_result,
+    write_result,
+)
 from ves_gym._util.statistics import Estimate
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.views import Viewable
@@ -100,9 +103,7 @@ class ControllerComparison(Viewable):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, completely or not at all."""
-        if Path(path).suffix != ".json":
-            raise ParameterError(f"{path}: expected a .json name, got {Path(path).suffix!r}")
-        write_text(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+        write_result(path, self.to_dict())
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> ControllerComparison:
@@ -111,11 +112,7 @@ class ControllerComparison(Viewable):
         Raises:
             ParameterError: another schema.
         """
-        plain = read_table(path)
-        if plain.get("schema") != SCHEMA:
-            raise ParameterError(
-                f"{path}: schema must be {SCHEMA!r}, got {plain.get('schema')!r}"
-            )
+        plain = read_result(path, SCHEMA)
         out = []
         for entry in plain["controllers"]:
             rows = [

@@ -7,17 +7,15 @@ description with it) -> verify (on runs that nothing before has touched).
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, write_text
+from ves_gym._util.params import Array, ParameterError, write_result
 from ves_gym._util.views import Viewable
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.data.quality import Fault, faults
@@ -149,9 +147,7 @@ class Diagnosis(Viewable):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write verdict and numbers as JSON; `system.save` writes the better description."""
-        if Path(path).suffix != ".json":
-            raise ParameterError(f"{path}: expected a .json name, got {Path(path).suffix!r}")
-        write_text(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+        write_result(path, self.to_dict())
 
     @property
     def sentence(self) -> str:

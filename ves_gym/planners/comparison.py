@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, read_table, write_text
+from ves_gym._util.params import (
+    Array,
+    ParameterError,
+    read_result,
+    write_result,
+)
 from ves_gym._util.views import Viewable
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.query import Plan, Planner, Query, solve
@@ -140,9 +143,7 @@ class Comparison(Viewable):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, completely or not at all; plans are saved on their own."""
-        if Path(path).suffix != ".json":
-            raise ParameterError(f"{path}: expected a .json name, got {Path(path).suffix!r}")
-        write_text(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+        write_result(path, self.to_dict())
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Comparison:
@@ -151,11 +152,7 @@ class Comparison(Viewable):
         Raises:
             ParameterError: another schema.
         """
-        plain = read_table(path)
-        if plain.get("schema") != SCHEMA:
-            raise ParameterError(
-                f"{path}: schema must be {SCHEMA!r}, got {plain.get('schema')!r}"
-            )
+        plain = read_result(path, SCHEMA)
         rows = []
         for row in plain["rows"]:
             trace = None if row["energy"] is None else np.array(row["energy"])

@@ -13,6 +13,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +33,9 @@ from ves_gym.mechanics.modes import (
 from ves_gym.mechanics.vehicle import BaseModel
 from ves_gym.system.system import System
 
+# of a map's file
+_ARRAYS = ("joints", "first", "second", "fixed", "duration", "least", "most", "direction",
+           "disturbance")  # fmt: skip
 _MANY = 3000  # angles from which compiled code pays, its first use included
 _SAME = 0.2  # rad: spots nearer than this are one
 
@@ -231,9 +235,24 @@ class CouplingMap(Viewable):
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> CouplingMap:
-        """Read what `save` wrote."""
-        with np.load(path) as file:
-            arrays = {name: file[name] for name in file.files}
+        """Read what `save` wrote.
+
+        Raises:
+            ParameterError: it cannot be read, or is no coupling map.
+        """
+        try:
+            with np.load(io.BytesIO(Path(path).read_bytes())) as file:  # unpickles nothing
+                arrays = {name: file[name] for name in _ARRAYS}
+        except (
+            OSError,
+            EOFError,
+            ValueError,
+            KeyError,
+            AttributeError,
+            TypeError,
+            BadZipFile,
+        ) as error:
+            raise ParameterError(f"{path}: no coupling map can be read: {error}") from None
         duration = float(arrays["duration"])
         i, j = (int(k) for k in arrays["joints"])
         return CouplingMap(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import time
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,11 +19,11 @@ from ves_gym._util.params import (
     Vector,
     finite,
     from_plain,
-    read_table,
+    read_result,
     require_positive,
     to_plain,
     unit,
-    write_text,
+    write_result,
 )
 from ves_gym._util.views import Viewable
 from ves_gym.mechanics.arm import Arm
@@ -144,9 +142,7 @@ class Plan(Viewable):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, completely or not at all (`plan.motion.save`: the motion alone)."""
-        if Path(path).suffix != ".json":
-            raise ParameterError(f"{path}: expected a .json name, got {Path(path).suffix!r}")
-        write_text(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+        write_result(path, self.to_dict())
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Plan:
@@ -155,11 +151,7 @@ class Plan(Viewable):
         Raises:
             ParameterError: another schema, unknown keys, or no plan.
         """
-        plain = read_table(path)
-        if plain.get("schema") != SCHEMA:
-            raise ParameterError(
-                f"{path}: schema must be {SCHEMA!r}, got {plain.get('schema')!r}"
-            )
+        plain = read_result(path, SCHEMA)
         query: Query = from_plain(Query, plain["query"], f"{path}: query")
         motion, predicted = plain["motion"], plain["predicted"]
         return Plan(
