@@ -185,7 +185,9 @@ def test_leaving_by_an_exception_ends_everything(tmp_path):
 
 
 PROGRAM = """
-import sys, time
+import signal, sys, time
+# a shell that starts tests in the background has them ignore Ctrl-C
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from tests._util.test_process_pool import touch
 from ves_gym._util.process_pool import Workers
 if __name__ == "__main__":
