@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import ves_gym as vg
+from tests.display import require_opengl
 from ves_gym.cli.main import main
 
 DEGREES = "20,10,-5"
@@ -312,3 +313,22 @@ def test_the_readme_names_a_friction_in_twelve_lines_and_one_import():
     assert [line for line in lines if "import" in line] == ["import ves_gym as vg"]
     for word in ("JointCoulomb", "found.sentence", "found.system", "found.plot()"):
         assert word in snippet  # tests/test_examples.py runs it
+
+
+def test_a_training_gives_policies_curves_and_a_picture(tmp_path):
+    """Two updates of PPO: the policy is on disk, acts, and the curve can be drawn."""
+    result = vg.train("ves/BeamLQR-v0", steps=4096, seeds=[0], folder=tmp_path / "run")
+    assert repr(result).startswith("<TrainingResult: ")
+    best = sorted((tmp_path / "run").rglob("best.json"))
+    assert len(best) == 1
+    scored = vg.evaluate("ves/BeamLQR-v0", [vg.load_policy(best[0])], episodes=2)
+    assert np.isfinite(scored.to_dict()["controllers"][0]["summary"]["return"]["iqm"]["value"])
+    assert np.ravel(result.plot())[0].get_figure() is not None
+
+
+def test_a_run_is_drawn(tmp_path):
+    require_opengl()
+    plan = vg.plan([0, 0, 0], [0.3, 0.2, -0.2], duration=1.0, planner="straight")
+    log = vg.simulate(plan.motion, settle=0.2, record_dt=0.02)
+    path = vg.render(log, tmp_path / "run.gif", width=160, height=120, fps=10)
+    assert path == tmp_path / "run.gif" and path.read_bytes()[:6] == b"GIF89a"
