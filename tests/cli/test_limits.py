@@ -39,9 +39,14 @@ def test_plan_keeps_the_speed_limits_of_the_arm_unless_told_otherwise(call):
     _, _, _, free = call("plan", *ENDS, "--v-max", "none")
     np.testing.assert_allclose(own["path"], same["path"], atol=1e-9)
     assert free["simulated"]["E_mean"] < own["simulated"]["E_mean"]
-    status, out, _, late = call("plan", "--goal", "110,0,0", "--duration", "1")
-    assert status == 1 and not late["feasible"] and late["failure"] in out
-    assert late["failure"].startswith("velocity of joint ")
+    late = ("plan", "--goal", "110,0,0", "--duration", "1")
+    for planner, why in (
+        ("straight", "velocity of joint 1 "),
+        ("direct", "no motion: joint 1 "),
+    ):
+        status, out, _, result = call(*late, "--planner", planner)
+        assert status == 1 and not result["feasible"] and result["failure"] in out
+        assert result["failure"].startswith(why)
 
 
 def test_the_check_is_at_the_physics_step_whatever_is_recorded(call):
