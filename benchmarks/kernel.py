@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.timing import Pair, side_by_side
 from ves_gym.engine.backends.kernel import KernelBackend
 from ves_gym.engine.backends.mujoco import MujocoBackend
-from ves_gym.engine.kernel.sensitivity import rollout
+from ves_gym.engine.kernel.sensitivity import rollout_gradients
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -131,7 +131,9 @@ def sensitivities(p: int) -> float:
     hold = np.tile(sim.servo_command(0 * sim.state.q, 0 * sim.state.v)[:, None], (1, 801, 1))
     names = _NAMES[:p]
     pair = side_by_side(
-        lambda: rollout(system, hold, wrt=names), lambda: rollout(system, hold), RUNS
+        lambda: rollout_gradients(system, hold, wrt=names),
+        lambda: rollout_gradients(system, hold),
+        RUNS,
     )
     return 1 / pair.ratio
 

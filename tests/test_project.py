@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import importlib
 import re
 import runpy
 import subprocess
@@ -386,3 +387,15 @@ def test_a_deep_import_is_found(line):
 )
 def test_a_public_import_is_left_alone(text):
     assert deep_imports(text) == []
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda p: p.stem
+)
+def test_benchmarks_name_what_exists(path):
+    """Timings run by hand only: a name that has moved would not be noticed until then."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("ves_gym"):
+            module = importlib.import_module(node.module)
+            missing = [alias.name for alias in node.names if not hasattr(module, alias.name)]
+            assert not missing, f"{path.name}:{node.lineno}: {node.module} has no {missing}"
