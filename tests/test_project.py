@@ -2,7 +2,6 @@
 
 import ast
 import importlib
-import importlib
 import re
 import runpy
 import subprocess
