@@ -205,8 +205,8 @@ def _step_limit(limit: Any) -> int | None:
     return int(limit)
 
 
-def _mask(mask_in: Any, n: int) -> Mask:
-    mask = np.asarray(mask_in)
+def _mask(raw_mask: Any, n: int) -> Mask:
+    mask = np.asarray(raw_mask)
     if mask.shape != (n,) or mask.dtype != bool:
-        raise gym.error.Error(f"reset_mask must be {n} truth values, got {mask_in!r}")
+        raise gym.error.Error(f"reset_mask must be {n} truth values, got {raw_mask!r}")
     return mask

@@ -38,16 +38,16 @@ def unpack(data: bytes, name: str, shape: tuple[int | None, ...]) -> Array:
     Raises:
         BundleError: BAD_ACTION, it is no such array or not finite.
     """
-    shape_in, body = _header(data, name)
-    good = len(shape_in) == len(shape) and all(
-        want is None or have == want for have, want in zip(shape_in, shape, strict=True)
+    stored_shape, body = _header(data, name)
+    good = len(stored_shape) == len(shape) and all(
+        want is None or have == want for have, want in zip(stored_shape, shape, strict=True)
     )
     if not good:
         expected = tuple("any" if k is None else k for k in shape)
-        raise _bad(f"{name} must have the shape {expected}, got {shape_in}")
-    if len(body) != 8 * math.prod(shape_in):
-        raise _bad(f"{name}: {len(body)} bytes are no array of shape {shape_in}")
-    values: Array = np.frombuffer(body, "<f8").astype(np.float64).reshape(shape_in)
+        raise _bad(f"{name} must have the shape {expected}, got {stored_shape}")
+    if len(body) != 8 * math.prod(stored_shape):
+        raise _bad(f"{name}: {len(body)} bytes are no array of shape {stored_shape}")
+    values: Array = np.frombuffer(body, "<f8").astype(np.float64).reshape(stored_shape)
     if not np.isfinite(values).all():
         raise _bad(f"{name} is not finite at {np.argwhere(~np.isfinite(values))[0].tolist()}")
     return values

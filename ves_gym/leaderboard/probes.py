@@ -257,18 +257,18 @@ def motions(problem: Problem) -> Plain:
 
     excerpt = Excerpt(problem.track, problem.name, _QUERIES)
     track, seeds = _paths(), seeds_of(problem, None)
-    queries_in = track.queries(excerpt, seeds)
-    every = [_beside(query, bump) for bump in _BUMPS for query in queries_in]
+    asked_queries = track.queries(excerpt, seeds)
+    every = [_beside(query, bump) for bump in _BUMPS for query in asked_queries]
     method = Method(kind="planner", name="fixed", seeds=tuple(range(len(_BUMPS))))
     claimed: list[Plain] = [{"length": len(m.control)} for m in every]
     data = pack(np.concatenate([np.array(m.control) for m in every]))
     rows = track.replay(excerpt, seeds, method, claimed, data)
-    pairs = list(zip(queries_in * len(_BUMPS), every, strict=True))
+    pairs = list(zip(asked_queries * len(_BUMPS), every, strict=True))
     return {
         "rows": [_named(row) for row in rows],
         # near the straight line: rounding moves predictions of wilder motions by up to 2e-10
         "predicted": [
-            predict(q.system, m, q.servo).to_dict() for q, m in pairs[: 2 * len(queries_in)]
+            predict(q.system, m, q.servo).to_dict() for q, m in pairs[: 2 * len(asked_queries)]
         ],
         "inside the limits": [broken_limit(q, m) is None for q, m in pairs],
         "shares of the limits": [

@@ -97,7 +97,7 @@ class LoopParameters:
 
     @staticmethod
     def stacked(rows: Sequence[LoopParameters]) -> LoopParameters:
-        """LoopParameters of several simulations, one after the other."""
+        """Return the parameters of several simulations, one after the other."""
         sensors = zip(*(row.sensor.parts() for row in rows), strict=True)
         return LoopParameters(
             arm=rows[0].arm,

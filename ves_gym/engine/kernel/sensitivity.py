@@ -76,12 +76,12 @@ def rollout_gradients(
             f"{did_you_mean(unknown[0], names)}"
         )
     joints = system.arm.n
-    u_nodes = np.asarray(commands, float)
-    if u_nodes.ndim != 3 or u_nodes.shape[1] < 2 or u_nodes.shape[2] != joints:
+    samples = np.asarray(commands, float)
+    if samples.ndim != 3 or samples.shape[1] < 2 or samples.shape[2] != joints:
         raise ParameterError(
-            f"commands must have shape (n, k + 1, {joints}), k >= 1, got {u_nodes.shape}"
+            f"commands must have shape (n, k + 1, {joints}), k >= 1, got {samples.shape}"
         )
-    n, nodes, _ = u_nodes.shape
+    n, nodes, _ = samples.shape
     push = np.zeros((n, nodes, 0, joints)) if along is None else np.asarray(along, float)
     if push.ndim != 4 or push.shape[:2] != (n, nodes) or push.shape[3] != joints:
         raise ParameterError(
@@ -100,7 +100,7 @@ def rollout_gradients(
     x = np.zeros((n, width * (1 + m)))
     x[:, : 2 * size] = np.broadcast_to(np.asarray(x0, float), (n, 2 * size))
     u = np.zeros((n, nodes, 1 + c, size))
-    u[:, :, 0, 6:], u[:, :, 1:, 6:] = u_nodes, push
+    u[:, :, 0, 6:], u[:, :, 1:, 6:] = samples, push
     out = _advance(system, wrt, c, x, u.reshape(n, nodes, -1), p)
     parts, time = out.reshape(n, 1 + m, width), (nodes - 1) * system.physics_dt
     return Rollout(
