@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Vector
-from ves_gym.mechanics.arm import skew
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import LaboratoryEffect, parameter, register
 
@@ -22,6 +21,8 @@ class SensorRotation(LaboratoryEffect):
 
     def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""
-        turn = np.zeros((6, 6))
-        turn[:3, :3] = turn[3:, 3:] = -skew(np.array(self.angles))
-        p.sensor.matrix = p.sensor.matrix + turn
+        x, y, z = np.array(self.angles)
+        o = np.zeros_like(x)
+        turn = [[o, z, -y], [-z, o, x], [y, -x, o]]  # -angles x, of force and moment
+        blocks = [[*row, o, o, o] for row in turn] + [[o, o, o, *row] for row in turn]
+        p.sensor.matrix = p.sensor.matrix + np.array(blocks)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -147,15 +147,30 @@ class ParameterRows:
                 self._put(row, f"{label}{k}", number, which)
         return row
 
+    def place(self, name: str, values: Array) -> int | None:
+        """Place of a parameter in a row; None where it is zero in the code and in `values`.
+
+        Args:
+            name: of the parameter.
+            values: (k,) it is to take.
+        """
+        at = self._at.get(name)
+        if at is None and values.any():
+            self._refuse("a simulation's system", name, float(values[values != 0][0]))
+        return at
+
     def _put(self, row: Array, name: str, value: float, which: str) -> None:
         at = self._at.get(name)
         if at is not None:
             row[at] = value
         elif value != 0:
-            raise ParameterError(
-                f"{which}: {name} is {value:g} but 0 in the simulator's own system, whose"
-                " compiled code leaves it out: give the simulator a system in which it is not 0"
-            )
+            self._refuse(which, name, value)
+
+    def _refuse(self, which: str, name: str, value: float) -> NoReturn:
+        raise ParameterError(
+            f"{which}: {name} is {value:g} but 0 in the simulator's own system, whose"
+            " compiled code leaves it out: give the simulator a system in which it is not 0"
+        )
 
 
 @dataclass

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, Index, Mask, ParameterError, content_hash
 from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
 from ves_gym.envs.dump import Recorder
-from ves_gym.envs.randomize import draw, template
+from ves_gym.envs.randomize import Draws
 from ves_gym.envs.tail import tail_energy
 from ves_gym.envs.task import Scene, Task
 from ves_gym.mechanics.servo import HIGH_GAINS
@@ -80,7 +80,8 @@ class Batch:
         dump: str | os.PathLike[str] | None = None,
     ) -> None:
         self.task, self.n = task, n
-        self.system = template(task.system, task.randomize)
+        self._draws = Draws(task.system, task.randomize)
+        self.system = self._draws.system
         control, arm = task.control, self.system.arm
         motor = self.system.drive == "motor"
         self.sim = Simulator(
@@ -93,7 +94,7 @@ class Batch:
             warn_at=None,
         )
         space = self.system.ideal()
-        self._space = [space] * n
+        self._space = space  # effects have no part in it
         self._scenes, self._torques = SceneMap(space, n), TorqueMap(space, n)
         self._emulated = self.system.mode == "emulated"
         self._feedforward = motor and control.servo.feedforward
@@ -137,8 +138,7 @@ class Batch:
         if not len(ids):
             return
         e.number[ids] += 1
-        extra = sum(r.size for r in task.randomize)
-        u = np.empty((len(ids), task.draws + extra))
+        u = np.empty((len(ids), task.draws + self._draws.size))
         for row, i in enumerate(ids.tolist()):
             key = (int(e.root[i]), int(e.index[i]), int(e.number[i]))
             generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(key)))
@@ -171,18 +171,10 @@ class Batch:
         return {f"randomized/{label}": value.copy() for label, value in self.drawn.items()}
 
     def _randomise(self, ids: Index, u: Array) -> None:
-        systems, base = [], self.task.system
-        for row, i in zip(u, ids.tolist(), strict=True):
-            values, effects = draw(self.task.randomize, row)
-            systems.append(base.replace(effects=(*base.effects, *effects)))
-            for label, value in values.items():
-                self.drawn[label][i] = value.ravel()
-        self.sim.assign(systems, ids)
-        space = [system.ideal() for system in systems]
-        for i, system in zip(ids.tolist(), space, strict=True):
-            self._space[i] = system
-        self._scenes.assign(ids, space)
-        self._torques.assign(ids, space)
+        rows = self._draws.rows(u)
+        self.sim.assign_effects(rows, ids)
+        for label, values in zip(self.drawn, rows.values.values(), strict=True):
+            self.drawn[label][ids] = values.reshape(len(ids), -1)
 
     # ------------------------------------------------------------------- step
 
@@ -303,14 +295,7 @@ class Batch:
             away = s.q[ids] - s.ref[ids, 0]
         x = np.concatenate([s.y[ids], away, s.yd[ids], s.v[ids]], axis=1)
         parts = (s.q[ids], x, s.kp[ids], s.kd[ids])
-        first, tail = self._space[0], self.task.tail
-        if all(k.arm is first.arm and k.vehicle is first.vehicle for k in self._space):
-            return tail_energy(first, *parts, seconds=tail)  # effects have no part in it
-        rows = [
-            tail_energy(self._space[i], *(p[k : k + 1] for p in parts), seconds=tail)
-            for k, i in enumerate(ids.tolist())
-        ]
-        return np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
+        return tail_energy(self._space, *parts, seconds=self.task.tail)
 
     def observe(self) -> npt.NDArray[np.float32]:
         """(n, observations) in the fields' scales, clipped; what is not a number becomes 0."""
@@ -329,14 +314,13 @@ class Batch:
         return (
             self.task,
             copy.deepcopy(episodes_state),
-            tuple(self._space),
             self.sim.snapshot(),
             recorded,
         )
 
     def set_state(self, state: Any) -> None:
         """Return to a state handed out by `get_state` of a batch of the same task and n."""
-        task, episodes_state, space, snapshot, recorded = state
+        task, episodes_state, snapshot, recorded = state
         if task != self.task:
             raise ParameterError(
                 f"snapshot is of task {task.kind} {content_hash(task)[:12]}, this is"
@@ -344,9 +328,5 @@ class Batch:
             )
         self.sim.restore(snapshot)  # refuses what does not fit, before anything changes
         self.scene, self.episodes, self.drawn = copy.deepcopy(episodes_state)
-        self._space = list(space)
-        if self.task.randomize:
-            self._scenes.assign(np.arange(self.n), self._space)
-            self._torques.assign(np.arange(self.n), self._space)
         if self.recorder is not None:
             self.recorder.set_state(recorded)

@@ -9,8 +9,12 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, from_plain
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import EFFECTS, Effect
+from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import System
+
+_TRIES = 5  # simulations with which effects are tried at once: more than any vector of three
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,24 +67,57 @@ class Range:
                 f" {system.mode}"
             )
 
-    def value(self, u: Array) -> Array:
-        """The parameter from uniform numbers (size,)."""
+    def values(self, u: Array) -> Array:
+        """The parameter (k, ...) from uniform numbers (k, size)."""
         low, high = np.asarray(self.low, float), np.asarray(self.high, float)
-        return np.asarray(low + (high - low) * u.reshape(low.shape), dtype=np.float64)
+        share = u.reshape(len(u), *low.shape)
+        return np.asarray(low + (high - low) * share, dtype=np.float64)
 
 
-def draw(ranges: tuple[Range, ...], u: Array) -> tuple[dict[str, Array], tuple[Effect, ...]]:
-    """Values by label, and the effects that carry them, of uniform numbers (sum of sizes,)."""
-    values: dict[str, Array] = {}
-    at = 0
+def draw(ranges: tuple[Range, ...], u: Array) -> dict[tuple[str, str], Array]:
+    """Values (k, ...) by effect and parameter, of uniform numbers (k, sum of sizes)."""
+    values, at = {}, 0
     for spread in ranges:
-        values[spread.label] = spread.value(u[at : at + spread.size])
+        values[spread.effect, spread.parameter] = spread.values(u[:, at : at + spread.size])
         at += spread.size
-    effects = []
+    return values
+
+
+def _effects(ranges: tuple[Range, ...], u: Array) -> tuple[Effect, ...]:
+    """One draw's effects, of uniform numbers (sum of sizes,); checked."""
+    values, effects = draw(ranges, u[None]), []
     for kind in dict.fromkeys(r.effect for r in ranges):
-        plain = {r.parameter: values[r.label].tolist() for r in ranges if r.effect == kind}
+        plain = {name: v[0].tolist() for (k, name), v in values.items() if k == kind}
         effects.append(from_plain(EFFECTS[kind], plain, f"randomize.{kind}"))
-    return values, tuple(effects)
+    return tuple(effects)
+
+
+class Draws:
+    """Randomised effects of a system: rows of values from rows of uniform numbers.
+
+    Args:
+        system: before the randomised effects.
+        ranges: what is drawn.
+    """
+
+    def __init__(self, system: System, ranges: tuple[Range, ...]) -> None:
+        self.ranges, self.system = ranges, template(system, ranges)
+        self.size = sum(r.size for r in ranges)
+        self._place = {e.kind: i for i, e in enumerate(self.system.effects)}
+        self._at_once = False
+        if ranges:
+            start = None
+            if self.system.mode == "emulated":
+                settings = self.system.emulator_settings
+                start = LoopParameters.nominal(self.system.arm, settings, 1)
+            tries = np.random.default_rng(0).random((_TRIES, self.size))
+            self._at_once = self.rows(tries).together(start)
+
+    def rows(self, u: Array) -> EffectRows:
+        """Effects of k simulations from uniform numbers (k, size)."""
+        values = draw(self.ranges, u)
+        by_place = {(self._place[kind], name): v for (kind, name), v in values.items()}
+        return EffectRows(self.system, by_place, self._at_once)
 
 
 def template(system: System, ranges: tuple[Range, ...]) -> System:
@@ -93,7 +130,7 @@ def template(system: System, ranges: tuple[Range, ...]) -> System:
         raise ParameterError(
             f"randomize: effect {clash[0]} is already in the system; randomise it or set it"
         )
-    draw(ranges, np.zeros(sum(r.size for r in ranges)))  # refuses a lower end out of bounds
+    _effects(ranges, np.zeros(sum(r.size for r in ranges)))  # refuses a lower end out of bounds
     # not a zero where any other value is possible: what is zero there stays zero (`assign`)
     ends = np.concatenate([np.asarray(r.high, float).ravel() != 0 for r in ranges])
-    return system.replace(effects=(*system.effects, *draw(ranges, ends.astype(float))[1]))
+    return system.replace(effects=(*system.effects, *_effects(ranges, ends.astype(float))))

@@ -219,7 +219,7 @@ class EmulationLoop:
                     inertias.arms[i] = system.arm
             for i, system in pairs:
                 self._systems[i] = system
-            self._install(ids, p)
+            self.install(ids, p)
 
         return install
 
@@ -229,8 +229,13 @@ class EmulationLoop:
             self._start = LoopParameters.nominal(system.arm, self.spec, 1)
         return self._start.copy().edited(system)
 
-    def _install(self, ids: Index, p: LoopParameters) -> None:
-        """Put parameters (m, ...) in place, with all that follows from them."""
+    def install(self, ids: Index, p: LoopParameters) -> None:
+        """Put parameters in place, with all that follows from them; memory stays.
+
+        Args:
+            ids: (m,) which simulations.
+            p: of m simulations.
+        """
         for name in ARRAYS:
             getattr(self.parameters, name)[ids] = getattr(p, name)
         self.sensor.put(ids, p.sensor)

@@ -72,16 +72,18 @@ class JointDelays:
                 )
                 setattr(self, name, np.concatenate([older, history], axis=1))
 
-    def assign(self, ids: Index, systems: Sequence[System], q: Array, v: Array) -> None:
-        """Give simulations the delays of their own systems.
+    def assign(self, ids: Index, delays: Sequence[Delays], q: Array, v: Array) -> None:
+        """Give simulations delays of their own.
 
         Args:
             ids: (k,) which.
-            systems: k of them.
+            delays: of k simulations in all, one after the other.
             q, v: (n, joints) angles and rates of all simulations.
         """
-        for i, system in zip(ids.tolist(), systems, strict=True):
-            self.delays.put(np.array([i]), Delays.of(system))
+        at = 0
+        for part in delays:
+            self.delays.put(ids[at : at + len(part.command)], part)
+            at += len(part.command)
         first = not self.command_history.shape[1], not self.measurement_history.shape[1]
         self._fit()
         if first[0]:

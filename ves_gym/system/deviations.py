@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -82,6 +82,10 @@ class LoopParameters:
         for effect in system.effects:
             if isinstance(effect, LaboratoryEffect):
                 effect.edit(self)
+        return self.checked()
+
+    def checked(self) -> LoopParameters:
+        """The same, or a ParameterError of relative changes that add up to -1 or less."""
         for name in ("bandwidth", "damping", "payload_scale"):
             least = float(getattr(self, name).min())
             if least <= -1:
@@ -94,6 +98,36 @@ class LoopParameters:
         """Arrays of its own."""
         sensor = SensorErrors(*(part.copy() for part in self.sensor.parts()))
         return replace(self, sensor=sensor, **{k: getattr(self, k).copy() for k in ARRAYS})
+
+    def parts(self) -> list[Array]:
+        """All arrays, those of the sensor last."""
+        return [*(getattr(self, k) for k in ARRAYS), *self.sensor.parts()]
+
+    def _made_of(self, parts: list[Array]) -> LoopParameters:
+        """Parameters of the same arm from other arrays, in the order of `parts`."""
+        arrays: dict[str, Any] = dict(zip(ARRAYS, parts, strict=False))
+        return replace(self, sensor=SensorErrors(*parts[len(ARRAYS) :]), **arrays)
+
+    def repeated(self, n: int) -> LoopParameters:
+        """A single row, n times."""
+        return self._made_of([np.repeat(part, n, axis=0) for part in self.parts()])
+
+    def with_simulations_last(self) -> LoopParameters:
+        """The axis of the simulations moved to the end of every array."""
+        return self._made_of([np.moveaxis(part, 0, -1) for part in self.parts()])
+
+    def with_simulations_first(self, row: LoopParameters, n: int) -> LoopParameters:
+        """The way back from `with_simulations_last`.
+
+        Args:
+            row: one row, for the shapes.
+            n: simulations; an array that is alike for all may have length 1 there.
+        """
+        out = []
+        for part, one in zip(self.parts(), row.parts(), strict=True):
+            full = np.broadcast_to(part, (*one.shape[1:], n))
+            out.append(np.ascontiguousarray(np.moveaxis(full, -1, 0)))
+        return self._made_of(out)
 
     @staticmethod
     def stacked(rows: Sequence[LoopParameters]) -> LoopParameters:

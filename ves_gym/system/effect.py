@@ -117,6 +117,13 @@ class Effect:
             if f.metadata["null"] is not None
         )
 
+    def bound(self, values: dict[str, Any]) -> Any:
+        """The effect with arrays or symbols for parameters (and `tau_max`), unchecked."""
+        out = object.__new__(type(self))
+        for name, value in values.items():
+            object.__setattr__(out, name, value)
+        return out
+
     def __str__(self) -> str:
         values = {k: v for k, v in to_plain(self).items() if k != "kind"}
         return f"{self.kind}({', '.join(f'{k}={v}' for k, v in values.items())})"
@@ -126,6 +133,10 @@ class LaboratoryEffect(Effect, ABC):
     """Change of the emulation loop's parameters.
 
     It adds to them, so that several effects combine and none undoes another.
+
+    Where simulations have values of their own, `edit` is tried with all of them at once: the
+    arrays of p, and the parameters, then have the simulations' axis last, so that a text
+    written for numbers broadcasts. One that does not is run simulation by simulation.
     """
 
     @abstractmethod
@@ -159,13 +170,6 @@ class TorqueEffect(Effect, ABC):
         Returns:
             (..., n).
         """
-
-    def bound(self, values: dict[str, Any]) -> Any:
-        """The effect with arrays or symbols for parameters (and `tau_max`), as in `law`."""
-        out = object.__new__(type(self))
-        for name, value in values.items():
-            object.__setattr__(out, name, value)
-        return out
 
 
 class ArmEffect(Effect, ABC):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 from ves_gym._util.params import Array, Index, Mask
 
 if TYPE_CHECKING:
+    from ves_gym.system.effect_rows import EffectRows
     from ves_gym.system.system import System
 
 
@@ -57,6 +58,14 @@ class Backend(Protocol):
         Args:
             ids: (k,) which.
             systems: k of them, alike in structure (`require_alike`).
+        """
+
+    def assign_laws(self, ids: Index, rows: EffectRows) -> None:
+        """Give simulations torque laws with parameters of their own; bodies stay.
+
+        Args:
+            ids: (k,) which.
+            rows: of k simulations.
         """
 
     def step(

@@ -14,6 +14,7 @@ from ves_gym.engine.backends.base import MEANINGLESS, Remembering
 from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.engine.mjcf import TO_Y
 from ves_gym.system.effect import TorqueEffect
+from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 
@@ -80,6 +81,9 @@ class DeviceBackend(Remembering):
         raise ParameterError(
             f"backend {self.name} has one system for all simulations: use kernel or mujoco"
         )
+
+    def assign_laws(self, ids: Index, rows: EffectRows) -> None:
+        self.assign(ids, [rows.system(row).actual for row in range(len(rows))])
 
     def step(
         self,

@@ -20,6 +20,7 @@ from ves_gym.engine.kernel.blocks import aligned, fill, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_module
 from ves_gym.engine.kernel.trace import equations, structure
+from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 _ALONE = 8  # blocks below which a second thread costs more than it brings
@@ -191,6 +192,12 @@ class KernelBackend(Remembering):
         for (i, system), row in zip(pairs, rows, strict=True):
             self._row(i)[:] = np.where(self._gains, self._row(i), row)
             self._systems[i] = system
+
+    def assign_laws(self, ids: Index, rows: EffectRows) -> None:
+        for name, values in rows.laws().items():
+            at = self.rows.place(name, values)
+            if at is not None:
+                self._p[ids // LANES, at, ids % LANES] = values
 
     def _row(self, i: int) -> Array:
         """Parameters of a simulation, in place."""

@@ -24,6 +24,7 @@ from ves_gym.engine.mjcf import (
 from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.vehicle import BaseModel
 from ves_gym.system.effect import TorqueEffect
+from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 _BAD = [
@@ -207,6 +208,9 @@ class MujocoBackend:
                     self.batch.expand(name)[i] = change.get(name, getattr(reference, name))
                 self._varied |= change.keys()
             self._systems[i] = system
+
+    def assign_laws(self, ids: Index, rows: EffectRows) -> None:
+        self.assign(ids, [rows.system(row).actual for row in range(len(rows))])
 
     def set_gear_state(self, d: Array, rate: Array) -> None:
         gears = self._internal[: d.shape[1]]

@@ -1,0 +1,189 @@
+"""Effects whose parameters differ between simulations, as arrays: no `System` per simulation.
+
+An effect written for numbers edits k simulations at once where it is given arrays whose last
+axis is the simulations', and parameters turned alike: NumPy's broadcasting lines them up.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.system.deviations import Delays, LoopParameters
+from ves_gym.system.effect import (
+    ArmEffect,
+    BaseEffect,
+    DelayEffect,
+    Effect,
+    LaboratoryEffect,
+    TorqueEffect,
+)
+from ves_gym.system.system import System
+
+BODIES = (ArmEffect, BaseEffect)  # whose arms and vehicles are objects of their own
+
+
+class EffectRows:
+    """Values of some effects' parameters for k simulations of one system.
+
+    Args:
+        system: with every effect; what no row says is as it stands there.
+        values: (k, *shape) by place of the effect in `system.effects` and name of the
+            parameter.
+        at_once: `together` has been asked of such rows, and said yes.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        values: Mapping[tuple[int, str], Array],
+        at_once: bool = False,
+    ) -> None:
+        self.own, self.values, self.at_once = system, values, at_once
+        self._size = len(next(iter(values.values())))
+        self._systems: dict[int, System] = {}
+
+    def __len__(self) -> int:
+        return self._size
+
+    def system(self, row: int) -> System:
+        """The system of one simulation, made when it is asked for."""
+        if row not in self._systems:
+            effects = list(self.own.effects)
+            for i in self.places:
+                effects[i] = dataclasses.replace(effects[i], **self._row(i, row))  # type: ignore[type-var]
+            self._systems[row] = self.own.replace(effects=tuple(effects))
+        return self._systems[row]
+
+    @cached_property
+    def places(self) -> tuple[int, ...]:
+        """Effects that differ, by their place in the system."""
+        return tuple(dict.fromkeys(i for i, _ in self.values))
+
+    def varied(self, kind: type[Effect] | tuple[type[Effect], ...]) -> bool:
+        """True if an effect of a kind differs between simulations."""
+        return any(isinstance(self.own.effects[i], kind) for i in self.places)
+
+    def replaces(self, given: Given | None) -> bool:
+        """True if these rows say all that differs from `own` where `given` was in force."""
+        if given is None:
+            return True
+        if isinstance(given, System):
+            return False
+        before = given[0]
+        same = before.own is self.own and before.places == self.places
+        return same and before.at_once
+
+    def _row(self, i: int, row: int) -> dict[str, Any]:
+        return {name: v[row].tolist() for (k, name), v in self.values.items() if k == i}
+
+    def _turned(self, i: int) -> Effect:
+        """Effect i with arrays (*shape, k) for parameters."""
+        effect, values = self.own.effects[i], {}
+        for field in dataclasses.fields(effect):  # type: ignore[arg-type]
+            if (i, field.name) in self.values:
+                values[field.name] = np.moveaxis(self.values[i, field.name], 0, -1)
+            else:
+                value = np.array(getattr(effect, field.name), float)[..., None]
+                values[field.name] = np.broadcast_to(value, (*value.shape[:-1], len(self)))
+        turned: Effect = effect.bound(values)
+        return turned
+
+    # ------------------------------------------------------------------- batches
+
+    def loop_parameters(self, start: LoopParameters) -> LoopParameters:
+        """Parameters (k, ...) of the emulation loop.
+
+        Args:
+            start: one row, with the effects before the first that differs.
+
+        Raises:
+            ParameterError: relative changes that add up to -1 or less.
+        """
+        p = start.repeated(len(self)).with_simulations_last()
+        for i in range(self.places[0], len(self.own.effects)):
+            effect = self._turned(i)
+            if isinstance(effect, LaboratoryEffect):
+                effect.edit(p)
+        return p.with_simulations_first(start, len(self)).checked()
+
+    def laws(self) -> dict[str, Array]:
+        """Parameters (k,) of the torque laws that differ, by their names in the kernel."""
+        out = {}
+        # the engine's own system has no effects on arm and vehicle (`System.actual`)
+        effects = [(i, e) for i, e in enumerate(self.own.effects) if not isinstance(e, BODIES)]
+        for place, (i, effect) in enumerate(effects, start=1):
+            for (k, name), rows in self.values.items():
+                if k != i or not isinstance(effect, TorqueEffect):
+                    continue
+                label = f"{effect.kind}#{place}.{name}"
+                if rows.ndim == 1:
+                    out[label] = rows
+                else:
+                    out |= {f"{label}{j}": x for j, x in enumerate(rows.T, start=1)}
+        return out
+
+    def before(self, start: LoopParameters) -> LoopParameters:
+        """One row edited by the effects before the first that differs.
+
+        Args:
+            start: parameters as described, (1, ...).
+        """
+        out = start.copy()
+        for effect in self.own.effects[: self.places[0]]:
+            if isinstance(effect, LaboratoryEffect):
+                effect.edit(out)
+        return out
+
+    def delays(self) -> Delays:
+        """Delays (k, ...) between joint controller and drives."""
+        k, joints = len(self), self.own.arm.n
+        out = Delays(np.zeros(k), np.zeros(k), np.zeros((joints, k)))
+        for i in range(len(self.own.effects)):
+            effect = self._turned(i)
+            if isinstance(effect, DelayEffect):
+                effect.wire(out)
+        command, measurement = (np.broadcast_to(x, k) for x in (out.command, out.measurement))
+        return Delays(command, measurement, np.broadcast_to(out.lag, (joints, k)).T)
+
+    def together(self, start: LoopParameters | None) -> bool:
+        """Return True if these rows at once give the very bits that each gives by itself.
+
+        Not so where an effect changes arm or vehicle, is written for the leading axis, asks
+        `if` of a number, or makes a matrix of a fixed size.
+
+        Args:
+            start: (1, ...) the emulation loop as described; None in space.
+        """
+        if self.varied(BODIES):
+            return False
+        systems = [self.system(row) for row in range(len(self))]
+        try:
+            if self.varied(LaboratoryEffect) and start is not None:
+                ours = self.loop_parameters(self.before(start))
+                rows = [start.copy().edited(system) for system in systems]
+                if not _same(ours, LoopParameters.stacked(rows)):
+                    return False
+            if self.varied(DelayEffect):
+                delays = [Delays.of(system) for system in systems]
+                for field in dataclasses.fields(Delays):
+                    alone = np.concatenate([getattr(d, field.name) for d in delays])
+                    if getattr(self.delays(), field.name).tobytes() != alone.tobytes():
+                        return False
+        except (ValueError, IndexError, TypeError):
+            return False
+        return True
+
+
+def _same(ours: LoopParameters, theirs: LoopParameters) -> bool:
+    pairs = zip(ours.parts(), theirs.parts(), strict=True)
+    return all(a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in pairs)
+
+
+# the system of a simulation, or the row that it is made of when it is asked for
+Given = System | tuple[EffectRows, int]
