@@ -190,7 +190,9 @@ def _system(task: Task) -> str:
 
 
 def _laboratory(task: Task) -> str:
-    ranges = [f"`{r.label}` in [{r.low}, {r.high}]" for r in task.randomize]
+    ranges = [
+        f"`{label}` {law}" for label, _, law in (str(r).partition(" ") for r in task.randomize)
+    ]
     effects = [f"`{e.kind}`" for e in task.system.effects]
     return (
         f"Mode emulated, effects {', '.join(effects)}, and drawn for every episode"

@@ -6,11 +6,14 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from tests.envs.walks import IDS, SHORT, actions, flat, same, walk
-from ves_gym._util.params import ParameterError
+from ves_gym._util.params import ParameterError, to_plain
 from ves_gym.effects import JointViscous
 from ves_gym.effects.budget import LABORATORY_ERRORS
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
+from ves_gym.envs.randomize import Draws, ranges_of
+from ves_gym.envs.task import task_from_plain
+from ves_gym.system.system import System
 
 pytestmark = pytest.mark.bits
 
@@ -181,3 +184,101 @@ def test_an_effect_is_set_or_drawn_but_not_both():
             ),
             1,
         )
+
+
+LAWS = {
+    "gravity/scale": {"error": {"normal": (0.001, 0.1)}},
+    "gravity/tilt": {
+        "angles": {"normal": ([0.0] * 3, [[4e-6, 2e-6, 0], [2e-6, 4e-6, 0], [0, 0, 0]])}
+    },
+    "sensor/lag": {"error": {"log_uniform": (0.01, 1.0)}},
+    "gravity/mass": {"error": {"normal": (0.5, [[0.1, -0.2]]), "shared": "calibration"}},
+    "sensor/bias": {
+        "force": {"normal": ([0.0] * 3, [[1, 0], [0, 1], [1, 1]]), "shared": "calibration"}
+    },
+}  # fmt: skip
+
+
+def test_laws_have_their_moments():
+    """2000 draws: mean and covariance, cut-off, one source behind two parameters."""
+    draws = Draws(System(mode="emulated"), ranges_of(LAWS))
+    assert draws.size == 1 + 3 + 1 + 2
+    rows = draws.rows(np.random.default_rng(0).random((2000, draws.size)))
+    kinds = [e.kind for e in draws.system.effects]
+    scale, tilt, lag, mass, force = (
+        rows.values[kinds.index(k), name]
+        for k, name in (
+            ("gravity/scale", "error"),
+            ("gravity/tilt", "angles"),
+            ("sensor/lag", "error"),
+            ("gravity/mass", "error"),
+            ("sensor/bias", "force"),
+        )
+    )
+    assert np.abs(scale).max() <= 0.2 < 0.199 + scale.std()  # cut off at the effect's bounds
+    np.testing.assert_allclose(scale.std(), 0.0880, atol=0.004)  # of a normal cut at 2 sigma
+    np.testing.assert_allclose(np.cov(tilt[:, :2].T), [[4e-6, 2e-6], [2e-6, 4e-6]], atol=4e-7)
+    assert not tilt[:, 2].any()
+    assert ((lag >= 0.01) & (lag <= 1)).all()
+    np.testing.assert_allclose(np.log10(lag).mean(), -1.0, atol=0.05)
+    np.testing.assert_allclose(mass, 0.5 + 0.1 * force[:, 0] - 0.2 * force[:, 1], atol=1e-12)
+    np.testing.assert_allclose(force[:, 2], force[:, 0] + force[:, 1], atol=1e-12)
+
+
+def test_laws_are_drawn_alike_alone_and_together():
+    """Bit for bit, and the task's plain data gives the task again."""
+    together = gym.make_vec(EMULATED, num_envs=9, randomize=LAWS)
+    told = drawn(together.reset(seed=2)[1])
+    alone = gym.make(EMULATED, randomize=LAWS)
+    for i in (0, 8):
+        ours = drawn(alone.reset(seed=2, options={"index": i})[1])
+        assert same({k: v[i] for k, v in told.items()}, ours)
+    task = alone.unwrapped.task
+    assert task_from_plain(task.to_dict()).to_dict() == task.to_dict()
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(alone.spec.to_json()))
+    assert again.unwrapped.task.to_dict() == task.to_dict()
+
+
+def test_low_and_high_are_the_uniform_law_and_keep_their_plain_data():
+    """The hash of tasks that exist must stay."""
+    (short,), (long,) = (
+        ranges_of({"gravity/scale": {"error": law}})
+        for law in ((-0.1, 0.1), {"uniform": (-0.1, 0.1)})
+    )
+    assert short == long
+    assert to_plain(short) == {
+        "effect": "gravity/scale", "parameter": "error", "low": -0.1, "high": 0.1,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        ({"nromal": (0, 1)}, "must name one law of uniform.*did you mean \"normal\""),
+        ({"normal": (0, 1), "uniform": (0, 1)}, "must name one law"),
+        ({"normal": 3.0}, "two entries for normal, got 3.0"),
+        ({"normal": (0.0, -1.0)}, "standard deviations >= 0, got -1.0"),
+        ({"normal": (1.0, 0.1)}, r"a mean in \[-0.2, 0.2\], got 1.0"),
+        ({"normal": (0.0, [1.0, 2.0])}, "or a covariance"),
+        ({"normal": (0.0, "wide")}, "needs"),
+        ({"normal": (0.0, [[1.0, 2.0]]), "shared": "a"}, "8.3 standard deviations within"),
+        ({"normal": (0.0, 1.0), "shared": "a"}, "a matrix that has a row for each number"),
+        ({"normal": (0.0, 1.0), "shared": 3}, "shared must be a name, got 3"),
+        ({"log_uniform": (0.0, 0.1)}, "0 < low <= high"),
+        ({"log_uniform": (0.1, 0.01)}, "0 < low <= high"),
+    ],
+)  # fmt: skip
+def test_bad_laws_are_refused(law, said):
+    with pytest.raises(ParameterError, match=said):
+        build_task("rest_to_rest", mode="emulated", randomize={"gravity/scale": {"error": law}})
+
+
+def test_parameters_that_share_a_source_have_as_many_columns():
+    laws = {
+        "gravity/mass": {"error": {"normal": (0, [[0.1]]), "shared": "a"}},
+        "gravity/scale": {"error": {"normal": (0, [[0.01, 0.01]]), "shared": "a"}},
+    }
+    with pytest.raises(
+        ParameterError, match=r"a matrix with 1 columns, as the others .*, got 2"
+    ):
+        Draws(System(mode="emulated"), ranges_of(laws))

@@ -13,7 +13,7 @@ from typing import Any
 from ves_gym._util.params import ParameterError, from_plain
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.envs.control import Control, get_control
-from ves_gym.envs.randomize import Range
+from ves_gym.envs.randomize import ranges_of
 from ves_gym.envs.task import TASKS, Task
 from ves_gym.mechanics.vehicle import get_vehicle, vehicle_from_plain
 from ves_gym.system.effect import Effect
@@ -86,7 +86,8 @@ def build_task(
         effects: list of effects or of their plain data, or "laboratory" for the nominal error
             budget of an emulated system; replaces the system's.
         control: name, plain data or `Control`.
-        randomize: {effect: {parameter: (low, high)}}, drawn for every episode.
+        randomize: {effect: {parameter: (low, high)}}, drawn for every episode; other laws than
+            the uniform one: {"normal": ...}, {"log_uniform": ...} (`randomize.Range`).
         settings: other fields of the task.
 
     Raises:
@@ -102,7 +103,7 @@ def build_task(
     if control is not None:
         values["control"] = _control(control)
     if randomize is not None:
-        values["randomize"] = _ranges(randomize)
+        values["randomize"] = ranges_of(randomize)
     typed = _typed(cls, settings)
     if defaults is not None:
         return dataclasses.replace(defaults, **values, **typed)
@@ -184,21 +185,3 @@ def _control(control_spec: str | Mapping[str, Any] | Control) -> Control:
         return get_control(control_spec)
     control: Control = from_plain(Control, control_spec, "control")
     return control
-
-
-def _ranges(spec: Mapping[str, Mapping[str, Any]]) -> tuple[Range, ...]:
-    out = []
-    for effect, parameters in spec.items():
-        if not isinstance(parameters, Mapping):
-            raise ParameterError(
-                f"randomize[{effect!r}] must map parameters to (low, high), got {parameters!r}"
-            )
-        for name, ends in parameters.items():
-            try:
-                low, high = ends
-            except (TypeError, ValueError):
-                raise ParameterError(
-                    f"randomize[{effect!r}][{name!r}] must be (low, high), got {ends!r}"
-                ) from None
-            out.append(Range(effect=effect, parameter=name, low=low, high=high))
-    return tuple(out)

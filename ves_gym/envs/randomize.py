@@ -1,30 +1,48 @@
-"""Randomisation as data: ranges of the effects' parameters, drawn anew for every episode."""
+"""Randomisation as data: distributions of the effects' parameters, drawn for every episode."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, from_plain
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.mechanics.spatial import matvec
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import EFFECTS, Effect
 from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import System
 
 _TRIES = 5  # simulations with which effects are tried at once: more than any vector of three
+_FAR = 8.3  # standard deviations: what 53 bits of a uniform number can reach
+_ENDS = 2.0  # standard deviations from the mean that count as the ends of a normal
+LAWS = ("uniform", "normal", "log_uniform")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Range:
-    """One parameter of one effect, uniform between `low` and `high` (number or nested list)."""
+    """Distribution of one parameter of one effect; numbers or nested lists of its shape.
+
+    Uniform between `low` and `high`; or `log_uniform` [low, high], both > 0; or `normal`
+    [mean, spread] where `spread` is the standard deviation of each number, which is cut off
+    at the parameter's bounds, or the covariance of a vector. With `shared` the spread is a
+    matrix (size, m) that weighs m standard normal numbers, the same ones in every parameter
+    that names the same source: so errors that stem from one calibration belong together.
+    """
 
     effect: str
     parameter: str
-    low: object
-    high: object
+    low: object = None
+    high: object = None
+    log_uniform: object = None
+    normal: object = None
+    shared: str | None = None
 
     def __post_init__(self) -> None:
         if self.effect not in EFFECTS:
@@ -38,15 +56,101 @@ class Range:
                 f"randomize: {self.effect} has parameters {', '.join(names)}, got"
                 f" {self.parameter!r}{did_you_mean(self.parameter, names)}"
             )
+        (first, second), law = self._pair, self.law
+        alike = first.shape == second.shape
+        if law == "normal":
+            size = first.size
+            wide = second.ndim == 2 and len(second) == size
+            if self.shared is not None:
+                self._require(wide, "a matrix that has a row for each number", second.tolist())
+            elif alike:
+                self._require((second >= 0).all(), "standard deviations >= 0", second.tolist())
+                low, high = self._bounds
+                inside = ((first >= low) & (first <= high)).all()
+                self._require(inside, f"a mean in [{low:g}, {high:g}]", first.tolist())
+            else:
+                square = wide and second.shape == (size, size) and (second == second.T).all()
+                square = square and np.linalg.eigvalsh(second)[0] >= -1e-12 * second.max()
+                what = "standard deviations of the mean's shape, or a covariance (symmetric,"
+                self._require(square, f"{what} not negative)", second.tolist())
+            self._require_inside()
+            return
+        self._require(self.shared is None, "no `shared`: only a normal has one", self.shared)
+        what = "numbers low <= high of one shape"
+        given = f"{self._given[0]} and {self._given[1]}"
+        if law == "log_uniform":
+            what = f"log_uniform: 0 < {what[8:]}"
+        fits = alike and (first <= second).all() and (law == "uniform" or (first > 0).all())
+        self._require(fits, what, given)
+
+    @property
+    def law(self) -> str:
+        """One of LAWS."""
+        return next((law for law in LAWS[1:] if getattr(self, law) is not None), LAWS[0])
+
+    @property
+    def _given(self) -> tuple[Any, Any]:
+        pair: Any = (self.low, self.high) if self.law == "uniform" else getattr(self, self.law)
         try:
-            low, high = np.asarray(self.low, float), np.asarray(self.high, float)
+            first, second = pair
         except (TypeError, ValueError):
-            low, high = np.full(1, np.nan), np.full(1, np.nan)
-        if low.shape != high.shape or not (low <= high).all():
             raise ParameterError(
-                f"randomize: {self.effect}.{self.parameter} needs numbers low <= high of one"
-                f" shape, got {self.low} and {self.high}"
-            )
+                f"randomize: {self.label} must have two entries for {self.law}, got {pair!r}"
+            ) from None
+        return first, second
+
+    @cached_property
+    def _pair(self) -> tuple[Array, Array]:
+        """Both numbers of the law; NaN, which no test lets pass, for what is no number."""
+        given = self._given
+        try:
+            first, second = (np.asarray(x, float) for x in given)
+        except (TypeError, ValueError):
+            return np.full(1, np.nan), np.full(1, np.nan)
+        if np.isfinite(first).all() and np.isfinite(second).all():
+            return first, second
+        return np.full(1, np.nan), np.full(1, np.nan)
+
+    def _require(self, fits: object, what: str, got: object) -> None:
+        if not fits:
+            raise ParameterError(f"randomize: {self.label} needs {what}, got {got}")
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
+        fields = {f.name: f for f in dataclasses.fields(EFFECTS[self.effect])}  # type: ignore[arg-type]
+        low, high = fields[self.parameter].metadata["bounds"]
+        return float(low), float(high)
+
+    def _require_inside(self) -> None:
+        """A normal that is not cut off must stay within the parameter's bounds by itself."""
+        (mean, spread), (low, high) = self._pair, self._bounds
+        if self.shared is None and mean.shape == spread.shape:
+            return
+        reach = _FAR * self._deviation
+        self._require(
+            ((mean - reach >= low) & (mean + reach <= high)).all(),
+            f"{_FAR:g} standard deviations within [{low:g}, {high:g}]",
+            f"deviations up to {self._deviation.max():.3g}",
+        )
+
+    @property
+    def _deviation(self) -> Array:
+        """Standard deviation of a normal, in the mean's shape."""
+        mean, spread = self._pair
+        if self.shared is not None:
+            return np.sqrt(np.sum(spread**2, axis=1)).reshape(mean.shape)
+        if mean.shape == spread.shape:
+            return spread
+        return np.sqrt(np.diag(spread)).reshape(mean.shape)
+
+    @cached_property
+    def _weights(self) -> Array:
+        """(size, draws) of standard normal numbers."""
+        _, spread = self._pair
+        if self.shared is not None:
+            return spread
+        parts, axes = np.linalg.eigh(spread)  # a covariance may have no inverse
+        return np.asarray(axes * np.sqrt(np.clip(parts, 0.0, None)), dtype=np.float64)
 
     @property
     def label(self) -> str:
@@ -55,8 +159,22 @@ class Range:
 
     @property
     def size(self) -> int:
-        """Numbers drawn per episode."""
-        return np.asarray(self.low, float).size
+        """Numbers of the parameter."""
+        return self._pair[0].size
+
+    @property
+    def draws(self) -> int:
+        """Uniform numbers that `values` takes."""
+        return self._pair[1].shape[1] if self.shared is not None else self.size
+
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """Lowest and highest value; of a normal two standard deviations from its mean."""
+        if self.law != "normal":
+            return self._pair
+        mean, reach = self._pair[0], _ENDS * self._deviation
+        low, high = self._bounds
+        return np.maximum(mean - reach, low), np.minimum(mean + reach, high)
 
     def check(self, system: System) -> None:
         """Raise ParameterError where the effect does not act in a system."""
@@ -67,27 +185,120 @@ class Range:
                 f" {system.mode}"
             )
 
+    def __str__(self) -> str:
+        first, second = (_brief(x) for x in self._pair)
+        if self.law == "normal":
+            spread = f"+- {_brief(self._deviation)}"
+            together = f", together with others of {self.shared}" if self.shared else ""
+            return f"{self.label} normal, {first} {spread}{together}"
+        law = "" if self.law == "uniform" else f"{self.law} "
+        return f"{self.label} {law}in [{first}, {second}]"
+
     def values(self, u: Array) -> Array:
-        """The parameter (k, ...) from uniform numbers (k, size)."""
-        low, high = np.asarray(self.low, float), np.asarray(self.high, float)
-        share = u.reshape(len(u), *low.shape)
-        return np.asarray(low + (high - low) * share, dtype=np.float64)
+        """The parameter (k, ...) from uniform numbers (k, draws)."""
+        first, second = self._pair
+        if self.law == "uniform":
+            share = u.reshape(len(u), *first.shape)
+            return np.asarray(first + (second - first) * share, dtype=np.float64)
+        if self.law == "log_uniform":
+            exponent = np.log(first) + np.log(second / first) * u.reshape(len(u), *first.shape)
+            # one by one: a vector loop might round by the place in the batch
+            flat = np.array([math.exp(x) for x in exponent.ravel().tolist()])
+            return np.clip(flat.reshape(exponent.shape), first, second)
+        from scipy.special import ndtr, ndtri
+
+        if self.shared is None and first.shape == second.shape:
+            low, high = self._bounds
+            known = np.where(second > 0, second, 1.0)
+            least, most = ndtr((low - first) / known), ndtr((high - first) / known)
+            share = least + (most - least) * u.reshape(len(u), *first.shape)
+            return np.clip(first + second * _normal(ndtri, share), low, high)
+        out: Array = first.ravel() + matvec(self._weights, _normal(ndtri, u))
+        return out.reshape(len(u), *first.shape)
 
 
-def draw(ranges: tuple[Range, ...], u: Array) -> dict[tuple[str, str], Array]:
-    """Values (k, ...) by effect and parameter, of uniform numbers (k, sum of sizes)."""
-    values, at = {}, 0
+def _brief(numbers: Array) -> str:
+    """Numbers in a line: one where they are alike, the extremes of a matrix."""
+    flat = np.unique(numbers)
+    if len(flat) == 1:
+        return f"{flat[0]:g}"
+    if numbers.ndim > 1 or numbers.size > 6:
+        return f"{flat[0]:.2g} to {flat[-1]:.2g}"
+    return f"({', '.join(f'{x:.3g}' for x in numbers)})"
+
+
+def _normal(ndtri: Any, u: Array) -> Array:
+    """Standard normal numbers from uniform ones; of none smaller than their own spacing."""
+    out: Array = ndtri(np.maximum(u, 2.0**-54))
+    return out
+
+
+def ranges_of(spec: Mapping[str, Mapping[str, Any]]) -> tuple[Range, ...]:
+    """Distributions from what a user writes: {effect: {parameter: law}}.
+
+    A law is (low, high), {"uniform": (low, high)}, {"log_uniform": (low, high)} or
+    {"normal": (mean, spread)}, the latter with "shared": a name (`Range`).
+    """
+    out = []
+    for effect, parameters in spec.items():
+        if not isinstance(parameters, Mapping):
+            raise ParameterError(
+                f"randomize[{effect!r}] must map parameters to (low, high), got {parameters!r}"
+            )
+        for name, law in parameters.items():
+            out.append(_range(effect, name, law))
+    return tuple(out)
+
+
+def _range(effect: str, name: str, law: Any) -> Range:
+    where = f"randomize[{effect!r}][{name!r}]"
+    if isinstance(law, Mapping):
+        entries = dict(law)
+        shared = entries.pop("shared", None)
+        kind = next(iter(entries), "")
+        if len(entries) != 1 or kind not in LAWS:
+            raise ParameterError(
+                f"{where} must name one law of {', '.join(LAWS)}, got"
+                f" {', '.join(map(str, entries)) or 'none'}{did_you_mean(kind, LAWS)}"
+            )
+        if shared is not None and not isinstance(shared, str):
+            raise ParameterError(f"{where}: shared must be a name, got {shared!r}")
+        if kind != "uniform":
+            pair: dict[str, Any] = {kind: entries[kind]}
+            return Range(effect=effect, parameter=name, shared=shared, **pair)
+        law = entries[kind]
+    try:
+        low, high = law
+    except (TypeError, ValueError):
+        raise ParameterError(f"{where} must be (low, high), got {law!r}") from None
+    return Range(effect=effect, parameter=name, low=low, high=high)
+
+
+def _places(ranges: tuple[Range, ...]) -> tuple[list[slice], int]:
+    """Uniform numbers that each range takes, in order; those of one source only once."""
+    out: list[slice] = []
+    end, sources = 0, dict[str | None, slice]()
     for spread in ranges:
-        values[spread.effect, spread.parameter] = spread.values(u[:, at : at + spread.size])
-        at += spread.size
-    return values
+        if spread.shared in sources:
+            place = sources[spread.shared]
+            if place.stop - place.start != spread.draws:
+                raise ParameterError(
+                    f"randomize: {spread.label} needs a matrix with {place.stop - place.start}"
+                    f" columns, as the others that share {spread.shared!r}, got {spread.draws}"
+                )
+        else:
+            place = slice(end, end := end + spread.draws)
+            if spread.shared is not None:
+                sources[spread.shared] = place
+        out.append(place)
+    return out, end
 
 
-def _effects(ranges: tuple[Range, ...], u: Array) -> tuple[Effect, ...]:
-    """One draw's effects, of uniform numbers (sum of sizes,); checked."""
-    values, effects = draw(ranges, u[None]), []
-    for kind in dict.fromkeys(r.effect for r in ranges):
-        plain = {name: v[0].tolist() for (k, name), v in values.items() if k == kind}
+def _effects(values: Mapping[tuple[str, str], Array]) -> tuple[Effect, ...]:
+    """Effects with the given values (...), checked."""
+    effects = []
+    for kind in dict.fromkeys(kind for kind, _ in values):
+        plain = {name: v.tolist() for (k, name), v in values.items() if k == kind}
         effects.append(from_plain(EFFECTS[kind], plain, f"randomize.{kind}"))
     return tuple(effects)
 
@@ -102,7 +313,7 @@ class Draws:
 
     def __init__(self, system: System, ranges: tuple[Range, ...]) -> None:
         self.ranges, self.system = ranges, template(system, ranges)
-        self.size = sum(r.size for r in ranges)
+        self._where, self.size = _places(ranges)
         self._place = {e.kind: i for i, e in enumerate(self.system.effects)}
         self._at_once = False
         if ranges:
@@ -115,9 +326,11 @@ class Draws:
 
     def rows(self, u: Array) -> EffectRows:
         """Effects of k simulations from uniform numbers (k, size)."""
-        values = draw(self.ranges, u)
-        by_place = {(self._place[kind], name): v for (kind, name), v in values.items()}
-        return EffectRows(self.system, by_place, self._at_once)
+        values = {
+            (self._place[r.effect], r.parameter): r.values(u[:, where])
+            for r, where in zip(self.ranges, self._where, strict=True)
+        }
+        return EffectRows(self.system, values, self._at_once)
 
 
 def template(system: System, ranges: tuple[Range, ...]) -> System:
@@ -130,7 +343,8 @@ def template(system: System, ranges: tuple[Range, ...]) -> System:
         raise ParameterError(
             f"randomize: effect {clash[0]} is already in the system; randomise it or set it"
         )
-    _effects(ranges, np.zeros(sum(r.size for r in ranges)))  # refuses a lower end out of bounds
+    ends = {(r.effect, r.parameter): r.ends for r in ranges}
+    _effects({name: low for name, (low, _) in ends.items()})  # refused where out of bounds
     # not a zero where any other value is possible: what is zero there stays zero (`assign`)
-    ends = np.concatenate([np.asarray(r.high, float).ravel() != 0 for r in ranges])
-    return system.replace(effects=(*system.effects, *_effects(ranges, ends.astype(float))))
+    other = {name: np.where(high != 0, high, low) for name, (low, high) in ends.items()}
+    return system.replace(effects=(*system.effects, *_effects(other)))
