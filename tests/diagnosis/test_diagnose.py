@@ -28,7 +28,7 @@ def diagnosed(logs, leave_out=()):
     ports = [p.name for p in machine.ports]
     names_of_runs = [r.name for r in runs[:-1]]
     stretch = machine.stretch(runs[:-1])
-    candidates = library(system.arm.n, ports, system.mode, names_of_runs, stretch)
+    candidates = library(system.arm.n, ports, system.mode, names_of_runs, stretch, system)
     found = d.diagnose(machine, runs[:-1], runs[-1:], candidates=without(candidates, leave_out))
     return machine, found
 

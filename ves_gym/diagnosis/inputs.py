@@ -89,9 +89,8 @@ def system_inputs(
     nominal, ports = machine.system, [p.name for p in machine.ports]
     fitted_runs = [runs[i] for i in fitted]
     names = [r.name for r in fitted_runs]
-    candidates = library(
-        nominal.arm.n, ports, nominal.mode, names, machine.stretch(fitted_runs)
-    )
+    stretch = machine.stretch(fitted_runs)
+    candidates = library(nominal.arm.n, ports, nominal.mode, names, stretch, nominal)
 
     def write(effects: Sequence[Any], folder: Path, free: bool) -> DescriptionFiles:
         better = machine.model(effects).system

@@ -24,7 +24,9 @@ class BaseAmplitudeDamping(BaseEffect):
 
     modes = ("ideal", "emulated")
     port = "admittance"
-    coefficient: Vector = parameter("N s^2/m^2, N m s^2", bounds=(0.0, 1e6), shape=(6,))
+    coefficient: Vector = parameter(
+        "N s^2/m^2, N m s^2", bounds=(0.0, 1e6), shape=(6,), start=500.0
+    )
 
     def check(self, system: System) -> None:
         """Nothing holds a satellite."""

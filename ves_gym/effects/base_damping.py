@@ -19,7 +19,7 @@ class BaseDamping(BaseEffect):
 
     modes = ("ideal", "emulated")
     port = "admittance"
-    error: float = parameter("1", bounds=(-1.0, 10.0))
+    error: float = parameter("1", bounds=(-1.0, 10.0), start=1.0)
 
     def check(self, system: System) -> None:
         """A vehicle in free space has no damping."""

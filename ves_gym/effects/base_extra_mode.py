@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector
+from ves_gym.mechanics.spatial import AXES
 from ves_gym.mechanics.vehicle import BaseModel, Oscillator, Satellite
+from ves_gym.system.candidate import Candidate, Scope, number_of, placed
 from ves_gym.system.effect import BaseEffect, parameter, register
 from ves_gym.system.system import System
 
@@ -24,8 +28,15 @@ class BaseExtraMode(BaseEffect):
 
     modes = ("ideal", "emulated")
     port = "admittance"
-    mass: float = parameter("kg", bounds=(0.0, 500.0))
-    frequency: float = parameter("Hz", bounds=(0.1, 30.0), null=None, default=3.0)
+    mass: float = parameter("kg", bounds=(0.0, 500.0), start=2.0)
+    frequency: float = parameter(
+        "Hz",
+        bounds=(0.1, 30.0),
+        null=None,
+        default=3.0,
+        start=tuple(np.geomspace(0.5, 6.0, 20).tolist()),
+        search=(0.1, 6.5),  # above it a vehicle's own inner modes begin
+    )
     damping_ratio: float = parameter("1", bounds=(0.0, 1.0), null=None, default=0.02)
     direction: Vector = parameter(
         "1", bounds=(-1.0, 1.0), null=None, shape=(3,), default=(1.0, 0.0, 0.0)
@@ -41,6 +52,17 @@ class BaseExtraMode(BaseEffect):
             raise ParameterError(
                 f"{self.kind}.direction must not be zero, got {self.direction}"
             )
+
+    @classmethod
+    def candidates(cls, scope: Scope) -> Iterator[Candidate]:
+        """Along each axis, mass and frequency."""
+        numbers = [number_of(cls, "mass"), number_of(cls, "frequency")]
+        for axis, way in zip(AXES, np.eye(3).tolist(), strict=False):
+
+            def fields(x: Array, way: Any = tuple(way)) -> dict[str, Any]:
+                return {"mass": float(x[0]), "frequency": float(x[1]), "direction": way}
+
+            yield placed(cls, axis, numbers, fields)
 
     def base(self, base: BaseModel) -> BaseModel:
         """One oscillator more."""

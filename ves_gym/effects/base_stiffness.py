@@ -20,7 +20,7 @@ class BaseStiffness(BaseEffect):
 
     modes = ("ideal", "emulated")
     port = "admittance"
-    error: float = parameter("1", bounds=(-0.9, 3.0))
+    error: float = parameter("1", bounds=(-0.9, 3.0), start=0.1)
 
     def check(self, system: System) -> None:
         """A vehicle in free space has no stiffness."""

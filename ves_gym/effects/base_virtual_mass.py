@@ -23,7 +23,7 @@ class BaseVirtualMass(BaseEffect):
 
     modes = ("ideal", "emulated")
     port = "admittance"
-    error: float = parameter("1", bounds=(-0.9, 3.0))
+    error: float = parameter("1", bounds=(-0.9, 3.0), start=0.1)
 
     def base(self, base: BaseModel) -> BaseModel:
         """M (1 + error), and the same for a satellite's mass and inertia."""

@@ -19,7 +19,8 @@ class CommandDelay(DelayEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    delay: float = parameter("s", bounds=(0.0, 0.1))
+    shows = ("servo",)
+    delay: float = parameter("s", bounds=(0.0, 0.1), start=5e-3)
 
     def wire(self, delays: Delays) -> None:
         """Add to the delay of all simulations."""

@@ -15,7 +15,7 @@ class GravityDelay(LaboratoryEffect):
     """The gravity estimate is of joints and pose `delay` ago."""
 
     port = "gravity"
-    delay: float = parameter("s", bounds=(0.0, 0.5))
+    delay: float = parameter("s", bounds=(0.0, 0.5), start=0.02)
 
     def check(self, system: System) -> None:
         """Only micro-gravity emulation subtracts an estimate."""

@@ -15,7 +15,7 @@ class GravityMass(LaboratoryEffect):
     """The gravity estimate takes the arm for heavier by `error`; its moments are right."""
 
     port = "gravity"
-    error: float = parameter("kg", bounds=(-20.0, 20.0))
+    error: float = parameter("kg", bounds=(-20.0, 20.0), start=1.0)
 
     def check(self, system: System) -> None:
         """Only micro-gravity emulation subtracts an estimate."""

@@ -15,7 +15,7 @@ class GravityScale(LaboratoryEffect):
     """The gravity estimate is too large by the fraction `error`, force and moment alike."""
 
     port = "gravity"
-    error: float = parameter("1", bounds=(-0.2, 0.2))
+    error: float = parameter("1", bounds=(-0.2, 0.2), start=0.01)
 
     def check(self, system: System) -> None:
         """Only micro-gravity emulation subtracts an estimate."""

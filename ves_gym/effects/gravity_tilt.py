@@ -18,7 +18,7 @@ class GravityTilt(LaboratoryEffect):
     """The pose given to the gravity estimate is turned by `angles` about x, y and z."""
 
     port = "gravity"
-    angles: Vector = parameter("rad", bounds=(-0.1, 0.1), shape=(3,))
+    angles: Vector = parameter("rad", bounds=(-0.1, 0.1), shape=(3,), start=0.01)
 
     def check(self, system: System) -> None:
         """Only micro-gravity emulation subtracts an estimate."""

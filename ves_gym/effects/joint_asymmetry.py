@@ -24,8 +24,9 @@ class JointAsymmetry(TorqueEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    coulomb: Vector = parameter("N m", bounds=(-20.0, 20.0), shape=(None,))
-    viscous: Vector = parameter("N m s/rad", bounds=(-50.0, 50.0), shape=(None,))
+    builds_up = True
+    coulomb: Vector = parameter("N m", bounds=(-20.0, 20.0), shape=(None,), start=1.0)
+    viscous: Vector = parameter("N m s/rad", bounds=(-50.0, 50.0), shape=(None,), start=0.5)
 
     def check(self, system: System) -> None:
         """One number per joint."""

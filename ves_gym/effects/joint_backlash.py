@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ves_gym._util.params import Vector
 from ves_gym.mechanics.arm import Arm, Gear
 from ves_gym.system.effect import ArmEffect, parameter, register
@@ -22,7 +24,14 @@ class JointBacklash(ArmEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    gap: Vector = parameter("rad", bounds=(0.0, 0.1), shape=(None,))
+    sets_in = filters = True
+    gap: Vector = parameter(
+        "rad",
+        bounds=(0.0, 0.1),
+        shape=(None,),
+        start=(2e-3, *np.geomspace(1e-3, 3e-2, 7).tolist()),
+        search=(2e-4, 0.1),  # less is the teeth's own compliance
+    )
     compliance: float = parameter("rad/(N m)", bounds=(1e-6, 1e-3), null=None, default=2e-5)
     damping: float = parameter("N m s/rad", bounds=(0.0, 500.0), null=None, default=5.0)
 

@@ -19,7 +19,8 @@ class JointCoulomb(TorqueEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    torque: Vector = parameter("N m", bounds=(0.0, 50.0), shape=(None,))
+    builds_up = True
+    torque: Vector = parameter("N m", bounds=(0.0, 50.0), shape=(None,), start=2.0)
 
     def check(self, system: System) -> None:
         """One number per joint."""

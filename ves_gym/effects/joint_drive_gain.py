@@ -21,7 +21,7 @@ class JointDriveGain(TorqueEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    error: Vector = parameter("1", bounds=(-0.5, 0.5), shape=(None,))
+    error: Vector = parameter("1", bounds=(-0.5, 0.5), shape=(None,), start=0.05)
 
     def check(self, system: System) -> None:
         """One number per joint, on motors."""

@@ -21,8 +21,13 @@ class JointElasticity(ArmEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    compliance: Vector = parameter("rad/(N m)", bounds=(0.0, 1e-3), shape=(None,))
-    damping: Vector = parameter("N m s/rad", bounds=(0.0, 500.0), null=None, shape=(None,))
+    filters = True
+    compliance: Vector = parameter(
+        "rad/(N m)", bounds=(0.0, 1e-3), shape=(None,), start=(1e-4, 3e-4, 3e-5)
+    )
+    damping: Vector = parameter(
+        "N m s/rad", bounds=(0.0, 500.0), null=None, shape=(None,), start=30.0
+    )
 
     def check(self, system: System) -> None:
         """One number per joint."""

@@ -23,7 +23,8 @@ class JointLoadFriction(TorqueEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    coefficient: Vector = parameter("1", bounds=(0.0, 0.5), shape=(None,))
+    builds_up = True
+    coefficient: Vector = parameter("1", bounds=(0.0, 0.5), shape=(None,), start=0.1)
 
     def check(self, system: System) -> None:
         """One number per joint, on motors."""

@@ -19,7 +19,8 @@ class JointMeasurementDelay(DelayEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    delay: float = parameter("s", bounds=(0.0, 0.1))
+    shows = ("joint", "wrench")
+    delay: float = parameter("s", bounds=(0.0, 0.1), start=5e-3)
 
     def check(self, system: System) -> None:
         """A joint that follows its command exactly needs no measurement."""

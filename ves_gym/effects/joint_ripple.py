@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from ves_gym._util.params import Vector
+import numpy as np
+
+from ves_gym._util.params import Array, Vector
+from ves_gym.system.candidate import (
+    Candidate,
+    Number,
+    Scope,
+    at_joint,
+    number_of,
+    placed,
+)
 from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
@@ -22,12 +33,35 @@ class JointRipple(TorqueEffect):
     modes = ("ideal", "emulated")
     port = "joint"
     amplitude: Vector = parameter("N m", bounds=(0.0, 20.0), shape=(None,))
-    cycles: Vector = parameter("1", bounds=(0.5, 500.0), null=None, shape=(None,))
+    cycles: Vector = parameter(
+        "1",
+        bounds=(0.5, 500.0),
+        null=None,
+        shape=(None,),
+        start=tuple(np.arange(2.0, 130.0, 2.5).tolist()),
+    )
     phase: Vector = parameter("rad", bounds=(-7.0, 7.0), null=None, shape=(None,))
 
     def check(self, system: System) -> None:
         """One number per joint."""
         self._require_per_joint(system, "amplitude", "cycles", "phase")
+
+    @classmethod
+    def candidates(cls, scope: Scope) -> Iterator[Candidate]:
+        """Sine and cosine in place of amplitude and phase: a fit has no corner at zero."""
+        waves = [Number(k, "N m", (-14.0, 14.0), (1.0,)) for k in ("sine", "cosine")]
+        numbers = [*waves, number_of(cls, "cycles")]
+        for joint in range(scope.joints):
+
+            def fields(x: Array, joint: int = joint) -> dict[str, Any]:
+                n = scope.joints
+                return {
+                    "amplitude": at_joint(joint, n, np.hypot(x[0], x[1])),
+                    "phase": at_joint(joint, n, np.arctan2(x[1], x[0])),
+                    "cycles": at_joint(joint, n, x[2], elsewhere=1.0),
+                }
+
+            yield placed(cls, f"joint {joint + 1}", numbers, fields)
 
     def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
         """amplitude sin(cycles q + phase)."""

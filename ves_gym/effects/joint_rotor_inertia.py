@@ -21,7 +21,8 @@ class JointRotorInertia(ArmEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    added: Vector = parameter("kg m^2", bounds=(-0.8, 20.0), shape=(None,))
+    shows = ("joint",)
+    added: Vector = parameter("kg m^2", bounds=(-0.8, 20.0), shape=(None,), start=0.3)
 
     def check(self, system: System) -> None:
         """One number per joint, on motors, and none that leaves less than no rotor."""

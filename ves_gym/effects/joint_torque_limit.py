@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ves_gym._util.params import Vector
 from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
@@ -20,7 +22,13 @@ class JointTorqueLimit(TorqueEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    fraction: Vector = parameter("1", bounds=(0.0, 0.95), shape=(None,))
+    sets_in = True
+    fraction: Vector = parameter(
+        "1",
+        bounds=(0.0, 0.95),
+        shape=(None,),
+        start=tuple((1 - np.geomspace(0.9, 0.05, 16)).tolist()),
+    )
 
     def check(self, system: System) -> None:
         """One number per joint, on motors."""

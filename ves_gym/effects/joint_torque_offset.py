@@ -21,7 +21,7 @@ class JointTorqueOffset(TorqueEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    torque: Vector = parameter("N m", bounds=(-50.0, 50.0), shape=(None,))
+    torque: Vector = parameter("N m", bounds=(-50.0, 50.0), shape=(None,), start=1.0)
 
     def check(self, system: System) -> None:
         """One number per joint."""

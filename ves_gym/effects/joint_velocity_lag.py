@@ -23,7 +23,10 @@ class JointVelocityLag(DelayEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    time_constant: Vector = parameter("s", bounds=(0.0, 1.0), shape=(None,))
+    shows = ("servo", "velocity")
+    time_constant: Vector = parameter(
+        "s", bounds=(0.0, 1.0), shape=(None,), start=(0.02, 0.005, 0.2)
+    )
 
     def check(self, system: System) -> None:
         """One number per joint; a joint that follows its command needs no measurement."""

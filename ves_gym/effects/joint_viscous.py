@@ -17,7 +17,7 @@ class JointViscous(TorqueEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    damping: Vector = parameter("N m s/rad", bounds=(0.0, 100.0), shape=(None,))
+    damping: Vector = parameter("N m s/rad", bounds=(0.0, 100.0), shape=(None,), start=3.0)
 
     def check(self, system: System) -> None:
         """One number per joint."""

@@ -21,7 +21,9 @@ class PayloadCom(ArmEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    offset: Vector = parameter("m", bounds=(-0.3, 0.3), shape=(3,))
+    offset: Vector = parameter(
+        "m", bounds=(-0.3, 0.3), shape=(3,), start=0.02, search=(-0.2, 0.2)
+    )
 
     def arm(self, arm: Arm) -> Arm:
         """The last link with its centre of mass moved."""

@@ -15,7 +15,7 @@ class PayloadInertia(LaboratoryEffect):
     """The compensation takes the arm's inertia for larger by the fraction `error`."""
 
     port = "admittance"
-    error: float = parameter("1", bounds=(-0.9, 2.0))
+    error: float = parameter("1", bounds=(-0.9, 2.0), start=0.05)
 
     def check(self, system: System) -> None:
         """Only a compensated loop has a model of the arm's inertia."""

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from ves_gym._util.params import Vector
 from ves_gym.mechanics.arm import Arm, matrix
 from ves_gym.system.effect import ArmEffect, parameter, register
+
+REACH = 0.03  # m along an axis, about which a payload sits otherwise than thought
+
+
+def _farther(axis: int, effect: PayloadMass) -> PayloadMass:
+    """Return a payload that sits farther along an axis of its link."""
+    position = np.array(effect.position) + REACH * np.eye(3)[axis]
+    return replace(effect, position=tuple(position.tolist()))
 
 
 @register("payload/mass")
@@ -22,7 +31,8 @@ class PayloadMass(ArmEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    mass: float = parameter("kg", bounds=(0.0, 20.0))
+    forms = tuple(partial(_farther, axis) for axis in range(3))
+    mass: float = parameter("kg", bounds=(0.0, 20.0), start=1.0)
     position: Vector = parameter(
         "m", bounds=(-1.0, 1.0), null=None, shape=(3,), default=(0.0, 0.0, 0.0)
     )

@@ -18,7 +18,7 @@ class PlatformDelay(LaboratoryEffect):
     """
 
     port = "platform"
-    delay: float = parameter("s", bounds=(0.0, 0.2))
+    delay: float = parameter("s", bounds=(0.0, 0.2), start=5e-3)
 
     def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""

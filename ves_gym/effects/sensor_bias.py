@@ -17,8 +17,13 @@ class SensorBias(LaboratoryEffect):
     """Offset of the signals in the sensor frame. Zeroing the sensor takes it out."""
 
     port = "wrench"
-    force: Vector = parameter("N", bounds=(-100.0, 100.0), shape=(3,))
-    moment: Vector = parameter("N m", bounds=(-50.0, 50.0), shape=(3,))
+    places = "axis"
+    force: Vector = parameter(
+        "N", bounds=(-100.0, 100.0), shape=(3,), start=2.0, search=(-50.0, 50.0), name="bias"
+    )
+    moment: Vector = parameter(
+        "N m", bounds=(-50.0, 50.0), shape=(3,), start=2.0, search=(-20.0, 20.0), name="bias"
+    )
 
     def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""

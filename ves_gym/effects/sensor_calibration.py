@@ -19,7 +19,7 @@ class SensorCalibration(LaboratoryEffect):
     """
 
     port = "wrench"
-    error: Matrix = parameter("1", bounds=(-0.5, 0.5), shape=(6, 6))
+    error: Matrix = parameter("1", bounds=(-0.5, 0.5), shape=(6, 6), start=0.02)
 
     def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""

@@ -21,6 +21,8 @@ class SensorDrift(LaboratoryEffect):
     """
 
     port = "wrench"
+    places = "axis"
+    wanders = True
     force: Vector = parameter("N", bounds=(0.0, 20.0), shape=(3,))
     moment: Vector = parameter("N m", bounds=(0.0, 10.0), shape=(3,))
     time: float = parameter("s", bounds=(1.0, 3600.0), null=None, default=60.0)

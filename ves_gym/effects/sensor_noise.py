@@ -17,6 +17,8 @@ class SensorNoise(LaboratoryEffect):
     """Standard deviation of the signals' noise, as it is left after the sensor's filter."""
 
     port = "wrench"
+    places = "axis"
+    hidden = "all that a log shows is judged in units of its noise, which is read from the log"
     force: Vector = parameter("N", bounds=(0.0, 20.0), shape=(3,))
     moment: Vector = parameter("N m", bounds=(0.0, 10.0), shape=(3,))
 

@@ -17,7 +17,7 @@ class SensorRotation(LaboratoryEffect):
     """The sensor is turned by the small `angles` about its x, y, z against its stated frame."""
 
     port = "wrench"
-    angles: Vector = parameter("rad", bounds=(-0.1, 0.1), shape=(3,))
+    angles: Vector = parameter("rad", bounds=(-0.1, 0.1), shape=(3,), start=0.01)
 
     def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""

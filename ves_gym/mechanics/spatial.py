@@ -11,6 +11,7 @@ import numpy.typing as npt
 from ves_gym._util.params import Array
 
 AXES = ("x", "y", "z", "phi_x", "phi_y", "phi_z")  # of Y
+WRENCH = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")  # of a force sensor
 SINGULAR = 1e-3  # cos(phi_y) below this is reported: Z-Y-X angles end at 90 deg
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections import UserDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from inspect import isabstract
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -18,6 +18,7 @@ import numpy as np
 from ves_gym._util.on_demand import load
 from ves_gym._util.params import Array, ParameterError, to_plain, unit
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.system.candidate import Candidate, Scope, derived
 
 if TYPE_CHECKING:
     from ves_gym.mechanics.arm import Arm
@@ -58,12 +59,24 @@ class Effect:
     controller and drives.
 
     `port` says at which component of the loop it enters, for a diagnosis that looks there.
+    What a diagnosis may choose of it follows from the parameters (`system/candidate.py`); the
+    other declarations help where these do not say enough.
     """
 
     REGISTRY: ClassVar[Registry] = EFFECTS
     kind: ClassVar[str]  # "place/name"; set by `register`
     modes: ClassVar[tuple[str, ...]] = ("emulated",)
     port: ClassVar[str]  # one of PORTS
+
+    shows: ClassVar[tuple[str, ...]] = ()  # ports at which logs show it; none: at its own
+    places: ClassVar[str] = ""  # joint, axis, row or whole; "": by the shapes of parameters
+    sets_in: ClassVar[bool] = False  # it does nothing up to some size, and is no factor above
+    filters: ClassVar[bool] = False  # it passes on what was measured, and the noise in it
+    builds_up: ClassVar[bool] = False  # a friction: over a distance, after every reversal
+    wanders: ClassVar[bool] = False  # a slow random course: a log shows the course, not its law
+    within: ClassVar[str] = ""  # simpler kind that is a case of this one
+    forms: ClassVar[tuple[Callable[[Any], Any], ...]] = ()  # others that it may have in part
+    hidden: ClassVar[str] = ""  # why no log can tell it, where that is so in principle
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):  # type: ignore[arg-type]
@@ -89,6 +102,15 @@ class Effect:
 
     def check(self, system: System) -> None:
         """Raise ParameterError if the effect would do nothing in this system, or not fit it."""
+
+    @classmethod
+    def candidates(cls, scope: Scope) -> Iterator[Candidate]:
+        """Yield what a diagnosis may try: the effect in each place, its numbers free.
+
+        Args:
+            scope: the machine.
+        """
+        yield from derived(cls, scope)
 
     def _require(self, fits: bool, what: str) -> None:
         if not fits:
@@ -151,6 +173,7 @@ class TorqueEffect(Effect, ABC):
     so that one text runs in NumPy and is compiled into the kernel and its derivatives.
     """
 
+    shows: ClassVar[tuple[str, ...]] = ("joint",)
     tau_max: Any  # in `law`: (n,) torque limits of the arm as described [N m]
 
     @abstractmethod
@@ -175,6 +198,8 @@ class TorqueEffect(Effect, ABC):
 class ArmEffect(Effect, ABC):
     """Difference of the arm from its description."""
 
+    shows: ClassVar[tuple[str, ...]] = ("joint", "wrench")
+
     @abstractmethod
     def arm(self, arm: Arm) -> Arm:
         """Return the arm that is really there, from the described one."""
@@ -183,6 +208,8 @@ class ArmEffect(Effect, ABC):
 class BaseEffect(Effect, ABC):
     """Difference of the vehicle, real or emulated, from its description."""
 
+    shows: ClassVar[tuple[str, ...]] = ("admittance", "base")
+
     @abstractmethod
     def base(self, base: BaseModel) -> BaseModel:
         """Return the vehicle that is really there, from the described one."""
@@ -190,6 +217,8 @@ class BaseEffect(Effect, ABC):
 
 class DelayEffect(Effect, ABC):
     """Delay between joint controller and drives."""
+
+    shows: ClassVar[tuple[str, ...]] = ("joint", "wrench", "servo", "velocity")
 
     @abstractmethod
     def wire(self, delays: Delays) -> None:
@@ -206,6 +235,9 @@ def parameter(
     null: float | None = 0.0,
     shape: tuple[int | None, ...] = (),
     default: Any = dataclasses.MISSING,
+    start: float | tuple[float, ...] | None = None,
+    search: tuple[float, float] | None = None,
+    name: str = "",
 ) -> Any:
     """Return a field of an effect.
 
@@ -215,11 +247,17 @@ def parameter(
         null: value that leaves the system nominal; None: has none of its own.
         shape: () for a number; None in it for any length.
         default: None given, the null value filled into the shape.
+        start: about what a machine may have, where a diagnosis begins; several where nothing
+            leads from one to the next. None given, it follows from bounds and null, and a
+            number that has a default and no null value is left there.
+        search: range that a diagnosis looks in, where that is not all of `bounds`.
+        name: that a diagnosis gives the number, where it is not the field's.
     """
     if default is dataclasses.MISSING and null is not None and None not in shape:
         filled = np.full(tuple(k for k in shape if k is not None), null)
         default = _nested(filled.tolist())
-    return unit(symbol, default=default, bounds=bounds, null=null, shape=shape)
+    said = {"start": start, "search": search, "name": name}
+    return unit(symbol, default=default, bounds=bounds, null=null, shape=shape, **said)
 
 
 def _nested(value: Any) -> Any:

@@ -25,7 +25,8 @@ def found(hidden):
     system = System.from_dict(logs[0].meta["system"])
     machine = SystemMachine(system)
     runs = [run_of(log, f"run-{i}") for i, log in enumerate(logs)]
-    every = library(system.arm.n, [p.name for p in machine.ports], system.mode)
+    ports = [p.name for p in machine.ports]
+    every = library(system.arm.n, ports, system.mode, system=system)
     some = [c for c in every if c.kind in KINDS]
     return d.diagnose(machine, runs, candidates=some, limits=Thresholds(alike=np.inf))
 

@@ -13,9 +13,8 @@ from typing import Any, Protocol
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.mechanics.spatial import WRENCH as WRENCH
 from ves_gym.system.effect import Effect
-
-WRENCH = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")  # of a force sensor
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,10 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.effects import SensorDrift
+from ves_gym.system.candidate import Scope
+from ves_gym.system.effect import EFFECTS, Effect
+
+WAVES = 8  # a level and slow cosines
 
 
 @dataclass(frozen=True)
@@ -17,6 +20,7 @@ class SlowPath:
 
     channel: int
     weights: tuple[tuple[str, tuple[float, ...]], ...]  # run -> weight of each
+    kind: str = "sensor/drift"
 
     def of(self, run: Run) -> Array:
         """Return the path (T,) in this run; zero in a run without weights."""
@@ -34,8 +38,8 @@ class SlowPath:
         return float(np.sqrt(np.mean(power)))
 
     @property
-    def effect(self) -> SensorDrift:
+    def effect(self) -> Effect:
         """A drift of this size."""
-        signal = np.zeros(6)
-        signal[self.channel] = self.size
-        return SensorDrift(force=tuple(signal[:3].tolist()), moment=tuple(signal[3:].tolist()))
+        signals = list(EFFECTS[self.kind].candidates(Scope(joints=0)))
+        drift: Effect = signals[self.channel].effect(np.array([self.size]))
+        return drift

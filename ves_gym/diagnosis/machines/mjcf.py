@@ -23,7 +23,7 @@ from ves_gym._util.signals import differentiated
 from ves_gym.diagnosis.data.measured_run import Kinematics, Run
 from ves_gym.diagnosis.inference.candidates import Candidate, library
 from ves_gym.diagnosis.machines.base import Nuisance, Port
-from ves_gym.diagnosis.machines.torque_balance import SCALING, torque_residual
+from ves_gym.diagnosis.machines.torque_balance import scales, torque_residual
 from ves_gym.effects import (
     JointCoulomb,
     JointDriveGain,
@@ -32,21 +32,10 @@ from ves_gym.effects import (
     JointVelocityLag,
     JointViscous,
 )
-from ves_gym.system.effect import Effect, joint_torque
+from ves_gym.system.effect import EFFECTS, Effect, TorqueEffect, joint_torque
 
-KINDS = (  # what this machine can compute; the rest of the library is another machine's
-    "joint/asymmetry",
-    "joint/coulomb",
-    "joint/drive_gain",
-    "joint/load_friction",
-    "joint/measurement_delay",
-    "joint/ripple",
-    "joint/rotor_inertia",
-    "joint/stribeck",
-    "joint/torque_offset",
-    "joint/velocity_lag",
-    "joint/viscous",
-)
+_BESIDE_LAWS = ("joint/measurement_delay", "joint/rotor_inertia", "joint/velocity_lag")
+_LIMITS = ("joint/torque_limit",)  # a mapping file states no limit of the motors
 _ON_RACK = {  # unit of a turning joint -> unit of a slide, power of the radius between them
     "N m": ("N", -1),
     "N m s/rad": ("N s/m", -2),
@@ -211,7 +200,7 @@ class MjcfMachine:
         every = library(n, [p.name for p in self.ports])
         slots = {f"joint {i + 1}": i for i in range(n)}
         out = []
-        for candidate in (c for c in every if c.kind in KINDS):
+        for candidate in (c for c in every if _is_computed(EFFECTS[c.kind])):
             candidate = dataclasses.replace(candidate, blurs=())  # one form of every law here
             if candidate.kind == "joint/stribeck":
                 candidate = _excess(candidate, slots[candidate.slot], n)
@@ -281,9 +270,9 @@ class MjcfMachine:
         )
         needed = needed - dry.law(np, q / r, v / r, 0.0)
         # what the force does not scale stays out of differences by the force
-        steady = [e for e in variant.effects if e.kind not in SCALING]
+        steady = [e for e in variant.effects if not scales(e)]
         needed = needed - _laws(steady, q / r, v / r, tau * r) / r
-        scaling = [e for e in variant.effects if e.kind in SCALING]
+        scaling = [e for e in variant.effects if scales(e)]
 
         def laws(force: Array) -> Array:
             return _laws(scaling, q / r, v / r, force * r) / r
@@ -382,13 +371,21 @@ def _addresses(model: mujoco.MjModel, joints: Sequence[MjcfJoint]) -> tuple[Any,
     return model.jnt_qposadr[ids].copy(), model.jnt_dofadr[ids].copy()
 
 
+def _is_computed(cls: type[Effect]) -> bool:
+    """True for what this machine can compute; the rest of the library is another machine's."""
+    if issubclass(cls, TorqueEffect):
+        return cls.kind not in _LIMITS
+    return cls.kind in _BESIDE_LAWS
+
+
 def _require_computed(
     effects: Sequence[Effect], rates: Sequence[RateError], joints: int
 ) -> None:
     for effect in effects:
-        if effect.kind not in KINDS:
+        if not _is_computed(type(effect)):
+            known = ", ".join(sorted(k for k, cls in EFFECTS.items() if _is_computed(cls)))
             raise ParameterError(
-                f"effect {effect.kind} is not computed for MJCF; these are: {', '.join(KINDS)}"
+                f"effect {effect.kind} is not computed for MJCF; these are: {known}"
             )
     for entry in (*effects, *rates):
         for field in dataclasses.fields(entry):  # type: ignore[arg-type]

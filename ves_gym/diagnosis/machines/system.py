@@ -29,7 +29,7 @@ from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import AXES, body_wrench, matvec, rate_matrix, twist, twist_rate
 from ves_gym.mechanics.vehicle import Oscillator
 from ves_gym.simulation.emulation_loop import EmulationLoop
-from ves_gym.system.deviations import LoopParameters
+from ves_gym.system.deviations import Delays, LoopParameters
 from ves_gym.system.effect import Effect, joint_torque
 from ves_gym.system.system import System
 
@@ -211,7 +211,7 @@ class SystemMachine:
     def _load(self, run: Run, system: System) -> tuple[Array, Array]:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
         arm = system.actual.arm
-        old = _total(system, "joint/measurement_delay", "delay")
+        old = float(Delays.of(system).measurement[0])
         loads = _memoized(run, "loads", dict)
         if (arm, old) in loads:
             return loads[arm, old]  # type: ignore[no-any-return]
@@ -246,9 +246,12 @@ class SystemMachine:
         """Motor torque less what the controller asks for (..., T, n)."""
         arm = self.system.arm
         gains = run.meta["controller"]
-        late = _total(system, "command/delay", "delay")
-        command = differentiated(run["q_cmd"], run.dt, run.band, ahead=-late)
+        delays = Delays.of(system)
+        command = differentiated(
+            run["q_cmd"], run.dt, run.band, ahead=-float(delays.command[0])
+        )
         q, v, _ = run.joints
+        v = _lagged(v, delays.lag[0], run.dt)
         demand = (command[0] - q) * gains["kp"] + (command[1] - v) * gains["kd"]
         if gains.get("feedforward", False):
             demand = demand + inverse_dynamics(arm, *command)[0]
@@ -366,9 +369,16 @@ def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
     return run.memory[key]
 
 
-def _total(system: System, kind: str, field: str) -> float:
-    """Sum of a number over the effects of a kind."""
-    return float(sum(getattr(e, field) for e in system.effects if e.kind == kind))
+def _lagged(v: Array, lag: Array, dt: float) -> Array:
+    """Rates (..., T, n) through a first-order low-pass each, of time constants (n,) [s]."""
+    out = v.copy()
+    for i in np.flatnonzero(lag):
+        low = ([1.0], [float(lag[i]), 1.0])
+        b, a, _ = scipy.signal.cont2discrete(low, dt, method="foh")
+        first = v[..., :1, i]  # at rest under the first rate
+        zi = scipy.signal.lfilter_zi(np.ravel(b), a) * first
+        out[..., i] = scipy.signal.lfilter(np.ravel(b), a, v[..., i], axis=-1, zi=zi)[0]
+    return out
 
 
 def _moved(run: Run, mode: str, late: int) -> tuple[Kinematics, Array, Array]:

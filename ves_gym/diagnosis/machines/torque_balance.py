@@ -3,14 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.system.effect import Effect
+from ves_gym.system.effect import Effect, TorqueEffect, joint_torque
 
-SCALING = ("joint/drive_gain", "joint/load_friction")  # laws that multiply the torque
 _PUSH = 1e-6  # relative, of a difference
+_TRIED = 4  # random states in which a law is asked about the torque
+_NO_LIMIT = 1e9  # N m
+
+
+@lru_cache(maxsize=1024)
+def scales(effect: Effect) -> bool:
+    """Return True for a law that changes with the torque, short of a limit of it."""
+    if not isinstance(effect, TorqueEffect):
+        return False
+    widths = [np.size(x) for x in vars(effect).values()]
+    q, v, tau = np.random.default_rng(0).normal(size=(3, _TRIED, max(widths, default=1)))
+    most = np.full(q.shape[-1], _NO_LIMIT)
+    weak, strong = (joint_torque([effect], q, v, k * tau, most) for k in (1.0, 2.0))
+    return bool((weak != strong).any())
 
 
 def torque_residual(
@@ -29,7 +43,7 @@ def torque_residual(
     """
     added = laws(tau)
     balance = tau + added - needed
-    if not any(e.kind in SCALING for e in effects):
+    if not any(map(scales, effects)):
         return balance
     push = _PUSH * np.maximum(np.abs(tau), 1.0)
     return np.asarray(balance / (1 + (laws(tau + push) - added) / push))

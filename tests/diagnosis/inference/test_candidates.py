@@ -1,0 +1,204 @@
+"""What a diagnosis may try follows from what every effect says of itself."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ves_gym._util.params import ParameterError
+from ves_gym.diagnosis.inference.candidates import left_out, library
+from ves_gym.diagnosis.machines.drift import SlowPath
+from ves_gym.diagnosis.machines.presliding import Presliding
+from ves_gym.effects import SensorDrift
+from ves_gym.mechanics.spatial import WRENCH
+from ves_gym.mechanics.vehicle import FREE_FLOATING
+from ves_gym.system.candidate import Scope
+from ves_gym.system.effect import EFFECTS, LaboratoryEffect, TorqueEffect, parameter, register
+from ves_gym.system.emulator_settings import EmulatorSettings
+from ves_gym.system.system import System
+
+ROOT = Path(__file__).parents[3]
+PORTS = ("joint", "servo", "wrench", "gravity", "admittance", "platform")
+EMULATED = System(mode="emulated", emulator=EmulatorSettings(payload_compensation=True))
+
+
+def emulated(**options):
+    return {c.name: c for c in library(3, PORTS, "emulated", ["a"], 0.4, **options)}
+
+
+@pytest.fixture
+def registered():
+    """Register effects of one's own, and forget them again."""
+    mine = []
+
+    def add(kind, cls):
+        mine.append(kind)
+        return register(kind)(dataclass(frozen=True, kw_only=True)(cls))
+
+    yield add
+    for kind in mine:
+        del EFFECTS[kind]
+
+
+def test_the_library_is_that_with_which_the_sealed_sets_were_answered():
+    """Reference: the library written by hand that these declarations replace.
+
+    It let tilts go to 0.3 rad, which no effect can have: its bounds are 0.1 rad.
+    """
+    stored = json.loads((Path(__file__).parent / "library.json").read_text())
+    found = emulated()
+    assert stored.keys() <= found.keys()
+    for name, was in stored.items():
+        c = found[name]
+        for field in ("ports", "names", "units", "low", "high", "factors"):
+            assert list(getattr(c, field)) == was[field], (name, field)
+        for field in ("sets_in", "filters", "sparse"):
+            assert getattr(c, field) == was.get(field, False), (name, field)
+        assert (c.within, c.price) == (was.get("within", ""), was["price"]), name
+        assert (len(c.starts), len(c.blurs)) == (was["starts"], was["forms"]), name
+        assert list(c.starts[0]) == was["first"], name
+        np.testing.assert_allclose(np.sum(c.starts, axis=0), was["sum"], rtol=1e-9)
+
+
+def test_every_registered_effect_has_a_candidate_or_a_reason():
+    every = {c.kind for c in library(3, PORTS, "emulated", ["a"], system=EMULATED)}
+    reasons = {
+        kind: left_out(cls, Scope(3, EMULATED), PORTS, "emulated", ["a"])
+        for kind, cls in EFFECTS.items()
+    }
+    assert every == {kind for kind, reason in reasons.items() if not reason}
+    assert {kind for kind, reason in reasons.items() if reason} == {"sensor/noise"}
+    assert "noise" in reasons["sensor/noise"]
+
+
+def test_a_candidate_at_its_starts_is_an_effect_of_its_kind():
+    for c in library(3, PORTS, "emulated", ["a"], system=EMULATED):
+        for start in c.starts:
+            made = c.effect(np.array(start))
+            kind = "sensor/drift" if isinstance(made, SlowPath) else made.kind
+            assert kind == c.kind
+        if not isinstance(made, SlowPath):
+            made.check(EMULATED)
+            assert not made.is_null
+        assert set(c.ports) <= set(PORTS)
+
+
+def test_what_would_do_nothing_in_a_system_is_no_candidate():
+    free = System(mode="emulated", vehicle=FREE_FLOATING)
+    found = {c.kind for c in library(3, PORTS, "emulated", ["a"], system=free)}
+    assert not {"base/stiffness", "base/damping"} & found
+    assert "base/virtual_mass" in found
+    reason = left_out(EFFECTS["base/stiffness"], Scope(3, free), PORTS, "emulated")
+    assert "needs a vehicle with stiffness" in reason
+
+
+def test_a_drift_is_a_course_and_its_size_the_effect():
+    c = emulated()["sensor/drift at M_y"]
+    assert c.k == 8 and c.price == 8
+    path = c.effect(2.0 * np.eye(8)[0])
+    assert path == SlowPath(4, (("a", (2.0, *(0.0,) * 7)),))
+    assert path.effect == SensorDrift(moment=(0.0, 2.0, 0.0))
+
+
+def test_a_plain_effect_per_joint_needs_no_more_than_its_parameters(registered):
+    class Sponge(TorqueEffect):
+        modes = ("ideal", "emulated")
+        port = "joint"
+        push: tuple[float, ...] = parameter("N m", bounds=(0.0, 40.0), shape=(None,))
+        speed: tuple[float, ...] = parameter(
+            "rad/s", bounds=(0.01, 1.0), null=None, shape=(None,)
+        )
+        share: float = parameter("1", bounds=(0.0, 1.0), null=None, default=0.5)
+
+        def law(self, xp, q, v, tau):
+            return -self.push * xp.tanh(v / self.speed) * self.share
+
+    cls = registered("joint/sponge", Sponge)
+    own = [c for c in library(3, ["joint"], "ideal") if c.kind == "joint/sponge"]
+    assert [c.slot for c in own] == ["joint 1", "joint 2", "joint 3"]
+    c = own[1]
+    assert c.names == ("push", "speed")  # a shape with a default stays there
+    assert c.factors == (0,) and c.ports == ("joint",) and not c.sparse
+    assert c.starts[0][0] == 2.0 and len(c.starts) == 12
+    assert all(0.01 < s[1] < 1.0 for s in c.starts)
+    rest = c.starts[0][1]
+    assert c.effect(np.array([3.0, 0.2])) == cls(push=(0, 3, 0), speed=(rest, 0.2, rest))
+
+
+def test_shapes_say_the_places(registered):
+    class Vector(LaboratoryEffect):
+        port = "wrench"
+        shift: tuple[float, ...] = parameter("m", bounds=(-0.1, 0.1), shape=(3,))
+
+        def edit(self, p):
+            pass
+
+    class Six(LaboratoryEffect):
+        port = "platform"
+        lost: tuple[float, ...] = parameter("m, rad", bounds=(-1.0, 1.0), shape=(6,))
+
+        def edit(self, p):
+            pass
+
+    class Matrix(LaboratoryEffect):
+        port = "wrench"
+        mixed: tuple = parameter("1", bounds=(-1.0, 1.0), shape=(6, 6))
+
+        def edit(self, p):
+            pass
+
+    class Factor(LaboratoryEffect):
+        port = "gravity"
+        gain: float = parameter("1", bounds=(0.5, 2.0), null=1.0)
+        tilt: tuple[float, ...] = parameter("rad", bounds=(-0.1, 0.1), shape=(3,))
+
+        def edit(self, p):
+            pass
+
+    registered("own/vector", Vector)
+    registered("own/six", Six)
+    registered("own/matrix", Matrix)
+    factor = registered("own/factor", Factor)
+    found = emulated()
+    vector = found["own/vector"]
+    assert vector.names == ("x", "y", "z") and vector.sparse and vector.price == 1
+    turned = found["own/six at phi_y"]
+    assert turned.units == ("rad",) and turned.effect(np.ones(1)).lost == (0, 0, 0, 0, 1, 0)
+    row = found["own/matrix at M_x"]
+    assert row.names == WRENCH and row.sparse
+    assert np.array(row.effect(np.full(6, 0.1)).mixed)[3] == pytest.approx(0.1)
+    both = found["own/factor"]
+    assert both.names == ("gain - 1", "tilt x", "tilt y", "tilt z") and not both.sparse
+    assert (both.low[0], both.high[0]) == (-0.5, 1.0)
+    assert both.effect(np.array([0.2, 0, 0.05, 0])) == factor(gain=1.2, tilt=(0, 0.05, 0))
+    assert both.effect(np.zeros(4)).is_null
+
+
+def test_an_effect_whose_places_do_not_fit_is_left_out_with_the_reason(registered):
+    class Odd(LaboratoryEffect):
+        port = "wrench"
+        places = "joint"
+        table: tuple = parameter("1", bounds=(0.0, 1.0), shape=(2, 2))
+
+        def edit(self, p):
+            pass
+
+    cls = registered("own/odd", Odd)
+    assert "own/odd" not in {c.kind for c in emulated().values()}
+    reason = left_out(cls, Scope(3), PORTS)
+    assert "places `joint` must be one number or one per joint, got shapes (2, 2)" in reason
+    with pytest.raises(ParameterError):
+        list(cls.candidates(Scope(3)))
+
+
+def test_friction_builds_up():
+    found = emulated()
+    frictions = {c.kind for c in found.values() if Presliding in c.blurs}
+    assert frictions == {
+        "joint/asymmetry",
+        "joint/coulomb",
+        "joint/load_friction",
+        "joint/stribeck",
+    }
