@@ -67,7 +67,8 @@ def simulate(
         platform: what the platform follows under operation "position": instants (m,) [s] ->
             pose and rate, (m, 6) each.
         seed: of sensor noise and drift.
-        backend: engine: auto, kernel, mujoco, mjx or warp.
+        backend: engine: auto, kernel, mujoco, gpu-kernel, gpu-kernel-float32, mjx
+            or warp.
         note: text for the log.
 
     Returns:

@@ -196,7 +196,8 @@ def test_list_names_everything(call):
     assert {"bent", "free-floating"} <= names["vehicles"]
     assert {"straight", "direct"} <= names["planners"]
     assert {"reach100", "thesis"} <= names["suites"]
-    assert names["backends"] == {"auto", "kernel", "mujoco", "mjx", "warp"}
+    engines = {"auto", "kernel", "mujoco", "gpu-kernel", "gpu-kernel-float32", "mjx", "warp"}
+    assert names["backends"] == engines
     assert names["commands"] == set(COMMANDS)
     assert "ves/PumaDamp-v0" in {row["environment"] for row in result["policies"]}
     assert "[Hz]" in out  # a unit in a heading is not markup

@@ -96,7 +96,9 @@ def test_threads_are_a_whole_number(threads):
 
 def test_other_bad_arguments():
     assert Simulator(System(), np.int64(2)).n == 2
-    with pytest.raises(ParameterError, match="mujoco, mjx, warp, got 'bullet'"):
+    with pytest.raises(
+        ParameterError, match="mujoco, gpu-kernel, gpu-kernel-float32, mjx, warp, got 'bullet'"
+    ):
         Simulator(System(), backend="bullet")
     with pytest.raises(
         ParameterError, match="on_divergence must be raise or mark, got 'ignore'"

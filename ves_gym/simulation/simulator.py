@@ -68,8 +68,9 @@ class Simulator:
         system: what to simulate.
         n: number of simulations, >= 1.
         servo: joint servo, or None for bare torque input; ignored by a prescribed drive.
-        backend: engine, "auto" (the compiled kernel wherever it can be had), "kernel" or
-            "mujoco"; `backend_name` says which one runs.
+        backend: engine, "auto" (the compiled kernel wherever it can be had), "kernel",
+            "mujoco", "gpu-kernel" (the same equations on a GPU; "gpu-kernel-float32": in single
+            precision), "mjx" or "warp" (MuJoCo's on a GPU); `backend_name` says which one runs.
         threads: threads of the engine, 0 = one per processor.
         seed: root of the per-simulation random generators; simulation i draws the same
             numbers whatever n is.
@@ -140,7 +141,7 @@ class Simulator:
 
     @property
     def backend_name(self) -> str:
-        """The engine that runs: kernel or mujoco."""
+        """The engine that runs, as in `engine.backends.registry.BACKENDS` but for auto."""
         return self.backend.name
 
     @property

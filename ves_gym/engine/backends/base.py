@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from ves_gym.system.system import System
 
 
+class BackendWarning(UserWarning):
+    """Another engine runs than the fastest one would be."""
+
+
 class Backend(Protocol):
     """Engine as `Simulator` uses it. Leading axis = simulation.
 

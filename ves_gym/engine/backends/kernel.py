@@ -7,20 +7,18 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array, Index
-from ves_gym.engine.backends.base import MEANINGLESS, Remembering
-from ves_gym.engine.batch_parameters import ParameterRows, bodies_of
+from ves_gym.engine.backends.base import MEANINGLESS
+from ves_gym.engine.backends.compiled import CompiledBackend
 from ves_gym.engine.kernel.blocks import aligned, fill, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_module
 from ves_gym.engine.kernel.trace import equations, structure
-from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 _ALONE = 8  # blocks below which a second thread costs more than it brings
@@ -41,7 +39,7 @@ def compiled(system: System) -> Library:
     return _LIBRARIES[key]
 
 
-class KernelBackend(Remembering):
+class KernelBackend(CompiledBackend):
     """`Backend` on a compiled kernel; see `Backend` for what each method does.
 
     Arrays are blocks of LANES simulations, a row per quantity; the last block is filled up
@@ -52,22 +50,10 @@ class KernelBackend(Remembering):
     state_names = ("_x", "_u", "_start", "_ticks", "_fault")
 
     def __init__(self, system: System, n: int, threads: int) -> None:
-        self.n, self.joints = n, system.arm.n
-        self.emulated = system.mode == "emulated"
-        self.prescribed = system.drive == "prescribed"
-        self.dt = system.physics_dt
+        super().__init__(system, n)
         self._advance = compiled(system).advance
-        self.rows = ParameterRows(system)
-        self.names, values = self.rows.names, self.rows.values
-        self._gains = np.array([name[:2] in ("kp", "kd") for name in self.names])
-        self._systems = [system] * n
+        values = self.rows.values
         self._blocks = -(-n // LANES)
-        size = 6 + self.joints
-        self._extras = 0 if self.emulated else len(system.base.extra)
-        self._gears = len(system.arm.geared)
-        self._order = size + self._gears + self._extras  # coordinates: (Y, q), what is hidden
-        self._nx, self._nu = 2 * self._order, size
-        self._ny = size + self.joints + (6 if self.emulated else 0)
         self._x = aligned(self._blocks, self._nx, LANES)
         self._p = aligned(self._blocks, len(values), LANES)
         self._p[:] = values[:, None]
@@ -157,47 +143,12 @@ class KernelBackend(Remembering):
         return x[:, first:order], x[:, order + first :]
 
     def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
-        if self._order == 6 + self.joints:
-            rows = np.hstack([z, zd])
-        else:
-            parts = []
-            for part in (z, zd):  # gears relaxed, oscillators at rest on the vehicle
-                bases = [self._systems[i].base for i in ids.tolist()]
-                attached = [b.attached(y) for b, y in zip(bases, part[:, :6], strict=True)]
-                hidden = np.zeros((len(ids), self._gears + self._extras))
-                if self._extras:
-                    hidden[:, self._gears :] = attached
-                parts += [part, hidden]
-            rows = np.hstack(parts)
-        self._x[ids // LANES, :, ids % LANES] = rows
+        self._x[ids // LANES, :, ids % LANES] = self._states(ids, z, zd)
         self._u[ids // LANES, :, ids % LANES] = 0.0  # no acceleration of a platform either
         self._start[ids], self._ticks[ids], self._fault[ids] = time, 0, False
 
-    def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
-        for name, values in (("kp", kp), ("kd", kd)):
-            for i in range(self.joints):
-                row = self.names.index(f"{name}{i + 1}")
-                self._p[ids // LANES, row, ids % LANES] = values[:, i]
-
-    def assign(self, ids: Index, systems: Sequence[System]) -> None:
-        pairs = list(zip(ids.tolist(), systems, strict=True))
-        rows_of: dict[tuple[int, int], Array] = {}  # rows of the arms and vehicles seen
-        rows = []
-        for i, system in pairs:
-            which, bodies = f"system of simulation {i}", bodies_of(system)
-            if bodies not in rows_of:
-                same = bodies == bodies_of(self._systems[i])
-                rows_of[bodies] = self._row(i) if same else self.rows.of(system, which)
-            rows.append(self.rows.with_effects(rows_of[bodies], system, which))
-        for (i, system), row in zip(pairs, rows, strict=True):
-            self._row(i)[:] = np.where(self._gains, self._row(i), row)
-            self._systems[i] = system
-
-    def assign_laws(self, ids: Index, rows: EffectRows) -> None:
-        for name, values in rows.laws().items():
-            at = self.rows.place(name, values)
-            if at is not None:
-                self._p[ids // LANES, at, ids % LANES] = values
+    def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
+        self._p[ids // LANES, at, ids % LANES] = values
 
     def _row(self, i: int) -> Array:
         """Parameters of a simulation, in place."""

@@ -8,16 +8,12 @@ from typing import TYPE_CHECKING
 from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.engine.backends.base import Backend
+from ves_gym.engine.backends.base import Backend, BackendWarning
 
 if TYPE_CHECKING:
     from ves_gym.system.system import System
 
-BACKENDS = ("auto", "kernel", "mujoco", "mjx", "warp")
-
-
-class BackendWarning(UserWarning):
-    """Another engine runs than the fastest one would be."""
+BACKENDS = ("auto", "kernel", "mujoco", "gpu-kernel", "gpu-kernel-float32", "mjx", "warp")
 
 
 def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
@@ -34,7 +30,7 @@ def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
             f"backend must be one of {', '.join(BACKENDS)}, got {name!r}"
             f"{did_you_mean(name, BACKENDS)}"
         )
-    if name in ("mjx", "warp"):
+    if name not in ("auto", "kernel", "mujoco"):
         return _on_a_device(name, system, n, threads)
     if name != "mujoco":
         try:
@@ -57,6 +53,12 @@ def _on_a_device(name: str, system: System, n: int, threads: int) -> Backend:
         from ves_gym.engine.backends.mjx import MjxBackend
 
         return MjxBackend(system, n, threads)
+    if name != "warp":
+        require(f"backend {name}", "warp")
+        from ves_gym.engine.backends.gpu_kernel import GpuKernelBackend, GpuKernelSingleBackend
+
+        kinds = GpuKernelBackend, GpuKernelSingleBackend
+        return next(kind for kind in kinds if kind.name == name)(system, n, threads)
     require("backend warp", "mujoco_warp", "warp")
     from ves_gym.engine.backends.warp import WarpBackend
 

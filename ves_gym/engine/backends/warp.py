@@ -31,7 +31,7 @@ class WarpBackend(DeviceBackend):
     def _load(self) -> None:
         """State and gains of all simulations to the device."""
         kind = self._model.actuator_biasprm.dtype
-        bias = self._warp.array(self._bias.astype(np.float32), dtype=kind)
+        bias: Any = self._warp.array(self._bias.astype(np.float32), dtype=kind)
         self._model.actuator_biasprm = bias
         for name, values in (
             ("qpos", self._q),

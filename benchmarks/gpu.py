@@ -1,0 +1,153 @@
+"""Physics steps a second on a GPU: our kernel against MuJoCo Warp, n = 1,024 to 65,536.
+
+`python -m benchmarks.gpu` on a machine with a GPU. Without one it says so and runs few
+simulations on Warp's CPU device, against the kernel.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.optional import lacking
+from ves_gym.engine.backends.base import BackendWarning
+from ves_gym.engine.backends.registry import make_backend
+from ves_gym.engine.kernel.warp_code import load_warp
+from ves_gym.system.system import System
+
+SIZES = (1_024, 4_096, 16_384, 65_536)
+FEW = (64, 256)  # without a GPU
+PERIODS = 20  # control periods that are timed at once
+RUNS = 5
+
+
+def engine(name: str, system: System, n: int) -> Any:
+    """An engine whose n simulations stand in states of their own, joints held by servos."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BackendWarning)
+        backend: Any = make_backend(name, system, n, 0)
+    start = np.random.default_rng(0).uniform(-0.1, 0.1, (4, n, 6))
+    z, zd = (
+        np.hstack([0.1 * start[0], start[1, :, :3]]),
+        np.hstack([start[2], start[3, :, :3]]),
+    )
+    backend.write(np.arange(n), np.zeros(n), z, zd)
+    backend.set_gains(np.arange(n), np.full((n, 3), 1000.0), np.full((n, 3), 30.0))
+    return backend
+
+
+def ours(name: str, system: System, n: int) -> Callable[[], None]:
+    """PERIODS launches of a control period, everything on the device."""
+    backend = engine(name, system, n)
+    simulations = backend.simulations
+    u = simulations.array(np.zeros((backend._nu, n)))
+    backend.step(np.zeros((n, 3)), None, None, 1, None)  # hands the parameters over
+
+    def work() -> None:
+        for _ in range(PERIODS):
+            simulations.advance(u, system.substeps, system.substeps)
+        simulations.wp.synchronize_device(simulations.device)
+
+    return work
+
+
+def mujoco_warp(system: System, n: int) -> Callable[[], None]:
+    """The same steps of MuJoCo Warp, captured as a CUDA graph."""
+    backend = engine("warp", system, n)
+    backend._load()
+    wp, package = backend._warp, backend._engine
+    device = wp.get_device()
+
+    def period() -> None:
+        for _ in range(system.substeps):
+            package.step(backend._model, backend._data)
+
+    period()  # compiles
+    with wp.ScopedCapture() as capture:
+        period()
+
+    def work() -> None:
+        for _ in range(PERIODS):
+            wp.capture_launch(capture.graph)
+        wp.synchronize_device(device)
+
+    return work
+
+
+def kernel(system: System, n: int) -> Callable[[], None]:
+    """The same steps of the kernel on all processors."""
+    backend = engine("kernel", system, n)
+
+    def work() -> None:
+        for _ in range(PERIODS):
+            backend._run(backend._u, system.substeps, backend._nu, 0, None)
+
+    return work
+
+
+def steps_per_second(work: Callable[[], None], system: System, n: int) -> tuple[float, float]:
+    """Median of RUNS, and the seconds of the first run, which compiles."""
+    begin = time.perf_counter()
+    work()
+    first = time.perf_counter() - begin
+    times = []
+    for _ in range(RUNS):
+        begin = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - begin)
+    return n * PERIODS * system.substeps / float(np.median(times)), first
+
+
+def report(sizes: tuple[int, ...]) -> dict[str, Any]:
+    """Measure and print."""
+    system, results = System(), {}
+    wp = load_warp()
+    device = wp.get_device()
+    print(f"Warp {wp.config.version}, {device.name if device.is_cuda else 'CPU device'}")
+    missing = lacking("the comparison", "mujoco_warp")
+    compared = device.is_cuda and not missing
+    if device.is_cuda and missing:
+        print(missing)
+    for n in sizes:
+        row: dict[str, float] = {}
+        for name in ("gpu-kernel", "gpu-kernel-float32"):
+            row[name], first = steps_per_second(ours(name, system, n), system, n)
+            row[f"{name} first"] = first
+        if compared:
+            row["mujoco warp"], _ = steps_per_second(mujoco_warp(system, n), system, n)
+        if not device.is_cuda:
+            row["kernel"], _ = steps_per_second(kernel(system, n), system, n)
+        rates = ", ".join(f"{k} {v:,.0f}" for k, v in row.items() if "first" not in k)
+        print(f"n = {n:<6} physics steps/s: {rates}")
+        if compared:
+            ratio = row["gpu-kernel"] / row["mujoco warp"]
+            print(f"           {ratio:.1f} x MuJoCo Warp, in double precision")
+        results[f"n{n}"] = row
+    return results
+
+
+def main() -> None:
+    """Measure, print, and write JSON when asked."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    args = parser.parse_args()
+    missing = lacking("the benchmark", "warp")
+    if missing:
+        raise SystemExit(missing)
+    there = load_warp().is_cuda_available()
+    if not there:
+        print(f"no GPU: n = {' and '.join(map(str, FEW))} on Warp's CPU device, one thread")
+    results = report(SIZES if there else FEW)
+    if args.json:
+        args.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

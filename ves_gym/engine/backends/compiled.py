@@ -1,0 +1,98 @@
+"""What the engines that run our own compiled equations share: parameters and hidden states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ves_gym._util.params import Array, Index
+from ves_gym.engine.backends.base import Remembering
+from ves_gym.engine.batch_parameters import ParameterRows, bodies_of
+from ves_gym.system.effect_rows import EffectRows
+from ves_gym.system.system import System
+
+
+class CompiledBackend(Remembering):
+    """Sizes of state, input and output, and the systems of the simulations.
+
+    The state x stacks (Y, q), what is hidden (deflections of gears, oscillators of the
+    vehicle) and the rates of both; see `trace.Equations`.
+    """
+
+    def __init__(self, system: System, n: int) -> None:
+        self.n, self.joints = n, system.arm.n
+        self.emulated = system.mode == "emulated"
+        self.prescribed = system.drive == "prescribed"
+        self.dt = system.physics_dt
+        self.rows = ParameterRows(system)
+        self.names = self.rows.names
+        self._gains = np.array([name[:2] in ("kp", "kd") for name in self.names])
+        self._systems = [system] * n
+        size = 6 + self.joints
+        self._extras = 0 if self.emulated else len(system.base.extra)
+        self._gears = len(system.arm.geared)
+        self._order = size + self._gears + self._extras  # coordinates: (Y, q), what is hidden
+        self._nx, self._nu = 2 * self._order, size
+        self._ny = size + self.joints + (6 if self.emulated else 0)
+
+    def _row(self, i: int) -> Array:
+        """Parameters of a simulation, in place."""
+        raise NotImplementedError
+
+    def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
+        """Set one parameter of some simulations.
+
+        Args:
+            at: which, as in `names`.
+            ids: (k,) of the simulations.
+            values: (k,).
+        """
+        raise NotImplementedError
+
+    def _states(self, ids: Index, z: Array, zd: Array) -> Array:
+        """(k, nx) states: gears relaxed, oscillators at rest on the vehicle.
+
+        Args:
+            ids: (k,) which simulations.
+            z, zd: (k, 6 + joints) coordinates and rates.
+        """
+        if self._order == 6 + self.joints:
+            return np.hstack([z, zd])
+        parts = []
+        for part in (z, zd):
+            bases = [self._systems[i].base for i in ids.tolist()]
+            attached = [b.attached(y) for b, y in zip(bases, part[:, :6], strict=True)]
+            hidden = np.zeros((len(ids), self._gears + self._extras))
+            if self._extras:
+                hidden[:, self._gears :] = attached
+            parts += [part, hidden]
+        return np.hstack(parts)
+
+    def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
+        """See `Backend`."""
+        for name, values in (("kp", kp), ("kd", kd)):
+            for i in range(self.joints):
+                self._set_parameter(self.names.index(f"{name}{i + 1}"), ids, values[:, i])
+
+    def assign(self, ids: Index, systems: Sequence[System]) -> None:
+        """See `Backend`."""
+        pairs = list(zip(ids.tolist(), systems, strict=True))
+        rows_of: dict[tuple[int, int], Array] = {}  # rows of the arms and vehicles seen
+        rows = []
+        for i, system in pairs:
+            which, bodies = f"system of simulation {i}", bodies_of(system)
+            if bodies not in rows_of:
+                same = bodies == bodies_of(self._systems[i])
+                rows_of[bodies] = self._row(i) if same else self.rows.of(system, which)
+            rows.append(self.rows.with_effects(rows_of[bodies], system, which))
+        for (i, system), row in zip(pairs, rows, strict=True):
+            self._row(i)[:] = np.where(self._gains, self._row(i), row)
+            self._systems[i] = system
+
+    def assign_laws(self, ids: Index, rows: EffectRows) -> None:
+        """See `Backend`."""
+        for name, values in rows.laws().items():
+            at = self.rows.place(name, values)
+            if at is not None:
+                self._set_parameter(at, ids, values)

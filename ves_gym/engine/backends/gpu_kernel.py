@@ -1,0 +1,230 @@
+"""The compiled equations on a GPU, one simulation a thread. Optional: `ves-gym[gpu]`.
+
+The same graph, and so the same answers, as the kernel's (`engine.kernel.scalar`): every system
+that it simulates, in double precision, or in single. Without a GPU it runs on Warp's CPU
+device, one simulation after the other.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, Index, Mask
+from ves_gym.engine.backends.base import BackendWarning
+from ves_gym.engine.backends.compiled import CompiledBackend
+from ves_gym.engine.kernel.warp_code import advance_kernel, launch, load_warp
+from ves_gym.system.system import PRESCRIBED_INERTIA, System
+
+
+class DeviceSimulations:
+    """States and parameters of n simulations in the memory of a device.
+
+    Args:
+        system: what to simulate.
+        sizes: rows of state, input and output.
+        n: number of simulations.
+        real: float64 or float32.
+        device: of Warp, None for its current one: the first GPU, or the CPU.
+    """
+
+    def __init__(
+        self, system: System, sizes: tuple[int, int, int], n: int, real: str, device: Any = None
+    ) -> None:
+        self.wp = wp = load_warp()
+        self.device = wp.get_device(device)
+        self.system, self.n, self.real = system, n, real
+        self.number = getattr(wp, real)
+        nx, self._nu, self._ny = sizes
+        self.x = self.array(np.zeros((nx, n)))  # changed in place
+        self.p = self.array(np.zeros((1, 1)))  # (np, n), or (np, 1) for all alike
+        self.fault = wp.zeros(n, dtype=wp.int32, device=self.device)
+        self._all = wp.full(n, 1, dtype=wp.int32, device=self.device)
+        self._nothing = wp.zeros((0, n), dtype=self.number, device=self.device)
+
+    def array(self, values: Array) -> Any:
+        """Numbers on the device, in the precision of the simulations."""
+        return self.wp.array(values, dtype=self.number, device=self.device)
+
+    def set_parameters(self, p: Array) -> None:
+        """Set the parameters (np, n); one column stands for all where all are alike."""
+        self.p = self.array(p[:, :1] if (p == p[:, :1]).all() else p)
+
+    def advance(
+        self, u: Any, steps: int, each: int, ids: Index | None = None, record: bool = False
+    ) -> Any:
+        """Take physics steps, all of them in one launch.
+
+        Args:
+            u: ((nodes nu), n) on the device; see `scalar.advance_text`.
+            steps: how many.
+            each: steps from node to node.
+            ids: simulations that move, None for all.
+            record: return what is observed.
+
+        Returns:
+            ((steps + 1) ny, n) on the device, or without rows.
+        """
+        active, out = self._all, self._nothing
+        if ids is not None:
+            flags = np.zeros(self.n, np.int32)
+            flags[ids] = 1
+            active = self.wp.array(flags, dtype=self.wp.int32, device=self.device)
+        if record:
+            shape = ((steps + 1) * self._ny, self.n)
+            out = self.wp.empty(shape, dtype=self.number, device=self.device)
+        parts = [self.x, u, self.p, out, active, self.fault]
+        kernel = advance_kernel(self.system, self.real, record)
+        launch(kernel, self.n, [*parts, steps, each, self.system.physics_dt], self.device)
+        return out
+
+
+class GpuKernelBackend(CompiledBackend):
+    """`Backend` on a GPU; see `Backend` for what each method does.
+
+    NumPy arrays go in and come out, so every call copies them. `envs.device` leaves them
+    where they are.
+    """
+
+    name = "gpu-kernel"
+    real = "float64"
+    state_names = ("_u", "_start", "_ticks")
+
+    def __init__(self, system: System, n: int, threads: int) -> None:
+        super().__init__(system, n)
+        sizes = self._nx, self._nu, self._ny
+        self.simulations = DeviceSimulations(system, sizes, n, self.real)
+        if not self.simulations.device.is_cuda:
+            warnings.warn(
+                f"backend {self.name} finds no GPU and runs on Warp's CPU device, one"
+                " simulation after the other: backend kernel is faster there",
+                BackendWarning,
+                stacklevel=4,
+            )
+        self._p = np.tile(self.rows.values[:, None], (1, n))
+        self._known = False  # the device has these parameters
+        self._u = np.zeros((n, self._nu))
+        self._start, self._ticks = np.zeros(n), np.zeros(n, np.int64)
+
+    # ---------------------------------------------------------------- device
+
+    @property
+    def _states_now(self) -> Array:
+        """(n, nx) a copy."""
+        return np.array(self.simulations.x.numpy().T, np.float64)
+
+    def _put(self, states: Array) -> None:
+        self.simulations.x.assign(np.ascontiguousarray(states.T).astype(self.real))
+
+    def _run(
+        self, nodes: Array, steps: int, each: int, ids: Index | None, record: bool = False
+    ) -> Array:
+        """Advance; nodes (n, k, nu) of the commands. Outputs (n, steps + 1, ny), or none."""
+        sims = self.simulations
+        if not self._known:
+            sims.set_parameters(self._p)
+            self._known = True
+        u = sims.array(np.moveaxis(nodes, 0, 2).reshape(-1, self.n))
+        seen = sims.advance(u, steps, each, ids, record).numpy()
+        self._ticks[slice(None) if ids is None else ids] += steps
+        return np.array(np.moveaxis(seen.reshape(-1, self._ny, self.n), 2, 0), np.float64)
+
+    # --------------------------------------------------------------- backend
+
+    def read(self) -> tuple[Array, Array, Array]:
+        x, size, order = self._states_now, 6 + self.joints, self._order
+        time = self._start + self._ticks * self.dt
+        return time, x[:, :size], x[:, order : order + size]
+
+    def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
+        x, fault = self._states_now, self.simulations.fault.numpy().copy()
+        x[ids], fault[ids] = self._states(ids, z, zd), 0
+        self._put(x)
+        self.simulations.fault.assign(fault)
+        self._u[ids] = 0.0  # no acceleration of a platform either
+        self._start[ids], self._ticks[ids] = time, 0
+
+    def set_gear_state(self, d: Array, rate: Array) -> None:
+        x, first, order = self._states_now, 6 + self.joints, self._order
+        x[:, first : first + self._gears] = d
+        x[:, order + first : order + first + self._gears] = rate
+        self._put(x)
+
+    def internal_state(self) -> tuple[Array, Array]:
+        x, first, order = self._states_now, 6 + self.joints, self._order
+        return x[:, first:order], x[:, order + first :]
+
+    def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
+        self._p[at, ids] = values
+        self._known = False
+
+    def _row(self, i: int) -> Array:
+        return self._p[:, i]
+
+    def assign(self, ids: Index, systems: Sequence[System]) -> None:
+        super().assign(ids, systems)
+        self._known = False
+
+    def step(
+        self,
+        command: Array,
+        until: Array | None,
+        wrench: Array | None,
+        substeps: int,
+        ids: Index | None,
+    ) -> None:
+        if wrench is not None:  # zero otherwise
+            self._u[:, :6] = wrench
+        self._u[:, 6:] = command
+        nodes = self._u[:, None]
+        if until is not None:
+            nodes = np.repeat(nodes, 2, axis=1)
+            nodes[:, 1, 6:] = until
+        self._run(nodes, substeps, substeps, ids)
+        self._u = nodes[:, -1].copy()
+        if wrench is not None:
+            self._u[:, :6] = 0.0  # it acts in this period only
+
+    def step_sequence(self, commands: Array, ids: Index | None) -> None:
+        nodes = np.concatenate([np.zeros((*commands.shape[:2], 6)), commands], axis=-1)
+        self._run(nodes, commands.shape[1] - 1, 1, ids)
+        self._u = nodes[:, -1].copy()
+
+    def step_on_platform(self, commands: Array, base: Array, ids: Index | None) -> Array:
+        nodes = np.concatenate([base, commands], axis=-1)
+        seen = self._run(nodes, commands.shape[1] - 1, 1, ids, record=True)
+        self._u = nodes[:, -1].copy()
+        return np.ascontiguousarray(seen[..., -6:])
+
+    def evaluate(self, command: Array) -> tuple[Array, Array]:
+        self._u[:, 6:] = command
+        seen = self._run(self._u[:, None], 0, 1, None, record=True)[:, 0]
+        size = 6 + self.joints
+        zdd, torque = seen[:, :size], seen[:, size : size + self.joints]
+        if self.prescribed:
+            torque = torque - PRESCRIBED_INERTIA * zdd[:, 6:]
+        return torque, zdd
+
+    def faults(self) -> Mask:
+        bad: Mask = self.simulations.fault.numpy() != 0
+        return bad
+
+    def get_state(self) -> object:
+        fault = self.simulations.fault.numpy().copy()
+        return self._states_now, fault, super().get_state()
+
+    def set_state(self, state: Any) -> None:
+        x, fault, others = state
+        self._put(x)
+        self.simulations.fault.assign(fault)
+        super().set_state(others)
+
+
+class GpuKernelSingleBackend(GpuKernelBackend):
+    """The same in single precision."""
+
+    name = "gpu-kernel-float32"
+    real = "float32"
