@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from tests.running_blocks import RunningSensor
 from ves_gym._util.params import ParameterError
-from ves_gym.hardware.force_sensor import ForceSensor, LowPass, Sensor, SensorErrors
+from ves_gym.hardware.force_sensor import ForceSensor, SensorErrors, low_pass
 from ves_gym.mechanics.arm import matrix
 
 NODES = np.arange(11) * 1.25e-3
@@ -25,7 +26,7 @@ def at_rest(sensor=None, n=1, nodes=NODES, wrench=WRENCH, **errors):
     given = SensorErrors.none(sensor, n)
     for name, value in errors.items():
         setattr(given, name, np.broadcast_to(value, getattr(given, name).shape).copy())
-    runtime, rng = Sensor(sensor, given, nodes), generators(n)
+    runtime, rng = RunningSensor(sensor, given, nodes), generators(n)
     runtime.reset(np.arange(n), np.broadcast_to(wrench, (n, 6)), rng)
     return runtime, rng
 
@@ -69,13 +70,19 @@ def test_without_errors_a_constant_wrench_is_read_exactly():
 # --------------------------------------------------------------------------- filter
 
 
+def filtered(cutoff, state, nodes):
+    """State (n, 6, 2) after one period."""
+    hold, weights = low_pass(cutoff, NODES)
+    return state @ np.swapaxes(hold, -1, -2) + np.swapaxes(weights @ nodes, -1, -2)
+
+
 def test_the_filter_is_a_butterworth_exact_for_piecewise_linear_inputs():
     """Against scipy.signal.lsim, which is exact for these too; tolerance: rounding.
 
     A batch with three cut-offs, two of them alike.
     """
     cutoff = np.array([20.0, 5.0, 20.0])
-    low_pass, periods = LowPass(cutoff, NODES), 30
+    periods = 30
     rng = np.random.default_rng(0)
     t = np.arange(10 * periods + 1) * 1.25e-3
     u = rng.normal(size=(3, len(t), 6))
@@ -86,7 +93,7 @@ def test_the_filter_is_a_butterworth_exact_for_piecewise_linear_inputs():
             _, y, _ = scipy.signal.lsim((b, a), u[i, :, c], t)
             state[:] = 0
             for k in range(periods):
-                state = low_pass.advance(state, u[:, 10 * k : 10 * k + 11])
+                state = filtered(cutoff, state, u[:, 10 * k : 10 * k + 11])
                 assert state[i, c, 0] == pytest.approx(y[10 * (k + 1)], abs=1e-9)
 
 
@@ -94,18 +101,18 @@ def test_a_batch_of_filters_is_bitwise_each_one_alone():
     rng = np.random.default_rng(1)
     for cutoff in (np.array([20.0, 20.0, 20.0]), np.array([20.0, 5.0, 11.0])):
         u, state = rng.normal(size=(3, 11, 6)), rng.normal(size=(3, 6, 2))
-        together = LowPass(cutoff, NODES).advance(state, u)
+        together = filtered(cutoff, state, u)
         for i in range(3):
-            one = LowPass(cutoff[i : i + 1], NODES).advance(state[i : i + 1], u[i : i + 1])
+            one = filtered(cutoff[i : i + 1], state[i : i + 1], u[i : i + 1])
             assert one.tobytes() == together[i : i + 1].tobytes()
 
 
 def test_the_stated_lag_is_that_of_a_ramp():
     """sqrt(2) / w; tolerance: the transient of a 20 Hz filter after a second."""
     sensor = ForceSensor()
-    low_pass, state = LowPass(np.array([sensor.cutoff]), NODES), np.zeros((1, 6, 2))
+    cutoff, state = np.array([sensor.cutoff]), np.zeros((1, 6, 2))
     for k in range(80):
-        state = low_pass.advance(state, np.tile((k * DT + NODES)[:, None], (1, 1, 6)))
+        state = filtered(cutoff, state, np.tile((k * DT + NODES)[:, None], (1, 1, 6)))
     np.testing.assert_allclose(80 * DT - state[..., 0], sensor.lag, rtol=1e-9)
 
 
@@ -181,22 +188,6 @@ def test_drift_starts_from_zero_and_reaches_its_deviation_over_its_time():
     assert (runtime.signal()[0] != 0).all()
 
 
-def test_a_warm_sensor_drifts_from_the_first_reading():
-    runtime, rng = at_rest(n=400, wrench=0.0, drift=[2.0] * 3 + [0.0] * 3)
-    runtime.warm_up(rng)
-    seen = runtime.signal()
-    assert (np.abs(seen[:, :3].std(axis=0) / 2.0 - 1) < 0.15).all()  # 3.5 % standard error
-    assert (seen[:, 3:] == 0).all()
-
-
-def test_a_silent_sensor_has_neither():
-    runtime, rng = at_rest(n=2, noise=1.0, drift=1.0)
-    runtime.silence()
-    runtime.reset(np.arange(2), np.tile(WRENCH, (2, 1)), rng)
-    runtime.advance(np.broadcast_to(WRENCH, (2, 11, 6)), rng)
-    np.testing.assert_allclose(runtime.reading(), np.tile(WRENCH, (2, 1)), rtol=1e-12)
-
-
 def test_noise_of_one_sensor_does_not_depend_on_the_others():
     few, rng_few = at_rest(n=2, noise=1.0, drift=1.0)
     many, rng_many = at_rest(n=5, noise=1.0, drift=1.0)
@@ -225,7 +216,7 @@ def test_quantised_signals_are_the_nearest_multiples():
     sensor = ForceSensor(force_resolution=0.5, moment_resolution=0.25)
     runtime, _ = at_rest(sensor, n=50, wrench=np.random.default_rng(4).normal(size=(50, 6)) * 9)
     step = np.repeat([0.5, 0.25], 3)
-    true = runtime.state.filter[..., 0] @ sensor.frame.T
+    true = runtime.x["filter"][..., 0] @ sensor.frame.T
     signal = runtime.signal()
     np.testing.assert_array_equal(signal / step, np.round(signal / step))
     assert (np.abs(signal - true) <= step / 2 + 1e-12).all()

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from tests.running_blocks import pose_platform
 from ves_gym._util.params import ParameterError
-from ves_gym.hardware.platform import PoseFollower, PoseServo
+from ves_gym.hardware.platform import PoseServo
 
 NODES = np.arange(11) * 1.25e-3
 DT = NODES[-1]
@@ -18,10 +19,10 @@ def commands(periods, n=1, seed=0):
 
 
 def started(servo, n=1, **options):
-    follower = PoseFollower(servo, n, NODES, **options)
+    platform = pose_platform(servo, n, NODES, **options)
     rng = np.random.default_rng(9)
-    follower.reset(np.arange(n), rng.normal(size=(n, 6)) * 1e-2, rng.normal(size=(n, 6)) * 0.1)
-    return follower
+    platform.reset(np.arange(n), rng.normal(size=(n, 6)) * 1e-2, rng.normal(size=(n, 6)) * 0.1)
+    return platform
 
 
 @pytest.mark.parametrize("feedforward", [True, False], ids=["with-rate", "pose-only"])
@@ -32,8 +33,8 @@ def test_the_path_solves_the_servos_equation(zeta, feedforward):
     Tolerance: the reference's own 1e-11.
     """
     w = 2 * np.pi * 8.0
-    follower = started(PoseServo(damping_ratio=zeta, rate_feedforward=feedforward))
-    state = np.concatenate([follower.y[0], follower.yd[0]])
+    platform = started(PoseServo(damping_ratio=zeta, rate_feedforward=feedforward))
+    state = np.concatenate([platform.y[0], platform.yd[0]])
     for y_cmd, yd_cmd in zip(*commands(4), strict=True):
         rate = yd_cmd[0] if feedforward else np.zeros(6)
 
@@ -44,7 +45,7 @@ def test_the_path_solves_the_servos_equation(zeta, feedforward):
         want = solve_ivp(
             motion, (0, DT), state, "DOP853", NODES, rtol=1e-12, atol=1e-14
         ).y.T  # (nodes, 12)
-        y, yd, ydd = (part[0] for part in follower.advance(y_cmd, yd_cmd))
+        y, yd, ydd = (part[0] for part in platform.advance(y_cmd, yd_cmd))
         np.testing.assert_allclose(y, want[:, :6], rtol=0, atol=1e-11)
         np.testing.assert_allclose(yd, want[:, 6:], rtol=0, atol=1e-9)
         accelerations = [motion(t, s)[6:] for t, s in zip(NODES, want, strict=True)]
@@ -53,15 +54,15 @@ def test_the_path_solves_the_servos_equation(zeta, feedforward):
 
 
 def test_periods_join_without_a_jump():
-    follower = started(PoseServo())
+    platform = started(PoseServo())
     before = None
     for y_cmd, yd_cmd in zip(*commands(3), strict=True):
-        y, yd, _ = follower.advance(y_cmd, yd_cmd)
+        y, yd, _ = platform.advance(y_cmd, yd_cmd)
         if before is not None:
             np.testing.assert_allclose(y[:, 0], before[0], rtol=0, atol=1e-15)
             np.testing.assert_allclose(yd[:, 0], before[1], rtol=0, atol=1e-13)
         before = y[:, -1], yd[:, -1]
-        np.testing.assert_array_equal(follower.measured(), y[:, -1])
+        np.testing.assert_array_equal(platform.measured(), y[:, -1])
 
 
 @pytest.mark.parametrize(("feedforward", "lag"), [(True, 0.0), (False, 2 * 0.7 / (16 * np.pi))])
@@ -73,49 +74,49 @@ def test_the_stated_lag_is_that_of_a_ramp(feedforward, lag):
     """
     servo = PoseServo(rate_feedforward=feedforward)
     assert servo.lag == pytest.approx(lag)
-    follower = PoseFollower(servo, 1, NODES)
+    platform = pose_platform(servo, 1, NODES)
     for k in range(200):
         t = k * DT
-        y, _, _ = follower.advance(np.full((1, 6), 0.1 * t), np.full((1, 6), 0.1))
+        y, _, _ = platform.advance(np.full((1, 6), 0.1 * t), np.full((1, 6), 0.1))
     behind = 0.1 * (t + NODES) - y[0, :, 0]
     hold = 0.0 if feedforward else DT / 2
     assert np.trapezoid(behind, NODES) / DT == pytest.approx(0.1 * (lag + hold), abs=1e-6)
 
 
 def test_a_simulation_may_have_its_own_bandwidth_and_damping():
-    """Row i of a mixed batch is bitwise the follower with those numbers alone."""
+    """Row i of a mixed batch is bitwise the platform with those numbers alone."""
     band, zeta = np.array([4.0, 8.0, 30.0]), np.array([0.7, 1.0, 2.0])
     batch = started(PoseServo(), 3, bandwidth=band, damping_ratio=zeta)
     alone = [
-        PoseFollower(PoseServo(bandwidth=b, damping_ratio=z), 1, NODES)
+        pose_platform(PoseServo(bandwidth=b, damping_ratio=z), 1, NODES)
         for b, z in zip(band.tolist(), zeta.tolist(), strict=True)
     ]
-    for i, follower in enumerate(alone):
-        follower.reset(np.arange(1), batch.y[i], batch.yd[i])
+    for i, platform in enumerate(alone):
+        platform.reset(np.arange(1), batch.y[i], batch.yd[i])
     for y_cmd, yd_cmd in zip(*commands(5, 3), strict=True):
         path = batch.advance(y_cmd, yd_cmd)
-        for i, follower in enumerate(alone):
-            one = follower.advance(y_cmd[i : i + 1], yd_cmd[i : i + 1])
+        for i, platform in enumerate(alone):
+            one = platform.advance(y_cmd[i : i + 1], yd_cmd[i : i + 1])
             assert all((a[0] == b[i]).all() for a, b in zip(one, path, strict=True))
 
 
 def test_some_may_be_reset_alone():
-    follower = started(PoseServo(), 3)
-    kept = follower.y.copy()
-    follower.reset(np.array([1]), np.full((1, 6), 0.5), np.full((1, 6), 0.1))
-    assert (follower.y[1] == 0.5).all()
-    assert (follower.yd[1] == 0.1).all()
-    np.testing.assert_array_equal(follower.y[[0, 2]], kept[[0, 2]])
+    platform = started(PoseServo(), 3)
+    kept = platform.y.copy()
+    platform.reset(np.array([1]), np.full((1, 6), 0.5), np.full((1, 6), 0.1))
+    assert (platform.y[1] == 0.5).all()
+    assert (platform.yd[1] == 0.1).all()
+    np.testing.assert_array_equal(platform.y[[0, 2]], kept[[0, 2]])
 
 
-def test_a_state_handed_out_brings_the_follower_back():
-    follower = started(PoseServo(), 2)
+def test_a_state_handed_out_brings_the_platform_back():
+    platform = started(PoseServo(), 2)
     y_cmd, yd_cmd = commands(4, 2)
-    follower.advance(y_cmd[0], yd_cmd[0])
-    kept = follower.get_state()
-    want = [follower.advance(y_cmd[k], yd_cmd[k]) for k in (1, 2, 3)]
-    other = PoseFollower(PoseServo(), 2, NODES)
-    for target in (follower, other):
+    platform.advance(y_cmd[0], yd_cmd[0])
+    kept = platform.get_state()
+    want = [platform.advance(y_cmd[k], yd_cmd[k]) for k in (1, 2, 3)]
+    other = pose_platform(PoseServo(), 2, NODES)
+    for target in (platform, other):
         target.set_state(kept)
         for k, path in zip((1, 2, 3), want, strict=True):
             got = target.advance(y_cmd[k], yd_cmd[k])

@@ -89,9 +89,9 @@ def test_the_engines_platform_is_where_the_follower_is(drive):
     off = rate = 0.0
     for k in range(320):
         swing(sim, 1, k)
-        follower, state = sim.emulation_loop.follower, sim.state
-        off = max(off, np.abs(state.y - follower.y).max())
-        rate = max(rate, np.abs(state.yd - follower.yd).max())
+        memory, state = sim.emulation_loop.memory, sim.state
+        off = max(off, np.abs(state.y - memory["platform.y"]).max())
+        rate = max(rate, np.abs(state.yd - memory["platform.yd"]).max())
     assert np.abs(state.y).max() > 1e-3
     assert off < 1e-9
     assert rate < 1e-7
@@ -114,8 +114,9 @@ def test_a_given_motion_is_followed_after_the_delay(delay):
     start = path(-delay * dt)
     sim.reset(y=start[:6], yd=start[6:])
     # what was commanded before the start is still on its way
-    for k in range(delay):
-        sim.emulation_loop.state.queue[0, k] = path((k - delay) * dt)
+    if delay:
+        queue = np.stack([path((k - delay) * dt) for k in range(delay)])
+        sim.emulation_loop.memory["computing_delay.queue"] = queue[None]
     worst = 0.0
     for k in range(400):
         state = sim.step(0.0, platform=path(k * dt)[None])
@@ -542,7 +543,7 @@ def test_a_vehicle_that_goes_out_of_hand_is_frozen():
         fast.step(hold(fast, np.zeros(3)))
     assert [e.simulation for e in fast.events] == [0]
     assert "outside the workspace" in fast.events[0].reason
-    assert VES.outside(fast.emulation_loop.state.command_sent[:, :6])[0].tolist() == [
+    assert VES.outside(fast.readings.y_cmd)[0].tolist() == [
         False,
         False,
     ]
@@ -569,7 +570,7 @@ def test_leg_servos_run_on_their_own_clock():
     sim = Simulator(legs_system(), 2)
     for k in range(80):
         swing(sim, 1, k)
-        pose = sim.emulation_loop.follower.get_state()[1]
+        pose = sim.emulation_loop.memory["platform.pose"]
         np.testing.assert_allclose(sim.state.y, pose, rtol=0, atol=1e-9)
     assert np.abs(sim.state.y).max() > 1e-4
     assert sim.events == []

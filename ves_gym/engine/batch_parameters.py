@@ -220,6 +220,10 @@ class Bodies:
         """A single row, n times."""
         return Bodies(*(np.repeat(part, n, axis=0) for part in self.parts()))
 
+    def rows(self, ids: Index) -> Bodies:
+        """Some of the rows."""
+        return Bodies(*(part[ids] for part in self.parts()))
+
     def put(self, i: int, row: Bodies) -> None:
         """Replace a row.
 

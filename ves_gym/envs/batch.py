@@ -211,7 +211,7 @@ class Batch:
         failed = diverged | task.failed(s)
         if self._emulated:  # after a safety stop the platform stands still for good
             assert self.sim.emulation_loop is not None
-            stopped = self.sim.emulation_loop.state.frozen.copy()
+            stopped = self.sim.emulation_loop.frozen
             failed |= stopped
         if over is not None:
             last, failed = last & ~over, failed & ~over
@@ -284,7 +284,7 @@ class Batch:
         s.y_seen, s.yd_seen = s.y, s.yd
         if self._emulated:
             assert sim.emulation_loop is not None
-            s.y_seen, s.yd_seen = sim.readings.y, sim.emulation_loop.state.X[:, 6:].copy()
+            s.y_seen, s.yd_seen = sim.readings.y, sim.emulation_loop.vehicle_state[:, 6:].copy()
         s.energies, s.tool, s.tool_seen = self._scenes(s.q, s.v, s.y, s.yd, s.y_seen)
 
     def _tail(self, ids: Index) -> tuple[Array, Array]:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
+from ves_gym._util.array_functions import NUMPY, ArrayFunctions
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Inertial
@@ -125,20 +126,23 @@ def rigid_body(body: Inertial, base: BaseModel) -> Nonlinear:
     return rigid_bodies(body.spatial(), base.M, base.D, base.K)
 
 
-def rigid_bodies(inertia: Array, M: Array, D: Array, K: Array) -> Nonlinear:
+def rigid_bodies(
+    inertia: Array, M: Array, D: Array, K: Array, xp: ArrayFunctions = NUMPY
+) -> Nonlinear:
     """Return g(X, W) from the body's spatial inertia and constant M, D, K.
 
     Args:
         inertia, M, D, K: (6, 6), or (n, 6, 6) of n bodies.
+        xp: functions of the arrays.
     """
 
     def g(X: Array, W: Array) -> Array:
         y, yd = X[..., :6], X[..., 6:]
         T = rate_matrix(y)
         turned = np.swapaxes(T, -1, -2)
-        bias = matvec(turned, body_wrench(inertia, y, yd, np.zeros_like(y)))
-        bias += matvec(D, yd) + matvec(K, y)
-        ydd = np.linalg.solve(turned @ inertia @ T + M, (W - bias)[..., None])[..., 0]
+        bias = matvec(turned, body_wrench(inertia, y, yd, 0.0 * y))
+        bias = bias + matvec(D, yd) + matvec(K, y)
+        ydd = xp.solve(turned @ inertia @ T + M, W - bias)
         return np.concatenate([yd, ydd], axis=-1)
 
     return g
@@ -163,7 +167,9 @@ def integrate(g: Nonlinear, X: Array, W: Array, dt: float) -> Array:
     return X
 
 
-def implicit_step(M: Array, D: Array, K: Array, X: Array, W: Array, dt: float) -> Array:
+def implicit_step(
+    M: Array, D: Array, K: Array, X: Array, W: Array, dt: float, xp: ArrayFunctions = NUMPY
+) -> Array:
     """Advance M Y'' + D Y' + K Y = W by the trapezoidal rule.
 
     For a mass that changes from sample to sample, where a new matrix exponential each time
@@ -174,13 +180,15 @@ def implicit_step(M: Array, D: Array, K: Array, X: Array, W: Array, dt: float) -
         X: (n, 2m) coordinates and rates.
         W: (n, m) force, held.
         dt: step [s].
+        xp: functions of the arrays.
 
     Returns:
         (n, 2m).
     """
-    y, yd = np.split(X, 2, axis=-1)
+    m = X.shape[-1] // 2
+    y, yd = X[..., :m], X[..., m:]
     loss = dt / 2 * D + dt**2 / 4 * K
     # Y+ = Y + dt (Y' + Y'+) / 2 put into the sampled balance of momentum
     push = matvec(M - loss, yd) + dt * (W - matvec(K, y))
-    rate = np.linalg.solve(M + loss, push[..., None])[..., 0]
+    rate = xp.solve(M + loss, push)
     return np.concatenate([y + dt / 2 * (yd + rate), rate], axis=-1)

@@ -39,7 +39,6 @@ import scipy
 
 from ves_gym._util.params import (
     Array,
-    Index,
     ParameterError,
     require_choice,
     require_positive,
@@ -312,15 +311,16 @@ class _Leg:
 
 
 class Legs:
-    """The platform on its six leg servos, n simulations that share nothing.
+    """The platform on its six leg servos: what carries their state over a control period.
 
-    Every control period begins with a leg sample, so no simulation carries a clock.
+    Every control period begins with a leg sample, so no simulation carries a clock. States
+    are (n, s, 6): `s` numbers of each leg, of n simulations that share nothing.
     """
 
     def __init__(
-        self, servo: LegServo, stewart: Stewart, n: int, control_dt: float, physics_dt: float
+        self, servo: LegServo, stewart: Stewart, control_dt: float, physics_dt: float
     ) -> None:
-        """All at rest at home.
+        """Settle the clocks.
 
         Raises:
             ParameterError: control_dt is no whole number of leg periods, or the leg period
@@ -332,72 +332,71 @@ class Legs:
         extension = (stewart.home_lengths.mean() - stewart.length_min) / (
             stewart.length_max - stewart.length_min
         )
-        self.servo, self.stewart, self.n = servo, stewart, n
+        self.servo, self.stewart = servo, stewart
         self.leg = _Leg(servo, float(extension), steps)
-        self._x = np.zeros((self.leg.size, n, 6))
-        self._pose = np.zeros((n, 6))
-        self.reset(np.arange(n), np.zeros((n, 6)))
 
-    def reset(self, ids: Index, y: npt.ArrayLike, yd: npt.ArrayLike = 0.0) -> None:
-        """Put simulations to rest at poses, which they are commanded.
-
-        Hydraulic legs start from rest, whatever rate the vehicle has.
-
-        Args:
-            ids: (k,) which.
-            y: (k, 6) poses [m, rad].
-            yd: (k, 6) rates of the vehicle, not used.
-        """
-        self._pose[ids] = y
-        self._x[:, ids] = self.leg.steady_state(self.stewart.leg_lengths(self._pose[ids]))
+    def at_rest(self, y: npt.ArrayLike) -> Array:
+        """State (n, s, 6) of legs at rest at poses (n, 6), which they are commanded."""
+        return np.moveaxis(self.leg.steady_state(self.stewart.leg_lengths(y)), 0, 1)
 
     def advance(
-        self, y_cmd: npt.ArrayLike, yd_cmd: npt.ArrayLike = 0.0
-    ) -> tuple[Array, Array, Array]:
-        """One control period with the commanded pose y_cmd (n, 6) held.
+        self, state: Array, pose: Array, y_cmd: npt.ArrayLike
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Follow a pose that is held for one control period.
 
         The legs are sent lengths only (thesis 2.4.2): the commanded rate is not used.
 
+        Args:
+            state: (n, s, 6) of the legs.
+            pose: (n, 6) of the platform [m, rad].
+            y_cmd: (n, 6) commanded pose [m, rad].
+
         Returns:
-            Y, Y', Y'' (n, k + 1, 6) at the k physics steps' ends; node 0 is now. NaN where
-            the legs hold no platform (`forward`).
+            State and pose at the period's end, and Y, Y', Y'' (n, k + 1, 6) at the k physics
+            steps' ends; node 0 is now. NaN where the legs hold no platform (`forward`).
         """
         leg, nodes = self.leg, self.samples * self.leg.steps + 1
+        x = np.moveaxis(state, 1, 0).copy()
         command = self.stewart.leg_lengths(y_cmd)
-        path = np.empty((3, self.n, nodes, 6))
+        path = np.empty((3, len(pose), nodes, 6))
         for j in range(nodes):
             if j % leg.steps == 0 and j < nodes - 1:
-                u = leg.sample(self._x, command)
-            path[0, :, j], path[1, :, j] = self._x[_ROD], self._x[_SPEED]
-            path[2, :, j] = self._x[_ACCELERATION]
+                u = leg.sample(x, command)
+            path[0, :, j], path[1, :, j], path[2, :, j] = x[_ROD], x[_SPEED], x[_ACCELERATION]
             if j < nodes - 1:
-                leg.drift(self._x, u)
-        y = self._forward(path[0])
-        self._pose = y[:, -1].copy()
-        return y, *self.stewart.motion(y, path[1], path[2])
+                leg.drift(x, u)
+        y = self._forward(path[0], pose)
+        rates = self.stewart.motion(y, path[1], path[2])
+        return np.moveaxis(x, 0, 1), y[:, -1].copy(), y, *rates
 
-    def _forward(self, lengths: Array) -> Array:
-        """Poses along a control period (n, k, 6), from the last one."""
+    def present(self, state: Array, pose: Array) -> tuple[Array, Array]:
+        """Return pose and rate (n, 6) that the legs have now.
+
+        Args:
+            state, pose: see `advance`.
+        """
+        y = self._forward(state[:, None, _ROD], pose)[:, 0]
+        return y, self.stewart.motion(y, state[:, _SPEED], state[:, _ACCELERATION])[0]
+
+    def _forward(self, lengths: Array, pose: Array) -> Array:
+        """Poses along a control period (n, k, 6), from the one at its start."""
         # A Jacobian per simulation brings all nodes close; Newton finishes the few left.
-        inverse = self.stewart.inverse_jacobian(self._pose)[:, None]
-        y = np.repeat(self._pose[:, None], lengths.shape[1], axis=1)
+        inverse = self.stewart.inverse_jacobian(pose)[:, None]
+        y = np.repeat(pose[:, None], lengths.shape[1], axis=1)
         for _ in range(3):
             y += matvec(inverse, lengths - self.stewart.leg_lengths(y))
         return self.stewart.forward(lengths.reshape(-1, 6), y.reshape(-1, 6)).reshape(y.shape)
 
-    def measured(self) -> Array:
-        """(n, 6) pose by forward kinematics of the measured lengths; NaN as `advance`."""
-        return self.stewart.forward(self.leg.measure(self._x), self._pose)
+    def measured(self, state: Array, pose: Array) -> Array:
+        """Return the pose (n, 6) by forward kinematics of the measured lengths.
 
-    def get_state(self) -> tuple[Array, ...]:
-        """Copies (n, ...) of all that `advance` depends on."""
-        return np.moveaxis(self._x, 0, 1).copy(), self._pose.copy()
+        Args:
+            state, pose: see `advance`.
 
-    def set_state(self, state: tuple[Array, ...]) -> None:
-        """Continue exactly from what `get_state` returned."""
-        x, pose = state
-        self._x = np.moveaxis(x, 1, 0).copy()
-        self._pose = np.array(pose)
+        Returns:
+            NaN as `advance`.
+        """
+        return self.stewart.forward(self.leg.measure(np.moveaxis(state, 1, 0)), pose)
 
 
 # -------------------------------------------------------------------- frequency domain

@@ -26,7 +26,7 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.mechanics.spatial import matvec, rotation, twist, twist_rate
+from ves_gym.mechanics.spatial import matvec, numbers, rotation, twist, twist_rate
 
 TOLERANCE = 1e-12  # [m] leg length error at which `forward` stops: 10^4 roundings of a leg
 _ITERATIONS = 20
@@ -149,7 +149,7 @@ class Stewart:
 
     def leg_lengths(self, y: npt.ArrayLike) -> Array:
         """Inverse kinematics: (..., 6) pose -> (..., 6) lengths [m]."""
-        pose = np.asarray(y, float)
+        pose = numbers(y)
         return _norm(self._legs(pose, rotation(pose))[1])
 
     def jacobian(self, y: npt.ArrayLike) -> Array:

@@ -16,14 +16,15 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import IDENTITY, Frame, Scalar, Vec, add, frames, scale
+from ves_gym.mechanics.spatial import numbers
 
 GRAVITY = 9.81  # m/s^2; thesis: 919 N for 93.7 kg
 
 
 def gravity_vector(y: npt.ArrayLike) -> Array:
     """(..., 6) base pose -> (..., 3) free fall in platform axes [m/s^2] (thesis eq. 3.4)."""
-    pose = np.asarray(y, float)
-    out = np.empty((*pose.shape[:-1], 3))
+    pose = numbers(y)
+    out = np.empty((*pose.shape[:-1], 3), pose.dtype)
     cos_y = np.cos(pose[..., 4])
     out[..., 0] = GRAVITY * np.sin(pose[..., 4])
     out[..., 1] = -GRAVITY * np.sin(pose[..., 3]) * cos_y
@@ -58,7 +59,7 @@ def moment_regressor(arm: Arm, q: npt.ArrayLike) -> Array:
 
 
 def _joints(arm: Arm, q: npt.ArrayLike) -> list[Array]:
-    angles = np.asarray(q, float)
+    angles = numbers(q)
     if angles.ndim == 0 or angles.shape[-1] != arm.n:
         raise ParameterError(f"q must have shape (..., {arm.n}), got {angles.shape}")
     return list(np.ascontiguousarray(np.moveaxis(angles, -1, 0)))
@@ -128,7 +129,7 @@ class MinimalModel:
             P: (..., size) parameters [kg m].
         """
         columns = self._columns(frames(self.arm, _joints(self.arm, q)))
-        values: list[Scalar] = list(np.moveaxis(np.asarray(P, float), -1, 0))
+        values: list[Scalar] = list(np.moveaxis(numbers(P), -1, 0))
         return add(*(scale(p, column) for p, column in zip(values, columns, strict=True)))
 
     def _columns(self, chain: list[Frame]) -> list[Vec]:
@@ -220,7 +221,7 @@ def gravity_wrench(
         (..., 6) force [N] and moment [N m]; leading axes broadcast.
     """
     model = minimal_model(arm)
-    joints, g, m, values = (np.asarray(k, float) for k in (q, g_b, mass, P))
+    joints, g, m, values = (numbers(k) for k in (q, g_b, mass, P))
     if values.shape[-1:] != (model.size,):
         raise ParameterError(
             f"P must have {model.size} entries for {arm.name}, got shape {values.shape}"
@@ -228,7 +229,7 @@ def gravity_wrench(
     x, y, z = model.first_moment(joints, values)
     gx, gy, gz = g[..., 0], g[..., 1], g[..., 2]
     shape = np.broadcast_shapes(joints.shape[:-1], gx.shape, m.shape, values.shape[:-1])
-    out = np.empty((*shape, 6))
+    out = np.empty((*shape, 6), np.result_type(joints, g, m, values))
     out[..., :3] = m[..., None] * g
     out[..., 3] = y * gz - z * gy
     out[..., 4] = z * gx - x * gz

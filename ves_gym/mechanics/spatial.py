@@ -15,12 +15,22 @@ WRENCH = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")  # of a force sensor
 SINGULAR = 1e-3  # cos(phi_y) below this is reported: Z-Y-X angles end at 90 deg
 
 
+def numbers(value: npt.ArrayLike) -> Array:
+    """Return an array of floats; one of complex numbers or of symbols stays as it is.
+
+    So the formulas here serve numbers, derivatives by complex steps, and graphs that are
+    compiled.
+    """
+    array = np.asarray(value)
+    return array if array.dtype.kind in "cO" else array.astype(float, copy=False)
+
+
 def rotation(y: npt.ArrayLike) -> Array:
     """(..., 6) pose -> (..., 3, 3) rotation, platform frame to inertial frame."""
-    pose = np.asarray(y, float)
+    pose = numbers(y)
     cx, cy, cz = (np.cos(pose[..., i]) for i in (3, 4, 5))
     sx, sy, sz = (np.sin(pose[..., i]) for i in (3, 4, 5))
-    out = np.empty((*pose.shape[:-1], 3, 3))
+    out = np.empty((*pose.shape[:-1], 3, 3), pose.dtype)
     rows = (
         (cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx),
         (sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx),
@@ -37,10 +47,10 @@ def rate_matrix(y: npt.ArrayLike) -> Array:
 
     Upper block R^T (linear velocity), lower block the Z-Y-X angle rates.
     """
-    pose = np.asarray(y, float)
+    pose = numbers(y)
     cx, cy = np.cos(pose[..., 3]), np.cos(pose[..., 4])
     sx, sy = np.sin(pose[..., 3]), np.sin(pose[..., 4])
-    out = np.zeros((*pose.shape[:-1], 6, 6))
+    out = np.zeros((*pose.shape[:-1], 6, 6), pose.dtype)
     out[..., :3, :3] = np.swapaxes(rotation(pose), -1, -2)
     out[..., 3, 3] = 1.0
     out[..., 3, 5] = -sy
@@ -59,7 +69,7 @@ def twist(y: npt.ArrayLike, yd: npt.ArrayLike) -> Array:
     Returns:
         (..., 6) [m/s, rad/s], linear part first.
     """
-    return matvec(rate_matrix(y), np.asarray(yd, float))
+    return matvec(rate_matrix(y), numbers(yd))
 
 
 def twist_rate(y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike) -> Array:
@@ -71,8 +81,8 @@ def twist_rate(y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike) -> Array
     Returns:
         (..., 6) [m/s^2, rad/s^2].
     """
-    pose, rate = np.asarray(y, float), np.asarray(yd, float)
-    out = matvec(rate_matrix(pose), np.asarray(ydd, float))
+    pose, rate = numbers(y), numbers(yd)
+    out = matvec(rate_matrix(pose), numbers(ydd))
     v = twist(pose, rate)
     out[..., :3] -= np.cross(v[..., 3:], v[..., :3])
     cx, cy = np.cos(pose[..., 3]), np.cos(pose[..., 4])

@@ -119,24 +119,19 @@ class _Loop:
     """A simulator whose whole state is read and written as one vector per simulation."""
 
     def __init__(self, sim: Any, angles: Array) -> None:
-        sim.emulation_loop.sensor.silence()
+        sim.emulation_loop.silence()
         sim.reset(q=angles)
-        self.sim, self.lab, self.angles = sim, sim.emulation_loop, angles
-        # only what the loop acts on: anything else would be an eigenvalue 1 of its own
+        self.sim, self.loop, self.angles = sim, sim.emulation_loop, angles
         self.joints = sim.joints if sim.system.drive == "motor" else 0
-        self.names = ["X", "command_sent", "queue", "reading", "estimate", "estimate_history"]
-        if sim.emulation_loop.compensating:
-            self.names += ["coupled_state", "arm_response", "payload"]
-        elif sim.emulation_loop.carried[0].size:
-            self.names += ["coupled_state"]
-        lab = sim.emulation_loop  # a model of its own, or the machine itself
+        # only what the loop acts on: anything else would be an eigenvalue 1 of its own
+        self.names = self.loop.wiring.dynamic()
         self._gears = bool(sim.system.actual.arm.geared)
         self._ages = sim.joint_delays is not None and sim.joint_delays.measurements_late
-        self._modelled = lab.compensating and lab.model is not lab.follower
-        self.rest_parts = [part.copy() for part in self._parts()]
-        self.size = 2 * self.joints + sum(part[0].size for part in self.rest_parts)
-        before = 2 * self.joints + sum(part[0].size for part in self.rest_parts[:3])
-        self.reading = slice(before, before + 6)  # X, command_sent, queue come first
+        self.rest = [np.array(part) for part in self._parts()]
+        self.size = 2 * self.joints + sum(part[0].size for part in self.rest)
+        sizes = [self.rest[k][0].size for k in range(self.names.index("reading") + 1)]
+        end = 2 * self.joints + sum(sizes)
+        self.reading = slice(end - 6, end)
         self.hold = sim.servo_command(
             np.broadcast_to(angles, (sim.n, sim.joints)), np.zeros((sim.n, sim.joints))
         )
@@ -144,19 +139,13 @@ class _Loop:
             self.hold = np.zeros_like(self.hold)
 
     def _parts(self) -> Iterator[Array]:
-        """Arrays of the laboratory that carry over to the next period."""
+        """Arrays that carry over to the next period."""
         for name in self.names:
-            yield getattr(self.lab.state, name)
-        if self.lab.state.command_history.shape[1]:
-            yield self.lab.state.command_history
+            yield self.loop.memory[name]
         if self._ages:
             yield self.sim.joint_delays.measurement_history
         if self._gears:
             yield np.stack(self.sim.backend.internal_state(), axis=1)
-        yield self.lab.sensor.state.filter
-        yield from self.lab.follower.get_state()
-        if self._modelled:
-            yield from self.lab.model.get_state()
 
     def _vector(self) -> Array:
         state = self.sim.state
@@ -166,39 +155,28 @@ class _Loop:
 
     def step(self, offsets: Array) -> Array:
         """State and measured pose (n, s + 6) one period after rest + offsets (n, s)."""
-        sim, lab, n, m = self.sim, self.lab, self.sim.n, self.joints
+        sim, loop, n, m = self.sim, self.loop, self.sim.n, self.joints
         shifted, at = [], 2 * m
-        for part in self.rest_parts:
+        for part in self.rest:
             width = part[0].size
             shifted.append(part + offsets[:, at : at + width].reshape(part.shape))
             at += width
-        s = lab.state
         for name in self.names:
-            setattr(s, name, shifted.pop(0))
-        if s.command_history.shape[1]:
-            s.command_history = shifted.pop(0)
+            loop.memory[name] = shifted.pop(0)
         if self._ages:
             sim.joint_delays.measurement_history = shifted.pop(0)
-        bent = shifted.pop(0) if self._gears else None
-        lab.sensor.state.filter = shifted.pop(0)
-        split = len(lab.follower.get_state())
-        lab.follower.set_state(tuple(shifted[:split]))
-        if self._modelled:
-            lab.model.set_state(tuple(shifted[split:]))
-        # the engine's platform stands where the follower's does
-        memory = lab.follower.get_state()
-        y, yd, _ = lab.follower.advance(s.command_sent[:, :6], s.command_sent[:, 6:])
-        lab.follower.set_state(memory)
+        # the engine's platform stands where the legs do
+        memory = {k: loop.memory[f"platform.{k}"] for k in loop.platform.memory}
+        y, yd = loop.platform.present(memory)
         q, v = np.tile(self.angles, (n, 1)), np.zeros((n, sim.joints))
         q[:, :m] += offsets[:, :m]
         v[:, :m] = offsets[:, m : 2 * m]
-        sim.backend.write(
-            np.arange(n), np.zeros(n), np.hstack([y[:, 0], q]), np.hstack([yd[:, 0], v])
-        )
-        if bent is not None:
+        sim.backend.write(np.arange(n), np.zeros(n), np.hstack([y, q]), np.hstack([yd, v]))
+        if self._gears:
+            bent = shifted.pop(0)
             sim.backend.set_gear_state(bent[:, 0], bent[:, 1])
         sim.step(self.hold)
-        return np.hstack([self._vector(), lab.follower.measured()])
+        return np.hstack([self._vector(), loop.readings.y])
 
 
 def joint_angles(system: System, q: npt.ArrayLike) -> Array:

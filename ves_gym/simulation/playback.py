@@ -291,7 +291,7 @@ def weigh_poses(
     sim = Simulator(still, len(angles), servo=servo, seed=seed, warn_at=None)
     sim.reset(q=angles, y=poses)
     assert sim.emulation_loop is not None
-    sim.emulation_loop.sensor.warm_up(sim.generators)
+    sim.emulation_loop.warm_up()
     zeros = np.zeros_like(angles)
     hold = zeros if still.drive == "prescribed" else sim.servo_command(angles, zeros)
     total, pose, count = np.zeros((len(angles), 6)), np.zeros((len(angles), 6)), 0

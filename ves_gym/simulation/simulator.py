@@ -122,7 +122,10 @@ class Simulator:
         self.seed(seed)
         self.emulation_loop: EmulationLoop | None = None
         if system.mode == "emulated":
-            self.emulation_loop = EmulationLoop(system, self.n, self.generators, admittance)
+            compiled = self.backend.name == "kernel"
+            self.emulation_loop = EmulationLoop(
+                system, self.n, self.generators, admittance, compiled=compiled
+            )
         self.servo = servo if servo is not None else FREE
         self._kp = np.zeros((n, self.joints))
         self._kd = np.zeros((n, self.joints))
@@ -199,7 +202,8 @@ class Simulator:
         if self.joint_delays is not None:
             self.joint_delays.reset(index, full["q"], full["v"])
         if self.emulation_loop is not None:
-            self.emulation_loop.reset(index, full["q"], full["y"], full["yd"])
+            gains = self._kp[index], self._kd[index]
+            self.emulation_loop.reset(index, full["q"], full["y"], full["yd"], *gains)
         self.diverged[index] = False
         self.last_state = self.state
         return self.last_state
@@ -369,8 +373,6 @@ class Simulator:
         self._kp[index] = self._broadcast(kp, "kp", shape)
         self._kd[index] = self._broadcast(kd, "kd", shape)
         self.backend.set_gains(index, self._kp[index], self._kd[index])
-        if self.emulation_loop is not None:
-            self.emulation_loop.kp, self.emulation_loop.kd = self._kp, self._kd
 
     # ---------------------------------------------------------------- stepping
 
@@ -536,15 +538,15 @@ class Simulator:
 
     def _ride(self, nodes: Array, platform: Array | None) -> None:
         """Control period by control period: laboratory -> engine -> laboratory."""
-        lab, k, h = self.emulation_loop, self.system.substeps, self.system.physics_dt
+        lab, k = self.emulation_loop, self.system.substeps
         assert lab is not None
         ids = self._running()
         for i in range((nodes.shape[1] - 1) // k):
             _, z, zd = self.backend.read()
             angles = self._measured_angles(z, zd)
             prescribed = None if platform is None else (platform[:, i, :6], platform[:, i, 6:])
-            y, yd, ydd = lab.command(angles, prescribed)
-            base = ydd + _catch_up(y, yd, ydd, z[:, :6], zd[:, :6], h)
+            gains = self._kp, self._kd
+            base = lab.command(angles, *gains, z[:, :6], zd[:, :6], prescribed)
             wrench = self._carry(nodes[:, i * k : (i + 1) * k + 1], base, ids)
             _, z, zd = self.backend.read()
             lab.sense(wrench, self._measured_angles(z, zd))
@@ -589,11 +591,11 @@ class Simulator:
         if self.emulation_loop is None or self.emulation_loop.spec.operation != "microgravity":
             raise ParameterError("use_gravity needs mode emulated, operation microgravity")
         if table is None:
-            self.emulation_loop.table = None
+            self.emulation_loop.use_table(None)
             return
         rows = max(1, np.shape(table)[1]) if np.ndim(table) == 3 else 1
         numbers = self._broadcast(table, "table", (self.n, rows, 6))
-        self.emulation_loop.table = numbers.copy()
+        self.emulation_loop.use_table(numbers.copy())
 
     def zero_sensor(self, ids: npt.ArrayLike | None = None) -> None:
         """Set the force sensors' zero from the gravity estimate (thesis App. E, step 9)."""
@@ -717,28 +719,6 @@ def _numbers(value: npt.ArrayLike, expected: str) -> Array:
     if numbers.dtype.kind not in "fiu":
         raise ParameterError(f"{expected} {value!r}")
     return numbers.astype(np.float64)
-
-
-def _catch_up(y: Array, yd: Array, ydd: Array, position: Array, rate: Array, h: float) -> Array:
-    """(n, k + 1, 6) acceleration that brings the engine's platform onto its path.
-
-    The engine runs the accelerations linearly through each step. What that and its own
-    rounding leave of Y and Y' at the end of the period is taken out by a correction that
-    is linear over the period.
-    """
-    k = y.shape[1] - 1
-    t = k * h
-    # where the engine would be at the end: exact integrals of a piecewise linear Y''
-    once = np.full(k + 1, h)
-    once[[0, -1]] = h / 2
-    twice = h * h * np.arange(k, -1.0, -1.0)
-    twice[0], twice[-1] = h * h * (k / 2 - 1 / 6), h * h / 6
-    miss = y[:, -1] - (position + t * rate + np.matmul(twice, ydd))
-    miss_rate = yd[:, -1] - (rate + np.matmul(once, ydd))
-    slope = (6 * miss_rate * t - 12 * miss) / t**3
-    start = miss_rate / t - slope * t / 2
-    clock = np.arange(k + 1)[:, None] * h
-    return np.asarray(start[:, None] + slope[:, None] * clock, dtype=np.float64)
 
 
 def _require_stable_step(system: System) -> None:

@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 
 import ves_gym.effects as E
+from tests.running_blocks import pose_platform
 from ves_gym.diagnosis.data.measured_run import run_of
+from ves_gym.diagnosis.machines.platform_response import platform_response
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.hardware.force_sensor import ForceSensor
-from ves_gym.hardware.platform import PoseFollower, PoseServo
+from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import Motion
 from ves_gym.simulation.playback import play_motions
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
@@ -95,10 +98,13 @@ def test_a_model_with_the_effect_is_silent_again(healthy, ports):
 def test_a_whole_history_of_poses_is_that_of_its_periods(ratio, feedforward):
     rng = np.random.default_rng(0)
     servo = PoseServo(bandwidth=10.0, damping_ratio=ratio, rate_feedforward=feedforward)
-    follower = PoseFollower(servo, 2, np.arange(5) * 1.25e-3)
-    follower.reset(np.arange(2), *rng.standard_normal((2, 2, 6)))
-    y, yd = rng.standard_normal((2, 2, 60, 6))
-    at_once = follower.poses(y, yd)
-    for k in range(60):
-        follower.advance(y[:, k], yd[:, k])
-        np.testing.assert_allclose(at_once[:, k], follower.measured(), rtol=0, atol=1e-9)
+    system = System(mode="emulated", emulator=EmulatorSettings(platform=servo))
+    p = LoopParameters.nominal(system.arm, system.emulator_settings, 2)
+    y, yd = rng.standard_normal((2, 2, 6))
+    command = rng.standard_normal((2, 60, 12))
+    at_once = platform_response(system, p, command, y, yd)
+    platform = pose_platform(servo, 2, np.arange(system.substeps + 1) * system.physics_dt)
+    platform.reset(np.arange(2), y, yd)
+    for k in range(1, 60):
+        platform.advance(command[:, k, :6], command[:, k, 6:])
+        np.testing.assert_allclose(at_once[:, k], platform.measured(), rtol=0, atol=1e-9)

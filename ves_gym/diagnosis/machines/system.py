@@ -20,15 +20,14 @@ from ves_gym.diagnosis.data.measured_run import Kinematics, Run
 from ves_gym.diagnosis.machines.base import WRENCH, Nuisance, Port
 from ves_gym.diagnosis.machines.drift import SlowPath
 from ves_gym.diagnosis.machines.nuisance_priors import system_nuisances
+from ves_gym.diagnosis.machines.platform_response import platform_response
 from ves_gym.diagnosis.machines.presliding import Presliding
 from ves_gym.diagnosis.machines.torque_balance import torque_residual
-from ves_gym.hardware.platform import PoseFollower
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inverse_dynamics, newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import AXES, body_wrench, matvec, rate_matrix, twist, twist_rate
 from ves_gym.mechanics.vehicle import Oscillator
-from ves_gym.simulation.emulation_loop import EmulationLoop
 from ves_gym.system.deviations import Delays, LoopParameters
 from ves_gym.system.effect import Effect, joint_torque
 from ves_gym.system.system import System
@@ -317,49 +316,24 @@ class SystemMachine:
         """Pose less the platform's answer to its command (m, ..., T, 6), all models at once."""
         copies, length = run["y"].shape[:-2], run.length
         k, m = int(np.prod(copies, dtype=int)), len(systems)
-        lab = EmulationLoop(self.system, m * k, [np.random.default_rng(0)] * (m * k))
-        if any(s.effects for s in systems):
-            lab.prepare(np.arange(m * k), [s for s in systems for _ in range(k)])()
+        settings = self.system.emulator_settings
+        rows_of = [LoopParameters.nominal(s.arm, settings, k).edited(s) for s in systems]
+        p = LoopParameters.stacked(rows_of)
 
         def rows(name: str) -> Array:
             x = run[name].reshape(k, length, 6)
             return np.broadcast_to(x, (m, k, length, 6)).reshape(m * k, length, 6)
 
         y, y_cmd = rows("y"), rows("y_cmd")
-        delay = lab.parameters.platform_delay
+        delay = p.platform_delay
         command = np.empty((*y_cmd.shape[:2], 12))
         for late in np.unique(delay):
             selected = delay == late
             x, rate, _ = differentiated(y_cmd[selected], run.dt, run.band, ahead=-float(late))
             command[selected] = np.concatenate([x if late else y_cmd[selected], rate], axis=-1)
         start = differentiated(y[:, : 4 * run.window.skip], run.dt, run.band)[1][:, 0]
-        everyone = np.arange(lab.n)
-        lab.reset(everyone, np.zeros((lab.n, self.system.arm.n)), y[:, 0], start)
-        _hold_back(lab, command)
-        lab.follower.reset(everyone, y[:, 0], start)
-        out = np.zeros_like(y)
-        if isinstance(lab.follower, PoseFollower):
-            predicted = lab.follower.poses(command[:, 1:, :6], command[:, 1:, 6:])
-            out[:, 1:] = y[:, 1:] - predicted
-        else:
-            for t in range(1, length):
-                lab.follower.advance(command[:, t, :6], command[:, t, 6:])
-                out[:, t] = y[:, t] - lab.follower.measured()
+        out = y - platform_response(self.system, p, command, y[:, 0], start)
         return out.reshape(m, *copies, length, 6)
-
-
-def _hold_back(lab: EmulationLoop, command: Array) -> None:
-    """Keep commands (n, T, 12) within what the legs can do, in place."""
-    travel, speed = lab.parameters.platform_travel, lab.parameters.platform_speed
-    for i in np.flatnonzero((travel > 0) & (speed == 0)):  # each sample for itself
-        commanded = command[i, :, :6].copy()
-        command[i, :, :6] = lab.shortened(commanded, np.full(len(commanded), travel[i]))
-        late = np.flatnonzero((command[i, 1:, :6] != commanded[1:]).any(axis=1)) + 1
-        command[i, late, 6:] = (command[i, late, :6] - command[i, late - 1, :6]) / lab.dt
-    slow = np.flatnonzero(speed > 0)
-    for t in range(command.shape[1]) if len(slow) else ():
-        command[slow, t] = lab.within_reach(command[slow, t], slow)
-        lab.state.command_received[slow] = command[slow, t]
 
 
 def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:

@@ -25,7 +25,8 @@ def fill(rows: Array, values: Array) -> None:
     """
     full, remainder = divmod(len(values), LANES)
     if full:
-        rows[:full] = values[: full * LANES].reshape(full, LANES, -1).swapaxes(1, 2)
+        whole = values[: full * LANES].reshape(full, LANES, values.shape[1])
+        rows[:full] = whole.swapaxes(1, 2)
     if full < len(rows):
         rows[full:] = 0.0
         if remainder:
@@ -50,4 +51,5 @@ def unlane(rows: Array, n: int) -> Array:
     Returns:
         (n, k).
     """
-    return rows.swapaxes(1, 2).reshape(-1, rows.shape[1])[:n].copy()
+    plain = rows.swapaxes(1, 2).reshape(len(rows) * LANES, rows.shape[1])
+    return plain[:n].copy()

@@ -20,6 +20,7 @@ _SIGNATURES = {
         ctypes.c_double,
         ctypes.c_int64,
     ),
+    "tick": ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5, *[ctypes.c_int64] * 2),
     "map": ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 2),
 }
 _MARK = b"ves-kernel/1\n"
@@ -30,6 +31,7 @@ class Library:
 
     advance: Any  # see `emit.emit_module`
     map: Any  # see `emit.emit_map`
+    tick: Any  # see `emit.emit_tick`
 
     def __init__(self, code: bytes) -> None:
         import llvmlite.binding as llvm

@@ -240,6 +240,7 @@ def _operation(
         "OP_NOT": lambda: truth(code.compare("oeq", a, zero)),
         "OP_AND": lambda: code.mul(a, b),
         "OP_IF_ELSE_ZERO": lambda: code.select(code.compare("une", a, zero), b, zero),
+        "OP_REMAINDER": lambda: code.sub(a, code.mul(b, code.call("rint", code.div(a, b)))),
         "OP_SIGN": lambda: code.select(
             code.compare("ueq", a, zero), a, code.call("copysign", unity, a)
         ),
@@ -290,6 +291,24 @@ def emit_map(graph: casadi.Function) -> str:
     """
     nx, ny = graph.size1_in(0), graph.size1_out(0)
     body = _MAP.format(V=_V, nx=nx, ny=ny)
+    return "\n".join([_declarations(), emit_function("point", graph), body])
+
+
+def emit_tick(graph: casadi.Function) -> str:
+    """A module with `tick`, which evaluates (x, u, p) -> (x+, y), each lane with its own p.
+
+    void tick(double *x, double *u, double *p, double *x_next, double *y, i64 lo, i64 hi)
+
+    Args:
+        graph: three inputs, two outputs.
+    """
+    sizes = [graph.size1_in(i) for i in range(3)] + [graph.size1_out(i) for i in range(2)]
+    names = ("x", "u", "p", "n", "y")
+    rows = []
+    for name, size in zip(names, sizes, strict=True):
+        rows.append(f"  %{name}row = mul i64 %b, {size}")
+        rows.append(f"  %{name}b = getelementptr {_V}, ptr %{name}, i64 %{name}row")
+    body = _TICK.format(rows="\n".join(rows))
     return "\n".join([_declarations(), emit_function("point", graph), body])
 
 
@@ -411,6 +430,23 @@ block:
   %yrow = mul i64 %b, {ny}
   %yb = getelementptr {V}, ptr %y, i64 %yrow
   call void @point(ptr %xb, ptr %p, ptr %yb)
+  %bnext = add i64 %b, 1
+  %again = icmp slt i64 %bnext, %hi
+  br i1 %again, label %block, label %done
+done:
+  ret void
+}}
+"""
+
+_TICK = """
+define void @tick(ptr %x, ptr %u, ptr %p, ptr %n, ptr %y, i64 %lo, i64 %hi) {{
+entry:
+  %any = icmp slt i64 %lo, %hi
+  br i1 %any, label %block, label %done
+block:
+  %b = phi i64 [ %lo, %entry ], [ %bnext, %block ]
+{rows}
+  call void @point(ptr %xb, ptr %ub, ptr %pb, ptr %nb, ptr %yb)
   %bnext = add i64 %b, 1
   %again = icmp slt i64 %bnext, %hi
   br i1 %again, label %block, label %done

@@ -1,0 +1,130 @@
+"""Single blocks of the emulation loop that keep their memory between calls."""
+
+import copy
+
+import numpy as np
+
+from ves_gym._util.array_functions import NUMPY
+from ves_gym.hardware.force_sensor import SensorErrors
+from ves_gym.hardware.leg_servo import Legs
+from ves_gym.hardware.platform import second_order
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.simulation.blocks.block import Shape
+from ves_gym.simulation.blocks.force_sensor import ForceSensorBlock
+from ves_gym.simulation.blocks.platform import LegPlatform, PosePlatform
+from ves_gym.system.deviations import LoopParameters
+from ves_gym.system.emulator_settings import EmulatorSettings
+
+
+def shape_of(nodes):
+    return Shape(len(nodes), 3, float(nodes[-1]), float(nodes[1]))
+
+
+class Running:
+    """A block, its parameters and its memory of n simulations."""
+
+    def __init__(self, block, p, n):
+        self.block, self.p, self.n = block, p, n
+        self.x, self.signals = {}, {}
+
+    def rows(self, ids):
+        return {k: v[ids] for k, v in self.p.items()}
+
+    def start(self, ids, u):
+        x, signals = self.block.start(self.rows(ids), u)
+        for mine, theirs in ((self.x, x), (self.signals, signals)):
+            for name, rows in theirs.items():
+                mine.setdefault(name, np.zeros((self.n, *rows.shape[1:])))
+                mine[name] = mine[name].copy()
+                mine[name][ids] = rows
+
+    def step(self, u):
+        self.x, signals = self.block.step(NUMPY, self.p, self.x, u)
+        self.signals.update(signals)
+        return signals
+
+    def get_state(self):
+        return copy.deepcopy((self.x, self.signals))
+
+    def set_state(self, state):
+        self.x, self.signals = copy.deepcopy(state)
+
+
+class RunningPlatform(Running):
+    """A platform, on pose servos or legs."""
+
+    def reset(self, ids, y, yd=0.0):
+        y = np.broadcast_to(y, (len(ids), 6))
+        self.start(ids, {"X": np.concatenate([y, np.broadcast_to(yd, y.shape)], axis=-1)})
+
+    def advance(self, y_cmd, yd_cmd=0.0):
+        rate = np.broadcast_to(yd_cmd, np.shape(y_cmd))
+        signals = self.step({"command_received": np.concatenate([y_cmd, rate], axis=-1)})
+        return signals["y"], signals["yd"], signals["ydd"]
+
+    def measured(self):
+        return self.signals["y_measured"]
+
+    @property
+    def y(self):
+        return self.x["y"]
+
+    @property
+    def yd(self):
+        return self.x["yd"]
+
+
+def pose_platform(servo, n, nodes, bandwidth=None, damping_ratio=None):
+    """Platforms on a pose servo, with bandwidth [Hz] and damping ratio of their own."""
+    w = 2 * np.pi * np.broadcast_to(servo.bandwidth if bandwidth is None else bandwidth, (n,))
+    zeta = servo.damping_ratio if damping_ratio is None else damping_ratio
+    response = second_order(w, np.broadcast_to(zeta, (n,)), nodes)
+    out = RunningPlatform(PosePlatform(servo, shape_of(nodes)), {"response": response}, n)
+    out.reset(np.arange(n), np.zeros((n, 6)))
+    return out
+
+
+def leg_platform(servo, stewart, n, control_dt, physics_dt):
+    """Platforms on leg servos, at home."""
+    out = RunningPlatform(LegPlatform(Legs(servo, stewart, control_dt, physics_dt)), {}, n)
+    out.reset(np.arange(n), np.zeros((n, 6)))
+    return out
+
+
+class RunningSensor(Running):
+    """n force sensors with errors, noise and drift drawn from n generators."""
+
+    def __init__(self, sensor, errors: SensorErrors, nodes):
+        n = len(errors.bias)
+        loop = LoopParameters.nominal(PUMA_560, EmulatorSettings(), n)
+        loop.sensor = errors
+        self.errors, self.loop = errors, loop
+        block = ForceSensorBlock(sensor, shape_of(nodes))
+        super().__init__(block, block.parameters(loop, None), n)
+
+    def reset(self, ids, wrench, generators):
+        noisy = self.errors.random()
+        draws = [
+            generators[i].standard_normal((6, 2)) if noisy[i] else np.zeros((6, 2))
+            for i in ids.tolist()
+        ]
+        self.start(ids, {"true_weight": wrench, "start_draws": np.stack(draws)})
+
+    def advance(self, nodes, generators):
+        noisy = self.errors.random()
+        draws = [
+            g.standard_normal(18) if noisy[i] else np.zeros(18)
+            for i, g in enumerate(generators)
+        ]
+        self.step({"wrench": nodes, "draws": np.stack(draws)})
+
+    def signal(self):
+        return self.block.signal(NUMPY, self.p, self.x)
+
+    def reading(self):
+        return self.block.reading(NUMPY, self.p, self.x)
+
+    def zero_to(self, ids, wrench):
+        x = {k: v[ids] for k, v in self.x.items()}
+        self.x["zero"] = self.x["zero"].copy()
+        self.x["zero"][ids] = self.block.zero_to(self.rows(ids), x, wrench)

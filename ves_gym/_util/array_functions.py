@@ -1,0 +1,116 @@
+"""Functions of arrays for which NumPy and compiled graphs have no common spelling.
+
+A formula written with `+`, `@`, slices, `np.stack` and these runs on arrays of numbers and,
+with `engine.kernel.graph_arrays.GRAPH` in place of `NUMPY`, on arrays of symbols.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from ves_gym._util.params import Array
+
+_STEP = 1e-30  # of a complex step: far below any rounding, and exact for that
+
+
+class ArrayFunctions(Protocol):
+    """A namespace `xp` of array functions; truth values may be numbers 0 and 1."""
+
+    def zeros(self, shape: tuple[int, ...]) -> Array:
+        """Zeros that may be overwritten."""
+
+    def where(self, condition: Any, a: Any, b: Any) -> Array:
+        """`a` where the condition holds, `b` elsewhere."""
+
+    def less_equal(self, a: Any, b: Any) -> Any:
+        """a <= b; false where either is not a number."""
+
+    def not_equal(self, a: Any, b: Any) -> Any:
+        """a != b."""
+
+    def all(self, condition: Any) -> Any:
+        """True where the condition holds all along the last axis."""
+
+    def any(self, condition: Any) -> Any:
+        """True where the condition holds somewhere along the last axis."""
+
+    def both(self, a: Any, b: Any) -> Any:
+        """True where both hold."""
+
+    def either(self, a: Any, b: Any) -> Any:
+        """True where one of the two holds."""
+
+    def negate(self, condition: Any) -> Any:
+        """True where the condition does not hold."""
+
+    def maximum(self, a: Any, b: Any) -> Array:
+        """The larger one."""
+
+    def largest(self, a: Any) -> Array:
+        """The largest along the last axis."""
+
+    def rint(self, a: Any) -> Array:
+        """The nearest whole number, halves to the even one."""
+
+    def solve(self, A: Array, b: Array) -> Array:
+        """Return A^-1 b.
+
+        Args:
+            A: (..., m, m), one that elimination without exchange of rows can solve.
+            b: (..., m).
+        """
+
+    def slopes(self, f: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
+        """Return f(x) (..., m) and its derivatives (..., m, k) along x (..., k).
+
+        Args:
+            f: analytic, row by row.
+            x: (..., k).
+        """
+
+
+class _NumpyFunctions:
+    """`ArrayFunctions` of numbers."""
+
+    zeros = staticmethod(np.zeros)
+    where = staticmethod(np.where)
+    less_equal = staticmethod(np.less_equal)
+    not_equal = staticmethod(np.not_equal)
+    both = staticmethod(np.logical_and)
+    either = staticmethod(np.logical_or)
+    negate = staticmethod(np.logical_not)
+    maximum = staticmethod(np.maximum)
+    rint = staticmethod(np.rint)
+
+    @staticmethod
+    def all(condition: Any) -> Any:
+        return np.all(condition, axis=-1)
+
+    @staticmethod
+    def any(condition: Any) -> Any:
+        return np.any(condition, axis=-1)
+
+    @staticmethod
+    def largest(a: Any) -> Array:
+        return np.asarray(np.max(a, axis=-1))
+
+    @staticmethod
+    def solve(A: Array, b: Array) -> Array:
+        out: Array = np.linalg.solve(A, b[..., None])[..., 0]
+        return out
+
+    @staticmethod
+    def slopes(f: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
+        width = x.shape[-1]
+        # one more axis in front: every direction at once, and none
+        tries = x + 1j * _STEP * np.eye(width + 1, width).reshape(
+            width + 1, *(1,) * (x.ndim - 1), width
+        )
+        out = f(tries)
+        return out[-1].real, np.moveaxis(out[:-1].imag / _STEP, 0, -1)
+
+
+NUMPY: ArrayFunctions = _NumpyFunctions()

@@ -1,0 +1,95 @@
+"""The platform's blocks, run alone on measured commands."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from ves_gym._util.array_functions import NUMPY
+from ves_gym._util.params import Array
+from ves_gym.hardware.leg_servo import Legs
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.simulation.blocks.block import Shape
+from ves_gym.simulation.blocks.platform import CommandLine, LegPlatform, PosePlatform
+from ves_gym.system.deviations import LoopParameters
+from ves_gym.system.system import System
+
+
+def platform_response(
+    system: System, p: LoopParameters, command: Array, y: Array, yd: Array
+) -> Array:
+    """Return the measured poses of platforms that receive given commands.
+
+    Args:
+        system: whose platform, as described.
+        p: parameters of n loops.
+        command: (n, T, 12) pose and rate at the start of each control period; the first one
+            has been followed.
+        y, yd: (n, 6) pose [m, rad] and rate at the end of that first period.
+
+    Returns:
+        (n, T, 6) poses at the ends of the periods [m, rad], the first of them `y`.
+    """
+    settings = system.emulator_settings
+    shape = Shape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
+    command = _within_reach(CommandLine(settings.stewart, shape, 0, True), p, command, y, yd)
+    servo = settings.platform
+    if isinstance(servo, PoseServo):
+        block = PosePlatform(servo, shape)
+        response = block.parameters(p, None)["response"]
+        out = _poses(block, response, command[:, 1:], y, yd)
+        return np.concatenate([y[:, None], out], axis=1)
+    legs = LegPlatform(Legs(servo, settings.stewart, shape.control_dt, shape.physics_dt))
+    x, _ = legs.start({}, {"X": np.concatenate([y, yd], axis=-1)})
+    poses = [y]
+    for t in range(1, command.shape[1]):
+        x, signals = legs.step(NUMPY, {}, x, {"command_received": command[:, t]})
+        poses.append(signals["y_measured"])
+    return np.stack(poses, axis=1)
+
+
+def _within_reach(
+    line: CommandLine, p: LoopParameters, command: Array, y: Array, yd: Array
+) -> Array:
+    """Commands (n, T, 12) held back where legs are short or slow."""
+    travel, speed = p.platform_travel, p.platform_speed
+    if not (travel.any() or speed.any()):
+        return command
+    command, dt = command.copy(), line.shape.control_dt
+    for i in np.flatnonzero((travel > 0) & (speed == 0)):  # each sample for itself
+        asked = command[i, :, :6].copy()
+        command[i, :, :6] = line.shortened(NUMPY, asked, np.full(len(asked), travel[i]))
+        late = np.flatnonzero((command[i, 1:, :6] != asked[1:]).any(axis=1)) + 1
+        command[i, late, 6:] = (command[i, late, :6] - command[i, late - 1, :6]) / dt
+    slow = np.flatnonzero(speed > 0)
+    numbers = {"travel": travel[slow], "speed": speed[slow]}
+    last = np.concatenate([y, yd], axis=-1)[slow]
+    for t in range(command.shape[1]) if len(slow) else ():
+        last = line.within_reach(NUMPY, numbers, command[slow, t], last)
+        command[slow, t] = last
+    return command
+
+
+def _poses(block: PosePlatform, response: Array, command: Array, y: Array, yd: Array) -> Array:
+    """Poses (n, N, 6) at the ends of N periods, as N steps of the block, at once.
+
+    The error's two-number recursion z+ = A z + d is, for its first number, one of second
+    order.
+    """
+    y_cmd, rate = command[..., :6], command[..., 6:]
+    if not block.servo.rate_feedforward:
+        rate = np.zeros_like(rate)
+    A = response[:, -1, :2]  # (n, 2, 2) of the error over a period
+    ahead = np.stack([y_cmd + rate * block.nodes[-1], rate], axis=2)  # (n, N, 2, 6)
+    drive = ahead - np.einsum("nij,nkjc->nkic", A, np.stack([y_cmd, rate], axis=2))
+    forced = drive[:, :, 0].copy()
+    forced[:, 1:] += A[:, 0, 1, None, None] * drive[:, :-1, 1]
+    forced[:, 1:] -= A[:, 1, 1, None, None] * drive[:, :-1, 0]
+    det: Array = np.linalg.det(A)
+    forced[:, 0] += A[:, 0, 0, None] * y + A[:, 0, 1, None] * yd
+    forced[:, 1:2] -= (det[:, None] * y)[:, None]
+    out: Array = np.empty(forced.shape)
+    for i, a in enumerate(A):
+        poles = [1.0, -a[0, 0] - a[1, 1], det[i]]
+        out[i] = scipy.signal.lfilter([1.0], poles, forced[i], axis=0)
+    return out

@@ -1,0 +1,272 @@
+"""The vehicle as blocks: linear, nonlinear, or together with the arm it carries."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.array_functions import NUMPY, ArrayFunctions
+from ves_gym._util.params import Array
+from ves_gym.engine.batch_parameters import Bodies
+from ves_gym.hardware.admittance import Nonlinear, implicit_step, integrate, rigid_bodies
+from ves_gym.mechanics.spatial import matvec, rate_matrix
+from ves_gym.simulation.blocks.block import Block, Memory, Shape, Values
+from ves_gym.simulation.blocks.platform import standing
+from ves_gym.system.deviations import LoopParameters
+
+_STEP = 1e-6  # of the differences that linearise a vehicle [m, rad] and their rates
+
+
+class _Admittance(Block):
+    """What the kinds of vehicle share: the state (Y, Y') and the m oscillators carried."""
+
+    name = "admittance"
+    inputs = ("reading", "weight", "command_sent", "frozen")
+    outputs = ("motion",)
+
+    def __init__(self, shape: Shape, carried: int, joints: int = 0) -> None:
+        """`carried`: oscillators of the vehicle; `joints` that a servo holds."""
+        self.shape, self.carried, self.joints = shape, carried, joints
+
+    @property
+    def memory(self) -> dict[str, Memory]:
+        coupled = 2 * (self.joints + self.carried)  # coordinates, then their rates
+        return {"X": Memory((12,)), "coupled": Memory((coupled,))}
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (self.carried, self.joints, self.shape)
+
+    @property
+    def oscillators(self) -> tuple[slice, slice]:
+        """Coordinates and rates of the oscillators, as slices of `coupled`."""
+        m, e = self.joints, self.carried
+        return slice(m, m + e), slice(2 * m + e, 2 * (m + e))
+
+    @staticmethod
+    def here(xp: ArrayFunctions, x: Values, u: Values) -> Array:
+        """State (n, 12), at rest where a safety stop holds the platform."""
+        return xp.where(xp.not_equal(u["frozen"], 0.0)[:, None], standing(u), x["X"])
+
+    @staticmethod
+    def force(X: Array, wrench: Array) -> Array:
+        """Generalised force (n, 6) of a wrench in platform axes."""
+        return matvec(np.swapaxes(rate_matrix(X[:, :6]), -1, -2), wrench)
+
+    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+        coupled = np.zeros((len(u["X"]), 2 * (self.joints + self.carried)))
+        if self.carried:
+            coupled[:, self.oscillators[0]] = u["attached"]
+            coupled[:, self.oscillators[1]] = u["attached_rate"]
+        return {"X": u["X"], "coupled": coupled}, {}
+
+
+class LinearAdmittance(_Admittance):
+    """M Y'' + D Y' + K Y = W, sampled exactly (thesis eq. 2.4 to 2.6), plus drag |Y'| Y'."""
+
+    sparse = ("phi", "gamma", "drag")
+
+    def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
+        return {"phi": bodies.phi, "gamma": bodies.gamma, "drag": bodies.drag}
+
+    def step(
+        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        X = self.here(xp, x, u)
+        force = self.force(X, u["reading"] - u["weight"])
+        force = force - p["drag"] * np.abs(X[:, 6:]) * X[:, 6:]
+        # row by row: one matrix product over the batch would round by its size
+        if not self.carried:
+            X = matvec(p["phi"], X) + matvec(p["gamma"], force)
+            return {"X": X, "coupled": x["coupled"]}, {"motion": X}
+        at, moving = self.oscillators
+        coupled, m = x["coupled"], 6 + self.carried
+        state = np.concatenate([X[:, :6], coupled[:, at], X[:, 6:], coupled[:, moving]], -1)
+        state = matvec(p["phi"], state) + matvec(p["gamma"], force)
+        X = np.concatenate([state[:, :6], state[:, m : m + 6]], axis=-1)
+        coupled = np.concatenate([state[:, 6:m], state[:, m + 6 :]], axis=-1)
+        return {"X": X, "coupled": coupled}, {"motion": X}
+
+
+class NonlinearAdmittance(_Admittance):
+    """X' = g(X, W), by Runge-Kutta (thesis eq. 2.2): a satellite, or a function of the user."""
+
+    sparse = ("body", "M", "D", "K")
+
+    def __init__(self, shape: Shape, custom: Nonlinear | None) -> None:
+        super().__init__(shape, 0)
+        self.custom = custom
+        self.compiles = custom is None
+
+    def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
+        if self.custom is not None:
+            return {}
+        return {"body": bodies.body, "M": bodies.M, "D": bodies.D, "K": bodies.K}
+
+    def vehicle(self, p: Values, xp: ArrayFunctions = NUMPY) -> Nonlinear:
+        """Return g of the vehicles."""
+        if self.custom is not None:
+            return self.custom
+        return rigid_bodies(p["body"], p["M"], p["D"], p["K"], xp)
+
+    def step(
+        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        X = self.here(xp, x, u)
+        force = self.force(X, u["reading"] - u["weight"])
+        X = integrate(self.vehicle(p, xp), X, force, self.shape.control_dt)
+        return {"X": X, "coupled": x["coupled"]}, {"motion": X}
+
+
+class CoupledAdmittance(_Admittance):
+    """Vehicle and arm together (docs/physics.md, payload compensation).
+
+    What is sent is where the vehicle will be once the platform is there.
+    """
+
+    inputs = (
+        "reading",
+        "weight",
+        "payload",
+        "inertia",
+        "kp",
+        "kd",
+        "command_sent",
+        "frozen",
+    )
+    sparse = ("M", "D", "K", "drag", "wide", "body")
+
+    def __init__(
+        self,
+        shape: Shape,
+        carried: int,
+        joints: int,
+        lag: float,
+        nonlinear: bool,
+        custom: Nonlinear | None,
+    ) -> None:
+        """`lag` of sensor, computer and platform [s]; `nonlinear`: the vehicle has a body."""
+        super().__init__(shape, carried, joints)
+        self.lag, self.nonlinear, self.custom = lag, nonlinear, custom
+        self.compiles = custom is None
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (*super().structure, self.lag, self.nonlinear)
+
+    def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
+        parts = {"M": bodies.M, "D": bodies.D, "K": bodies.K, "drag": bodies.drag}
+        if self.carried:
+            parts["wide"] = bodies.wide
+        if self.nonlinear and self.custom is None:
+            parts["body"] = bodies.body
+        return parts
+
+    def step(
+        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        X = self.here(xp, x, u)
+        force = self.force(X, u["reading"] - u["weight"] + u["payload"])
+        M, D, K, state, W = self.together(xp, p, X, x["coupled"], force, u)
+        state = implicit_step(M, D, K, state, W, self.shape.control_dt, xp)
+        X, coupled = self.split(state)
+        # sensor, computer and platform delay motion by a known time: send it ahead by that
+        ahead = self.split(implicit_step(M, D, K, state, W, self.lag, xp))[0]
+        return {"X": X, "coupled": coupled}, {"motion": ahead}
+
+    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Set the state back by what the platform is told ahead."""
+        x, _ = super().start(p, u)
+        system = self.together(NUMPY, p, u["X"], x["coupled"], np.zeros((len(u["X"]), 6)), u)
+        X, coupled = self.split(implicit_step(*system, -self.lag))
+        return {"X": X, "coupled": coupled}, {"payload": np.zeros((len(X), 6))}
+
+    def together(
+        self,
+        xp: ArrayFunctions,
+        p: Values,
+        X: Array,
+        coupled: Array,
+        force: Array,
+        u: Values,
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Return M, D, K, state and force of vehicle and servo-held joints as one system.
+
+        Args:
+            xp, p, u: see `step`.
+            X: (n, 12) of the vehicle.
+            coupled: (n, 2 m) of joints and oscillators.
+            force: (n, 6) generalised.
+        """
+        n, m = len(X), self.joints
+        k, size = m + self.carried, 6 + m
+        M, D, K = (xp.zeros((n, 6 + k, 6 + k)) for _ in range(3))
+        turn = xp.zeros((n, size, size))
+        turn[:, range(size), range(size)] = 1.0
+        turn[:, :6, :6] = rate_matrix(X[:, :6])
+        H = u["inertia"][:, :size, :size]
+        M[:, :size, :size] = np.swapaxes(turn, -1, -2) @ H @ turn
+        if not self.nonlinear:
+            M[:, :6, :6] += p["M"]
+            D[:, :6, :6], K[:, :6, :6] = p["D"], p["K"]
+            D[:, range(6), range(6)] += p["drag"] * np.abs(X[:, 6:])  # by its secant
+        else:  # linearised about this instant; a force held would feed energy into a spring
+            mobility, offset, by_y, by_yd = self._linearised(xp, p, X)
+            body = inverse(xp, mobility)
+            M[:, :6, :6] += body
+            K[:, :6, :6], D[:, :6, :6] = -body @ by_y, -body @ by_yd
+            offset = offset - matvec(by_y, X[:, :6]) - matvec(by_yd, X[:, 6:])
+            force = force + matvec(body, offset)
+        joints = np.arange(6, 6 + m)
+        D[:, joints, joints], K[:, joints, joints] = u["kd"][:, :m], u["kp"][:, :m]
+        if self.carried:
+            at = np.r_[:6, 6 + m : 6 + k]
+            for which, part in enumerate((M, D, K)):
+                part[:, at[:, None], at] += p["wide"][:, which]
+        parts = [X[:, :6], coupled[:, :k], X[:, 6:], coupled[:, k:]]
+        force = np.concatenate([force, xp.zeros((n, k))], axis=-1)
+        return M, D, K, np.concatenate(parts, axis=-1), force
+
+    def split(self, X: Array) -> tuple[Array, Array]:
+        """State of the vehicle (n, 12) and of all else (n, 2m) from that of both."""
+        m = self.joints + self.carried
+        base = np.concatenate([X[:, :6], X[:, 6 + m : 12 + m]], axis=-1)
+        return base, np.concatenate([X[:, 6 : 6 + m], X[:, 12 + m :]], axis=-1)
+
+    def _linearised(
+        self, xp: ArrayFunctions, p: Values, X: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Y'' = mobility W + rest of X' = g(X, W) at W = 0, and the rest's slopes.
+
+        Returns:
+            (n, 6, 6), (n, 6), slopes along Y (n, 6, 6) and along Y' (n, 6, 6).
+        """
+        if self.custom is not None:  # nobody promises that it takes complex numbers
+            return _differences(self.custom, X)
+        g = rigid_bodies(p["body"], p["M"], p["D"], p["K"], xp)
+
+        def accelerations(at: Array) -> Array:
+            return g(at[..., :12], at[..., 12:])[..., 6:]
+
+        at = np.concatenate([X, 0.0 * X[:, :6]], axis=-1)
+        offset, slope = xp.slopes(accelerations, at)
+        return slope[..., 12:], offset, slope[..., :6], slope[..., 6:12]
+
+
+def inverse(xp: ArrayFunctions, A: Array) -> Array:
+    """Return A^-1 of matrices (n, m, m)."""
+    eye = np.eye(A.shape[-1])
+    return np.stack([xp.solve(A, np.broadcast_to(e, A.shape[:-1])) for e in eye], axis=-1)
+
+
+def _differences(g: Nonlinear, X: Array) -> tuple[Array, Array, Array, Array]:
+    """`_linearised` of any function, by forward differences."""
+    zero = np.zeros((len(X), 6))
+    tries = [(X, zero), *((X, zero + push) for push in np.eye(6))]
+    tries += [(X + _STEP * way, zero) for way in np.eye(12)]
+    out = np.stack([g(*point) for point in tries])[..., 6:]
+    offset = out[0]
+    change = np.moveaxis(out[1:] - offset, 0, -1)
+    slope = change[..., 6:] / _STEP
+    return change[..., :6], offset, slope[..., :6], slope[..., 6:]

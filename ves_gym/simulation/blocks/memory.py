@@ -1,0 +1,79 @@
+"""Named arrays of n simulations, in rows for NumPy or in lanes for compiled code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ves_gym._util.params import Array, Index
+from ves_gym.engine.kernel.blocks import aligned, fill, unlane
+from ves_gym.engine.kernel.emit import LANES
+
+
+class NamedArrays:
+    """Arrays (n, ...) by name: the state of a loop, all that a snapshot has to hold.
+
+    In rows each is an array of its own. In lanes they lie in one piece of memory as the
+    compiled tick wants it, and reading one copies it out.
+    """
+
+    def __init__(self, shapes: Mapping[str, tuple[int, ...]], n: int, lanes: bool) -> None:
+        self.n, self.shapes = n, dict(shapes)
+        sizes = [int(np.prod(shape)) for shape in self.shapes.values()]
+        ends = np.cumsum([0, *sizes]).tolist()
+        self.places = {
+            name: slice(a, b)
+            for name, a, b in zip(self.shapes, ends[:-1], ends[1:], strict=True)
+        }
+        self.size = ends[-1]
+        self.lanes: Array | None = None
+        self._rows: dict[str, Array] = {}
+        if lanes:
+            # two of them: compiled code reads one and writes the other
+            self.lanes, self.spare = (aligned(-(-n // LANES), self.size, LANES) for _ in "12")
+        else:
+            self._rows = {k: np.zeros((n, *shape)) for k, shape in self.shapes.items()}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.shapes
+
+    def __getitem__(self, name: str) -> Array:
+        """(n, ...); not to be written to."""
+        if self.lanes is None:
+            return self._rows[name]
+        rows = unlane(self.lanes[:, self.places[name]], self.n)
+        return rows.reshape(self.n, *self.shapes[name])
+
+    def __setitem__(self, name: str, values: Array) -> None:
+        if self.lanes is None:
+            self._rows[name] = np.asarray(values, dtype=np.float64)
+        else:
+            rows = self.lanes[:, self.places[name]]
+            fill(rows, values.reshape(self.n, rows.shape[1]))
+
+    def put(self, ids: Index, name: str, values: Array) -> None:
+        """Write rows.
+
+        Args:
+            ids: (m,) which simulations.
+            name: of the array.
+            values: (m, ...).
+        """
+        if self.lanes is None:
+            changed = self._rows[name].copy()
+            changed[ids] = values
+            self._rows[name] = changed
+        else:
+            place = self.places[name]
+            flat = np.reshape(values, (len(ids), place.stop - place.start))
+            self.lanes[ids // LANES, place, ids % LANES] = flat
+
+    def swap(self) -> None:
+        """Take for the present what compiled code has written."""
+        assert self.lanes is not None
+        self.lanes, self.spare = self.spare, self.lanes
+
+    def copied(self) -> dict[str, Array]:
+        """Copies of all arrays."""
+        return {name: np.array(self[name]) for name in self.shapes}

@@ -1,0 +1,334 @@
+"""The platform as blocks: the line to it, its servo at two levels of detail, its safety."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.array_functions import ArrayFunctions
+from ves_gym._util.params import Array
+from ves_gym.engine.batch_parameters import Bodies
+from ves_gym.hardware.leg_servo import Legs
+from ves_gym.hardware.platform import PoseServo, second_order
+from ves_gym.hardware.stewart import Stewart
+from ves_gym.simulation.blocks.block import Block, Memory, Shape, Values
+from ves_gym.simulation.blocks.gravity_estimate import mixed, shares
+from ves_gym.system.deviations import LoopParameters
+from ves_gym.system.emulator_settings import EmulatorSettings
+
+_REFINE = 3  # rounds of scaling a pose to the legs' reach
+
+
+class ComputingDelay(Block):
+    """Control periods between a reading and the command that it causes."""
+
+    name = "computing_delay"
+    inputs = ("motion",)
+    outputs = ("command",)
+
+    def __init__(self, periods: int) -> None:
+        self.periods = periods
+
+    @property
+    def memory(self) -> dict[str, Memory]:
+        return {"queue": Memory((self.periods, 12))}  # commands on their way, oldest first
+
+    def step(
+        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        queue = np.concatenate([x["queue"], u["motion"][:, None]], axis=1)
+        return {"queue": queue[:, 1:]}, {"command": queue[:, 0]}
+
+    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+        return {"queue": np.repeat(u["X"][:, None], self.periods, axis=1)}, {"command": u["X"]}
+
+
+class Safety(Block):
+    """Freezes a platform that may not go on (thesis 2.4.2)."""
+
+    name = "safety"
+    inputs = ("command", "reading", "command_sent", "frozen")
+    outputs = ("command_sent", "frozen")
+
+    def __init__(self, settings: EmulatorSettings, shape: Shape) -> None:
+        self.settings, self.shape = settings, shape
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        s = self.settings
+        return (s.stewart, s.force_max, s.moment_max)
+
+    def step(
+        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        spec, stewart, reading = self.settings, self.settings.stewart, u["reading"]
+        before = stewart.leg_lengths(u["command_sent"][:, :6])
+        lengths = stewart.leg_lengths(u["command"][:, :6])
+        speeds = np.abs(lengths - before) / self.shape.control_dt
+        # asked this way round, what is not a number counts as unsafe
+        checks = (
+            xp.all(xp.less_equal(stewart.length_min, lengths)),
+            xp.all(xp.less_equal(lengths, stewart.length_max)),
+            xp.all(xp.less_equal(speeds, stewart.speed_max)),
+            xp.less_equal(_size(reading[:, :3]), spec.force_max),
+            xp.less_equal(_size(reading[:, 3:]), spec.moment_max),
+        )
+        safe = checks[0]
+        for check in checks[1:]:
+            safe = xp.both(safe, check)
+        frozen = xp.where(safe, u["frozen"], 1.0)
+        sent = xp.where(xp.not_equal(frozen, 0.0)[:, None], standing(u), u["command"])
+        return {}, {"command_sent": sent, "frozen": frozen}
+
+    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+        return {}, {"command_sent": u["X"], "frozen": np.zeros(len(u["X"]))}
+
+    def reason(self, before: Array, command: Array, reading: Array) -> str:
+        """Say why a platform was frozen.
+
+        Args:
+            before, command: (12,) the command before, and the one refused.
+            reading: (6,) [N, N m].
+        """
+        spec, stewart = self.settings, self.settings.stewart
+        lengths = stewart.leg_lengths(np.stack([before[:6], command[:6]]))
+        outside, far, length = stewart.beyond(lengths[1])
+        _, fast, speed = stewart.too_fast(lengths[0], lengths[1], self.shape.control_dt)
+        force, moment = (float(np.linalg.norm(k)) for k in np.split(reading, 2))
+        if outside:
+            return (
+                f"leg {far + 1} would be {length:.3f} m long, its range is"
+                f" {stewart.length_min:.3f} to {stewart.length_max:.3f} m (outside the"
+                " workspace)"
+            )
+        if not force <= spec.force_max:
+            return f"force {force:.0f} N is above the limit of {spec.force_max:g} N"
+        if not moment <= spec.moment_max:
+            limit = f"{spec.moment_max:g} N m"
+            return f"moment {moment:.0f} N m is above the limit of {limit}"
+        limit = f"{stewart.speed_max:g} m/s"
+        return f"leg {fast + 1} would move at {speed:.2f} m/s, its limit is {limit}"
+
+
+def _size(vectors: Array) -> Array:
+    """Length of vectors (n, 3)."""
+    x, y, z = (vectors[:, k] for k in range(3))
+    length: Array = np.sqrt(x * x + y * y + z * z)
+    return length
+
+
+def standing(u: Values) -> Array:
+    """Return the last command's pose (n, 12), at rest."""
+    pose = u["command_sent"][:, :6]
+    return np.concatenate([pose, 0.0 * pose], axis=-1)
+
+
+class CommandLine(Block):
+    """What reaches the platform of a command: late, or as far as short or slow legs can go."""
+
+    name = "command_line"
+    inputs = ("command_sent",)
+    outputs = ("command_received",)
+
+    def __init__(self, stewart: Stewart, shape: Shape, oldest: int, limited: bool) -> None:
+        """`oldest`: commands to look back over; `limited`: legs may be short or slow."""
+        self.stewart, self.shape = stewart, shape
+        self.oldest, self.limited = oldest, limited
+
+    @property
+    def memory(self) -> dict[str, Memory]:
+        return {
+            "history": Memory((self.oldest, 12)),  # earlier commands, newest first
+            "received": Memory((12,), feeds_back=self.limited),
+        }
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (self.limited and self.stewart, self.oldest)
+
+    def parameters(self, p: LoopParameters, bodies: Bodies | None) -> dict[str, Array]:
+        age = p.platform_delay / self.shape.control_dt
+        return {
+            "shares": shares(age, self.oldest + 1),
+            "travel": p.platform_travel,
+            "speed": p.platform_speed,
+        }
+
+    def step(
+        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        out = u["command_sent"]
+        nodes = np.concatenate([out[:, None], x["history"]], axis=1)
+        if self.oldest:
+            out = mixed(p["shares"], nodes)
+        if self.limited:
+            out = self.within_reach(xp, p, out, x["received"])
+        return {"history": nodes[:, :-1], "received": out}, {"command_received": out}
+
+    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+        X = u["X"]
+        return {"history": np.repeat(X[:, None], self.oldest, axis=1), "received": X}, {}
+
+    def within_reach(self, xp: ArrayFunctions, p: Values, command: Array, last: Array) -> Array:
+        """Return commands held back on their way, as far as the legs go.
+
+        Args:
+            xp: functions of the arrays.
+            p: parameters, (n,) each.
+            command: (n, 12) pose and rate.
+            last: (n, 12) what was received a period ago.
+        """
+        stewart, dt, speed = self.stewart, self.shape.control_dt, p["speed"]
+        before = last[:, :6]
+        pose = self.shortened(xp, command[:, :6], p["travel"])
+        lengths = stewart.leg_lengths(pose) - stewart.leg_lengths(before)
+        haste = xp.largest(np.abs(lengths)) / (dt * stewart.speed_max * (1 - speed))
+        late = xp.negate(xp.either(xp.less_equal(speed, 0.0), xp.less_equal(haste, 1.0)))
+        slower = before + (pose - before) / xp.maximum(haste, 1.0)[:, None]
+        pose = xp.where(late[:, None], slower, pose)
+        changed = xp.any(xp.not_equal(pose, command[:, :6]))[:, None]
+        rate = xp.where(changed, (pose - before) / dt, command[:, 6:])
+        return np.concatenate([pose, rate], axis=-1)
+
+    def shortened(self, xp: ArrayFunctions, pose: Array, travel: Array) -> Array:
+        """Return poses on their way from home, where legs lack a part of their stroke.
+
+        Args:
+            xp: functions of the arrays.
+            pose: (n, 6) [m, rad].
+            travel: (n,) share of the stroke that is missing.
+        """
+        excess = self._excess(xp, pose, travel)
+        beyond = xp.negate(xp.either(xp.less_equal(travel, 0.0), xp.less_equal(excess, 1.0)))
+        for _ in range(_REFINE):  # legs stretch almost in proportion
+            excess = xp.where(beyond, self._excess(xp, pose, travel), 1.0)
+            pose = pose / excess[:, None]
+        return pose
+
+    def _excess(self, xp: ArrayFunctions, pose: Array, travel: Array) -> Array:
+        """(n,) how far poses stretch a leg, in units of what its short stroke allows."""
+        stewart = self.stewart
+        home = stewart.home_lengths
+        stretch = stewart.leg_lengths(pose) - home
+        shorter = xp.less_equal(stretch, 0.0)
+        room = xp.where(shorter, home - stewart.length_min, stewart.length_max - home)
+        return xp.largest(np.abs(stretch) / (room * (1 - travel)[:, None]))
+
+
+class PosePlatform(Block):
+    """A platform whose six coordinates follow their command as a `PoseServo` does."""
+
+    name = "platform"
+    inputs = ("command_received",)
+    outputs = ("y", "yd", "ydd", "y_measured")
+
+    def __init__(self, servo: PoseServo, shape: Shape, *, as_stated: bool = False) -> None:
+        """`as_stated`: by the description, whatever the effects."""
+        self.servo, self.shape, self.as_stated = servo, shape, as_stated
+        self.nodes = np.arange(shape.nodes) * np.float64(shape.physics_dt)
+
+    @property
+    def memory(self) -> dict[str, Memory]:
+        return {"y": Memory((6,)), "yd": Memory((6,))}
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (self.servo.rate_feedforward, self.shape)
+
+    def parameters(self, p: LoopParameters, bodies: Bodies | None) -> dict[str, Array]:
+        change = 0.0 if self.as_stated else 1.0
+        w = 2 * np.pi * self.servo.bandwidth * (1 + change * p.bandwidth)
+        zeta = self.servo.damping_ratio * (1 + change * p.damping)
+        # (n, k, 3, 2): e, e', e'' at the nodes per unit of e and e' now
+        return {"response": second_order(w, zeta, self.nodes)}
+
+    def step(
+        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        y_cmd, rate = u["command_received"][:, :6], u["command_received"][:, 6:]
+        if not self.servo.rate_feedforward:
+            rate = 0.0 * rate
+        error = np.stack([x["y"] - y_cmd, x["yd"] - rate], axis=1)  # (n, 2, 6)
+        k = self.shape.nodes
+        path = (p["response"].reshape(-1, 3 * k, 2) @ error).reshape(-1, k, 3, 6)
+        y = y_cmd[:, None] + rate[:, None] * self.nodes[:, None] + path[:, :, 0]
+        yd = rate[:, None] + path[:, :, 1]
+        out = {"y": y, "yd": yd, "ydd": path[:, :, 2], "y_measured": y[:, -1]}
+        return {"y": y[:, -1], "yd": yd[:, -1]}, out
+
+    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+        y, yd = np.split(u["X"], 2, axis=-1)
+        return {"y": y, "yd": yd}, {"y_measured": y}
+
+    def present(self, x: Values) -> tuple[Array, Array]:
+        """Pose and rate (n, 6) that the legs have now."""
+        return x["y"], x["yd"]
+
+
+class LegPlatform(Block):
+    """A platform on six leg servos (`hardware.leg_servo`), sent lengths only."""
+
+    name = "platform"
+    inputs = ("command_received",)
+    outputs = ("y", "yd", "ydd", "y_measured")
+    compiles = False  # forward kinematics iterate until they settle
+
+    def __init__(self, legs: Legs) -> None:
+        self.legs = legs
+
+    @property
+    def memory(self) -> dict[str, Memory]:
+        return {"legs": Memory((self.legs.leg.size, 6)), "pose": Memory((6,))}
+
+    def step(
+        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        legs, pose, y, yd, ydd = self.legs.advance(
+            x["legs"], x["pose"], u["command_received"][:, :6]
+        )
+        measured = self.legs.measured(legs, pose)
+        out = {"y": y, "yd": yd, "ydd": ydd, "y_measured": measured}
+        return {"legs": legs, "pose": pose}, out
+
+    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+        pose = u["X"][:, :6]  # hydraulic legs start from rest, whatever rate the vehicle has
+        legs = self.legs.at_rest(pose)
+        return {"legs": legs, "pose": pose}, {"y_measured": self.legs.measured(legs, pose)}
+
+    def present(self, x: Values) -> tuple[Array, Array]:
+        """Pose and rate (n, 6) that the legs have now."""
+        return self.legs.present(x["legs"], x["pose"])
+
+
+class EngineInput(Block):
+    """Accelerations that bring the engine's platform onto the path, and keep it there.
+
+    The engine runs the accelerations linearly through each step. What that and its own
+    rounding leave of Y and Y' at the end of the period is taken out by a correction that is
+    linear over the period.
+    """
+
+    name = "engine_input"
+    inputs = ("y", "yd", "ydd", "y_engine", "yd_engine")
+    outputs = ("acceleration",)
+
+    def __init__(self, shape: Shape) -> None:
+        k, h = shape.nodes - 1, shape.physics_dt
+        self._duration = k * h
+        # where the engine would be at the end: exact integrals of a piecewise linear Y''
+        self._once = np.full(k + 1, h)
+        self._once[[0, -1]] = h / 2
+        self._twice = h * h * np.arange(k, -1.0, -1.0)
+        self._twice[0], self._twice[-1] = h * h * (k / 2 - 1 / 6), h * h / 6
+        self._clock = np.arange(k + 1)[:, None] * h
+
+    def step(
+        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        t, ydd, rate = self._duration, u["ydd"], u["yd_engine"]
+        miss = u["y"][:, -1] - (u["y_engine"] + t * rate + np.matmul(self._twice, ydd))
+        miss_rate = u["yd"][:, -1] - (rate + np.matmul(self._once, ydd))
+        slope = (6 * miss_rate * t - 12 * miss) / t**3
+        start = miss_rate / t - slope * t / 2
+        return {}, {"acceleration": ydd + start[:, None] + slope[:, None] * self._clock}

@@ -1,0 +1,144 @@
+"""The list of wires: which blocks a loop has, in which order they run, what they hand on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ves_gym._util.array_functions import ArrayFunctions
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.simulation.blocks.block import SIGNALS, Block, Memory, Values
+
+_AT_REST = ("command_sent", "frozen")  # read by safety checks alone
+Parameters = Mapping[str, Values]  # block -> its parameters
+
+
+class Wiring:
+    """Blocks in the order of a control period, cut in two by the engine.
+
+    A signal that is read before the period's order puts it out is held over from the period
+    before.
+
+    Args:
+        before: from the present readings to what the engine's platform is given.
+        after: from the engine's wrench to the next readings.
+        given: signals that come from outside.
+        watched: signals to be held in any case, for others to read.
+    """
+
+    def __init__(
+        self,
+        before: Sequence[Block],
+        after: Sequence[Block],
+        given: Sequence[str],
+        watched: Sequence[str] = (),
+    ) -> None:
+        self.before, self.after, self.given = tuple(before), tuple(after), tuple(given)
+        produced: set[str] = set()
+        held = dict.fromkeys(watched)
+        for block in self.blocks:
+            for name in block.inputs:
+                if name not in SIGNALS:
+                    raise ParameterError(
+                        f"block {block.name} reads signal {name!r}; known: {', '.join(SIGNALS)}"
+                    )
+                if name not in produced and name not in given:
+                    held[name] = None
+            produced.update(block.outputs)
+        lacking = [name for name in held if name not in produced]
+        if lacking:
+            raise ParameterError(
+                f"signal {lacking[0]!r} is read but no block puts it out: blocks are"
+                f" {', '.join(block.name for block in self.blocks)}"
+            )
+        self.held = tuple(held)
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """All of them, in order."""
+        return self.before + self.after
+
+    def block(self, name: str) -> Block:
+        """The block of a name."""
+        return next(block for block in self.blocks if block.name == name)
+
+    def memories(self) -> dict[str, Memory]:
+        """What the blocks carry over, as "block.name"."""
+        return {f"{b.name}.{k}": v for b in self.blocks for k, v in b.memory.items()}
+
+    def dynamic(self) -> list[str]:
+        """Names of all that the loop acts on from period to period, in a fixed order."""
+        own = [name for name, memory in self.memories().items() if memory.feeds_back]
+        read = {name for block in self.blocks for name in block.inputs}
+        return own + [name for name in self.held if name in read and name not in _AT_REST]
+
+    def shapes(self, nodes: int, joints: int) -> dict[str, tuple[int, ...]]:
+        """Shapes of all that is carried over: the blocks' memory and the signals held.
+
+        Args:
+            nodes: of a control period.
+            joints: of the arm.
+        """
+        out = {name: memory.shape for name, memory in self.memories().items()}
+        out.update((name, SIGNALS[name].sized(nodes, joints)) for name in self.held)
+        return out
+
+    def run(
+        self,
+        blocks: Sequence[Block],
+        xp: ArrayFunctions,
+        p: Parameters,
+        x: Values,
+        given: Values,
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Run a part of the loop.
+
+        Args:
+            blocks: `before` or `after`.
+            xp: functions of the arrays.
+            p: parameters of each block.
+            x: what is carried over, by the names of `shapes`.
+            given: signals from outside.
+
+        Returns:
+            What has changed of x, and all signals put out.
+        """
+        signals: dict[str, Array] = {k: x[k] for k in self.held}
+        signals.update(given)
+        changed: dict[str, Array] = {}
+        put_out: dict[str, Array] = {}
+        for block in blocks:
+            mine = {k: x[f"{block.name}.{k}"] for k in block.memory}
+            wires = {k: signals[k] for k in block.inputs}
+            new, outputs = block.step(xp, p.get(block.name, {}), mine, wires)
+            changed.update((f"{block.name}.{k}", v) for k, v in new.items())
+            signals.update(outputs)
+            put_out.update(outputs)
+        changed.update((k, v) for k, v in put_out.items() if k in self.held)
+        return changed, put_out
+
+    def describe(self) -> list[dict[str, Any]]:
+        """One row per wire: from which block, to which, what it carries."""
+        source = dict.fromkeys(self.given, "outside")
+        source.update((name, block.name) for block in self.blocks for name in block.outputs)
+        rows = []
+        seen: set[str] = set()
+        for block in self.blocks:
+            for name in block.inputs:
+                signal = SIGNALS[name]
+                rows.append(
+                    {
+                        "from": source[name],
+                        "to": block.name,
+                        "signal": name,
+                        "shape": "x".join(map(str, signal.shape)) or "1",
+                        "unit": signal.unit,
+                        "frame": signal.frame,
+                        "when": "one period later"
+                        if name in self.held and name not in seen
+                        else "at once",
+                        "meaning": signal.meaning,
+                    }
+                )
+            seen.update(block.outputs)
+        return rows
