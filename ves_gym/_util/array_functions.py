@@ -6,14 +6,11 @@ with `engine.kernel.graph_arrays.GRAPH` in place of `NUMPY`, on arrays of symbol
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
 
 from ves_gym._util.params import Array
-
-_STEP = 1e-30  # of a complex step: far below any rounding, and exact for that
 
 
 class ArrayFunctions(Protocol):
@@ -63,14 +60,6 @@ class ArrayFunctions(Protocol):
             b: (..., m).
         """
 
-    def slopes(self, f: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
-        """Return f(x) (..., m) and its derivatives (..., m, k) along x (..., k).
-
-        Args:
-            f: analytic, row by row.
-            x: (..., k).
-        """
-
 
 class _NumpyFunctions:
     """`ArrayFunctions` of numbers."""
@@ -101,16 +90,6 @@ class _NumpyFunctions:
     def solve(A: Array, b: Array) -> Array:
         out: Array = np.linalg.solve(A, b[..., None])[..., 0]
         return out
-
-    @staticmethod
-    def slopes(f: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
-        width = x.shape[-1]
-        # one more axis in front: every direction at once, and none
-        tries = x + 1j * _STEP * np.eye(width + 1, width).reshape(
-            width + 1, *(1,) * (x.ndim - 1), width
-        )
-        out = f(tries)
-        return out[-1].real, np.moveaxis(out[:-1].imag / _STEP, 0, -1)
 
 
 NUMPY: ArrayFunctions = _NumpyFunctions()

@@ -16,13 +16,12 @@ SINGULAR = 1e-3  # cos(phi_y) below this is reported: Z-Y-X angles end at 90 deg
 
 
 def numbers(value: npt.ArrayLike) -> Array:
-    """Return an array of floats; one of complex numbers or of symbols stays as it is.
+    """Return an array of floats; one of symbols stays as it is.
 
-    So the formulas here serve numbers, derivatives by complex steps, and graphs that are
-    compiled.
+    So the formulas here serve numbers and graphs that are compiled (`engine.kernel`).
     """
     array = np.asarray(value)
-    return array if array.dtype.kind in "cO" else array.astype(float, copy=False)
+    return array if array.dtype == object else array.astype(float, copy=False)
 
 
 def rotation(y: npt.ArrayLike) -> Array:

@@ -8,7 +8,7 @@ commands there and the wrench back.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -168,7 +168,7 @@ class EmulationLoop:
         known = getattr(self, "memory", None)
         self.memory = NamedArrays(shapes, self.n, lanes)
         if known is not None:
-            self._remember(known)
+            self._remember(known.copied())
         self._ticks: tuple[CompiledTick, CompiledTick] | None = None
         if lanes:
             reads = [{k for b in half for k in b.inputs} for half in (before, after)]
@@ -198,8 +198,8 @@ class EmulationLoop:
             return LegPlatform(Legs(servo, self.spec.stewart, self.dt, system.physics_dt))
         return PosePlatform(servo, self.shape, as_stated=as_stated)
 
-    def _remember(self, known: NamedArrays) -> None:
-        """Carry memory over from a wiring with fewer or shorter arrays."""
+    def _remember(self, known: Mapping[str, Array]) -> None:
+        """Carry memory over from a wiring with other arrays, or shorter or longer ones."""
         for name, shape in self.memory.shapes.items():
             if name.startswith("platform_model.") and name not in known:
                 value = known[name.replace("platform_model", "platform")]
@@ -207,10 +207,11 @@ class EmulationLoop:
                 value = known[name]
             else:
                 continue
-            if value.shape[1:] != shape:  # a longer past: the oldest that is known
-                missing = shape[0] - value.shape[1]
+            if value.shape[1:] != shape:  # another length of the past
+                missing = max(0, shape[0] - value.shape[1])  # as the oldest that is known
                 oldest = value[:, -1:] if value.shape[1] else known["command_sent"][:, None]
                 value = np.concatenate([value, np.repeat(oldest, missing, axis=1)], axis=1)
+                value = value[:, : shape[0]]
             self.memory[name] = value
 
     def _oldest_estimate(self) -> int:
@@ -394,9 +395,7 @@ class EmulationLoop:
         memory, rest = state
         self.time, self.events, self.table = copy.deepcopy(rest)
         self._rewire()
-        for name, values in memory.items():
-            if name in self.memory:
-                self.memory[name] = values
+        self._remember(memory)
 
     # ------------------------------------------------------------------- tick
 

@@ -130,30 +130,6 @@ class _GraphFunctions:
             out[at] = _eliminated(wide[at].tolist(), right[at].tolist())
         return out
 
-    @staticmethod
-    def slopes(f: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
-        import casadi as ca
-
-        rows, slopes = [], []
-        for row in x.reshape(-1, x.shape[-1]):
-            at = symbols("at", row.shape)
-            value = column([f(at[None])])
-            here = column([row])
-            both = ca.densify(ca.horzcat(value, ca.jacobian(value, column([at]))))
-            placed = ca.substitute(both, column([at]), here)
-            size = placed.shape[0]
-            entries = _array(
-                [placed[i, j] for i in range(size) for j in range(placed.shape[1])],
-                tuple(placed.shape),
-            )
-            rows.append(entries[:, 0])
-            slopes.append(entries[:, 1:])
-        shape = x.shape[:-1]
-        return (
-            np.stack(rows).reshape(*shape, -1),
-            np.stack(slopes).reshape(*shape, -1, x.shape[-1]),
-        )
-
 
 def _eliminated(A: list[list[Any]], b: list[Any]) -> list[Any]:
     """Return A^-1 b by elimination from the last row up, as `mechanics.solve` goes.

@@ -242,31 +242,18 @@ class CoupledAdmittance(_Admittance):
         Returns:
             (n, 6, 6), (n, 6), slopes along Y (n, 6, 6) and along Y' (n, 6, 6).
         """
-        if self.custom is not None:  # nobody promises that it takes complex numbers
-            return _differences(self.custom, X)
-        g = rigid_bodies(p["body"], p["M"], p["D"], p["K"], xp)
-
-        def accelerations(at: Array) -> Array:
-            return g(at[..., :12], at[..., 12:])[..., 6:]
-
-        at = np.concatenate([X, 0.0 * X[:, :6]], axis=-1)
-        offset, slope = xp.slopes(accelerations, at)
-        return slope[..., 12:], offset, slope[..., :6], slope[..., 6:12]
+        g = self.custom or rigid_bodies(p["body"], p["M"], p["D"], p["K"], xp)
+        zero = np.zeros((len(X), 6))
+        tries = [(X, zero), *((X, zero + push) for push in np.eye(6))]
+        tries += [(X + _STEP * way, zero) for way in np.eye(12)]
+        out = np.stack([g(*point) for point in tries])[..., 6:]
+        offset = out[0]
+        change = np.moveaxis(out[1:] - offset, 0, -1)
+        slope = change[..., 6:] / _STEP
+        return change[..., :6], offset, slope[..., :6], slope[..., 6:]
 
 
 def inverse(xp: ArrayFunctions, A: Array) -> Array:
     """Return A^-1 of matrices (n, m, m)."""
     eye = np.eye(A.shape[-1])
     return np.stack([xp.solve(A, np.broadcast_to(e, A.shape[:-1])) for e in eye], axis=-1)
-
-
-def _differences(g: Nonlinear, X: Array) -> tuple[Array, Array, Array, Array]:
-    """`_linearised` of any function, by forward differences."""
-    zero = np.zeros((len(X), 6))
-    tries = [(X, zero), *((X, zero + push) for push in np.eye(6))]
-    tries += [(X + _STEP * way, zero) for way in np.eye(12)]
-    out = np.stack([g(*point) for point in tries])[..., 6:]
-    offset = out[0]
-    change = np.moveaxis(out[1:] - offset, 0, -1)
-    slope = change[..., 6:] / _STEP
-    return change[..., :6], offset, slope[..., :6], slope[..., 6:]
