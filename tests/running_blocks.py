@@ -8,12 +8,9 @@ from ves_gym._util.array_functions import NUMPY
 from ves_gym.hardware.force_sensor import SensorErrors
 from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import second_order
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.simulation.blocks.block import Shape
 from ves_gym.simulation.blocks.force_sensor import ForceSensorBlock
 from ves_gym.simulation.blocks.platform import LegPlatform, PosePlatform
-from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.emulator_settings import EmulatorSettings
 
 
 def shape_of(nodes):
@@ -96,11 +93,9 @@ class RunningSensor(Running):
 
     def __init__(self, sensor, errors: SensorErrors, nodes):
         n = len(errors.bias)
-        loop = LoopParameters.nominal(PUMA_560, EmulatorSettings(), n)
-        loop.sensor = errors
-        self.errors, self.loop = errors, loop
+        self.errors = errors
         block = ForceSensorBlock(sensor, shape_of(nodes))
-        super().__init__(block, block.parameters(loop, None), n)
+        super().__init__(block, block.of_errors(errors), n)
 
     def reset(self, ids, wrench, generators):
         noisy = self.errors.random()

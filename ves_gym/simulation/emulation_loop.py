@@ -486,15 +486,14 @@ class EmulationLoop:
         """Signals of the controller at this instant."""
         zero = np.zeros((self.n, 6))
         weight = zero if self.estimate is None else self.memory["weight"]
-        parts = (self.memory["reading"], weight, self.memory["y_measured"])
-        return Readings(
-            *(np.array(k) for k in parts), self.memory["command_sent"][:, :6].copy()
-        )
+        sent = self.memory["command_sent"][:, :6]
+        parts = (self.memory["reading"], weight, self.memory["y_measured"], sent)
+        return Readings(*(np.array(k) for k in parts))
 
     @property
     def frozen(self) -> Mask:
         """(n,) platforms that a safety stop holds."""
-        return self.memory["frozen"] != 0
+        return np.not_equal(self.memory["frozen"], 0)
 
     @property
     def vehicle_state(self) -> Array:

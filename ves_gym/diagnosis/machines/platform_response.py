@@ -36,8 +36,7 @@ def platform_response(
     servo = settings.platform
     if isinstance(servo, PoseServo):
         block = PosePlatform(servo, shape)
-        response = block.parameters(p, None)["response"]
-        out = _poses(block, response, command[:, 1:], y, yd)
+        out = _poses(block, block.response(p), command[:, 1:], y, yd)
         return np.concatenate([y[:, None], out], axis=1)
     legs = LegPlatform(Legs(servo, settings.stewart, shape.control_dt, shape.physics_dt))
     x, _ = legs.start({}, {"X": np.concatenate([y, yd], axis=-1)})

@@ -22,7 +22,7 @@ class _Admittance(Block):
     """What the kinds of vehicle share: the state (Y, Y') and the m oscillators carried."""
 
     name = "admittance"
-    inputs = ("reading", "weight", "command_sent", "frozen")
+    inputs: tuple[str, ...] = ("reading", "weight", "command_sent", "frozen")
     outputs = ("motion",)
 
     def __init__(self, shape: Shape, carried: int, joints: int = 0) -> None:

@@ -105,7 +105,7 @@ class Block(ABC):
         """What the block carries over."""
         return {}
 
-    def parameters(self, p: LoopParameters, bodies: Bodies | None) -> dict[str, Array]:
+    def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         """Return the block's parameters, one row per row of what is given.
 
         Args:
@@ -176,7 +176,7 @@ class _Renamed(Block):
     def structure(self) -> tuple[Any, ...]:
         return self.block.structure
 
-    def parameters(self, p: LoopParameters, bodies: Bodies | None) -> dict[str, Array]:
+    def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         return self.block.parameters(p, bodies)
 
     def step(

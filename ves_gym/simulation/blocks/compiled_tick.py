@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ves_gym._util import array_functions
-from ves_gym._util.params import Array
+from ves_gym._util.params import Array, Index
 from ves_gym.engine.kernel.blocks import aligned, fill, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_tick
@@ -57,7 +57,7 @@ class CompiledTick:
         self._count = -(-memory.n // LANES)
         self._in, self._inputs = _rows(self.given, self._count)
         self._out, self._outputs = _rows(self.wanted, self._count)
-        self._entries: dict[tuple[str, str], Array] = {}  # which entries are parameters
+        self._entries: dict[tuple[str, str], Index] = {}  # which entries are parameters
         self._library: Library | None = None
         self._p = aligned(self._count, 0, LANES)
 
@@ -157,7 +157,7 @@ def _flat(values: Array) -> Array:
     return values.reshape(len(values), int(np.prod(values.shape[1:])))
 
 
-def _entries(values: Array, sparse: bool, known: Array | None) -> Array:
+def _entries(values: Array, sparse: bool, known: Index | None) -> Index:
     """Entries of an array (n, ...) that are parameters, those known before among them."""
     flat = _flat(values)
     if not sparse:

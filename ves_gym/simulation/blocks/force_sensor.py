@@ -9,7 +9,7 @@ import numpy as np
 from ves_gym._util.array_functions import NUMPY, ArrayFunctions
 from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
-from ves_gym.hardware.force_sensor import ForceSensor, low_pass, noise_steps
+from ves_gym.hardware.force_sensor import ForceSensor, SensorErrors, low_pass, noise_steps
 from ves_gym.mechanics.spatial import matvec
 from ves_gym.simulation.blocks.block import Block, Memory, Shape, Values
 from ves_gym.system.deviations import LoopParameters
@@ -42,7 +42,11 @@ class ForceSensorBlock(Block):
         return (self.sensor.frame.tolist(), self.sensor.calibration, self._step.tolist())
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
-        e, period = p.sensor, self.nodes[-1]
+        return self.of_errors(p.sensor)
+
+    def of_errors(self, e: SensorErrors) -> dict[str, Array]:
+        """Return the parameters of n sensors with errors."""
+        period = self.nodes[-1]
         hold, weights = low_pass(e.cutoff, self.nodes)
         (noise_hold, noise_kick), noise_start = noise_steps(e.cutoff, float(period))
         return {

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.array_functions import ArrayFunctions
-from ves_gym._util.params import Array
+from ves_gym._util.params import Array, Index
 from ves_gym.engine.batch_parameters import Bodies, Inertias
 from ves_gym.engine.kernel.graph_arrays import column
 from ves_gym.engine.kernel.maps import InertiaMap
@@ -55,7 +55,7 @@ class ArmInertia(Block):
             H = self.different(q, np.arange(len(q)), p["numbers"])
         return {}, {"inertia": p["scale"][:, None, None] * H}
 
-    def rows(self, p: Values, q: Array, ids: Array) -> Array:
+    def rows(self, p: Values, q: Array, ids: Index) -> Array:
         """H (m, 6 + n, 6 + n) of some simulations.
 
         Args:

@@ -147,7 +147,7 @@ class CommandLine(Block):
     def structure(self) -> tuple[Any, ...]:
         return (self.limited and self.stewart, self.oldest)
 
-    def parameters(self, p: LoopParameters, bodies: Bodies | None) -> dict[str, Array]:
+    def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         age = p.platform_delay / self.shape.control_dt
         return {
             "shares": shares(age, self.oldest + 1),
@@ -236,12 +236,15 @@ class PosePlatform(Block):
     def structure(self) -> tuple[Any, ...]:
         return (self.servo.rate_feedforward, self.shape)
 
-    def parameters(self, p: LoopParameters, bodies: Bodies | None) -> dict[str, Array]:
+    def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
+        return {"response": self.response(p)}
+
+    def response(self, p: LoopParameters) -> Array:
+        """(n, k, 3, 2): e, e', e'' at the nodes per unit of e and e' now."""
         change = 0.0 if self.as_stated else 1.0
         w = 2 * np.pi * self.servo.bandwidth * (1 + change * p.bandwidth)
         zeta = self.servo.damping_ratio * (1 + change * p.damping)
-        # (n, k, 3, 2): e, e', e'' at the nodes per unit of e and e' now
-        return {"response": second_order(w, zeta, self.nodes)}
+        return second_order(w, zeta, self.nodes)
 
     def step(
         self, xp: ArrayFunctions, p: Values, x: Values, u: Values
