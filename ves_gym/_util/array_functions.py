@@ -64,8 +64,6 @@ class ArrayFunctions(Protocol):
 class _NumpyFunctions:
     """`ArrayFunctions` of numbers."""
 
-    zeros = staticmethod(np.zeros)
-    where = staticmethod(np.where)
     less_equal = staticmethod(np.less_equal)
     not_equal = staticmethod(np.not_equal)
     both = staticmethod(np.logical_and)
@@ -73,6 +71,15 @@ class _NumpyFunctions:
     negate = staticmethod(np.logical_not)
     maximum = staticmethod(np.maximum)
     rint = staticmethod(np.rint)
+
+    @staticmethod
+    def zeros(shape: tuple[int, ...]) -> Array:
+        return np.zeros(shape)
+
+    @staticmethod
+    def where(condition: Any, a: Any, b: Any) -> Array:
+        out: Array = np.where(condition, a, b)
+        return out
 
     @staticmethod
     def all(condition: Any) -> Any:
@@ -88,8 +95,7 @@ class _NumpyFunctions:
 
     @staticmethod
     def solve(A: Array, b: Array) -> Array:
-        out: Array = np.linalg.solve(A, b[..., None])[..., 0]
-        return out
+        return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], dtype=np.float64)
 
 
 NUMPY: ArrayFunctions = _NumpyFunctions()

@@ -7,15 +7,12 @@ arrays of numbers is traced into a graph; `GRAPH` has what NumPy cannot do with 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ves_gym._util.array_functions import ArrayFunctions
 from ves_gym._util.params import Array
-
-if TYPE_CHECKING:
-    import casadi
 
 
 def symbols(name: str, shape: tuple[int, ...]) -> Array:
@@ -23,10 +20,10 @@ def symbols(name: str, shape: tuple[int, ...]) -> Array:
     import casadi as ca
 
     size = int(np.prod(shape))
-    return _array(ca.vertsplit(ca.SX.sym(name, size)) if size else [], shape)
+    return array(ca.vertsplit(ca.SX.sym(name, size)) if size else [], shape)
 
 
-def column(parts: Sequence[Array]) -> casadi.SX:
+def column(parts: Sequence[Array]) -> Any:
     """Return all entries of arrays of symbols or numbers below each other."""
     import casadi as ca
 
@@ -34,7 +31,13 @@ def column(parts: Sequence[Array]) -> casadi.SX:
     return ca.vertcat(*flat) if flat else ca.SX(0, 1)
 
 
-def _array(entries: Sequence[Any], shape: tuple[int, ...]) -> Array:
+def array(entries: Sequence[Any], shape: tuple[int, ...]) -> Array:
+    """Return an array of symbols.
+
+    Args:
+        entries: row by row.
+        shape: of the array.
+    """
     out = np.empty(len(entries), object)
     for k, entry in enumerate(entries):  # at once, NumPy would look into them
         out[k] = entry
@@ -44,7 +47,7 @@ def _array(entries: Sequence[Any], shape: tuple[int, ...]) -> Array:
 def _elementwise(function: Callable[..., Any], *arrays: Any) -> Array:
     wide = np.broadcast_arrays(*(np.asarray(a, object) for a in arrays))
     entries = [function(*row) for row in zip(*(a.ravel().tolist() for a in wide), strict=True)]
-    return _array(entries, wide[0].shape)
+    return array(entries, wide[0].shape)
 
 
 def _along_last(function: Callable[[Any, Any], Any], a: Any) -> Array:

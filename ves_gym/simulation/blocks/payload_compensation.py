@@ -9,7 +9,7 @@ import numpy as np
 from ves_gym._util.array_functions import ArrayFunctions
 from ves_gym._util.params import Array, Index
 from ves_gym.engine.batch_parameters import Bodies, Inertias
-from ves_gym.engine.kernel.graph_arrays import column
+from ves_gym.engine.kernel.graph_arrays import array, column
 from ves_gym.engine.kernel.maps import InertiaMap
 from ves_gym.engine.kernel.trace import geometry, inertia_matrix, parameters
 from ves_gym.hardware.admittance import implicit_step
@@ -46,9 +46,7 @@ class ArmInertia(Block):
         if q.dtype == object:  # the same text, traced
             graph = inertia_matrix(self.system)
             entries = graph(column([q]), column([p["numbers"]]))
-            H = np.empty(size**2, object)
-            H[:] = [entries[k] for k in range(size**2)]
-            H = H.reshape(1, size, size)
+            H = array([entries[k] for k in range(size**2)], (1, size, size))
         elif self.different is None:
             H = self.alike(q)
         else:
