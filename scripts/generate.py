@@ -27,7 +27,11 @@ from ves_gym.mechanics.vehicle import VEHICLES
 DOCS = Path(__file__).parents[1] / "docs"
 PLACE = DOCS / "environments"
 
-HISTORY = {"v0": "first version"}  # what changed in dynamics, reward or spaces
+HISTORY = {
+    "v0": "first version",
+    "Emulated-v1": "errors that a calibration leaves (laboratory `lab`) in place of a gravity"
+    " estimate that is wrong by a factor",
+}  # what changed in dynamics, reward or spaces
 
 INFO = {
     "randomized/...": "also of reset: parameters drawn for this episode, by effect and name",
@@ -41,6 +45,7 @@ INFO = {
     "energy/...": "at the end: the energies below",
 }
 COMMON = {
+    "context": "appends to the observation what was drawn for the episode",
     "duration": "of an episode",
     "tail": "after it, the joints held: counts into E_mean and E_int",
 }
@@ -196,7 +201,7 @@ def _laboratory(task: Task) -> str:
     effects = [f"`{e.kind}`" for e in task.system.effects]
     return (
         f"Mode emulated, effects {', '.join(effects)}, and drawn for every episode"
-        f" {', '.join(ranges)}. The base is seen by what the laboratory measures of it;"
+        f" {'; '.join(ranges)}. The base is seen by what the laboratory measures of it;"
         " energies and success are of the true pose."
     )
 
@@ -242,7 +247,7 @@ def _page(name: str) -> str:
             " `compute_reward(achieved, desired, info)` takes any leading axes.\n"
         )
     text = f"""<!-- written by scripts/generate.py: change the code instead -->
-# ves/{name}-v0, ves/{name}Emulated-v0
+# ves/{name}-v0, ves/{name}Emulated-v0, ves/{name}Emulated-v1
 
 {title}
 {picture}
@@ -276,14 +281,19 @@ are `terminated` at once.
 ## Settings
 
 Any of `gym.make`'s and `gym.make_vec`'s keyword arguments: those below, and `system`, `mode`,
-`vehicle`, `effects`, `control`, `randomize`, `backend` ([all of them](README.md#settings)).
-Options of `reset`: {options}.
+`vehicle`, `effects`, `control`, `randomize`, `laboratory`, `backend`
+([all of them](README.md#settings)). Options of `reset`: {options}.
 
 {_settings(task)}
 
 ## ves/{name}Emulated-v0
 
 {_laboratory(_env(name, emulated=True).task)}
+
+## ves/{name}Emulated-v1
+
+{_laboratory(_env(name, emulated=True, laboratory="lab").task)} `laboratory="nominal"`, `"hard"`
+and `"held-out"` are [the others](../laboratory.md#7-named-laboratories).
 
 ## Versions
 

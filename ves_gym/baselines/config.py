@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -138,7 +139,7 @@ def find_configs(env: str, algorithm: str | None = None) -> list[TrainConfig]:
     chosen = [c for c in every if algorithm in (None, c.label, c.algorithm)]
     matching = [c for c in chosen if c.env == env]
     if not matching:
-        twin = env.replace("Emulated-v", "-v")
+        twin = re.sub("Emulated-v[0-9]+$", "-v0", env)
         matching = [dataclasses.replace(c, env=env) for c in chosen if c.env == twin]
     return matching
 

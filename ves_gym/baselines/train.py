@@ -388,7 +388,7 @@ def _lean(model: Any, task: Task, length: float) -> None:
     if isinstance(space, spaces.Dict):
         parts = {name: spaces.flatdim(box) for name, box in space.spaces.items()}
     else:
-        parts = {field.name: field.size for field in task.fields()}
+        parts = {field.name: field.size for field in task.parts()}
     ends = np.cumsum([0, *parts.values()]).tolist()
     at = {name: slice(*ab) for name, ab in zip(parts, itertools.pairwise(ends), strict=True)}
     extractor = model.policy.mlp_extractor

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError, content_hash
 from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
+from ves_gym.envs.corners import warn_of_unstable_corners
 from ves_gym.envs.dump import Recorder
 from ves_gym.envs.randomize import Draws
 from ves_gym.envs.tail import tail_energy
@@ -93,6 +94,10 @@ class Batch:
             on_divergence="mark",
             warn_at=None,
         )
+        if task.randomize and self.system.mode == "emulated":
+            warn_of_unstable_corners(
+                task.system, task.randomize, control.servo if motor else None
+            )
         space = self.system.ideal()
         self._space = space  # effects have no part in it
         self._scenes, self._torques = SceneMap(space, n), TorqueMap(space, n)
@@ -100,7 +105,7 @@ class Batch:
         self._feedforward = motor and control.servo.feedforward
         self.dt = self.system.control_dt
         self.width = control.width(arm)
-        parts = task.fields()
+        parts = task.parts()
         self._scale = np.concatenate([f.scale for f in parts])
         self.observations = len(self._scale)
         joints = arm.n
@@ -299,7 +304,11 @@ class Batch:
 
     def observe(self) -> npt.NDArray[np.float32]:
         """(n, observations) in the fields' scales, clipped; what is not a number becomes 0."""
-        values = np.concatenate(self.task.observe(self.scene), axis=1) / self._scale
+        parts = self.task.observe(self.scene)
+        if self.task.context:
+            pairs = zip(self.task.randomize, self.drawn.values(), strict=True)
+            parts = (*parts, *(r.context(values) for r, values in pairs))
+        values = np.concatenate(parts, axis=1) / self._scale
         if self.sim.diverged.any():
             values = np.nan_to_num(values, nan=0.0)
         clip = self.task.CLIP

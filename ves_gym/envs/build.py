@@ -29,6 +29,9 @@ _FILES = (
     "lqr",
 )  # of `ves_gym.envs`
 
+# What the v0 ids draw: a gravity estimate that is wrong by up to half a percent (thesis 3.2.2).
+V0_RANGES = {"gravity/scale": {"error": [-0.005, 0.005]}}
+
 
 class UnknownKeywordError(ParameterError, TypeError):
     """A keyword that an environment does not take.
@@ -74,6 +77,7 @@ def build_task(
     effects: str | Iterable[Any] | None = None,
     control: str | Mapping[str, Any] | Control | None = None,
     randomize: Mapping[str, Mapping[str, Any]] | None = None,
+    laboratory: str | None = None,
     **settings: Any,
 ) -> Task:
     """A task with some of its settings changed.
@@ -88,6 +92,9 @@ def build_task(
         control: name, plain data or `Control`.
         randomize: {effect: {parameter: (low, high)}}, drawn for every episode; other laws than
             the uniform one: {"normal": ...}, {"log_uniform": ...} (`randomize.Range`).
+        laboratory: name of the errors that an emulated system has, nominal, lab, hard or
+            held-out (docs/laboratory.md): effects and randomize, for what is not given itself.
+            What the v0 ids state counts as not given.
         settings: other fields of the task.
 
     Raises:
@@ -99,11 +106,21 @@ def build_task(
     fields = {f.name: f for f in dataclasses.fields(cls)}
     require_keywords(build_task, cls, settings)
     start: Any = defaults.system if defaults is not None else fields["system"].default
+    ranges = None if randomize is None else ranges_of(randomize)
+    if laboratory is not None:
+        from ves_gym.envs.laboratories import laboratory as errors_of
+
+        bare = _system(start, system, mode, vehicle, ())
+        errors = errors_of(laboratory, bare)
+        if effects is None or isinstance(effects, str):
+            effects = errors.effects
+        if ranges is None or ranges == ranges_of(V0_RANGES):
+            ranges = errors.ranges
     values: dict[str, Any] = {"system": _system(start, system, mode, vehicle, effects)}
     if control is not None:
         values["control"] = _control(control)
-    if randomize is not None:
-        values["randomize"] = ranges_of(randomize)
+    if ranges is not None:
+        values["randomize"] = ranges
     typed = _typed(cls, settings)
     if defaults is not None:
         return dataclasses.replace(defaults, **values, **typed)

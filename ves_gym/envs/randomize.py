@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, from_plain
 from ves_gym._util.suggest import did_you_mean
@@ -176,6 +177,22 @@ class Range:
         low, high = self._bounds
         return np.maximum(mean - reach, low), np.minimum(mean + reach, high)
 
+    @cached_property
+    def _varies(self) -> npt.NDArray[np.bool_]:
+        """(size,) numbers that differ from draw to draw."""
+        low, high = self.ends
+        return np.asarray(low != high).ravel()
+
+    @property
+    def entries(self) -> int:
+        """Numbers that differ from draw to draw."""
+        return int(self._varies.sum())
+
+    def context(self, values: Array) -> Array:
+        """(k, entries) of values (k, size): -1 at the low end, 1 at the high one."""
+        low, high = (end.ravel()[self._varies] for end in self.ends)
+        return np.asarray((values[:, self._varies] - (low + high) / 2) / ((high - low) / 2))
+
     def check(self, system: System) -> None:
         """Raise ParameterError where the effect does not act in a system."""
         modes = EFFECTS[self.effect].modes
@@ -301,6 +318,11 @@ def _effects(values: Mapping[tuple[str, str], Array]) -> tuple[Effect, ...]:
         plain = {name: v.tolist() for (k, name), v in values.items() if k == kind}
         effects.append(from_plain(EFFECTS[kind], plain, f"randomize.{kind}"))
     return tuple(effects)
+
+
+def effect_at(ranges: tuple[Range, ...], end: int) -> Effect:
+    """The effect whose parameters these are, all at their low (0) or high (1) end."""
+    return _effects({(r.effect, r.parameter): r.ends[end] for r in ranges})[0]
 
 
 class Draws:

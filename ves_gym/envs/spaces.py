@@ -14,13 +14,13 @@ from ves_gym.envs.task import Task
 
 def observation_space(task: Task) -> gym.spaces.Box:
     """All fields one after another, in their scales."""
-    size = sum(f.size for f in task.fields())
+    size = sum(f.size for f in task.parts())
     return gym.spaces.Box(-task.CLIP, task.CLIP, (size,), np.float32)
 
 
 def _parts(task: Task) -> dict[str, slice]:
     out, at = {}, 0
-    for field in task.fields():
+    for field in task.parts():
         out[field.name] = slice(at, at + field.size)
         at += field.size
     return out

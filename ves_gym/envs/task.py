@@ -100,7 +100,8 @@ class Task(ABC):
     """Question that an episode asks: starts, goals, reward, success.
 
     `tail` seconds after the deadline count into `E_mean`, joints held, as in the planning
-    benchmark; their energy is computed from the linearised motion, not simulated.
+    benchmark; their energy is computed from the linearised motion, not simulated. `context`
+    appends what was drawn for the episode (`randomize`) to the observation.
     """
 
     REGISTRY: ClassVar[dict[str, type[Task]]] = TASKS
@@ -117,6 +118,7 @@ class Task(ABC):
     duration: float = unit("s")
     tail: float = unit("s", default=TAIL)
     randomize: tuple[Range, ...] = ()
+    context: bool | None = None
 
     def __post_init__(self) -> None:
         require_positive(self, "duration")
@@ -130,6 +132,10 @@ class Task(ABC):
         self.control.check(self.system, self.duration)
         for spread in self.randomize:
             spread.check(self.system)
+        if self.context and not self.randomize:
+            raise ParameterError(
+                f"{self.kind}.context shows what randomize draws, got nothing to draw"
+            )
 
     @cached_property
     def steps(self) -> int:
@@ -146,6 +152,17 @@ class Task(ABC):
     @abstractmethod
     def fields(self) -> tuple[Field, ...]:
         """Parts of the observation, in order."""
+
+    def parts(self) -> tuple[Field, ...]:
+        """All of the observation: the task's fields, and with `context` what was drawn."""
+        if not self.context:
+            return self.fields()
+        drawn = [
+            Field(r.label, "1", np.ones(r.entries), "drawn, -1 to 1 from one end to the other")
+            for r in self.randomize
+            if r.entries
+        ]
+        return (*self.fields(), *drawn)
 
     @abstractmethod
     def observe(self, s: Scene) -> tuple[Array, ...]:

@@ -211,12 +211,8 @@ def warn_if_unstable(
     """
     if system.emulator_settings.operation == "position":
         return
-    # by content: a system may hold arrays, which have no hash of their own
-    key = content_hash((system, servo, joint_angles(system, q).tolist()))
-    if key not in _RADII:
-        _RADII[key] = linearise(simulator, system, q, servo=servo).spectral_radius
-    radius = _RADII[key]
-    if radius > 1 + SLACK:
+    radius = judged_radius(simulator, system, q, servo)
+    if unstable(radius):
         warnings.warn(
             f"unstable emulation: each control period multiplies its least stable mode by"
             f" {radius:.6g}. A slower platform, a heavier vehicle or payload_compensation"
@@ -224,3 +220,23 @@ def warn_if_unstable(
             EmulationWarning,
             stacklevel=stacklevel,
         )
+
+
+def unstable(radius: float) -> bool:
+    """True for a spectral radius beyond 1 and the rounding of a double eigenvalue."""
+    return radius > 1 + SLACK
+
+
+def judged_radius(
+    simulator: SimulatorFactory, system: System, q: npt.ArrayLike, servo: JointServo | None
+) -> float:
+    """Return the loop's spectral radius over one control period; each one computed once.
+
+    Args:
+        simulator, system, q, servo: see `linearise`.
+    """
+    # by content: a system may hold arrays, which have no hash of their own
+    key = content_hash((system, servo, joint_angles(system, q).tolist()))
+    if key not in _RADII:
+        _RADII[key] = linearise(simulator, system, q, servo=servo).spectral_radius
+    return _RADII[key]

@@ -1,0 +1,128 @@
+"""Named laboratories: data for what is drawn, on both beams, and what the policy may see."""
+
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from tests.envs.walks import SHORT, same
+from ves_gym._util.params import ParameterError
+from ves_gym.effects import EFFECTS, LABORATORY_ERRORS
+from ves_gym.envs.batch import Batch
+from ves_gym.envs.build import V0_RANGES, build_task
+from ves_gym.envs.laboratories import LABORATORIES
+from ves_gym.envs.registration import _LABORATORY
+from ves_gym.envs.task import task_from_plain
+from ves_gym.simulation.loop_linearisation import EmulationWarning
+
+V0, V1 = "ves/PumaRestToRestEmulated-v0", "ves/PumaRestToRestEmulated-v1"
+EMULATED = {"mode": "emulated"}
+
+
+def kinds(name, **settings):
+    task = build_task("rest_to_rest", mode="emulated", laboratory=name, **settings)
+    return {r.effect for r in task.randomize}
+
+
+def test_v1_ids_are_the_lab_and_v0_ids_are_as_they_were():
+    v0, v1 = (gym.make(id).unwrapped.task for id in (V0, V1))
+    assert v1 == build_task("rest_to_rest", mode="emulated", laboratory="lab")
+    assert [r.label for r in v0.randomize] == ["gravity/scale.error"]
+    assert v0.system.effects == v1.system.effects == LABORATORY_ERRORS
+    assert _LABORATORY[0]["randomize"] == V0_RANGES
+    assert gym.make(V0, laboratory="lab").unwrapped.task == v1
+    assert gym.make(V1, laboratory="hard").unwrapped.task.randomize != v1.randomize
+
+
+def test_effects_and_randomize_given_take_precedence():
+    assert gym.make(V1, randomize={}).unwrapped.task.randomize == ()
+    own = [EFFECTS["sensor/noise"](force=(1.0, 1.0, 1.0))]
+    task = gym.make(V1, effects=own).unwrapped.task
+    assert task.system.effects == tuple(own)
+    assert "gravity/mass" in {r.effect for r in task.randomize}
+
+
+def test_what_is_held_out_is_in_no_other():
+    trained = kinds("nominal") | kinds("lab") | kinds("hard")
+    assert kinds("lab") < kinds("hard") and not kinds("nominal")
+    assert kinds("held-out") and not kinds("held-out") & trained
+
+
+@pytest.mark.parametrize("name", LABORATORIES)
+def test_every_laboratory_runs_on_both_beams(name):
+    """Drawn alike alone and together; nothing freezes in the first quarter of a second."""
+    for vehicle in ("bent", "straight-horizontal"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", EmulationWarning)
+            env = gym.make_vec(V1, 3, laboratory=name, vehicle=vehicle, **SHORT)
+        _, told = env.reset(seed=1)
+        alone = gym.make(V1, laboratory=name, vehicle=vehicle, **SHORT)
+        _, ours = alone.reset(seed=1, options={"index": 2})
+        assert same({k: v[2] for k, v in told.items()}, ours)
+        for _ in range(20):
+            *_, info = env.step(np.zeros(env.action_space.shape))
+        assert not info["stopped"].any() and not info["diverged"].any()
+
+
+def test_a_laboratory_needs_an_emulation_that_subtracts_the_weight():
+    with pytest.raises(ParameterError, match='did you mean "lab"'):
+        build_task("rest_to_rest", mode="emulated", laboratory="labb")
+    with pytest.raises(ParameterError, match=r"needs mode emulated, .*, got ideal"):
+        build_task("rest_to_rest", laboratory="lab")
+
+
+def test_context_shows_what_was_drawn_and_only_then():
+    hidden = Batch(build_task("rest_to_rest", laboratory="hard", **EMULATED), 300)
+    shown = Batch(build_task("rest_to_rest", laboratory="hard", context=True, **EMULATED), 300)
+    everyone = np.arange(300)
+    for batch in (hidden, shown):
+        batch.seed(everyone, 0, everyone)
+        batch.reset(everyone)
+    width = hidden.observe().shape[1]
+    assert width == hidden.observations < shown.observations == shown.observe().shape[1]
+    assert shown.observe()[:, :width].tobytes() == hidden.observe().tobytes()
+    context = shown.observe()[:, width:]
+    assert context.shape[1] == 1 + 9 + 36 + 2 + 6 + 4
+    assert (context.std(axis=0) > 0.4).all() and (np.abs(context.mean(axis=0)) < 0.15).all()
+    names = [field.name for field in shown.task.parts()]
+    at = names.index("gravity/delay.delay") - len(names)
+    low, high = 0.0, 0.025
+    drawn = shown.drawn["gravity/delay.delay"][:, 0]
+    np.testing.assert_allclose(context[:, at], (2 * drawn - high) / (high - low), atol=1e-6)
+
+
+def test_context_needs_something_drawn():
+    with pytest.raises(ParameterError, match="context shows what randomize draws"):
+        build_task("rest_to_rest", context=True)
+
+
+def test_an_unstable_corner_is_warned_of_once_per_task():
+    """The straight beam with a platform that hears late: each end alone, and all together."""
+    late = {"platform/delay": {"delay": (0.0, 0.0125)}}
+    with pytest.warns(EmulationWarning, match="a part of the ranges: with platform/delay"):
+        env = gym.make_vec(V0, 2, vehicle="straight-horizontal", randomize=late)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env.reset(seed=0)
+    soft = {
+        "platform/bandwidth": {"error": (-0.2, 0.2)},
+        "platform/damping": {"error": (-0.2, 0.2)},
+    }
+    for ranges in ({k: v} for k, v in soft.items()):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", EmulationWarning)
+            gym.make_vec(V0, 2, vehicle="straight-vertical", randomize=ranges)
+    with pytest.warns(
+        EmulationWarning, match=r"platform/bandwidth.*platform/damping.*together"
+    ):
+        gym.make_vec(V0, 2, vehicle="straight-vertical", randomize=soft)
+
+
+def test_a_laboratory_is_plain_data():
+    """The specification names it; the task holds all its numbers, and comes back from them."""
+    env = gym.make(V1)
+    assert env.spec.kwargs["laboratory"] == "lab"
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    task = env.unwrapped.task
+    assert task_from_plain(task.to_dict()) == again.unwrapped.task == task
