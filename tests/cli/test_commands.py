@@ -192,7 +192,8 @@ def test_map_draws_every_pair(call, tmp_path):
 def test_list_names_everything(call):
     status, out, _, result = call("list")
     assert status == 0
-    names = {kind: {row["name"] for row in result[kind]} for kind in result if kind != "schema"}
+    unnamed = ("schema", "wires")
+    names = {kind: {row["name"] for row in result[kind]} for kind in result.keys() - unnamed}
     assert {"bent", "free-floating"} <= names["vehicles"]
     assert {"straight", "direct"} <= names["planners"]
     assert {"reach100", "thesis"} <= names["suites"]
@@ -223,6 +224,35 @@ def test_list_environments(call):
     assert "max episode steps" in out
 
 
+def test_list_blocks(call):
+    """One line per wire, of the system that the options describe; a file says its own mode."""
+    status, out, _, result = call("list", "blocks")
+    assert status == 0 and set(result) == {"schema", "blocks", "wires"}
+    rows = {row["name"]: row for row in result["blocks"]}
+    assert rows["admittance"]["parameters"]["M"] == [6, 6]
+    assert rows["force_sensor"]["memory"]["filter"] == [6, 2]
+    assert rows["force_sensor"]["runs"] == "after engine" and rows["platform"]["compiles"]
+    wires = {(w["from"], w["to"], w["signal"]): w for w in result["wires"]}
+    late = wires["force_sensor", "admittance", "reading"]
+    assert (late["shape"], late["unit"], late["when"]) == ([6], "N, N m", "a period later")
+    assert wires["admittance", "computing_delay", "motion"]["when"] == "at once"
+    assert wires["platform", "gravity_estimate", "y_measured"]["when"] == "at once"
+    assert wires["engine", "force_sensor", "wrench"]["shape"] == [11, 6]
+    assert wires["engine_input", "engine", "acceleration"]["unit"] == "m/s^2, rad/s^2"
+    for start, end, name in wires:
+        lines = [k for k in out.splitlines() if all(f" {w} " in k for w in (start, end, name))]
+        assert lines, (start, end, name)
+
+    status, out, _, result = call(
+        "list", "blocks", "--no-compensation", "--operation", "admittance", "--platform", "8"
+    )
+    names = [row["name"] for row in result["blocks"]]
+    assert status == 0 and "payload_compensation" not in names
+    assert "gravity_estimate" not in names and " zero " in out
+    status, _, _, result = call("list", "blocks", "--effect", "platform/bandwidth:error=0.1")
+    assert status == 0 and "platform_model" in [row["name"] for row in result["blocks"]]
+
+
 # ------------------------------------------------------------------------- bad input
 
 BAD = {
@@ -233,6 +263,8 @@ BAD = {
     "unknown mode": (["simulate", "--mode", "dream"], "ideal"),
     "unknown gains": (["simulate", "--gains", "soft"], "pped"),
     "unknown kind": (["list", "unicorns"], "vehicles"),
+    "blocks of no emulation": (["list", "blocks", "--mode", "ideal"], "--mode emulated"),
+    "options of another list": (["list", "vehicles", "--platform", "8"], "`list blocks`"),
     "NaN angle": (["simulate", "--goal", "nan,0,0"], "finite"),
     "word for an angle": (["plan", "--goal", "a,0,0"], "angles in degrees"),
     "joint out of range": (["simulate", "--goal", "0,0,136"], "joint 3"),

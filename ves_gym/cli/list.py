@@ -12,28 +12,39 @@ import numpy as np
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.cli.common import write_json
+from ves_gym.cli.common import add_system_arguments, system_from, write_json
 
 SCHEMA = "ves-list/1"
+BLOCKS = "blocks"  # of an emulation loop; `KINDS` has all that exists once
 UNITS = {"hz": "Hz", "s": "s"}  # endings of the keys of quantities
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
-        "what", nargs="?", metavar="WHAT", help=f"{', '.join(KINDS)}; default all of them"
+        "what",
+        nargs="?",
+        metavar="WHAT",
+        help=f"{', '.join([*KINDS, BLOCKS])} (the options below say of which emulated system);"
+        " default all of them",
     )
+    add_system_arguments(parser, angles=False)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print one table per kind."""
-    if args.what is not None and args.what not in KINDS:
+    known = [*KINDS, BLOCKS]
+    if args.what is not None and args.what not in known:
         raise ParameterError(
-            f"WHAT must be one of {', '.join(KINDS)}, got {args.what!r}"
-            f"{did_you_mean(args.what, KINDS)}"
+            f"WHAT must be one of {', '.join(known)}, got {args.what!r}"
+            f"{did_you_mean(args.what, known)}"
         )
-    names = list(KINDS) if args.what is None else [args.what]
-    tables = {name: KINDS[name]() for name in names}
+    names = known if args.what is None else [args.what]
+    if BLOCKS not in names:
+        _require_no_system(args)
+    tables = {name: KINDS[name]() for name in names if name in KINDS}
+    if BLOCKS in names:
+        tables |= _blocks(args)
     write_json(args.json, {"schema": SCHEMA, **tables})
     for name, rows in tables.items():
         _print_table(name, rows)
@@ -41,6 +52,32 @@ def run(args: argparse.Namespace) -> int:
 
 
 Rows = list[dict[str, Any]]
+
+
+def _require_no_system(args: argparse.Namespace) -> None:
+    """Refuse options that only the list of blocks goes by."""
+    parser = argparse.ArgumentParser()
+    add_system_arguments(parser, angles=False)
+    for name, default in vars(parser.parse_args([])).items():
+        if getattr(args, name) != default:
+            raise ParameterError(
+                f"--{name.replace('_', '-')} is for `list {BLOCKS}`, got `list {args.what}`"
+            )
+
+
+def _blocks(args: argparse.Namespace) -> dict[str, Rows]:
+    """Blocks of an emulation loop, and the wires between them."""
+    from ves_gym.simulation.emulation_loop import EmulationLoop
+
+    if args.mode not in (None, "emulated"):
+        raise ParameterError(f"list {BLOCKS} is about --mode emulated, got {args.mode}")
+    if args.system is None:  # a file says its own mode
+        args.mode = "emulated"
+    loop = EmulationLoop(system_from(args), 1, [np.random.default_rng(args.seed)])
+    return {
+        BLOCKS: loop.wiring.describe_blocks(loop.p),
+        "wires": loop.wiring.describe(loop.shape.nodes, loop.shape.joints),
+    }
 
 
 def _vehicles() -> Rows:
@@ -205,12 +242,15 @@ def _print_table(title: str, rows: Rows) -> None:
         table.add_column(f"{name} [{UNITS[last]}]" if last in UNITS else key.replace("_", " "))
     for row in rows:
         table.add_row(*(_text(value) for value in row.values()))
-    Console(width=None if sys.stdout.isatty() else 140, markup=False).print(table)
+    Console(width=None if sys.stdout.isatty() else 164, markup=False).print(table)
 
 
 def _text(value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in value) or "-"
     if isinstance(value, dict):
-        return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
-    return str(value)
+        parts = [f"{k} ({_text(v)})" if v else k for k, v in value.items()]
+        return ", ".join(parts) or "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return str(value) or "-"

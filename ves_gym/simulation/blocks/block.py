@@ -16,7 +16,8 @@ from ves_gym.system.deviations import LoopParameters
 
 Values = Mapping[str, Array]  # arrays by name, leading axis = simulation
 
-WRENCH, POSE, RATE = "N, N m", "m, rad", "m/s, rad/s"
+WRENCH, POSE = "N, N m", "m, rad"
+RATE, ACCELERATION = "m/s, rad/s", "m/s^2, rad/s^2"
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class Signal:
     unit: str
     frame: str  # in which its components are
     meaning: str
+    outside: str = "outside"  # who hands it in where no block does
 
     def sized(self, nodes: int, joints: int) -> tuple[int, ...]:
         """Return the shape with its letters replaced by numbers."""
@@ -36,37 +38,39 @@ class Signal:
 
 
 _PLATFORM, _FLOOR = "platform", "floor"  # axes of the platform top; of its home pose
-_PATH = ("k", 6)
+_PATH, _MOTION = ("k", 6), f"{POSE}; {RATE}"
+_ENGINE, _SERVO = "engine", "joint servo"
 SIGNALS: dict[str, Signal] = {
     signal.name: signal
     for signal in (
-        Signal("q", ("n",), "rad", "joints", "measured joint angles"),
-        Signal("kp", ("n",), "N m/rad", "joints", "gain of the joint servo on angles"),
-        Signal("kd", ("n",), "N m s/rad", "joints", "gain of the joint servo on rates"),
+        Signal("q", ("n",), "rad", "joints", "measured joint angles", _ENGINE),
+        Signal("kp", ("n",), "N m/rad", "joints", "gain on angles", _SERVO),
+        Signal("kd", ("n",), "N m s/rad", "joints", "gain on rates", _SERVO),
         Signal("inertia", ("6+n", "6+n"), "kg m^2", _PLATFORM, "inertia of arm and base link"),
         Signal("reading", (6,), WRENCH, _PLATFORM, "wrench that the force sensor reports"),
-        Signal("weight", (6,), WRENCH, _PLATFORM, "estimate of the arm's weight"),
+        Signal("weight", (6,), WRENCH, _PLATFORM, "estimate of the arm's weight", "zero"),
         Signal("payload", (6,), WRENCH, _PLATFORM, "reading that the arm's inertia causes"),
-        Signal("motion", (12,), f"{POSE}; {RATE}", _FLOOR, "motion asked of the platform"),
-        Signal("command", (12,), f"{POSE}; {RATE}", _FLOOR, "the same after the computer"),
-        Signal("command_sent", (12,), f"{POSE}; {RATE}", _FLOOR, "the same, if it is safe"),
-        Signal("frozen", (), "1", "", "1 where a safety stop holds the platform"),
-        Signal("command_received", (12,), f"{POSE}; {RATE}", _FLOOR, "what the legs follow"),
+        Signal("motion", (12,), _MOTION, _FLOOR, "motion asked of the platform", "operator"),
+        Signal("command", (12,), _MOTION, _FLOOR, "motion that leaves the computer"),
+        Signal("command_sent", (12,), _MOTION, _FLOOR, "command that safety lets pass"),
+        Signal("frozen", (), "1", "", "1 where a safety stop holds it"),
+        Signal("command_received", (12,), _MOTION, _FLOOR, "command that the legs follow"),
         Signal("y", _PATH, POSE, _FLOOR, "pose over the period"),
-        Signal("yd", _PATH, RATE, _FLOOR, "its rate"),
-        Signal("ydd", _PATH, "m/s^2, rad/s^2", _FLOOR, "its acceleration"),
-        Signal("y_measured", (6,), POSE, _FLOOR, "pose that the platform's sensors report"),
+        Signal("yd", _PATH, RATE, _FLOOR, "rate of the pose"),
+        Signal("ydd", _PATH, ACCELERATION, _FLOOR, "acceleration of the pose"),
+        Signal("y_measured", (6,), POSE, _FLOOR, "pose by the sensors of the platform"),
         Signal("y_model", _PATH, POSE, _FLOOR, "pose by the model of the platform"),
-        Signal("yd_model", _PATH, RATE, _FLOOR, "its rate"),
-        Signal("ydd_model", _PATH, "m/s^2, rad/s^2", _FLOOR, "its acceleration"),
-        Signal("y_engine", (6,), POSE, _FLOOR, "pose of the engine's platform"),
-        Signal("yd_engine", (6,), RATE, _FLOOR, "its rate"),
-        Signal("acceleration", _PATH, "m/s^2, rad/s^2", _FLOOR, "what the engine is given"),
-        Signal("wrench", _PATH, WRENCH, _PLATFORM, "true wrench of the arm over the period"),
-        Signal("draws", (18,), "1", "", "standard normal numbers of noise and drift"),
-        Signal("table", (6,), WRENCH, _PLATFORM, "weight from a table (Learning Method)"),
+        Signal("yd_model", _PATH, RATE, _FLOOR, "rate by the model of the platform"),
+        Signal("ydd_model", _PATH, ACCELERATION, _FLOOR, "acceleration by the model"),
+        Signal("y_engine", (6,), POSE, _FLOOR, "pose of the engine's platform", _ENGINE),
+        Signal("yd_engine", (6,), RATE, _FLOOR, "rate of the engine's platform", _ENGINE),
+        Signal("acceleration", _PATH, ACCELERATION, _FLOOR, "path of the engine's platform"),
+        Signal("wrench", _PATH, WRENCH, _PLATFORM, "true wrench of the arm", _ENGINE),
+        Signal("draws", (18,), "1", "", "standard normal numbers", "generators"),
+        Signal("table", (6,), WRENCH, _PLATFORM, "weight as learnt (thesis 3.3)", "table"),
     )
 }
+TO_ENGINE = ("acceleration",)  # what leaves the loop
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,11 @@ class Block(ABC):
     outputs: tuple[str, ...]
     compiles: bool = True  # False: its text cannot be traced
     sparse: ClassVar[tuple[str, ...]] = ()  # parameters whose zeros are part of the structure
+
+    @property
+    def summary(self) -> str:
+        """First sentence about the block."""
+        return " ".join((type(self).__doc__ or "").split("\n\n")[0].split())
 
     @property
     def memory(self) -> dict[str, Memory]:
@@ -167,6 +176,10 @@ class _Renamed(Block):
         self.inputs = tuple(names.get(k, k) for k in block.inputs)
         self.outputs = tuple(names.get(k, k) for k in block.outputs)
         self.compiles = block.compiles
+
+    @property
+    def summary(self) -> str:
+        return self.block.summary
 
     @property
     def memory(self) -> dict[str, Memory]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from ves_gym._util.array_functions import ArrayFunctions
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.simulation.blocks.block import SIGNALS, Block, Memory, Values
+from ves_gym.simulation.blocks.block import SIGNALS, TO_ENGINE, Block, Memory, Values
 
 _AT_REST = ("command_sent", "frozen")  # read by safety checks alone
 Parameters = Mapping[str, Values]  # block -> its parameters
@@ -17,7 +17,7 @@ class Wiring:
     """Blocks in the order of a control period, cut in two by the engine.
 
     A signal that is read before the period's order puts it out is held over from the period
-    before.
+    before; one that is put out before the engine and read after it is held meanwhile.
 
     Args:
         before: from the present readings to what the engine's platform is given.
@@ -35,6 +35,7 @@ class Wiring:
     ) -> None:
         self.before, self.after, self.given = tuple(before), tuple(after), tuple(given)
         produced: set[str] = set()
+        first = {name for block in self.before for name in block.outputs}
         held = dict.fromkeys(watched)
         for block in self.blocks:
             for name in block.inputs:
@@ -42,7 +43,8 @@ class Wiring:
                     raise ParameterError(
                         f"block {block.name} reads signal {name!r}; known: {', '.join(SIGNALS)}"
                     )
-                if name not in produced and name not in given:
+                crosses = block in self.after and name in first
+                if name not in given and (name not in produced or crosses):
                     held[name] = None
             produced.update(block.outputs)
         lacking = [name for name in held if name not in produced]
@@ -117,28 +119,49 @@ class Wiring:
         changed.update((k, v) for k, v in put_out.items() if k in self.held)
         return changed, put_out
 
-    def describe(self) -> list[dict[str, Any]]:
-        """One row per wire: from which block, to which, what it carries."""
-        source = dict.fromkeys(self.given, "outside")
+    def describe(self, nodes: int, joints: int) -> list[dict[str, Any]]:
+        """One row per wire: from which block, to which, what it carries, when it arrives.
+
+        Args:
+            nodes: of a control period.
+            joints: of the arm.
+        """
+        source = {name: SIGNALS[name].outside for name in self.given}
         source.update((name, block.name) for block in self.blocks for name in block.outputs)
-        rows = []
-        seen: set[str] = set()
-        for block in self.blocks:
-            for name in block.inputs:
+        ends = [(block.name, block.inputs, block.outputs) for block in self.blocks]
+        at_once, rows = set(self.given), []
+        for reader, inputs, outputs in [*ends, ("engine", TO_ENGINE, ())]:
+            for name in inputs:
                 signal = SIGNALS[name]
                 rows.append(
                     {
                         "from": source[name],
-                        "to": block.name,
+                        "to": reader,
                         "signal": name,
-                        "shape": "x".join(map(str, signal.shape)) or "1",
+                        "shape": list(signal.sized(nodes, joints)),
                         "unit": signal.unit,
                         "frame": signal.frame,
-                        "when": "one period later"
-                        if name in self.held and name not in seen
-                        else "at once",
+                        "when": "at once" if name in at_once else "a period later",
                         "meaning": signal.meaning,
                     }
                 )
-            seen.update(block.outputs)
+            at_once.update(outputs)
         return rows
+
+    def describe_blocks(self, p: Parameters) -> list[dict[str, Any]]:
+        """One row per block: its name, its purpose, and the shapes of its numbers.
+
+        Args:
+            p: parameters of each block, (n, ...).
+        """
+        return [
+            {
+                "name": block.name,
+                "runs": "before engine" if block in self.before else "after engine",
+                "compiles": block.compiles,
+                "summary": block.summary,
+                "parameters": {k: list(v.shape[1:]) for k, v in p[block.name].items()},
+                "memory": {k: list(v.shape) for k, v in block.memory.items()},
+            }
+            for block in self.blocks
+        ]
