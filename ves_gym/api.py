@@ -259,7 +259,8 @@ def diagnose(
         system: the machine as described; default what the logs name.
         final: how many of the last logs to hold back and open once, at the end; default those
             that say `held_back`, else the last third.
-        candidates: what is considered beside the library of effects.
+        candidates: what is considered beside the library of effects, and in place of what it
+            has of the same kinds.
         leave_out: kinds of effects that are not considered.
         most: effects to name at most.
         band: frequency up to which log and description are compared [Hz]; default 12.
@@ -295,11 +296,12 @@ def diagnose(
         raise ParameterError(f"system must be a System or a MjcfMachine, got {system!r}")
     if not as_logged:
         require_as_logged(inputs.machine, inputs.runs, inputs.mistakes)
+    own = {c.kind for c in candidates}
     return name_missing(
         inputs.machine,
         inputs.runs,
         inputs.final,
-        candidates=(*inputs.candidates, *candidates),
+        candidates=(*(c for c in inputs.candidates if c.kind not in own), *candidates),
         limits=Thresholds(most=most),
         progress=progress,
         seed=seed,

@@ -2,7 +2,7 @@
 
     python examples/thesis_weight/own_effect.py
 
-An effect of one's own is a class; a candidate says which of its numbers a fit may choose.
+An effect of one's own is a class: what a fit may choose follows from its parameters.
 """
 
 import tempfile
@@ -33,30 +33,11 @@ class ArmWeight(ArmEffect):
         return arm if self.is_null else reweighed(arm, self.mass, self.P)
 
 
-def made(x: np.ndarray) -> ArmWeight:
-    """The effect with numbers x (10,)."""
-    return ArmWeight(mass=float(x[0]), P=tuple(x[1:].tolist()))
-
-
-CANDIDATE = vg.Candidate(
-    kind=ArmWeight.kind,
-    slot="",
-    ports=("joint", "wrench"),
-    names=NAMES,
-    units=("kg", *("kg m",) * 9),
-    starts=((1.0,) + (0.1,) * 9,),
-    low=(-20.0,) * 10,
-    high=(20.0,) * 10,
-    make=made,
-    factors=tuple(range(10)),
-)
-
-
 def main() -> None:
     """Diagnose with it, and compare with the thesis."""
     with tempfile.TemporaryDirectory() as folder:
         files = write_logs(Path(folder), IDENTIFIED)
-        found = verdict(MEASURED, files, [CANDIDATE])
+        found = verdict(MEASURED, files)
     show(found)
     true = np.subtract([IDENTIFIED.mass, *IDENTIFIED.P], [MEASURED.mass, *MEASURED.P])
     pairs = zip(NAMES, true, strict=True)

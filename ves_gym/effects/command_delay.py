@@ -14,7 +14,7 @@ class CommandDelay(DelayEffect):
     """The drives get the joint commands `delay` later than they are sent.
 
     Between two physics steps commands are linear; before the first one they are that one.
-    The log shows the command sent (derived here).
+    The log shows the command sent, and the torque by what has arrived (derived here).
     """
 
     modes = ("ideal", "emulated")

@@ -612,19 +612,19 @@ class Simulator:
     def evaluate(self, command: npt.ArrayLike) -> tuple[Array, Array]:
         """Drive torque (n, joints) [N m] and base acceleration Y'' (n, 6) at this state.
 
-        The torque is what the drives are told, the acceleration what there really is.
+        The torque is what the drives are told by what has arrived there, the acceleration
+        what there really is.
         """
-        issued = self._broadcast(command, "command", (self.n, self.joints))
-        if self.joint_delays is None or not self.joint_delays.busy:
-            torque, acceleration = self.backend.evaluate(issued)
-            return torque, acceleration[:, :6]
-        arrived = self.joint_delays.arrived(issued)
-        if self.joint_delays.measurements_late:
-            state = self.state
-            correction, _ = self.joint_delays.correction(state.q, state.v, self._kp, self._kd)
-            issued, arrived = issued + correction, arrived + correction
-        torque, _ = self.backend.evaluate(issued)
-        return torque, self.backend.evaluate(arrived)[1][:, :6]
+        at_drives = self._broadcast(command, "command", (self.n, self.joints))
+        if self.joint_delays is not None and self.joint_delays.busy:
+            at_drives = self.joint_delays.arrived(at_drives)
+            if self.joint_delays.measurements_late:
+                q, v = self.state.q, self.state.v
+                at_drives = (
+                    at_drives + self.joint_delays.correction(q, v, self._kp, self._kd)[0]
+                )
+        torque, acceleration = self.backend.evaluate(at_drives)
+        return torque, acceleration[:, :6]
 
     # ----------------------------------------------------------------- helpers
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 PLACES = ("joint", "axis", "row", "whole")
 _XYZ = AXES[:3]
+_NAMED = (3, 6)  # counts of coordinates that have names; others have numbers
 _USUAL = 0.05  # of the way to the nearer bound: where fits begin if an effect does not say
 _GRID = {1: 12, 2: 5}  # starts of each number that gives a shape, by how many there are
 _FEW = 3
@@ -229,7 +230,7 @@ def _places(shapes: Sequence[tuple[int | None, ...]]) -> str:
 def _axes(cls: type[Effect], size: int) -> tuple[str, ...]:
     """Names of coordinates: of the sensor's signals, of a pose, or by number."""
     six = WRENCH if cls.port in ("wrench", "gravity") else AXES
-    named = {3: _XYZ, 6: six}
+    named = dict(zip(_NAMED, (_XYZ, six), strict=True))
     return named.get(size, tuple(str(k + 1) for k in range(size)))
 
 
@@ -301,7 +302,8 @@ def _as_a_whole(cls: type[Effect], free: Shapes, scope: Scope) -> Iterator[Candi
     for name, shape in free.items():
         count = int(np.prod([k or 0 for k in shape], dtype=int))
         axes = _axes(cls, count) if shape else ("",)
-        beside = f"{name} " if len(free) > 1 else ""
+        join = "_" if count in _NAMED else ""
+        beside = f"{name}{join}" if len(free) > 1 else ""
         numbers += [number_of(cls, name, f"{beside}{axis}" if axis else "") for axis in axes]
         sizes.append(count)
     null = {name: _metadata(cls)[name]["null"] or 0.0 for name in free}

@@ -170,7 +170,7 @@ def test_shapes_say_the_places(registered):
     assert row.names == WRENCH and row.sparse
     assert np.array(row.effect(np.full(6, 0.1)).mixed)[3] == pytest.approx(0.1)
     both = found["own/factor"]
-    assert both.names == ("gain - 1", "tilt x", "tilt y", "tilt z") and not both.sparse
+    assert both.names == ("gain - 1", "tilt_x", "tilt_y", "tilt_z") and not both.sparse
     assert (both.low[0], both.high[0]) == (-0.5, 1.0)
     assert both.effect(np.array([0.2, 0, 0.05, 0])) == factor(gain=1.2, tilt=(0, 0.05, 0))
     assert both.effect(np.zeros(4)).is_null

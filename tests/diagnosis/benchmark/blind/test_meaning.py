@@ -34,7 +34,6 @@ LOOSE = {
 # what `library_record` reads from the simulator's state, where the effect is not seen
 UNSEEN = {
     "joint/measurement_delay": ("q", "v"),
-    "command/delay": ("tau",),
     "joint/backlash": ("v", "tau", "w", "wg"),  # they ring with the contact, ours is softer
 }
 GEARS = ("joint/elasticity", "joint/backlash")  # joint 1: no weight winds it up at the start
