@@ -1,0 +1,326 @@
+"""Every registered effect, injected at ten times the noise: seen at its port, and named.
+
+The noise is that of the blind benchmark. A gap is the root mean square by which an effect
+changes a channel, over that channel's noise, of the channel that it changes most.
+"""
+
+import dataclasses
+import re
+import types
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ves_gym as vg
+from ves_gym.diagnosis import diagnose as d
+from ves_gym.diagnosis.benchmark.blind.machine import nominal
+from ves_gym.diagnosis.benchmark.blind.noise import COLOUR, STD, coloured
+from ves_gym.diagnosis.data.measured_run import run_of
+from ves_gym.diagnosis.excitation import excitation_motions
+from ves_gym.diagnosis.inference.candidates import library
+from ves_gym.diagnosis.inference.fit import fit
+from ves_gym.diagnosis.inference.model_selection import Thresholds, _required_gain
+from ves_gym.diagnosis.inference.signatures import Signatures
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.effects import (
+    EFFECTS,
+    ArmEffect,
+    BaseEffect,
+    LaboratoryEffect,
+    SensorDrift,
+    TorqueEffect,
+)
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.simulation.playback import play_motions
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::ves_gym.simulation.loop_linearisation.EmulationWarning"
+)
+ROOT = Path(__file__).parents[2]
+SYSTEM = nominal()
+NOISE = {**STD, "wg": STD["w"], "y_cmd": STD["y"]}
+MOTIONS = excitation_motions(1, duration=6.0, seed=1)
+SIZES: dict[str, tuple] = {  # kind -> place, numbers of its candidate
+    "base/amplitude_damping": ("z", 2.2e4),
+    "base/damping": ("", 0.65),
+    "base/extra_mode": ("z", 22.0, 3.0),
+    "base/stiffness": ("", 0.044),
+    "base/virtual_mass": ("", 0.056),
+    "command/delay": ("", 0.003),
+    "gravity/delay": ("", 0.113),
+    "gravity/mass": ("", 0.183),
+    "gravity/moment": ("", 0.31, *[0.0] * 8),
+    "gravity/scale": ("", 0.002),
+    "gravity/tilt": ("", 0.0, 6.6e-4, 0.0),
+    "joint/asymmetry": ("joint 2", 3.9, 1.95),
+    "joint/backlash": ("joint 3", 0.0026),
+    "joint/coulomb": ("joint 2", 4.3),
+    "joint/drive_gain": ("joint 2", 0.0665),
+    "joint/elasticity": ("joint 2", 1.25e-4, 30.0),
+    "joint/load_friction": ("joint 2", 0.082),
+    "joint/measurement_delay": ("", 0.0055),
+    "joint/ripple": ("joint 2", 3.0, 3.0, 22.0),
+    "joint/rotor_inertia": ("joint 2", 1.85),
+    "joint/stribeck": ("joint 1", 2.9, 1.0, 0.1),
+    "joint/torque_limit": ("joint 2", 0.545),
+    "joint/torque_offset": ("joint 2", 3.9),
+    "joint/velocity_lag": ("joint 2", 0.019),
+    "joint/viscous": ("joint 2", 12.7),
+    "payload/com": ("", 0.03, 0.0, 0.0),
+    "payload/mass": ("", 0.21),
+    "platform/bandwidth": ("", -0.23),
+    "platform/damping": ("", 2.6),
+    "platform/delay": ("", 0.0181),
+    "platform/stroke": ("", 0.9741),
+    "sensor/bias": ("F_y", 0.44),
+    "sensor/calibration": ("F_y", 0.0, 0.0, 0.0, 0.0, 0.0073, 0.0),
+    "sensor/drift": ("M_z", 2.0),
+    "sensor/lag": ("", -0.67),
+    "sensor/rotation": ("", 5e-4, 0.0, 0.0),
+}
+UNFED = SYSTEM.replace(  # what a platform does wrong shows where it is told no rates
+    emulator=dataclasses.replace(
+        SYSTEM.emulator,
+        platform=PoseServo(bandwidth=20.0, damping_ratio=0.7, rate_feedforward=False),
+    )
+)
+MACHINES = dict.fromkeys(("platform/bandwidth", "platform/damping", "platform/delay"), UNFED)
+ROUGH = {  # relative error, where it is more than 0.15
+    "joint/backlash": 0.3,
+    "joint/elasticity": 0.3,
+    "joint/stribeck": 0.5,
+    "sensor/calibration": 0.3,
+}
+
+
+def registered():
+    """Effects of the library; those of this file left out."""
+    return {k: cls for k, cls in EFFECTS.items() if cls.__module__.startswith("ves_gym.")}
+
+
+def played(system, *effects):
+    """Log without noise of a lively motion; it names the system without the effects."""
+    log = play_motions(system.replace(effects=effects), MOTIONS, settle=1.0).log(0)
+    return dataclasses.replace(log, meta={**log.meta, "system": system.to_dict()})
+
+
+def noisy(log, seed=5):
+    """The log as a diagnosis gets it."""
+    rng = np.random.default_rng(seed)
+    parts = {k: getattr(log, k) + coloured(s, COLOUR[k], len(log), rng) for k, s in STD.items()}
+    parts["wg"] = log.wg + parts["w"] - log.w
+    meta = {**log.meta, "noise_std": {k: s.tolist() for k, s in STD.items()}}
+    return dataclasses.replace(log, meta=meta, **parts)
+
+
+def gap(log, healthy):
+    """Root mean square change over noise of the channel that changes most."""
+    change = {k: getattr(log, k) - getattr(healthy, k) for k in NOISE}
+    return max(
+        float((np.sqrt((x**2).mean(axis=0)) / NOISE[k]).max()) for k, x in change.items()
+    )
+
+
+def library_of(machine, runs):
+    """All candidates of a machine."""
+    system = machine.system
+    ports = [p.name for p in machine.ports]
+    names = [run.name for run in runs]
+    stretch = machine.stretch(runs)
+    return library(system.arm.n, ports, system.mode, names, stretch, system)
+
+
+def seen(system, log, candidate, count):
+    """Gain of a candidate at its ports, what it needs to be named, and its numbers.
+
+    Args:
+        system: as described.
+        log: with noise.
+        candidate: to fit.
+        count: candidates in the library.
+    """
+    machine = SystemMachine(system)
+    machine.ports = tuple(p for p in machine.ports if p.name in candidate.ports)
+    residuals = WhitenedResiduals(machine, [run_of(log, "run")])
+    null = fit(residuals, (), ())
+    signatures = Signatures(residuals, [candidate])
+    score = signatures.scores(null.residual, null.tangents, null.size)[0]
+    found = fit(residuals, [candidate], [score.values])
+    crowd = types.SimpleNamespace(candidates=(candidate,) * count)
+    needed = _required_gain(residuals, crowd, Thresholds(), found, 0)
+    return null.deviance - found.deviance, needed, found.values[0]
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    """System -> its log with nothing hidden, and its library."""
+    memory = {}
+
+    def of(system):
+        if system not in memory:
+            log, machine = played(system), SystemMachine(system)
+            memory[system] = log, library_of(machine, [run_of(log, "run")])
+        return memory[system]
+
+    return of
+
+
+def injected(every, kind):
+    """(candidate, its numbers, the effect) of a kind."""
+    slot, *numbers = SIZES[kind]
+    candidate = next(c for c in every if (c.kind, c.slot) == (kind, slot))
+    if kind == "sensor/drift":  # its numbers are the course that it happens to take
+        return candidate, None, SensorDrift(moment=(0.0, 0.0, numbers[0]), time=3.0)
+    return candidate, np.array(numbers), candidate.effect(np.array(numbers))
+
+
+def test_every_effect_that_can_be_named_is_tried_here():
+    nameable = {kind for kind, cls in registered().items() if not cls.hidden}
+    assert set(SIZES) == nameable - {"payload/inertia"}
+
+
+@pytest.mark.parametrize("kind", SIZES)
+def test_an_effect_of_ten_times_the_noise_is_seen_at_its_port(kind, healthy):
+    """Its candidate gains what a name needs, finds the numbers, and is quiet without it."""
+    system = MACHINES.get(kind, SYSTEM)
+    null, every = healthy(system)
+    candidate, numbers, effect = injected(every, kind)
+    log = played(system, effect)
+    assert 8.0 < gap(log, null) < 14.0
+    gained, needed, found = seen(system, noisy(log), candidate, len(every))
+    assert gained > needed
+    if numbers is not None:
+        clear = numbers != 0
+        np.testing.assert_allclose(found[clear], numbers[clear], rtol=ROUGH.get(kind, 0.15))
+    gained, needed, _ = seen(system, noisy(null), candidate, len(every))
+    assert gained < needed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", SIZES)
+def test_an_effect_of_ten_times_the_noise_is_named(kind, healthy):
+    """Against the whole library, from one run."""
+    system = MACHINES.get(kind, SYSTEM)
+    candidate, _, effect = injected(healthy(system)[1], kind)
+    log = noisy(played(system, effect))
+    machine, runs = SystemMachine(system), [run_of(log, "run")]
+    found = d.diagnose(machine, runs, candidates=library_of(machine, runs))
+    (explanation,) = found.explanations
+    assert (candidate.kind, candidate.slot) in {
+        (r.candidate.kind, r.candidate.slot) for r in explanation.rivals
+    }, found.sentence
+    assert found.verdict in d.NAMING_VERDICTS
+
+
+# ------------------------------------------------------------- effects of one's own
+
+
+@pytest.fixture(scope="module")
+def own():
+    """Effects as a user writes them: nothing but what they do."""
+
+    @vg.register_effect("own/fluid")
+    @dataclass(frozen=True, kw_only=True)
+    class Fluid(TorqueEffect):
+        """Drag in proportion to the square of the rate."""
+
+        modes = ("ideal", "emulated")
+        port = "joint"
+        drag: tuple[float, ...] = vg.parameter(
+            "N m s^2/rad^2", bounds=(0.0, 200.0), shape=(None,)
+        )
+
+        def law(self, xp, q, v, tau):
+            return -self.drag * xp.fabs(v) * v
+
+    @vg.register_effect("own/forgotten_tool")
+    @dataclass(frozen=True, kw_only=True)
+    class ForgottenTool(LaboratoryEffect):
+        """The weight estimate lacks a tool, and its moment with an arm of 0.4 m."""
+
+        port = "gravity"
+        mass: float = vg.parameter("kg", bounds=(0.0, 10.0))
+
+        def edit(self, p):
+            p.gravity_mass = p.gravity_mass - self.mass
+            p.gravity_P = p.gravity_P - 0.4 * self.mass
+
+    @vg.register_effect("own/guy_wire")
+    @dataclass(frozen=True, kw_only=True)
+    class GuyWire(BaseEffect):
+        """A wire that holds the vehicle along z."""
+
+        modes = ("ideal", "emulated")
+        port = "admittance"
+        stiffness: float = vg.parameter("N/m", bounds=(0.0, 1e6))
+
+        def base(self, base):
+            wire = np.zeros((6, 6))
+            wire[2, 2] = self.stiffness
+            return dataclasses.replace(base, K=base.K + wire) if self.stiffness else base
+
+    @vg.register_effect("own/heavy_link")
+    @dataclass(frozen=True, kw_only=True)
+    class HeavyLink(ArmEffect):
+        """The second link has more mass than described."""
+
+        modes = ("ideal", "emulated")
+        port = "joint"
+        added: float = vg.parameter("kg", bounds=(0.0, 10.0))
+
+        def arm(self, arm):
+            if self.is_null:
+                return arm
+            link = arm.links[1]
+            inertial = dataclasses.replace(link.inertial, mass=link.inertial.mass + self.added)
+            heavier = dataclasses.replace(link, inertial=inertial)
+            return dataclasses.replace(arm, links=(arm.links[0], heavier, *arm.links[2:]))
+
+    kinds = (Fluid, ForgottenTool, GuyWire, HeavyLink)
+    yield {cls.kind: cls for cls in kinds}
+    for cls in kinds:
+        del EFFECTS[cls.kind]
+
+
+OWN = {  # kind -> name of its number, value at ten times the noise, place
+    "own/fluid": ("drag", 19.0, "joint 2"),
+    "own/forgotten_tool": ("mass", 0.23, ""),
+    "own/guy_wire": ("stiffness", 1900.0, ""),
+    "own/heavy_link": ("added", 0.185, ""),
+}
+
+
+@pytest.mark.parametrize("kind", OWN)
+def test_an_effect_of_one_s_own_is_named_with_no_other_edit(own, kind, healthy):
+    name, value, place = OWN[kind]
+    effect = own[kind](**{name: (0.0, value, 0.0) if place else value})
+    log = played(SYSTEM, effect)
+    assert 8.0 < gap(log, healthy(SYSTEM)[0]) < 14.0
+    found = vg.diagnose(noisy(log), as_logged=True)
+    assert [(f.candidate.kind, f.candidate.slot) for f in found.explanations] == [(kind, place)]
+    assert found.explanations[0].values == pytest.approx([value], rel=0.1)
+    assert vg.System.from_dict(found.system.to_dict()) == found.system  # written, read again
+    assert found.system.effects[-1].kind == kind
+
+
+def test_effects_of_one_s_own_are_quiet_where_nothing_is_missing(own, healthy):
+    found = vg.diagnose(noisy(healthy(SYSTEM)[0]), as_logged=True)
+    assert found.verdict == d.NOTHING
+    assert set(own) <= {c.kind for c in found.signatures.candidates}
+
+
+# ------------------------------------------------------------------------ what is said
+
+
+def test_the_readme_counts_what_can_be_named():
+    readme = (ROOT / "README.md").read_text("utf-8")
+    named, of = map(int, re.search(r"(\d+) of (\d+) effects can be named", readme).groups())
+    hidden = {kind: cls.hidden for kind, cls in registered().items() if cls.hidden}
+    assert of == len(registered())
+    assert named == of - len(hidden)
+    page = (ROOT / "docs" / "diagnosis.md").read_text("utf-8")
+    for kind, reason in hidden.items():
+        assert f"| `{kind}` | {reason} |" in page
