@@ -196,9 +196,9 @@ def test_constants_are_exact():
         np.testing.assert_array_equal(apply(lambda x, k=value: x * 0 + k, np.ones(2)), value)
 
 
-@pytest.mark.parametrize("kind", ["asin", "log", "atan2", "logic_or", "floor"])
+@pytest.mark.parametrize("kind", ["asin", "atan2", "sinh", "log1p"])
 def test_an_operation_without_code_is_refused(kind):
-    two = kind in ("atan2", "logic_or")
+    two = kind == "atan2"
     graph = getattr(ca, kind)
     with pytest.raises(ParameterError, match=r"cannot compile operation .*it knows .*tanh"):
         apply(graph, *[np.zeros(2)] * (1 + two))

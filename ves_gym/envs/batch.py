@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
+import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,15 +14,16 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError, content_hash
 from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
+from ves_gym.envs.compiled import plain_command
 from ves_gym.envs.corners import warn_of_unstable_corners
 from ves_gym.envs.dump import Recorder
+from ves_gym.envs.episode import Episodes, bounded, count, endings, judge, outcome, shown
+from ves_gym.envs.period import Period, period_of
 from ves_gym.envs.randomize import Draws
 from ves_gym.envs.tail import tail_energy
 from ves_gym.envs.task import Scene, Task
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.simulation.simulator import Simulator
-
-_FAILURE = -2.0  # added to the reward when an episode fails; a straight motion returns about -1
 
 
 class ActionError(ValueError):
@@ -40,25 +42,10 @@ def checked(action: Any, shape: tuple[int, ...]) -> Array:
     if numbers.shape != shape:
         raise ActionError(f"{expected} {numbers.shape}")
     out = numbers.astype(np.float64)
-    if not np.isfinite(out).all():
+    if not math.isfinite(np.vdot(out, out)) and not np.isfinite(out).all():
         where = np.argwhere(~np.isfinite(out))[0].tolist()
         raise ActionError(f"{expected} {out[tuple(where)]} at {where}")
     return out
-
-
-@dataclass
-class Episodes:
-    """Counters and running sums of n episodes. Leading axis n."""
-
-    root: npt.NDArray[np.uint64]  # seed of the sequence of episodes
-    index: npt.NDArray[np.int64]  # which of that seed's simulations
-    number: npt.NDArray[np.int64]  # which episode, from 0
-    steps: npt.NDArray[np.int64]  # control periods so far
-    clipped: npt.NDArray[np.int64]  # actions that were out of bounds
-    once: Mask  # success at any time
-    total: Array  # return so far
-    sums: Array  # (n, 2) integrals of E and of the strain energy [J s]
-    peaks: Array  # (n, 2) their peaks [J]
 
 
 class Batch:
@@ -69,6 +56,8 @@ class Batch:
         n: how many.
         backend, threads: of the `Simulator`.
         dump: folder for run logs of the episodes that diverge; None: nothing is recorded.
+        compiled: step in compiled code where task, control and engine allow it; False: in
+            NumPy, the readable reference, which gives the same numbers to rounding.
     """
 
     def __init__(
@@ -79,8 +68,10 @@ class Batch:
         backend: str = "auto",
         threads: int = 0,
         dump: str | os.PathLike[str] | None = None,
+        compiled: bool = True,
     ) -> None:
         self.task, self.n = task, n
+        self._period: Period | None = None
         self._draws = Draws(task.system, task.randomize)
         self.system = self._draws.system
         control, arm = task.control, self.system.arm
@@ -105,18 +96,19 @@ class Batch:
         self._feedforward = motor and control.servo.feedforward
         self.dt = self.system.control_dt
         self.width = control.width(arm)
-        parts = task.parts()
-        self._scale = np.concatenate([f.scale for f in parts])
-        self.observations = len(self._scale)
+        self.scale = np.concatenate([f.scale for f in task.fields()])
+        self.observations = sum(f.size for f in task.parts())
+        self._seen: npt.NDArray[np.float32] | None = None  # as of the last compiled step
         joints = arm.n
         z, zj = np.zeros((n, 6)), np.zeros((n, joints))
         goals = task.start(np.zeros((1, task.draws))).goal.shape[1]
+        found = task.lookup(np.zeros((1, goals)), np.zeros(1, np.intp)).shape[1]
         hold = control.servo if motor and control.level != "torque" else HIGH_GAINS
         self.scene = Scene(
             time=np.zeros(n), q=zj, v=zj, y=z, yd=z, y_seen=z, yd_seen=z,
             tool=np.zeros((n, 3)), tool_seen=np.zeros((n, 3)), energies=np.zeros((n, 2)),
             ref=np.zeros((n, 3, joints)), goal=np.zeros((n, goals)),
-            memory=np.zeros((n, task.memory)),
+            memory=np.zeros((n, task.memory)), found=np.zeros((n, found)),
             tau=zj.copy(), tail=np.zeros(n),
             kp=np.tile(np.asarray(hold.kp[:joints], float), (n, 1)),
             kd=np.tile(np.asarray(hold.kd[:joints], float), (n, 1)),
@@ -128,7 +120,41 @@ class Batch:
         )  # fmt: skip
         self.drawn: dict[str, Array] = {r.label: np.zeros((n, r.size)) for r in task.randomize}
 
+        if compiled:
+            self._period = period_of(self, self._scenes, self._torques)
         self.recorder = None if dump is None else Recorder(self, dump)
+
+    @property
+    def compiled(self) -> bool:
+        """Steps run in compiled code."""
+        return self._period is not None
+
+    @property
+    def scene(self) -> Scene:
+        """Every simulation at this instant."""
+        if self._period is not None and self._period.ahead:
+            self._period.store()
+        return self._scene
+
+    @scene.setter
+    def scene(self, scene: Scene) -> None:
+        self._scene = scene
+
+    @property
+    def episodes(self) -> Episodes:
+        """Counters and sums of the episodes."""
+        if self._period is not None and self._period.ahead:
+            self._period.store()
+        return self._episodes
+
+    @episodes.setter
+    def episodes(self, episodes: Episodes) -> None:
+        self._episodes = episodes
+
+    @property
+    def goals(self) -> Array:
+        """(n, g) goals of the episodes, which no step changes."""
+        return self._scene.goal
 
     # ------------------------------------------------------------------ reset
 
@@ -163,6 +189,10 @@ class Batch:
         self._update_scene()
         s.tau[ids] = self._command()[ids]
         e.peaks[ids] = s.energies[ids]
+        if self._period is not None:
+            self._period.load(ids)
+        if self._seen is not None:
+            self._seen[ids] = shown(task, s, self.scale)[ids].astype(np.float32)
         if self.recorder is not None:
             self.recorder.begin(ids)
 
@@ -198,121 +228,132 @@ class Batch:
         Returns:
             reward (n,), terminated (n,), truncated (n,), and what is known of the step.
         """
+        if self._period is not None:
+            return self._period.step(actions, over)
         e, s, task = self.episodes, self.scene, self.task
-        size = np.abs(actions)
-        if size.max() > 1.0:
-            e.clipped += (size > 1.0).any(axis=1)
-            actions = np.clip(actions, -1.0, 1.0)
-        self._drive(actions)
+        actions = bounded(e, actions)
         before = s.energies
+        remaining = np.subtract(task.duration, e.steps * self.dt, dtype=np.float64)
+        task.control.drive(self.sim, s, actions, remaining, self._command)
         self._update_scene()
-        e.steps += 1
-        task.remember(s, self.dt)
-        e.sums += (before + s.energies) * (self.dt / 2)
-        np.maximum(e.peaks, s.energies, out=e.peaks)
+        count(task, s, e, before, self.dt)
         diverged = self.sim.diverged
-        astray = diverged.any()
-        last = e.steps >= task.steps
-        failed = diverged | task.failed(s)
+        waiting = np.zeros(self.n, bool) if over is None else over
+        lost, stopped = diverged, None
         if self._emulated:  # after a safety stop the platform stands still for good
-            assert self.sim.emulation_loop is not None
-            stopped = self.sim.emulation_loop.frozen
-            failed |= stopped
-        if over is not None:
-            last, failed = last & ~over, failed & ~over
+            stopped = self.measured()[2]
+            lost = lost | stopped
+        last, failed = endings(task, s, e, lost, waiting)
         ended = last | failed
         info: dict[str, Any] = {}
         if ended.any():
-            s.tail[:] = 0.0
-            tail_strain = np.zeros(self.n)
+            s.tail = np.zeros(self.n)
+            strain = np.zeros(self.n)
             if task.tail:
-                good = np.flatnonzero(ended & ~diverged)
-                s.tail[good], tail_strain[good] = self._tail(good)
-            energies = {
-                "E_mean": (e.sums[:, 0] + s.tail) / (e.steps * self.dt + task.tail),
-                "E_res": s.energy.copy(),
-                "E_peak": e.peaks[:, 0].copy(),
-                "E_strain_peak": e.peaks[:, 1].copy(),
-                "E_int": e.sums[:, 1] + tail_strain,
-            }
-            for name, energy in energies.items():
-                info[f"energy/{name}"], info[f"_energy/{name}"] = energy, ended
-        terms = task.reward(s, self.dt, last & ~failed)
-        terms["failure"] = np.where(failed, _FAILURE, 0.0)
-        if astray or over is not None:
-            for name, term in terms.items():
-                mute = diverged & ~np.isfinite(term)
-                terms[name] = np.where(mute if over is None else mute | over, 0.0, term)
-        first, *others = terms.values()
-        reward = sum(others, start=first)  # in the order of the terms
-        solved = task.success(s) & ~failed
-        if over is not None:
-            solved &= ~over
-        e.once |= solved
-        e.total += reward
+                ids = np.flatnonzero(ended & ~diverged)
+                ref = s.ref[ids, 0]
+                s.tail[ids], strain[ids] = self.tail(ids, ref, s.kp[ids], s.kd[ids])
+            info.update(self.energies_at_end(strain, ended))
+        terms, reward, solved = judge(task, s, e, self.dt, last, failed, waiting, diverged)
         info.update((f"reward/{name}", term) for name, term in terms.items())
-        info["success"] = solved
-        info["success_once"] = e.once.copy()
+        info["success"], info["success_once"] = solved, e.once.copy()
         info["clipped"] = e.clipped.copy()
-        info["diverged"] = diverged.copy()
-        if self._emulated:
+        info.update(self.account(stopped, over))
+        return reward, *outcome(task, last, failed), info
+
+    def account(self, stopped: Mask | None, over: Mask | None) -> dict[str, Any]:
+        """Entries of an info that tell of the simulations rather than of the task.
+
+        Args:
+            stopped: (n,) in the laboratory.
+            over: as in `step`.
+        """
+        diverged = self.sim.diverged.copy()
+        info: dict[str, Any] = {"diverged": diverged}
+        if stopped is not None:
             info["stopped"] = stopped
         info.update(self.randomized())
         if self.recorder is not None:
             info.update(self.recorder.step(diverged if over is None else diverged & ~over))
-        truncated = last & ~failed if task.ends == "truncated" else np.zeros(self.n, bool)
-        terminated = failed | last if task.ends == "terminated" else failed
-        return reward, terminated, truncated, info
+        return info
 
-    def _drive(self, action: Array) -> None:
-        remaining = np.subtract(
-            self.task.duration, self.episodes.steps * self.dt, dtype=np.float64
-        )
-        self.task.control.drive(self.sim, self.scene, action, remaining, self._command)
+    def energies_at_end(self, strain: Array, ended: Mask) -> dict[str, Any]:
+        """Energies of episodes that have ended, with their mask, as entries of an info.
+
+        Args:
+            strain: (n,) integral of the strain energy over the tail [J s].
+            ended: (n,).
+        """
+        e, s = self.episodes, self.scene
+        energies = {
+            "E_mean": (e.sums[:, 0] + s.tail) / (e.steps * self.dt + self.task.tail),
+            "E_res": s.energy.copy(),
+            "E_peak": e.peaks[:, 0].copy(),
+            "E_strain_peak": e.peaks[:, 1].copy(),
+            "E_int": e.sums[:, 1] + strain,
+        }
+        info: dict[str, Any] = {}
+        for name, energy in energies.items():
+            info[f"energy/{name}"], info[f"_energy/{name}"] = energy, ended
+        return info
 
     def _command(self) -> Array:
         """Drive command that follows the reference as it is now."""
-        s = self.scene
-        if self.system.drive == "prescribed":
-            return s.ref[:, 2].copy()
-        if self.task.control.level == "torque":
-            return np.zeros_like(s.q)
-        out = s.kp * s.ref[:, 0] + s.kd * s.ref[:, 1]
-        if self._feedforward:
-            out = out + self._torques(s.ref)
-        return np.asarray(out, dtype=np.float64)
+        out = plain_command(self.task, self.scene)
+        if self._feedforward and self.task.control.level != "torque":
+            out = out + self._torques(self.scene.ref)
+        return out
+
+    def measured(self) -> tuple[Array, Array, Mask]:
+        """Mode emulated: base pose (n, 6) and rate as measured, platforms stopped (n,)."""
+        loop = self.sim.emulation_loop
+        assert loop is not None
+        return self.sim.readings.y, loop.vehicle_state[:, 6:].copy(), loop.frozen.copy()
 
     def _update_scene(self) -> None:
         """Read the state into the scene."""
-        s, sim = self.scene, self.sim
-        s.time, s.y, s.yd, s.q, s.v = sim.last_state
+        s = self.scene
+        s.time, s.y, s.yd, s.q, s.v = self.sim.last_state
         s.y_seen, s.yd_seen = s.y, s.yd
         if self._emulated:
-            assert sim.emulation_loop is not None
-            s.y_seen, s.yd_seen = sim.readings.y, sim.emulation_loop.vehicle_state[:, 6:].copy()
+            s.y_seen, s.yd_seen, _ = self.measured()
         s.energies, s.tool, s.tool_seen = self._scenes(s.q, s.v, s.y, s.yd, s.y_seen)
+        s.found = self.task.lookup(s.goal, np.rint(s.time / self.dt).astype(np.intp))
 
-    def _tail(self, ids: Index) -> tuple[Array, Array]:
-        s = self.scene
-        if self.task.control.level == "torque":
-            away = np.zeros((len(ids), s.q.shape[1]))
-        else:
-            away = s.q[ids] - s.ref[ids, 0]
-        x = np.concatenate([s.y[ids], away, s.yd[ids], s.v[ids]], axis=1)
-        parts = (s.q[ids], x, s.kp[ids], s.kd[ids])
-        return tail_energy(self._space, *parts, seconds=self.task.tail)
+    def tail(self, ids: Index, ref: Array, kp: Array, kd: Array) -> tuple[Array, Array]:
+        """What the base keeps after the end [J s]: of E and of the strain energy.
+
+        Args:
+            ids: (k,) simulations.
+            ref: (k, joints) where their joints are held [rad].
+            kp, kd: (k, joints) by these gains.
+        """
+        _, y, yd, q, v = (part[ids] for part in self.sim.last_state)
+        away = np.zeros_like(q) if self.task.control.level == "torque" else q - ref
+        x = np.concatenate([y, away, yd, v], axis=1)
+        return tail_energy(self._space, q, x, kp, kd, seconds=self.task.tail)
 
     def observe(self) -> npt.NDArray[np.float32]:
         """(n, observations) in the fields' scales, clipped; what is not a number becomes 0."""
-        parts = self.task.observe(self.scene)
-        if self.task.context:
-            pairs = zip(self.task.randomize, self.drawn.values(), strict=True)
-            parts = (*parts, *(r.context(values) for r, values in pairs))
-        values = np.concatenate(parts, axis=1) / self._scale
-        if self.sim.diverged.any():
-            values = np.nan_to_num(values, nan=0.0)
-        clip = self.task.CLIP
-        return np.minimum(np.maximum(values, -clip), clip).astype(np.float32)
+        if self._seen is not None:
+            seen = self._seen.copy()
+        else:
+            seen = shown(self.task, self.scene, self.scale).astype(np.float32)
+        if not self.task.context:
+            return seen
+        clip, pairs = self.task.CLIP, zip(self.task.randomize, self.drawn.values(), strict=True)
+        context = [np.clip(r.context(values), -clip, clip) for r, values in pairs]
+        return np.concatenate([seen, *(k.astype(np.float32) for k in context)], axis=1)
+
+    def keep_observation(self, rows: Array) -> None:
+        """Take observations (observations, n) from a compiled step."""
+        self._seen = rows.T.astype(np.float32, order="C")
+
+    def probe(self) -> Scene:
+        """Two simulations with any numbers, to ask formulas for theirs."""
+        rng, s = np.random.default_rng(0), self._scene
+        rows = {f.name: getattr(s, f.name) for f in dataclasses.fields(s)}
+        return Scene(**{k: rng.uniform(0.1, 0.5, (2, *v.shape[1:])) for k, v in rows.items()})
 
     # ---------------------------------------------------------------- snapshot
 
@@ -336,6 +377,11 @@ class Batch:
                 f" {self.task.kind} {content_hash(self.task)[:12]}"
             )
         self.sim.restore(snapshot)  # refuses what does not fit, before anything changes
+        self._seen = None
+        if self._period is not None:
+            self._period.ahead = False
         self.scene, self.episodes, self.drawn = copy.deepcopy(episodes_state)
+        if self._period is not None:
+            self._period.load(np.arange(self.n))
         if self.recorder is not None:
             self.recorder.set_state(recorded)

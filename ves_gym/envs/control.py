@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from ves_gym.simulation.simulator import Simulator
 
 CONTROLS: dict[str, type[Control]] = {}
-_LONGEST = 120.0  # s before the deadline that guidance is tabulated for
 
 
 class Moving(Protocol):
@@ -59,6 +57,10 @@ class Control:
     kind: ClassVar[str]
     level: ClassVar[str]
     drives: ClassVar[tuple[str, ...]] = ("motor",)
+    held: ClassVar[bool] = False  # commands are held over a period, and do not run linearly
+    # Set in a class whose `command` is a formula of its arguments alone, a simulation per row:
+    # the kernel then compiles it (`Task.compiled`).
+    compiled: ClassVar[bool] = False
 
     @property
     def servo(self) -> JointServo:
@@ -88,15 +90,42 @@ class Control:
         remaining: Array,
         follow: Callable[[], Array],
     ) -> None:
-        """Run one control period: here, from the last command to that of the moved reference.
+        """Run one control period: the command held, or linear from the last one.
 
         Args:
-            action: (n, width) in [-1, 1]. left: (n,) s until the deadline, before the period.
+            sim: the simulations.
+            s: as in `command`, and so is the rest.
+        """
+        start = s.tau
+        self.command(s, action, sim.system.arm, sim.system.control_dt, remaining, follow)
+        if self.level == "gains":
+            sim.set_gains(s.kp, s.kd)
+        if self.held:
+            sim.step(s.tau)
+        else:
+            sim.step(start, until=s.tau)
+
+    def command(
+        self,
+        s: Driven,
+        action: Array,
+        arm: Arm,
+        dt: float,
+        remaining: Array,
+        follow: Callable[[], Array],
+    ) -> None:
+        """Set the command at the end of a period, `s.tau`: that of the moved reference.
+
+        Args:
+            s: measured and reference state, written.
+            action: (n, width) in [-1, 1].
+            arm: whose joints.
+            dt: control period [s].
+            remaining: (n,) s until the deadline, before the period.
             follow: drive command (n, joints) that follows the reference as it is then.
         """
-        self.advance(s, action, sim.system.arm, sim.system.control_dt, remaining)
-        start, s.tau = s.tau, follow()
-        sim.step(start, until=s.tau)
+        self.advance(s, action, arm, dt, remaining)
+        s.tau = follow()
 
     def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
         """Move the reference on by one period."""
@@ -129,51 +158,46 @@ class Guided(Control):
     kind: ClassVar[str] = "guided"
     level: ClassVar[str] = "reference"
     drives: ClassVar[tuple[str, ...]] = ("motor", "prescribed")
+    compiled: ClassVar[bool] = True
     jerk: float = unit("rad/s^3", default=40.0)
 
     def __post_init__(self) -> None:
         require_positive(self, "jerk")
 
-    def check(self, system: System, duration: float) -> None:
-        """See `Control`."""
-        super().check(system, duration)
-        if duration > _LONGEST:
-            raise ParameterError(
-                f"control guided leads for at most {_LONGEST:g} s, got a duration of"
-                f" {duration:g} s"
-            )
-
     def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
         """See `Control`."""
-        table = _guidance(dt)
-        periods = np.minimum(np.rint(remaining / dt).astype(np.intp), len(table) - 1)
-        goal = s.goal[:, None, : arm.n]
-        moved = table[periods] @ np.concatenate([s.ref, goal], axis=1)
-        free = (periods > 2)[:, None] * self.jerk * action
+        left = np.floor(remaining / dt + 0.5)  # whole periods
+        moved = _guided(s.ref, s.goal[:, : arm.n], np.maximum(left, 1.0) * dt, dt)
+        free = np.where(left > 2.5, self.jerk, 0.0)[:, None] * action
         s.ref = moved + _pushed(dt) * free[:, None]
 
 
-@lru_cache
-def _guidance(dt: float) -> Array:
-    """(periods left, 3, 4): (q, v, a, goal) -> (q, v, a) one period on, by the quintic.
+def _guided(ref: Array, goal: Array, T: Array, dt: float) -> Array:
+    """Return the reference one period on, on the quintic to rest at the goal.
 
-    q(t) = q + v t + a t^2/2 + c3 t^3 + c4 t^4 + c5 t^5 with rest at the goal at the deadline.
+    q(t) = q + v t + a t^2/2 + c3 t^3 + c4 t^4 + c5 t^5.
+
+    Args:
+        ref: (n, 3, joints) angle, rate and acceleration [rad, rad/s, rad/s^2].
+        goal: (n, joints) angles at the deadline [rad].
+        T: (n,) until the deadline [s].
+        dt: period [s].
+
+    Returns:
+        (n, 3, joints).
     """
-    T = np.maximum(np.arange(_LONGEST / dt), 1.0) * dt
-    ones, none = np.ones_like(T), np.zeros_like(T)
-    gap = np.stack([-ones, -T, -T * T / 2, ones])  # each column: weight of q, v, a, goal
-    slope = np.stack([none, -T, -T * T, none])
-    bend = np.stack([none, none, -T * T, none])
+    q, v, a = ref.swapaxes(0, 1)
+    T = T[:, None]
+    gap, slope, bend = goal - q - T * (v + T * a / 2), -T * (v + T * a), -T * T * a
     c3 = (10 * gap - 4 * slope + bend / 2) / T**3
     c4 = (-15 * gap + 7 * slope - bend) / T**4
     c5 = (6 * gap - 3 * slope + bend / 2) / T**5
-    q, v, a, _ = np.eye(4)[:, :, None]
     rows = (
         q + dt * (v + dt * (a / 2 + dt * (c3 + dt * (c4 + dt * c5)))),
         v + dt * (a + dt * (3 * c3 + dt * (4 * c4 + dt * 5 * c5))),
         a + dt * (6 * c3 + dt * (12 * c4 + dt * 20 * c5)),
     )
-    return np.ascontiguousarray(np.moveaxis(np.stack(rows), 2, 0))
+    return np.stack(rows, axis=1)
 
 
 def _pushed(dt: float) -> Array:
@@ -189,6 +213,7 @@ class Acceleration(Control):
     kind: ClassVar[str] = "acceleration"
     level: ClassVar[str] = "reference"
     drives: ClassVar[tuple[str, ...]] = ("motor", "prescribed")
+    compiled: ClassVar[bool] = True
     a_max: Vector | None = unit("rad/s^2", default=None)  # None: the arm's own
 
     def check(self, system: System, duration: float) -> None:
@@ -219,7 +244,8 @@ def _stoppable(room: Array, most: Array, dt: float) -> Array:
     """Rate from which steps of dt at the deceleration `most` end within the room."""
     half = dt / 2
     root = np.sqrt(half * half + 2 * np.maximum(room, 0.0) / most)
-    return np.asarray(most * (root - half), dtype=np.float64)
+    speed: Array = most * (root - half)
+    return speed
 
 
 @_file
@@ -229,6 +255,7 @@ class Target(Control):
 
     kind: ClassVar[str] = "pd_target"
     level: ClassVar[str] = "reference"
+    compiled: ClassVar[bool] = True
     speed: float = unit("1", default=1.0)
 
     def __post_init__(self) -> None:
@@ -237,7 +264,7 @@ class Target(Control):
     def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
         step = self.speed * arm.column("v_max") * action * dt
         before = s.ref[:, 0]
-        moved = np.clip(before + step, arm.column("q_min"), arm.column("q_max"))
+        moved: Array = np.clip(before + step, arm.column("q_min"), arm.column("q_max"))
         s.ref = np.stack([moved, (moved - before) / dt, np.zeros_like(moved)], axis=1)
 
 
@@ -248,6 +275,8 @@ class Torque(Control):
 
     kind: ClassVar[str] = "torque"
     level: ClassVar[str] = "torque"
+    held: ClassVar[bool] = True
+    compiled: ClassVar[bool] = True
     fraction: float = unit("1", default=1.0)
     damping: Vector | None = unit("N m s/rad", default=None)  # None: none
 
@@ -261,21 +290,22 @@ class Torque(Control):
             return FREE
         return JointServo(kp=(0.0,) * len(self.damping), kd=self.damping, feedforward=False)
 
-    def drive(
+    def command(
         self,
-        sim: Simulator,
         s: Driven,
         action: Array,
+        arm: Arm,
+        dt: float,
         remaining: Array,
         follow: Callable[[], Array],
     ) -> None:
         """See `Control`."""
-        s.tau = self.torque(action, sim.system.arm)
-        sim.step(s.tau)
+        s.tau = self.torque(action, arm)
 
     def torque(self, action: Array, arm: Arm) -> Array:
         """(n, joints) [N m]."""
-        return np.asarray(self.fraction * arm.column("tau_max") * action, dtype=np.float64)
+        out: Array = self.fraction * arm.column("tau_max") * action
+        return out
 
 
 @_file
@@ -288,6 +318,8 @@ class Gains(Control):
 
     kind: ClassVar[str] = "pd_gains"
     level: ClassVar[str] = "gains"
+    held: ClassVar[bool] = True
+    compiled: ClassVar[bool] = True
     kp: tuple[float, float] = unit("N m/rad", default=(10.0, 4000.0))
     kd: tuple[float, float] = unit("N m s/rad", default=(5.0, 200.0))
 
@@ -301,19 +333,18 @@ class Gains(Control):
         """Numbers in an action."""
         return 2 * arm.n
 
-    def drive(
+    def command(
         self,
-        sim: Simulator,
         s: Driven,
         action: Array,
+        arm: Arm,
+        dt: float,
         remaining: Array,
         follow: Callable[[], Array],
     ) -> None:
         """See `Control`."""
         s.kp, s.kd = self.gains(action)
-        sim.set_gains(s.kp, s.kd)
         s.tau = follow()
-        sim.step(s.tau)
 
     def gains(self, action: Array) -> tuple[Array, Array]:
         """kp, kd (n, joints)."""

@@ -61,6 +61,7 @@ class Damp(Task):
     draws: ClassVar[int] = 2 + _JOINTS
     ends: ClassVar[str] = "truncated"
     options: ClassVar[tuple[str, ...]] = ("q", "y")
+    compiled: ClassVar[bool] = True
     control: Control = Torque(fraction=0.5, damping=PPED_GAINS.kd)
     duration: float = unit("s", default=8.0)
     tail: float = unit("s", default=0.0)

@@ -110,7 +110,13 @@ class VesEnv(gym.Env[Any, Any]):
         reward, terminated, truncated, info = self.batch.step(actions)
         ended = bool(terminated[0] or truncated[0])
         self._over = ended
-        flat = {k: _first(v) for k, v in info.items() if k[0] != "_"}
+        flat = {
+            k: v.item()
+            if v.dtype.kind in "bi" and v.ndim == 1
+            else v[0]  # floats stay NumPy's,
+            for k, v in info.items()  # which are floats too: TorchRL reads their dtype
+            if k[0] != "_"
+        }
         if self.render_mode == "human":
             self.render()
         return (
@@ -200,8 +206,3 @@ class VesEnv(gym.Env[Any, Any]):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-
-
-def _first(value: Any) -> Any:
-    item = value[0]  # floats stay NumPy's, which are floats too: TorchRL reads their dtype
-    return item.item() if isinstance(item, (np.bool_, np.integer)) else item

@@ -54,6 +54,7 @@ class FreeFlyerReach(Task):
     draws: ClassVar[int] = _JOINTS * (1 + _TRIES)
     options: ClassVar[tuple[str, ...]] = ("q", "target")
     memory: ClassVar[int] = 2  # m from tool to target; s at rest on the target without a break
+    compiled: ClassVar[bool] = True
     system: System = System(vehicle=FREE_FLOATING, physics_dt=2.5e-3)
     control: Control = Acceleration(a_max=(6.0, 6.0, 12.0))
     duration: float = unit("s", default=5.0)

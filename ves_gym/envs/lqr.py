@@ -59,6 +59,7 @@ class Lqr(Task):
 
     draws: ClassVar[int] = 2 * (6 + _JOINTS)
     options: ClassVar[tuple[str, ...]] = ("q", "v", "y", "yd")
+    compiled: ClassVar[bool] = True
     control: Control = Torque(fraction=0.25, damping=PPED_GAINS.kd)
     duration: float = unit("s", default=4.0)
     tail: float = unit("s", default=0.0)

@@ -56,6 +56,7 @@ class Reach(Task):
     draws: ClassVar[int] = _JOINTS * (1 + _TRIES)
     options: ClassVar[tuple[str, ...]] = ("q", "target")
     memory: ClassVar[int] = 2  # m from tool to target; s at the target without a break
+    compiled: ClassVar[bool] = True
     control: Control = Acceleration()
     duration: float = unit("s", default=4.0)
     span: Vector = unit("rad", default=tuple(np.deg2rad([120.0, 60.0, 120.0]).tolist()))

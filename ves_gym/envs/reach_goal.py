@@ -27,6 +27,7 @@ class ReachGoal(Reach):
     """
 
     goal_fields: ClassVar[tuple[str, str] | None] = ("tool", "target")
+    compiled: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -51,13 +52,16 @@ class ReachGoal(Reach):
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         """See `Task`."""
         achieved, desired = self._goal_of(s.tool_seen), self._goal_of(s.goal[:, :3])
-        return {"reached": self.goal_reward(achieved, desired)}
+        return {"reached": self._reached(achieved - desired)}
 
     def _goal_of(self, place: Array) -> Array:
-        """(n, 3) a place as the observation gives it."""
-        return np.clip(place / _SCALE, -self.CLIP, self.CLIP).astype(np.float32)
+        """(n, 3) a place as the observation gives it, in float64."""
+        rounded = np.clip(place / _SCALE, -self.CLIP, self.CLIP).astype(np.float32)
+        return rounded.astype(np.float64)
 
     def goal_reward(self, achieved: Array, desired: Array) -> Array:
         """(...,) reward of goals (..., 3) in the units of the observation."""
-        gap = (np.asarray(achieved, float) - np.asarray(desired, float)) * _SCALE
-        return np.where((gap**2).sum(axis=-1) <= self.tolerance**2, 0.0, -1.0)
+        return self._reached(np.asarray(achieved, float) - np.asarray(desired, float))
+
+    def _reached(self, gap: Array) -> Array:
+        return np.where(((gap * _SCALE) ** 2).sum(axis=-1) <= self.tolerance**2, 0.0, -1.0)

@@ -31,6 +31,7 @@ class RestToRest(Task):
 
     draws: ClassVar[int] = 6 * _TRIES
     options: ClassVar[tuple[str, ...]] = ("q", "goal")
+    compiled: ClassVar[bool] = True
     control: Control = Guided()
     duration: float = unit("s", default=2.0)
     span: Vector = unit("rad", default=tuple(np.deg2rad([120.0, 60.0, 120.0]).tolist()))
@@ -115,5 +116,6 @@ class RestToRest(Task):
     def success(self, s: Scene) -> Mask:
         """At the goal, and at rest there."""
         n = self.system.arm.n
-        near = np.all(np.abs(s.goal[:, :n] - s.q) <= self.tolerance, axis=1)
-        return np.asarray(near & np.all(np.abs(s.v) <= self.rest, axis=1), dtype=bool)
+        near: Mask = np.all(np.abs(s.goal[:, :n] - s.q) <= self.tolerance, axis=1)
+        calm: Mask = np.all(np.abs(s.v) <= self.rest, axis=1)
+        return near & calm

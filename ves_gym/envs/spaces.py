@@ -18,19 +18,11 @@ def observation_space(task: Task) -> gym.spaces.Box:
     return gym.spaces.Box(-task.CLIP, task.CLIP, (size,), np.float32)
 
 
-def _parts(task: Task) -> dict[str, slice]:
-    out, at = {}, 0
-    for field in task.parts():
-        out[field.name] = slice(at, at + field.size)
-        at += field.size
-    return out
-
-
 def goal_space(task: Task, space: gym.spaces.Box) -> gym.spaces.Dict:
     """Observation, achieved and desired goal of a goal-conditioned task."""
     if task.goal_fields is None:
         raise ParameterError(f"task {task.kind} has no goal-conditioned variant")
-    parts = _parts(task)
+    parts = task.columns
     goals = [parts[name] for name in task.goal_fields]
     size = goals[0].stop - goals[0].start
     remaining = space.shape[0] - sum(k.stop - k.start for k in goals)
@@ -43,7 +35,7 @@ def goal_space(task: Task, space: gym.spaces.Box) -> gym.spaces.Dict:
 def split_goals(task: Task, row: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[np.float32]]:
     """(..., size) observation as the dictionary of `goal_space`."""
     assert task.goal_fields is not None
-    parts = _parts(task)
+    parts = task.columns
     achieved, desired = (row[..., parts[name]] for name in task.goal_fields)
     observed = [row[..., k] for name, k in parts.items() if name not in task.goal_fields]
     return {  # in the order of the space

@@ -16,6 +16,7 @@ import numpy as np
 
 from ves_gym._util.params import (
     Array,
+    Index,
     Mask,
     ParameterError,
     finite,
@@ -79,6 +80,7 @@ class Scene:
     memory: (
         Array  # (n, `Task.memory`) what the task remembers of the episode, zero at its start
     )
+    found: Array  # (n, k) what `Task.lookup` finds for this instant
     tau: Array  # (n, joints) torque or drive command last asked for
     tail: Array  # (n,) J s that the base will keep after the end; zero before it
     kp: Array  # (n, joints) N m/rad in force
@@ -112,6 +114,10 @@ class Task(ABC):
     options: ClassVar[tuple[str, ...]] = ()  # what `reset` lets one choose; keywords of `start`
     goal_fields: ClassVar[tuple[str, str] | None] = None  # achieved, desired (goal variants)
     memory: ClassVar[int] = 0  # columns of `Scene.memory`
+    # Set in a class whose `observe`, `remember`, `reward`, `success` and `failed` are formulas
+    # of the scene alone, a simulation per row: the kernel then compiles them from their NumPy
+    # text. It holds for the class that says so, not for those derived from it.
+    compiled: ClassVar[bool] = False
 
     system: System = System(physics_dt=2.5e-3)
     control: Control
@@ -168,6 +174,18 @@ class Task(ABC):
     def observe(self, s: Scene) -> tuple[Array, ...]:
         """Values (n, size) of the fields, in their units."""
 
+    def lookup(self, goal: Array, step: Index) -> Array:
+        """What the formulas take from tables at an instant, as `Scene.found`.
+
+        Args:
+            goal: (n, g) of the episodes.
+            step: (n,) periods since their starts.
+
+        Returns:
+            (n, k); nothing by default.
+        """
+        return np.empty((len(goal), 0))
+
     def remember(self, s: Scene, dt: float) -> None:  # noqa: B027
         """Bring `s.memory` up to date, once per period and before `reward` is asked."""
 
@@ -182,7 +200,8 @@ class Task(ABC):
     def failed(self, s: Scene) -> Mask:
         """(n,) whether an episode must end now as a failure. Joint limits, by default."""
         low, high = self.joint_range
-        return np.asarray(np.any((s.q < low) | (s.q > high), axis=1), dtype=bool)
+        beyond: Mask = np.any((s.q < low) | (s.q > high), axis=1)
+        return beyond
 
     def marker(self, s: Scene) -> Array | None:
         """(n, k, 3) points in space that pictures show [m]: a target, then a line from it."""
@@ -223,6 +242,15 @@ class Task(ABC):
             if name in ("q", "goal"):
                 for q in np.atleast_2d(out[name]):
                     self.system.arm.require_within_limits(q, f"options[{name!r}]")
+        return out
+
+    @cached_property
+    def columns(self) -> dict[str, slice]:
+        """Columns of the observation by field."""
+        out, at = {}, 0
+        for field in self.parts():
+            out[field.name] = slice(at, at + field.size)
+            at += field.size
         return out
 
     # ----------------------------------------------------------------- scales

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import (
     Array,
+    Index,
     Mask,
     ParameterError,
     Vector,
@@ -58,6 +59,7 @@ class Track(Task):
     draws: ClassVar[int] = 4 * _JOINTS * _TRIES
     options: ClassVar[tuple[str, ...]] = ("q",)
     memory: ClassVar[int] = 2  # m^2, squared distance; m^2 s, its integral
+    compiled: ClassVar[bool] = True
     control: Control = Acceleration()
     duration: float = unit("s", default=6.0)
     rounds: int = 2
@@ -138,6 +140,13 @@ class Track(Task):
         """(n, 3) where the tool is to be now [m]."""
         return self.path(s)[np.arange(len(s.goal)), self._step(s)]
 
+    def lookup(self, goal: Array, step: Index) -> Array:
+        """See `Task`: energy scale [J], phase [rad], points of the path now and ahead [m]."""
+        n = len(goal)
+        at = np.minimum(step[:, None] + self._ahead, self.steps)
+        points = goal[:, 1:].reshape(n, -1, 3)[np.arange(n)[:, None], at]
+        return np.column_stack([goal[:, 0], self._phase[at[:, 0]], points.reshape(n, -1)])
+
     def _step(self, s: Scene) -> npt.NDArray[np.intp]:
         """(n,) periods since the start; an episode that is over stays at its end."""
         periods = np.rint(s.time / self.system.control_dt)
@@ -152,13 +161,13 @@ class Track(Task):
 
     def remember(self, s: Scene, dt: float) -> None:
         """See `Task`."""
-        s.memory[:, 0] = ((self.target(s) - s.tool) ** 2).sum(axis=1)
+        s.memory[:, 0] = ((s.found[:, 2:5] - s.tool) ** 2).sum(axis=1)
         s.memory[:, 1] += dt * s.memory[:, 0]
 
     def success(self, s: Scene) -> Mask:
         """(n,) whether the whole path is behind the tool, and was close to it."""
         close = s.memory[:, 1] <= self.tolerance**2 * self.duration
-        done: Mask = close & (self._step(s) >= self.steps)
+        done: Mask = close & (s.time > self.duration - self.system.control_dt / 2)
         return done
 
     # --------------------------------------------------------------- observation
@@ -180,10 +189,8 @@ class Track(Task):
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
         """See `Task`."""
-        n, step = len(s.goal), self._step(s)
-        at = np.minimum(step[:, None] + self._ahead, self.steps)
-        points = self.path(s)[np.arange(n)[:, None], at] - s.tool_seen[:, None]
-        phase = self._phase[step]
+        n, phase = len(s.found), s.found[:, 1]
+        points = s.found[:, 2:].reshape(n, -1, 3) - s.tool_seen[:, None]
         return (
             s.q,
             *rates(self.control, s),
@@ -192,14 +199,14 @@ class Track(Task):
             points.reshape(n, -1),
             np.column_stack([np.sin(phase), np.cos(phase)]),
             (self.duration - s.time)[:, None],
-            np.log10(s.goal[:, :1]),
+            np.log10(s.found[:, :1]),
         )
 
     # -------------------------------------------------------------------- reward
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         """See `Task`."""
-        scale = s.goal[:, 0] * (self.duration + self.tail) / self.thrift
+        scale = s.found[:, 0] * (self.duration + self.tail) / self.thrift
         return {
             "error": (1 - np.sqrt(1 + s.memory[:, 0] / self.near**2)) * (dt / self.duration),
             "energy": -s.energy * dt / scale,

@@ -20,8 +20,9 @@ def numbers(value: npt.ArrayLike) -> Array:
 
     So the formulas here serve numbers and graphs that are compiled (`engine.kernel`).
     """
-    array = np.asarray(value)
-    return array if array.dtype == object else array.astype(float, copy=False)
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        return value
+    return np.asarray(value, float)
 
 
 def rotation(y: npt.ArrayLike) -> Array:

@@ -82,8 +82,6 @@ class Simulator:
             unstable one is an `EmulationWarning`. None: not judged.
     """
 
-    last_state: State  # after the last step or reset
-
     def __init__(
         self,
         system: System,
@@ -138,6 +136,7 @@ class Simulator:
         if self.emulation_loop is not None and warn_at is not None and admittance is None:
             warn_if_unstable(type(self), system, warn_at, servo)
         self.diverged = np.zeros(n, bool)
+        self._last_state: State | None = None
         self.reset()
 
     # ------------------------------------------------------------------ state
@@ -146,6 +145,36 @@ class Simulator:
     def backend_name(self) -> str:
         """The engine that runs, as in `engine.backends.registry.BACKENDS` but for auto."""
         return self.backend.name
+
+    @property
+    def last_state(self) -> State:
+        """State after the last step or reset."""
+        if self._last_state is None:
+            self._last_state = self.state
+        return self._last_state
+
+    @last_state.setter
+    def last_state(self, state: State) -> None:
+        self._last_state = state
+
+    def stepped_elsewhere(self) -> None:
+        """The engine has been stepped by a program of its own (`KernelBackend.pieces`)."""
+        self._last_state = None
+
+    def note_gains(self, kp: Array, kd: Array) -> None:
+        """Take note of servo gains that such a program has set.
+
+        Args:
+            kp, kd: (n, joints) [N m/rad], [N m s/rad].
+        """
+        self._kp[:], self._kd[:] = kp, kd
+
+    def note_divergence(self) -> None:
+        """Look for simulations that such a program has left beyond the meaningful range."""
+        note = getattr(self.backend, "note_faults", None)
+        if note is not None:
+            note()
+        self._watch()
 
     @property
     def state(self) -> State:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -18,6 +19,7 @@ from ves_gym.engine.backends.compiled import CompiledBackend
 from ves_gym.engine.kernel.blocks import aligned, fill, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_module
+from ves_gym.engine.kernel.pieces import Program, Step
 from ves_gym.engine.kernel.trace import equations, structure
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
@@ -51,7 +53,8 @@ class KernelBackend(CompiledBackend):
 
     def __init__(self, system: System, n: int, threads: int) -> None:
         super().__init__(system, n)
-        self._advance = compiled(system).advance
+        self._library = compiled(system)
+        self._advance = self._library.advance
         values = self.rows.values
         self._blocks = -(-n // LANES)
         self._x = aligned(self._blocks, self._nx, LANES)
@@ -74,6 +77,76 @@ class KernelBackend(CompiledBackend):
             for a, b in zip(self._unread, self._scratch, strict=True)
         ]
         self._pool: ThreadPoolExecutor | None = None
+
+    # -------------------------------------------------------------- programs
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks of LANES simulations."""
+        return self._blocks
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates: (Y, q) and what is hidden."""
+        return self._order
+
+    def rows_of_state(self) -> tuple[Array, Array, Array]:
+        """State as it lies in memory, in place: all of it, (Y, q), and the rate of these."""
+        size = 6 + self.joints
+        x = self._x
+        return x, x[:, :size], x[:, self._order : self._order + size]
+
+    def rows_of_gains(self) -> Array:
+        """Servo gains as they lie in memory, in place: kp of every joint, then kd."""
+        first = self.names.index("kp1")
+        return self._p[:, first : first + 2 * self.joints]
+
+    def pieces(self, chain: Library, commands: Array, nodes: int, steps: int) -> list[Step]:
+        """Physics steps as a piece of a program, one for each thread (`run_program`).
+
+        Args:
+            chain: library of the program.
+            commands: (blocks, nodes (6 + joints), LANES) in memory that stays.
+            nodes: per period; 1 where the command is held.
+            steps: physics steps.
+        """
+        (x, p), ublock, unode = self._where, nodes * self._nu, self._nu if nodes > 1 else 0
+        return [
+            Step(
+                self._library,
+                chain,
+                (x, commands.ctypes.data, p, unread, scratch, steps, ublock, unode),
+                self.dt,
+                (self._x, self._p, commands, self._unread, self._scratch),
+            )
+            for unread, scratch in self._buffers
+        ]
+
+    def run_program(self, programs: Sequence[Program], steps: int, stopped: Index) -> None:
+        """Run a program, each thread its own.
+
+        Args:
+            programs: one for each of `pieces`.
+            steps: physics steps in it.
+            stopped: simulations that stay where they are.
+        """
+        before = None
+        if len(stopped):
+            at = (stopped // LANES, slice(None), stopped % LANES)
+            before = self._x[at]
+        if self._threads == 1:
+            programs[0](0, self._blocks)
+        else:
+            self._share(lambda i: programs[i](*self._shares[i]))
+        self._ticks += steps
+        if before is not None:
+            self._x[at] = before
+            self._ticks[stopped] -= steps
+
+    def note_faults(self) -> None:
+        """Look for states that are no longer meaningful."""
+        if not (np.abs(self._x) < MEANINGLESS).all():  # a NaN is not
+            self._fault |= ~(np.abs(unlane(self._x, self.n)) < MEANINGLESS).all(axis=1)
 
     # ---------------------------------------------------------------- blocks
 
@@ -100,6 +173,10 @@ class KernelBackend(CompiledBackend):
                 recording,
             )
 
+        self._share(part)
+
+    def _share(self, part: Callable[[int], None]) -> None:
+        """Do a share of the work on every thread."""
         if self._threads == 1:
             part(0)
             return
@@ -121,8 +198,7 @@ class KernelBackend(CompiledBackend):
             self._x[at] = before[0][at]
             still = others[others < self.n]
             self._ticks[still] = before[1][still]
-        if not (np.abs(self._x) < MEANINGLESS).all():  # a NaN is not
-            self._fault |= ~(np.abs(unlane(self._x, self.n)) < MEANINGLESS).all(axis=1)
+        self.note_faults()
         return result
 
     # --------------------------------------------------------------- backend

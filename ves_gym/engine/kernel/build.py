@@ -22,6 +22,7 @@ _SIGNATURES = {
     ),
     "tick": ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5, *[ctypes.c_int64] * 2),
     "map": ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 2),
+    "program": ctypes.CFUNCTYPE(None, ctypes.c_void_p, *[ctypes.c_int64] * 2),
 }
 _MARK = b"ves-kernel/1\n"
 
@@ -32,6 +33,7 @@ class Library:
     advance: Any  # see `emit.emit_module`
     map: Any  # see `emit.emit_map`
     tick: Any  # see `emit.emit_tick`
+    program: Any  # see `pieces.Program`
 
     def __init__(self, code: bytes) -> None:
         import llvmlite.binding as llvm
@@ -43,6 +45,10 @@ class Library:
             address = self._engine.get_function_address(name)
             if address:
                 setattr(self, name, signature(address))
+
+    def address(self, name: str) -> int:
+        """Where a function is; it stays there as long as the library lives."""
+        return int(self._engine.get_function_address(name))
 
 
 def cache_folder() -> Path:

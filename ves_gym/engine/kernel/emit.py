@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -41,6 +42,16 @@ _COS = (
 # pi/2 in three parts of 33 bits: exact products with a whole number up to 2^20
 _HALF_PI = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
 _LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
+_LOG = (
+    6.666666666666735130e-01,
+    3.999999999940941908e-01,
+    2.857142874366239149e-01,
+    2.222219843214978396e-01,
+    1.818357216161805012e-01,
+    1.531383769920937332e-01,
+    1.479819860511658591e-01,
+)
+_ONE, _ROOT_HALF = 0x3FF0000000000000, 0x3FE6A09E667F3BCD  # bits of 1 and of the root of 1/2
 
 
 def number(value: float) -> str:
@@ -52,6 +63,11 @@ def splat(value: float) -> str:
     """A vector of one value in every lane."""
     text = f"double {number(value)}"
     return f"<{', '.join([text] * LANES)}>"
+
+
+def _whole(value: int) -> str:
+    """A vector of one whole number in every lane."""
+    return f"<{', '.join([f'i64 {value}'] * LANES)}>"
 
 
 class FunctionBody:
@@ -151,13 +167,41 @@ class FunctionBody:
         value = self._polynomial(terms, r)
         shifted = self.add(k, splat(6755399441055744.0))  # 1.5 * 2^52: k in the low bits
         bits = self.put(f"bitcast {_V} {shifted} to {_INT}")
-        width = f"<{', '.join(['i64 52'] * LANES)}>"
-        power = self.put(f"shl {_INT} {bits}, {width}")
+        power = self.put(f"shl {_INT} {bits}, {_whole(52)}")
         scaled = self.put(f"add {_INT} {self.put(f'bitcast {_V} {value} to {_INT}')}, {power}")
         out = self.put(f"bitcast {_INT} {scaled} to {_V}")
         out = self.select(self.compare("ogt", x, splat(709.0)), splat(math.inf), out)
         out = self.select(self.compare("olt", x, splat(-708.0)), splat(0.0), out)
         return self.select(self.compare("uno", x, x), x, out)  # NaN: its bits were added to
+
+    def log(self, x: str) -> str:
+        """ln x: x = 2^k m with m about 1, then fdlibm's series in (m - 1) / (m + 1)."""
+        small = self.compare("olt", x, splat(sys.float_info.min))
+        bits = self.put(
+            f"bitcast {_V} {self.select(small, self.mul(x, splat(2.0**54)), x)} to {_INT}"
+        )
+        shifted = self.put(f"add {_INT} {bits}, {_whole(_ONE - _ROOT_HALF)}")
+        power = self.put(f"ashr {_INT} {shifted}, {_whole(52)}")
+        power = self.put(f"sub {_INT} {power}, {_whole(1023)}")
+        k = self.put(f"sitofp {_INT} {power} to {_V}")
+        k = self.sub(k, self.select(small, splat(54.0), splat(0.0)))
+        mantissa = self.put(f"and {_INT} {shifted}, {_whole(2**52 - 1)}")
+        mantissa = self.put(f"add {_INT} {mantissa}, {_whole(_ROOT_HALF)}")
+        f = self.sub(self.put(f"bitcast {_INT} {mantissa} to {_V}"), splat(1.0))
+        s = self.div(f, self.add(splat(2.0), f))
+        square = self.mul(s, s)
+        series = self.mul(square, self._polynomial(_LOG, square))
+        half = self.mul(self.mul(splat(0.5), f), f)
+        low = self.fma(k, splat(_LN2[1]), self.mul(s, self.add(half, series)))
+        out = self.fma(k, splat(_LN2[0]), self.add(self.sub(low, half), f))
+        out = self.select(self.compare("oeq", x, splat(0.0)), splat(-math.inf), out)
+        out = self.select(self.compare("olt", x, splat(0.0)), splat(math.nan), out)
+        return self.select(self.compare("olt", x, splat(math.inf)), out, x)
+
+    def single(self, x: str) -> str:
+        """The nearest number of single precision."""
+        near = self.put(f"fptrunc {_V} {x} to <{LANES} x float>")
+        return self.put(f"fpext <{LANES} x float> {near} to {_V}")
 
     def tanh(self, x: str) -> str:
         """(1 - e) / (1 + e) with e = exp(-2 |x|); a series near zero, where that cancels."""
@@ -229,7 +273,10 @@ def _operation(
         "OP_COS": lambda: code.sine_cosine(a)[1],
         "OP_SQRT": lambda: code.call("sqrt", a),
         "OP_EXP": lambda: code.exp(a),
+        "OP_LOG": lambda: code.log(a),
         "OP_TANH": lambda: code.tanh(a),
+        "OP_FLOOR": lambda: code.call("floor", a),
+        "OP_CALL": lambda: code.single(a),  # the one function that graphs call
         "OP_FABS": lambda: code.call("fabs", a),
         "OP_FMIN": lambda: code.call("minimum", a, b),
         "OP_FMAX": lambda: code.call("maximum", a, b),
@@ -239,6 +286,7 @@ def _operation(
         "OP_NE": lambda: truth(code.compare("une", a, b)),
         "OP_NOT": lambda: truth(code.compare("oeq", a, zero)),
         "OP_AND": lambda: code.mul(a, b),
+        "OP_OR": lambda: code.call("maximum", a, b),
         "OP_IF_ELSE_ZERO": lambda: code.select(code.compare("une", a, zero), b, zero),
         "OP_REMAINDER": lambda: code.sub(a, code.mul(b, code.call("rint", code.div(a, b)))),
         "OP_SIGN": lambda: code.select(
@@ -275,7 +323,7 @@ def emit_module(
     nx, nu, np_ = (motion.size1_in(i) for i in range(3))
     ny = observe.size1_out(1)
     parts = [
-        _declarations(),
+        declarations(),
         emit_function("motion", motion),
         emit_function("observe", observe),
     ]
@@ -291,7 +339,7 @@ def emit_map(graph: casadi.Function) -> str:
     """
     nx, ny = graph.size1_in(0), graph.size1_out(0)
     body = _MAP.format(V=_V, nx=nx, ny=ny)
-    return "\n".join([_declarations(), emit_function("point", graph), body])
+    return "\n".join([declarations(), emit_function("point", graph), body])
 
 
 def emit_tick(graph: casadi.Function) -> str:
@@ -309,10 +357,11 @@ def emit_tick(graph: casadi.Function) -> str:
         rows.append(f"  %{name}row = mul i64 %b, {size}")
         rows.append(f"  %{name}b = getelementptr {_V}, ptr %{name}, i64 %{name}row")
     body = _TICK.format(rows="\n".join(rows))
-    return "\n".join([_declarations(), emit_function("point", graph), body])
+    return "\n".join([declarations(), emit_function("point", graph), body])
 
 
-def _declarations() -> str:
+def declarations() -> str:
+    """The processor's own operations that functions use."""
     unary = ("rint", "floor", "fabs", "sqrt")
     two = ("minimum", "maximum", "copysign")
     lines = [f"declare {_V} @llvm.{k}.v{LANES}f64({_V})" for k in unary]

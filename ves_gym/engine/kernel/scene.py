@@ -1,22 +1,21 @@
 """What an environment asks of every state, compiled for a fixed number of simulations.
 
-Each map has the parameters of every simulation of its own, so that simulations may run
-different systems of one structure. NumPy answers where nothing compiles.
+NumPy answers where nothing compiles.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index
+from ves_gym._util.params import Array
 from ves_gym.engine.kernel import mechanics
 from ves_gym.engine.kernel.blocks import aligned, fill, unlane
 from ves_gym.engine.kernel.build import Library, cached
-from ves_gym.engine.kernel.emit import LANES, emit_map
+from ves_gym.engine.kernel.emit import LANES
+from ves_gym.engine.kernel.pieces import Piece, Program, emit_pieces
 from ves_gym.engine.kernel.trace import _symbols, parameters, structure
 from ves_gym.mechanics.dynamics import frames, inverse_dynamics, joint_positions, newton_euler
 from ves_gym.mechanics.spatial import matvec, rotation
@@ -30,76 +29,59 @@ _LIBRARIES: dict[str, Library] = {}
 
 
 class _Map:
-    """A graph (x, p) -> y at n points, over and over."""
+    """A graph (x ..., p) -> y at n points, over and over."""
 
     def __init__(self, system: System, n: int) -> None:
-        self.systems = [system] * n
-        self.n, self._ready = n, False
-        joints = system.arm.n
-        blocks = -(-n // LANES)
-        width, height = self._sizes(joints)
-        self._x, self._y = aligned(blocks, width, LANES), aligned(blocks, height, LANES)
+        self.system, self.n, self.ready = system, n, False
+        self.blocks = -(-n // LANES)
+        widths, height = self._sizes(system.arm.n)
+        self._x = [aligned(self.blocks, width, LANES) for width in widths]
+        self._y = aligned(self.blocks, height, LANES)
         try:
             key = f"{type(self).__name__} {structure(system)}"
             if key not in _LIBRARIES:
-                _LIBRARIES[key] = cached(key, lambda: emit_map(self._graph(system)))
+                make = self._graph
+                _LIBRARIES[key] = cached(key, lambda: emit_pieces({"point": make(system)}))
         except (ImportError, RuntimeError, OSError):
             return
-        self.names, values = parameters(system)
-        self._p = aligned(blocks, len(values), LANES)
+        self.library = _LIBRARIES[key]
+        _, values = parameters(system)
+        self._p = aligned(1, len(values), LANES)
         self._p[:] = values[:, None]
-        self._map = _LIBRARIES[key].map
-        where = tuple(k.ctypes.data for k in (self._x, self._p, self._y))
-        self._runs = [partial(self._map, *where, 0, blocks)]  # all by the first block's p
-        self._ready = True
+        self._run = Program(self.library, [self.piece(self._x, self._y)])
+        self.ready = True
+
+    def piece(self, arguments: Sequence[Array], result: Array) -> Piece:
+        """The map on rows of the caller's.
+
+        Args:
+            arguments: (blocks, width, LANES) each, in order.
+            result: (blocks, height, LANES), written.
+        """
+        return Piece(self.library, "point", [*arguments, self._p, result])
 
     @staticmethod
-    def _sizes(joints: int) -> tuple[int, int]:
+    def _sizes(joints: int) -> tuple[tuple[int, ...], int]:
+        """Widths of the arguments, and of the result."""
         raise NotImplementedError
 
     @staticmethod
     def _graph(system: System) -> casadi.Function:
         raise NotImplementedError
 
-    def assign(self, ids: Index, systems: list[System]) -> None:
-        """Give simulations the numbers of their own systems (`Simulator.assign`).
-
-        Args:
-            ids: (k,) which.
-            systems: k of them.
-        """
-        for i, system in zip(ids.tolist(), systems, strict=True):
-            self.systems[i] = system
-            if self._ready:
-                values = dict(zip(*parameters(system), strict=True))
-                row = [values.get(name, 0.0) for name in self.names]
-                self._p[i // LANES, :, i % LANES] = row
-        if self._ready:
-            self._runs = [
-                partial(self._map, x.ctypes.data, p.ctypes.data, y.ctypes.data, 0, 1)
-                for x, p, y in zip(self._x, self._p, self._y, strict=True)
-            ]
-
-    def _evaluate(self, x: Array) -> Array:
-        fill(self._x, x)
-        for run in self._runs:
-            run()
+    def _evaluate(self, *x: Array) -> Array:
+        for rows, values in zip(self._x, x, strict=True):
+            fill(rows, values)
+        self._run(0, self.blocks)
         return unlane(self._y, self.n)
-
-    def _per_simulation(self, work: Callable[..., Any], *parts: Array) -> Array:
-        """`work(system, *rows)` in NumPy, system by system."""
-        if len(set(map(id, self.systems))) == 1:
-            return np.asarray(work(self.systems[0], *parts), dtype=np.float64)
-        rows = [work(s, *(p[i : i + 1] for p in parts)) for i, s in enumerate(self.systems)]
-        return np.concatenate(rows)
 
 
 class SceneMap(_Map):
     """Energy of the base and place of the tool (`core.energy`, `dynamics.frames`)."""
 
     @staticmethod
-    def _sizes(joints: int) -> tuple[int, int]:
-        return 2 * (6 + joints) + 6, 8
+    def _sizes(joints: int) -> tuple[tuple[int, ...], int]:
+        return (6 + joints, 6 + joints, 6), 8
 
     @staticmethod
     def _graph(system: System) -> casadi.Function:
@@ -107,9 +89,8 @@ class SceneMap(_Map):
 
         model, symbols = _symbols(system)
         size = 6 + system.arm.n
-        x = ca.SX.sym("x", 2 * size + 6)
-        k = list(ca.vertsplit(x))
-        z, zd, measured = k[:size], k[size : 2 * size], k[2 * size :]
+        x = [ca.SX.sym(name, k) for name, k in (("z", size), ("zd", size), ("measured", 6))]
+        z, zd, measured = (list(ca.vertsplit(k)) for k in x)
         energy = mechanics.base_energy(model, z, zd, ca)
         force = mechanics.times(model.K, z[:6])
         strain = 0.5 * sum(a * b for a, b in mechanics.pairs(force, z[:6]))
@@ -119,7 +100,7 @@ class SceneMap(_Map):
             T, _ = mechanics._rates(y, ca)
             tools += [y[i] + sum(T[j][i] * reach[j] for j in range(3)) for i in range(3)]
         out = ca.vertcat(energy, strain, *tools)
-        return ca.Function("scene", [x, ca.vertcat(*symbols)], [ca.cse(out)])
+        return ca.Function("scene", [*x, ca.vertcat(*symbols)], [ca.cse(out)])
 
     def __call__(
         self, q: Array, v: Array, y: Array, yd: Array, measured: Array
@@ -128,10 +109,11 @@ class SceneMap(_Map):
 
         The tool twice: with the base at its pose y, and at its `measured` pose (n, 6).
         """
-        if self._ready:
-            out = self._evaluate(np.concatenate([y, q, yd, v, measured], axis=1))
+        if self.ready:
+            z, zd = np.concatenate([y, q], axis=1), np.concatenate([yd, v], axis=1)
+            out = self._evaluate(z, zd, measured)
         else:
-            out = self._per_simulation(_scene, q, y, yd, measured)
+            out = _scene(self.system, q, y, yd, measured)
         return out[:, :2], out[:, 2:5], out[:, 5:]
 
 
@@ -146,8 +128,8 @@ class TorqueMap(_Map):
     """Joint torque of a motion on a base that stands still (`dynamics.inverse_dynamics`)."""
 
     @staticmethod
-    def _sizes(joints: int) -> tuple[int, int]:
-        return 3 * joints, joints
+    def _sizes(joints: int) -> tuple[tuple[int, ...], int]:
+        return (3 * joints,), joints
 
     @staticmethod
     def _graph(system: System) -> casadi.Function:
@@ -163,7 +145,6 @@ class TorqueMap(_Map):
 
     def __call__(self, motion: Array) -> Array:
         """(n, 3, joints) angle, rate and acceleration -> (n, joints) [N m]."""
-        if self._ready:
+        if self.ready:
             return self._evaluate(motion.reshape(self.n, -1))
-        parts = motion.swapaxes(0, 1)
-        return self._per_simulation(lambda s, *m: inverse_dynamics(s.arm, *m)[0], *parts)
+        return inverse_dynamics(self.system.arm, *motion.swapaxes(0, 1))[0]

@@ -227,7 +227,8 @@ def _source() -> str:
     """Digest of the text that writes the code, so that a changed one is compiled anew."""
     from ves_gym.mechanics import dynamics, gravity
 
-    beside = ("trace.py", "emit.py", "mechanics.py", "scene.py")  # by name: scene builds on us
+    # by name: scene and pieces build on us
+    beside = ("trace.py", "emit.py", "mechanics.py", "scene.py", "pieces.py")
     files = [Path(__file__).with_name(name) for name in beside]
     files += [Path(str(module.__file__)) for module in (dynamics, gravity)]
     text = b"".join(path.read_bytes() for path in files)

@@ -1,0 +1,205 @@
+"""A compiled control period gives the numbers of the NumPy text that it was made from."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import ves_gym as vg
+from ves_gym.envs.batch import Batch
+from ves_gym.envs.build import build_task
+
+N = 11  # a whole block of lanes and a part of another
+CLOSE = 1e-11  # measured: 1e-12 of a reward, where the reference is led to its goal at the end
+
+TASKS = [
+    ("rest_to_rest", "guided", 165),
+    ("rest_to_rest", "acceleration", 40),
+    ("reach", "acceleration", 325),
+    ("reach", "pd_target", 40),
+    ("reach", "torque", 120),
+    ("reach_goal", "acceleration", 40),
+    ("track", "acceleration", 485),
+    ("track", "torque", 40),
+    ("damp", "torque", 60),
+    ("damp", "pd_gains", 60),
+    ("damp", "acceleration", 40),
+    ("lqr", "torque", 60),
+    ("free_flyer", "acceleration", 60),
+    ("free_flyer", "torque", 120),
+]
+LABORATORY = {"mode": "emulated", "effects": "laboratory"}
+
+
+def pair(task, n=N):
+    """The same episodes compiled and in NumPy, at their beginnings."""
+    batches = Batch(task, n, backend="kernel"), Batch(task, n, backend="kernel", compiled=False)
+    assert not batches[1].compiled
+    for batch in batches:
+        batch.seed(np.arange(n), 5, np.arange(n))
+        batch.reset(np.arange(n))
+    return batches
+
+
+def require_alike(ours, theirs):
+    """Numbers to rounding; what is true, whole, its type and its shape exactly."""
+    assert ours.dtype == theirs.dtype and ours.shape == theirs.shape
+    if ours.dtype.kind == "f":
+        np.testing.assert_allclose(ours, theirs, rtol=CLOSE, atol=CLOSE)
+    else:
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def require_same_steps(batches, periods, reach=1.2):
+    """Random actions, some out of bounds, episodes begun anew where they end."""
+    rng, over, ends = np.random.default_rng(0), None, 0
+    for _ in range(periods):
+        action = rng.uniform(-reach, reach, (batches[0].n, batches[0].width))
+        ours, theirs = (batch.step(action, over) for batch in batches)
+        for a, b in zip(ours[:3], theirs[:3], strict=True):
+            require_alike(a, b)
+        assert list(ours[3]) == list(theirs[3])
+        for name, value in ours[3].items():
+            require_alike(value, theirs[3][name])
+        if over is not None:
+            for batch in batches:
+                batch.reset(np.flatnonzero(over))
+        seen, expected = (batch.observe() for batch in batches)
+        assert seen.dtype == np.float32 and seen.flags.c_contiguous
+        np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-6)  # of single precision
+        ended = ours[1] | ours[2]
+        over, ends = (ended, ends + ended.sum()) if ended.any() else (None, ends)
+    for part in ("scene", "episodes"):
+        ours, theirs = (vars(getattr(batch, part)) for batch in batches)
+        for name, value in ours.items():
+            require_alike(value, theirs[name])
+    return ends
+
+
+@pytest.mark.parametrize(("task", "control", "periods"), TASKS)
+def test_compiled_steps_are_those_of_numpy(task, control, periods):
+    """Observation, reward and its terms, info, ends of episodes, scene: every shipped task."""
+    batches = pair(build_task(task, control=control))
+    assert batches[0].compiled
+    ends = require_same_steps(batches, periods)
+    assert periods < 100 or ends >= 1
+
+
+@pytest.mark.parametrize("task", ["rest_to_rest", "track", "damp"])
+def test_in_the_laboratory_too(task):
+    batches = pair(build_task(task, **LABORATORY), 3)
+    assert batches[0].compiled
+    require_same_steps(batches, 25)
+
+
+def test_with_random_effects_and_late_commands():
+    ranges = {
+        "payload/mass": {"mass": (0.0, 5.0)},
+        "joint/viscous": {"damping": ([0.0] * 3, [4.0] * 3)},
+    }
+    late = {"kind": "command/delay", "delay": 3e-3}
+    task = build_task("reach", randomize=ranges, effects=[late])
+    batches = pair(task)
+    assert batches[0].compiled
+    require_same_steps(batches, 30)
+
+
+def test_one_that_diverges_fails_alone():
+    """The others' numbers do not change by a bit."""
+    task = build_task("reach")
+    batches, calm = pair(task), pair(task)[0]
+    rng = np.random.default_rng(1)
+    for k in range(6):
+        action = rng.uniform(-1, 1, (N, 3))
+        if k == 3:
+            for batch in batches:
+                state = batch.sim.state
+                batch.sim.reset(q=state.q[4], v=3e9, y=state.y[4], ids=[4])
+        ours, theirs = (batch.step(action) for batch in batches)
+        alone, others = calm.step(action), np.arange(N) != 4
+        np.testing.assert_array_equal(ours[0][others], alone[0][others])
+        np.testing.assert_array_equal(batches[0].observe()[others], calm.observe()[others])
+        assert np.isfinite(ours[0]).all() and np.isfinite(batches[0].observe()).all()
+        for a, b in zip(ours[:3], theirs[:3], strict=True):
+            require_alike(a, b)
+        for name in ("diverged", "success", "reward/failure"):
+            require_alike(ours[3][name], theirs[3][name])
+        assert ours[3]["diverged"][4] == (k >= 3) and not ours[3]["diverged"][others].any()
+
+
+def test_a_snapshot_continues_exactly():
+    task = build_task("track")
+    batch = pair(task)[0]
+    moves = np.random.default_rng(2).uniform(-1, 1, (20, N, 3))
+    for action in moves[:10]:
+        batch.step(action)
+    mark = batch.get_state()
+    first = [batch.step(action)[0] for action in moves[10:]]
+    batch.set_state(mark)
+    np.testing.assert_array_equal(batch.observe(), batch.observe())
+    again = [batch.step(action)[0] for action in moves[10:]]
+    np.testing.assert_array_equal(first, again)
+
+
+# --------------------------------------------------------------------- a user's task
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calm(vg.envs.RestToRest):
+    """No word about being a formula."""
+
+    kind: ClassVar[str] = "calm"
+
+    def reward(self, s, dt, last):
+        """Energy alone."""
+        return {"energy": -s.energy}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Formula(Calm):
+    """A formula by its own word."""
+
+    kind: ClassVar[str] = "formula"
+    compiled: ClassVar[bool] = True
+
+    def reward(self, s, dt, last):
+        """Energy, and where the tool is."""
+        far = np.linalg.norm(s.tool, axis=1)
+        return {"energy": -s.energy, "far": np.where(far > 0.5, -far, np.tanh(far.clip(0, 1)))}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Branching(Formula):
+    """Its text needs numbers to go on."""
+
+    kind: ClassVar[str] = "branching"
+    compiled: ClassVar[bool] = True
+
+    def reward(self, s, dt, last):
+        """Another formula where any base moves."""
+        return {"energy": -s.energy if s.energy.max() > 1e-3 else np.zeros(len(s.q))}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crowd(Formula):
+    """A simulation's reward depends on its neighbours."""
+
+    kind: ClassVar[str] = "crowd"
+    compiled: ClassVar[bool] = True
+
+    def reward(self, s, dt, last):
+        """Energy in that of the first."""
+        return {"energy": -s.energy + s.energy[::-1]}
+
+
+@pytest.mark.parametrize(
+    ("cls", "compiled"),
+    [(Calm, False), (Formula, True), (Branching, False), (Crowd, False)],
+    ids=lambda k: getattr(k, "kind", None),
+)
+def test_a_users_task_is_compiled_when_it_says_so_and_can_be(cls, compiled):
+    """Otherwise it runs in NumPy as it always has."""
+    batches = pair(cls())
+    assert batches[0].compiled == compiled
+    require_same_steps(batches, 20)

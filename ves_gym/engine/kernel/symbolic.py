@@ -1,0 +1,288 @@
+"""NumPy text as a graph: arrays of CasADi symbols that go through functions written in NumPy.
+
+A function of arrays with one simulation per row is called with rows of symbols instead of
+numbers; what it returns is its formula, which the kernel compiles. Whatever needs a number to
+go on (an `if`, an index, a conversion) raises, and the function stays in NumPy.
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    import casadi
+
+_ROWS = 2  # simulations that a function is followed with: none may look at the other
+
+
+class Untraceable(TypeError):
+    """A function that cannot be followed; it is asked in NumPy."""
+
+
+class Term:
+    """An expression in an array, and no number: `float` of a CasADi symbol would be NaN."""
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+    def __bool__(self) -> bool:
+        raise Untraceable("a formula asks whether an expression is true")
+
+
+class Traced(np.ndarray):
+    """An array of terms. Shapes are NumPy's, and so is the text; only numbers are missing."""
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
+        """Build expressions where NumPy would compute (NEP 13)."""
+        out = kwargs.pop("out", (None,))[0]
+        parts = [_objects(k) for k in inputs]
+        for harmless in ("casting", "subok", "dtype"):
+            kwargs.pop(harmless, None)
+        if method == "__call__" and not kwargs:
+            value = (
+                _matmul(*parts) if ufunc is np.matmul else _elementwise(ufunc.__name__, parts)
+            )
+        elif method == "reduce":
+            value = _reduced(ufunc.__name__, parts[0], **kwargs)
+        else:
+            raise Untraceable(f"numpy.{ufunc.__name__}.{method} with {', '.join(kwargs)}")
+        if out is None:
+            return _traced(value)
+        out[...] = value
+        return out
+
+    def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        """Replace the functions that would ask an expression for its value (NEP 18)."""
+        if func is np.where and len(args) == 3:
+            return _traced(_elementwise("where", [_objects(k) for k in args]))
+        if func is np.linalg.norm:
+            return _norm(*args, **kwargs)
+        out = super().__array_function__(func, types, args, kwargs)
+        return _traced(out) if isinstance(out, np.ndarray) and out.dtype == object else out
+
+    def astype(self, dtype: Any, *args: Any, **kwargs: Any) -> Any:
+        """Round to float32; float64 they are; anything else is refused."""
+        if np.dtype(dtype) == np.float64:
+            return self.copy()
+        if np.dtype(dtype) != np.float32:
+            raise Untraceable(f"symbols have no type {np.dtype(dtype)}")
+        return _traced(_elementwise("single", [_objects(self)]))
+
+
+def symbols(name: str, columns: int) -> Traced:
+    """(2, columns) symbols, name0_0 and so on."""
+    import casadi as ca
+
+    out = np.empty((_ROWS, columns), object)
+    for i, j in np.ndindex(out.shape):
+        out[i, j] = Term(ca.SX.sym(f"{name}{i}_{j}"))
+    return out.view(Traced)
+
+
+def per_row(
+    function: Callable[..., tuple[Any, ...]], *rows: Traced, shapes: tuple[int, ...]
+) -> list[list[Any]]:
+    """Expressions that a function of rows gives for any one of them.
+
+    Args:
+        function: of arrays, a simulation per row.
+        rows: its arguments, from `symbols`.
+        shapes: number of columns of each of its results.
+
+    Returns:
+        Per result its columns, in the first row's symbols.
+
+    Raises:
+        Untraceable: a result of another shape, or a row that looks at others.
+    """
+    import casadi as ca
+
+    results = function(*rows)
+    first, second = (column(*(part[i] for part in rows)) for i in range(_ROWS))
+    out = []
+    for result, width in zip(results, shapes, strict=True):
+        array = _objects(result)
+        if array.ndim == 1:
+            array = array[:, None]
+        if array.shape != (_ROWS, width):
+            raise Untraceable(f"expected {(_ROWS, width)}, got {array.shape}")
+        expression, other = map(column, array)
+        mixed = width and (ca.depends_on(expression, second) or ca.depends_on(other, first))
+        if mixed or _text(first, expression) != _text(second, other):
+            raise Untraceable("a simulation's numbers depend on those of others")
+        out.append(list(ca.vertsplit(expression)) if width else [])
+    return out
+
+
+def column(*rows: npt.NDArray[np.object_]) -> casadi.SX:
+    """Rows of terms and numbers, one under the other."""
+    import casadi as ca
+
+    return ca.vertcat(*(ca.SX(_expression(k)) for row in rows for k in row))
+
+
+def _text(x: Any, y: Any) -> str:
+    """Instructions of a graph, the same for the same graph of other symbols."""
+    import casadi as ca
+
+    f = ca.Function("row", [x], [y], {"allow_free": True})
+    lines = []
+    for k in range(f.n_instructions()):
+        constant = f.instruction_constant(k) if f.instruction_id(k) == ca.OP_CONST else None
+        where = f.instruction_input(k), f.instruction_output(k)
+        lines.append(f"{f.instruction_id(k)} {where} {constant}")
+    return "\n".join(lines)
+
+
+@functools.cache
+def single() -> casadi.Function:
+    """Rounding to float32: the one function that graphs call and the kernel knows by itself."""
+    import casadi as ca
+
+    x = ca.SX.sym("x")
+    return ca.Function("single", [x], [x], {"never_inline": True})
+
+
+# ------------------------------------------------------------------------- operations
+
+
+def _objects(value: Any) -> npt.NDArray[np.object_]:
+    """Plain array of objects: expressions and floats."""
+    if isinstance(value, Term):
+        out = np.empty((), object)
+        out[()] = value
+        return out
+    array = np.asarray(value).view(np.ndarray)
+    if array.dtype == object:
+        return array
+    if array.dtype.kind not in "fiub":
+        raise Untraceable(f"symbols with {array.dtype}")
+    return array.astype(float).astype(object)
+
+
+def _traced(value: Any) -> Traced:
+    return _objects(value).view(Traced)
+
+
+def _elementwise(name: str, parts: list[npt.NDArray[np.object_]]) -> Any:
+    operations = _operations()
+    if name not in operations:
+        raise Untraceable(f"numpy.{name} has no formula; known: {', '.join(operations)}")
+    return _apply(operations[name], *parts)
+
+
+def _apply(operation: Callable[..., Any], *parts: Any) -> Any:
+    def apply(*args: Any) -> Any:
+        value = operation(*map(_expression, args))
+        return value if isinstance(value, float) else Term(value)
+
+    return np.frompyfunc(apply, len(parts), 1)(*parts)
+
+
+def _expression(item: Any) -> Any:
+    return item.value if isinstance(item, Term) else item
+
+
+def _matmul(a: npt.NDArray[np.object_], b: npt.NDArray[np.object_]) -> Any:
+    if a.ndim < 2 or b.ndim < 2:
+        raise Untraceable("products of matrices only")
+    terms = _elementwise("multiply", [a[..., :, :, None], b[..., None, :, :]])
+    return _reduced("add", terms, axis=-2)
+
+
+def _reduced(
+    name: str,
+    array: npt.NDArray[np.object_],
+    axis: Any = 0,
+    keepdims: bool = False,
+    **others: Any,
+) -> Any:
+    if any(k not in ("initial", "where") for k in others) or axis is None:
+        raise Untraceable(f"numpy.{name} over everything")
+    combine = _operations()[name]
+    out = functools.reduce(
+        lambda a, b: _apply(combine, a, b), list(np.moveaxis(array, axis, 0))
+    )
+    return np.expand_dims(out, axis) if keepdims else out
+
+
+def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
+    if ord is not None or not isinstance(axis, int) or keepdims:
+        raise Untraceable("numpy.linalg.norm other than along one axis")
+    return np.sqrt(np.sum(x * x, axis=axis))
+
+
+def _power(a: Any, b: Any) -> Any:
+    import casadi as ca
+
+    if isinstance(b, float):
+        if b == int(b) and 1 <= b <= 8:
+            return functools.reduce(operator.mul, [a] * int(b))
+        raise Untraceable(f"power {b}")
+    if isinstance(a, float) and a > 0:
+        return ca.exp(float(np.log(a)) * b)
+    raise Untraceable("power of two expressions")
+
+
+@functools.cache
+def _operations() -> Mapping[str, Callable[..., Any]]:
+    """What each elementwise operation of NumPy is in a graph; truth is 1, falsehood 0."""
+    import casadi as ca
+
+    def where(condition: Any, yes: Any, no: Any) -> Any:
+        if isinstance(condition, float):
+            return yes if condition else no
+        return ca.if_else(condition, yes, no)
+
+    def either(f: Any, g: Any) -> Callable[..., Any]:
+        """`f` of expressions, `g` where there are only numbers."""
+
+        def apply(*args: Any) -> Any:
+            if any(isinstance(k, ca.SX) for k in args):
+                return f(*args)
+            return float(g(*args))
+
+        return apply
+
+    table: dict[str, Callable[..., Any]] = {
+        "add": operator.add,
+        "subtract": operator.sub,
+        "multiply": operator.mul,
+        "divide": operator.truediv,
+        "negative": operator.neg,
+        "positive": operator.pos,
+        "square": lambda a: a * a,
+        "power": either(_power, np.power),
+        "where": where,
+        "single": either(single(), np.float32),
+        "clip": either(lambda a, low, high: ca.fmin(ca.fmax(a, low), high), np.clip),
+        "absolute": either(ca.fabs, np.abs),
+    }
+    same = ("sqrt", "sin", "cos", "exp", "tanh", "log", "log10", "floor", "sign")
+    table |= {name: either(getattr(ca, name), getattr(np, name)) for name in same}
+    others = {
+        "maximum": ca.fmax,
+        "minimum": ca.fmin,
+        "less": operator.lt,
+        "less_equal": operator.le,
+        "greater": operator.gt,
+        "greater_equal": operator.ge,
+        "logical_and": ca.logic_and,
+        "logical_or": ca.logic_or,
+        "logical_not": ca.logic_not,
+    }
+    table |= {name: either(f, getattr(np, name)) for name, f in others.items()}
+    table |= {
+        "bitwise_and": table["logical_and"],
+        "bitwise_or": table["logical_or"],
+        "invert": table["logical_not"],
+    }
+    return table

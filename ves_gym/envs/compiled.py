@@ -1,0 +1,311 @@
+"""A task's control period as graphs, from the NumPy text of task, control and bookkeeping.
+
+The state of an episode is a slate of rows beside the engine's: reference and command, what the
+task remembers, sums and counters. `move` turns an action into the moved reference, `follow`
+into the engine's commands; the physics comes between; `close` gives reward, observation and
+the next slate.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, Mask, content_hash
+from ves_gym.engine.backends.base import MEANINGLESS
+from ves_gym.engine.kernel.build import Library, cached
+from ves_gym.engine.kernel.pieces import emit_pieces
+from ves_gym.engine.kernel.symbolic import Traced, column, per_row, symbols
+from ves_gym.envs.control import Control
+from ves_gym.envs.episode import Episodes, bounded, count, endings, judge, shown
+from ves_gym.envs.task import Scene, Task
+from ves_gym.mechanics.spatial import SINGULAR
+from ves_gym.system.system import System
+
+if TYPE_CHECKING:
+    import casadi
+
+WIDEST = 64  # numbers of a goal that formulas may see; longer ones are tables (`Task.lookup`)
+FLAGS = (
+    "last",
+    "failed",
+    "solved",
+    "once",
+    "diverged",
+    "event",
+)  # last rows of what `close` tells
+_LIBRARIES: dict[str, Library] = {}
+
+
+def layout(*parts: tuple[str, int]) -> dict[str, slice]:
+    """Columns of named parts one after another."""
+    ends = list(itertools.accumulate((size for _, size in parts), initial=0))
+    return {name: slice(a, b) for (name, _), a, b in zip(parts, ends, ends[1:], strict=False)}
+
+
+def width(columns: dict[str, slice]) -> int:
+    """Number of columns of a `layout`."""
+    return max((k.stop for k in columns.values()), default=0)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Sizes and columns of a task's rows."""
+
+    task: Task
+    system: System  # with the randomised effects
+    coordinates: int  # of the engine, hidden ones included
+    goal: int
+    found: int
+    terms: tuple[str, ...]  # of the reward, `failure` included
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return self.system.arm.n
+
+    @cached_property
+    def feedforward(self) -> bool:
+        """A command has the torque that the reference takes added."""
+        control = self.task.control
+        follows = self.system.drive == "motor" and control.level != "torque"
+        return follows and control.servo.feedforward
+
+    @cached_property
+    def moved(self) -> dict[str, slice]:
+        """What `move` gives."""
+        n = self.joints
+        return layout(("ref", 3 * n), ("kp", n), ("kd", n), ("clipped", 1), ("command", n))
+
+    @cached_property
+    def slate(self) -> dict[str, slice]:
+        """What is carried from period to period."""
+        n = self.joints
+        return layout(
+            ("ref", 3 * n), ("kp", n), ("kd", n), ("clipped", 1), ("tau", n),
+            ("memory", self.task.memory), ("energies", 2), ("sums", 2), ("peaks", 2),
+            ("total", 1), ("once", 1), ("steps", 1),
+        )  # fmt: skip
+
+    @cached_property
+    def given(self) -> dict[str, slice]:
+        """What `close` is given besides: tables, measurements, what Python knows."""
+        return layout(
+            ("found", self.found), ("y_seen", 6), ("yd_seen", 6), ("stopped", 1),
+            ("over", 1), ("tail", 1),
+        )  # fmt: skip
+
+    @cached_property
+    def told(self) -> dict[str, slice]:
+        """What `close` tells."""
+        size = sum(f.size for f in self.task.fields())
+        terms = [(f"reward/{name}", 1) for name in self.terms]
+        flags = [(name, 1) for name in FLAGS]
+        return layout(("observation", size), *terms, ("reward", 1), *flags)
+
+    @cached_property
+    def nodes(self) -> int:
+        """Commands per period: one where it is held."""
+        return 1 if self.task.control.held else self.system.substeps + 1
+
+
+def compiles(task: Task) -> bool:
+    """Task and control say of themselves that they are formulas."""
+    control, drive = type(task.control), type(task.control).drive
+    says = all(vars(k).get("compiled", False) for k in (type(task), control))
+    return says and drive is Control.drive
+
+
+def library(shape: Shape, probe: Callable[[], bytes]) -> Library:
+    """The compiled pieces of a task.
+
+    Args:
+        shape: of its rows.
+        probe: numbers that its formulas give, as bytes: whatever text they come from, other
+            numbers are other code.
+
+    Raises:
+        Untraceable: a formula needs numbers to go on.
+        ImportError, RuntimeError, OSError: nothing compiles here.
+    """
+    task = shape.task
+    what = (content_hash(task), type(task).__qualname__, shape.coordinates, shape.terms)
+    if type(task).__module__.startswith("ves_gym."):
+        key = f"period {_text()} {what!r} {hashlib.sha256(probe()).hexdigest()}"
+        if key not in _LIBRARIES:
+            _LIBRARIES[key] = cached(key, lambda: emit_pieces(graphs(shape)))
+        return _LIBRARIES[key]
+    made = emit_pieces(graphs(shape))  # text that may change under the same name
+    key = f"period {hashlib.sha256(made.encode()).hexdigest()}"
+    if key not in _LIBRARIES:
+        _LIBRARIES[key] = cached(key, lambda: made)
+    return _LIBRARIES[key]
+
+
+def _text() -> str:
+    """Digest of the text that the graphs come from."""
+    here = Path(__file__).parent
+    files = sorted(here.glob("*.py"))
+    kernel = here.parent / "engine" / "kernel"
+    files += [kernel / name for name in ("symbolic.py", "pieces.py", "emit.py")]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+
+
+# ------------------------------------------------------------------------------- graphs
+
+
+def graphs(shape: Shape) -> dict[str, casadi.Function]:
+    """Graphs of the pieces `keep`, `move`, `follow` and `close`."""
+    import casadi as ca
+
+    carried = ca.SX.sym("slate", width(shape.slate))
+    return {
+        "keep": ca.Function("keep", [carried], [carried]),
+        "move": _move(shape),
+        "follow": _follow(shape),
+        "close": _close(shape),
+    }
+
+
+def _scene(shape: Shape, carried: Traced, z: Traced, zd: Traced, goal: Traced) -> Scene:
+    """A scene of symbols, to be completed by what there is."""
+    n, rows = shape.joints, len(carried)
+    k = {name: carried[:, at].copy() for name, at in shape.slate.items()}
+    none = np.zeros((rows, 0))
+    return Scene(
+        time=k["steps"][:, 0] * shape.system.substeps * shape.system.physics_dt,
+        q=z[:, 6:].copy(), v=zd[:, 6:].copy(), y=z[:, :6].copy(), yd=zd[:, :6].copy(),
+        y_seen=none, yd_seen=none, tool=none, tool_seen=none, energies=k["energies"],
+        ref=k["ref"].reshape(rows, 3, n), goal=goal, memory=k["memory"], found=none,
+        tau=k["tau"], tail=none, kp=k["kp"], kd=k["kd"],
+    )  # fmt: skip
+
+
+def _episodes(shape: Shape, carried: Traced) -> Episodes:
+    k = {name: carried[:, at].copy() for name, at in shape.slate.items()}
+    none: Any = np.zeros(len(carried))
+    return Episodes(
+        root=none, index=none, number=none, steps=k["steps"][:, 0],
+        clipped=k["clipped"][:, 0], once=k["once"][:, 0], total=k["total"][:, 0],
+        sums=k["sums"], peaks=k["peaks"],
+    )  # fmt: skip
+
+
+def _move(shape: Shape) -> casadi.Function:
+    """(z, zd, slate, goal, action) -> `Shape.moved`."""
+    task, system, n = shape.task, shape.system, shape.joints
+    control, dt = task.control, system.control_dt
+
+    def moved(*rows: Traced) -> tuple[Any, ...]:
+        z, zd, carried, goal, action = rows
+        s, e = _scene(shape, carried, z, zd, goal), _episodes(shape, carried)
+        remaining: Any = task.duration - e.steps * dt
+        follow = lambda: plain_command(task, s)  # noqa: E731
+        control.command(s, bounded(e, action), system.arm, dt, remaining, follow)
+        return s.ref.reshape(len(z), 3 * n), s.kp, s.kd, e.clipped, s.tau
+
+    size = 6 + n
+    sizes = (size, size, width(shape.slate), shape.goal, control.width(system.arm))
+    return _graph("move", moved, sizes, (3 * n, n, n, 1, n))
+
+
+def plain_command(task: Task, s: Scene) -> Array:
+    """Drive command (n, joints) that follows the reference, without feed-forward torque."""
+    if task.system.drive == "prescribed":
+        return s.ref[:, 2].copy()
+    if task.control.level == "torque":
+        return np.zeros_like(s.q)
+    out: Array = s.kp * s.ref[:, 0] + s.kd * s.ref[:, 1]
+    return out
+
+
+def _follow(shape: Shape) -> casadi.Function:
+    """(tau before, moved, feed-forward) -> (the engine's commands, tau, gains)."""
+    import casadi as ca
+
+    n, at = shape.joints, shape.moved
+    before, moved = ca.SX.sym("before", n), ca.SX.sym("moved", width(at))
+    extra = ca.SX.sym("extra", n)
+    end = moved[at["command"]]
+    if shape.feedforward:
+        end = end + extra
+    nodes = []
+    for k in range(shape.nodes):
+        share = k / max(shape.nodes - 1, 1)
+        command = end if shape.nodes == 1 else before + share * (end - before)
+        nodes += [ca.SX.zeros(6), command]
+    gains = ca.vertcat(moved[at["kp"]], moved[at["kd"]])
+    return ca.Function("follow", [before, moved, extra], [ca.vertcat(*nodes), end, gains])
+
+
+def _close(shape: Shape) -> casadi.Function:
+    """(z, zd, x, slate, moved, tau, goal, given, energies and tools) -> (told, next slate)."""
+    task, system = shape.task, shape.system
+    dt = system.control_dt
+    scale = np.concatenate([f.scale for f in task.fields()])
+
+    def closed(*rows: Traced) -> tuple[Any, ...]:
+        z, zd, x, carried, moved, tau, goal, given, seen = rows
+        s, e = _scene(shape, carried, z, zd, goal), _episodes(shape, carried)
+        before = s.energies
+        s.time = np.add(e.steps, 1, dtype=np.float64) * system.substeps * system.physics_dt
+        s.ref = moved[:, shape.moved["ref"]].reshape(s.ref.shape)
+        s.kp, s.kd, s.tau = moved[:, shape.moved["kp"]], moved[:, shape.moved["kd"]], tau
+        e.clipped = moved[:, shape.moved["clipped"]][:, 0]
+        s.energies, s.tool, s.tool_seen = seen[:, :2], seen[:, 2:5], seen[:, 5:]
+        k = {name: given[:, at] for name, at in shape.given.items()}
+        s.found, s.tail, over, stopped = (
+            k["found"], k["tail"][:, 0], k["over"][:, 0], k["stopped"][:, 0],
+        )  # fmt: skip
+        s.y_seen, s.yd_seen = s.y, s.yd
+        if system.mode == "emulated":
+            s.y_seen, s.yd_seen = k["y_seen"], k["yd_seen"]
+        count(task, s, e, before, dt)
+        sane: Mask = np.all(
+            np.abs(x) < MEANINGLESS, axis=1
+        )  # as the engine and `Simulator` judge
+        if system.base.body is not None:
+            sane = sane & (np.cos(z[:, 4]) >= SINGULAR)
+        last, failed = endings(task, s, e, stopped | ~sane, over)
+        verdict = judge(task, s, e, dt, last, failed, over, ~sane)
+        terms = tuple(verdict.terms[name] for name in shape.terms)
+        flags = (last, failed, verdict.solved, e.once, ~sane, last | failed | ~sane)
+        slate = (
+            s.ref.reshape(len(z), -1), s.kp, s.kd, e.clipped, s.tau, s.memory, s.energies,
+            e.sums, e.peaks, e.total, e.once, e.steps,
+        )  # fmt: skip
+        return (shown(task, s, scale), *terms, verdict.reward, *flags, *slate)
+
+    size, at = 6 + shape.joints, shape.slate
+    sizes = (
+        size, size, 2 * shape.coordinates, width(at), width(shape.moved), shape.joints,
+        shape.goal, width(shape.given), 8,
+    )  # fmt: skip
+    told = tuple(k.stop - k.start for k in shape.told.values())
+    carried = tuple(k.stop - k.start for k in at.values())
+    return _graph("close", closed, sizes, (*told, *carried), split=len(told))
+
+
+def _graph(
+    name: str,
+    function: Callable[..., tuple[Any, ...]],
+    sizes: tuple[int, ...],
+    shapes: tuple[int, ...],
+    split: int | None = None,
+) -> casadi.Function:
+    """NumPy text as a graph; its results are stacked, those from `split` on apart."""
+    import casadi as ca
+
+    rows = [symbols(f"{name}{i}_", size) for i, size in enumerate(sizes)]
+    parts = per_row(function, *rows, shapes=shapes)
+    stacks = [parts] if split is None else [parts[:split], parts[split:]]
+    outputs = [ca.vertcat(*(k for part in stack for k in part)) for stack in stacks]
+    inputs = [column(row[0]) if row.size else ca.SX(0, 1) for row in rows]
+    return ca.Function(name, inputs, [ca.densify(k) for k in ca.cse(outputs)])

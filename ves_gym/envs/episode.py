@@ -1,0 +1,129 @@
+"""Bookkeeping of a control period: one text, run in NumPy and compiled (`envs/compiled.py`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array, Mask
+from ves_gym.envs.task import Scene, Task
+
+FAILURE = -2.0  # added to the reward when an episode fails; a straight motion returns about -1
+
+
+@dataclass
+class Episodes:
+    """Counters and running sums of n episodes. Leading axis n."""
+
+    root: npt.NDArray[np.uint64]  # seed of the sequence of episodes
+    index: npt.NDArray[np.int64]  # which of that seed's simulations
+    number: npt.NDArray[np.int64]  # which episode, from 0
+    steps: npt.NDArray[np.int64]  # control periods so far
+    clipped: npt.NDArray[np.int64]  # actions that were out of bounds
+    once: Mask  # success at any time
+    total: Array  # return so far
+    sums: Array  # (n, 2) integrals of E and of the strain energy [J s]
+    peaks: Array  # (n, 2) their peaks [J]
+
+
+class Verdict(NamedTuple):
+    """What a period was worth."""
+
+    terms: dict[str, Array]  # (n,) of the reward
+    reward: Array  # (n,) their sum
+    solved: Mask  # (n,)
+
+
+def bounded(e: Episodes, actions: Array) -> Array:
+    """Return actions within their bounds, those outside counted.
+
+    Args:
+        e: of the episodes, written.
+        actions: (n, width).
+    """
+    e.clipped += (np.abs(actions) > 1.0).any(axis=1)
+    return np.clip(actions, -1.0, 1.0)
+
+
+def count(task: Task, s: Scene, e: Episodes, before: Array, dt: float) -> None:
+    """Bring memory and sums up to date at the end of a period.
+
+    Args:
+        task: what the episodes ask.
+        s, e: written.
+        before: (n, 2) energies at the period's start [J].
+        dt: period [s].
+    """
+    e.steps += 1
+    task.remember(s, dt)
+    e.sums += (before + s.energies) * (dt / 2)
+    np.maximum(e.peaks, s.energies, out=e.peaks)
+
+
+def endings(task: Task, s: Scene, e: Episodes, lost: Mask, over: Mask) -> tuple[Mask, Mask]:
+    """Episodes (n,) that are at their deadline, and those that fail now.
+
+    Args:
+        task, s, e: as in `count`.
+        lost: (n,) failed whatever the task says.
+        over: (n,) simulations that wait for their next episode.
+    """
+    last, failed = e.steps >= task.steps, lost | task.failed(s)
+    return last & ~over, failed & ~over
+
+
+def judge(
+    task: Task,
+    s: Scene,
+    e: Episodes,
+    dt: float,
+    last: Mask,
+    failed: Mask,
+    over: Mask,
+    diverged: Mask,
+) -> Verdict:
+    """Reward and success of a period.
+
+    Args:
+        task, s, e, dt: as in `count`.
+        last, failed, over: (n,) of `endings`.
+        diverged: (n,) simulations whose numbers may be none.
+    """
+    terms = task.reward(s, dt, last & ~failed)
+    terms["failure"] = np.where(failed, FAILURE, 0.0)
+    for name, term in terms.items():
+        meaningless = diverged & ~(np.abs(term) < np.inf)  # a NaN is not
+        terms[name] = np.where(over | meaningless, 0.0, term)
+    first, *others = terms.values()
+    reward = sum(others, start=first)  # in the order of the terms
+    solved = task.success(s) & ~failed & ~over
+    e.once |= solved
+    e.total += reward
+    return Verdict(terms, reward, solved)
+
+
+def outcome(task: Task, last: Mask, failed: Mask) -> tuple[Mask, Mask]:
+    """Return what is terminated (n,) and what is truncated.
+
+    Args:
+        task: says which of them the deadline is.
+        last, failed: (n,) of `endings`.
+    """
+    if task.ends == "terminated":
+        return failed | last, np.zeros(len(last), bool)
+    return failed, last & ~failed
+
+
+def shown(task: Task, s: Scene, scale: Array) -> Array:
+    """(n, observations) in the fields' scales, clipped; what is not a number becomes 0.
+
+    Args:
+        task, s: whose.
+        scale: (observations,) of all fields one after another.
+    """
+    values = np.concatenate(task.observe(s), axis=1) / scale
+    values = np.minimum(np.maximum(values, -task.CLIP), task.CLIP)
+    return np.where(np.abs(values) <= task.CLIP, values, 0.0)

@@ -1,0 +1,285 @@
+"""A batch's control period in compiled code: what `Batch` does in NumPy, to rounding."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array, Index, Mask
+from ves_gym.engine.backends.kernel import KernelBackend
+from ves_gym.engine.kernel.blocks import aligned, fill, unlane
+from ves_gym.engine.kernel.emit import LANES
+from ves_gym.engine.kernel.pieces import Piece, Program, numbers
+from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
+from ves_gym.engine.kernel.symbolic import Untraceable
+from ves_gym.envs import compiled
+from ves_gym.envs.compiled import WIDEST, Shape, compiles, width
+from ves_gym.envs.episode import FAILURE, outcome
+
+if TYPE_CHECKING:
+    from ves_gym.envs.batch import Batch
+
+_FAILURES = (Untraceable, ImportError, RuntimeError, OSError, TypeError, AttributeError)
+
+
+def period_of(batch: Batch, scenes: SceneMap, torques: TorqueMap) -> Period | None:
+    """The compiled period of a batch; None where it stays in NumPy.
+
+    Args:
+        batch: whose.
+        scenes, torques: its maps.
+    """
+    kernel = isinstance(batch.sim.backend, KernelBackend)
+    if not (kernel and scenes.ready and torques.ready and compiles(batch.task)):
+        return None
+    try:
+        return Period(batch, scenes, torques)
+    except _FAILURES:
+        return None
+
+
+class Period:
+    """The rows of a batch's episodes, and the programs that bring them on by a period.
+
+    Args:
+        batch: whose engine is the kernel.
+        scenes, torques: its maps.
+
+    Raises:
+        Untraceable, ...: what cannot be compiled.
+    """
+
+    ahead = False  # the rows are later than the batch's scene and episodes
+
+    def __init__(self, batch: Batch, scenes: SceneMap, torques: TorqueMap) -> None:
+        self.batch, self.n = batch, batch.n
+        backend = batch.sim.backend
+        assert isinstance(backend, KernelBackend)
+        self.backend = backend
+        s = batch.scene
+        goal = s.goal.shape[1] if s.goal.shape[1] <= WIDEST else 0
+        # the engine is in the program; else Python steps it between two programs
+        self.direct = batch.sim.emulation_loop is None and batch.sim.joint_delays is None
+        terms, probe = self._probe()
+        self.shape = shape = Shape(
+            batch.task, batch.system, backend.coordinates, goal, s.found.shape[1], terms
+        )
+        library = compiled.library(shape, lambda: probe)
+        blocks = backend.blocks
+        n = shape.joints
+        rows = lambda k: aligned(blocks, k, LANES)  # noqa: E731
+        self._slate, self._next = rows(width(shape.slate)), rows(width(shape.slate))
+        self._action, self._moved = rows(batch.width), rows(width(shape.moved))
+        self._goal, self._given = rows(goal), rows(width(shape.given))
+        self._told, self._tau, self._extra = rows(width(shape.told)), rows(n), rows(n)
+        self._seen = rows(8)
+        self._nodes = rows(shape.nodes * (6 + n))
+        self._waiting = False  # a simulation is marked as over
+        self._stopped = np.flatnonzero(batch.sim.diverged)  # these stay where they are
+        told = shape.told
+        self._flags = slice(told["last"].start, told["event"].stop)
+        self._observed, self._reward = told["observation"], told["reward"].start
+        self._terms = [(f"reward/{name}", told[f"reward/{name}"].start) for name in terms]
+        self._clipped = shape.slate["clipped"].start
+        self._emulated = batch.system.mode == "emulated"
+        self._alone = blocks == 1
+        x, z, zd = backend.rows_of_state()
+        at = shape.moved
+        before = self._slate[:, shape.slate["tau"]]
+        gains = rows(2 * n)
+        if self.direct and batch.task.control.level == "gains":
+            gains = backend.rows_of_gains()
+        measured = self._given[:, shape.given["y_seen"]] if self._emulated else z[:, :6]
+        first = [
+            Piece(library, "keep", [self._next, self._slate]),
+            Piece(library, "move", [z, zd, self._slate, self._goal, self._action, self._moved]),
+        ]
+        if shape.feedforward:
+            first.append(torques.piece([self._moved[:, at["ref"]]], self._extra))
+        rows_in = [before, self._moved, self._extra]
+        first.append(Piece(library, "follow", [*rows_in, self._nodes, self._tau, gains]))
+        rows_in = [z, zd, x, self._slate, self._moved, self._tau, self._goal, self._given]
+        last = [
+            scenes.piece([z, zd, measured], self._seen),
+            Piece(library, "close", [*rows_in, self._seen, self._told, self._next]),
+        ]
+        steps = batch.system.substeps
+        self._before, self._after = Program(library, first), Program(library, last)
+        self._whole = [
+            Program(library, [*first, piece, *last])
+            for piece in backend.pieces(library, self._nodes, shape.nodes, steps)
+        ]
+
+    def _probe(self) -> tuple[tuple[str, ...], bytes]:
+        """Names of the reward's terms, and numbers that tell tasks' formulas apart."""
+        task, batch = self.batch.task, self.batch
+        s = batch.probe()
+        with np.errstate(all="ignore"):
+            task.remember(s, batch.dt)
+            last = np.array([False, True])
+            terms = task.reward(s, batch.dt, last)
+            parts: list[npt.NDArray[Any]] = [*task.observe(s), s.memory, *terms.values()]
+            parts += [task.success(s), task.failed(s), *task.joint_range]
+        parts += [np.array([FAILURE])]
+        return (*terms, "failure"), b"".join(np.ascontiguousarray(k).tobytes() for k in parts)
+
+    # ------------------------------------------------------------- rows and scene
+
+    def load(self, ids: Index) -> None:
+        """Take over scene and episodes of some simulations."""
+        batch, at = self.batch, self.shape.slate
+        s, e = batch.scene, batch.episodes
+        rows = np.empty((len(ids), width(at)))
+        parts = {
+            "ref": s.ref.reshape(self.n, -1), "kp": s.kp, "kd": s.kd, "clipped": e.clipped,
+            "tau": s.tau, "memory": s.memory, "energies": s.energies, "sums": e.sums,
+            "peaks": e.peaks, "total": e.total, "once": e.once, "steps": e.steps,
+        }  # fmt: skip
+        for name, values in parts.items():
+            rows[:, at[name]] = values[ids].reshape(len(ids), -1)
+        block, lane = ids // LANES, ids % LANES
+        self._next[block, :, lane] = rows
+        if self._goal.shape[1]:
+            self._goal[block, :, lane] = s.goal[ids]
+        self._note_diverged()
+
+    def store(self) -> None:
+        """Bring the batch's scene and episodes up to date."""
+        self.ahead = False
+        self._write(self._next)
+        s = self.batch.scene
+        rows = unlane(self._seen, self.n)
+        s.energies, s.tool, s.tool_seen = rows[:, :2], rows[:, 2:5], rows[:, 5:]
+        rows = unlane(self._given, self.n)
+        s.found, s.tail = (rows[:, self.shape.given[k]] for k in ("found", "tail"))
+        s.tail = s.tail[:, 0]
+        s.time, s.y, s.yd, s.q, s.v = self.batch.sim.last_state
+        s.y_seen, s.yd_seen = s.y, s.yd
+        if self.batch.system.mode == "emulated":
+            given = self.shape.given
+            s.y_seen, s.yd_seen = rows[:, given["y_seen"]], rows[:, given["yd_seen"]]
+
+    def _write(self, slate: Array) -> None:
+        """What a slate holds into the batch's scene and episodes."""
+        s, e = self.batch.scene, self.batch.episodes
+        rows, at = unlane(slate, self.n), self.shape.slate
+        k = {name: rows[:, columns] for name, columns in at.items()}
+        s.ref, s.kp, s.kd, s.tau = k["ref"].reshape(self.n, 3, -1), k["kp"], k["kd"], k["tau"]
+        s.memory, s.energies = k["memory"], k["energies"]
+        e.sums, e.peaks, e.total = k["sums"], k["peaks"], k["total"][:, 0]
+        e.once = k["once"][:, 0] != 0
+        e.clipped, e.steps = (k[name][:, 0].astype(np.int64) for name in ("clipped", "steps"))
+        if self.batch.task.control.level == "gains":
+            self.batch.sim.note_gains(s.kp, s.kd)
+
+    # ------------------------------------------------------------------- a period
+
+    def step(
+        self, actions: Array, over: Mask | None
+    ) -> tuple[Array, Mask, Mask, dict[str, Any]]:
+        """See `Batch.step`."""
+        batch, backend = self.batch, self.backend
+        if self._alone:
+            self._action[0, :, : self.n] = actions.T  # what `fill` does, in one go
+        else:
+            fill(self._action, actions)
+        self._mark(over)
+        stopped: Mask | None = None
+        if self.direct:
+            if self.shape.found:
+                self._look_up(self._next)
+            backend.run_program(self._whole, batch.system.substeps, self._stopped)
+            batch.sim.stepped_elsewhere()
+        else:
+            self._before(0, backend.blocks)
+            end = unlane(self._tau, self.n)
+            control = batch.task.control
+            if control.level == "gains":
+                at = self.shape.moved
+                rows = unlane(self._moved, self.n)
+                batch.sim.set_gains(rows[:, at["kp"]], rows[:, at["kd"]])
+            if control.held:
+                batch.sim.step(end)
+            else:
+                start = unlane(self._slate[:, self.shape.slate["tau"]], self.n)
+                batch.sim.step(start, until=end)
+            if self.shape.found:
+                self._look_up(self._slate)
+            if self._emulated:
+                stopped = self._measure()
+            self._after(0, backend.blocks)
+        rows = numbers(self._told, self.n)
+        flags = rows[self._flags] != 0
+        info: dict[str, Any] = {}
+        if np.count_nonzero(flags[5]):
+            self.ahead = True
+            if flags[4].any():
+                batch.sim.note_divergence()
+                self._note_diverged()
+            rows, flags, info = self._end(rows, flags)
+        else:
+            self.ahead = True
+        batch.keep_observation(rows[self._observed])
+        for key, at in self._terms:
+            info[key] = rows[at]
+        last, failed, info["success"], info["success_once"] = flags[:4]
+        info["clipped"] = self._next[:, self._clipped].astype(np.int64).reshape(-1)[: self.n]
+        info.update(batch.account(stopped, over))
+        return rows[self._reward], *outcome(batch.task, last, failed), info
+
+    def _note_diverged(self) -> None:
+        """Those that have diverged stay where they are, and have failed."""
+        self._stopped = np.flatnonzero(self.batch.sim.diverged)
+        marks = self._given[:, self.shape.given["stopped"]]
+        marks[:] = 0.0
+        marks[self._stopped // LANES, 0, self._stopped % LANES] = 1.0
+
+    def _mark(self, over: Mask | None) -> None:
+        at = self.shape.given["over"]
+        if over is not None:
+            fill(self._given[:, at], over[:, None].astype(np.float64))
+        elif self._waiting:
+            self._given[:, at] = 0.0
+        self._waiting = over is not None
+
+    def _look_up(self, slate: Array) -> None:
+        batch, at = self.batch, self.shape.slate["steps"].start
+        step = slate[:, at].reshape(-1)[: self.n].astype(np.intp) + 1
+        found = batch.task.lookup(batch.goals, step)
+        fill(self._given[:, self.shape.given["found"]], found)
+
+    def _measure(self) -> Mask:
+        """What the laboratory measures, and the platforms (n,) that stand still for good."""
+        y, yd, stopped = self.batch.measured()
+        given = self.shape.given
+        lost = stopped | self.batch.sim.diverged
+        parts = np.concatenate([y, yd, lost[:, None]], axis=1)
+        fill(self._given[:, given["y_seen"].start : given["stopped"].stop], parts)
+        return stopped
+
+    def _end(
+        self, rows: Array, flags: npt.NDArray[np.bool_]
+    ) -> tuple[Array, npt.NDArray[np.bool_], dict[str, Any]]:
+        """What is told at the ends of episodes: their energies, the tail in the reward."""
+        batch, shape = self.batch, self.shape
+        ended = flags[0] | flags[1]
+        if not ended.any():
+            return rows, flags, {}
+        ids = np.flatnonzero(ended & ~batch.sim.diverged)
+        tail, strain = np.zeros(self.n), np.zeros(self.n)
+        if batch.task.tail:
+            moved, at = unlane(self._moved, self.n)[ids], shape.moved
+            ref = moved[:, at["ref"]][:, : shape.joints]
+            tail[ids], strain[ids] = batch.tail(
+                ids, ref, moved[:, at["kp"]], moved[:, at["kd"]]
+            )
+            column = self._given[:, shape.given["tail"]]
+            fill(column, tail[:, None])
+            self._after(0, self.backend.blocks)
+            rows = numbers(self._told, self.n)
+            flags = rows[self._flags] != 0
+            column[:] = 0.0
+        batch.scene.tail = tail
+        return rows, flags, batch.energies_at_end(strain, ended)
