@@ -10,6 +10,7 @@ import types
 from dataclasses import dataclass
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -304,6 +305,32 @@ def test_an_effect_of_one_s_own_is_named_with_no_other_edit(own, kind, healthy):
     assert found.explanations[0].values == pytest.approx([value], rel=0.1)
     assert vg.System.from_dict(found.system.to_dict()) == found.system  # written, read again
     assert found.system.effects[-1].kind == kind
+
+
+def test_an_effect_of_one_s_own_is_compiled_and_randomised(own):
+    """The kernel against MuJoCo, which holds a law's torque over a step; and random numbers."""
+    bodies = (own["own/guy_wire"](stiffness=1900.0), own["own/heavy_link"](added=0.5))
+    laws = (own["own/fluid"](drag=(5.0, 19.0, 3.0)),)
+    push = np.array([[20.0, -30, 10], [5.0, 10, -5]])
+    for effects, tolerance in ((bodies, 1e-9), (laws, 1e-3)):
+        states = []
+        for backend in ("mujoco", "kernel"):
+            sim = vg.Simulator(vg.System(effects=effects), 2, backend=backend)
+            for k in range(40):
+                state = sim.step(push * np.cos(0.3 * k))
+            states.append(np.concatenate([state.q, state.v, state.y, state.yd], axis=1))
+        np.testing.assert_allclose(*states, rtol=0, atol=tolerance)
+    ranges = {
+        "own/fluid": {"drag": [[0.0] * 3, [20.0] * 3]},
+        "own/forgotten_tool": {"mass": [0.0, 0.5]},
+    }
+    env = gym.make_vec("ves/PumaReachEmulated-v0", num_envs=3, randomize=ranges)
+    env.reset(seed=0)
+    drawn = [{e.kind: e for e in system.effects} for system in env.unwrapped.batch.sim.systems]
+    assert len({row["own/forgotten_tool"].mass for row in drawn}) == 3
+    assert len({row["own/fluid"].drag for row in drawn}) == 3
+    env.step(env.action_space.sample())
+    env.close()
 
 
 def test_effects_of_one_s_own_are_quiet_where_nothing_is_missing(own, healthy):

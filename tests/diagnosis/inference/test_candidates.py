@@ -4,13 +4,18 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
+from tests.effects.values import VALUES, effect
 from ves_gym._util.params import ParameterError
+from ves_gym.diagnosis.inference.cache import source_digest
 from ves_gym.diagnosis.inference.candidates import left_out, library
 from ves_gym.diagnosis.machines.drift import SlowPath
+from ves_gym.diagnosis.machines.mjcf import MjcfJoint, MjcfMachine
 from ves_gym.diagnosis.machines.presliding import Presliding
+from ves_gym.diagnosis.machines.torque_balance import scales
 from ves_gym.effects import SensorDrift
 from ves_gym.mechanics.spatial import WRENCH
 from ves_gym.mechanics.vehicle import FREE_FLOATING
@@ -202,3 +207,40 @@ def test_friction_builds_up():
         "joint/load_friction",
         "joint/stribeck",
     }
+
+
+def test_a_law_of_one_s_own_is_tried_on_any_machine_in_mjcf(registered):
+    class Spring(TorqueEffect):
+        modes = ("ideal", "emulated")
+        port = "joint"
+        stiffness: tuple[float, ...] = parameter("N m/rad", bounds=(0.0, 50.0), shape=(None,))
+
+        def law(self, xp, q, v, tau):
+            return -self.stiffness * q
+
+    registered("own/spring", Spring)
+    body = "<body><joint name='hip'/><geom size='0.1'/></body>"
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    found = {c.name: c for c in MjcfMachine("leg", [MjcfJoint("hip")], model).candidates()}
+    assert found["own/spring at hip"].ports == ("joint",)
+    assert not {"joint/torque_limit", "joint/elasticity", "payload/mass"} & {
+        c.kind for c in found.values()
+    }
+
+
+def test_laws_that_change_with_the_torque_are_found_by_asking(registered):
+    class Worn(TorqueEffect):
+        modes = ("ideal", "emulated")
+        port = "joint"
+        share: float = parameter("1", bounds=(0.0, 0.5))
+
+        def law(self, xp, q, v, tau):
+            return -self.share * tau
+
+    before = source_digest.__wrapped__()
+    worn = registered("own/worn", Worn)
+    assert source_digest.__wrapped__() != before  # answers of an edited file are asked anew
+    at_all = {kind for kind in VALUES if scales(effect(kind))}
+    assert at_all == {"joint/drive_gain", "joint/load_friction"}
+    assert scales(worn(share=0.1))
+    assert not scales(worn())

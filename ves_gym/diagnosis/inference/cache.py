@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import inspect
 import io
 import os
 import shutil
@@ -25,6 +26,7 @@ from ves_gym._util.params import Array, canonical_json, content_hash
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine
+from ves_gym.system.effect import EFFECTS
 
 FOLDER = "unfinished"
 # subpackages that say what an answer is
@@ -124,8 +126,13 @@ def digest_of(run: Run) -> str:
 def source_digest() -> str:
     """Return the SHA-256 of the code that answers: any edit of it makes answers anew."""
     sha = hashlib.sha256()
+    paths: list[Path] = []
     for name in _SOURCES:
         package = Path(str(files("ves_gym"))) / name
-        for path in sorted(package.rglob("*.py")):
-            sha.update(path.read_bytes())
+        paths += sorted(package.rglob("*.py"))
+    own = [cls for cls in EFFECTS.values() if not cls.__module__.startswith("ves_gym.")]
+    with contextlib.suppress(OSError, TypeError):  # of an effect typed in a console
+        paths += sorted({Path(inspect.getfile(cls)) for cls in own})
+    for path in paths:
+        sha.update(path.read_bytes())
     return sha.hexdigest()
