@@ -1,25 +1,29 @@
-"""Physics steps a second on a GPU: our kernel against MuJoCo Warp, n = 1,024 to 65,536.
+"""Physics and environment steps a second on a GPU, n = 1,024 to 65,536, and PPO fed from them.
 
-`python -m benchmarks.gpu` on a machine with a GPU. Without one it says so and runs few
-simulations on Warp's CPU device, against the kernel.
+`python -m benchmarks.gpu` on a machine with a GPU: our kernel against MuJoCo Warp. Without one
+it says so and runs few simulations on Warp's CPU device, against the kernel.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.device_ppo import Progress, train
 from ves_gym._util.optional import lacking
 from ves_gym.engine.backends.base import BackendWarning
 from ves_gym.engine.backends.registry import make_backend
 from ves_gym.engine.kernel.warp_code import load_warp
+from ves_gym.envs.device import DeviceVectorEnv
 from ves_gym.system.system import System
 
 SIZES = (1_024, 4_096, 16_384, 65_536)
@@ -105,6 +109,47 @@ def steps_per_second(work: Callable[[], None], system: System, n: int) -> tuple[
     return n * PERIODS * system.substeps / float(np.median(times)), first
 
 
+def environment(n: int, device: str) -> tuple[float, float]:
+    """Steps a second of PumaRestToRest, and bytes that a step copies to the host.
+
+    Random actions; a whole episode and more, so that ends and beginnings are in it. Counted
+    by torch's profiler, on a GPU only: the number of episodes that ended, in every step.
+    """
+    import torch
+
+    env = DeviceVectorEnv(n, "rest_to_rest", device=device, starts=2)
+    env.reset(seed=0)
+    actions = torch.rand((n, env.single_action_space.shape[0]), device=device) * 2 - 1
+    steps = env.task.steps + PERIODS
+    gpu = device != "cpu"
+
+    def work() -> None:
+        for _ in range(steps):
+            env.step(actions)
+        if gpu:
+            torch.cuda.synchronize()
+
+    work()  # compiles and captures
+    begin = time.perf_counter()
+    work()
+    rate = n * steps / (time.perf_counter() - begin)
+    if not gpu:
+        return rate, math.nan
+    activities = [torch.profiler.ProfilerActivity.CUDA]
+    with torch.profiler.profile(activities=activities) as profile:
+        work()
+    copied = [e for e in profile.events() if "Memcpy DtoH" in e.name]
+    print(f"           {len(copied) / steps:.1f} copies to the host per step")
+    return rate, len(copied) / steps
+
+
+def training(n: int, device: str, updates: int) -> Progress:
+    """PPO on PumaDamp for some updates."""
+    env = DeviceVectorEnv(n, "damp", device=device, starts=2, precision="float32")
+    train(env, 1)  # compiles and captures
+    return train(env, updates)[1]
+
+
 def report(sizes: tuple[int, ...]) -> dict[str, Any]:
     """Measure and print."""
     system, results = System(), {}
@@ -112,6 +157,7 @@ def report(sizes: tuple[int, ...]) -> dict[str, Any]:
     device = wp.get_device()
     print(f"Warp {wp.config.version}, {device.name if device.is_cuda else 'CPU device'}")
     missing = lacking("the comparison", "mujoco_warp")
+    where = str(wp.device_to_torch(device))
     compared = device.is_cuda and not missing
     if device.is_cuda and missing:
         print(missing)
@@ -129,7 +175,16 @@ def report(sizes: tuple[int, ...]) -> dict[str, Any]:
         if compared:
             ratio = row["gpu-kernel"] / row["mujoco warp"]
             print(f"           {ratio:.1f} x MuJoCo Warp, in double precision")
+        row["environment"], row["copies"] = environment(n, where)
+        print(f"           {row['environment']:,.0f} environment steps/s (PumaRestToRest)")
         results[f"n{n}"] = row
+    progress = training(sizes[-1], where, 20)
+    results["ppo"] = asdict(progress)
+    share = progress.stepping / progress.seconds
+    print(
+        f"PPO on PumaDamp, n = {sizes[-1]}: {progress.steps / progress.seconds:,.0f} steps/s,"
+        f" {100 * share:.0f} % of the time in env.step"
+    )
     return results
 
 

@@ -13,7 +13,7 @@ from tests.engine.test_kernel import NUMBERS, ONE, TWO
 from ves_gym._util.optional import installed
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.backends.base import BackendWarning
-from ves_gym.engine.kernel.scalar import literal, map_text, statements
+from ves_gym.engine.kernel.scalar import graph_text, literal, statements
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -32,12 +32,13 @@ def evaluate(operations, real, *inputs):
     wp = warp_code.load_warp()
     x, p = ca.SX.sym("x", len(inputs)), ca.SX.sym("p")
     values = ca.vertcat(*(graph(*ca.vertsplit(x)) for graph, _ in operations.values()))
-    kernel = warp_code._map(wp, map_text(ca.Function("many", [x, p], [values]), real), real)
+    text = graph_text(ca.Function("many", [x, p], [values]), real, shared=(1,))
+    kernel = warp_code._graph(wp, text, real)
     number, n = getattr(wp, real), len(inputs[0])
     points = wp.array(np.array(inputs), dtype=number, device="cpu")
     out = wp.zeros((len(operations), n), dtype=number, device="cpu")
     none = wp.zeros((1, 1), dtype=number, device="cpu")
-    warp_code.launch(kernel, n, [points, none, out], wp.get_device("cpu"))
+    warp_code.launch_graph(kernel, [points, none, out], wp.get_device("cpu"))
     return dict(zip(operations, out.numpy(), strict=True))
 
 

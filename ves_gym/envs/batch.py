@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError, content_hash
 from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
-from ves_gym.envs.compiled import plain_command
+from ves_gym.envs.compiled import Shape, plain_command
 from ves_gym.envs.corners import warn_of_unstable_corners
 from ves_gym.envs.dump import Recorder
 from ves_gym.envs.episode import Episodes, bounded, count, endings, judge, outcome, shown
@@ -123,6 +123,11 @@ class Batch:
         if compiled:
             self._period = period_of(self, self._scenes, self._torques)
         self.recorder = None if dump is None else Recorder(self, dump)
+
+    @property
+    def shape(self) -> Shape | None:
+        """Rows of the compiled steps; None where they stay in NumPy."""
+        return None if self._period is None else self._period.shape
 
     @property
     def compiled(self) -> bool:

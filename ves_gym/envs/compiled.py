@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -147,6 +147,17 @@ def library(shape: Shape, probe: Callable[[], bytes]) -> Library:
     if key not in _LIBRARIES:
         _LIBRARIES[key] = cached(key, lambda: made)
     return _LIBRARIES[key]
+
+
+def digest(shape: Shape, graphs: Mapping[str, casadi.Function]) -> str:
+    """Return a digest of the graphs themselves, whatever text they came from.
+
+    Args:
+        shape: of the task's rows.
+        graphs: by name.
+    """
+    text = [graph.serialize() for graph in graphs.values()]
+    return hashlib.sha256("".join([repr(shape.told), *text]).encode()).hexdigest()
 
 
 def _text() -> str:

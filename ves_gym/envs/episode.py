@@ -113,7 +113,7 @@ def outcome(task: Task, last: Mask, failed: Mask) -> tuple[Mask, Mask]:
         last, failed: (n,) of `endings`.
     """
     if task.ends == "terminated":
-        return failed | last, np.zeros(len(last), bool)
+        return failed | last, last & ~last
     return failed, last & ~failed
 
 

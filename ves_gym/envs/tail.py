@@ -7,12 +7,13 @@ Within 1 % of the simulated tail (tests/envs/test_tail.py).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import sum_quadratic
-from ves_gym.mechanics.spatial import matvec
 from ves_gym.system.system import System
 
 _DOUBLINGS = 10  # 1024 samples: 10 ms apart over 10 s
@@ -31,45 +32,68 @@ def tail_energy(
             the rates of both.
         kp, kd: (k, joints) gains that hold the joints.
     """
-    k, base, m = len(q), system.base, q.shape[1]
-    size = 6 + m
+    base = system.base
     H = inertia(system.arm, q)
     H[:, :6, :6] += base.mass_matrix
-    K, D = np.zeros((2, k, size, size))
-    K[:, :6, :6], D[:, :6, :6] = base.K, base.D
-    joints = np.arange(6, size)
-    K[:, joints, joints], D[:, joints, joints] = kp, kd
-    if system.drive == "prescribed":  # perfect servos: the joints are locked
-        x = np.concatenate([x[:, :6], x[:, size : size + 6]], axis=1)
-        H, K, D, size = H[:, :6, :6], base.K[None], base.D[None], 6
-    A = np.zeros((k, 2 * size, 2 * size))
-    A[:, :size, size:] = np.eye(size)
-    A[:, size:, :size] = -np.linalg.solve(H, np.broadcast_to(K, H.shape))
-    A[:, size:, size:] = -np.linalg.solve(H, np.broadcast_to(D, H.shape))
+    eye = np.eye(2 * H.shape[-1])
+    locked = system.drive == "prescribed"
+    return integrals(H, base.K, base.D, x, kp, kd, eye, seconds=seconds, locked=locked, xp=np)
+
+
+def integrals(
+    H: Any, K: Any, D: Any, x: Any, kp: Any, kd: Any, eye: Any, *,
+    seconds: float, locked: bool, xp: Any,
+) -> tuple[Any, Any]:  # fmt: skip
+    """`tail_energy` in NumPy or, on the device that the arrays are on, in torch.
+
+    Args:
+        H: (k, s, s) inertia of base and joints, s = 6 + joints.
+        K, D: (6, 6) of the vehicle.
+        x, kp, kd: see `tail_energy`.
+        eye: (2 s, 2 s) identity.
+        seconds: length of the tail [s].
+        locked: perfect servos hold the joints.
+        xp: namespace of the functions.
+
+    Returns:
+        (k,) each [J s].
+    """
+    size = H.shape[-1]
+    if locked:
+        x = xp.concatenate([x[:, :6], x[:, size : size + 6]], axis=1)
+        H, kp, kd, size = H[:, :6, :6], kp[:, :0], kd[:, :0], 6
+        eye = eye[:12, :12]
+    half = eye[:size, :size]
+    to_base, to_joints = half[:, :6], half[:, 6:]
+
+    def matrix(base: Any, joints: Any) -> Any:
+        return to_base @ base @ to_base.T + (to_joints * joints[:, None]) @ to_joints.T
+
+    above = xp.concatenate([0 * H, 0 * H + half], axis=2)
+    pull, drag = (-xp.linalg.solve(H, matrix(*k)) for k in ((K, kp), (D, kd)))
+    A = xp.concatenate([above, xp.concatenate([pull, drag], axis=2)], axis=1)
     h = seconds / 2**_DOUBLINGS
-    step = _exponential(A * (h / 2**_HALVINGS))
+    step = _exponential(A * (h / 2**_HALVINGS), eye)
     for _ in range(_HALVINGS):
         step = step @ step
-    strain = np.zeros((k, 2 * size, 2 * size))
-    strain[:, :6, :6] = base.K / 2
-    total = strain.copy()
-    total[:, size : size + 6, size : size + 6] = H[:, :6, :6] / 2
-    weights = np.stack([total, strain])
+    pose, rate = eye[:, :6], eye[:, size : size + 6]
+    strain = 0 * step + pose @ (K / 2) @ pose.T
+    total = strain + rate @ (H[:, :6, :6] / 2) @ rate.T
+    weights = xp.stack([total, strain])
     sums, step = sum_quadratic(step, weights, _DOUBLINGS)
-    end = matvec(step, x)
+    end = (step @ x[..., None])[..., 0]
     out = []
     for W, P in zip(weights, sums, strict=True):
         first, last, inner = (
-            np.einsum("ki,kij,kj->k", z, B, z) for z, B in ((x, W), (end, W), (x, P))
+            xp.einsum("ki,kij,kj->k", z, B, z) for z, B in ((x, W), (end, W), (x, P))
         )
         out.append(h * (inner + (last - first) / 2))  # trapezoids
     return out[0], out[1]
 
 
-def _exponential(A: Array) -> Array:
+def _exponential(A: Any, eye: Any) -> Any:
     """exp of small matrices (k, n, n) by its series."""
-    eye = np.eye(A.shape[-1])
     out = eye
     for order in range(8, 0, -1):
         out = eye + A @ out / order
-    return np.asarray(out, dtype=np.float64)
+    return out

@@ -46,7 +46,7 @@ def sum_quadratic(step: Array, W: Array, doublings: int) -> tuple[Array, Array]:
     """
     P = W
     for _ in range(doublings):
-        P = P + np.swapaxes(step, -1, -2) @ P @ step
+        P = P + step.swapaxes(-1, -2) @ P @ step
         step = step @ step
     return P, step
 

@@ -50,7 +50,7 @@ class CompiledBackend(Remembering):
         """
         raise NotImplementedError
 
-    def _states(self, ids: Index, z: Array, zd: Array) -> Array:
+    def states_of(self, ids: Index, z: Array, zd: Array) -> Array:
         """(k, nx) states: gears relaxed, oscillators at rest on the vehicle.
 
         Args:

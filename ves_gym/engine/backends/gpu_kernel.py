@@ -42,16 +42,21 @@ class DeviceSimulations:
         self.x = self.array(np.zeros((nx, n)))  # changed in place
         self.p = self.array(np.zeros((1, 1)))  # (np, n), or (np, 1) for all alike
         self.fault = wp.zeros(n, dtype=wp.int32, device=self.device)
-        self._all = wp.full(n, 1, dtype=wp.int32, device=self.device)
-        self._nothing = wp.zeros((0, n), dtype=self.number, device=self.device)
+        self.everyone = wp.full(n, 1, dtype=wp.int32, device=self.device)
+        self.nothing = wp.zeros((0, n), dtype=self.number, device=self.device)
 
     def array(self, values: Array) -> Any:
         """Numbers on the device, in the precision of the simulations."""
         return self.wp.array(values, dtype=self.number, device=self.device)
 
-    def set_parameters(self, p: Array) -> None:
-        """Set the parameters (np, n); one column stands for all where all are alike."""
-        self.p = self.array(p[:, :1] if (p == p[:, :1]).all() else p)
+    def set_parameters(self, p: Array, alike: bool = True) -> None:
+        """Set the parameters.
+
+        Args:
+            p: (np, n).
+            alike: one column stands for all where all are alike.
+        """
+        self.p = self.array(p[:, :1] if alike and (p == p[:, :1]).all() else p)
 
     def advance(
         self, u: Any, steps: int, each: int, ids: Index | None = None, record: bool = False
@@ -68,7 +73,7 @@ class DeviceSimulations:
         Returns:
             ((steps + 1) ny, n) on the device, or without rows.
         """
-        active, out = self._all, self._nothing
+        active, out = self.everyone, self.nothing
         if ids is not None:
             flags = np.zeros(self.n, np.int32)
             flags[ids] = 1
@@ -93,11 +98,11 @@ class GpuKernelBackend(CompiledBackend):
     real = "float64"
     state_names = ("_u", "_start", "_ticks")
 
-    def __init__(self, system: System, n: int, threads: int) -> None:
+    def __init__(self, system: System, n: int, threads: int, device: Any = None) -> None:
         super().__init__(system, n)
         sizes = self._nx, self._nu, self._ny
-        self.simulations = DeviceSimulations(system, sizes, n, self.real)
-        if not self.simulations.device.is_cuda:
+        self.simulations = DeviceSimulations(system, sizes, n, self.real, device)
+        if device is None and not self.simulations.device.is_cuda:
             warnings.warn(
                 f"backend {self.name} finds no GPU and runs on Warp's CPU device, one"
                 " simulation after the other: backend kernel is faster there",
@@ -110,6 +115,11 @@ class GpuKernelBackend(CompiledBackend):
         self._start, self._ticks = np.zeros(n), np.zeros(n, np.int64)
 
     # ---------------------------------------------------------------- device
+
+    @property
+    def parameters(self) -> Array:
+        """(np, n) of the simulations, as `names` says."""
+        return self._p
 
     @property
     def _states_now(self) -> Array:
@@ -141,7 +151,7 @@ class GpuKernelBackend(CompiledBackend):
 
     def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
         x, fault = self._states_now, self.simulations.fault.numpy().copy()
-        x[ids], fault[ids] = self._states(ids, z, zd), 0
+        x[ids], fault[ids] = self.states_of(ids, z, zd), 0
         self._put(x)
         self.simulations.fault.assign(fault)
         self._u[ids] = 0.0  # no acceleration of a platform either
@@ -228,3 +238,6 @@ class GpuKernelSingleBackend(GpuKernelBackend):
 
     name = "gpu-kernel-float32"
     real = "float32"
+
+
+KINDS = {"float64": GpuKernelBackend, "float32": GpuKernelSingleBackend}

@@ -219,7 +219,7 @@ class KernelBackend(CompiledBackend):
         return x[:, first:order], x[:, order + first :]
 
     def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
-        self._x[ids // LANES, :, ids % LANES] = self._states(ids, z, zd)
+        self._x[ids // LANES, :, ids % LANES] = self.states_of(ids, z, zd)
         self._u[ids // LANES, :, ids % LANES] = 0.0  # no acceleration of a platform either
         self._start[ids], self._ticks[ids], self._fault[ids] = time, 0, False
 

@@ -55,10 +55,9 @@ def _on_a_device(name: str, system: System, n: int, threads: int) -> Backend:
         return MjxBackend(system, n, threads)
     if name != "warp":
         require(f"backend {name}", "warp")
-        from ves_gym.engine.backends.gpu_kernel import GpuKernelBackend, GpuKernelSingleBackend
+        from ves_gym.engine.backends.gpu_kernel import KINDS
 
-        kinds = GpuKernelBackend, GpuKernelSingleBackend
-        return next(kind for kind in kinds if kind.name == name)(system, n, threads)
+        return next(kind for kind in KINDS.values() if kind.name == name)(system, n, threads)
     require("backend warp", "mujoco_warp", "warp")
     from ves_gym.engine.backends.warp import WarpBackend
 

@@ -48,6 +48,7 @@ _OPERATIONS = {
     "OP_AND": "{a} * {b}",
     "OP_OR": "{a} != zero || {b} != zero ? one : zero",
     "OP_IF_ELSE_ZERO": "{a} != zero ? {b} : zero",
+    "OP_CALL": "real((float){a})",  # the one function that graphs call (`symbolic.single`)
     "OP_SIGN": "{a} > zero ? one : {a} < zero ? -one : {a}",
 }
 
@@ -126,30 +127,38 @@ def _divisors(graph: casadi.Function) -> dict[int, tuple[int, int]]:
     return {k: (group[0], len(group)) for group in by.values() for k in group}
 
 
-_HEAD = """typedef {real} real;
-const real zero = real(0), one = real(1);
-const long long n = {first}.shape[1];
-const long long pn = p.shape[1] > 1 ? n : 1;
-const long long pi = pn > 1 ? i : 0;
-"""
+def graph_text(graph: casadi.Function, real: str, shared: tuple[int, ...] = ()) -> str:
+    """Body of `void (int i, array a0, array a1, ...)`, which evaluates a graph.
 
-
-def map_text(graph: casadi.Function, real: str) -> str:
-    """Body of `void (int i, array x, array p, array y)`, which evaluates (x, p) -> y.
-
-    x (nx, n), p (np, n), or (np, 1) for all alike, y (ny, n).
+    The arrays are the graph's inputs, then its results, (k, n) each; every number is read
+    before the first is written.
 
     Args:
         graph: its operations.
         real: float64 or float32.
+        shared: inputs that may have one column for all simulations.
     """
 
     def read(which: int, row: int) -> str:
-        return f"p.data[{row} * pn + pi]" if which else f"x.data[{row} * n + i]"
+        index = f"{row} * s{which} + o{which}" if which in shared else f"{row} * n + i"
+        return f"a{which}.data[{index}]"
 
+    first = graph.n_in()
     lines, outputs = statements(graph, read, "v")
-    lines += [f"y.data[{row} * n + i] = {value};" for (_, row), value in outputs.items()]
-    return _HEAD.format(real=REALS[real], first="x") + "\n".join(lines)
+    head = [
+        f"typedef {REALS[real]} real;",
+        "const real zero = real(0), one = real(1);",
+        f"const long long n = a{first}.shape[1];",
+    ]
+    for k in shared:
+        head.append(
+            f"const long long s{k} = a{k}.shape[1] > 1 ? n : 1, o{k} = s{k} > 1 ? i : 0;"
+        )
+    stores = [
+        f"a{first + which}.data[{row} * n + i] = {value};"
+        for (which, row), value in outputs.items()
+    ]
+    return "\n".join([*head, *lines, *stores])
 
 
 def advance_text(
@@ -194,7 +203,7 @@ def advance_text(
         ]
         watch = "\n".join(["if (stage == 0) {", *seeing, *stores, "}"])
     return _ADVANCE.format(
-        head=_HEAD.format(real=REALS[real], first="x"),
+        real=REALS[real],
         nx=nx,
         nu=nu,
         order=order,
@@ -208,7 +217,10 @@ def advance_text(
 
 
 # The command is interpolated where it is needed: `ahead` steps after the start of step s.
-_ADVANCE = """{head}
+_ADVANCE = """typedef {real} real;
+const real zero = real(0), one = real(1);
+const long long n = x.shape[1];
+const long long pn = p.shape[1] > 1 ? n : 1, pi = pn > 1 ? i : 0;
 const int nx = {nx}, nu = {nu}, order = {order}, stages = {stages};
 if (!active.data[i]) return;
 const bool ramp = u.shape[0] > nu;

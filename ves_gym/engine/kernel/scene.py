@@ -40,7 +40,7 @@ class _Map:
         try:
             key = f"{type(self).__name__} {structure(system)}"
             if key not in _LIBRARIES:
-                make = self._graph
+                make = self.graph
                 _LIBRARIES[key] = cached(key, lambda: emit_pieces({"point": make(system)}))
         except (ImportError, RuntimeError, OSError):
             return
@@ -66,7 +66,7 @@ class _Map:
         raise NotImplementedError
 
     @staticmethod
-    def _graph(system: System) -> casadi.Function:
+    def graph(system: System) -> casadi.Function:
         raise NotImplementedError
 
     def _evaluate(self, *x: Array) -> Array:
@@ -84,7 +84,7 @@ class SceneMap(_Map):
         return (6 + joints, 6 + joints, 6), 8
 
     @staticmethod
-    def _graph(system: System) -> casadi.Function:
+    def graph(system: System) -> casadi.Function:
         import casadi as ca
 
         model, symbols = _symbols(system)
@@ -132,7 +132,7 @@ class TorqueMap(_Map):
         return (3 * joints,), joints
 
     @staticmethod
-    def _graph(system: System) -> casadi.Function:
+    def graph(system: System) -> casadi.Function:
         import casadi as ca
 
         model, symbols = _symbols(system)

@@ -11,12 +11,13 @@ import importlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from ves_gym.engine.kernel.scalar import advance_text, map_text
+from ves_gym.engine.kernel.scalar import advance_text, graph_text
 from ves_gym.engine.kernel.trace import equations, structure
 from ves_gym.system.system import System
 
 THREADS = 64  # of a block; one takes all the registers that it can have
 _KERNELS: dict[tuple[str, ...], Any] = {}
+_SLOTS = tuple(f"a{k}" for k in range(12))  # arrays of a graph's kernel, unused ones included
 _LOADED: set[tuple[Any, str]] = set()  # kernel, device
 
 
@@ -58,19 +59,20 @@ def advance_kernel(system: System, real: str, record: bool) -> Any:
     return _KERNELS[key]
 
 
-def map_kernel(name: str, system: System, real: str, make: Callable[[], Any]) -> Any:
-    """The kernel of `scalar.map_text` for a graph that depends on a system's structure.
+def graph_kernel(
+    key: str, real: str, make: Callable[[], Any], shared: tuple[int, ...] = ()
+) -> Any:
+    """The kernel of `scalar.graph_text`, to be run by `launch_graph`.
 
     Args:
-        name: of the graph.
-        system: whose structure.
+        key: names everything that the graph depends on.
         real: float64 or float32.
-        make: () -> the graph (x, p) -> y.
+        make: () -> the graph.
+        shared: inputs that may have one column for all simulations.
     """
-    key = (structure(system), real, f"map {name}")
-    if key not in _KERNELS:
-        _KERNELS[key] = _map(load_warp(), map_text(make(), real), real)
-    return _KERNELS[key]
+    if (key, real) not in _KERNELS:
+        _KERNELS[key, real] = _graph(load_warp(), graph_text(make(), real, shared), real)
+    return _KERNELS[key, real]
 
 
 def _advance(wp: Any, text: str, real: str) -> Any:
@@ -99,15 +101,21 @@ def _advance(wp: Any, text: str, real: str) -> Any:
     return _kernel(wp, advance, types)
 
 
-def _map(wp: Any, text: str, real: str) -> Any:
-    types = dict.fromkeys(("x", "p", "y"), wp.array2d(dtype=getattr(wp, real)))
+def _graph(wp: Any, text: str, real: str) -> Any:
+    types = dict.fromkeys(_SLOTS, wp.array2d(dtype=getattr(wp, real)))
 
-    def stub(i: Any, x: Any, p: Any, y: Any) -> None: ...
+    def stub(
+        i: Any, a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: Any, a8: Any,
+        a9: Any, a10: Any, a11: Any,
+    ) -> None: ...  # fmt: skip
 
     run = _native(wp, stub, text, types)
 
-    def evaluate(x: Any, p: Any, y: Any) -> None:
-        run(wp.tid(), x, p, y)
+    def evaluate(
+        a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: Any, a8: Any,
+        a9: Any, a10: Any, a11: Any,
+    ) -> None:  # fmt: skip
+        run(wp.tid(), a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, a10, a11)
 
     return _kernel(wp, evaluate, types)
 
@@ -125,7 +133,7 @@ def _kernel(wp: Any, function: Any, types: dict[str, Any]) -> Any:
     return wp.kernel(function, enable_backward=False, module="unique")
 
 
-def launch(kernel: Any, n: int, inputs: list[Any], device: Any) -> None:
+def launch(kernel: Any, n: int, inputs: list[Any], device: Any, record: bool = False) -> Any:
     """Run a kernel on n simulations; a new one is compiled, or read from Warp's cache.
 
     Args:
@@ -133,10 +141,24 @@ def launch(kernel: Any, n: int, inputs: list[Any], device: Any) -> None:
         n: number of simulations.
         inputs: its arguments.
         device: of Warp.
+        record: return the command, whose `launch()` runs it again and again, instead.
     """
     wp = load_warp()
     if (kernel, str(device)) not in _LOADED:
         with _quiet(wp):
             wp.load_module(kernel.module, device=device, block_dim=THREADS)
         _LOADED.add((kernel, str(device)))
-    wp.launch(kernel, dim=n, inputs=inputs, device=device, block_dim=THREADS)
+    options = {"device": device, "block_dim": THREADS, "record_cmd": record}
+    return wp.launch(kernel, dim=n, inputs=inputs, **options)
+
+
+def launch_graph(kernel: Any, arrays: list[Any], device: Any, record: bool = False) -> Any:
+    """`launch` of a `graph_kernel`.
+
+    Args:
+        kernel: of `graph_kernel`.
+        arrays: (k, n) each: the graph's inputs, then its results.
+        device, record: see `launch`.
+    """
+    filled = [*arrays, *[arrays[-1]] * (len(_SLOTS) - len(arrays))]
+    return launch(kernel, arrays[-1].shape[1], filled, device, record)

@@ -1,0 +1,255 @@
+"""Rows of n episodes in the memory of a device, and the kernels of a control period."""
+
+from __future__ import annotations
+
+import contextlib
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.engine.backends.gpu_kernel import KINDS
+from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
+from ves_gym.engine.kernel.trace import inertia_matrix, parameters, structure
+from ves_gym.engine.kernel.warp_code import advance_kernel, graph_kernel, launch, launch_graph
+from ves_gym.envs import compiled
+from ves_gym.envs.batch import Batch
+from ves_gym.envs.compiled import Shape, width
+from ves_gym.envs.tail import integrals
+
+
+class DeviceRows:
+    """State, reference, observation and reward of n episodes, (k, n) each.
+
+    The slate exists twice, as it was before the period and as it is after it; they change
+    places in every period, so there are two lists of launches.
+
+    Args:
+        batch: of the same task and n, on the CPU.
+        shape: of its rows.
+        real: float64 or float32.
+        device: of Warp; None: its current one.
+    """
+
+    def __init__(self, batch: Batch, shape: Shape, real: str, device: str | None) -> None:
+        import torch
+
+        self.torch, self.shape, self.n, self.real = torch, shape, batch.n, real
+        self.system, self.task = batch.system, batch.task
+        self.backend = KINDS[real](self.system.actual, batch.n, 0, device)
+        self.simulations = self.backend.simulations
+        self.wp, self.device = self.simulations.wp, self.simulations.device
+        self.torch_device = torch.device(self.wp.device_to_torch(self.device))
+        self._space = self.system.ideal()
+        joints, control = shape.joints, self.task.control
+        if self.system.drive == "motor":
+            kp, kd = (np.tile(k, (self.n, 1)) for k in (control.servo.kp, control.servo.kd))
+            self.backend.set_gains(np.arange(self.n), kp, kd)
+        gained = control.level == "gains"
+        self.simulations.set_parameters(self.backend.parameters, alike=not gained)
+        first, p = self.backend.names.index("kp1"), self.simulations.p
+        sizes = {
+            "goal": shape.goal, "action": batch.width, "moved": width(shape.moved),
+            "given": width(shape.given), "told": width(shape.told), "tau": joints,
+            "extra": joints, "nodes": shape.nodes * (6 + joints), "seen": 8,
+        }  # fmt: skip
+        rows = {name: self._zeros(size) for name, size in sizes.items()}
+        rows["gains"] = p[first : first + 2 * joints] if gained else self._zeros(2 * joints)
+        rows["x"] = self.simulations.x
+        # the engine runs arm and vehicle as they are, energies go by the description
+        rows["described"] = self.simulations.array(parameters(self._space)[1][:, None])
+        slates = [self._zeros(width(shape.slate)) for _ in range(2)]
+        self._programs = [self._program(rows, *k) for k in (slates, slates[::-1])]
+        self._arrays = rows, slates  # addresses do not keep memory alive
+        self._views = {name: self.view(array) for name, array in rows.items()}
+        self._slates = [self.view(k) for k in slates]
+        self._fault = self.view(self.simulations.fault)
+        self._parity = 0
+        self._graphs = self._captured() if self.device.is_cuda else []
+
+    def _zeros(self, size: int) -> Any:
+        return self.simulations.array(np.zeros((max(size, 1), self.n)))
+
+    def _program(self, rows: dict[str, Any], before: Any, after: Any) -> list[Any]:
+        """Launches of a period, from the slate before it to that after it."""
+        shape, space, size = self.shape, self._space, 6 + self.shape.joints
+        graphs = compiled.graphs(shape)
+        key = compiled.digest(shape, graphs)
+        x, goal, moved, tau, told = (rows[k] for k in ("x", "goal", "moved", "tau", "told"))
+        z, zd = x[:size], x[shape.coordinates : shape.coordinates + size]
+        nothing, everyone = self.simulations.nothing, self.simulations.everyone
+
+        def run(name: str, *arrays: Any) -> Any:
+            kernel = graph_kernel(f"{name} {key}", self.real, partial(graphs.get, name))
+            return launch_graph(kernel, list(arrays), self.device, record=True)
+
+        def run_map(kind: Any, shared: int, *arrays: Any) -> Any:
+            label = f"{kind.__name__} {structure(space)}"
+            make = partial(kind.graph, space)
+            kernel = graph_kernel(label, self.real, make, (shared,))
+            return launch_graph(kernel, list(arrays), self.device, record=True)
+
+        out = [run("move", z, zd, before, goal, rows["action"], moved)]
+        if shape.feedforward:
+            ref = moved[shape.moved["ref"]]
+            out.append(run_map(TorqueMap, 1, ref, rows["described"], rows["extra"]))
+        started = before[shape.slate["tau"]]
+        out.append(
+            run("follow", started, moved, rows["extra"], rows["nodes"], tau, rows["gains"])
+        )
+        system = self.system.actual
+        state = [x, rows["nodes"], self.simulations.p, nothing, everyone]
+        inputs = [*state, self.simulations.fault, system.substeps, 1, system.physics_dt]
+        advance = advance_kernel(system, self.real, record=False)
+        out.append(launch(advance, self.n, inputs, self.device, record=True))
+        out.append(run_map(SceneMap, 3, z, zd, x[:6], rows["described"], rows["seen"]))
+        parts = [z, zd, x, before, moved, tau, goal, rows["given"], rows["seen"], told, after]
+        out.append(run("close", *parts))
+        return out
+
+    def _captured(self) -> list[Any]:
+        """Both programs as CUDA graphs; the stream of torch's default cannot capture any."""
+        graphs, stream = [], self.wp.Stream(self.device)
+        with self.wp.ScopedStream(stream):
+            for program in self._programs:
+                with self.wp.ScopedCapture(stream=stream) as capture:
+                    for command in program:
+                        command.launch()
+                graphs.append(capture.graph)
+        self.wp.synchronize_device(self.device)
+        return graphs
+
+    def view(self, array: Any) -> Any:
+        """A Warp array as a tensor of the same memory."""
+        return self.wp.to_torch(array)
+
+    def tensor(self, values: Array) -> Any:
+        """Numbers on the device, in the precision of the rows."""
+        kind = getattr(self.torch, self.real)
+        return self.torch.as_tensor(
+            np.ascontiguousarray(values), dtype=kind, device=self.torch_device
+        )
+
+    def on_stream(self) -> Any:
+        """Warp works on torch's stream, so that neither waits for the other."""
+        if not self.device.is_cuda:
+            return contextlib.nullcontext()
+        stream = self.torch.cuda.current_stream(self.torch_device)
+        return self.wp.ScopedStream(self.wp.stream_from_torch(stream), sync_enter=False)
+
+    @property
+    def told_now(self) -> Any:
+        """(told, n) of the last period."""
+        return self._views["told"]
+
+    def look_up(self, table: Any, rows: Any) -> None:
+        """Give the formulas what `Task.lookup` finds for the end of the coming period.
+
+        Args:
+            table: (r, periods + 1, found) of all beginnings.
+            rows: (n,) of the present ones.
+        """
+        steps = self._slates[self._parity][self.shape.slate["steps"]][0].round().long() + 1
+        found = table[rows, steps.clamp(max=table.shape[1] - 1)]
+        self._views["given"][self.shape.given["found"]] = found.T
+
+    def move(self, actions: Any) -> None:
+        """Run one period."""
+        shape = (self.n, self._views["action"].shape[0])
+        if tuple(actions.shape) != shape:
+            raise ParameterError(f"actions must have shape {shape}, got {tuple(actions.shape)}")
+        self._views["action"].copy_(actions.T)
+        if self._graphs:
+            self.wp.capture_launch(self._graphs[self._parity])
+            return
+        for command in self._programs[self._parity]:
+            command.launch()
+
+    def turn(self) -> None:
+        """What is after this period is before the next."""
+        self._parity = 1 - self._parity
+
+    @property
+    def after(self) -> Any:
+        """(slate, n) as the period leaves it; before `turn`."""
+        return self._slates[1 - self._parity]
+
+    def close_episodes(self, ids: Any, ended: Any) -> dict[str, Any]:
+        """Reward the energy that the base keeps after episodes (k,); what they took of it."""
+        torch, task, shape = self.torch, self.task, self.shape
+        tail = torch.zeros(self.n, dtype=torch.float64, device=self.torch_device)
+        if task.tail:
+            diverged = self.told_now[shape.told["diverged"]][0, ids] > 0
+            kept = torch.where(diverged, 0.0, self._tail(ids))
+            tail[ids] = kept
+            column = self._views["given"][shape.given["tail"]]
+            column[0] = tail
+            self._programs[self._parity][-1].launch()  # the reward again
+            column[0] = 0.0
+        sums, steps = (self.after[shape.slate[k]][0].double() for k in ("sums", "steps"))
+        mean = (sums + tail) / (steps * self.system.control_dt + task.tail)
+        return {"energy/E_mean": mean, "_energy/E_mean": ended}
+
+    def _tail(self, ids: Any) -> Any:
+        """(k,) time integral of E over the tail [J s] (`tail.tail_energy`)."""
+        torch, shape, system = self.torch, self.shape, self._space
+        n, size = shape.joints, 6 + shape.joints
+        x = self._views["x"][:, ids].double()
+        moved = self._views["moved"][:, ids].double()
+        q, ref = x[6:size], moved[shape.moved["ref"]][:n]
+        away = 0 * q if self.task.control.level == "torque" else q - ref
+        rate = x[shape.coordinates : shape.coordinates + size]
+        state = torch.concatenate([x[:6], away, rate]).T
+        kp, kd = (moved[shape.moved[k]].T.contiguous() for k in ("kp", "kd"))
+        constants = self._constants
+        entries = torch.empty((size * size, len(ids)), dtype=q.dtype, device=q.device)
+        kernel = graph_kernel(
+            f"inertia {structure(system)}", "float64", lambda: inertia_matrix(system), (1,)
+        )
+        arrays = [self.wp.from_torch(k.contiguous()) for k in (q, constants[0], entries)]
+        launch_graph(kernel, arrays, self.device)
+        H = entries.T.reshape(len(ids), size, size).contiguous()
+        H[:, :6, :6] += constants[1]
+        locked = system.drive == "prescribed"
+        K, D, eye = constants[2:]
+        total, _ = integrals(
+            H, K, D, state, kp, kd, eye, seconds=self.task.tail, locked=locked, xp=torch
+        )
+        return total
+
+    @cached_property
+    def _constants(self) -> list[Any]:
+        """Numbers of the arm, M, K, D and an identity, in double precision."""
+        base, size = self._space.base, 6 + self.shape.joints
+        numbers = parameters(self._space)[1][:, None]
+        parts = numbers, base.mass_matrix, base.K, base.D, np.eye(2 * size)
+        kind, device = self.torch.float64, self.torch_device
+        return [self.torch.tensor(k, dtype=kind, device=device) for k in parts]
+
+    # ------------------------------------------------------------------ beginnings
+
+    def beginnings(self, batch: Batch) -> dict[str, Array]:
+        """State, slate, goal and observation (n, ...) of a batch that has been reset."""
+        s, e, n = batch.scene, batch.episodes, self.n
+        state = np.hstack([s.y, s.q]), np.hstack([s.yd, s.v])
+        parts = [
+            np.reshape(getattr(s if hasattr(s, k) else e, k), (n, -1)) for k in self.shape.slate
+        ]
+        tables = {
+            "x": self.backend.states_of(np.arange(n), *state),
+            "slate": np.hstack([np.asarray(k, float) for k in parts]),
+            "goal": s.goal.copy() if self.shape.goal else np.zeros((n, 1)),
+            "observation": np.asarray(batch.observe(), float),
+        }
+        if self.shape.found:
+            steps = (np.full(n, k) for k in range(self.task.steps + 1))
+            found = np.stack([self.task.lookup(s.goal, k) for k in steps], axis=1)
+            tables["found"] = found.astype(self.real)
+        return tables
+
+    def begin(self, ids: Any, rows: dict[str, Any]) -> None:
+        """Put simulations (k,) at the beginnings of episodes, the columns of `rows`."""
+        self._views["x"][:, ids], self._views["goal"][:, ids] = rows["x"], rows["goal"]
+        self._slates[self._parity][:, ids] = rows["slate"]
+        self._fault[ids] = 0
