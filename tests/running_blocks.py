@@ -10,7 +10,8 @@ from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import second_order
 from ves_gym.simulation.blocks.block import Shape
 from ves_gym.simulation.blocks.force_sensor import ForceSensorBlock
-from ves_gym.simulation.blocks.platform import LegPlatform, PosePlatform
+from ves_gym.simulation.blocks.platform import LegSensors, LegServos, PosePlatform
+from ves_gym.simulation.blocks.wiring import Wiring
 
 
 def shape_of(nodes):
@@ -83,9 +84,29 @@ def pose_platform(servo, n, nodes, bandwidth=None, damping_ratio=None):
 
 def leg_platform(servo, stewart, n, control_dt, physics_dt):
     """Platforms on leg servos, at home."""
-    out = RunningPlatform(LegPlatform(Legs(servo, stewart, control_dt, physics_dt)), {}, n)
+    out = RunningLegs(Legs(servo, stewart, control_dt, physics_dt), n)
     out.reset(np.arange(n), np.zeros((n, 6)))
     return out
+
+
+class RunningLegs(RunningPlatform):
+    """Leg servos and what measures them."""
+
+    def __init__(self, legs, n):
+        super().__init__(LegServos(legs), {}, n)
+        self.sensors = LegSensors(legs)
+        self.wiring = Wiring([self.block, self.sensors], [], ["command_received"])
+
+    def reset(self, ids, y, yd=0.0):
+        super().reset(ids, y, yd)
+        self.signals.update(self.sensors.start({}, self.signals)[1])
+
+    def step(self, u):
+        x = {f"platform.{k}": v for k, v in self.x.items()}
+        changed, signals = self.wiring.run(self.wiring.before, NUMPY, {}, x, u)
+        self.x = {k: changed[f"platform.{k}"] for k in self.x}
+        self.signals.update(signals)
+        return signals
 
 
 class RunningSensor(Running):

@@ -76,7 +76,7 @@ def _blocks(args: argparse.Namespace) -> dict[str, Rows]:
     loop = EmulationLoop(system_from(args), 1, [np.random.default_rng(args.seed)])
     return {
         BLOCKS: loop.wiring.describe_blocks(loop.p),
-        "wires": loop.wiring.describe(loop.shape.nodes, loop.shape.joints),
+        "wires": loop.wiring.describe(loop.shape),
     }
 
 

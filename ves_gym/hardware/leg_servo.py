@@ -37,6 +37,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from ves_gym._util.array_functions import NUMPY, ArrayFunctions
 from ves_gym._util.params import (
     Array,
     ParameterError,
@@ -45,7 +46,6 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym.hardware.stewart import Stewart
-from ves_gym.mechanics.spatial import matvec
 
 Complex = npt.NDArray[np.complex128]
 
@@ -54,6 +54,8 @@ _WHOLE = 1e-9  # relative slack when a ratio of times must be a whole number
 # States of a leg; the controller's follow.
 _SPEED, _ACCELERATION, _ROD, _BEND, _BEND_RATE = range(5)
 _PLANT = 5
+_NEAR = 1e-6  # [m] error of a length that one more step of Newton's method makes rounding
+_FROM_AFAR = 3  # steps from the pose to that of bent, quantised legs
 
 
 def _whole_steps(name: str, value: float, period: float, *, divides: bool = False) -> int:
@@ -231,10 +233,15 @@ class _Leg:
         length: Array = x[_ROD] + self.servo.participation * x[_BEND]
         return length
 
-    def measure(self, x: Array) -> Array:
-        """Length as the transducer reports it [m]."""
+    def measure(self, x: Array, xp: ArrayFunctions = NUMPY) -> Array:
+        """Length as the transducer reports it [m].
+
+        Args:
+            x: (states, ...) leg states.
+            xp: functions of the arrays.
+        """
         length, step = self.sensed(x), self.servo.resolution
-        return np.multiply(np.round(length / step), step) if step else length
+        return xp.rint(length / step) * step if step else length
 
     def steady_state(self, length: Array) -> Array:
         """State (s, ...) of a leg at rest at its commanded length (...) [m]."""
@@ -248,17 +255,18 @@ class _Leg:
         x[self.last] = measured
         return x
 
-    def sample(self, x: Array, command: Array) -> Array:
+    def sample(self, x: Array, command: Array, xp: ArrayFunctions = NUMPY) -> Array:
         """Run the controller once; changes its part of x.
 
         Args:
             x: (states, ...) leg states.
             command: (...) commanded length [m].
+            xp: functions of the arrays.
 
         Returns:
             (...) u at the valve.
         """
-        servo, measured = self.servo, self.measure(x)
+        servo, measured = self.servo, self.measure(x, xp)
         if servo.filter is not None and servo.filter.place == "feedback":
             measured = self._filtered(x, measured)
         error = command - measured
@@ -340,9 +348,9 @@ class Legs:
         return np.moveaxis(self.leg.steady_state(self.stewart.leg_lengths(y)), 0, 1)
 
     def advance(
-        self, state: Array, pose: Array, y_cmd: npt.ArrayLike
+        self, state: Array, pose: Array, y_cmd: Array, xp: ArrayFunctions = NUMPY
     ) -> tuple[Array, Array, Array, Array, Array]:
-        """Follow a pose that is held for one control period.
+        """Follow a pose that is held for one period of the leg controller.
 
         The legs are sent lengths only (thesis 2.4.2): the commanded rate is not used.
 
@@ -350,24 +358,33 @@ class Legs:
             state: (n, s, 6) of the legs.
             pose: (n, 6) of the platform [m, rad].
             y_cmd: (n, 6) commanded pose [m, rad].
+            xp: functions of the arrays.
 
         Returns:
-            State and pose at the period's end, and Y, Y', Y'' (n, k + 1, 6) at the k physics
-            steps' ends; node 0 is now. NaN where the legs hold no platform (`forward`).
+            State and pose at the end, and Y, Y', Y'' (n, steps, 6) at the starts of the
+            physics steps. NaN where the legs hold no platform (`stewart.forward`).
         """
-        leg, nodes = self.leg, self.samples * self.leg.steps + 1
-        x = np.moveaxis(state, 1, 0).copy()
-        command = self.stewart.leg_lengths(y_cmd)
-        path = np.empty((3, len(pose), nodes, 6))
-        for j in range(nodes):
-            if j % leg.steps == 0 and j < nodes - 1:
-                u = leg.sample(x, command)
-            path[0, :, j], path[1, :, j], path[2, :, j] = x[_ROD], x[_SPEED], x[_ACCELERATION]
-            if j < nodes - 1:
-                leg.drift(x, u)
-        y = self._forward(path[0], pose)
-        rates = self.stewart.motion(y, path[1], path[2])
-        return np.moveaxis(x, 0, 1), y[:, -1].copy(), y, *rates
+        leg, stewart, h = self.leg, self.stewart, 1 / (self.servo.rate * self.leg.steps)
+        x, y, path = np.moveaxis(state, 1, 0).copy(), pose, []
+        u = leg.sample(x, stewart.leg_lengths(y_cmd), xp)
+        for _ in range(leg.steps):
+            yd, ydd = stewart.motion_at(xp, y, x[_SPEED], x[_ACCELERATION])
+            path.append((y, yd, ydd))
+            leg.drift(x, u)
+            # where this motion leads, then Newton's method
+            y, _ = stewart.step_to(xp, y + h * yd + h * h / 2 * ydd, x[_ROD])
+            y = self._settled(xp, y, x[_ROD])
+        at, rate, acceleration = zip(*path, strict=True)
+        over = [np.stack(part, axis=1) for part in (at, rate, acceleration)]
+        return np.moveaxis(x, 0, 1), y, over[0], over[1], over[2]
+
+    def motion(self, state: Array, pose: Array, xp: ArrayFunctions) -> tuple[Array, Array]:
+        """Return Y' and Y'' (n, 6) of the platform.
+
+        Args:
+            state, pose, xp: see `advance`.
+        """
+        return self.stewart.motion_at(xp, pose, state[:, _SPEED], state[:, _ACCELERATION])
 
     def present(self, state: Array, pose: Array) -> tuple[Array, Array]:
         """Return pose and rate (n, 6) that the legs have now.
@@ -375,28 +392,29 @@ class Legs:
         Args:
             state, pose: see `advance`.
         """
-        y = self._forward(state[:, None, _ROD], pose)[:, 0]
+        y = self.stewart.forward(state[:, _ROD], pose)
         return y, self.stewart.motion(y, state[:, _SPEED], state[:, _ACCELERATION])[0]
 
-    def _forward(self, lengths: Array, pose: Array) -> Array:
-        """Poses along a control period (n, k, 6), from the one at its start."""
-        # A Jacobian per simulation brings all nodes close; Newton finishes the few left.
-        inverse = self.stewart.inverse_jacobian(pose)[:, None]
-        y = np.repeat(pose[:, None], lengths.shape[1], axis=1)
-        for _ in range(3):
-            y += matvec(inverse, lengths - self.stewart.leg_lengths(y))
-        return self.stewart.forward(lengths.reshape(-1, 6), y.reshape(-1, 6)).reshape(y.shape)
-
-    def measured(self, state: Array, pose: Array) -> Array:
+    def measured(self, state: Array, pose: Array, xp: ArrayFunctions = NUMPY) -> Array:
         """Return the pose (n, 6) by forward kinematics of the measured lengths.
 
         Args:
-            state, pose: see `advance`.
+            state, pose, xp: see `advance`.
 
         Returns:
             NaN as `advance`.
         """
-        return self.stewart.forward(self.leg.measure(np.moveaxis(state, 1, 0)), pose)
+        lengths = self.leg.measure(np.moveaxis(state, 1, 0), xp)
+        y = pose
+        for _ in range(_FROM_AFAR):
+            y, _ = self.stewart.step_to(xp, y, lengths)
+        return self._settled(xp, y, lengths)
+
+    def _settled(self, xp: ArrayFunctions, y: Array, lengths: Array) -> Array:
+        """A last step of Newton's method (n, 6); NaN where it is not the last one."""
+        better, error = self.stewart.step_to(xp, y, lengths)
+        found = xp.less_equal(error, _NEAR)[:, None]
+        return xp.where(found, better, np.nan)
 
 
 # -------------------------------------------------------------------- frequency domain

@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from ves_gym._util.array_functions import ArrayFunctions
 from ves_gym._util.params import (
     Array,
     Index,
@@ -154,13 +155,13 @@ class Stewart:
 
     def jacobian(self, y: npt.ArrayLike) -> Array:
         """(..., 6, 6) J with l' = J Y' [1, m/rad]."""
-        pose = np.asarray(y, float)
+        pose = numbers(y)
         R = rotation(pose)
         arm, d = self._legs(pose, R)
         length = _norm(d)
         along = [c / length for c in d]
         moment = _cross(arm, along)
-        J = np.empty((*length.shape, 6))
+        J = np.empty((*length.shape, 6), pose.dtype)
         for i in range(3):
             J[..., i] = along[i]
         # moment times the axes of the Z-Y-X angle rates: R e_x, Rot_z e_y, e_z
@@ -201,6 +202,37 @@ class Stewart:
             pose[rows] += step[good]
         pose[~solved] = np.nan
         return pose
+
+    def step_to(self, xp: ArrayFunctions, y: Array, lengths: Array) -> tuple[Array, Array]:
+        """Return a step of Newton's method towards the pose of given leg lengths.
+
+        By the normal equations, which elimination solves in any order; their condition is
+        some 10^3 at home, and the next step corrects what that costs.
+
+        Args:
+            xp: functions of the arrays.
+            y: (..., 6) where to start [m, rad].
+            lengths: (..., 6) [m].
+
+        Returns:
+            The better pose (..., 6), and the largest error (...) of a length before [m].
+        """
+        error, J = lengths - self.leg_lengths(y), self.jacobian(y)
+        return y + _least_squares(xp, J, error), xp.largest(np.abs(error))
+
+    def motion_at(
+        self, xp: ArrayFunctions, y: Array, speeds: Array, accelerations: Array
+    ) -> tuple[Array, Array]:
+        """Return `motion` by functions that can be traced.
+
+        Args:
+            xp: functions of the arrays.
+            y, speeds, accelerations: see `motion`.
+        """
+        J = self.jacobian(y)
+        yd = _least_squares(xp, J, speeds)
+        push = accelerations - self._curvature(y, yd, speeds)
+        return yd, _least_squares(xp, J, push)
 
     def motion(
         self, y: npt.ArrayLike, speeds: npt.ArrayLike, accelerations: npt.ArrayLike
@@ -325,6 +357,12 @@ def _worst(excess: Array, values: Array) -> tuple[Mask, Index, Array]:
     at = leg[..., None]
     worst = np.take_along_axis(excess, at, -1)[..., 0]
     return ~(worst <= 0), leg, np.take_along_axis(values, at, -1)[..., 0]
+
+
+def _least_squares(xp: ArrayFunctions, J: Array, b: Array) -> Array:
+    """x (..., 6) of J x = b."""
+    turned = np.swapaxes(J, -1, -2)
+    return xp.solve(turned @ J, matvec(turned, b))
 
 
 def _solve(J: Array, b: Array | None = None) -> Array:

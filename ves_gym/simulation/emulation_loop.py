@@ -18,14 +18,15 @@ from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.engine.batch_parameters import Bodies, Inertias, ParameterRows, bodies_of
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.hardware.leg_servo import Legs, LegServo
+from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.simulation.blocks.admittance import (
     CoupledAdmittance,
     LinearAdmittance,
     NonlinearAdmittance,
 )
-from ves_gym.simulation.blocks.block import Block, Shape, renamed
-from ves_gym.simulation.blocks.compiled_tick import CompiledTick
+from ves_gym.simulation.blocks.block import Block, ModelOf, Shape
+from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
 from ves_gym.simulation.blocks.force_sensor import ForceSensorBlock
 from ves_gym.simulation.blocks.gravity_estimate import GravityEstimate
 from ves_gym.simulation.blocks.memory import NamedArrays
@@ -34,7 +35,8 @@ from ves_gym.simulation.blocks.platform import (
     CommandLine,
     ComputingDelay,
     EngineInput,
-    LegPlatform,
+    LegSensors,
+    LegServos,
     PosePlatform,
     Safety,
 )
@@ -116,8 +118,12 @@ class EmulationLoop:
     def _build(self) -> None:
         """List the blocks and their wires; what they remember goes on under its name."""
         system, spec, p = self.system, self.spec, self.parameters
-        self.shape = Shape(system.substeps + 1, system.arm.n, self.dt, system.physics_dt)
-        shape = self.shape
+        clock = self.dt, system.physics_dt
+        legs = None
+        if isinstance(spec.platform, LegServo):
+            legs = Legs(spec.platform, spec.stewart, *clock)
+        states = 0 if legs is None else legs.leg.size
+        self.shape = shape = Shape(system.substeps + 1, system.arm.n, *clock, states)
         moving = system.arm.n if system.drive == "motor" else 0  # joints that give way
         held = moving if self.compensating else 0
         microgravity = spec.operation == "microgravity"
@@ -126,21 +132,19 @@ class EmulationLoop:
             before.append(ArmInertia(self._arm, self.n))
         if spec.operation != "position":
             before.append(self._admittance(held))
-        self.platform = self._platform(as_stated=False)
+        platform = self._platform(legs, as_stated=False)
+        self.platform = platform[0]
         limited = bool((p.platform_travel > 0).any() or (p.platform_speed > 0).any())
         before += [
             ComputingDelay(spec.delay),
             Safety(spec, shape),
             CommandLine(spec.stewart, shape, self._oldest_command(), limited),
-            self.platform,
+            *platform,
         ]
         if self.compensating:
             modelled = not p.as_stated  # a machine as stated is its own model
             if modelled:
-                model = self._platform(as_stated=True)
-                wires = {k: f"{k}_model" for k in ("y", "yd", "ydd")}
-                wires |= {"command_received": "command_sent", "y_measured": "y_by_model"}
-                before.append(renamed(model, wires, "platform_model"))
+                before += [ModelOf(block) for block in self._platform(legs, as_stated=True)]
             cutoff = spec.sensor.cutoff
             before.append(PayloadCompensation(shape, held, cutoff, modelled))
         before.append(EngineInput(shape))
@@ -163,22 +167,17 @@ class EmulationLoop:
             given.append("weight")
         watched = [k for k in _WATCHED if k not in given]
         self.wiring = Wiring(before, after, given, watched)
-        lanes = self._compiled and all(block.compiles for block in self.wiring.blocks)
-        shapes = self.wiring.shapes(shape.nodes, shape.joints)
         known = getattr(self, "memory", None)
-        self.memory = NamedArrays(shapes, self.n, lanes)
+        names = getattr(self, "_carried", ())
+        self._carried = self.wiring.carried(shape)
+        self._code: CompiledLoop | None = None
+        if self._compiled and all(block.compiles for block in self.wiring.blocks):
+            self.memory = NamedArrays(self.wiring.everything(shape), self.n, lanes=True)
+            self._code = CompiledLoop(self.wiring, self.memory)
+        else:
+            self.memory = NamedArrays(self._carried, self.n, lanes=False)
         if known is not None:
-            self._remember(known.copied())
-        self._ticks: tuple[CompiledTick, CompiledTick] | None = None
-        if lanes:
-            reads = [{k for b in half for k in b.inputs} for half in (before, after)]
-            mine = [[k for k in given if k in names] for names in reads]
-            sizes = (shape.nodes, shape.joints)
-            args = (sizes, self.memory)
-            self._ticks = (
-                CompiledTick(self.wiring, before, mine[0], ["acceleration"], *args),
-                CompiledTick(self.wiring, after, mine[1], [], *args),
-            )
+            self._remember(known.copied(names))
 
     def _admittance(self, held: int) -> Block:
         system, spec = self.system, self.spec
@@ -192,15 +191,16 @@ class EmulationLoop:
             return NonlinearAdmittance(self.shape, self.custom)
         return LinearAdmittance(self.shape, carried)
 
-    def _platform(self, *, as_stated: bool) -> PosePlatform | LegPlatform:
-        servo, system = self.spec.platform, self.system
-        if isinstance(servo, LegServo):
-            return LegPlatform(Legs(servo, self.spec.stewart, self.dt, system.physics_dt))
-        return PosePlatform(servo, self.shape, as_stated=as_stated)
+    def _platform(self, legs: Legs | None, *, as_stated: bool) -> list[Any]:
+        """Blocks of the platform; the first has its state."""
+        if legs is not None:
+            return [LegServos(legs), LegSensors(legs)]
+        assert isinstance(self.spec.platform, PoseServo)
+        return [PosePlatform(self.spec.platform, self.shape, as_stated=as_stated)]
 
     def _remember(self, known: Mapping[str, Array]) -> None:
         """Carry memory over from a wiring with other arrays, or shorter or longer ones."""
-        for name, shape in self.memory.shapes.items():
+        for name, shape in self._carried.items():
             if name.startswith("platform_model.") and name not in known:
                 value = known[name.replace("platform_model", "platform")]
             elif name in known:
@@ -231,8 +231,8 @@ class EmulationLoop:
         """Take the parameters of all simulations to the blocks."""
         p, bodies = self.parameters, self._bodies
         self.p = {block.name: block.parameters(p, bodies) for block in self.wiring.blocks}
-        for tick in self._ticks or ():
-            tick.load(self.p)
+        if self._code is not None:
+            self._code.load(self.p)
 
     # ------------------------------------------------------------- assignment
 
@@ -309,8 +309,8 @@ class EmulationLoop:
         for block in self.wiring.blocks:
             for name, rows in block.parameters(p, bodies).items():
                 self.p[block.name][name][ids] = rows
-        for tick in self._ticks or ():
-            tick.load(self.p)
+        if self._code is not None:
+            self._code.load(self.p)
 
     def _rewire(self) -> None:
         """Build the wiring anew where parameters need blocks or memory that it lacks."""
@@ -388,7 +388,7 @@ class EmulationLoop:
     def get_state(self) -> Any:
         """Everything needed to continue exactly from here; picklable."""
         rest = copy.deepcopy((self.time, self.events, self.table))
-        return self.memory.copied(), rest
+        return self.memory.copied(self._carried), rest
 
     def set_state(self, state: Any) -> None:
         """Return to a state handed out by `get_state`."""
@@ -427,7 +427,7 @@ class EmulationLoop:
         if self.estimate is None:
             given["weight"] = np.zeros((self.n, 6))
         before = self.frozen
-        acceleration = self._run(0, given)["acceleration"]
+        acceleration = self._run("before", given, "acceleration")
         new = self.frozen & ~before
         if new.any():
             self._report(np.flatnonzero(new))
@@ -457,18 +457,19 @@ class EmulationLoop:
             given["table"] = self.table[:, 0]
             if self.table.shape[1] > 1:
                 self.table = self.table[:, 1:]
-        self._run(1, given)
+        self._run("after", given, "reading")
 
-    def _run(self, half: int, given: dict[str, Array]) -> dict[str, Array]:
-        """Run the blocks before (0) or after (1) the engine."""
-        if self._ticks is not None:
-            return self._ticks[half](given)
-        blocks = (self.wiring.before, self.wiring.after)[half]
-        x = {name: self.memory[name] for name in self.memory.shapes}
+    def _run(self, half: str, given: dict[str, Array], wanted: str) -> Array:
+        """Run the blocks before or after the engine, and return one of their signals."""
+        if self._code is not None:
+            self._code(half, given)
+            return self._code.signal(wanted)
+        blocks = self.wiring.before if half == "before" else self.wiring.after
+        x = {name: self.memory[name] for name in self._carried}
         changed, out = self.wiring.run(blocks, NUMPY, self.p, x, given)
         for name, values in changed.items():
             self.memory[name] = values
-        return out
+        return out[wanted]
 
     def use_table(self, table: Array | None) -> None:
         """Take the weight from a table.

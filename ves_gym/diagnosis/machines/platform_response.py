@@ -10,7 +10,8 @@ from ves_gym._util.params import Array
 from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.simulation.blocks.block import Shape
-from ves_gym.simulation.blocks.platform import CommandLine, LegPlatform, PosePlatform
+from ves_gym.simulation.blocks.platform import CommandLine, LegSensors, LegServos, PosePlatform
+from ves_gym.simulation.blocks.wiring import Wiring
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
 
@@ -38,11 +39,15 @@ def platform_response(
         block = PosePlatform(servo, shape)
         out = _poses(block, block.response(p), command[:, 1:], y, yd)
         return np.concatenate([y[:, None], out], axis=1)
-    legs = LegPlatform(Legs(servo, settings.stewart, shape.control_dt, shape.physics_dt))
-    x, _ = legs.start({}, {"X": np.concatenate([y, yd], axis=-1)})
+    legs = Legs(servo, settings.stewart, shape.control_dt, shape.physics_dt)
+    servos, sensors = LegServos(legs), LegSensors(legs)
+    wiring = Wiring([servos, sensors], [], ["command_received"])
+    memory, _ = servos.start({}, {"X": np.concatenate([y, yd], axis=-1)})
+    x = {f"{servos.name}.{k}": v for k, v in memory.items()}
     poses = [y]
     for t in range(1, command.shape[1]):
-        x, signals = legs.step(NUMPY, {}, x, {"command_received": command[:, t]})
+        given = {"command_received": command[:, t]}
+        x, signals = wiring.run(wiring.before, NUMPY, {}, x, given)
         poses.append(signals["y_measured"])
     return np.stack(poses, axis=1)
 

@@ -7,6 +7,7 @@ import ctypes
 import hashlib
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ _SIGNATURES = {
         ctypes.c_double,
         ctypes.c_int64,
     ),
-    "tick": ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5, *[ctypes.c_int64] * 2),
+    "before": ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 2, *[ctypes.c_int64] * 2),
+    "after": ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 2, *[ctypes.c_int64] * 2),
     "map": ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 2),
     "program": ctypes.CFUNCTYPE(None, ctypes.c_void_p, *[ctypes.c_int64] * 2),
 }
@@ -32,14 +34,16 @@ class Library:
 
     advance: Any  # see `emit.emit_module`
     map: Any  # see `emit.emit_map`
-    tick: Any  # see `emit.emit_tick`
     program: Any  # see `pieces.Program`
+    before: Any  # see `emit.emit_driver`
+    after: Any
 
-    def __init__(self, code: bytes) -> None:
+    def __init__(self, *codes: bytes) -> None:
         import llvmlite.binding as llvm
 
         self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target())
-        self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        for code in codes:
+            self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         self._engine.finalize_object()
         for name, signature in _SIGNATURES.items():
             address = self._engine.get_function_address(name)
@@ -109,12 +113,32 @@ def compile_text(text: str) -> bytes:
 def cached(key: str, make: Any) -> Library:
     """Return a library from disk, or make it.
 
+    Args:
+        key: names everything the code depends on but the processor.
+        make: () -> text of the code.
+    """
+    return Library(_object(key, make))
+
+
+def linked(driver: str, makers: Mapping[str, Any]) -> Library:
+    """Return a library of functions stored one by one and a driver that calls them.
+
+    Args:
+        driver: text of the code that calls them.
+        makers: name of a function, which names all that it depends on -> () -> its text.
+    """
+    parts = [_object(name, make) for name, make in makers.items()]
+    return Library(_object(driver, lambda: driver), *parts)
+
+
+def _object(key: str, make: Any) -> bytes:
+    """Return machine code from disk, or make it.
+
     A file that is damaged is made anew. Writing is atomic, so that processes that start
     together at worst compile the same thing twice.
 
     Args:
-        key: names everything the code depends on but the processor.
-        make: () -> text of the code.
+        key, make: see `cached`.
     """
     name = hashlib.sha256(f"{key}\0{machine()}".encode()).hexdigest()[:32]
     path = cache_folder() / f"kernel-{name}.o"
@@ -123,7 +147,7 @@ def cached(key: str, make: Any) -> Library:
         code = compile_text(make())
         with contextlib.suppress(OSError):  # nowhere to keep it: compiled again next time
             write_bytes(path, _MARK + hashlib.sha256(code).digest() + code)
-    return Library(code)
+    return code
 
 
 def _read(path: Path) -> bytes | None:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ves_gym._util.params import ParameterError
@@ -217,12 +218,15 @@ class FunctionBody:
         return self.call("copysign", value, x)
 
 
-def emit_function(name: str, graph: casadi.Function) -> str:
+def emit_function(name: str, graph: casadi.Function, *, shared: bool = False) -> str:
     """Return one graph as `void name(ptr inputs ..., ptr outputs ...)` on rows of lanes.
+
+    All is read before anything is written.
 
     Args:
         name: of the function.
         graph: its operations.
+        shared: seen by other modules, and called with outputs that may be inputs.
     """
     import casadi as ca
 
@@ -244,9 +248,11 @@ def emit_function(name: str, graph: casadi.Function) -> str:
             registers[into[0]] = _operation(code, ca, op, args, unity, zero)
     for (which, row), value in outputs.items():
         code.store(value, f"%out{which}", row)
-    arguments = [f"ptr noalias %in{i}" for i in range(graph.n_in())]
-    arguments += [f"ptr noalias %out{i}" for i in range(graph.n_out())]
-    head = f"define internal void @{name}({', '.join(arguments)}) noinline {{"
+    kind = "ptr" if shared else "ptr noalias"
+    arguments = [f"{kind} %in{i}" for i in range(graph.n_in())]
+    arguments += [f"{kind} %out{i}" for i in range(graph.n_out())]
+    linkage = "" if shared else "internal "
+    head = f"define {linkage}void @{name}({', '.join(arguments)}) noinline {{"
     return "\n".join([head, *code.lines, "  ret void", "}"])
 
 
@@ -342,22 +348,61 @@ def emit_map(graph: casadi.Function) -> str:
     return "\n".join([declarations(), emit_function("point", graph), body])
 
 
-def emit_tick(graph: casadi.Function) -> str:
-    """A module with `tick`, which evaluates (x, u, p) -> (x+, y), each lane with its own p.
-
-    void tick(double *x, double *u, double *p, double *x_next, double *y, i64 lo, i64 hi)
+def emit_shared(name: str, graph: casadi.Function) -> str:
+    """Return a module of one function that others may call, and that may write where it reads.
 
     Args:
-        graph: three inputs, two outputs.
+        name: of the function.
+        graph: its operations.
     """
-    sizes = [graph.size1_in(i) for i in range(3)] + [graph.size1_out(i) for i in range(2)]
-    names = ("x", "u", "p", "n", "y")
-    rows = []
-    for name, size in zip(names, sizes, strict=True):
-        rows.append(f"  %{name}row = mul i64 %b, {size}")
-        rows.append(f"  %{name}b = getelementptr {_V}, ptr %{name}, i64 %{name}row")
-    body = _TICK.format(rows="\n".join(rows))
-    return "\n".join([declarations(), emit_function("point", graph), body])
+    return "\n".join([declarations(), emit_function(name, graph, shared=True)])
+
+
+@dataclass(frozen=True)
+class Call:
+    """A function as a driver calls it: first rows of its arrays in the memory of a block."""
+
+    name: str
+    inputs: tuple[int, ...]
+    parameters: int  # first row of its own, last of its inputs
+    outputs: tuple[int, ...]
+    advance: tuple[int, ...]  # rows each output moves on by between repetitions
+    repeats: int
+
+
+def emit_driver(parts: Mapping[str, Sequence[Call]], rows: int, parameters: int) -> str:
+    """Return a module of functions that call others in a row, for each block of lanes.
+
+    void NAME(double *memory, double *parameters, i64 lo, i64 hi)
+
+    Args:
+        parts: what each function calls.
+        rows: of memory in a block.
+        parameters: rows of parameters in a block.
+    """
+    calls = [call for part in parts.values() for call in part]
+    declared = {
+        call.name: f"declare void @{call.name}({', '.join(['ptr'] * _arity(call))})"
+        for call in calls
+    }
+    bodies = []
+    for name, part in parts.items():
+        code = FunctionBody()
+        for call in part:
+            fixed = [code.row("%mb", at) for at in call.inputs]
+            fixed.append(code.row("%pb", call.parameters))
+            for k in range(call.repeats):
+                moved = zip(call.outputs, call.advance, strict=True)
+                outputs = [code.row("%mb", at + k * by) for at, by in moved]
+                arguments = ", ".join(f"ptr {pointer}" for pointer in (*fixed, *outputs))
+                code.lines.append(f"  call void @{call.name}({arguments})")
+        text = "\n".join(code.lines)
+        bodies.append(_DRIVER.format(V=_V, name=name, rows=rows, p=parameters, calls=text))
+    return "\n".join([*declared.values(), *bodies])
+
+
+def _arity(call: Call) -> int:
+    return len(call.inputs) + 1 + len(call.outputs)
 
 
 def declarations() -> str:
@@ -487,15 +532,18 @@ done:
 }}
 """
 
-_TICK = """
-define void @tick(ptr %x, ptr %u, ptr %p, ptr %n, ptr %y, i64 %lo, i64 %hi) {{
+_DRIVER = """
+define void @{name}(ptr %m, ptr %p, i64 %lo, i64 %hi) {{
 entry:
   %any = icmp slt i64 %lo, %hi
   br i1 %any, label %block, label %done
 block:
   %b = phi i64 [ %lo, %entry ], [ %bnext, %block ]
-{rows}
-  call void @point(ptr %xb, ptr %ub, ptr %pb, ptr %nb, ptr %yb)
+  %mrow = mul i64 %b, {rows}
+  %mb = getelementptr {V}, ptr %m, i64 %mrow
+  %prow = mul i64 %b, {p}
+  %pb = getelementptr {V}, ptr %p, i64 %prow
+{calls}
   %bnext = add i64 %b, 1
   %again = icmp slt i64 %bnext, %hi
   br i1 %again, label %block, label %done

@@ -36,7 +36,7 @@ class _Admittance(Block):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        return (self.carried, self.joints, self.shape)
+        return (self.carried, self.joints)
 
     @property
     def oscillators(self) -> tuple[slice, slice]:

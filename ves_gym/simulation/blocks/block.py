@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ves_gym._util.array_functions import ArrayFunctions
-from ves_gym._util.params import Array
+from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.system.deviations import LoopParameters
 
@@ -25,21 +25,38 @@ class Signal:
     """What one block hands to others, once per control period."""
 
     name: str
-    shape: tuple[int | str, ...]  # of one simulation; "k" nodes of the period, "n" joints
+    shape: tuple[int | str, ...]  # of one simulation, sizes by their letters in `Shape.sizes`
     unit: str
     frame: str  # in which its components are
     meaning: str
     outside: str = "outside"  # who hands it in where no block does
 
-    def sized(self, nodes: int, joints: int) -> tuple[int, ...]:
+    def sized(self, shape: Shape) -> tuple[int, ...]:
         """Return the shape with its letters replaced by numbers."""
-        sizes = {"k": nodes, "n": joints, "6+n": 6 + joints}
-        return tuple(sizes[w] if isinstance(w, str) else w for w in self.shape)
+        return tuple(shape.sizes[w] if isinstance(w, str) else w for w in self.shape)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Sizes that all blocks of a loop share."""
+
+    nodes: int  # physics steps of a period, both ends counted
+    joints: int
+    control_dt: float  # s
+    physics_dt: float  # s
+    leg_states: int = 0  # of a leg and its servo
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Sizes by their letters."""
+        k, n = self.nodes, self.joints
+        return {"k": k, "k-1": k - 1, "n": n, "6+n": 6 + n, "s": self.leg_states}
 
 
 _PLATFORM, _FLOOR = "platform", "floor"  # axes of the platform top; of its home pose
-_PATH, _MOTION = ("k", 6), f"{POSE}; {RATE}"
+_PATH, _STEPS, _MOTION = ("k", 6), ("k-1", 6), f"{POSE}; {RATE}"
 _ENGINE, _SERVO = "engine", "joint servo"
+_BY_MODEL = "_model"  # ends the names of signals of the model of the platform
 SIGNALS: dict[str, Signal] = {
     signal.name: signal
     for signal in (
@@ -59,9 +76,11 @@ SIGNALS: dict[str, Signal] = {
         Signal("yd", _PATH, RATE, _FLOOR, "rate of the pose"),
         Signal("ydd", _PATH, ACCELERATION, _FLOOR, "acceleration of the pose"),
         Signal("y_measured", (6,), POSE, _FLOOR, "pose by the sensors of the platform"),
-        Signal("y_model", _PATH, POSE, _FLOOR, "pose by the model of the platform"),
-        Signal("yd_model", _PATH, RATE, _FLOOR, "rate by the model of the platform"),
-        Signal("ydd_model", _PATH, ACCELERATION, _FLOOR, "acceleration by the model"),
+        Signal("y_nodes", _STEPS, POSE, _FLOOR, "pose over the period, but for its end"),
+        Signal("yd_nodes", _STEPS, RATE, _FLOOR, "rate of the pose, but for its end"),
+        Signal("ydd_nodes", _STEPS, ACCELERATION, _FLOOR, "acceleration, but for its end"),
+        Signal("legs", ("s", 6), "m, m/s, m/s^2", "legs", "legs and their controllers"),
+        Signal("pose", (6,), POSE, _FLOOR, "pose at the end of the period"),
         Signal("y_engine", (6,), POSE, _FLOOR, "pose of the engine's platform", _ENGINE),
         Signal("yd_engine", (6,), RATE, _FLOOR, "rate of the engine's platform", _ENGINE),
         Signal("acceleration", _PATH, ACCELERATION, _FLOOR, "path of the engine's platform"),
@@ -73,6 +92,19 @@ SIGNALS: dict[str, Signal] = {
 TO_ENGINE = ("acceleration",)  # what leaves the loop
 
 
+def signal_of(name: str) -> Signal:
+    """Return a signal by its name.
+
+    Raises:
+        ParameterError: no such signal.
+    """
+    if name.endswith(_BY_MODEL):
+        return replace(signal_of(name.removesuffix(_BY_MODEL)), name=name)
+    if name not in SIGNALS:
+        raise ParameterError(f"no signal {name!r}; known: {', '.join(SIGNALS)}")
+    return SIGNALS[name]
+
+
 @dataclass(frozen=True)
 class Memory:
     """One named array that a block carries from period to period."""
@@ -81,14 +113,7 @@ class Memory:
     feeds_back: bool = True  # False: constant or random, no part of the loop's dynamics
 
 
-@dataclass(frozen=True)
-class Shape:
-    """Sizes that all blocks of a loop share."""
-
-    nodes: int  # physics steps of a period, both ends counted
-    joints: int
-    control_dt: float  # s
-    physics_dt: float  # s
+_ANY = Shape(0, 0, 0.0, 0.0)
 
 
 class Block(ABC):
@@ -101,7 +126,10 @@ class Block(ABC):
     name: ClassVar[str]
     inputs: tuple[str, ...]  # of SIGNALS
     outputs: tuple[str, ...]
+    shape: Shape = _ANY  # of the loop, where the block asks for its sizes or clocks
     compiles: bool = True  # False: its text cannot be traced
+    repeats: int = 1  # times that `step` runs in a control period
+    stacked: tuple[str, ...] = ()  # outputs that repetitions put side by side, not over again
     sparse: ClassVar[tuple[str, ...]] = ()  # parameters whose zeros are part of the structure
 
     @property
@@ -152,30 +180,23 @@ class Block(ABC):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        """Everything but `p` that `step` depends on, for the key of compiled code."""
+        """All that `step` depends on beside `shape` and `p`, for the key of compiled code."""
         return ()
 
 
-def renamed(block: Block, names: Mapping[str, str], name: str) -> Block:
-    """Return a block under another name, wired to other signals.
+class ModelOf(Block):
+    """A block of the platform as a model beside it, under names of its own."""
 
-    Args:
-        block: the original, which stays as it is.
-        names: old -> new name of signals.
-        name: of the new block.
-    """
-    return _Renamed(block, names, name)
-
-
-class _Renamed(Block):
-    """A block whose wires have other names."""
-
-    def __init__(self, block: Block, names: Mapping[str, str], name: str) -> None:
-        self.block, self._names, self.name = block, names, name  # type: ignore[misc]
-        self._back = {new: old for old, new in names.items()}
-        self.inputs = tuple(names.get(k, k) for k in block.inputs)
-        self.outputs = tuple(names.get(k, k) for k in block.outputs)
-        self.compiles = block.compiles
+    def __init__(self, block: Block) -> None:
+        """Give the block's signals the names of the model; commands arrive as they are sent."""
+        self.block, self.name = block, f"{block.name}{_BY_MODEL}"  # type: ignore[misc]
+        self._names = {k: f"{k}{_BY_MODEL}" for k in (*block.inputs, *block.outputs)}
+        self._names["command_received"] = "command_sent"
+        self._back = {new: old for old, new in self._names.items()}
+        self.inputs = tuple(self._names[k] for k in block.inputs)
+        self.outputs = tuple(self._names[k] for k in block.outputs)
+        self.stacked = tuple(self._names[k] for k in block.stacked)
+        self.compiles, self.repeats, self.shape = block.compiles, block.repeats, block.shape
 
     @property
     def summary(self) -> str:
@@ -187,7 +208,7 @@ class _Renamed(Block):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        return self.block.structure
+        return (type(self.block).__name__, *self.block.structure)
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         return self.block.parameters(p, bodies)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -30,8 +30,7 @@ class NamedArrays:
         self.lanes: Array | None = None
         self._rows: dict[str, Array] = {}
         if lanes:
-            # two of them: compiled code reads one and writes the other
-            self.lanes, self.spare = (aligned(-(-n // LANES), self.size, LANES) for _ in "12")
+            self.lanes = aligned(-(-n // LANES), self.size, LANES)
         else:
             self._rows = {k: np.zeros((n, *shape)) for k, shape in self.shapes.items()}
 
@@ -69,11 +68,6 @@ class NamedArrays:
             flat = np.reshape(values, (len(ids), place.stop - place.start))
             self.lanes[ids // LANES, place, ids % LANES] = flat
 
-    def swap(self) -> None:
-        """Take for the present what compiled code has written."""
-        assert self.lanes is not None
-        self.lanes, self.spare = self.spare, self.lanes
-
-    def copied(self) -> dict[str, Array]:
-        """Copies of all arrays."""
-        return {name: np.array(self[name]) for name in self.shapes}
+    def copied(self, names: Iterable[str]) -> dict[str, Array]:
+        """Copies of some arrays."""
+        return {name: np.array(self[name]) for name in names}

@@ -86,7 +86,7 @@ class PayloadCompensation(Block):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        return (self.joints, self.shape)
+        return (self.joints,)
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         n = len(p.gravity_mass)

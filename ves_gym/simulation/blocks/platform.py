@@ -234,7 +234,7 @@ class PosePlatform(Block):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        return (self.servo.rate_feedforward, self.shape)
+        return (self.servo.rate_feedforward,)
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         return {"response": self.response(p)}
@@ -269,39 +269,69 @@ class PosePlatform(Block):
         return x["y"], x["yd"]
 
 
-class LegPlatform(Block):
-    """A platform on six leg servos (`hardware.leg_servo`), sent lengths only."""
+class LegServos(Block):
+    """A platform on six leg servos (`hardware.leg_servo`): a sample of theirs at a time."""
 
     name = "platform"
     inputs = ("command_received",)
-    outputs = ("y", "yd", "ydd", "y_measured")
-    compiles = False  # forward kinematics iterate until they settle
+    outputs = ("y_nodes", "yd_nodes", "ydd_nodes", "legs", "pose")
+    stacked = ("y_nodes", "yd_nodes", "ydd_nodes")
 
     def __init__(self, legs: Legs) -> None:
-        self.legs = legs
+        self.legs, self.repeats = legs, legs.samples
 
     @property
     def memory(self) -> dict[str, Memory]:
         return {"legs": Memory((self.legs.leg.size, 6)), "pose": Memory((6,))}
 
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (self.legs.servo, self.legs.stewart, self.legs.leg.steps)
+
     def step(
         self, xp: ArrayFunctions, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
-        legs, pose, y, yd, ydd = self.legs.advance(
-            x["legs"], x["pose"], u["command_received"][:, :6]
-        )
-        measured = self.legs.measured(legs, pose)
-        out = {"y": y, "yd": yd, "ydd": ydd, "y_measured": measured}
-        return {"legs": legs, "pose": pose}, out
+        y_cmd = u["command_received"][:, :6]
+        legs, pose, *path = self.legs.advance(x["legs"], x["pose"], y_cmd, xp)
+        memory = {"legs": legs, "pose": pose}
+        return memory, {**dict(zip(self.stacked, path, strict=True)), **memory}
 
     def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
         pose = u["X"][:, :6]  # hydraulic legs start from rest, whatever rate the vehicle has
-        legs = self.legs.at_rest(pose)
-        return {"legs": legs, "pose": pose}, {"y_measured": self.legs.measured(legs, pose)}
+        memory = {"legs": self.legs.at_rest(pose), "pose": pose}
+        return memory, memory
 
     def present(self, x: Values) -> tuple[Array, Array]:
         """Pose and rate (n, 6) that the legs have now."""
         return self.legs.present(x["legs"], x["pose"])
+
+
+class LegSensors(Block):
+    """The path of a platform on legs, and its pose by the measured lengths."""
+
+    name = "leg_sensors"
+    inputs = ("y_nodes", "yd_nodes", "ydd_nodes", "legs", "pose")
+    outputs = ("y", "yd", "ydd", "y_measured")
+
+    def __init__(self, legs: Legs) -> None:
+        self.legs = legs
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (self.legs.servo, self.legs.stewart)
+
+    def step(
+        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        last = (u["pose"], *self.legs.motion(u["legs"], u["pose"], xp))
+        out = {
+            name: np.concatenate([u[f"{name}_nodes"], end[:, None]], axis=1)
+            for name, end in zip(("y", "yd", "ydd"), last, strict=True)
+        }
+        return {}, {**out, "y_measured": self.legs.measured(u["legs"], u["pose"], xp)}
+
+    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+        return {}, {"y_measured": self.legs.measured(u["legs"], u["pose"])}
 
 
 class EngineInput(Block):
@@ -317,7 +347,7 @@ class EngineInput(Block):
     outputs = ("acceleration",)
 
     def __init__(self, shape: Shape) -> None:
-        k, h = shape.nodes - 1, shape.physics_dt
+        self.shape, k, h = shape, shape.nodes - 1, shape.physics_dt
         self._duration = k * h
         # where the engine would be at the end: exact integrals of a piecewise linear Y''
         self._once = np.full(k + 1, h)

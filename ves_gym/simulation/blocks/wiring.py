@@ -5,9 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from ves_gym._util.array_functions import ArrayFunctions
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.simulation.blocks.block import SIGNALS, TO_ENGINE, Block, Memory, Values
+from ves_gym.simulation.blocks.block import (
+    TO_ENGINE,
+    Block,
+    Memory,
+    Shape,
+    Values,
+    signal_of,
+)
 
 _AT_REST = ("command_sent", "frozen")  # read by safety checks alone
 Parameters = Mapping[str, Values]  # block -> its parameters
@@ -39,10 +48,7 @@ class Wiring:
         held = dict.fromkeys(watched)
         for block in self.blocks:
             for name in block.inputs:
-                if name not in SIGNALS:
-                    raise ParameterError(
-                        f"block {block.name} reads signal {name!r}; known: {', '.join(SIGNALS)}"
-                    )
+                signal_of(name)  # refuses an unknown one
                 crosses = block in self.after and name in first
                 if name not in given and (name not in produced or crosses):
                     held[name] = None
@@ -74,16 +80,18 @@ class Wiring:
         read = {name for block in self.blocks for name in block.inputs}
         return own + [name for name in self.held if name in read and name not in _AT_REST]
 
-    def shapes(self, nodes: int, joints: int) -> dict[str, tuple[int, ...]]:
-        """Shapes of all that is carried over: the blocks' memory and the signals held.
-
-        Args:
-            nodes: of a control period.
-            joints: of the arm.
-        """
+    def carried(self, shape: Shape) -> dict[str, tuple[int, ...]]:
+        """Shapes of all that is carried over: the blocks' memory and the signals held."""
         out = {name: memory.shape for name, memory in self.memories().items()}
-        out.update((name, SIGNALS[name].sized(nodes, joints)) for name in self.held)
+        out.update((name, signal_of(name).sized(shape)) for name in self.held)
         return out
+
+    def everything(self, shape: Shape) -> dict[str, tuple[int, ...]]:
+        """Shapes of all that is carried over, then of all other signals."""
+        names = dict.fromkeys(self.given)
+        for block in self.blocks:
+            names.update(dict.fromkeys((*block.inputs, *block.outputs)))
+        return self.carried(shape) | {k: signal_of(k).sized(shape) for k in names}
 
     def run(
         self,
@@ -99,7 +107,7 @@ class Wiring:
             blocks: `before` or `after`.
             xp: functions of the arrays.
             p: parameters of each block.
-            x: what is carried over, by the names of `shapes`.
+            x: what is carried over, by the names of `carried`.
             given: signals from outside.
 
         Returns:
@@ -112,33 +120,28 @@ class Wiring:
         for block in blocks:
             mine = {k: x[f"{block.name}.{k}"] for k in block.memory}
             wires = {k: signals[k] for k in block.inputs}
-            new, outputs = block.step(xp, p.get(block.name, {}), mine, wires)
+            new, outputs = _repeated(block, xp, p.get(block.name, {}), mine, wires)
             changed.update((f"{block.name}.{k}", v) for k, v in new.items())
             signals.update(outputs)
             put_out.update(outputs)
         changed.update((k, v) for k, v in put_out.items() if k in self.held)
         return changed, put_out
 
-    def describe(self, nodes: int, joints: int) -> list[dict[str, Any]]:
-        """One row per wire: from which block, to which, what it carries, when it arrives.
-
-        Args:
-            nodes: of a control period.
-            joints: of the arm.
-        """
-        source = {name: SIGNALS[name].outside for name in self.given}
+    def describe(self, shape: Shape) -> list[dict[str, Any]]:
+        """One row per wire: from which block, to which, what it carries, when it arrives."""
+        source = {name: signal_of(name).outside for name in self.given}
         source.update((name, block.name) for block in self.blocks for name in block.outputs)
         ends = [(block.name, block.inputs, block.outputs) for block in self.blocks]
         at_once, rows = set(self.given), []
         for reader, inputs, outputs in [*ends, ("engine", TO_ENGINE, ())]:
             for name in inputs:
-                signal = SIGNALS[name]
+                signal = signal_of(name)
                 rows.append(
                     {
                         "from": source[name],
                         "to": reader,
                         "signal": name,
-                        "shape": list(signal.sized(nodes, joints)),
+                        "shape": list(signal.sized(shape)),
                         "unit": signal.unit,
                         "frame": signal.frame,
                         "when": "at once" if name in at_once else "a period later",
@@ -165,3 +168,17 @@ class Wiring:
             }
             for block in self.blocks
         ]
+
+
+def _repeated(
+    block: Block, xp: ArrayFunctions, p: Values, x: Values, u: Values
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Memory and outputs of a block after all its steps in a period."""
+    new, outputs = block.step(xp, p, x, u)
+    stacks = {name: [outputs[name]] for name in block.stacked}
+    for _ in range(block.repeats - 1):
+        new, outputs = block.step(xp, p, new, u)
+        for name, parts in stacks.items():
+            parts.append(outputs[name])
+    outputs.update((k, np.concatenate(parts, axis=1)) for k, parts in stacks.items())
+    return new, outputs
