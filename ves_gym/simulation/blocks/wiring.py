@@ -133,7 +133,8 @@ class Wiring:
         source.update((name, block.name) for block in self.blocks for name in block.outputs)
         ends = [(block.name, block.inputs, block.outputs) for block in self.blocks]
         at_once, rows = set(self.given), []
-        for reader, inputs, outputs in [*ends, ("engine", TO_ENGINE, ())]:
+        ends.append(("engine", tuple(name for name in TO_ENGINE if name in source), ()))
+        for reader, inputs, outputs in ends:
             for name in inputs:
                 signal = signal_of(name)
                 rows.append(

@@ -1,0 +1,137 @@
+"""The compiled tick gives the answers of the blocks in NumPy.
+
+64 random systems run for 2 s on the same compiled engine, their blocks once compiled and once
+in NumPy: every operation, platform, kind of vehicle and drive, with and without payload
+compensation, late computers, coarse transducers, and every registered effect of the mode.
+
+Tolerance: 1e-9 of max(1, value) for angles, poses and rates (SI), of max(1000, value) for
+readings [N, N m]; safety stops at the same instant for the same reason. Both run one text, so
+what is left is rounding. An error of 1e-7 in a parameter of one of them is seen.
+"""
+
+import numpy as np
+import pytest
+
+from tests.simulation.blocks.machines import (
+    COUNT,
+    DURATION,
+    KINDS,
+    PLATFORMS,
+    gap,
+    run,
+    simulator_of,
+    system,
+)
+from ves_gym.hardware.leg_servo import LegServo
+from ves_gym.mechanics.vehicle import FREE_FLOATING
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
+from ves_gym.system.system import System
+
+MOST = 1e-9
+QUICK = (14, 16, 17, 30, 52)  # plain satellite, admittance, legs, short and late ones, position
+
+
+def compare(index, monkeypatch):
+    """Difference of the two runs of system `index`, and the safety stops of both."""
+    mine = system(index)
+    sims = [simulator_of(monkeypatch, mine, 2, compiled=k) for k in (True, False)]
+    assert sims[1].emulation_loop._ticks is None
+    blocks = sims[0].emulation_loop.wiring.blocks
+    assert (sims[0].emulation_loop._ticks is not None) == all(k.compiles for k in blocks)
+    runs = [run(sim, index, DURATION) for sim in sims]
+    assert sims[0].events == sims[1].events
+    return gap(*runs), sims[0].events
+
+
+@pytest.mark.parametrize("index", QUICK)
+def test_both_give_the_same(index, monkeypatch):
+    assert compare(index, monkeypatch)[0] <= MOST
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [k for k in range(COUNT) if k not in QUICK])
+def test_all_64_give_the_same(index, monkeypatch):
+    worst, events = compare(index, monkeypatch)
+    print(f"system {index}: {worst:.1e}, {len(events)} safety stops")
+    assert worst <= MOST
+
+
+def test_the_cases_are_what_they_should_be():
+    """Every operation, platform, vehicle, drive and effect, and no two systems alike."""
+    every = [system(k) for k in range(COUNT)]
+    assert len({s.hash for s in every}) == COUNT == 64
+    labs = [s.emulator_settings for s in every]
+    assert {lab.operation for lab in labs} == set(OPERATIONS)
+    assert {lab.payload_compensation for lab in labs} == {True, False}
+    legs = {lab.platform for lab in labs if isinstance(lab.platform, LegServo)}
+    assert len(legs) == 3 and len(PLATFORMS) == 3
+    assert {type(s.vehicle).__name__ for s in every} == {"MatrixVehicle", "Beam", "Satellite"}
+    assert {s.drive for s in every} == {"motor", "prescribed"}
+    assert {e.kind for s in every for e in s.effects} == set(KINDS)
+    kinds = [{e.kind for e in s.effects} for s in every]
+    position = [lab.operation == "position" for lab in labs]
+    closed = set().union(*(k for k, p in zip(kinds, position, strict=True) if not p))
+    assert closed == set(KINDS)  # each of them in a loop that is closed, too
+
+
+def test_a_wrong_parameter_is_seen(monkeypatch):
+    """The sensor's matrix off by 1e-7 in the compiled one: the comparison must fail."""
+    mine = system(30)
+    ours, theirs = (simulator_of(monkeypatch, mine, 2, compiled=k) for k in (True, False))
+    loop = ours.emulation_loop
+    loop.p["force_sensor"]["to_signal"] *= 1 + 1e-7
+    for tick in loop._ticks:
+        tick.load(loop.p)
+    assert gap(run(ours, 0, 0.5), run(theirs, 0, 0.5)) > MOST
+
+
+def test_lanes_have_parameters_of_their_own(monkeypatch):
+    """Eleven simulations in two blocks of lanes, each with other effects."""
+    mine = system(9)
+    rng = np.random.default_rng(0)
+
+    def varied(effect):
+        share = rng.uniform(0.5, 1.0)
+        return type(effect)(
+            **{k: (share * np.array(v)).tolist() for k, v in vars(effect).items()}
+        )
+
+    others = [mine.replace(effects=tuple(map(varied, mine.effects))) for _ in range(11)]
+    sims = [simulator_of(monkeypatch, mine, 11, compiled=k) for k in (True, False)]
+    for sim in sims:
+        sim.assign(others)
+    assert len(mine.effects) > 2
+    assert gap(run(sims[0], 0, 0.5), run(sims[1], 0, 0.5)) <= MOST
+
+
+def test_a_learnt_weight_runs_compiled(monkeypatch):
+    """A table in place of the estimate rewires the loop (thesis 3.3)."""
+    mine = System(mode="emulated")
+    table = np.random.default_rng(0).normal([0, 0, -900, 0, 0, 0], 5.0, (2, 30, 6))
+    sims = [simulator_of(monkeypatch, mine, 2, compiled=k) for k in (True, False)]
+    for sim in sims:
+        sim.use_gravity(table)
+        assert "table" in sim.emulation_loop.wiring.given
+    ours, theirs = (run(sim, 0, 0.5) for sim in sims)
+    assert gap(ours, theirs) <= MOST
+    np.testing.assert_array_equal(ours[10][6], theirs[10][6])
+
+
+def test_what_is_compiled_when():
+    """The kernel's loop is compiled; MuJoCo's, and a vehicle that is a function, are not."""
+
+    def ticks(system=System(mode="emulated"), **options):
+        return Simulator(system, warn_at=None, **options).emulation_loop._ticks
+
+    assert ticks(backend="kernel") is not None
+    assert ticks(backend="mujoco") is None
+
+    def spring(X, W):
+        return np.concatenate([X[:, 6:], W / 1e3 - 4.0 * X[:, :6]], axis=-1)
+
+    plain = EmulatorSettings(payload_compensation=False)
+    for emulator in (plain, EmulatorSettings()):
+        machine = System(mode="emulated", vehicle=FREE_FLOATING, emulator=emulator)
+        assert ticks(machine, backend="kernel", admittance=spring) is None
+        assert ticks(machine, backend="kernel") is not None

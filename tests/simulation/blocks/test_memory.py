@@ -1,0 +1,141 @@
+"""Memory of the loop: in rows and in lanes, across snapshots and rewirings."""
+
+import numpy as np
+import pytest
+
+from tests.simulation.blocks.machines import simulator_of
+from ves_gym.effects import GravityDelay, PlatformDelay, PlatformStroke
+from ves_gym.simulation.blocks.memory import NamedArrays
+from ves_gym.system.system import System
+
+SHAPES = {"filter": (6, 2), "frozen": (), "history": (0, 12), "X": (12,)}
+N = 11  # no multiple of the lanes
+
+
+@pytest.fixture(params=[True, False], ids=["lanes", "rows"])
+def memory(request):
+    return NamedArrays(SHAPES, N, request.param)
+
+
+def test_arrays_come_back_as_they_were_written(memory):
+    rng = np.random.default_rng(0)
+    wanted = {name: rng.normal(size=(N, *shape)) for name, shape in SHAPES.items()}
+    for name in SHAPES:
+        assert name in memory and memory[name].shape == (N, *SHAPES[name])
+        assert not memory[name].any()
+        memory[name] = wanted[name]
+    assert "drift" not in memory and memory.size == 25
+    for name, values in wanted.items():
+        np.testing.assert_array_equal(memory[name], values)
+
+
+def test_rows_are_written_one_by_one(memory):
+    rng, ids = np.random.default_rng(0), np.array([9, 0, 4])
+    for name, shape in SHAPES.items():
+        memory[name] = np.zeros((N, *shape))
+        rows = rng.normal(size=(3, *shape))
+        memory.put(ids, name, rows)
+        wanted = np.zeros((N, *shape))
+        wanted[ids] = rows
+        np.testing.assert_array_equal(memory[name], wanted)
+
+
+def test_what_was_handed_out_stays_as_it_is(memory):
+    """A snapshot is no view."""
+    memory["X"] = np.ones((N, 12))
+    copies, seen = memory.copied(), memory["X"]
+    memory.put(np.array([2]), "X", np.full((1, 12), 5.0))
+    assert (copies["X"] == 1).all() and (seen == 1).all()
+    assert memory["X"][2, 0] == 5
+
+
+# ----------------------------------------------------------- memory of another length
+
+# kinds alike, so that one can be assigned to the simulator of the other
+SOON = System(mode="emulated", effects=(PlatformDelay(delay=0.0), GravityDelay(delay=0.0)))
+LATE = SOON.replace(effects=(PlatformDelay(delay=0.05), GravityDelay(delay=0.12)))
+compiled_or_not = pytest.mark.parametrize("compiled", [True, False])
+
+
+def swing(sim, periods):
+    out = []
+    for _ in range(periods):
+        t = sim.state.time[:, None]
+        q = np.array([0.3, 0.2, -0.3]) * np.sin(5 * t + np.arange(sim.n)[:, None])
+        sim.step(sim.servo_command(q, np.zeros_like(q)))
+        out.append(np.concatenate([*sim.state[1:], *sim.readings], axis=-1))
+    return np.array(out)
+
+
+@compiled_or_not
+def test_a_delay_assigned_later_rewires_the_loop(compiled, monkeypatch):
+    """Simulation 1 becomes late; after its reset it is as in a simulator of its own.
+
+    Neighbours run on. The loop has other blocks then (a model of the platform), and compiled
+    code rounds as its graph is ordered: 1e-12; in NumPy bit for bit.
+    """
+    sim, alone, twin = (simulator_of(monkeypatch, k, n, compiled=compiled) for k, n in
+                        ((SOON, 3), (LATE, 3), (SOON, 3)))  # fmt: skip
+    loop = sim.emulation_loop
+    assert loop.memory.shapes["command_line.history"] == (0, 12)
+    assert "platform_model" not in [b.name for b in loop.wiring.blocks]
+    np.testing.assert_array_equal(swing(sim, 12), swing(twin, 12))
+    sim.assign([LATE], [1])
+    assert loop.memory.shapes["command_line.history"] == (5, 12)
+    assert loop.memory.shapes["gravity_estimate.history"][0] > 10
+    assert "platform_model" in [b.name for b in loop.wiring.blocks]
+    assert (loop._ticks is not None) == compiled
+    most = 1e-12 if compiled else 0.0
+    ours, theirs = swing(sim, 12), swing(twin, 12)
+    for i in (0, 2):
+        np.testing.assert_allclose(ours[:, i], theirs[:, i], rtol=most, atol=1e3 * most)
+    assert np.abs(ours[:, 1] - theirs[:, 1]).max() > 1e-3
+
+    for k in (sim, alone):
+        k.reset()
+    ours, theirs = swing(sim, 12), swing(alone, 12)
+    np.testing.assert_allclose(ours[:, 1], theirs[:, 1], rtol=most, atol=1e3 * most)
+
+
+@compiled_or_not
+def test_a_snapshot_fits_memory_of_another_length(compiled, monkeypatch):
+    """Taken before the memory grew, or restored where it is still short: it goes on alike."""
+    sim = simulator_of(monkeypatch, SOON, 2, compiled=compiled)
+    swing(sim, 8)
+    before = sim.snapshot()
+    wanted = swing(sim, 12)
+    sim.restore(before)
+    sim.assign([LATE], [1])
+    swing(sim, 8)
+    late = sim.snapshot()
+    wanted_late = swing(sim, 12)
+    most = 1e-12 if compiled else 0.0
+
+    sim.restore(before)  # short memory into long
+    assert sim.systems == (SOON, SOON)
+    assert sim.emulation_loop.memory.shapes["command_line.history"] == (5, 12)
+    np.testing.assert_allclose(swing(sim, 12), wanted, rtol=most, atol=1e3 * most)
+
+    fresh = simulator_of(monkeypatch, SOON, 2, compiled=compiled)
+    assert fresh.emulation_loop.memory.shapes["command_line.history"] == (0, 12)
+    fresh.restore(late)  # long memory into short
+    assert fresh.systems[1].hash == LATE.hash
+    np.testing.assert_array_equal(swing(fresh, 12), wanted_late)
+
+
+@compiled_or_not
+def test_short_legs_assigned_later_rewire_the_loop(compiled, monkeypatch):
+    """Limits on the legs' travel are wired where somebody has them."""
+    plain = System(mode="emulated", effects=(PlatformStroke(travel=0.0, speed=0.0),))
+    short = plain.replace(effects=(PlatformStroke(travel=0.999, speed=0.999),))
+    sim = simulator_of(monkeypatch, plain, 3, compiled=compiled)
+    assert not sim.emulation_loop.wiring.block("command_line").limited
+    sim.assign([short], [2])
+    assert sim.emulation_loop.wiring.block("command_line").limited
+    alone = simulator_of(monkeypatch, short, 3, compiled=compiled)
+    for k in (sim, alone):
+        k.reset()
+    ours, theirs = swing(sim, 12), swing(alone, 12)
+    most = 1e-12 if compiled else 0.0
+    np.testing.assert_allclose(ours[:, 2], theirs[:, 2], rtol=most, atol=1e3 * most)
+    assert np.abs(ours[:, 1] - theirs[:, 1]).max() > 1e-5

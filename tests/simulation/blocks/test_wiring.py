@@ -1,0 +1,153 @@
+"""Blocks and wires: which signal arrives when, and what cannot be wired."""
+
+import numpy as np
+import pytest
+
+from ves_gym._util.array_functions import NUMPY
+from ves_gym._util.params import ParameterError
+from ves_gym.effects import GravityDelay, PlatformBandwidth, PlatformStroke
+from ves_gym.simulation.blocks.block import SIGNALS, Block, Memory, renamed
+from ves_gym.simulation.blocks.wiring import Wiring
+from ves_gym.simulation.emulation_loop import EmulationLoop
+from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
+from ves_gym.system.system import System
+
+
+class Adds(Block):
+    """Sums up what it reads, on top of a number of its own."""
+
+    name = "adds"
+
+    def __init__(self, name, inputs, outputs, memory=()):
+        self.name, self.inputs, self.outputs, self._memory = name, inputs, outputs, memory
+
+    @property
+    def memory(self):
+        return {k: Memory((6,)) for k in self._memory}
+
+    def step(self, xp, p, x, u):
+        total = sum(u[k] for k in self.inputs) + sum(x.values())
+        return {k: v + 1 for k, v in x.items()}, dict.fromkeys(self.outputs, total)
+
+
+def loop_of(*effects, **options):
+    system = System(mode="emulated", effects=effects, emulator=EmulatorSettings(**options))
+    return EmulationLoop(system, 2, [np.random.default_rng(i) for i in range(2)])
+
+
+# -------------------------------------------------------------------------- refusals
+
+
+def test_a_signal_that_there_is_not_is_refused_by_name():
+    with pytest.raises(ParameterError, match="block a reads signal 'tension'; known: q, kp"):
+        Wiring([Adds("a", ("tension",), ("weight",))], [], [])
+
+
+def test_a_signal_that_nobody_puts_out_is_refused_by_name():
+    blocks = [Adds("a", ("reading",), ("weight",)), Adds("b", ("weight",), ("payload",))]
+    message = "signal 'reading' is read but no block puts it out: blocks are a, b"
+    with pytest.raises(ParameterError, match=message):
+        Wiring(blocks, [], [])
+    Wiring(blocks, [], ["reading"])  # or somebody outside hands it in
+    with pytest.raises(ParameterError, match="signal 'frozen' is read but no block"):
+        Wiring(blocks, [], ["reading"], watched=["frozen"])
+
+
+# -------------------------------------------------------------- when a signal arrives
+
+
+def test_the_order_of_blocks_says_when_a_signal_arrives():
+    """b reads a's output of this period, a reads c's of the period before."""
+    a = Adds("a", ("weight",), ("reading",))
+    b = Adds("b", ("reading",), ("payload",))
+    c = Adds("c", ("payload",), ("weight",), memory=("count",))
+    wiring = Wiring([a, b], [c], [])
+    assert wiring.held == ("weight", "payload")  # late; from before the engine to after it
+    when = {(row["from"], row["to"]): row["when"] for row in wiring.describe(2, 3)}
+    late, now = "a period later", "at once"
+    assert when == {("c", "a"): late, ("a", "b"): now, ("b", "c"): now}
+    x = {k: np.zeros((1, *shape)) for k, shape in wiring.shapes(2, 3).items()}
+    assert set(x) == {"c.count", "weight", "payload"}
+    seen = []
+    for _ in range(3):
+        for half in (wiring.before, wiring.after):
+            changed, out = wiring.run(half, NUMPY, {}, x, {})
+            x |= changed
+        seen.append(out["weight"][0, 0])
+    # each period adds the count so far to the weight of the period before
+    assert seen == [0, 1, 3]
+    assert wiring.memories().keys() == {"c.count"}
+    assert wiring.dynamic() == ["c.count", "weight", "payload"]
+
+
+def test_a_renamed_block_is_the_same_text_on_other_wires():
+    block = Adds("a", ("weight",), ("reading",), memory=("count",))
+    other = renamed(block, {"weight": "payload", "reading": "table"}, "b")
+    assert (other.inputs, other.outputs, other.name) == (("payload",), ("table",), "b")
+    assert other.summary == block.summary and block.name == "a"
+    x, u = {"count": np.ones((1, 6))}, np.full((1, 6), 2.0)
+    new, out = other.step(NUMPY, {}, x, {"payload": u})
+    mine = block.step(NUMPY, {}, x, {"weight": u})
+    np.testing.assert_array_equal(out["table"], mine[1]["reading"])
+    np.testing.assert_array_equal(new["count"], mine[0]["count"])
+
+
+# ----------------------------------------------------------------- the emulation loop
+
+EFFECTS = (
+    (),
+    (PlatformBandwidth(error=0.1), PlatformStroke(travel=0.1), GravityDelay(delay=0.1)),
+)
+
+
+@pytest.mark.parametrize("effects", EFFECTS, ids=["nominal", "effects"])
+@pytest.mark.parametrize("operation", OPERATIONS)
+@pytest.mark.parametrize("compensation", [True, False])
+def test_every_number_of_a_loop_is_listed(operation, compensation, effects):
+    """Wires end at the blocks that read them, memory and parameters have the shapes listed."""
+    if operation != "microgravity":
+        effects = effects[:2]
+    loop = loop_of(*effects, operation=operation, payload_compensation=compensation)
+    wires = loop.wiring.describe(loop.shape.nodes, loop.shape.joints)
+    blocks = {row["name"]: row for row in loop.wiring.describe_blocks(loop.p)}
+    outside = {SIGNALS[name].outside for name in loop.wiring.given} | {"engine"}
+    assert {row["to"] for row in wires} <= {*blocks, "engine"}
+    assert {row["from"] for row in wires} <= {*blocks, *outside} and "outside" not in outside
+    for block in loop.wiring.blocks:
+        read = [row["signal"] for row in wires if row["to"] == block.name]
+        assert tuple(read) == block.inputs
+        row = blocks[block.name]
+        for name, shape in row["memory"].items():
+            assert loop.memory[f"{block.name}.{name}"].shape == (2, *shape)
+        for name, shape in row["parameters"].items():
+            assert loop.p[block.name][name].shape == (2, *shape)
+        assert row["summary"].endswith(".")
+    # what arrives late is held; nothing else of the loop is, but what others read
+    late = {row["signal"] for row in wires if row["when"] == "a period later"}
+    assert late <= set(loop.wiring.held)
+
+
+def test_the_signals_of_a_period_have_the_shapes_listed():
+    """One period in NumPy of the compensated loop with a model of its platform."""
+    loop = loop_of(PlatformBandwidth(error=0.1))
+    rng = np.random.default_rng(0)
+    sizes = {name: SIGNALS[name].sized(loop.shape.nodes, loop.shape.joints) for name in SIGNALS}
+    given = {k: rng.normal(size=(2, *sizes[k])) for k in loop.wiring.given}
+    x = {k: loop.memory[k] for k in loop.memory.shapes}
+    for half in (loop.wiring.before, loop.wiring.after):
+        changed, out = loop.wiring.run(half, NUMPY, loop.p, x, given)
+        for name, values in out.items():
+            assert name == "y_by_model" or values.shape == (2, *sizes[name]), name
+        for name, values in changed.items():
+            assert values.shape == (2, *loop.memory.shapes[name]), name
+        x |= changed
+
+
+def test_the_picture_shows_the_loop_as_it_is():
+    """Else: `python scripts/wiring.py`, once blocks and wires have their place there."""
+    from scripts import wiring
+
+    assert wiring.PICTURE.read_text(encoding="utf-8") == wiring.picture()
+    other = System(mode="emulated", effects=[PlatformBandwidth(error=0.1)])
+    with pytest.raises(ValueError, match=r"wires differ: .*platform_model"):
+        wiring.picture(other)
