@@ -375,6 +375,9 @@ def emit_driver(parts: Mapping[str, Sequence[Call]], rows: int, parameters: int)
 
     void NAME(double *memory, double *parameters, i64 lo, i64 hi)
 
+    and the same as `void NAME_piece(i64 *table, i64 lo, i64 hi)` for a program (`pieces`), its
+    table the addresses of memory and parameters.
+
     Args:
         parts: what each function calls.
         rows: of memory in a block.
@@ -548,6 +551,15 @@ block:
   %again = icmp slt i64 %bnext, %hi
   br i1 %again, label %block, label %done
 done:
+  ret void
+}}
+define void @{name}_piece(ptr %table, i64 %lo, i64 %hi) {{
+  %a = load i64, ptr %table
+  %second = getelementptr i64, ptr %table, i64 1
+  %b = load i64, ptr %second
+  %m = inttoptr i64 %a to ptr
+  %p = inttoptr i64 %b to ptr
+  call void @{name}(ptr %m, ptr %p, i64 %lo, i64 %hi)
   ret void
 }}
 """

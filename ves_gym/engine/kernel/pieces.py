@@ -74,6 +74,21 @@ class Step(Piece):
         self._owners = library, owners
 
 
+class Driven(Piece):
+    """A function of `emit.emit_driver` as a piece of a program.
+
+    Args:
+        library: whose function.
+        name: of the function.
+        memory, parameters: (blocks, k, LANES), what it works on.
+    """
+
+    def __init__(self, library: Library, name: str, memory: Array, parameters: Array) -> None:
+        self.address = library.address(f"{name}_piece")
+        self.table = np.array([memory.ctypes.data, parameters.ctypes.data], np.int64)
+        self._owners = library, (memory, parameters)
+
+
 class Program:
     """Pieces in order; calling it runs them all for blocks lo to hi.
 

@@ -21,6 +21,7 @@ from ves_gym.engine.kernel.blocks import aligned, fill, unlane
 from ves_gym.engine.kernel.build import Library, linked
 from ves_gym.engine.kernel.emit import LANES, Call, emit_driver, emit_shared
 from ves_gym.engine.kernel.graph_arrays import GRAPH, column, symbols
+from ves_gym.engine.kernel.pieces import Driven
 from ves_gym.simulation.blocks.block import Block
 from ves_gym.simulation.blocks.memory import NamedArrays
 from ves_gym.simulation.blocks.wiring import Parameters, Wiring
@@ -125,6 +126,26 @@ class CompiledLoop:
                 fill(rows, values.reshape(n, rows.shape[1]))
         run = self._library.before if half == "before" else self._library.after
         run(self.lanes.ctypes.data, self._p.ctypes.data, 0, len(self.lanes))
+
+    def piece(self, half: str) -> Driven:
+        """A half as a piece of a program; another one after `load` (see `version`).
+
+        What it reads from outside and puts out lies in `rows`.
+
+        Args:
+            half: "before" or "after" the engine.
+        """
+        assert self._library is not None
+        return Driven(self._library, half, self.lanes, self._p)
+
+    @property
+    def version(self) -> object:
+        """Changes, by identity, when pieces made before are out of date."""
+        return self._p
+
+    def rows(self, name: str) -> Array:
+        """(blocks, k, LANES) a signal or memory ("block.name") in place."""
+        return self._rows[name]
 
     def signal(self, name: str) -> Array:
         """(n, ...) a signal as it was put out last."""
