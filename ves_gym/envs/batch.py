@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError, content_hash
+from ves_gym._util.streams import reseed
 from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
 from ves_gym.envs.compiled import Shape, plain_command
 from ves_gym.envs.corners import warn_of_unstable_corners
@@ -175,9 +176,11 @@ class Batch:
             return
         e.number[ids] += 1
         u = np.empty((len(ids), task.draws + self._draws.size))
-        for row, i in enumerate(ids.tolist()):
-            key = (int(e.root[i]), int(e.index[i]), int(e.number[i]))
-            generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(key)))
+        mine = [sim.generators[i] for i in ids.tolist()]
+        keys = np.column_stack([k[ids].astype(np.uint64) for k in (e.root, e.index, e.number)])
+        for row, (i, generator) in enumerate(
+            zip(ids.tolist(), reseed(mine, keys), strict=True)
+        ):
             sim.generators[i] = generator
             u[row] = generator.random(u.shape[1])
         if task.randomize:

@@ -7,6 +7,7 @@ drift, bias -> quantisation -> zero -> calibration matrix -> platform frame.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -131,13 +132,15 @@ def low_pass(cutoff: Array, nodes: Array) -> tuple[Array, Array]:
         Transition (n, 2, 2) over all nodes, and weights (n, 2, k + 1) of the inputs there.
     """
     kinds, which = np.unique(cutoff, return_inverse=True)
-    parts = [_butterworth(float(f), nodes) for f in kinds]
+    h, k = float(nodes[1] - nodes[0]), len(nodes) - 1
+    parts = [_butterworth(f, h, k) for f in kinds.tolist()]
     return np.stack([p[0] for p in parts])[which], np.stack([p[1] for p in parts])[which]
 
 
-def _butterworth(cutoff: float, nodes: Array) -> tuple[Array, Array]:
-    """State transition (2, 2) over all nodes, and weights (2, k + 1) of the inputs there."""
-    w, h, k = 2 * np.pi * cutoff, float(nodes[1] - nodes[0]), len(nodes) - 1
+@lru_cache(maxsize=1024)  # a reset asks for the same again
+def _butterworth(cutoff: float, h: float, k: int) -> tuple[Array, Array]:
+    """State transition (2, 2) over k steps of h, and weights (2, k + 1) of the inputs there."""
+    w = 2 * np.pi * cutoff
     generator = np.zeros((4, 4))  # output, its rate, input, slope of the input
     generator[0, 1] = generator[2, 3] = 1.0
     generator[1, :3] = -(w**2), -np.sqrt(2) * w, w**2
@@ -165,15 +168,19 @@ def noise_steps(cutoff: Array, dt: float) -> tuple[tuple[Array, Array], Array]:
         ((n, 2, 2) transition, (n, 2, 2) gain of fresh draws), (n, 2, 2) of the start.
     """
     kinds, which = np.unique(cutoff, return_inverse=True)
-    holds, kicks, starts = [], [], []
-    for f in kinds:
-        w = 2 * np.pi * float(f)
-        A = np.array([[0.0, 1.0], [-(w**2), -np.sqrt(2) * w]])
-        # stationary: variance 1 of the output, w^2 of its rate, uncorrelated
-        stationary = np.diag([1.0, w**2])
-        hold = scipy.linalg.expm(A * dt)
-        fresh = stationary - hold @ stationary @ hold.T
-        holds.append(hold)
-        kicks.append(np.linalg.cholesky(fresh + 1e-12 * stationary))
-        starts.append(np.sqrt(stationary))
-    return (np.stack(holds)[which], np.stack(kicks)[which]), np.stack(starts)[which]
+    steps = [_noise_step(f, dt) for f in kinds.tolist()]
+    holds, kicks, starts = (np.stack(part)[which] for part in zip(*steps, strict=True))
+    return (holds, kicks), starts
+
+
+@lru_cache(maxsize=1024)
+def _noise_step(cutoff: float, dt: float) -> tuple[Array, Array, Array]:
+    """Transition (2, 2) of one filter's noise, gain (2, 2) of fresh draws, and of the start."""
+    w = 2 * np.pi * cutoff
+    A = np.array([[0.0, 1.0], [-(w**2), -np.sqrt(2) * w]])
+    # stationary: variance 1 of the output, w^2 of its rate, uncorrelated
+    stationary = np.diag([1.0, w**2])
+    hold = scipy.linalg.expm(A * dt)
+    fresh = stationary - hold @ stationary @ hold.T
+    kick = np.linalg.cholesky(fresh + 1e-12 * stationary)
+    return hold, kick, np.sqrt(stationary)
