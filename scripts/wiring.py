@@ -158,7 +158,7 @@ def picture(system: vg.System | None = None) -> str:
         ValueError: blocks or wires are not those that have a place here.
     """
     loop = EmulationLoop(system or vg.System(mode="emulated"), 1, [np.random.default_rng(0)])
-    wires = loop.wiring.describe(loop.shape.nodes, loop.shape.joints)
+    wires = loop.wiring.describe(loop.shape)
     blocks = loop.wiring.describe_blocks(loop.p)
     late = _late(wires)
     parts = [

@@ -17,16 +17,16 @@ def traced(function, *arrays):
     """Value of function(xp, *arrays), traced: by CasADi, and as machine code in every lane."""
     names = [symbols(f"a{k}", a.shape) for k, a in enumerate(arrays)]
     out = np.asarray(function(GRAPH, *names), object)
-    x, y, u, p = column(names), column([out]), ca.SX.sym("u"), ca.SX.sym("p")
+    x, y = column(names), column([out])
     values = np.concatenate([np.ravel(a) for a in arrays]).astype(float)
     by_casadi = np.array(ca.Function("f", [x], [y])(values)).reshape(out.shape)
 
-    graph = ca.Function("f", [x, u, p], [u, y])
-    library = build.Library(build.compile_text(emit.emit_tick(graph)))
+    text = emit.emit_map(ca.Function("f", [x, ca.SX.sym("p")], [y]))
+    library = build.Library(build.compile_text(text))
     rows, results = aligned(1, values.size, LANES), aligned(1, out.size, LANES)
-    given, numbers, after = (aligned(1, 1, LANES) for _ in range(3))
     rows[0] = values[:, None]
-    library.tick(*(a.ctypes.data for a in (rows, given, numbers, after, results)), 0, 1)
+    none = aligned(1, 1, LANES)
+    library.map(*(a.ctypes.data for a in (rows, none, results)), 0, 1)
     assert all(np.array_equal(results[0, :, 0], lane, equal_nan=True) for lane in results[0].T)
     return by_casadi, results[0, :, 0].reshape(out.shape)
 

@@ -6,11 +6,13 @@ import pytest
 from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import GravityDelay, PlatformBandwidth, PlatformStroke
-from ves_gym.simulation.blocks.block import SIGNALS, Block, Memory, renamed
+from ves_gym.simulation.blocks.block import Block, Memory, ModelOf, Shape, signal_of
 from ves_gym.simulation.blocks.wiring import Wiring
 from ves_gym.simulation.emulation_loop import EmulationLoop
 from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
 from ves_gym.system.system import System
+
+SHAPE = Shape(nodes=4, joints=3, control_dt=0.01, physics_dt=0.01 / 3)
 
 
 class Adds(Block):
@@ -39,7 +41,7 @@ def loop_of(*effects, **options):
 
 
 def test_a_signal_that_there_is_not_is_refused_by_name():
-    with pytest.raises(ParameterError, match="block a reads signal 'tension'; known: q, kp"):
+    with pytest.raises(ParameterError, match="no signal 'tension'; known: q, kp"):
         Wiring([Adds("a", ("tension",), ("weight",))], [], [])
 
 
@@ -63,10 +65,10 @@ def test_the_order_of_blocks_says_when_a_signal_arrives():
     c = Adds("c", ("payload",), ("weight",), memory=("count",))
     wiring = Wiring([a, b], [c], [])
     assert wiring.held == ("weight", "payload")  # late; from before the engine to after it
-    when = {(row["from"], row["to"]): row["when"] for row in wiring.describe(2, 3)}
+    when = {(row["from"], row["to"]): row["when"] for row in wiring.describe(SHAPE)}
     late, now = "a period later", "at once"
     assert when == {("c", "a"): late, ("a", "b"): now, ("b", "c"): now}
-    x = {k: np.zeros((1, *shape)) for k, shape in wiring.shapes(2, 3).items()}
+    x = {k: np.zeros((1, *shape)) for k, shape in wiring.carried(SHAPE).items()}
     assert set(x) == {"c.count", "weight", "payload"}
     seen = []
     for _ in range(3):
@@ -80,16 +82,37 @@ def test_the_order_of_blocks_says_when_a_signal_arrives():
     assert wiring.dynamic() == ["c.count", "weight", "payload"]
 
 
-def test_a_renamed_block_is_the_same_text_on_other_wires():
-    block = Adds("a", ("weight",), ("reading",), memory=("count",))
-    other = renamed(block, {"weight": "payload", "reading": "table"}, "b")
-    assert (other.inputs, other.outputs, other.name) == (("payload",), ("table",), "b")
-    assert other.summary == block.summary and block.name == "a"
+def test_a_model_is_the_same_text_on_other_wires():
+    block = Adds("a", ("command_received",), ("y",), memory=("count",))
+    model = ModelOf(block)
+    assert (model.inputs, model.outputs) == (("command_sent",), ("y_model",))
+    assert (model.name, model.summary) == ("a_model", block.summary)
     x, u = {"count": np.ones((1, 6))}, np.full((1, 6), 2.0)
-    new, out = other.step(NUMPY, {}, x, {"payload": u})
-    mine = block.step(NUMPY, {}, x, {"weight": u})
-    np.testing.assert_array_equal(out["table"], mine[1]["reading"])
+    new, out = model.step(NUMPY, {}, x, {"command_sent": u})
+    mine = block.step(NUMPY, {}, x, {"command_received": u})
+    np.testing.assert_array_equal(out["y_model"], mine[1]["y"])
     np.testing.assert_array_equal(new["count"], mine[0]["count"])
+    signal, original = signal_of("y_model"), signal_of("y")
+    assert (signal.unit, signal.shape) == (original.unit, original.shape)
+    assert signal.meaning == f"{original.meaning}, by the model"
+
+
+def test_a_block_may_run_several_times_a_period():
+    """Outputs are those of the last time, or stand side by side."""
+
+    class Counts(Adds):
+        repeats, stacked = 3, ("y_nodes",)
+
+        def step(self, xp, p, x, u):
+            count = x["count"] + 1
+            return {"count": count}, {"pose": count, "y_nodes": count[:, None]}
+
+    block = Counts("counts", (), ("pose", "y_nodes"), memory=("count",))
+    wiring = Wiring([block], [], [])
+    x = {k: np.zeros((1, *shape)) for k, shape in wiring.carried(SHAPE).items()}
+    changed, out = wiring.run(wiring.before, NUMPY, {}, x, {})
+    assert (changed["counts.count"] == 3).all() and (out["pose"] == 3).all()
+    assert out["y_nodes"][0, :, 0].tolist() == [1, 2, 3]
 
 
 # ----------------------------------------------------------------- the emulation loop
@@ -108,9 +131,9 @@ def test_every_number_of_a_loop_is_listed(operation, compensation, effects):
     if operation != "microgravity":
         effects = effects[:2]
     loop = loop_of(*effects, operation=operation, payload_compensation=compensation)
-    wires = loop.wiring.describe(loop.shape.nodes, loop.shape.joints)
+    wires = loop.wiring.describe(loop.shape)
     blocks = {row["name"]: row for row in loop.wiring.describe_blocks(loop.p)}
-    outside = {SIGNALS[name].outside for name in loop.wiring.given} | {"engine"}
+    outside = {signal_of(name).outside for name in loop.wiring.given} | {"engine"}
     assert {row["to"] for row in wires} <= {*blocks, "engine"}
     assert {row["from"] for row in wires} <= {*blocks, *outside} and "outside" not in outside
     for block in loop.wiring.blocks:
@@ -131,13 +154,13 @@ def test_the_signals_of_a_period_have_the_shapes_listed():
     """One period in NumPy of the compensated loop with a model of its platform."""
     loop = loop_of(PlatformBandwidth(error=0.1))
     rng = np.random.default_rng(0)
-    sizes = {name: SIGNALS[name].sized(loop.shape.nodes, loop.shape.joints) for name in SIGNALS}
+    sizes = loop.wiring.everything(loop.shape)
     given = {k: rng.normal(size=(2, *sizes[k])) for k in loop.wiring.given}
     x = {k: loop.memory[k] for k in loop.memory.shapes}
     for half in (loop.wiring.before, loop.wiring.after):
         changed, out = loop.wiring.run(half, NUMPY, loop.p, x, given)
         for name, values in out.items():
-            assert name == "y_by_model" or values.shape == (2, *sizes[name]), name
+            assert values.shape == (2, *sizes[name]), name
         for name, values in changed.items():
             assert values.shape == (2, *loop.memory.shapes[name]), name
         x |= changed

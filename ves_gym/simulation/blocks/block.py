@@ -99,7 +99,8 @@ def signal_of(name: str) -> Signal:
         ParameterError: no such signal.
     """
     if name.endswith(_BY_MODEL):
-        return replace(signal_of(name.removesuffix(_BY_MODEL)), name=name)
+        signal = signal_of(name.removesuffix(_BY_MODEL))
+        return replace(signal, name=name, meaning=f"{signal.meaning}, by the model")
     if name not in SIGNALS:
         raise ParameterError(f"no signal {name!r}; known: {', '.join(SIGNALS)}")
     return SIGNALS[name]

@@ -1,4 +1,4 @@
-"""The compiled tick gives the answers of the blocks in NumPy.
+"""The compiled loop gives the answers of the blocks in NumPy.
 
 64 random systems run for 2 s on the same compiled engine, their blocks once compiled and once
 in NumPy: every operation, platform, kind of vehicle and drive, with and without payload
@@ -36,9 +36,9 @@ def compare(index, monkeypatch):
     """Difference of the two runs of system `index`, and the safety stops of both."""
     mine = system(index)
     sims = [simulator_of(monkeypatch, mine, 2, compiled=k) for k in (True, False)]
-    assert sims[1].emulation_loop._ticks is None
+    assert sims[1].emulation_loop._code is None
     blocks = sims[0].emulation_loop.wiring.blocks
-    assert (sims[0].emulation_loop._ticks is not None) == all(k.compiles for k in blocks)
+    assert (sims[0].emulation_loop._code is not None) == all(k.compiles for k in blocks)
     runs = [run(sim, index, DURATION) for sim in sims]
     assert sims[0].events == sims[1].events
     return gap(*runs), sims[0].events
@@ -81,8 +81,7 @@ def test_a_wrong_parameter_is_seen(monkeypatch):
     ours, theirs = (simulator_of(monkeypatch, mine, 2, compiled=k) for k in (True, False))
     loop = ours.emulation_loop
     loop.p["force_sensor"]["to_signal"] *= 1 + 1e-7
-    for tick in loop._ticks:
-        tick.load(loop.p)
+    loop._code.load(loop.p)
     assert gap(run(ours, 0, 0.5), run(theirs, 0, 0.5)) > MOST
 
 
@@ -121,11 +120,11 @@ def test_a_learnt_weight_runs_compiled(monkeypatch):
 def test_what_is_compiled_when():
     """The kernel's loop is compiled; MuJoCo's, and a vehicle that is a function, are not."""
 
-    def ticks(system=System(mode="emulated"), **options):
-        return Simulator(system, warn_at=None, **options).emulation_loop._ticks
+    def code(system=System(mode="emulated"), **options):
+        return Simulator(system, warn_at=None, **options).emulation_loop._code
 
-    assert ticks(backend="kernel") is not None
-    assert ticks(backend="mujoco") is None
+    assert code(backend="kernel") is not None
+    assert code(backend="mujoco") is None
 
     def spring(X, W):
         return np.concatenate([X[:, 6:], W / 1e3 - 4.0 * X[:, :6]], axis=-1)
@@ -133,5 +132,5 @@ def test_what_is_compiled_when():
     plain = EmulatorSettings(payload_compensation=False)
     for emulator in (plain, EmulatorSettings()):
         machine = System(mode="emulated", vehicle=FREE_FLOATING, emulator=emulator)
-        assert ticks(machine, backend="kernel", admittance=spring) is None
-        assert ticks(machine, backend="kernel") is not None
+        assert code(machine, backend="kernel", admittance=spring) is None
+        assert code(machine, backend="kernel") is not None
