@@ -239,7 +239,9 @@ class EmulationLoop:
     def _row(self, system: System, which: str) -> Bodies:
         """Arm and vehicle of a system as one row."""
         numbers = np.empty(0)
-        if self._names is not None:
+        if self._names is not None and system.arm is self.system.arm:
+            numbers = self._names.values  # those of the arm: a vehicle is the loop's alone
+        elif self._names is not None:
             numbers = self._names.of(system.replace(effects=()), which)
         return Bodies.of(system, self._linear, numbers)
 

@@ -126,9 +126,7 @@ class System:
                 base = effect.base(base)
         others = tuple(e for e in self.effects if not isinstance(e, (ArmEffect, BaseEffect)))
         if base is self.base:
-            out = self.replace(arm=arm, effects=others)
-            out.__dict__["base"] = base  # cached: the vehicle is the very same
-            return out
+            return self.replace(arm=arm, effects=others)
         return self.replace(arm=arm, vehicle=altered(self.vehicle, base), effects=others)
 
     @cached_property
@@ -138,7 +136,10 @@ class System:
 
     def replace(self, **changes: Any) -> System:
         """A copy with some fields changed."""
-        return dataclasses.replace(self, **changes)
+        out = dataclasses.replace(self, **changes)
+        if out.vehicle is self.vehicle and "base" in self.__dict__:
+            out.__dict__["base"] = self.base  # cached: it depends on the vehicle alone
+        return out
 
     def ideal(self) -> System:
         """The space system that this one emulates (itself, if it is ideal)."""
