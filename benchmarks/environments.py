@@ -62,11 +62,11 @@ def has_envpool() -> bool:
     return True
 
 
-def against_envpool(id: str, n: int = 256) -> Pair:
+def against_envpool(id: str, n: int = 256, mine: str = ID) -> Pair:
     """Our vector of n on the kernel against EnvPool's, through Gymnasium's interface."""
     import envpool
 
-    ours = gym.make_vec(ID, num_envs=n, backend="kernel")
+    ours = gym.make_vec(mine, num_envs=n, backend="kernel")
     theirs = envpool.make(id, env_type="gymnasium", num_envs=n)
     work = random_steps(ours, n * PERIODS)
     size = (PERIODS, n, *theirs.action_space.shape)
@@ -80,7 +80,7 @@ def against_envpool(id: str, n: int = 256) -> Pair:
     return side_by_side(work, reference, RUNS)
 
 
-def single(reference: str = "Pusher-v5", steps: int = 1000) -> Pair:
+def single(reference: str = "Pusher-v5", steps: int = 1000, mine: str = ID) -> Pair:
     """One environment of `gym.make` against another, resets included."""
 
     def work(id: str) -> Callable[[], None]:
@@ -98,7 +98,7 @@ def single(reference: str = "Pusher-v5", steps: int = 1000) -> Pair:
 
         return go
 
-    return side_by_side(work(ID), work(reference), RUNS)
+    return side_by_side(work(mine), work(reference), RUNS)
 
 
 _FIRST = """
@@ -176,11 +176,14 @@ def report() -> dict[str, object]:
         tell(f"{kind.__name__}(8), MuJoCo", "env n = 64", pair, 64 * PERIODS)
     for id in ("Pusher-v5", "Reacher-v5") if has_envpool() else ():
         tell(f"EnvPool {id}", "env n = 256", against_envpool(id), 256 * PERIODS)
+        pair = against_envpool(id, mine=EMULATED)
+        tell(f"EnvPool {id}, emulated", "env n = 256", pair, 256 * PERIODS)
     pair = against_workers(AsyncVectorEnv, 256, "kernel")
     tell("AsyncVectorEnv(8)", "env n = 256", pair, 256 * PERIODS)
     pair = against_workers(AsyncVectorEnv, 256, "kernel", EMULATED)
     tell("AsyncVectorEnv(8), emulated", "env n = 256", pair, 256 * PERIODS)
     tell("Pusher-v5", "gym.make", single(), 1000)
+    tell("Pusher-v5, emulated", "gym.make", single(mine=EMULATED), 1000)
     first = first_step()
     results["first step"] = first
     print(

@@ -9,6 +9,7 @@ import pytest
 import ves_gym as vg
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
+from ves_gym.simulation.emulation_loop import EmulationLoop
 
 N = 11  # a whole block of lanes and a part of another
 CLOSE = 1e-11  # measured: 1e-12 of a reward, where the reference is led to its goal at the end
@@ -91,6 +92,36 @@ def test_in_the_laboratory_too(task):
     batches = pair(build_task(task, **LABORATORY), 3)
     assert batches[0].compiled
     require_same_steps(batches, 25)
+
+
+@pytest.mark.parametrize("settings", [{}, LABORATORY], ids=["ideal", "emulated"])
+def test_nothing_of_a_period_is_left_to_python(settings, monkeypatch):
+    """The engine, and in the laboratory the loop's blocks, run within one program."""
+
+    def forbidden(*args, **others):
+        raise AssertionError("stepped from Python")
+
+    batch = pair(build_task("reach", **settings), 2)[0]
+    monkeypatch.setattr(batch.sim, "step", forbidden)
+    monkeypatch.setattr(EmulationLoop, "_run", forbidden)
+    for _ in range(3):
+        batch.step(np.zeros((2, 3)))
+    assert batch.sim.state.time == pytest.approx(3 * batch.dt)
+
+
+def test_a_safety_stop_is_told_as_numpy_tells_it():
+    """Ends the episode, stops that platform alone, and leaves an event with its reason."""
+    batches = pair(build_task("rest_to_rest", **LABORATORY), 3)
+    for k in range(5):
+        if k == 2:
+            for batch in batches:
+                batch.sim.reset(q=batch.sim.state.q[1], y=[0, 0, 2.0, 0, 0, 0], ids=[1])
+        ours, theirs = (batch.step(np.zeros((3, 3)))[3] for batch in batches)
+        for name in ("stopped", "reward/failure"):
+            require_alike(ours[name], theirs[name])
+        assert ours["stopped"].tolist() == [False, k >= 2, False]
+    assert batches[0].sim.events == batches[1].sim.events
+    assert len(batches[0].sim.events) == 1
 
 
 def test_with_random_effects_and_late_commands():

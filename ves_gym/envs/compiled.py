@@ -65,6 +65,8 @@ class Shape:
     goal: int
     found: int
     terms: tuple[str, ...]  # of the reward, `failure` included
+    # signals that the emulation loop's halves are given, where they are part of the program
+    signals: tuple[tuple[str, ...], tuple[str, ...]] | None = None
 
     @property
     def joints(self) -> int:
@@ -136,7 +138,13 @@ def library(shape: Shape, probe: Callable[[], bytes]) -> Library:
         ImportError, RuntimeError, OSError: nothing compiles here.
     """
     task = shape.task
-    what = (content_hash(task), type(task).__qualname__, shape.coordinates, shape.terms)
+    what = (
+        content_hash(task),
+        type(task).__qualname__,
+        shape.coordinates,
+        shape.terms,
+        shape.signals,
+    )
     if type(task).__module__.startswith("ves_gym."):
         key = f"period {_text()} {what!r} {hashlib.sha256(probe()).hexdigest()}"
         if key not in _LIBRARIES:
@@ -177,12 +185,13 @@ def graphs(shape: Shape) -> dict[str, casadi.Function]:
     import casadi as ca
 
     carried = ca.SX.sym("slate", width(shape.slate))
-    return {
+    out = {
         "keep": ca.Function("keep", [carried], [carried]),
         "move": _move(shape),
         "follow": _follow(shape),
         "close": _close(shape),
     }
+    return out | (_laboratory(shape) if shape.signals else {})
 
 
 def _scene(shape: Shape, carried: Traced, z: Traced, zd: Traced, goal: Traced) -> Scene:
@@ -302,6 +311,46 @@ def _close(shape: Shape) -> casadi.Function:
     told = tuple(k.stop - k.start for k in shape.told.values())
     carried = tuple(k.stop - k.start for k in at.values())
     return _graph("close", closed, sizes, (*told, *carried), split=len(told))
+
+
+def _laboratory(shape: Shape) -> dict[str, casadi.Function]:
+    """Wires between engine and emulation loop: no formula, only rows in their places.
+
+    `lab_before`: (z, zd, gains) -> each signal given to the first half. `lab_nodes`:
+    (platform's accelerations, joint commands) -> the engine's. `lab_after`: (the engine's
+    outputs, z, draws, reading) -> each given to the second half, the reading of before.
+    `lab_seen`: (measured pose, vehicle's state, frozen, diverged) -> what is measured.
+    """
+    import casadi as ca
+
+    n, count = shape.joints, shape.system.substeps + 1
+    size, width = 6 + n, 12 + 2 * n  # accelerations, torques, wrench
+    z, zd, gains = ca.SX.sym("z", size), ca.SX.sym("zd", size), ca.SX.sym("gains", 2 * n)
+    draws, told = ca.SX.sym("draws", 18), ca.SX.sym("told", count * width)
+    forces = [told[(i + 1) * width - 6 : (i + 1) * width] for i in range(count)]
+    signals = {
+        "q": z[6:], "kp": gains[:n], "kd": gains[n:], "y_engine": z[:6], "yd_engine": zd[:6],
+        "weight": ca.SX.zeros(6), "wrench": ca.vertcat(*forces), "draws": draws,
+    }  # fmt: skip
+    assert shape.signals is not None
+    first, second = ([signals[k] for k in names] for names in shape.signals)
+    push, held = ca.SX.sym("push", 6 * count), shape.nodes == 1
+    commands = ca.SX.sym("commands", shape.nodes * size)
+    nodes = []
+    for i in range(count):
+        at = 0 if held else i * size
+        nodes += [push[6 * i : 6 * i + 6], commands[at + 6 : at + size]]
+    y, X, reading = ca.SX.sym("y", 6), ca.SX.sym("X", 12), ca.SX.sym("reading", 6)
+    frozen, lost = ca.SX.sym("frozen"), ca.SX.sym("lost")
+    seen = ca.vertcat(y, ca.if_else(frozen, 0.0, X[6:]), ca.fmax(frozen, lost))
+    return {
+        "lab_before": ca.Function("lab_before", [z, zd, gains], first),
+        "lab_nodes": ca.Function("lab_nodes", [push, commands], [ca.vertcat(*nodes)]),
+        "lab_after": ca.Function(
+            "lab_after", [told, z, draws, reading], [*second, ca.SX(reading)]
+        ),
+        "lab_seen": ca.Function("lab_seen", [y, X, frozen, lost], [seen]),
+    }
 
 
 def _graph(

@@ -17,6 +17,7 @@ from ves_gym.engine.kernel.symbolic import Untraceable
 from ves_gym.envs import compiled
 from ves_gym.envs.compiled import WIDEST, Shape, compiles, width
 from ves_gym.envs.episode import FAILURE, outcome
+from ves_gym.envs.period_laboratory import LaboratoryPrograms, signals_of
 
 if TYPE_CHECKING:
     from ves_gym.envs.batch import Batch
@@ -64,7 +65,13 @@ class Period:
         self.direct = batch.sim.emulation_loop is None and batch.sim.joint_delays is None
         terms, probe = self._probe()
         self.shape = shape = Shape(
-            batch.task, batch.system, backend.coordinates, goal, s.found.shape[1], terms
+            batch.task,
+            batch.system,
+            backend.coordinates,
+            goal,
+            s.found.shape[1],
+            terms,
+            signals_of(batch.sim),
         )
         library = compiled.library(shape, lambda: probe)
         blocks = backend.blocks
@@ -77,6 +84,7 @@ class Period:
         self._seen = rows(8)
         self._nodes = rows(shape.nodes * (6 + n))
         self._waiting = False  # a simulation is marked as over
+        self._laboratory: LaboratoryPrograms | None = None
         self._stopped = np.flatnonzero(batch.sim.diverged)  # these stay where they are
         told = shape.told
         self._flags = slice(told["last"].start, told["event"].stop)
@@ -89,7 +97,7 @@ class Period:
         at = shape.moved
         before = self._slate[:, shape.slate["tau"]]
         gains = rows(2 * n)
-        if self.direct and batch.task.control.level == "gains":
+        if (self.direct or shape.signals) and batch.task.control.level == "gains":
             gains = backend.rows_of_gains()
         measured = self._given[:, shape.given["y_seen"]] if self._emulated else z[:, :6]
         first = [
@@ -111,6 +119,9 @@ class Period:
             Program(library, [*first, piece, *last])
             for piece in backend.pieces(library, self._nodes, shape.nodes, steps)
         ]
+        if shape.signals is not None:
+            made_of = (batch.sim, shape, library, first, last, (self._nodes, self._given))
+            self._laboratory = LaboratoryPrograms(*made_of)
 
     def _probe(self) -> tuple[tuple[str, ...], bytes]:
         """Names of the reward's terms, and numbers that tell tasks' formulas apart."""
@@ -187,10 +198,14 @@ class Period:
             fill(self._action, actions)
         self._mark(over)
         stopped: Mask | None = None
+        in_program = False
         if self.direct:
             if self.shape.found:
                 self._look_up(self._next)
             backend.run_program(self._whole, batch.system.substeps, self._stopped)
+            batch.sim.stepped_elsewhere()
+        elif self._laboratory is not None and self._run_laboratory():
+            in_program = True
             batch.sim.stepped_elsewhere()
         else:
             self._before(0, backend.blocks)
@@ -218,9 +233,13 @@ class Period:
             if flags[4].any():
                 batch.sim.note_divergence()
                 self._note_diverged()
+            if in_program:
+                stopped = self._laboratory_stops(some=True)
             rows, flags, info = self._end(rows, flags)
         else:
             self.ahead = True
+            if in_program:
+                stopped = self._laboratory_stops(some=False)
         batch.keep_observation(rows[self._observed])
         for key, at in self._terms:
             info[key] = rows[at]
@@ -233,8 +252,20 @@ class Period:
         """Those that have diverged stay where they are, and have failed."""
         self._stopped = np.flatnonzero(self.batch.sim.diverged)
         marks = self._given[:, self.shape.given["stopped"]]
+        if self._laboratory is not None:
+            marks = self._laboratory.lost
         marks[:] = 0.0
         marks[self._stopped // LANES, 0, self._stopped % LANES] = 1.0
+
+    def _run_laboratory(self) -> bool:
+        if self.shape.found:
+            self._look_up(self._next)
+        assert self._laboratory is not None
+        return self._laboratory.run(self._stopped)
+
+    def _laboratory_stops(self, some: bool) -> Mask:
+        assert self._laboratory is not None
+        return self._laboratory.stops(some)
 
     def _mark(self, over: Mask | None) -> None:
         at = self.shape.given["over"]

@@ -433,16 +433,22 @@ class EmulationLoop:
         acceleration = self._run("before", given, "acceleration")
         new = self.frozen & ~before
         if new.any():
-            self._report(np.flatnonzero(new))
+            self._report(np.flatnonzero(new), self.memory["reading"])
         return acceleration
 
-    def _report(self, ids: Index) -> None:
-        """Note why platforms were frozen: a stop leaves pose and reading as they were."""
+    def _report(self, ids: Index, reading: Array) -> None:
+        """Note why platforms were frozen: a stop leaves the pose as it was.
+
+        Args:
+            ids: (m,) which.
+            reading: (n, 6) of the force sensor then [N, N m].
+        """
         safety, memory = self.wiring.block("safety"), self.memory
         assert isinstance(safety, Safety)
         for i in ids.tolist():
-            parts = (memory[k][i] for k in ("command_sent", "command", "reading"))
-            self.events.append(Event(i, float(self.time[i]), safety.reason(*parts)))
+            sent, command = (memory[k][i] for k in ("command_sent", "command"))
+            reason = safety.reason(sent, command, reading[i])
+            self.events.append(Event(i, float(self.time[i]), reason))
 
     def sense(self, wrench: Array, q: Array) -> None:
         """Take in one period's true wrench; read the sensors.
@@ -452,15 +458,37 @@ class EmulationLoop:
             q: (n, joints) measured angles [rad].
         """
         self.time = self.time + self.dt
-        draws = np.zeros((self.n, 18))
-        for i in np.flatnonzero(self._noisy).tolist():  # the others draw no numbers
-            draws[i] = self.generators[i].standard_normal(18)
-        given = {"wrench": wrench, "draws": draws, "q": q}
+        given = {"wrench": wrench, "draws": self.draws(), "q": q}
         if self.table is not None:
             given["table"] = self.table[:, 0]
             if self.table.shape[1] > 1:
                 self.table = self.table[:, 1:]
         self._run("after", given, "reading")
+
+    def draws(self) -> Array:
+        """(n, 18) standard normal numbers that the sensors take in a period."""
+        draws = np.zeros((self.n, 18))
+        for i in np.flatnonzero(self._noisy).tolist():  # the others draw no numbers
+            self.generators[i].standard_normal(out=draws[i])
+        return draws
+
+    @property
+    def code(self) -> CompiledLoop | None:
+        """The blocks in compiled code; None where they run in NumPy."""
+        return self._code
+
+    def ran_elsewhere(self, reading: Array | None) -> None:
+        """A program of its own has run both halves of a period (`CompiledLoop.piece`).
+
+        Args:
+            reading: (n, 6) of the force sensor before the period [N, N m], to tell why
+                platforms are frozen of which no event tells; None: there are none.
+        """
+        if reading is not None:
+            known = {event.simulation for event in self.events}
+            new = [i for i in np.flatnonzero(self.frozen).tolist() if i not in known]
+            self._report(np.array(new, np.intp), reading)
+        self.time = self.time + self.dt
 
     def _run(self, half: str, given: dict[str, Array], wanted: str) -> Array:
         """Run the blocks before or after the engine, and return one of their signals."""

@@ -92,7 +92,7 @@ class System:
         effects = "".join(f", {effect}" for effect in self.effects)
         return f"<System: {self.arm.name} on {vehicle}, {self.mode}{effects}>"
 
-    @property
+    @cached_property
     def substeps(self) -> int:
         """Physics steps per control period."""
         return round(self.control_dt / self.physics_dt)

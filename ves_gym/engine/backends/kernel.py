@@ -96,12 +96,24 @@ class KernelBackend(CompiledBackend):
         x = self._x
         return x, x[:, :size], x[:, self._order : self._order + size]
 
+    @property
+    def outputs(self) -> int:
+        """Numbers per node: accelerations, drive torques and, emulated, the arm's wrench."""
+        return self._ny
+
     def rows_of_gains(self) -> Array:
         """Servo gains as they lie in memory, in place: kp of every joint, then kd."""
         first = self.names.index("kp1")
         return self._p[:, first : first + 2 * self.joints]
 
-    def pieces(self, chain: Library, commands: Array, nodes: int, steps: int) -> list[Step]:
+    def pieces(
+        self,
+        chain: Library,
+        commands: Array,
+        nodes: int,
+        steps: int,
+        outputs: Array | None = None,
+    ) -> list[Step]:
         """Physics steps as a piece of a program, one for each thread (`run_program`).
 
         Args:
@@ -109,15 +121,26 @@ class KernelBackend(CompiledBackend):
             commands: (blocks, nodes (6 + joints), LANES) in memory that stays.
             nodes: per period; 1 where the command is held.
             steps: physics steps.
+            outputs: (blocks, (steps + 1) `outputs`, LANES), written; None: not wanted.
         """
         (x, p), ublock, unode = self._where, nodes * self._nu, self._nu if nodes > 1 else 0
         return [
             Step(
                 self._library,
                 chain,
-                (x, commands.ctypes.data, p, unread, scratch, steps, ublock, unode),
+                (
+                    x,
+                    commands.ctypes.data,
+                    p,
+                    unread if outputs is None else outputs.ctypes.data,
+                    scratch,
+                    steps,
+                    ublock,
+                    unode,
+                    outputs is not None,
+                ),
                 self.dt,
-                (self._x, self._p, commands, self._unread, self._scratch),
+                (self._x, self._p, commands, self._unread, self._scratch, outputs),
             )
             for unread, scratch in self._buffers
         ]

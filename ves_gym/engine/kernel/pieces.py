@@ -12,7 +12,7 @@ block 0 and the number of rows from one block to the next.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -45,7 +45,7 @@ class Piece:
         apart = [k.strides[0] // stride if len(k) > 1 else 0 for k in rows]
         ends = [(k.ctypes.data, rows_apart) for k, rows_apart in zip(rows, apart, strict=True)]
         self.table: Table = np.array(ends, np.int64).ravel()
-        self._owners = library, rows  # addresses do not keep memory alive
+        self._owners: Any = library, rows  # addresses do not keep memory alive
 
 
 class Step(Piece):
@@ -54,8 +54,8 @@ class Step(Piece):
     Args:
         library: the physics kernel.
         chain: the library with the program, which knows how to call it.
-        arguments: addresses of x, u, p, out and scratch, then steps, ublock and unode as in
-            `emit.emit_module`.
+        arguments: addresses of x, u, p, out and scratch, then steps, ublock, unode and record
+            as in `emit.emit_module`.
         h: physics step [s].
         owners: arrays that the addresses belong to.
     """
@@ -66,11 +66,13 @@ class Step(Piece):
         chain: Library,
         arguments: Sequence[int],
         h: float,
-        owners: Sequence[Array],
+        owners: Sequence[Array | None],
     ) -> None:
         self.address = chain.address("advance_piece")
         bits = int(np.float64(h).view(np.int64))
-        self.table = np.array([library.address("advance"), *arguments, bits], np.int64)
+        *head, record = arguments
+        words = [library.address("advance"), *head, bits, record]
+        self.table = np.array(words, np.int64)
         self._owners = library, owners
 
 
@@ -188,27 +190,29 @@ done:
 """
 
 
-def _step() -> str:
-    """`advance_piece`: table of code, x, u, p, out, scratch, steps, ublock, unode, h."""
-    lines = ["define void @advance_piece(ptr %table, i64 %lo, i64 %hi) {"]
-    for i in range(10):
-        kind = "double" if i == 9 else "i64"
+def _call(name: str, pointers: int, words: tuple[str, ...]) -> str:
+    """A piece that calls the code in its table with pointers, lo, hi and what else is there.
+
+    Args:
+        name: of the piece.
+        pointers: how many follow the code's address.
+        words: types of what comes after them.
+    """
+    kinds = ["i64"] * (1 + pointers) + list(words)
+    lines = [f"define void @{name}(ptr %table, i64 %lo, i64 %hi) {{"]
+    for i, kind in enumerate(kinds):
         lines += [
             f"  %w{i} = getelementptr i64, ptr %table, i64 {i}",
             f"  %k{i} = load {kind}, ptr %w{i}",
         ]
-    lines += [f"  %p{i} = inttoptr i64 %k{i} to ptr" for i in range(6)]
-    pointers = ", ".join(f"ptr %p{i}" for i in range(1, 6))
-    lines += [
-        f"  call void %p0({pointers}, i64 %lo, i64 %hi, i64 %k6, i64 %k7, i64 %k8,"
-        " double %k9, i64 0)",
-        "  ret void",
-        "}",
-    ]
-    return "\n".join(lines)
+    lines += [f"  %p{i} = inttoptr i64 %k{i} to ptr" for i in range(1 + pointers)]
+    arguments = [f"ptr %p{i}" for i in range(1, 1 + pointers)] + ["i64 %lo", "i64 %hi"]
+    arguments += [f"{kind} %k{i}" for i, kind in enumerate(kinds) if i > pointers]
+    return "\n".join([*lines, f"  call void %p0({', '.join(arguments)})", "  ret void", "}"])
 
 
-_STEP = _step()
+# table: code, x, u, p, out, scratch, steps, ublock, unode, h, record
+_STEP = _call("advance_piece", 5, ("i64", "i64", "i64", "double", "i64"))
 
 
 def numbers(rows: Array, n: int) -> Array:

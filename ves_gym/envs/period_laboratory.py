@@ -1,0 +1,123 @@
+"""An emulated control period as one program: the loop's compiled halves around the engine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from ves_gym._util.params import Array, Index, Mask
+from ves_gym.engine.backends.kernel import KernelBackend
+from ves_gym.engine.kernel.blocks import aligned, fill, unlane
+from ves_gym.engine.kernel.build import Library
+from ves_gym.engine.kernel.emit import LANES
+from ves_gym.engine.kernel.pieces import Piece, Program
+from ves_gym.envs.compiled import Shape
+
+if TYPE_CHECKING:
+    from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
+    from ves_gym.simulation.simulator import Simulator
+
+# what is known here of the signals that come from outside the loop
+_BEFORE = ("q", "kp", "kd", "y_engine", "yd_engine", "weight")
+_AFTER = ("wrench", "draws", "q")
+
+
+def signals_of(sim: Simulator) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
+    """What the loop's halves are given; None where they cannot be part of a program."""
+    loop = sim.emulation_loop
+    if loop is None or loop.code is None or sim.joint_delays is not None:
+        return None
+    given = set(loop.wiring.given)
+    if not given <= {*_BEFORE, *_AFTER} or "admittance.X" not in loop.memory:
+        return None
+    first, second = (tuple(k for k in names if k in given) for names in (_BEFORE, _AFTER))
+    return first, second
+
+
+class LaboratoryPrograms:
+    """Programs of an emulated period, built anew when the loop's code or memory are others.
+
+    Args:
+        sim: whose loop.
+        shape: of the task's rows.
+        library: of the task's pieces.
+        first, last: pieces before and after the physics.
+        rows: commands from `follow`, and what `close` is given.
+    """
+
+    def __init__(
+        self,
+        sim: Simulator,
+        shape: Shape,
+        library: Library,
+        first: Sequence[Piece],
+        last: Sequence[Piece],
+        rows: tuple[Array, Array],
+    ) -> None:
+        assert isinstance(sim.backend, KernelBackend)
+        self.sim, self.backend, self.shape = sim, sim.backend, shape
+        self._library, self._first, self._last = library, tuple(first), tuple(last)
+        self._commands, given = rows
+        self._measured = given[:, shape.given["y_seen"].start : shape.given["stopped"].stop]
+        blocks, count = self.backend.blocks, shape.system.substeps + 1
+        self._nodes = aligned(blocks, count * (6 + shape.joints), LANES)
+        self._told = aligned(blocks, count * self.backend.outputs, LANES)
+        self._draws = aligned(blocks, 18, LANES)
+        self.lost = aligned(blocks, 1, LANES)  # 1: has diverged
+        self._reading = aligned(blocks, 6, LANES)
+        self._made_of: tuple[object, object] = (None, None)
+        self._programs: list[Program] = []
+
+    def run(self, stopped: Index) -> bool:
+        """Run a period; False, and nothing has happened, where the loop's wiring is another.
+
+        Args:
+            stopped: simulations that stay where they are.
+        """
+        loop, substeps = self.sim.emulation_loop, self.shape.system.substeps
+        assert loop is not None
+        if signals_of(self.sim) != self.shape.signals:
+            return False
+        assert loop.code is not None
+        if loop.code is not self._made_of[0] or loop.code.version is not self._made_of[1]:
+            self._made_of = loop.code, loop.code.version
+            self._programs = self._build(loop.code)
+        fill(self._draws, loop.draws())
+        self.backend.run_program(self._programs, substeps, stopped)
+        return True
+
+    def stops(self, some: bool) -> Mask:
+        """Account for the period; platforms (n,) that stand still for good.
+
+        Args:
+            some: there may be new ones.
+        """
+        loop = self.sim.emulation_loop
+        assert loop is not None
+        loop.ran_elsewhere(unlane(self._reading, self.sim.n) if some else None)
+        return loop.frozen
+
+    def _build(self, code: CompiledLoop) -> list[Program]:
+        library, backend = self._library, self.backend
+        assert self.shape.signals is not None
+        _, z, zd = backend.rows_of_state()
+        first, second = ([code.rows(k) for k in names] for names in self.shape.signals)
+        before = [
+            *self._first,
+            Piece(library, "lab_before", [z, zd, backend.rows_of_gains(), *first]),
+            code.piece("before"),
+            Piece(
+                library, "lab_nodes", [code.rows("acceleration"), self._commands, self._nodes]
+            ),
+        ]
+        rows_in = [self._told, z, self._draws, code.rows("reading")]
+        at = [code.rows(k) for k in ("y_measured", "admittance.X", "frozen")]
+        after = [
+            Piece(library, "lab_after", [*rows_in, *second, self._reading]),
+            code.piece("after"),
+            Piece(library, "lab_seen", [*at, self.lost, self._measured]),
+            *self._last,
+        ]
+        steps = self.shape.system.substeps
+        physics = backend.pieces(library, self._nodes, steps + 1, steps, self._told)
+        return [Program(library, [*before, piece, *after]) for piece in physics]
