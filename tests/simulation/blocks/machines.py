@@ -147,22 +147,23 @@ def simulator_of(monkeypatch, system: System, n: int, *, compiled: bool, **optio
         return Simulator(system, n, backend="kernel", threads=1, warn_at=None, **options)
 
 
-def run(sim, seed: int, duration: float) -> list[list[np.ndarray]]:
+def run(sim, seed: int, duration: float, nudge: float = 0.0) -> list[list[np.ndarray]]:
     """State, coordinates inside and readings after every control period of a random motion.
 
     The rate at which a gear rings in its play is left out: the engine's own, and the same.
+    `nudge` [m, rad, ...] is added to the start.
     """
     rng = np.random.default_rng(1000 + seed)
     n, joints, system = sim.n, sim.joints, sim.system
     sim.reset(
-        q=rng.uniform(-0.5, 0.5, (n, joints)),
+        q=rng.uniform(-0.5, 0.5, (n, joints)) + nudge,
         v=rng.uniform(-0.1, 0.1, (n, joints)),
-        y=rng.uniform(-0.01, 0.01, (n, 6)),
-        yd=rng.uniform(-0.02, 0.02, (n, 6)),
+        y=rng.uniform(-0.01, 0.01, (n, 6)) + nudge,
+        yd=rng.uniform(-0.02, 0.02, (n, 6)) + nudge,
     )
     size, speed = rng.uniform(0.1, 0.4, (n, joints)), rng.uniform(2, 6, (n, joints))
-    start, sway = sim.state.q, rng.uniform(-0.01, 0.01, (n, 6))
-    rest, out = sim.state.y, []
+    start, sway = sim.state.q - nudge, rng.uniform(-0.01, 0.01, (n, 6))
+    rest, out = sim.state.y - nudge, []
     position = system.emulator_settings.operation == "position"
     for i in range(round(duration / system.control_dt)):
         t, more = i * system.control_dt, {}

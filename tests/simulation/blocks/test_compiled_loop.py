@@ -6,7 +6,9 @@ compensation, late computers, coarse transducers, and every registered effect of
 
 Tolerance: 1e-9 of max(1, value) for angles, poses and rates (SI), of max(1000, value) for
 readings [N, N m]; safety stops at the same instant for the same reason. Both run one text, so
-what is left is rounding. An error of 1e-7 in a parameter of one of them is seen.
+what is left is rounding. A loop that is unstable, or has gears with play, amplifies it; where
+1e-9 is exceeded, the difference must be below ten times what 1e-15 at the start becomes in
+NumPy alone. An error of 1e-7 in a parameter of one of them is seen.
 """
 
 import numpy as np
@@ -33,28 +35,34 @@ QUICK = (14, 16, 17, 30, 52)  # plain satellite, admittance, legs, short and lat
 
 
 def compare(index, monkeypatch):
-    """Difference of the two runs of system `index`, and the safety stops of both."""
+    """Hold the two runs of system `index` to each other; their difference, and what 1e-15 at
+    the start becomes where that had to be asked."""
     mine = system(index)
     sims = [simulator_of(monkeypatch, mine, 2, compiled=k) for k in (True, False)]
     assert sims[1].emulation_loop._code is None
-    blocks = sims[0].emulation_loop.wiring.blocks
-    assert (sims[0].emulation_loop._code is not None) == all(k.compiles for k in blocks)
-    runs = [run(sim, index, DURATION) for sim in sims]
+    assert sims[0].emulation_loop._code is not None
+    ours, theirs = (run(sim, index, DURATION) for sim in sims)
     assert sims[0].events == sims[1].events
-    return gap(*runs), sims[0].events
+    worst, nudged = gap(ours, theirs), 0.0
+    if worst > MOST:
+        nudged = gap(run(sims[1], index, DURATION, 1e-15), theirs)
+        assert nudged > MOST / 10
+        eighth = len(ours) // 8
+        assert gap(ours[:eighth], theirs[:eighth]) <= MOST
+    assert worst <= max(MOST, 10 * nudged)
+    print(f"system {index}: {worst:.1e}, {nudged:.1e}, {len(sims[0].events)} safety stops")
+    return worst
 
 
 @pytest.mark.parametrize("index", QUICK)
 def test_both_give_the_same(index, monkeypatch):
-    assert compare(index, monkeypatch)[0] <= MOST
+    assert compare(index, monkeypatch) <= MOST
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("index", [k for k in range(COUNT) if k not in QUICK])
 def test_all_64_give_the_same(index, monkeypatch):
-    worst, events = compare(index, monkeypatch)
-    print(f"system {index}: {worst:.1e}, {len(events)} safety stops")
-    assert worst <= MOST
+    compare(index, monkeypatch)
 
 
 def test_the_cases_are_what_they_should_be():
