@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from benchmarks.device_ppo import Progress, train
 from ves_gym._util.optional import lacking
@@ -110,13 +111,11 @@ def steps_per_second(work: Callable[[], None], system: System, n: int) -> tuple[
 
 
 def environment(n: int, device: str) -> tuple[float, float]:
-    """Steps a second of PumaRestToRest, and bytes that a step copies to the host.
+    """Steps a second of PumaRestToRest, and how often a step copies to the host.
 
     Random actions; a whole episode and more, so that ends and beginnings are in it. Counted
-    by torch's profiler, on a GPU only: the number of episodes that ended, in every step.
+    by torch's profiler, on a GPU only; expected: one, the number of episodes that ended.
     """
-    import torch
-
     env = DeviceVectorEnv(n, "rest_to_rest", device=device, starts=2)
     env.reset(seed=0)
     actions = torch.rand((n, env.single_action_space.shape[0]), device=device) * 2 - 1
@@ -198,6 +197,7 @@ def main() -> None:
         raise SystemExit(missing)
     there = load_warp().is_cuda_available()
     if not there:
+        torch.set_num_threads(1)  # small matrices: more threads wait for each other
         print(f"no GPU: n = {' and '.join(map(str, FEW))} on Warp's CPU device, one thread")
     results = report(SIZES if there else FEW)
     if args.json:
