@@ -169,6 +169,7 @@ def report() -> dict[str, object]:
         print(
             f"{what:17} {pair.ratio:5.1f} x {name} ({pair.low:.1f}-{pair.high:.1f}),"
             f" {steps / pair.ours:,.0f} steps/s"
+            + (f", {pair.processor:.1f} x in processor time" if "EnvPool" in name else "")
         )
 
     for kind in (SyncVectorEnv, AsyncVectorEnv):

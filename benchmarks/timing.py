@@ -17,6 +17,7 @@ class Pair:
     ratio: float  # reference / ours: how many times faster ours is
     low: float
     high: float
+    processor: float  # the same ratio of processor time, threads included, children not
 
 
 def side_by_side(
@@ -24,13 +25,14 @@ def side_by_side(
 ) -> Pair:
     """Run each once to warm up, then in turn; the ratio is taken within each pair."""
     ours(), reference()
-    times = []
+    times, busy = [], []
     for _ in range(runs):
-        begin = time.perf_counter()
+        begin, used = time.perf_counter(), time.process_time()
         ours()
-        middle = time.perf_counter()
+        middle, half = time.perf_counter(), time.process_time()
         reference()
         times.append((middle - begin, time.perf_counter() - middle))
+        busy.append((half - used, time.process_time() - half))
     ratios = sorted(b / a for a, b in times)
     return Pair(
         statistics.median(a for a, _ in times),
@@ -38,4 +40,5 @@ def side_by_side(
         statistics.median(ratios),
         ratios[0],
         ratios[-1],
+        statistics.median(b / max(a, 1e-9) for a, b in busy),
     )
