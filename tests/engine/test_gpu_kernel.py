@@ -162,3 +162,19 @@ def test_without_a_gpu_that_is_said():
 def test_what_is_missing_is_said():
     with pytest.raises(ParameterError, match=r"gpu-kernel needs the package warp-lang: .*gpu"):
         Simulator(System(), backend="gpu-kernel")
+
+
+@warp_needed
+@pytest.mark.parametrize("real", ["float64", "float32"])
+def test_the_text_compiles_for_a_gpu(real, tmp_path):
+    """To machine code of an H100 or H200: NVRTC needs no driver."""
+    from ves_gym.engine.kernel.warp_code import advance_kernel, load_warp
+
+    wp = load_warp()
+    module = advance_kernel(System(mode="emulated"), real, record=False).module
+    try:
+        files = wp.compile_aot_module(module, arch=90, use_ptx=False, module_dir=tmp_path)
+    except RuntimeError as error:
+        pytest.skip(f"this Warp compiles for no GPU: {error}")
+    assert [path.suffix for path in files] == [".cubin"]
+    assert files[0].stat().st_size > 20_000
