@@ -249,6 +249,9 @@ def test_list_blocks(call):
     names = [row["name"] for row in result["blocks"]]
     assert status == 0 and "payload_compensation" not in names
     assert "gravity_estimate" not in names and " zero " in out
+    status, _, _, result = call("list", "blocks", "--platform", "filtered")
+    (legs,) = [row for row in result["blocks"] if row["name"] == "platform"]
+    assert status == 0 and legs["times"] > 1 and legs["memory"]["pose"] == [6]
     status, _, _, result = call("list", "blocks", "--effect", "platform/bandwidth:error=0.1")
     assert status == 0 and "platform_model" in [row["name"] for row in result["blocks"]]
 

@@ -162,6 +162,7 @@ class Wiring:
             {
                 "name": block.name,
                 "runs": "before engine" if block in self.before else "after engine",
+                "times": block.repeats,  # in a control period
                 "compiles": block.compiles,
                 "summary": block.summary,
                 "parameters": {k: list(v.shape[1:]) for k, v in p[block.name].items()},
