@@ -12,7 +12,6 @@ from ves_gym._util.signals import (
     estimate_noise,
     margin,
     on_uniform_clock,
-    zero_order_hold,
 )
 
 DT, TOP = 5e-3, 12.0
@@ -44,13 +43,6 @@ def test_ahead_is_a_shift_by_any_time():
     w, ahead = 2 * np.pi * 3.0, 0.0031
     x, _, _ = differentiated(np.sin(w * T)[:, None], DT, TOP, ahead)
     assert np.abs(x[INNER, 0] - np.sin(w * (T + ahead))[INNER]).max() < 1e-6
-
-
-def test_held_is_late_by_delay_and_half_a_period():
-    w, delay = 2 * np.pi * 2.0, DT
-    out = zero_order_hold(np.sin(w * T)[:, None], DT, TOP, delay)
-    expected = np.sinc(w * DT / 2 / np.pi) * np.sin(w * (T - delay - DT / 2))
-    assert np.abs(out[INNER, 0] - expected[INNER]).max() < 1e-4
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.4, 0.8])

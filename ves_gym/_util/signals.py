@@ -78,23 +78,6 @@ def _correlated(x: Array, kernels: Sequence[Array]) -> list[Array]:
     ]
 
 
-def zero_order_hold(x: Array, dt: float, band: float, delay: float) -> Array:
-    """Return a signal (..., T, c) that is held for a period and passed on late.
-
-    Both act inside the band as the mean over a period of the signal that came before.
-
-    Args:
-        x: (..., T, c) samples.
-        dt: step, and period of the hold [s].
-        band: Hz.
-        delay: s.
-    """
-    inside = (np.arange(8) + 0.5) / 8 * dt
-    t, half = _instants(dt, band)
-    kernel = np.mean([_smooth(t - delay - s, dt, band, half) for s in inside], axis=0)
-    return _correlated(x, [kernel / kernel.sum()])[0]
-
-
 def margin(dt: float, band: float) -> int:
     """Return the number of samples at either end that `differentiated` has to guess at."""
     return _instants(dt, band)[1]

@@ -247,7 +247,7 @@ def diagnose(
     ]
     weak = tuple(c.name for c in faint)
     hidden = any(f.candidate.slot in _motionless_joints(faint) for f in explanations)
-    faulty = faults(runs)
+    faulty = tuple(f for f in faults(runs) if not _described(f, machine, runs))
     gained = selection.null.deviance - selection.fit.deviance
     share = remaining / max(remaining + gained, 1e-9)
     verdict = _verdict(explanations, remaining, share, bool(weak), hidden, limits)
@@ -315,6 +315,12 @@ def _motionless_joints(faint: Sequence[Candidate]) -> set[str]:
     """Return joints that barely move: several of the basic effects could not show there."""
     places = [c.slot for c in faint]
     return {place for place in places if places.count(place) > 1}
+
+
+def _described(fault: Fault, machine: Machine, runs: Sequence[Run]) -> bool:
+    """Return True for a tone of several signals at which the machine as described rings."""
+    ringing = fault.kind == "tone" and fault.shared and fault.frequency is not None
+    return ringing and machine.rings(runs, float(fault.frequency or 0.0))
 
 
 def _verdict_despite_faults(

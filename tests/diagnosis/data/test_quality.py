@@ -69,3 +69,9 @@ def test_a_tone_is_told_with_its_frequency(logs):
 def test_a_tone_that_others_share_may_be_the_machine(logs):
     found = faults(runs_of(logs, w=tone(1.0, 20.0), y=tone(2e-4, 20.0)))
     assert {f.signal for f in found} == {"w", "y"} and all(f.shared for f in found)
+
+
+def test_a_tone_that_the_joints_are_told_is_motion(logs):
+    shaken = {"tau": tone(20.0, 20.0), "v": tone(0.2, 20.0)}
+    assert {f.signal for f in faults(runs_of(logs, **shaken))} == {"tau", "v"}
+    assert faults(runs_of(logs, **shaken, v_cmd=tone(0.2, 20.0))) == ()

@@ -24,6 +24,8 @@ from ves_gym.system.system import System
 
 BAND = 12.0  # Hz: motion above it is below the noise of differentiated encoders
 MEASURED = ("q", "v", "tau", "y", "yd", "w")  # signals of the log that a sensor gives
+NEAR = "near"  # in the memory of noisy copies: that of the run itself
+COMMANDED = ("q_cmd", "v_cmd")  # that a controller is told
 _GAP = 3.0  # usual steps of the clock: more is a gap
 _UNITS = (  # signal, what no such machine reaches, unit expected, unit it may be in
     ("q", 13.0, "rad", "degrees"),
@@ -99,7 +101,7 @@ class Run:
             noisy[name] = np.broadcast_to(x, (n, *x.shape))
             if name in self.noise and name not in exact:
                 noisy[name] = noisy[name] + self.noise[name].draw(rng, n, self.length)
-        return replace(self, signals=noisy, memory={})
+        return replace(self, signals=noisy, memory={NEAR: self.memory})
 
 
 def run_of(log: RunLog, name: str, band: float = BAND) -> Run:

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array
-from ves_gym.diagnosis.data.measured_run import MEASURED, Run
+from ves_gym.diagnosis.data.measured_run import COMMANDED, MEASURED, Run
 
 _SHARE = 0.01  # of samples that repeat, above what chance has: lost
 _TONE = 30.0  # power over that of its neighbours; the highest of 10^5 in noise have 12
@@ -51,9 +51,11 @@ def faults(runs: Sequence[Run]) -> tuple[Fault, ...]:
     lost = {k: max(run.repeats.get(k, 0.0) for run in runs) for k in names}
     out = [Fault(k, "repeats", share, None) for k, share in lost.items() if share > _SHARE]
     spectra = {name: _tones(runs, name) for name in names}
+    commands = [k for k in COMMANDED if all(k in run for run in runs)]
+    told = np.max([_tones(runs, k) for k in commands], axis=0) if commands else 0 * _GRID
     for name, heights in spectra.items():
         at = int(np.argmax(heights))
-        if heights[at] > _TONE:
+        if heights[at] > _TONE and told[at] < _SEEN:  # what joints are told is motion
             elsewhere = max((x[at] for k, x in spectra.items() if k != name), default=0.0)
             hertz = float(_GRID[at] / runs[0].dt)
             out.append(Fault(name, "tone", float(heights[at]), hertz, bool(elsewhere > _SEEN)))

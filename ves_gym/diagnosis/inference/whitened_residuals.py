@@ -90,9 +90,12 @@ class WhitenedResiduals:
         tested = set(names)
         self.nuisances = [k for k in machine.nuisances if tested & set(k.ports)]
         self.slopes = np.zeros((self.size, len(self.nuisances)))
-        for j, nuisance in enumerate(self.nuisances):
-            moved = self.under([nuisance.model], nuisance.ports)[0]
-            self.slopes[:, j] = (moved - self.null) * (nuisance.std / nuisance.step)
+        for ports in dict.fromkeys(k.ports for k in self.nuisances):
+            alike = [j for j, k in enumerate(self.nuisances) if k.ports == ports]
+            moved = self.under([self.nuisances[j].model for j in alike], ports) - self.null
+            for j, change in zip(alike, moved, strict=True):
+                nuisance = self.nuisances[j]
+                self.slopes[:, j] = change * (nuisance.std / nuisance.step)
         parts = [self.slopes[g.part] for g in self.groups]
         self.gram = np.stack([J.T @ J for J in parts])  # (G, p, p)
 

@@ -65,6 +65,14 @@ class Machine(Protocol):
             ports: names.
         """
 
+    def rings(self, runs: Sequence[Run], frequency: float) -> bool:
+        """Return True if the machine as described rings at a frequency by itself.
+
+        Args:
+            runs: measured signals.
+            frequency: Hz.
+        """
+
     def floor(self, run: Run, port: str) -> Array:
         """Return (c,) standard deviation below which a residual of the port means nothing.
 

@@ -189,6 +189,10 @@ class MjcfMachine:
         )
         return out
 
+    def rings(self, runs: Sequence[Run], frequency: float) -> bool:
+        """Return False: nothing is known of a controller that could ring."""
+        return False
+
     def floor(self, run: Run, port: str) -> Array:
         """Return (n,) standard deviation below which a residual of the port means nothing."""
         signal = run["tau" if port == "joint" else "v"]

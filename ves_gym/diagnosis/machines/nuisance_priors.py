@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis.machines.base import WRENCH, Nuisance
 from ves_gym.effects import (
     BaseDamping,
@@ -41,7 +42,15 @@ _BASE, _LOSS = 0.0012, 0.006  # relative, of the base's mass and stiffness; of i
 
 
 def system_nuisances(system: System) -> Iterator[Nuisance]:
-    """Yield the small errors of any description of such a machine; each model is a `System`."""
+    """Yield the small errors of any description of such a machine; each model is a `System`.
+
+    Those that would do nothing in it are left out: joints that follow a prescribed motion rub
+    in vain, and a satellite has no spring.
+    """
+    yield from (k for k in _nuisances(system) if k is not None)
+
+
+def _nuisances(system: System) -> Iterator[Nuisance | None]:
     arm = system.arm
     both = ("joint", "wrench")
 
@@ -51,8 +60,13 @@ def system_nuisances(system: System) -> Iterator[Nuisance]:
         links[i] = dataclasses.replace(links[i], inertial=inertial)
         return system.replace(arm=dataclasses.replace(arm, links=tuple(links)))
 
-    def effect(name: str, ports: str, step: float, std: float, *effects: Effect) -> Nuisance:
-        model = system.replace(effects=(*system.effects, *effects))
+    def effect(
+        name: str, ports: str, step: float, std: float, *effects: Effect
+    ) -> Nuisance | None:
+        try:
+            model = system.replace(effects=(*system.effects, *effects))
+        except ParameterError:
+            return None
         return Nuisance(name, tuple(ports.split()), model, step, std)
 
     for i, link in enumerate(arm.links):
@@ -110,7 +124,9 @@ def system_nuisances(system: System) -> Iterator[Nuisance]:
         yield effect(f"{what} of the base", "base admittance", 0.01, std, kind(error=0.01))
 
 
-def _of_the_laboratory(system: System, effect: Callable[..., Nuisance]) -> Iterator[Nuisance]:
+def _of_the_laboratory(
+    system: System, effect: Callable[..., Nuisance | None]
+) -> Iterator[Nuisance | None]:
     weight = GravityModel.of(system.arm).wrench(system.arm, np.zeros(system.arm.n), np.zeros(6))
     resting = system.emulator_settings.sensor.frame @ weight
     for i in range(6):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy
 
@@ -9,7 +11,7 @@ from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array
 from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import PoseServo
-from ves_gym.simulation.blocks.block import Shape
+from ves_gym.simulation.blocks.block import Block, Shape
 from ves_gym.simulation.blocks.platform import CommandLine, LegSensors, LegServos, PosePlatform
 from ves_gym.simulation.blocks.wiring import Wiring
 from ves_gym.system.deviations import LoopParameters
@@ -33,29 +35,63 @@ def platform_response(
     """
     settings = system.emulator_settings
     shape = Shape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
-    command = _within_reach(CommandLine(settings.stewart, shape, 0, True), p, command, y, yd)
+    command = within_reach(system, p, command, y, yd)
     servo = settings.platform
     if isinstance(servo, PoseServo):
         block = PosePlatform(servo, shape)
         out = _poses(block, block.response(p), command[:, 1:], y, yd)
         return np.concatenate([y[:, None], out], axis=1)
-    legs = Legs(servo, settings.stewart, shape.control_dt, shape.physics_dt)
-    servos, sensors = LegServos(legs), LegSensors(legs)
-    wiring = Wiring([servos, sensors], [], ["command_received"])
-    memory, _ = servos.start({}, {"X": np.concatenate([y, yd], axis=-1)})
-    x = {f"{servos.name}.{k}": v for k, v in memory.items()}
-    poses = [y]
-    for t in range(1, command.shape[1]):
-        given = {"command_received": command[:, t]}
-        x, signals = wiring.run(wiring.before, NUMPY, {}, x, given)
-        poses.append(signals["y_measured"])
+    platforms = Platforms(system, p, y, yd)
+    poses = [y, *(platforms.advance(part)["y_measured"] for part in command.swapaxes(0, 1)[1:])]
     return np.stack(poses, axis=1)
 
 
-def _within_reach(
-    line: CommandLine, p: LoopParameters, command: Array, y: Array, yd: Array
+class Platforms:
+    """The platform's blocks with n memories, from poses and rates (n, 6) on."""
+
+    def __init__(self, system: System, p: LoopParameters, y: Array, yd: Array) -> None:
+        settings = system.emulator_settings
+        shape = Shape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
+        blocks: list[Block]
+        if isinstance(settings.platform, PoseServo):
+            first: PosePlatform | LegServos = PosePlatform(settings.platform, shape)
+            blocks = [first]
+        else:
+            clock = shape.control_dt, shape.physics_dt
+            legs = Legs(settings.platform, settings.stewart, *clock)
+            first = LegServos(legs)
+            blocks = [first, LegSensors(legs)]
+        self._wiring = Wiring(blocks, [], ["command_received"])
+        nothing: Any = None  # of arms and vehicles: these blocks ask for none
+        self._p = {k.name: k.parameters(p, nothing) for k in blocks}
+        memory, _ = first.start({}, {"X": np.concatenate([y, yd], axis=-1)})
+        self._x = {f"{first.name}.{k}": v for k, v in memory.items()}
+
+    def advance(self, command: Array) -> dict[str, Array]:
+        """Return the signals of a control period (y, yd, ydd at its nodes, y_measured).
+
+        Args:
+            command: (n, 12) received.
+        """
+        given = {"command_received": command}
+        run = self._wiring.run(self._wiring.before, NUMPY, self._p, self._x, given)
+        self._x, signals = run
+        return signals
+
+
+def within_reach(
+    system: System, p: LoopParameters, command: Array, y: Array, yd: Array
 ) -> Array:
-    """Commands (n, T, 12) held back where legs are short or slow."""
+    """Return the commands of `platform_response` held back where legs are short or slow.
+
+    Args:
+        system, p, command, y, yd: see there.
+
+    Returns:
+        (n, T, 12).
+    """
+    shape = Shape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
+    line = CommandLine(system.emulator_settings.stewart, shape, 0, True)
     travel, speed = p.platform_travel, p.platform_speed
     if not (travel.any() or speed.any()):
         return command

@@ -67,3 +67,78 @@ def follow(law: Array, part: Array) -> Array:
                 before = out[row, t - 1, j]
                 out[row, t, j] = before + part[row, t, j] * (law[row, t, j] - before)
     return out
+
+
+@njit(cache=True)
+def wrenches(
+    M: Array,
+    D: Array,
+    K: Array,
+    offset: Array,
+    known: Array,
+    ways: Array,
+    seen: Array,
+    back: Array,
+    target: Array,
+    start: Array,
+    dt: float,
+    ahead: float,
+) -> tuple[Array, Array, Array, Array]:
+    """Invert a period of `implicit_step` and one of length `ahead` under the same force.
+
+    Found is how much of each of n forces makes the second step end at the target; the
+    response is linear, so one force of each beside none tells it.
+
+    Args:
+        M, D, K: (N, s, s) of each period.
+        offset: (N, s) force, and known: (r, N, 6), on the first six coordinates.
+        ways: (6, n) forces on them.
+        seen: (n, 6) measures of a pose that are brought to the target's.
+        back: (12, 6) correction of the state by what is missed all the same.
+        target: (r, N, 6) poses at the end of the step ahead [m, rad].
+        start: (r, 2 s) coordinates and rates.
+        dt, ahead: s.
+
+    Returns:
+        States (r, N, 2 s) before each period, poses and rates (r, N, 12) ahead, how much of
+        each force (r, N, n), and what the pose ahead misses (r, N, 6).
+    """
+    rows, length, _ = target.shape
+    s, n = M.shape[1], ways.shape[1]
+    states = np.empty((rows, length, 2 * s))
+    sent, missed = np.empty((rows, length, 12)), np.empty((rows, length, 6))
+    found = np.empty((rows, length, n))
+    y, v, W = np.zeros((s, 1 + n)), np.zeros((s, 1 + n)), np.zeros((s, 1 + n))
+    W[:6, 1:] = ways
+    share = np.ones(1 + n)
+    for row in range(rows):
+        x = start[row].copy()
+        for t in range(length):
+            states[row, t] = x
+            y[:, 0], v[:, 0], W[:, 0] = x[:s], x[s:], offset[t]
+            W[:6, 0] += known[row, t]
+            y1, v1 = _implicit(M[t], D[t], K[t], y, v, W, dt)
+            y2, v2 = _implicit(M[t], D[t], K[t], y1, v1, W, ahead)
+            reply = np.dot(seen, np.ascontiguousarray(y2[:6]))
+            share[1:] = np.linalg.solve(
+                np.ascontiguousarray(reply[:, 1:]), np.dot(seen, target[row, t]) - reply[:, 0]
+            )
+            x[:s], x[s:] = np.dot(y1, share), np.dot(v1, share)
+            found[row, t] = share[1:]
+            sent[row, t, :6] = target[row, t]
+            sent[row, t, 6:] = np.dot(v2, share)[:6]
+            missed[row, t] = target[row, t] - np.dot(y2, share)[:6]
+            right = np.dot(back, missed[row, t])
+            x[:6] += right[:6]
+            x[s : s + 6] += right[6:]
+    return states, sent, found, missed
+
+
+@njit(cache=True)
+def _implicit(
+    M: Array, D: Array, K: Array, y: Array, v: Array, W: Array, dt: float
+) -> tuple[Array, Array]:
+    """Advance columns (s, c) as `hardware.admittance.implicit_step` advances one."""
+    loss = dt / 2 * D + dt**2 / 4 * K
+    rate = np.linalg.solve(M + loss, np.dot(M - loss, v) + dt * (W - np.dot(K, y)))
+    return y + dt / 2 * (v + rate), rate

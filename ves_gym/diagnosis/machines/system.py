@@ -15,16 +15,18 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array
-from ves_gym._util.signals import differentiated, zero_order_hold
+from ves_gym._util.signals import differentiated
 from ves_gym.diagnosis.data.measured_run import Kinematics, Run
+from ves_gym.diagnosis.machines.admittance import force_gap
 from ves_gym.diagnosis.machines.base import WRENCH, Nuisance, Port
 from ves_gym.diagnosis.machines.drift import SlowPath
 from ves_gym.diagnosis.machines.nuisance_priors import system_nuisances
-from ves_gym.diagnosis.machines.platform_response import platform_response
+from ves_gym.diagnosis.machines.platform import platform_gap, ridden, shown
 from ves_gym.diagnosis.machines.presliding import Presliding
+from ves_gym.diagnosis.machines.ringing import loop_rings
 from ves_gym.diagnosis.machines.torque_balance import torque_residual
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import inverse_dynamics, newton_euler
+from ves_gym.mechanics.dynamics import inertia, inverse_dynamics, newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import AXES, body_wrench, matvec, rate_matrix, twist, twist_rate
 from ves_gym.mechanics.vehicle import Oscillator
@@ -96,15 +98,19 @@ class SystemMachine:
                 )
             )
         if system.mode == "emulated":
-            ports += [
-                Port(
-                    "admittance",
-                    "wrench taken in less what moves the vehicle",
-                    WRENCH,
-                    _N,
-                    ("w", "weight", "y_cmd"),
-                    ("w", "weight"),
-                ),
+            if system.emulator_settings.operation != "position":
+                beside = ("q", "controller") if _compensates(system) else ()
+                ports.append(
+                    Port(
+                        "admittance",
+                        "wrench taken in less what moves the vehicle",
+                        WRENCH,
+                        _N,
+                        ("w", "weight", "y_cmd", *beside),
+                        ("w", "weight", "q"),
+                    )
+                )
+            ports.append(
                 Port(
                     "platform",
                     "pose less the platform's answer to its command",
@@ -112,8 +118,8 @@ class SystemMachine:
                     _M,
                     ("y", "y_cmd"),
                     ("y_cmd",),
-                ),
-            ]
+                )
+            )
         else:
             ports.append(
                 Port("base", "arm's wrench less what moves the vehicle", WRENCH, _N, ("y", "w"))
@@ -137,6 +143,12 @@ class SystemMachine:
         kinds = np.array_split(size, max(1, len(size) // 3))  # forces and moments apart
         share = _FLOOR.get(port, _LEAST)
         return share * np.concatenate([np.full(len(k), max(k.max(), 1e-12)) for k in kinds])
+
+    def rings(self, runs: Sequence[Run], frequency: float) -> bool:
+        """Return True if the laboratory as described rings at a frequency."""
+        gains = runs[0].meta["controller"] if "controller" in runs[0] else None
+        angles = [run["q"][k] for run in runs for k in (0, -1)]
+        return gains is not None and loop_rings(self.system, gains, angles, frequency)
 
     def stretch(self, runs: Sequence[Run]) -> float:
         """Return the part of its stroke that a leg uses at most in the runs; 0 without legs."""
@@ -166,7 +178,6 @@ class SystemMachine:
             "servo": self._servo,
             "wrench": self._wrench,
             "gravity": self._gravity,
-            "admittance": self._vehicle,
             "base": self._vehicle,
         }
         out = {
@@ -176,8 +187,10 @@ class SystemMachine:
         }
         if "joint" in ports:
             out["joint"] = np.stack([self._joint(run, model) for model in models])
+        if "admittance" in ports:
+            out["admittance"] = force_gap(run, systems, self.system)
         if "platform" in ports:
-            out["platform"] = self._platform(run, systems)
+            out["platform"] = platform_gap(run, systems, self.system)
         for k, model in enumerate(models):
             for path in model.paths if "wrench" in ports else ():
                 direction = self._to_wrench[:, path.channel]
@@ -205,7 +218,30 @@ class SystemMachine:
         wrench = self._load(run, system)[1]
         if system.mode == "ideal":
             return np.asarray(run["w"] - wrench)
-        return np.asarray(run["w"] - self._sensed(system, wrench, run.dt))
+        between = _memoized(run, "between samples", lambda: self._between_samples(run))
+        return np.asarray(run["w"] - self._sensed(system, wrench, between, run.dt))
+
+    def _between_samples(self, run: Run) -> Array:
+        """Wrench (T, 6) behind the filter that samples of the pose say nothing of.
+
+        A platform that answers the steps of its command swings within each period, in time with
+        the samples, so that neither pose nor reading shows it as what it is. What the arm makes
+        of it follows from the platform as described.
+        """
+        path = ridden(run, self.system) if "y_cmd" in run else None
+        if path is None:
+            return np.zeros(6)
+        pose, shaken = path
+        system, q = self.system, run["q"].reshape(-1, run.length, self.system.arm.n)[0]
+        H = inertia(system.arm, q)
+        mass = H[:, :6, :6]
+        if system.drive == "motor":  # joints give way to what is that fast
+            mass = mass - H[:, :6, 6:] @ np.linalg.solve(H[:, 6:, 6:], H[:, 6:, :6])
+        mass = mass @ rate_matrix(pose)
+        true = shown(system, shaken, mass)
+        cutoff = system.emulator_settings.sensor.cutoff
+        smooth = differentiated(pose, run.dt, run.band)[2]
+        return np.asarray(_butterworth(matvec(mass, smooth), cutoff, run.dt) - true)
 
     def _load(self, run: Run, system: System) -> tuple[Array, Array]:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
@@ -257,15 +293,15 @@ class SystemMachine:
         most = arm.column("tau_max")
         return np.asarray(run["tau"] - np.clip(demand, -most, most))
 
-    def _sensed(self, system: System, wrench: Array, dt: float) -> Array:
-        """Return the sensor's reading of a wrench (..., T, 6)."""
+    def _sensed(self, system: System, wrench: Array, beside: Array, dt: float) -> Array:
+        """Return the sensor's reading of a wrench (..., T, 6), `beside` behind its filter."""
         spec = system.emulator_settings.sensor
         p = (
             LoopParameters.nominal(system.arm, system.emulator_settings, 1)
             .edited(system)
             .sensor
         )
-        filtered = _butterworth(wrench, float(p.cutoff[0]), dt)
+        filtered = _butterworth(wrench, float(p.cutoff[0]), dt) + beside
         to_signal = (np.eye(6) + p.matrix[0]) @ spec.frame
         signal = filtered @ to_signal.T + p.bias[0] - np.array(spec.zero)
         return np.asarray(signal @ self._to_wrench.T)
@@ -295,13 +331,10 @@ class SystemMachine:
         return np.asarray(run["weight"] - estimate)
 
     def _vehicle(self, run: Run, system: System) -> Array:
-        """Wrench taken in less what moves the vehicle (..., T, 6)."""
+        """Wrench on a vehicle in space less what moves it (..., T, 6)."""
         base = system.actual.base
-        late = system.emulator_settings.delay if system.mode == "emulated" else 0
-        motion, turn, force = _memoized(
-            run, ("vehicle", system.mode, late), lambda: _moved(run, system.mode, late)
-        )
-        y, yd, ydd = motion
+        turn, force = _memoized(run, "vehicle", lambda: _along_rates(run))
+        y, yd, ydd = run.base
         force = force - (ydd @ base.M.T + yd @ base.D.T + y @ base.K.T)
         if base.body is not None:
             force = force - matvec(turn, body_wrench(base.body.spatial(), y, yd, ydd))
@@ -311,29 +344,6 @@ class SystemMachine:
             way = np.concatenate([mass.direction, np.zeros(3)])
             force = force + _carried(mass, ydd @ way, run.dt)[..., None] * way
         return np.asarray(force)
-
-    def _platform(self, run: Run, systems: Sequence[System]) -> Array:
-        """Pose less the platform's answer to its command (m, ..., T, 6), all models at once."""
-        copies, length = run["y"].shape[:-2], run.length
-        k, m = int(np.prod(copies, dtype=int)), len(systems)
-        settings = self.system.emulator_settings
-        rows_of = [LoopParameters.nominal(s.arm, settings, k).edited(s) for s in systems]
-        p = LoopParameters.stacked(rows_of)
-
-        def rows(name: str) -> Array:
-            x = run[name].reshape(k, length, 6)
-            return np.broadcast_to(x, (m, k, length, 6)).reshape(m * k, length, 6)
-
-        y, y_cmd = rows("y"), rows("y_cmd")
-        delay = p.platform_delay
-        command = np.empty((*y_cmd.shape[:2], 12))
-        for late in np.unique(delay):
-            selected = delay == late
-            x, rate, _ = differentiated(y_cmd[selected], run.dt, run.band, ahead=-float(late))
-            command[selected] = np.concatenate([x if late else y_cmd[selected], rate], axis=-1)
-        start = differentiated(y[:, : 4 * run.window.skip], run.dt, run.band)[1][:, 0]
-        out = y - platform_response(self.system, p, command, y[:, 0], start)
-        return out.reshape(m, *copies, length, 6)
 
 
 def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
@@ -355,18 +365,15 @@ def _lagged(v: Array, lag: Array, dt: float) -> Array:
     return out
 
 
-def _moved(run: Run, mode: str, late: int) -> tuple[Kinematics, Array, Array]:
-    """Return the vehicle's motion, the wrench along its rates (..., T, 6), and their map."""
-    if mode == "ideal":
-        motion, force = run.base, run["w"]
-    else:
-        motion = Kinematics(*differentiated(run["y_cmd"], run.dt, run.band))
-        force = run["w"] - run["weight"]
-    turn = np.swapaxes(rate_matrix(motion.x), -1, -2)
-    force = matvec(turn, force)
-    if mode == "emulated":  # a reading acts for one period, `late` periods later
-        force = zero_order_hold(force, run.dt, run.band, late * run.dt)
-    return motion, turn, force
+def _along_rates(run: Run) -> tuple[Array, Array]:
+    """Return the map from wrenches to forces along rates, and the measured force."""
+    turn = np.swapaxes(rate_matrix(run.base.x), -1, -2)
+    return turn, matvec(turn, run["w"])
+
+
+def _compensates(system: System) -> bool:
+    """Return True if the loop of a system predicts what the arm's inertia does."""
+    return system.emulator_settings.payload_compensation
 
 
 def _base_motion(base: Kinematics) -> tuple[Array, Array, Array]:
@@ -434,12 +441,30 @@ def _deflections(arm: Arm, torque: Array, dt: float) -> Array:
 
 
 def _butterworth(x: Array, cutoff: float, dt: float) -> Array:
-    """Second-order low-pass along time, exact for inputs linear between samples, from rest."""
+    """Second-order low-pass along time of signals in the band (..., T, c), from rest."""
     b, a, zi = _coefficients(cutoff, dt)
+    x = _between_lines(x)
     start = np.moveaxis(x[..., :1, :], -2, -1)  # at rest under the first value
     shape = (*x.shape[:-2], 2, x.shape[-1])
     initial = np.broadcast_to(zi[:, None] * np.swapaxes(start, -1, -2), shape)
     return np.asarray(scipy.signal.lfilter(b, a, x, axis=-2, zi=initial)[0])
+
+
+def _between_lines(x: Array) -> Array:
+    """Signals (..., T, c) whose straight lines from sample to sample are them, inside the band.
+
+    Lines take away a part of what swings: with u = 2 sin(w dt / 2) they leave u^2 / (w dt)^2 of
+    it. The inverse is 1 + u^2 / 12 + u^4 / 90 + u^6 / 560 + ...; -u^2 is a second difference.
+    """
+    out, bend = x, x
+    for share in (1 / 12, 1 / 90, 1 / 560, 1 / 3150):
+        ends = (
+            2 * bend[..., :1, :] - bend[..., 1:2, :],
+            2 * bend[..., -1:, :] - bend[..., -2:-1, :],
+        )
+        bend = -np.diff(np.concatenate([ends[0], bend, ends[1]], axis=-2), 2, axis=-2)
+        out = out + share * bend
+    return out
 
 
 @lru_cache(maxsize=64)

@@ -1,0 +1,155 @@
+"""Nothing is missing where a log is of the very system that describes it.
+
+Whatever the laboratory does, on any vehicle and platform, with and without noise: a port is
+the loop's own computation, so only rounding, derivatives and noise are left. The slow test
+draws 200 of them; `python tests/diagnosis/test_exact_descriptions.py 0 200` tells each one.
+"""
+
+import itertools
+import sys
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ves_gym.effects as E
+from ves_gym.diagnosis.diagnose import NOTHING, diagnose
+from ves_gym.diagnosis.excitation import excitation_motions
+from ves_gym.diagnosis.inputs import system_inputs
+from ves_gym.hardware.leg_servo import FILTERED, leg_clock
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.vehicle import (
+    BENT,
+    DECOUPLED,
+    FREE_FLOATING,
+    FREE_FLYING,
+    STRAIGHT_VERTICAL,
+    Oscillator,
+)
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.emulator_settings import EmulatorSettings
+from ves_gym.system.system import System
+
+SECONDS = 10.0  # of motion, and a second at rest
+SHAKEN = replace(
+    DECOUPLED,
+    extra=(
+        Oscillator(mass=40.0, stiffness=3600.0, damping=10.0, direction=(1.0, 0.0, 0.0)),
+        Oscillator(mass=20.0, stiffness=7100.0, damping=2.0, direction=(0.0, 0.6, 0.8)),
+    ),
+)
+VEHICLES = (BENT, STRAIGHT_VERTICAL, DECOUPLED, SHAKEN, FREE_FLOATING, FREE_FLYING)
+FRICTION = (E.JointCoulomb(torque=(3.0, 2.0, 1.0)), E.JointViscous(damping=(2.0, 2.0, 1.0)))
+ERRORS = ((), FRICTION, E.LABORATORY_ERRORS, (*FRICTION, *E.LABORATORY_ERRORS))
+
+
+def drawn(rng):
+    """A system, and how far apart its records are [s]."""
+    vehicle, errors = VEHICLES[rng.integers(len(VEHICLES))], ERRORS[rng.integers(len(ERRORS))]
+    if rng.random() < 0.1:  # in space, at the control period or the physics step
+        system = System(vehicle=vehicle, effects=tuple(e for e in errors if "ideal" in e.modes))
+        return system, system.control_dt if rng.random() < 0.5 else system.physics_dt
+    platform = (PoseServo(), PoseServo(rate_feedforward=False), FILTERED)[rng.integers(3)]
+    clock = leg_clock(platform) if platform is FILTERED else (12.5e-3, 1.25e-3)
+    emulator = EmulatorSettings(
+        operation=rng.choice(
+            ["microgravity", "admittance", "position"], p=[0.7, 0.15, 0.15]
+        ).item(),
+        platform=platform,
+        payload_compensation=bool(rng.random() < 0.5),
+    )
+    system = System(
+        mode="emulated",
+        vehicle=vehicle,
+        emulator=emulator,
+        effects=errors,
+        control_dt=clock[0],
+        physics_dt=clock[1],
+    )
+    return system, system.control_dt
+
+
+def recorded(system, record_dt, seed):
+    """A log of a motion that excites all joints; None where the platform stops early."""
+    motion = excitation_motions(1, system.arm, duration=SECONDS, seed=seed)[0]
+    options = {}
+    if system.mode == "emulated" and system.emulator.operation == "position":
+        size, w = np.array([0.01, 0.02, 0.01, 0.02, 0.01, 0.02]), 2 * np.pi * 0.4
+
+        def swing(t):
+            return np.outer(1 - np.cos(w * t), size), w * np.outer(np.sin(w * t), size)
+
+        options["platform"] = swing
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of loops that ring
+        recording = play_motions(
+            system, [motion], settle=1.0, record_dt=record_dt, seed=seed, **options
+        )
+    return None if recording.events else recording.log(0)
+
+
+def case(seed):
+    """The description and log of a seed; draws whose platform stops are drawn again."""
+    rng = np.random.default_rng([21, seed])
+    while True:
+        system, record_dt = drawn(rng)
+        try:
+            log = recorded(system, record_dt, seed)
+        except ArithmeticError:  # it diverged
+            continue
+        if log is not None:
+            return system, log
+
+
+def told(system, *logs):
+    """The diagnosis of logs under the system that made them."""
+    inputs = system_inputs(logs, system, final=0)
+    return diagnose(inputs.machine, inputs.runs, inputs.final, candidates=inputs.candidates)
+
+
+def in_words(system):
+    lab, vehicle = system.emulator, system.vehicle
+    name = f"{vehicle.kind} ({vehicle.source.split(':')[0]}), {len(system.effects)} effects"
+    if lab is None:
+        return f"ideal, {name}"
+    compensation = "" if lab.payload_compensation else "no "
+    return f"{lab.operation}, {name}, {lab.platform.kind}, {compensation}compensation"
+
+
+QUICK = {
+    "nominal": System(mode="emulated"),
+    "friction": System(mode="emulated", effects=FRICTION),
+    "laboratory errors": System(mode="emulated", effects=E.LABORATORY_ERRORS),
+    "no compensation": System(  # a loop that rings at 13.6 Hz
+        mode="emulated", emulator=EmulatorSettings(payload_compensation=False)
+    ),
+    "straight": System(mode="emulated", vehicle=STRAIGHT_VERTICAL),  # rings at 25.8 Hz
+    "satellite": System(mode="emulated", vehicle=FREE_FLOATING),
+}
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_nothing_is_missing_in_an_exact_description(name):
+    system = QUICK[name]
+    logs = filter(None, (recorded(system, system.control_dt, k) for k in range(3, 30)))
+    # a loop that rings stops at lively motions, and one of the others says too little
+    found = told(system, *itertools.islice(logs, 2 if name == "no compensation" else 1))
+    assert found.verdict == NOTHING, found.sentence
+
+
+@pytest.mark.slow
+def test_nothing_is_missing_in_199_of_200():
+    verdicts = [told(*case(k)).verdict for k in range(200)]
+    assert verdicts.count(NOTHING) >= 199
+
+
+if __name__ == "__main__":
+    first, last = map(int, sys.argv[1:])
+    alarms = 0
+    for k in range(first, last):
+        one, its_log = case(k)
+        found = told(one, its_log)
+        alarms += found.verdict != NOTHING
+        print(f"{k} {in_words(one)}: {found.sentence}", flush=True)
+    print(f"{alarms} of {last - first} with something missing")

@@ -1,0 +1,86 @@
+"""What an emulating controller took in and gave out, at the instants of its own clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from ves_gym._util.params import Array
+from ves_gym._util.signals import differentiated
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.system.system import System
+
+_SAME_CLOCK = 1e-3  # by which a log's step may differ from the control period, relative
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What the controller took in and gave out, N control periods, k copies."""
+
+    force: Array  # (k, N, 6) reading less estimate, platform frame [N, N m]
+    pose: Array  # (k, N, 6) commanded [m, rad]
+    rate: Array  # (k, 6) its rate at the start
+    q: Array  # (N, joints) angles; empty where they are not used
+
+
+def on_its_clock(run: Run, system: System) -> bool:
+    """Return True if a log has one row for each control period."""
+    return abs(run.dt / system.control_dt - 1) < _SAME_CLOCK
+
+
+def _on_control_clock(x: Array, run: Run, dt: float) -> Array:
+    """Signals (..., T, c) of a log at the controller's own instants."""
+    if abs(run.dt / dt - 1) < _SAME_CLOCK:
+        return x
+    smooth = differentiated(x, run.dt, run.band)[0]  # what lies between samples is in the band
+    t = run.dt * np.arange(x.shape[-2])
+    instants = dt * np.arange(int(t[-1] / dt + 1e-9) + 1)
+    return np.asarray(scipy.interpolate.CubicSpline(t, smooth, axis=-2)(instants))
+
+
+def on_log_clock(x: Array, run: Run, system: System) -> Array:
+    """Return signals of the controller at the instants of the log.
+
+    Args:
+        x: (..., N, c), control periods.
+        run: the log.
+        system: whose control period counts.
+
+    Returns:
+        (..., T, c).
+    """
+    dt = system.control_dt
+    if abs(run.dt / dt - 1) < _SAME_CLOCK:
+        return x
+    t = dt * np.arange(x.shape[-2])
+    instants = np.minimum(run.dt * np.arange(run.length), t[-1])
+    return np.asarray(scipy.interpolate.CubicSpline(t, x, axis=-2)(instants))
+
+
+def taken_in(run: Run, system: System) -> Taken:
+    """Return the controller's inputs and outputs of a log with w, weight, y_cmd (and q).
+
+    Args:
+        run: the log.
+        system: as described.
+    """
+    dt, skip = system.control_dt, run.window.skip
+    force = np.reshape(run["w"] - run["weight"], (-1, run.length, 6))
+    pose = np.reshape(run["y_cmd"], (-1, run.length, 6))
+    if "yd" in run:
+        rate = np.reshape(run["yd"], (-1, run.length, 6))[:, 0]
+    else:
+        rate = differentiated(pose[:, : 4 * skip], run.dt, run.band)[1][:, 0]
+    q = np.empty(0)
+    if system.emulator_settings.payload_compensation:
+        angles = np.reshape(run["q"], (-1, run.length, system.arm.n))[0]
+        q = _on_control_clock(angles, run, dt)
+    return Taken(_on_control_clock(force, run, dt), _on_control_clock(pose, run, dt), rate, q)
+
+
+def extended(gap: Array, length: int) -> Array:
+    """Return residuals of the first periods (..., n, 6), the last one held up to a length."""
+    more = np.repeat(gap[..., -1:, :], length - gap.shape[-2], axis=-2)
+    return np.concatenate([gap, more], axis=-2)

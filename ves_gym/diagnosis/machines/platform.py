@@ -1,0 +1,127 @@
+"""The platform's port, and what the platform does between two samples of a log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym._util.signals import differentiated
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.machines.admittance import sent_rates
+from ves_gym.diagnosis.machines.controller_signals import on_its_clock
+from ves_gym.diagnosis.machines.platform_response import (
+    Platforms,
+    platform_response,
+    within_reach,
+)
+from ves_gym.hardware.force_sensor import low_pass
+from ves_gym.system.deviations import LoopParameters
+from ves_gym.system.system import System
+
+
+def platform_gap(run: Run, systems: Sequence[System], described: System) -> Array:
+    """Return the pose less the platform's answer to its command, all models at once.
+
+    Args:
+        run: with y, y_cmd; with w, weight, q and gains the rates sent are known, too.
+        systems: m of them, which differ in effects.
+        described: the system without candidates.
+
+    Returns:
+        (m, ..., T, 6) [m, rad].
+    """
+    copies, length = run["y"].shape[:-2], run.length
+    k, m = int(np.prod(copies, dtype=int)), len(systems)
+    settings = described.emulator_settings
+    each = [LoopParameters.nominal(s.arm, settings, k).edited(s) for s in systems]
+    p = LoopParameters.stacked(each)
+    y, command, begin = _start(run, p, described, m)
+    out = y - platform_response(described, p, command, y[:, 0], begin)
+    return out.reshape(m, *copies, length, 6)
+
+
+def ridden(run: Run, described: System) -> tuple[Array, Array] | None:
+    """Return how the platform as described follows a log's commands; None on another clock.
+
+    Args:
+        run: with y, y_cmd.
+        described: the system.
+
+    Returns:
+        Pose (T, 6) at the samples, acceleration (T, k + 1, 6) at the nodes of the period that
+        ends at each.
+    """
+    if not on_its_clock(run, described):
+        return None
+    settings = described.emulator_settings
+    p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
+    first = Run(
+        run.name,
+        run.dt,
+        {name: x.reshape(-1, *x.shape[-2:])[:1] for name, x in run.signals.items()},
+        run.noise,
+        run.meta,
+        run.band,
+    )
+    y, command, begin = _start(first, p, described, 1)
+    command = within_reach(described, p, command, y[:, 0], begin)
+    platforms = Platforms(described, p, y[:, 0], begin)
+    pose = np.repeat(y[0, :1], run.length, axis=0)
+    shaken = np.zeros((run.length, described.substeps + 1, 6))
+    for t in range(1, run.length):
+        path = platforms.advance(command[:, t])
+        pose[t], shaken[t] = path["y"][0, -1], path["ydd"][0]
+    return pose, shaken
+
+
+def _start(run: Run, p: LoopParameters, system: System, m: int) -> tuple[Array, Array, Array]:
+    """Poses (m k, T, 6), commands (m k, T, 12) and first rates (m k, 6) of k copies."""
+    delay, length = p.platform_delay, run.length
+    k = len(delay) // m
+
+    def rows(x: Array) -> Array:
+        alike = x.reshape(k, length, 6)
+        return np.broadcast_to(alike, (m, k, length, 6)).reshape(m * k, length, 6)
+
+    y, y_cmd = rows(run["y"]), rows(run["y_cmd"])
+    command = np.empty((*y_cmd.shape[:2], 12))
+    sent = rows(sent_rates(run, system)) if _knows_rates(run, system) else None
+    for late in np.unique(delay):
+        selected = delay == late
+        x, rate, _ = differentiated(y_cmd[selected], run.dt, run.band, ahead=-float(late))
+        if not late:
+            x, rate = y_cmd[selected], rate if sent is None else sent[selected]
+        command[selected] = np.concatenate([x, rate], axis=-1)
+    begin = differentiated(y[:, : 4 * run.window.skip], run.dt, run.band)[1][:, 0]
+    return y, command, begin
+
+
+def _knows_rates(run: Run, system: System) -> bool:
+    """Return True if the log holds what tells the rates that go with the commands."""
+    settings = system.emulator_settings
+    if settings.operation == "position" or not settings.payload_compensation:
+        return False
+    return all(k in run for k in ("w", "weight", "q", "controller"))
+
+
+def shown(system: System, shaken: Array, mass: Array) -> Array:
+    """Return what the sensor's filter as described makes of the inertia of what it carries.
+
+    Args:
+        system: emulated.
+        shaken: (N, k + 1, 6) acceleration at the nodes of each period [m/s^2, rad/s^2].
+        mass: (N, 6, 6).
+
+    Returns:
+        (N, 6) at the ends of the periods, from rest [N, N m].
+    """
+    nodes = np.arange(system.substeps + 1) * np.float64(system.physics_dt)
+    hold, weights = low_pass(np.array([system.emulator_settings.sensor.cutoff]), nodes)
+    driven = mass @ np.swapaxes(weights[0] @ shaken, -1, -2)  # (N, 6, 2)
+    state, out = np.zeros((6, 2)), np.empty((len(shaken), 6))
+    for k, part in enumerate(driven):
+        state = state @ hold[0].T + part
+        out[k] = state[:, 0]
+    return out

@@ -1,0 +1,39 @@
+"""A loop that rings just as it is described: no fault of its recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.mechanics.servo import JointServo
+from ves_gym.simulation.stability import transition
+from ves_gym.system.system import System
+
+_NEAR = 0.03  # by which a mode's frequency may differ from that of a tone, relative
+_DAMPED = 0.05  # ratio: a mode with more rings too briefly to be taken for a tone
+
+
+def loop_rings(
+    system: System, gains: Mapping[str, Any], angles: Sequence[Array], frequency: float
+) -> bool:
+    """Return True if the linearised emulation loop has a hardly damped mode at a frequency.
+
+    Args:
+        system: as described.
+        gains: kp and kd of the joint servo, (joints,) each.
+        angles: (joints,) configurations at which to look [rad].
+        frequency: Hz.
+    """
+    if system.mode != "emulated" or system.emulator_settings.operation == "position":
+        return False
+    servo = JointServo(kp=tuple(gains["kp"]), kd=tuple(gains["kd"]))
+    for q in angles:
+        z = np.linalg.eigvals(transition(system, q, servo=servo)).astype(complex)
+        poles = np.log(z[np.abs(z) > 1e-9]) / system.control_dt
+        near = np.abs(np.abs(poles.imag) / (2 * np.pi * frequency) - 1) < _NEAR
+        if (near & (poles.real > -_DAMPED * np.abs(poles))).any():
+            return True
+    return False
