@@ -297,7 +297,8 @@ class Simulator:
         """Give simulations systems of their own, which differ from the simulator's in numbers.
 
         Simulation i then runs as in a simulator of that system alone; its neighbours run on
-        untouched, and nothing is compiled anew. What may differ: masses, centres of mass,
+        untouched, and nothing is compiled anew, unless an emulation loop lacks what an effect
+        asks for (a delay, short legs). What may differ: masses, centres of mass,
         inertias, rotors and torque limits of the arm, the vehicle's M, D, K (or a satellite's
         body) and the values of the effects, which are the same kinds in the same order.
 
