@@ -8,7 +8,7 @@ for the wrench under which they end at the command that the log holds (docs/diag
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,6 +22,7 @@ from ves_gym.diagnosis.machines.controller_signals import Taken, extended
 from ves_gym.diagnosis.machines.platform_response import Platforms
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.hardware.admittance import implicit_step
+from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.simulation.blocks.admittance import CoupledAdmittance
@@ -219,6 +220,34 @@ def _inverse(
     return Trajectory(state, sent, needed, near.payload)
 
 
+def _ride(
+    run: Run, described: System, start: Array, commands: Array
+) -> Callable[[int], dict[str, Array]]:
+    """Path of r platforms as described in each period, periods in order.
+
+    Args:
+        run: measured signals.
+        described: the system.
+        start: (r, 12) pose and rate.
+        commands: (r, N, 12).
+    """
+    settings, rows = described.emulator_settings, len(commands)
+    stated = LoopParameters.nominal(described.arm, settings, rows)
+    if isinstance(settings.platform, PoseServo):
+        platforms = Platforms(described, stated, start[:, :6], start[:, 6:])
+        return lambda k: platforms.advance(commands[:, k])
+    memory = _memory(run)
+    if "legs" not in memory:  # legs are sent lengths only: one path serves all
+        one = LoopParameters.nominal(described.arm, settings, 1)
+        legs = Platforms(described, one, start[:1, :6], start[:1, 6:])
+        memory["legs"] = [legs.advance(part[None]) for part in commands[0]]
+    paths: list[dict[str, Array]] = memory["legs"]
+    return lambda k: {
+        name: np.broadcast_to(paths[k][name], (rows, *paths[k][name].shape[1:]))
+        for name in ("y", "yd", "ydd")
+    }
+
+
 def _loaded(
     run: Run,
     taken: Taken,
@@ -234,7 +263,7 @@ def _loaded(
     waiting = np.repeat(start[:, None], settings.delay, axis=1)
     commands = np.concatenate([waiting, sent.reshape(m * copies, N, 12)], axis=1)
     stated = LoopParameters.nominal(described.arm, settings, m * copies)
-    platforms = Platforms(described, stated, start[:, :6], start[:, 6:])
+    ride = _ride(run, described, start, commands)
     block = PayloadCompensation(shape, _moving(described), settings.sensor.cutoff, False)
     numbers = block.parameters(stated, _NO_BODIES)
     x = {k: np.zeros((m * copies, *v.shape)) for k, v in block.memory.items()}
@@ -243,7 +272,7 @@ def _loaded(
     gains = {k: np.repeat(known[0][k], m * copies, axis=0) for k in ("kp", "kd")}
     payload = np.zeros((m * copies, N, 6))
     for k in range(N - 1):
-        path = platforms.advance(commands[:, k])
+        path = ride(k)
         x, out = block.step(NUMPY, numbers, x, {"inertia": H[:, k], **gains, **path})
         payload[:, k + 1] = out["payload"]
     parts = np.split(payload, m)
