@@ -8,14 +8,14 @@ from ves_gym._util.array_functions import NUMPY
 from ves_gym.hardware.force_sensor import SensorErrors
 from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import second_order
-from ves_gym.simulation.blocks.block import Shape
+from ves_gym.simulation.blocks.block import LoopShape
 from ves_gym.simulation.blocks.force_sensor import ForceSensorBlock
 from ves_gym.simulation.blocks.platform import LegSensors, LegServos, PosePlatform
 from ves_gym.simulation.blocks.wiring import Wiring
 
 
 def shape_of(nodes):
-    return Shape(len(nodes), 3, float(nodes[-1]), float(nodes[1]))
+    return LoopShape(len(nodes), 3, float(nodes[-1]), float(nodes[1]))
 
 
 class Running:

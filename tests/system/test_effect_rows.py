@@ -40,14 +40,14 @@ def rows_of(kind, n=5):
 def test_effects_take_arrays(kind):
     """Every registered effect but those on arm and vehicle edits all simulations at once."""
     rows = rows_of(kind)
-    assert rows.together(LoopParameters.nominal(rows.own.arm, EMULATOR, 1))
+    assert rows.together(LoopParameters.nominal(rows.template.arm, EMULATOR, 1))
 
 
 @pytest.mark.parametrize("kind", ["sensor/rotation", "joint/stribeck", "command/delay"])
 def test_rows_are_the_systems_they_stand_for(kind):
     """A second of motion, bit for bit that of `assign` with a system per simulation."""
     rows = rows_of(kind)
-    ours, theirs = (Simulator(rows.own, len(rows)) for _ in "ab")
+    ours, theirs = (Simulator(rows.template, len(rows)) for _ in "ab")
     ours.assign_effects(rows)
     theirs.assign([rows.system(i) for i in range(len(rows))])
     start = np.array([0.3, -0.5, 0.8])

@@ -18,7 +18,15 @@ from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
 from ves_gym.envs.compiled import Shape, plain_command
 from ves_gym.envs.corners import warn_of_unstable_corners
 from ves_gym.envs.dump import Recorder
-from ves_gym.envs.episode import Episodes, bounded, count, endings, judge, outcome, shown
+from ves_gym.envs.episode import (
+    Episodes,
+    bounded,
+    count,
+    endings,
+    judge,
+    outcome,
+    scaled_observation,
+)
 from ves_gym.envs.period import Period, period_of
 from ves_gym.envs.randomize import Draws
 from ves_gym.envs.tail import tail_energy
@@ -99,17 +107,17 @@ class Batch:
         self.width = control.width(arm)
         self.scale = np.concatenate([f.scale for f in task.fields()])
         self.observations = sum(f.size for f in task.parts())
-        self._seen: npt.NDArray[np.float32] | None = None  # as of the last compiled step
+        self._observation: npt.NDArray[np.float32] | None = None  # as of the last compiled step
         joints = arm.n
         z, zj = np.zeros((n, 6)), np.zeros((n, joints))
         goals = task.start(np.zeros((1, task.draws))).goal.shape[1]
-        found = task.lookup(np.zeros((1, goals)), np.zeros(1, np.intp)).shape[1]
+        table_values = task.lookup(np.zeros((1, goals)), np.zeros(1, np.intp)).shape[1]
         hold = control.servo if motor and control.level != "torque" else HIGH_GAINS
         self.scene = Scene(
             time=np.zeros(n), q=zj, v=zj, y=z, yd=z, y_seen=z, yd_seen=z,
             tool=np.zeros((n, 3)), tool_seen=np.zeros((n, 3)), energies=np.zeros((n, 2)),
             ref=np.zeros((n, 3, joints)), goal=np.zeros((n, goals)),
-            memory=np.zeros((n, task.memory)), found=np.zeros((n, found)),
+            memory=np.zeros((n, task.memory)), table_values=np.zeros((n, table_values)),
             tau=zj.copy(), tail=np.zeros(n),
             kp=np.tile(np.asarray(hold.kp[:joints], float), (n, 1)),
             kd=np.tile(np.asarray(hold.kd[:joints], float), (n, 1)),
@@ -199,8 +207,10 @@ class Batch:
         e.peaks[ids] = s.energies[ids]
         if self._period is not None:
             self._period.load(ids)
-        if self._seen is not None:
-            self._seen[ids] = shown(task, s, self.scale)[ids].astype(np.float32)
+        if self._observation is not None:
+            self._observation[ids] = scaled_observation(task, s, self.scale)[ids].astype(
+                np.float32
+            )
         if self.recorder is not None:
             self.recorder.begin(ids)
 
@@ -326,10 +336,10 @@ class Batch:
         if self._emulated:
             s.y_seen, s.yd_seen, _ = self.measured()
         s.energies, s.tool, s.tool_seen = self._scenes(s.q, s.v, s.y, s.yd, s.y_seen)
-        s.found = self.task.lookup(s.goal, np.rint(s.time / self.dt).astype(np.intp))
+        s.table_values = self.task.lookup(s.goal, np.rint(s.time / self.dt).astype(np.intp))
 
     def tail(self, ids: Index, ref: Array, kp: Array, kd: Array) -> tuple[Array, Array]:
-        """What the base keeps after the end [J s]: of E and of the strain energy.
+        """Energy left in the base after the end [J s]: of E and of the strain energy.
 
         Args:
             ids: (k,) simulations.
@@ -343,19 +353,21 @@ class Batch:
 
     def observe(self) -> npt.NDArray[np.float32]:
         """(n, observations) in the fields' scales, clipped; what is not a number becomes 0."""
-        if self._seen is not None:
-            seen = self._seen.copy()
+        if self._observation is not None:
+            observation = self._observation.copy()
         else:
-            seen = shown(self.task, self.scene, self.scale).astype(np.float32)
+            observation = scaled_observation(self.task, self.scene, self.scale).astype(
+                np.float32
+            )
         if not self.task.context:
-            return seen
+            return observation
         clip, pairs = self.task.CLIP, zip(self.task.randomize, self.drawn.values(), strict=True)
         context = [np.clip(r.context(values), -clip, clip) for r, values in pairs]
-        return np.concatenate([seen, *(k.astype(np.float32) for k in context)], axis=1)
+        return np.concatenate([observation, *(k.astype(np.float32) for k in context)], axis=1)
 
     def keep_observation(self, rows: Array) -> None:
         """Take observations (observations, n) from a compiled step."""
-        self._seen = rows.T.astype(np.float32, order="C")
+        self._observation = rows.T.astype(np.float32, order="C")
 
     def probe(self) -> Scene:
         """Two simulations with any numbers, to ask formulas for theirs."""
@@ -385,7 +397,7 @@ class Batch:
                 f" {self.task.kind} {content_hash(self.task)[:12]}"
             )
         self.sim.restore(snapshot)  # refuses what does not fit, before anything changes
-        self._seen = None
+        self._observation = None
         if self._period is not None:
             self._period.ahead = False
         self.scene, self.episodes, self.drawn = copy.deepcopy(episodes_state)

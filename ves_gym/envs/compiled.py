@@ -24,7 +24,7 @@ from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.pieces import emit_pieces
 from ves_gym.engine.kernel.symbolic import Traced, column, per_row, symbols
 from ves_gym.envs.control import Control
-from ves_gym.envs.episode import Episodes, bounded, count, endings, judge, shown
+from ves_gym.envs.episode import Episodes, bounded, count, endings, judge, scaled_observation
 from ves_gym.envs.task import Scene, Task
 from ves_gym.mechanics.spatial import SINGULAR
 from ves_gym.system.system import System
@@ -63,7 +63,7 @@ class Shape:
     system: System  # with the randomised effects
     coordinates: int  # of the engine, hidden ones included
     goal: int
-    found: int
+    table_values: int
     terms: tuple[str, ...]  # of the reward, `failure` included
     # signals that the emulation loop's halves are given, where they are part of the program
     signals: tuple[tuple[str, ...], tuple[str, ...]] | None = None
@@ -82,13 +82,13 @@ class Shape:
 
     @cached_property
     def moved(self) -> dict[str, slice]:
-        """What `move` gives."""
+        """Columns of the outputs of `move`."""
         n = self.joints
         return layout(("ref", 3 * n), ("kp", n), ("kd", n), ("clipped", 1), ("command", n))
 
     @cached_property
     def slate(self) -> dict[str, slice]:
-        """What is carried from period to period."""
+        """Columns of all that is carried from period to period."""
         n = self.joints
         return layout(
             ("ref", 3 * n), ("kp", n), ("kd", n), ("clipped", 1), ("tau", n),
@@ -97,16 +97,16 @@ class Shape:
         )  # fmt: skip
 
     @cached_property
-    def given(self) -> dict[str, slice]:
-        """What `close` is given besides: tables, measurements, what Python knows."""
+    def external(self) -> dict[str, slice]:
+        """Columns of further inputs of `close`: tables, measurements, marks set by Python."""
         return layout(
-            ("found", self.found), ("y_seen", 6), ("yd_seen", 6), ("stopped", 1),
+            ("table_values", self.table_values), ("y_seen", 6), ("yd_seen", 6), ("stopped", 1),
             ("over", 1), ("tail", 1),
         )  # fmt: skip
 
     @cached_property
-    def told(self) -> dict[str, slice]:
-        """What `close` tells."""
+    def outputs(self) -> dict[str, slice]:
+        """Columns of the outputs of `close`."""
         size = sum(f.size for f in self.task.fields())
         terms = [(f"reward/{name}", 1) for name in self.terms]
         flags = [(name, 1) for name in FLAGS]
@@ -165,7 +165,7 @@ def digest(shape: Shape, graphs: Mapping[str, casadi.Function]) -> str:
         graphs: by name.
     """
     text = [graph.serialize() for graph in graphs.values()]
-    return hashlib.sha256("".join([repr(shape.told), *text]).encode()).hexdigest()
+    return hashlib.sha256("".join([repr(shape.outputs), *text]).encode()).hexdigest()
 
 
 def _text() -> str:
@@ -203,7 +203,7 @@ def _scene(shape: Shape, carried: Traced, z: Traced, zd: Traced, goal: Traced) -
         time=k["steps"][:, 0] * shape.system.substeps * shape.system.physics_dt,
         q=z[:, 6:].copy(), v=zd[:, 6:].copy(), y=z[:, :6].copy(), yd=zd[:, :6].copy(),
         y_seen=none, yd_seen=none, tool=none, tool_seen=none, energies=k["energies"],
-        ref=k["ref"].reshape(rows, 3, n), goal=goal, memory=k["memory"], found=none,
+        ref=k["ref"].reshape(rows, 3, n), goal=goal, memory=k["memory"], table_values=none,
         tau=k["tau"], tail=none, kp=k["kp"], kd=k["kd"],
     )  # fmt: skip
 
@@ -272,17 +272,21 @@ def _close(shape: Shape) -> casadi.Function:
     scale = np.concatenate([f.scale for f in task.fields()])
 
     def closed(*rows: Traced) -> tuple[Any, ...]:
-        z, zd, x, carried, moved, tau, goal, given, seen = rows
+        z, zd, x, carried, moved, tau, goal, external, scene_rows = rows
         s, e = _scene(shape, carried, z, zd, goal), _episodes(shape, carried)
         before = s.energies
         s.time = np.add(e.steps, 1, dtype=np.float64) * system.substeps * system.physics_dt
         s.ref = moved[:, shape.moved["ref"]].reshape(s.ref.shape)
         s.kp, s.kd, s.tau = moved[:, shape.moved["kp"]], moved[:, shape.moved["kd"]], tau
         e.clipped = moved[:, shape.moved["clipped"]][:, 0]
-        s.energies, s.tool, s.tool_seen = seen[:, :2], seen[:, 2:5], seen[:, 5:]
-        k = {name: given[:, at] for name, at in shape.given.items()}
-        s.found, s.tail, over, stopped = (
-            k["found"], k["tail"][:, 0], k["over"][:, 0], k["stopped"][:, 0],
+        s.energies, s.tool, s.tool_seen = (
+            scene_rows[:, :2],
+            scene_rows[:, 2:5],
+            scene_rows[:, 5:],
+        )
+        k = {name: external[:, at] for name, at in shape.external.items()}
+        s.table_values, s.tail, over, stopped = (
+            k["table_values"], k["tail"][:, 0], k["over"][:, 0], k["stopped"][:, 0],
         )  # fmt: skip
         s.y_seen, s.yd_seen = s.y, s.yd
         if system.mode == "emulated":
@@ -301,16 +305,16 @@ def _close(shape: Shape) -> casadi.Function:
             s.ref.reshape(len(z), -1), s.kp, s.kd, e.clipped, s.tau, s.memory, s.energies,
             e.sums, e.peaks, e.total, e.once, e.steps,
         )  # fmt: skip
-        return (shown(task, s, scale), *terms, verdict.reward, *flags, *slate)
+        return (scaled_observation(task, s, scale), *terms, verdict.reward, *flags, *slate)
 
     size, at = 6 + shape.joints, shape.slate
     sizes = (
         size, size, 2 * shape.coordinates, width(at), width(shape.moved), shape.joints,
-        shape.goal, width(shape.given), 8,
+        shape.goal, width(shape.external), 8,
     )  # fmt: skip
-    told = tuple(k.stop - k.start for k in shape.told.values())
+    outputs = tuple(k.stop - k.start for k in shape.outputs.values())
     carried = tuple(k.stop - k.start for k in at.values())
-    return _graph("close", closed, sizes, (*told, *carried), split=len(told))
+    return _graph("close", closed, sizes, (*outputs, *carried), split=len(outputs))
 
 
 def _laboratory(shape: Shape) -> dict[str, casadi.Function]:
@@ -326,8 +330,8 @@ def _laboratory(shape: Shape) -> dict[str, casadi.Function]:
     n, count = shape.joints, shape.system.substeps + 1
     size, width = 6 + n, 12 + 2 * n  # accelerations, torques, wrench
     z, zd, gains = ca.SX.sym("z", size), ca.SX.sym("zd", size), ca.SX.sym("gains", 2 * n)
-    draws, told = ca.SX.sym("draws", 18), ca.SX.sym("told", count * width)
-    forces = [told[(i + 1) * width - 6 : (i + 1) * width] for i in range(count)]
+    draws, outputs = ca.SX.sym("draws", 18), ca.SX.sym("outputs", count * width)
+    forces = [outputs[(i + 1) * width - 6 : (i + 1) * width] for i in range(count)]
     signals = {
         "q": z[6:], "kp": gains[:n], "kd": gains[n:], "y_engine": z[:6], "yd_engine": zd[:6],
         "weight": ca.SX.zeros(6), "wrench": ca.vertcat(*forces), "draws": draws,
@@ -342,14 +346,14 @@ def _laboratory(shape: Shape) -> dict[str, casadi.Function]:
         nodes += [push[6 * i : 6 * i + 6], commands[at + 6 : at + size]]
     y, X, reading = ca.SX.sym("y", 6), ca.SX.sym("X", 12), ca.SX.sym("reading", 6)
     frozen, lost = ca.SX.sym("frozen"), ca.SX.sym("lost")
-    seen = ca.vertcat(y, ca.if_else(frozen, 0.0, X[6:]), ca.fmax(frozen, lost))
+    scene_rows = ca.vertcat(y, ca.if_else(frozen, 0.0, X[6:]), ca.fmax(frozen, lost))
     return {
         "lab_before": ca.Function("lab_before", [z, zd, gains], first),
         "lab_nodes": ca.Function("lab_nodes", [push, commands], [ca.vertcat(*nodes)]),
         "lab_after": ca.Function(
-            "lab_after", [told, z, draws, reading], [*second, ca.SX(reading)]
+            "lab_after", [outputs, z, draws, reading], [*second, ca.SX(reading)]
         ),
-        "lab_seen": ca.Function("lab_seen", [y, X, frozen, lost], [seen]),
+        "lab_seen": ca.Function("lab_seen", [y, X, frozen, lost], [scene_rows]),
     }
 
 

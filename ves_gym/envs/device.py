@@ -68,8 +68,8 @@ class DeviceVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             ("num_envs", num_envs),
             ("starts", 1 if starts is None else starts),
         ):
-            whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-            if not whole or value < 1:
+            complete = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+            if not complete or value < 1:
                 raise ParameterError(f"{name} must be a whole number >= 1, got {value!r}")
         self.task, self.num_envs = build_task(task, **settings), num_envs
         self._batch = Batch(self.task, num_envs)  # draws beginnings, and names the rows
@@ -121,25 +121,27 @@ class DeviceVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         """
         if self._tables is None:
             raise gym.error.ResetNeeded("call reset before step")
-        rows, task, told = self.rows, self.task, self.shape.told
+        rows, task, outputs = self.rows, self.task, self.shape.outputs
         with rows.on_stream():
-            if self.shape.found:
-                rows.look_up(self._tables["found"], self._row)
+            if self.shape.table_values:
+                rows.look_up(self._tables["table_values"], self._row)
             rows.move(actions)
-            seen = rows.told_now
-            ended = (seen[told["last"]] + seen[told["failed"]])[0] > 0
+            latest = rows.outputs_now
+            ended = (latest[outputs["last"]] + latest[outputs["failed"]])[0] > 0
             ids = ended.nonzero()[:, 0]  # the one number that the host waits for: how many
             info: dict[str, Any] = {}
             if len(ids):
                 info |= rows.close_episodes(ids, ended)
-                seen = rows.told_now
-            last, failed, success = (seen[told[k]][0] > 0 for k in ("last", "failed", "solved"))
+                latest = rows.outputs_now
+            last, failed, success = (
+                latest[outputs[k]][0] > 0 for k in ("last", "failed", "solved")
+            )
             terminated, truncated = outcome(task, last, failed)
-            reward = seen[told["reward"]][0].clone()
+            reward = latest[outputs["reward"]][0].clone()
             for name in self.shape.terms:
-                info[f"reward/{name}"] = seen[told[f"reward/{name}"]][0].clone()
+                info[f"reward/{name}"] = latest[outputs[f"reward/{name}"]][0].clone()
             info["success"] = success
-            observation = seen[told["observation"]].T.float().contiguous()
+            observation = latest[outputs["observation"]].T.float().contiguous()
             rows.turn()
             if len(ids):
                 info["final_obs"], info["_final_obs"] = observation.clone(), ended

@@ -51,8 +51,8 @@ class DeviceRows:
         first, p = self.backend.names.index("kp1"), self.simulations.p
         sizes = {
             "goal": shape.goal, "action": batch.width, "moved": width(shape.moved),
-            "given": width(shape.given), "told": width(shape.told), "tau": joints,
-            "extra": joints, "nodes": shape.nodes * (6 + joints), "seen": 8,
+            "external": width(shape.external), "outputs": width(shape.outputs), "tau": joints,
+            "extra": joints, "nodes": shape.nodes * (6 + joints), "scene_rows": 8,
         }  # fmt: skip
         rows = {name: self._zeros(size) for name, size in sizes.items()}
         rows["gains"] = p[first : first + 2 * joints] if gained else self._zeros(2 * joints)
@@ -76,7 +76,9 @@ class DeviceRows:
         shape, space, size = self.shape, self._space, 6 + self.shape.joints
         graphs = compiled.graphs(shape)
         key = compiled.digest(shape, graphs)
-        x, goal, moved, tau, told = (rows[k] for k in ("x", "goal", "moved", "tau", "told"))
+        x, goal, moved, tau, outputs = (
+            rows[k] for k in ("x", "goal", "moved", "tau", "outputs")
+        )
         z, zd = x[:size], x[shape.coordinates : shape.coordinates + size]
         nothing, everyone = self.simulations.nothing, self.simulations.everyone
 
@@ -103,8 +105,20 @@ class DeviceRows:
         inputs = [*state, self.simulations.fault, system.substeps, 1, system.physics_dt]
         advance = advance_kernel(system, self.real, record=False)
         out.append(launch(advance, self.n, inputs, self.device, record=True))
-        out.append(run_map(SceneMap, 3, z, zd, x[:6], rows["described"], rows["seen"]))
-        parts = [z, zd, x, before, moved, tau, goal, rows["given"], rows["seen"], told, after]
+        out.append(run_map(SceneMap, 3, z, zd, x[:6], rows["described"], rows["scene_rows"]))
+        parts = [
+            z,
+            zd,
+            x,
+            before,
+            moved,
+            tau,
+            goal,
+            rows["external"],
+            rows["scene_rows"],
+            outputs,
+            after,
+        ]
         out.append(run("close", *parts))
         return out
 
@@ -139,9 +153,9 @@ class DeviceRows:
         return self.wp.ScopedStream(self.wp.stream_from_torch(stream), sync_enter=False)
 
     @property
-    def told_now(self) -> Any:
+    def outputs_now(self) -> Any:
         """(told, n) of the last period."""
-        return self._views["told"]
+        return self._views["outputs"]
 
     def look_up(self, table: Any, rows: Any) -> None:
         """Give the formulas what `Task.lookup` finds for the end of the coming period.
@@ -151,8 +165,8 @@ class DeviceRows:
             rows: (n,) of the present ones.
         """
         steps = self._slates[self._parity][self.shape.slate["steps"]][0].round().long() + 1
-        found = table[rows, steps.clamp(max=table.shape[1] - 1)]
-        self._views["given"][self.shape.given["found"]] = found.T
+        table_values = table[rows, steps.clamp(max=table.shape[1] - 1)]
+        self._views["external"][self.shape.external["table_values"]] = table_values.T
 
     def move(self, actions: Any) -> None:
         """Run one period."""
@@ -167,7 +181,7 @@ class DeviceRows:
             command.launch()
 
     def turn(self) -> None:
-        """What is after this period is before the next."""
+        """Take the state after this period for the one before the next."""
         self._parity = 1 - self._parity
 
     @property
@@ -180,10 +194,10 @@ class DeviceRows:
         torch, task, shape = self.torch, self.task, self.shape
         tail = torch.zeros(self.n, dtype=torch.float64, device=self.torch_device)
         if task.tail:
-            diverged = self.told_now[shape.told["diverged"]][0, ids] > 0
+            diverged = self.outputs_now[shape.outputs["diverged"]][0, ids] > 0
             kept = torch.where(diverged, 0.0, self._tail(ids))
             tail[ids] = kept
-            column = self._views["given"][shape.given["tail"]]
+            column = self._views["external"][shape.external["tail"]]
             column[0] = tail
             self._programs[self._parity][-1].launch()  # the reward again
             column[0] = 0.0
@@ -242,10 +256,10 @@ class DeviceRows:
             "goal": s.goal.copy() if self.shape.goal else np.zeros((n, 1)),
             "observation": np.asarray(batch.observe(), float),
         }
-        if self.shape.found:
+        if self.shape.table_values:
             steps = (np.full(n, k) for k in range(self.task.steps + 1))
-            found = np.stack([self.task.lookup(s.goal, k) for k in steps], axis=1)
-            tables["found"] = found.astype(self.real)
+            table_values = np.stack([self.task.lookup(s.goal, k) for k in steps], axis=1)
+            tables["table_values"] = table_values.astype(self.real)
         return tables
 
     def begin(self, ids: Any, rows: dict[str, Any]) -> None:

@@ -30,7 +30,7 @@ class Episodes:
 
 
 class Verdict(NamedTuple):
-    """What a period was worth."""
+    """Reward and verdict of a period."""
 
     terms: dict[str, Array]  # (n,) of the reward
     reward: Array  # (n,) their sum
@@ -117,7 +117,7 @@ def outcome(task: Task, last: Mask, failed: Mask) -> tuple[Mask, Mask]:
     return failed, last & ~failed
 
 
-def shown(task: Task, s: Scene, scale: Array) -> Array:
+def scaled_observation(task: Task, s: Scene, scale: Array) -> Array:
     """(n, observations) in the fields' scales, clipped; what is not a number becomes 0.
 
     Args:

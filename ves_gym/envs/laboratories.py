@@ -63,7 +63,7 @@ def _nominal(system: System) -> Spec:
 
 
 def _lab(system: System) -> Spec:
-    """What a calibration leaves: gravity model and matrix, tilt, zero, age of the estimate."""
+    """Errors left by a calibration: gravity model, matrix, tilt, zero, age of estimates."""
     return {**_calibration(system, 1.0), **_tilt_and_zero(1.0), **_late(1.0, system)}
 
 
@@ -108,20 +108,22 @@ def _calibration(system: System, times: float) -> Spec:
     from ves_gym.simulation.gravity_calibration import calibration_poses, left_by_noise
 
     q, y = calibration_poses(system.arm, POSES)
-    left = left_by_noise(system.arm, q, y, times * _reading(), estimate_offset=False)
+    remainder = left_by_noise(system.arm, q, y, times * _reading(), estimate_offset=False)
     # read by C w where `fit` would give w: of signals in the sensor's frame
     frame = system.emulator_settings.sensor.frame
-    matrix = np.einsum("ab,bcm,cd->adm", frame, left.C, np.linalg.inv(frame))
+    matrix = np.einsum("ab,bcm,cd->adm", frame, remainder.C, np.linalg.inv(frame))
     return {
-        "gravity/mass": {"error": _together(0.0, left.model[:1])},
-        "gravity/moment": {"error": _together([0.0] * (len(left.model) - 1), left.model[1:])},
+        "gravity/mass": {"error": _jointly(0.0, remainder.model[:1])},
+        "gravity/moment": {
+            "error": _jointly([0.0] * (len(remainder.model) - 1), remainder.model[1:])
+        },
         "sensor/calibration": {
-            "error": _together(np.zeros((6, 6)).tolist(), matrix.reshape(36, -1))
+            "error": _jointly(np.zeros((6, 6)).tolist(), matrix.reshape(36, -1))
         },
     }
 
 
-def _together(mean: object, weights: Array) -> dict[str, Any]:
+def _jointly(mean: object, weights: Array) -> dict[str, Any]:
     return {"normal": [mean, weights.tolist()], "shared": "calibration"}
 
 

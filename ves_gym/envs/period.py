@@ -69,7 +69,7 @@ class Period:
             batch.system,
             backend.coordinates,
             goal,
-            s.found.shape[1],
+            s.table_values.shape[1],
             terms,
             signals_of(batch.sim),
         )
@@ -79,17 +79,17 @@ class Period:
         rows = lambda k: aligned(blocks, k, LANES)  # noqa: E731
         self._slate, self._next = rows(width(shape.slate)), rows(width(shape.slate))
         self._action, self._moved = rows(batch.width), rows(width(shape.moved))
-        self._goal, self._given = rows(goal), rows(width(shape.given))
-        self._told, self._tau, self._extra = rows(width(shape.told)), rows(n), rows(n)
-        self._seen = rows(8)
+        self._goal, self._external = rows(goal), rows(width(shape.external))
+        self._outputs, self._tau, self._extra = rows(width(shape.outputs)), rows(n), rows(n)
+        self._scene_rows = rows(8)
         self._nodes = rows(shape.nodes * (6 + n))
         self._waiting = False  # a simulation is marked as over
         self._laboratory: LaboratoryPrograms | None = None
         self._stopped = np.flatnonzero(batch.sim.diverged)  # these stay where they are
-        told = shape.told
-        self._flags = slice(told["last"].start, told["event"].stop)
-        self._observed, self._reward = told["observation"], told["reward"].start
-        self._terms = [(f"reward/{name}", told[f"reward/{name}"].start) for name in terms]
+        outputs = shape.outputs
+        self._flags = slice(outputs["last"].start, outputs["event"].stop)
+        self._observed, self._reward = outputs["observation"], outputs["reward"].start
+        self._terms = [(f"reward/{name}", outputs[f"reward/{name}"].start) for name in terms]
         self._clipped = shape.slate["clipped"].start
         self._emulated = batch.system.mode == "emulated"
         self._alone = blocks == 1
@@ -99,7 +99,7 @@ class Period:
         gains = rows(2 * n)
         if (self.direct or shape.signals) and batch.task.control.level == "gains":
             gains = backend.rows_of_gains()
-        measured = self._given[:, shape.given["y_seen"]] if self._emulated else z[:, :6]
+        measured = self._external[:, shape.external["y_seen"]] if self._emulated else z[:, :6]
         first = [
             Piece(library, "keep", [self._next, self._slate]),
             Piece(library, "move", [z, zd, self._slate, self._goal, self._action, self._moved]),
@@ -108,19 +108,19 @@ class Period:
             first.append(torques.piece([self._moved[:, at["ref"]]], self._extra))
         rows_in = [before, self._moved, self._extra]
         first.append(Piece(library, "follow", [*rows_in, self._nodes, self._tau, gains]))
-        rows_in = [z, zd, x, self._slate, self._moved, self._tau, self._goal, self._given]
+        rows_in = [z, zd, x, self._slate, self._moved, self._tau, self._goal, self._external]
         last = [
-            scenes.piece([z, zd, measured], self._seen),
-            Piece(library, "close", [*rows_in, self._seen, self._told, self._next]),
+            scenes.piece([z, zd, measured], self._scene_rows),
+            Piece(library, "close", [*rows_in, self._scene_rows, self._outputs, self._next]),
         ]
         steps = batch.system.substeps
         self._before, self._after = Program(library, first), Program(library, last)
-        self._whole = [
+        self._period_programs = [
             Program(library, [*first, piece, *last])
             for piece in backend.pieces(library, self._nodes, shape.nodes, steps)
         ]
         if shape.signals is not None:
-            made_of = (batch.sim, shape, library, first, last, (self._nodes, self._given))
+            made_of = (batch.sim, shape, library, first, last, (self._nodes, self._external))
             self._laboratory = LaboratoryPrograms(*made_of)
 
     def _probe(self) -> tuple[tuple[str, ...], bytes]:
@@ -161,19 +161,21 @@ class Period:
         self.ahead = False
         self._write(self._next)
         s = self.batch.scene
-        rows = unlane(self._seen, self.n)
+        rows = unlane(self._scene_rows, self.n)
         s.energies, s.tool, s.tool_seen = rows[:, :2], rows[:, 2:5], rows[:, 5:]
-        rows = unlane(self._given, self.n)
-        s.found, s.tail = (rows[:, self.shape.given[k]] for k in ("found", "tail"))
+        rows = unlane(self._external, self.n)
+        s.table_values, s.tail = (
+            rows[:, self.shape.external[k]] for k in ("table_values", "tail")
+        )
         s.tail = s.tail[:, 0]
         s.time, s.y, s.yd, s.q, s.v = self.batch.sim.last_state
         s.y_seen, s.yd_seen = s.y, s.yd
         if self.batch.system.mode == "emulated":
-            given = self.shape.given
-            s.y_seen, s.yd_seen = rows[:, given["y_seen"]], rows[:, given["yd_seen"]]
+            external = self.shape.external
+            s.y_seen, s.yd_seen = rows[:, external["y_seen"]], rows[:, external["yd_seen"]]
 
     def _write(self, slate: Array) -> None:
-        """What a slate holds into the batch's scene and episodes."""
+        """Copy a slate to the batch's scene and episodes."""
         s, e = self.batch.scene, self.batch.episodes
         rows, at = unlane(slate, self.n), self.shape.slate
         k = {name: rows[:, columns] for name, columns in at.items()}
@@ -200,9 +202,9 @@ class Period:
         stopped: Mask | None = None
         in_program = False
         if self.direct:
-            if self.shape.found:
+            if self.shape.table_values:
                 self._look_up(self._next)
-            backend.run_program(self._whole, batch.system.substeps, self._stopped)
+            backend.run_program(self._period_programs, batch.system.substeps, self._stopped)
             batch.sim.stepped_elsewhere()
         elif self._laboratory is not None and self._run_laboratory():
             in_program = True
@@ -220,12 +222,12 @@ class Period:
             else:
                 start = unlane(self._slate[:, self.shape.slate["tau"]], self.n)
                 batch.sim.step(start, until=end)
-            if self.shape.found:
+            if self.shape.table_values:
                 self._look_up(self._slate)
             if self._emulated:
                 stopped = self._measure()
             self._after(0, backend.blocks)
-        rows = numbers(self._told, self.n)
+        rows = numbers(self._outputs, self.n)
         flags = rows[self._flags] != 0
         info: dict[str, Any] = {}
         if np.count_nonzero(flags[5]):
@@ -251,14 +253,14 @@ class Period:
     def _note_diverged(self) -> None:
         """Those that have diverged stay where they are, and have failed."""
         self._stopped = np.flatnonzero(self.batch.sim.diverged)
-        marks = self._given[:, self.shape.given["stopped"]]
+        marks = self._external[:, self.shape.external["stopped"]]
         if self._laboratory is not None:
             marks = self._laboratory.lost
         marks[:] = 0.0
         marks[self._stopped // LANES, 0, self._stopped % LANES] = 1.0
 
     def _run_laboratory(self) -> bool:
-        if self.shape.found:
+        if self.shape.table_values:
             self._look_up(self._next)
         assert self._laboratory is not None
         return self._laboratory.run(self._stopped)
@@ -268,32 +270,32 @@ class Period:
         return self._laboratory.stops(some)
 
     def _mark(self, over: Mask | None) -> None:
-        at = self.shape.given["over"]
+        at = self.shape.external["over"]
         if over is not None:
-            fill(self._given[:, at], over[:, None].astype(np.float64))
+            fill(self._external[:, at], over[:, None].astype(np.float64))
         elif self._waiting:
-            self._given[:, at] = 0.0
+            self._external[:, at] = 0.0
         self._waiting = over is not None
 
     def _look_up(self, slate: Array) -> None:
         batch, at = self.batch, self.shape.slate["steps"].start
         step = slate[:, at].reshape(-1)[: self.n].astype(np.intp) + 1
-        found = batch.task.lookup(batch.goals, step)
-        fill(self._given[:, self.shape.given["found"]], found)
+        table_values = batch.task.lookup(batch.goals, step)
+        fill(self._external[:, self.shape.external["table_values"]], table_values)
 
     def _measure(self) -> Mask:
-        """What the laboratory measures, and the platforms (n,) that stand still for good."""
+        """Take in the laboratory's measurements; return the platforms (n,) that stand."""
         y, yd, stopped = self.batch.measured()
-        given = self.shape.given
+        external = self.shape.external
         lost = stopped | self.batch.sim.diverged
         parts = np.concatenate([y, yd, lost[:, None]], axis=1)
-        fill(self._given[:, given["y_seen"].start : given["stopped"].stop], parts)
+        fill(self._external[:, external["y_seen"].start : external["stopped"].stop], parts)
         return stopped
 
     def _end(
         self, rows: Array, flags: npt.NDArray[np.bool_]
     ) -> tuple[Array, npt.NDArray[np.bool_], dict[str, Any]]:
-        """What is told at the ends of episodes: their energies, the tail in the reward."""
+        """Close episodes: their energies, and the tail in the reward."""
         batch, shape = self.batch, self.shape
         ended = flags[0] | flags[1]
         if not ended.any():
@@ -306,10 +308,10 @@ class Period:
             tail[ids], strain[ids] = batch.tail(
                 ids, ref, moved[:, at["kp"]], moved[:, at["kd"]]
             )
-            column = self._given[:, shape.given["tail"]]
+            column = self._external[:, shape.external["tail"]]
             fill(column, tail[:, None])
             self._after(0, self.backend.blocks)
-            rows = numbers(self._told, self.n)
+            rows = numbers(self._outputs, self.n)
             flags = rows[self._flags] != 0
             column[:] = 0.0
         batch.scene.tail = tail

@@ -23,14 +23,14 @@ _AFTER = ("wrench", "draws", "q")
 
 
 def signals_of(sim: Simulator) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
-    """What the loop's halves are given; None where they cannot be part of a program."""
+    """Signals that the loop's halves read; None where they cannot be part of a program."""
     loop = sim.emulation_loop
     if loop is None or loop.code is None or sim.joint_delays is not None:
         return None
-    given = set(loop.wiring.given)
-    if not given <= {*_BEFORE, *_AFTER} or "admittance.X" not in loop.memory:
+    external = set(loop.wiring.external)
+    if not external <= {*_BEFORE, *_AFTER} or "admittance.X" not in loop.memory:
         return None
-    first, second = (tuple(k for k in names if k in given) for names in (_BEFORE, _AFTER))
+    first, second = (tuple(k for k in names if k in external) for names in (_BEFORE, _AFTER))
     return first, second
 
 
@@ -57,11 +57,13 @@ class LaboratoryPrograms:
         assert isinstance(sim.backend, KernelBackend)
         self.sim, self.backend, self.shape = sim, sim.backend, shape
         self._library, self._first, self._last = library, tuple(first), tuple(last)
-        self._commands, given = rows
-        self._measured = given[:, shape.given["y_seen"].start : shape.given["stopped"].stop]
+        self._commands, external = rows
+        self._measured = external[
+            :, shape.external["y_seen"].start : shape.external["stopped"].stop
+        ]
         blocks, count = self.backend.blocks, shape.system.substeps + 1
         self._nodes = aligned(blocks, count * (6 + shape.joints), LANES)
-        self._told = aligned(blocks, count * self.backend.outputs, LANES)
+        self._outputs = aligned(blocks, count * self.backend.outputs, LANES)
         self._draws = aligned(blocks, 18, LANES)
         self.lost = aligned(blocks, 1, LANES)  # 1: has diverged
         self._reading = aligned(blocks, 6, LANES)
@@ -110,7 +112,7 @@ class LaboratoryPrograms:
                 library, "lab_nodes", [code.rows("acceleration"), self._commands, self._nodes]
             ),
         ]
-        rows_in = [self._told, z, self._draws, code.rows("reading")]
+        rows_in = [self._outputs, z, self._draws, code.rows("reading")]
         at = [code.rows(k) for k in ("y_measured", "admittance.X", "frozen")]
         after = [
             Piece(library, "lab_after", [*rows_in, *second, self._reading]),
@@ -119,5 +121,5 @@ class LaboratoryPrograms:
             *self._last,
         ]
         steps = self.shape.system.substeps
-        physics = backend.pieces(library, self._nodes, steps + 1, steps, self._told)
+        physics = backend.pieces(library, self._nodes, steps + 1, steps, self._outputs)
         return [Program(library, [*before, piece, *after]) for piece in physics]

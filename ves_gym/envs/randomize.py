@@ -78,11 +78,11 @@ class Range:
             return
         self._require(self.shared is None, "no `shared`: only a normal has one", self.shared)
         what = "numbers low <= high of one shape"
-        given = f"{self._given[0]} and {self._given[1]}"
+        pair = f"{self._stated[0]} and {self._stated[1]}"
         if law == "log_uniform":
             what = f"log_uniform: 0 < {what[8:]}"
         fits = alike and (first <= second).all() and (law == "uniform" or (first > 0).all())
-        self._require(fits, what, given)
+        self._require(fits, what, pair)
 
     @property
     def law(self) -> str:
@@ -90,7 +90,7 @@ class Range:
         return next((law for law in LAWS[1:] if getattr(self, law) is not None), LAWS[0])
 
     @property
-    def _given(self) -> tuple[Any, Any]:
+    def _stated(self) -> tuple[Any, Any]:
         pair: Any = (self.low, self.high) if self.law == "uniform" else getattr(self, self.law)
         try:
             first, second = pair
@@ -103,9 +103,9 @@ class Range:
     @cached_property
     def _pair(self) -> tuple[Array, Array]:
         """Both numbers of the law; NaN, which no test lets pass, for what is no number."""
-        given = self._given
+        pair = self._stated
         try:
-            first, second = (np.asarray(x, float) for x in given)
+            first, second = (np.asarray(x, float) for x in pair)
         except (TypeError, ValueError):
             return np.full(1, np.nan), np.full(1, np.nan)
         if np.isfinite(first).all() and np.isfinite(second).all():
@@ -206,8 +206,8 @@ class Range:
         first, second = (_brief(x) for x in self._pair)
         if self.law == "normal":
             spread = f"+- {_brief(self._deviation)}"
-            together = f", together with others of {self.shared}" if self.shared else ""
-            return f"{self.label} normal, {first} {spread}{together}"
+            others = f", together with others of {self.shared}" if self.shared else ""
+            return f"{self.label} normal, {first} {spread}{others}"
         law = "" if self.law == "uniform" else f"{self.law} "
         return f"{self.label} {law}in [{first}, {second}]"
 
@@ -226,8 +226,8 @@ class Range:
 
         if self.shared is None and first.shape == second.shape:
             low, high = self._bounds
-            known = np.where(second > 0, second, 1.0)
-            least, most = ndtr((low - first) / known), ndtr((high - first) / known)
+            divisor = np.where(second > 0, second, 1.0)
+            least, most = ndtr((low - first) / divisor), ndtr((high - first) / divisor)
             share = least + (most - least) * u.reshape(len(u), *first.shape)
             return np.clip(first + second * _normal(ndtri, share), low, high)
         out: Array = first.ravel() + matvec(self._weights, _normal(ndtri, u))

@@ -80,7 +80,7 @@ class Scene:
     memory: (
         Array  # (n, `Task.memory`) what the task remembers of the episode, zero at its start
     )
-    found: Array  # (n, k) what `Task.lookup` finds for this instant
+    table_values: Array  # (n, k) of `Task.lookup` at this instant
     tau: Array  # (n, joints) torque or drive command last asked for
     tail: Array  # (n,) J s that the base will keep after the end; zero before it
     kp: Array  # (n, joints) N m/rad in force
@@ -175,7 +175,7 @@ class Task(ABC):
         """Values (n, size) of the fields, in their units."""
 
     def lookup(self, goal: Array, step: Index) -> Array:
-        """What the formulas take from tables at an instant, as `Scene.found`.
+        """Values that the formulas take from tables at an instant, as `Scene.table_values`.
 
         Args:
             goal: (n, g) of the episodes.

@@ -161,7 +161,7 @@ class Track(Task):
 
     def remember(self, s: Scene, dt: float) -> None:
         """See `Task`."""
-        s.memory[:, 0] = ((s.found[:, 2:5] - s.tool) ** 2).sum(axis=1)
+        s.memory[:, 0] = ((s.table_values[:, 2:5] - s.tool) ** 2).sum(axis=1)
         s.memory[:, 1] += dt * s.memory[:, 0]
 
     def success(self, s: Scene) -> Mask:
@@ -189,8 +189,8 @@ class Track(Task):
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
         """See `Task`."""
-        n, phase = len(s.found), s.found[:, 1]
-        points = s.found[:, 2:].reshape(n, -1, 3) - s.tool_seen[:, None]
+        n, phase = len(s.table_values), s.table_values[:, 1]
+        points = s.table_values[:, 2:].reshape(n, -1, 3) - s.tool_seen[:, None]
         return (
             s.q,
             *rates(self.control, s),
@@ -199,14 +199,14 @@ class Track(Task):
             points.reshape(n, -1),
             np.column_stack([np.sin(phase), np.cos(phase)]),
             (self.duration - s.time)[:, None],
-            np.log10(s.found[:, :1]),
+            np.log10(s.table_values[:, :1]),
         )
 
     # -------------------------------------------------------------------- reward
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         """See `Task`."""
-        scale = s.found[:, 0] * (self.duration + self.tail) / self.thrift
+        scale = s.table_values[:, 0] * (self.duration + self.tail) / self.thrift
         return {
             "error": (1 - np.sqrt(1 + s.memory[:, 0] / self.near**2)) * (dt / self.duration),
             "energy": -s.energy * dt / scale,

@@ -25,7 +25,7 @@ from ves_gym.simulation.blocks.admittance import (
     LinearAdmittance,
     NonlinearAdmittance,
 )
-from ves_gym.simulation.blocks.block import Block, ModelOf, Shape
+from ves_gym.simulation.blocks.block import Block, LoopShape, ModelOf
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
 from ves_gym.simulation.blocks.force_sensor import ForceSensorBlock
 from ves_gym.simulation.blocks.gravity_estimate import GravityEstimate
@@ -123,15 +123,15 @@ class EmulationLoop:
         if isinstance(spec.platform, LegServo):
             legs = Legs(spec.platform, spec.stewart, *clock)
         states = 0 if legs is None else legs.leg.size
-        self.shape = shape = Shape(system.substeps + 1, system.arm.n, *clock, states)
+        self.shape = shape = LoopShape(system.substeps + 1, system.arm.n, *clock, states)
         moving = system.arm.n if system.drive == "motor" else 0  # joints that give way
-        held = moving if self.compensating else 0
+        servo_joints = moving if self.compensating else 0
         microgravity = spec.operation == "microgravity"
         before: list[Block] = []
         if self.compensating:
             before.append(ArmInertia(self._arm, self.n))
         if spec.operation != "position":
-            before.append(self._admittance(held))
+            before.append(self._admittance(servo_joints))
         platform = self._platform(legs, as_stated=False)
         self.platform = platform[0]
         limited = bool((p.platform_travel > 0).any() or (p.platform_speed > 0).any())
@@ -146,7 +146,7 @@ class EmulationLoop:
             if modelled:
                 before += [ModelOf(block) for block in self._platform(legs, as_stated=True)]
             cutoff = spec.sensor.cutoff
-            before.append(PayloadCompensation(shape, held, cutoff, modelled))
+            before.append(PayloadCompensation(shape, servo_joints, cutoff, modelled))
         before.append(EngineInput(shape))
         self.sensor = ForceSensorBlock(spec.sensor, shape)
         after: list[Block] = [self.sensor]
@@ -156,18 +156,18 @@ class EmulationLoop:
             tabulated = self.table is not None
             self.estimate = GravityEstimate(system.arm, shape, oldest, tabulated)
             after.append(self.estimate)
-        given = ["q", "y_engine", "yd_engine", "wrench", "draws"]
+        external = ["q", "y_engine", "yd_engine", "wrench", "draws"]
         if self.compensating:
-            given += ["kp", "kd"]
+            external += ["kp", "kd"]
         if spec.operation == "position":
-            given.append("motion")
+            external.append("motion")
         if self.table is not None:
-            given.append("table")
+            external.append("table")
         if not microgravity:
-            given.append("weight")
-        watched = [k for k in _WATCHED if k not in given]
-        self.wiring = Wiring(before, after, given, watched)
-        known = getattr(self, "memory", None)
+            external.append("weight")
+        watched = [k for k in _WATCHED if k not in external]
+        self.wiring = Wiring(before, after, external, watched)
+        earlier = getattr(self, "memory", None)
         names = getattr(self, "_carried", ())
         self._carried = self.wiring.carried(shape)
         self._code: CompiledLoop | None = None
@@ -176,16 +176,16 @@ class EmulationLoop:
             self._code = CompiledLoop(self.wiring, self.memory)
         else:
             self.memory = NamedArrays(self._carried, self.n, lanes=False)
-        if known is not None:
-            self._remember(known.copied(names))
+        if earlier is not None:
+            self._remember(earlier.copied(names))
 
-    def _admittance(self, held: int) -> Block:
+    def _admittance(self, servo_joints: int) -> Block:
         system, spec = self.system, self.spec
         carried = len(system.actual.base.extra)
         if self.compensating:
             lag = spec.lag(self.dt)
             return CoupledAdmittance(
-                self.shape, carried, held, lag, self.nonlinear, self.custom
+                self.shape, carried, servo_joints, lag, self.nonlinear, self.custom
             )
         if self.nonlinear:
             return NonlinearAdmittance(self.shape, self.custom)
@@ -198,18 +198,18 @@ class EmulationLoop:
         assert isinstance(self.spec.platform, PoseServo)
         return [PosePlatform(self.spec.platform, self.shape, as_stated=as_stated)]
 
-    def _remember(self, known: Mapping[str, Array]) -> None:
+    def _remember(self, earlier: Mapping[str, Array]) -> None:
         """Carry memory over from a wiring with other arrays, or shorter or longer ones."""
         for name, shape in self._carried.items():
-            if name.startswith("platform_model.") and name not in known:
-                value = known[name.replace("platform_model", "platform")]
-            elif name in known:
-                value = known[name]
+            if name.startswith("platform_model.") and name not in earlier:
+                value = earlier[name.replace("platform_model", "platform")]
+            elif name in earlier:
+                value = earlier[name]
             else:
                 continue
             if value.shape[1:] != shape:  # another length of the past
                 missing = max(0, shape[0] - value.shape[1])  # as the oldest that is known
-                oldest = value[:, -1:] if value.shape[1] else known["command_sent"][:, None]
+                oldest = value[:, -1:] if value.shape[1] else earlier["command_sent"][:, None]
                 value = np.concatenate([value, np.repeat(oldest, missing, axis=1)], axis=1)
                 value = value[:, : shape[0]]
             self.memory[name] = value
@@ -224,8 +224,8 @@ class EmulationLoop:
         """Number of commands to look back over: none where platforms hear at once."""
         delay = float(self.parameters.platform_delay.max())
         oldest = int(np.ceil(delay / self.dt - 1e-9)) + 1 if delay > 0 else 0
-        known = getattr(self, "wiring", None)
-        return max(oldest, known.block("command_line").oldest) if known else oldest
+        earlier = getattr(self, "wiring", None)
+        return max(oldest, earlier.block("command_line").oldest) if earlier else oldest
 
     def _load(self) -> None:
         """Take the parameters of all simulations to the blocks."""
@@ -326,7 +326,7 @@ class EmulationLoop:
             limited and not line.limited,
             self.compensating and not p.as_stated and "platform_model" not in names,
             self.estimate is not None and self._oldest_estimate() > self.estimate.oldest,
-            (self.table is not None) != ("table" in self.wiring.given),
+            (self.table is not None) != ("table" in self.wiring.external),
         ]
         if not any(missing):
             return
@@ -379,7 +379,7 @@ class EmulationLoop:
             u |= outputs
             for name, values in x.items():
                 self.memory.put(ids, f"{block.name}.{name}", values)
-        for name in self.wiring.held:
+        for name in self.wiring.delayed:
             self.memory.put(ids, name, u[name])
         if self.spec.zero_at_start:
             self.zero(ids)
@@ -390,13 +390,13 @@ class EmulationLoop:
 
     def get_state(self) -> Any:
         """Everything needed to continue exactly from here; picklable."""
-        rest = copy.deepcopy((self.time, self.events, self.table))
-        return self.memory.copied(self._carried), rest
+        others = copy.deepcopy((self.time, self.events, self.table))
+        return self.memory.copied(self._carried), others
 
     def set_state(self, state: Any) -> None:
         """Return to a state handed out by `get_state`."""
-        memory, rest = state
-        self.time, self.events, self.table = copy.deepcopy(rest)
+        memory, others = state
+        self.time, self.events, self.table = copy.deepcopy(others)
         self._rewire()
         self._remember(memory)
 
@@ -422,15 +422,15 @@ class EmulationLoop:
         Returns:
             (n, k + 1, 6) acceleration Y'' at the period's nodes.
         """
-        given = {"q": q, "kp": kp, "kd": kd, "y_engine": y_engine, "yd_engine": yd_engine}
+        external = {"q": q, "kp": kp, "kd": kd, "y_engine": y_engine, "yd_engine": yd_engine}
         if self.spec.operation == "position":
             sent = self.memory["command_sent"][:, :6]
             where = (sent, np.zeros_like(sent)) if platform is None else platform
-            given["motion"] = np.concatenate(where, axis=-1)
+            external["motion"] = np.concatenate(where, axis=-1)
         if self.estimate is None:
-            given["weight"] = np.zeros((self.n, 6))
+            external["weight"] = np.zeros((self.n, 6))
         before = self.frozen
-        acceleration = self._run("before", given, "acceleration")
+        acceleration = self._run("before", external, "acceleration")
         new = self.frozen & ~before
         if new.any():
             self._report(np.flatnonzero(new), self.memory["reading"])
@@ -458,12 +458,12 @@ class EmulationLoop:
             q: (n, joints) measured angles [rad].
         """
         self.time = self.time + self.dt
-        given = {"wrench": wrench, "draws": self.draws(), "q": q}
+        external = {"wrench": wrench, "draws": self.draws(), "q": q}
         if self.table is not None:
-            given["table"] = self.table[:, 0]
+            external["table"] = self.table[:, 0]
             if self.table.shape[1] > 1:
                 self.table = self.table[:, 1:]
-        self._run("after", given, "reading")
+        self._run("after", external, "reading")
 
     def draws(self) -> Array:
         """(n, 18) standard normal numbers that the sensors take in a period."""
@@ -485,22 +485,22 @@ class EmulationLoop:
                 platforms are frozen of which no event tells; None: there are none.
         """
         if reading is not None:
-            known = {event.simulation for event in self.events}
-            new = [i for i in np.flatnonzero(self.frozen).tolist() if i not in known]
+            earlier = {event.simulation for event in self.events}
+            new = [i for i in np.flatnonzero(self.frozen).tolist() if i not in earlier]
             self._report(np.array(new, np.intp), reading)
         self.time = self.time + self.dt
 
-    def _run(self, half: str, given: dict[str, Array], wanted: str) -> Array:
+    def _run(self, half: str, external: dict[str, Array], output: str) -> Array:
         """Run the blocks before or after the engine, and return one of their signals."""
         if self._code is not None:
-            self._code(half, given)
-            return self._code.signal(wanted)
+            self._code(half, external)
+            return self._code.signal(output)
         blocks = self.wiring.before if half == "before" else self.wiring.after
         x = {name: self.memory[name] for name in self._carried}
-        changed, out = self.wiring.run(blocks, NUMPY, self.p, x, given)
+        changed, out = self.wiring.run(blocks, NUMPY, self.p, x, external)
         for name, values in changed.items():
             self.memory[name] = values
-        return out[wanted]
+        return out[output]
 
     def use_table(self, table: Array | None) -> None:
         """Take the weight from a table.

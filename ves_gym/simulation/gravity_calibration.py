@@ -192,7 +192,7 @@ def fit(
 
 
 class LeftByNoise(NamedTuple):
-    """What the readings' noise leaves of a calibration, as weights of m standard normal
+    """Errors that the readings' noise leaves in a calibration, as weights of m standard normal
     numbers: an error is weights @ numbers, its covariance weights @ weights.T.
     """
 

@@ -283,14 +283,14 @@ class Simulator:
     @property
     def systems(self) -> tuple[System, ...]:
         """The n systems in force: the simulator's own, or what `assign` has put there."""
-        own = self._own_systems()
-        return tuple(own.get(i, self.system) for i in range(self.n))
+        assigned = self._own_systems()
+        return tuple(assigned.get(i, self.system) for i in range(self.n))
 
     def _own_systems(self) -> dict[int, System]:
-        """What `assign` and `assign_effects` have put there, by simulation."""
+        """Systems put there by `assign` and `assign_effects`, by simulation."""
         return {
-            i: given if isinstance(given, System) else given[0].system(given[1])
-            for i, given in self._assigned.items()
+            i: source if isinstance(source, System) else source[0].system(source[1])
+            for i, source in self._assigned.items()
         }
 
     def assign(self, systems: Sequence[System], ids: npt.ArrayLike | None = None) -> None:
@@ -363,10 +363,10 @@ class Simulator:
             ParameterError: as `assign`.
         """
         index = self._ids(ids)
-        if rows.own != self.system or len(rows) != len(index):
+        if rows.template != self.system or len(rows) != len(index):
             raise ParameterError(
                 f"rows must be {len(index)} of the simulator's own system, got {len(rows)} of"
-                f" {rows.own!r}"
+                f" {rows.template!r}"
             )
         assigned = {i: (rows, row) for row, i in enumerate(index.tolist())}
         if not rows.at_once or not all(rows.replaces(self._assigned.get(i)) for i in assigned):

@@ -44,7 +44,7 @@ class EffectRows:
         values: Mapping[tuple[int, str], Array],
         at_once: bool = False,
     ) -> None:
-        self.own, self.values, self.at_once = system, values, at_once
+        self.template, self.values, self.at_once = system, values, at_once
         self._size = len(next(iter(values.values())))
         self._systems: dict[int, System] = {}
 
@@ -54,10 +54,10 @@ class EffectRows:
     def system(self, row: int) -> System:
         """The system of one simulation, made when it is asked for."""
         if row not in self._systems:
-            effects = list(self.own.effects)
+            effects = list(self.template.effects)
             for i in self.places:
                 effects[i] = dataclasses.replace(effects[i], **self._row(i, row))  # type: ignore[type-var]
-            self._systems[row] = self.own.replace(effects=tuple(effects))
+            self._systems[row] = self.template.replace(effects=tuple(effects))
         return self._systems[row]
 
     @cached_property
@@ -67,16 +67,16 @@ class EffectRows:
 
     def varied(self, kind: type[Effect] | tuple[type[Effect], ...]) -> bool:
         """True if an effect of a kind differs between simulations."""
-        return any(isinstance(self.own.effects[i], kind) for i in self.places)
+        return any(isinstance(self.template.effects[i], kind) for i in self.places)
 
-    def replaces(self, given: Given | None) -> bool:
+    def replaces(self, assigned: Given | None) -> bool:
         """True if these rows say all that differs from `own` where `given` was in force."""
-        if given is None:
+        if assigned is None:
             return True
-        if isinstance(given, System):
+        if isinstance(assigned, System):
             return False
-        before = given[0]
-        same = before.own is self.own and before.places == self.places
+        before = assigned[0]
+        same = before.template is self.template and before.places == self.places
         return same and before.at_once
 
     def _row(self, i: int, row: int) -> dict[str, Any]:
@@ -84,7 +84,7 @@ class EffectRows:
 
     def _turned(self, i: int) -> Effect:
         """Effect i with arrays (*shape, k) for parameters."""
-        effect, values = self.own.effects[i], {}
+        effect, values = self.template.effects[i], {}
         for field in dataclasses.fields(effect):  # type: ignore[arg-type]
             if (i, field.name) in self.values:
                 values[field.name] = np.moveaxis(self.values[i, field.name], 0, -1)
@@ -106,7 +106,7 @@ class EffectRows:
             ParameterError: relative changes that add up to -1 or less.
         """
         p = start.repeated(len(self)).with_simulations_last()
-        for i in range(self.places[0], len(self.own.effects)):
+        for i in range(self.places[0], len(self.template.effects)):
             effect = self._turned(i)
             if isinstance(effect, LaboratoryEffect):
                 effect.edit(p)
@@ -116,7 +116,9 @@ class EffectRows:
         """Parameters (k,) of the torque laws that differ, by their names in the kernel."""
         out = {}
         # the engine's own system has no effects on arm and vehicle (`System.actual`)
-        effects = [(i, e) for i, e in enumerate(self.own.effects) if not isinstance(e, BODIES)]
+        effects = [
+            (i, e) for i, e in enumerate(self.template.effects) if not isinstance(e, BODIES)
+        ]
         for place, (i, effect) in enumerate(effects, start=1):
             for (k, name), rows in self.values.items():
                 if k != i or not isinstance(effect, TorqueEffect):
@@ -135,16 +137,16 @@ class EffectRows:
             start: parameters as described, (1, ...).
         """
         out = start.copy()
-        for effect in self.own.effects[: self.places[0]]:
+        for effect in self.template.effects[: self.places[0]]:
             if isinstance(effect, LaboratoryEffect):
                 effect.edit(out)
         return out
 
     def delays(self) -> Delays:
         """Delays (k, ...) between joint controller and drives."""
-        k, joints = len(self), self.own.arm.n
+        k, joints = len(self), self.template.arm.n
         out = Delays(np.zeros(k), np.zeros(k), np.zeros((joints, k)))
-        for i in range(len(self.own.effects)):
+        for i in range(len(self.template.effects)):
             effect = self._turned(i)
             if isinstance(effect, DelayEffect):
                 effect.wire(out)

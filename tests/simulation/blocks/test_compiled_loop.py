@@ -119,7 +119,7 @@ def test_a_learnt_weight_runs_compiled(monkeypatch):
     sims = [simulator_of(monkeypatch, mine, 2, compiled=k) for k in (True, False)]
     for sim in sims:
         sim.use_gravity(table)
-        assert "table" in sim.emulation_loop.wiring.given
+        assert "table" in sim.emulation_loop.wiring.external
     ours, theirs = (run(sim, 0, 0.5) for sim in sims)
     assert gap(ours, theirs) <= MOST
     np.testing.assert_array_equal(ours[10][6], theirs[10][6])

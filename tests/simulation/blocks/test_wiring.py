@@ -6,13 +6,13 @@ import pytest
 from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import GravityDelay, PlatformBandwidth, PlatformStroke
-from ves_gym.simulation.blocks.block import Block, Memory, ModelOf, Shape, signal_of
+from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, ModelOf, signal_of
 from ves_gym.simulation.blocks.wiring import Wiring
 from ves_gym.simulation.emulation_loop import EmulationLoop
 from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
 from ves_gym.system.system import System
 
-SHAPE = Shape(nodes=4, joints=3, control_dt=0.01, physics_dt=0.01 / 3)
+SHAPE = LoopShape(nodes=4, joints=3, control_dt=0.01, physics_dt=0.01 / 3)
 
 
 class Adds(Block):
@@ -64,7 +64,7 @@ def test_the_order_of_blocks_says_when_a_signal_arrives():
     b = Adds("b", ("reading",), ("payload",))
     c = Adds("c", ("payload",), ("weight",), memory=("count",))
     wiring = Wiring([a, b], [c], [])
-    assert wiring.held == ("weight", "payload")  # late; from before the engine to after it
+    assert wiring.delayed == ("weight", "payload")  # late; from before the engine to after it
     when = {(row["from"], row["to"]): row["when"] for row in wiring.describe(SHAPE)}
     late, now = "a period later", "at once"
     assert when == {("c", "a"): late, ("a", "b"): now, ("b", "c"): now}
@@ -133,7 +133,7 @@ def test_every_number_of_a_loop_is_listed(operation, compensation, effects):
     loop = loop_of(*effects, operation=operation, payload_compensation=compensation)
     wires = loop.wiring.describe(loop.shape)
     blocks = {row["name"]: row for row in loop.wiring.describe_blocks(loop.p)}
-    outside = {signal_of(name).outside for name in loop.wiring.given} | {"engine"}
+    outside = {signal_of(name).outside for name in loop.wiring.external} | {"engine"}
     assert {row["to"] for row in wires} <= {*blocks, "engine"}
     assert {row["from"] for row in wires} <= {*blocks, *outside} and "outside" not in outside
     for block in loop.wiring.blocks:
@@ -147,7 +147,7 @@ def test_every_number_of_a_loop_is_listed(operation, compensation, effects):
         assert row["summary"].endswith(".")
     # what arrives late is held; nothing else of the loop is, but what others read
     late = {row["signal"] for row in wires if row["when"] == "a period later"}
-    assert late <= set(loop.wiring.held)
+    assert late <= set(loop.wiring.delayed)
 
 
 def test_the_signals_of_a_period_have_the_shapes_listed():
@@ -155,7 +155,7 @@ def test_the_signals_of_a_period_have_the_shapes_listed():
     loop = loop_of(PlatformBandwidth(error=0.1))
     rng = np.random.default_rng(0)
     sizes = loop.wiring.everything(loop.shape)
-    given = {k: rng.normal(size=(2, *sizes[k])) for k in loop.wiring.given}
+    given = {k: rng.normal(size=(2, *sizes[k])) for k in loop.wiring.external}
     x = {k: loop.memory[k] for k in loop.memory.shapes}
     for half in (loop.wiring.before, loop.wiring.after):
         changed, out = loop.wiring.run(half, NUMPY, loop.p, x, given)

@@ -26,7 +26,7 @@ from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.simulation.blocks.admittance import CoupledAdmittance
-from ves_gym.simulation.blocks.block import Shape
+from ves_gym.simulation.blocks.block import LoopShape
 from ves_gym.simulation.blocks.payload_compensation import PayloadCompensation
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
@@ -160,8 +160,8 @@ def _moving(system: System) -> int:
     return system.arm.n if system.drive == "motor" else 0
 
 
-def _shape(system: System) -> Shape:
-    return Shape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
+def _shape(system: System) -> LoopShape:
+    return LoopShape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
 
 
 def _parameters(system: System) -> LoopParameters:
@@ -197,7 +197,7 @@ def _inverse(
     numbers = block.parameters(_parameters(system), Bodies.of(system, False, np.empty(0)))
     signals = _signals(run, taken, system, described)
     coupled = np.zeros((N, 2 * k))
-    M, D, K, _, offset = block.together(NUMPY, numbers, X, coupled, none, signals)
+    M, D, K, _, offset = block.coupled_system(NUMPY, numbers, X, coupled, none, signals)
     begin = np.zeros((len(taken.pose), 2 * size))
     begin[:, :6], begin[:, size : size + 6] = taken.pose[:, 0], taken.rate
     begin[:, 6 + m : size] = base.attached(taken.pose[:, 0])

@@ -17,7 +17,7 @@ _SAME_CLOCK = 1e-3  # by which a log's step may differ from the control period, 
 
 @dataclass(frozen=True)
 class Taken:
-    """What the controller took in and gave out, N control periods, k copies."""
+    """Inputs and outputs of the controller, N control periods, k copies."""
 
     force: Array  # (k, N, 6) reading less estimate, platform frame [N, N m]
     pose: Array  # (k, N, 6) commanded [m, rad]

@@ -11,7 +11,7 @@ from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array
 from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import PoseServo
-from ves_gym.simulation.blocks.block import Block, Shape
+from ves_gym.simulation.blocks.block import Block, LoopShape
 from ves_gym.simulation.blocks.platform import CommandLine, LegSensors, LegServos, PosePlatform
 from ves_gym.simulation.blocks.wiring import Wiring
 from ves_gym.system.deviations import LoopParameters
@@ -34,7 +34,7 @@ def platform_response(
         (n, T, 6) poses at the ends of the periods [m, rad], the first of them `y`.
     """
     settings = system.emulator_settings
-    shape = Shape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
+    shape = LoopShape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
     command = within_reach(system, p, command, y, yd)
     servo = settings.platform
     if isinstance(servo, PoseServo):
@@ -51,7 +51,9 @@ class Platforms:
 
     def __init__(self, system: System, p: LoopParameters, y: Array, yd: Array) -> None:
         settings = system.emulator_settings
-        shape = Shape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
+        shape = LoopShape(
+            system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt
+        )
         blocks: list[Block]
         if isinstance(settings.platform, PoseServo):
             first: PosePlatform | LegServos = PosePlatform(settings.platform, shape)
@@ -73,8 +75,8 @@ class Platforms:
         Args:
             command: (n, 12) received.
         """
-        given = {"command_received": command}
-        run = self._wiring.run(self._wiring.before, NUMPY, self._p, self._x, given)
+        external = {"command_received": command}
+        run = self._wiring.run(self._wiring.before, NUMPY, self._p, self._x, external)
         self._x, signals = run
         return signals
 
@@ -90,16 +92,16 @@ def within_reach(
     Returns:
         (n, T, 12).
     """
-    shape = Shape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
+    shape = LoopShape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
     line = CommandLine(system.emulator_settings.stewart, shape, 0, True)
     travel, speed = p.platform_travel, p.platform_speed
     if not (travel.any() or speed.any()):
         return command
     command, dt = command.copy(), line.shape.control_dt
     for i in np.flatnonzero((travel > 0) & (speed == 0)):  # each sample for itself
-        asked = command[i, :, :6].copy()
-        command[i, :, :6] = line.shortened(NUMPY, asked, np.full(len(asked), travel[i]))
-        late = np.flatnonzero((command[i, 1:, :6] != asked[1:]).any(axis=1)) + 1
+        wished = command[i, :, :6].copy()
+        command[i, :, :6] = line.shortened(NUMPY, wished, np.full(len(wished), travel[i]))
+        late = np.flatnonzero((command[i, 1:, :6] != wished[1:]).any(axis=1)) + 1
         command[i, late, 6:] = (command[i, late, :6] - command[i, late - 1, :6]) / dt
     slow = np.flatnonzero(speed > 0)
     numbers = {"travel": travel[slow], "speed": speed[slow]}

@@ -110,7 +110,7 @@ class GpuKernelBackend(CompiledBackend):
                 stacklevel=4,
             )
         self._p = np.tile(self.rows.values[:, None], (1, n))
-        self._known = False  # the device has these parameters
+        self._loaded = False  # the device has these parameters
         self._u = np.zeros((n, self._nu))
         self._start, self._ticks = np.zeros(n), np.zeros(n, np.int64)
 
@@ -134,13 +134,13 @@ class GpuKernelBackend(CompiledBackend):
     ) -> Array:
         """Advance; nodes (n, k, nu) of the commands. Outputs (n, steps + 1, ny), or none."""
         sims = self.simulations
-        if not self._known:
+        if not self._loaded:
             sims.set_parameters(self._p)
-            self._known = True
+            self._loaded = True
         u = sims.array(np.moveaxis(nodes, 0, 2).reshape(-1, self.n))
-        seen = sims.advance(u, steps, each, ids, record).numpy()
+        outputs = sims.advance(u, steps, each, ids, record).numpy()
         self._ticks[slice(None) if ids is None else ids] += steps
-        return np.array(np.moveaxis(seen.reshape(-1, self._ny, self.n), 2, 0), np.float64)
+        return np.array(np.moveaxis(outputs.reshape(-1, self._ny, self.n), 2, 0), np.float64)
 
     # --------------------------------------------------------------- backend
 
@@ -169,14 +169,14 @@ class GpuKernelBackend(CompiledBackend):
 
     def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
         self._p[at, ids] = values
-        self._known = False
+        self._loaded = False
 
     def _row(self, i: int) -> Array:
         return self._p[:, i]
 
     def assign(self, ids: Index, systems: Sequence[System]) -> None:
         super().assign(ids, systems)
-        self._known = False
+        self._loaded = False
 
     def step(
         self,
@@ -205,15 +205,15 @@ class GpuKernelBackend(CompiledBackend):
 
     def step_on_platform(self, commands: Array, base: Array, ids: Index | None) -> Array:
         nodes = np.concatenate([base, commands], axis=-1)
-        seen = self._run(nodes, commands.shape[1] - 1, 1, ids, record=True)
+        outputs = self._run(nodes, commands.shape[1] - 1, 1, ids, record=True)
         self._u = nodes[:, -1].copy()
-        return np.ascontiguousarray(seen[..., -6:])
+        return np.ascontiguousarray(outputs[..., -6:])
 
     def evaluate(self, command: Array) -> tuple[Array, Array]:
         self._u[:, 6:] = command
-        seen = self._run(self._u[:, None], 0, 1, None, record=True)[:, 0]
+        outputs = self._run(self._u[:, None], 0, 1, None, record=True)[:, 0]
         size = 6 + self.joints
-        zdd, torque = seen[:, :size], seen[:, size : size + self.joints]
+        zdd, torque = outputs[:, :size], outputs[:, size : size + self.joints]
         if self.prescribed:
             torque = torque - PRESCRIBED_INERTIA * zdd[:, 6:]
         return torque, zdd

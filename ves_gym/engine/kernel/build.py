@@ -51,7 +51,7 @@ class Library:
                 setattr(self, name, signature(address))
 
     def address(self, name: str) -> int:
-        """Where a function is; it stays there as long as the library lives."""
+        """Address of a function, as long as the library lives."""
         return int(self._engine.get_function_address(name))
 
 

@@ -76,7 +76,7 @@ class Step(Piece):
         self._owners = library, owners
 
 
-class Driven(Piece):
+class LoopPiece(Piece):
     """A function of `emit.emit_driver` as a piece of a program.
 
     Args:

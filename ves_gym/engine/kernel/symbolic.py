@@ -234,7 +234,7 @@ def _power(a: Any, b: Any) -> Any:
 
 @functools.cache
 def _operations() -> Mapping[str, Callable[..., Any]]:
-    """What each elementwise operation of NumPy is in a graph; truth is 1, falsehood 0."""
+    """Each elementwise operation of NumPy as a graph's; truth is 1, falsehood 0."""
     import casadi as ca
 
     def where(condition: Any, yes: Any, no: Any) -> Any:

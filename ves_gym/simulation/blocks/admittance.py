@@ -11,7 +11,7 @@ from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.hardware.admittance import Nonlinear, implicit_step, integrate, rigid_bodies
 from ves_gym.mechanics.spatial import matvec, rate_matrix
-from ves_gym.simulation.blocks.block import Block, Memory, Shape, Values
+from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, Values
 from ves_gym.simulation.blocks.platform import standing
 from ves_gym.system.deviations import LoopParameters
 
@@ -19,13 +19,13 @@ _STEP = 1e-6  # of the differences that linearise a vehicle [m, rad] and their r
 
 
 class _Admittance(Block):
-    """What the kinds of vehicle share: the state (Y, Y') and the m oscillators carried."""
+    """The state (Y, Y') and the m oscillators carried, which all kinds of vehicle share."""
 
     name = "admittance"
     inputs: tuple[str, ...] = ("reading", "weight", "command_sent", "frozen")
     outputs = ("motion",)
 
-    def __init__(self, shape: Shape, carried: int, joints: int = 0) -> None:
+    def __init__(self, shape: LoopShape, carried: int, joints: int = 0) -> None:
         """`carried`: oscillators of the vehicle; `joints` that a servo holds."""
         self.shape, self.carried, self.joints = shape, carried, joints
 
@@ -45,7 +45,7 @@ class _Admittance(Block):
         return slice(m, m + e), slice(2 * m + e, 2 * (m + e))
 
     @staticmethod
-    def here(xp: ArrayFunctions, x: Values, u: Values) -> Array:
+    def present_state(xp: ArrayFunctions, x: Values, u: Values) -> Array:
         """State (n, 12), at rest where a safety stop holds the platform."""
         return xp.where(xp.not_equal(u["frozen"], 0.0)[:, None], standing(u), x["X"])
 
@@ -73,7 +73,7 @@ class LinearAdmittance(_Admittance):
     def step(
         self, xp: ArrayFunctions, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
-        X = self.here(xp, x, u)
+        X = self.present_state(xp, x, u)
         force = self.force(X, u["reading"] - u["weight"])
         force = force - p["drag"] * np.abs(X[:, 6:]) * X[:, 6:]
         # row by row: one matrix product over the batch would round by its size
@@ -94,7 +94,7 @@ class NonlinearAdmittance(_Admittance):
 
     sparse = ("body", "M", "D", "K")
 
-    def __init__(self, shape: Shape, custom: Nonlinear | None) -> None:
+    def __init__(self, shape: LoopShape, custom: Nonlinear | None) -> None:
         super().__init__(shape, 0)
         self.custom = custom
         self.compiles = custom is None
@@ -113,7 +113,7 @@ class NonlinearAdmittance(_Admittance):
     def step(
         self, xp: ArrayFunctions, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
-        X = self.here(xp, x, u)
+        X = self.present_state(xp, x, u)
         force = self.force(X, u["reading"] - u["weight"])
         X = integrate(self.vehicle(p, xp), X, force, self.shape.control_dt)
         return {"X": X, "coupled": x["coupled"]}, {"motion": X}
@@ -139,7 +139,7 @@ class CoupledAdmittance(_Admittance):
 
     def __init__(
         self,
-        shape: Shape,
+        shape: LoopShape,
         carried: int,
         joints: int,
         lag: float,
@@ -166,9 +166,9 @@ class CoupledAdmittance(_Admittance):
     def step(
         self, xp: ArrayFunctions, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
-        X = self.here(xp, x, u)
+        X = self.present_state(xp, x, u)
         force = self.force(X, u["reading"] - u["weight"] + u["payload"])
-        M, D, K, state, W = self.together(xp, p, X, x["coupled"], force, u)
+        M, D, K, state, W = self.coupled_system(xp, p, X, x["coupled"], force, u)
         state = implicit_step(M, D, K, state, W, self.shape.control_dt, xp)
         X, coupled = self.split(state)
         # sensor, computer and platform delay motion by a known time: send it ahead by that
@@ -178,11 +178,13 @@ class CoupledAdmittance(_Admittance):
     def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
         """Set the state back by what the platform is told ahead."""
         x, _ = super().start(p, u)
-        system = self.together(NUMPY, p, u["X"], x["coupled"], np.zeros((len(u["X"]), 6)), u)
+        system = self.coupled_system(
+            NUMPY, p, u["X"], x["coupled"], np.zeros((len(u["X"]), 6)), u
+        )
         X, coupled = self.split(implicit_step(*system, -self.lag))
         return {"X": X, "coupled": coupled}, {"payload": np.zeros((len(X), 6))}
 
-    def together(
+    def coupled_system(
         self,
         xp: ArrayFunctions,
         p: Values,

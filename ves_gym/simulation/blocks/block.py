@@ -22,7 +22,7 @@ RATE, ACCELERATION = "m/s, rad/s", "m/s^2, rad/s^2"
 
 @dataclass(frozen=True)
 class Signal:
-    """What one block hands to others, once per control period."""
+    """A quantity that one block hands to others, once per control period."""
 
     name: str
     shape: tuple[int | str, ...]  # of one simulation, sizes by their letters in `Shape.sizes`
@@ -31,13 +31,13 @@ class Signal:
     meaning: str
     outside: str = "outside"  # who hands it in where no block does
 
-    def sized(self, shape: Shape) -> tuple[int, ...]:
+    def sized(self, shape: LoopShape) -> tuple[int, ...]:
         """Return the shape with its letters replaced by numbers."""
         return tuple(shape.sizes[w] if isinstance(w, str) else w for w in self.shape)
 
 
 @dataclass(frozen=True)
-class Shape:
+class LoopShape:
     """Sizes that all blocks of a loop share."""
 
     nodes: int  # physics steps of a period, both ends counted
@@ -114,7 +114,7 @@ class Memory:
     feeds_back: bool = True  # False: constant or random, no part of the loop's dynamics
 
 
-_ANY = Shape(0, 0, 0.0, 0.0)
+_ANY = LoopShape(0, 0, 0.0, 0.0)
 
 
 class Block(ABC):
@@ -127,7 +127,7 @@ class Block(ABC):
     name: ClassVar[str]
     inputs: tuple[str, ...]  # of SIGNALS
     outputs: tuple[str, ...]
-    shape: Shape = _ANY  # of the loop, where the block asks for its sizes or clocks
+    shape: LoopShape = _ANY  # of the loop, where the block asks for its sizes or clocks
     compiles: bool = True  # False: its text cannot be traced
     repeats: int = 1  # times that `step` runs in a control period
     stacked: tuple[str, ...] = ()  # outputs that repetitions put side by side, not over again
@@ -140,7 +140,7 @@ class Block(ABC):
 
     @property
     def memory(self) -> dict[str, Memory]:
-        """What the block carries over."""
+        """Arrays that the block carries over."""
         return {}
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:

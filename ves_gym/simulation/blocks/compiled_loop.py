@@ -21,7 +21,7 @@ from ves_gym.engine.kernel.blocks import aligned, fill, unlane
 from ves_gym.engine.kernel.build import Library, linked
 from ves_gym.engine.kernel.emit import LANES, Call, emit_driver, emit_shared
 from ves_gym.engine.kernel.graph_arrays import GRAPH, column, symbols
-from ves_gym.engine.kernel.pieces import Driven
+from ves_gym.engine.kernel.pieces import LoopPiece
 from ves_gym.simulation.blocks.block import Block
 from ves_gym.simulation.blocks.memory import NamedArrays
 from ves_gym.simulation.blocks.wiring import Parameters, Wiring
@@ -92,7 +92,7 @@ class CompiledLoop:
         return _LIBRARIES[key]
 
     def _call(self, code: _BlockCode, at: int) -> Call:
-        """Where a block finds its arrays; `at`: the first row of its parameters."""
+        """Return the places of a block's arrays; `at`: the first row of its parameters."""
         places, block = self.memory.places, code.block
         mine = [places[f"{block.name}.{k}"].start for k in block.memory]
         reads = [places[k].start for k in block.inputs]
@@ -111,7 +111,7 @@ class CompiledLoop:
             repeats=block.repeats,
         )
 
-    def __call__(self, half: str, given: Mapping[str, Array]) -> None:
+    def __call__(self, half: str, external: Mapping[str, Array]) -> None:
         """Run a half for all simulations, in place.
 
         Args:
@@ -120,14 +120,14 @@ class CompiledLoop:
         """
         assert self._library is not None
         n = self.memory.n
-        for name, values in given.items():
+        for name, values in external.items():
             if name in self._rows:
                 rows = self._rows[name]
                 fill(rows, values.reshape(n, rows.shape[1]))
         run = self._library.before if half == "before" else self._library.after
         run(self.lanes.ctypes.data, self._p.ctypes.data, 0, len(self.lanes))
 
-    def piece(self, half: str) -> Driven:
+    def piece(self, half: str) -> LoopPiece:
         """A half as a piece of a program; another one after `load` (see `version`).
 
         What it reads from outside and puts out lies in `rows`.
@@ -136,7 +136,7 @@ class CompiledLoop:
             half: "before" or "after" the engine.
         """
         assert self._library is not None
-        return Driven(self._library, half, self.lanes, self._p)
+        return LoopPiece(self._library, half, self.lanes, self._p)
 
     @property
     def version(self) -> object:
@@ -218,10 +218,10 @@ def _entries(values: Array, sparse: bool, before: Index | None) -> Index:
     flat = _flat(values)
     if not sparse:
         return np.arange(flat.shape[1])
-    some = (flat != 0).any(axis=0)
+    used = (flat != 0).any(axis=0)
     if before is not None:
-        some[before] = True
-    return np.flatnonzero(some)
+        used[before] = True
+    return np.flatnonzero(used)
 
 
 @lru_cache(maxsize=1)

@@ -11,7 +11,7 @@ from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.hardware.force_sensor import ForceSensor, SensorErrors, low_pass, noise_steps
 from ves_gym.mechanics.spatial import matvec
-from ves_gym.simulation.blocks.block import Block, Memory, Shape, Values
+from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, Values
 from ves_gym.system.deviations import LoopParameters
 
 
@@ -22,7 +22,7 @@ class ForceSensorBlock(Block):
     inputs = ("wrench", "draws")
     outputs = ("reading",)
 
-    def __init__(self, sensor: ForceSensor, shape: Shape) -> None:
+    def __init__(self, sensor: ForceSensor, shape: LoopShape) -> None:
         self.sensor, self.shape = sensor, shape
         self.to_wrench = np.linalg.solve(sensor.frame, np.array(sensor.calibration))
         self._step = np.array([sensor.force_resolution] * 3 + [sensor.moment_resolution] * 3)

@@ -11,7 +11,7 @@ from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
-from ves_gym.simulation.blocks.block import Block, Memory, Shape, Values
+from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, Values
 from ves_gym.system.deviations import LoopParameters
 
 
@@ -21,7 +21,7 @@ class GravityEstimate(Block):
     name = "gravity_estimate"
     outputs = ("weight",)
 
-    def __init__(self, arm: Arm, shape: Shape, oldest: int, tabulated: bool) -> None:
+    def __init__(self, arm: Arm, shape: LoopShape, oldest: int, tabulated: bool) -> None:
         """`oldest`: periods to look back over; `tabulated`: from a table, not the model."""
         self.arm, self.shape, self.oldest, self.tabulated = arm, shape, oldest, tabulated
         self.inputs = ("table",) if tabulated else ("q", "y_measured")

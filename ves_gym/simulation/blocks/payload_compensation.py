@@ -15,7 +15,7 @@ from ves_gym.engine.kernel.trace import geometry, inertia_matrix, parameters
 from ves_gym.hardware.admittance import implicit_step
 from ves_gym.hardware.force_sensor import low_pass
 from ves_gym.mechanics.spatial import matvec, rate_matrix
-from ves_gym.simulation.blocks.block import Block, Memory, Shape, Values
+from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, Values
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
 
@@ -71,7 +71,7 @@ class PayloadCompensation(Block):
     name = "payload_compensation"
     outputs = ("payload",)
 
-    def __init__(self, shape: Shape, joints: int, cutoff: float, modelled: bool) -> None:
+    def __init__(self, shape: LoopShape, joints: int, cutoff: float, modelled: bool) -> None:
         """`joints` that a servo holds; `cutoff` of the sensor as stated [Hz]; `modelled`: the
         platform is not as stated, so that a model of it stands in."""
         self.shape, self.joints, self.cutoff = shape, joints, cutoff

@@ -12,7 +12,7 @@ from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import PoseServo, second_order
 from ves_gym.hardware.stewart import Stewart
-from ves_gym.simulation.blocks.block import Block, Memory, Shape, Values
+from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, Values
 from ves_gym.simulation.blocks.gravity_estimate import mixed, shares
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.emulator_settings import EmulatorSettings
@@ -51,7 +51,7 @@ class Safety(Block):
     inputs = ("command", "reading", "command_sent", "frozen")
     outputs = ("command_sent", "frozen")
 
-    def __init__(self, settings: EmulatorSettings, shape: Shape) -> None:
+    def __init__(self, settings: EmulatorSettings, shape: LoopShape) -> None:
         self.settings, self.shape = settings, shape
 
     @property
@@ -125,13 +125,13 @@ def standing(u: Values) -> Array:
 
 
 class CommandLine(Block):
-    """What reaches the platform of a command: late, or as far as short or slow legs can go."""
+    """The command as the platform receives it: late, or as far as short or slow legs can go."""
 
     name = "command_line"
     inputs = ("command_sent",)
     outputs = ("command_received",)
 
-    def __init__(self, stewart: Stewart, shape: Shape, oldest: int, limited: bool) -> None:
+    def __init__(self, stewart: Stewart, shape: LoopShape, oldest: int, limited: bool) -> None:
         """`oldest`: commands to look back over; `limited`: legs may be short or slow."""
         self.stewart, self.shape = stewart, shape
         self.oldest, self.limited = oldest, limited
@@ -223,7 +223,7 @@ class PosePlatform(Block):
     inputs = ("command_received",)
     outputs = ("y", "yd", "ydd", "y_measured")
 
-    def __init__(self, servo: PoseServo, shape: Shape, *, as_stated: bool = False) -> None:
+    def __init__(self, servo: PoseServo, shape: LoopShape, *, as_stated: bool = False) -> None:
         """`as_stated`: by the description, whatever the effects."""
         self.servo, self.shape, self.as_stated = servo, shape, as_stated
         self.nodes = np.arange(shape.nodes) * np.float64(shape.physics_dt)
@@ -346,7 +346,7 @@ class EngineInput(Block):
     inputs = ("y", "yd", "ydd", "y_engine", "yd_engine")
     outputs = ("acceleration",)
 
-    def __init__(self, shape: Shape) -> None:
+    def __init__(self, shape: LoopShape) -> None:
         self.shape, k, h = shape, shape.nodes - 1, shape.physics_dt
         self._duration = k * h
         # where the engine would be at the end: exact integrals of a piecewise linear Y''

@@ -12,8 +12,8 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.simulation.blocks.block import (
     TO_ENGINE,
     Block,
+    LoopShape,
     Memory,
-    Shape,
     Values,
     signal_of,
 )
@@ -39,27 +39,27 @@ class Wiring:
         self,
         before: Sequence[Block],
         after: Sequence[Block],
-        given: Sequence[str],
+        external: Sequence[str],
         watched: Sequence[str] = (),
     ) -> None:
-        self.before, self.after, self.given = tuple(before), tuple(after), tuple(given)
+        self.before, self.after, self.external = tuple(before), tuple(after), tuple(external)
         produced: set[str] = set()
         first = {name for block in self.before for name in block.outputs}
-        held = dict.fromkeys(watched)
+        delayed = dict.fromkeys(watched)
         for block in self.blocks:
             for name in block.inputs:
                 signal_of(name)  # refuses an unknown one
                 crosses = block in self.after and name in first
-                if name not in given and (name not in produced or crosses):
-                    held[name] = None
+                if name not in external and (name not in produced or crosses):
+                    delayed[name] = None
             produced.update(block.outputs)
-        lacking = [name for name in held if name not in produced]
+        lacking = [name for name in delayed if name not in produced]
         if lacking:
             raise ParameterError(
                 f"signal {lacking[0]!r} is read but no block puts it out: blocks are"
                 f" {', '.join(block.name for block in self.blocks)}"
             )
-        self.held = tuple(held)
+        self.delayed = tuple(delayed)
 
     @property
     def blocks(self) -> tuple[Block, ...]:
@@ -71,24 +71,24 @@ class Wiring:
         return next(block for block in self.blocks if block.name == name)
 
     def memories(self) -> dict[str, Memory]:
-        """What the blocks carry over, as "block.name"."""
+        """Memory of the blocks, as "block.name"."""
         return {f"{b.name}.{k}": v for b in self.blocks for k, v in b.memory.items()}
 
     def dynamic(self) -> list[str]:
         """Names of all that the loop acts on from period to period, in a fixed order."""
         own = [name for name, memory in self.memories().items() if memory.feeds_back]
         read = {name for block in self.blocks for name in block.inputs}
-        return own + [name for name in self.held if name in read and name not in _AT_REST]
+        return own + [name for name in self.delayed if name in read and name not in _AT_REST]
 
-    def carried(self, shape: Shape) -> dict[str, tuple[int, ...]]:
+    def carried(self, shape: LoopShape) -> dict[str, tuple[int, ...]]:
         """Shapes of all that is carried over: the blocks' memory and the signals held."""
         out = {name: memory.shape for name, memory in self.memories().items()}
-        out.update((name, signal_of(name).sized(shape)) for name in self.held)
+        out.update((name, signal_of(name).sized(shape)) for name in self.delayed)
         return out
 
-    def everything(self, shape: Shape) -> dict[str, tuple[int, ...]]:
+    def everything(self, shape: LoopShape) -> dict[str, tuple[int, ...]]:
         """Shapes of all that is carried over, then of all other signals."""
-        names = dict.fromkeys(self.given)
+        names = dict.fromkeys(self.external)
         for block in self.blocks:
             names.update(dict.fromkeys((*block.inputs, *block.outputs)))
         return self.carried(shape) | {k: signal_of(k).sized(shape) for k in names}
@@ -99,7 +99,7 @@ class Wiring:
         xp: ArrayFunctions,
         p: Parameters,
         x: Values,
-        given: Values,
+        external: Values,
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         """Run a part of the loop.
 
@@ -113,8 +113,8 @@ class Wiring:
         Returns:
             What has changed of x, and all signals put out.
         """
-        signals: dict[str, Array] = {k: x[k] for k in self.held}
-        signals.update(given)
+        signals: dict[str, Array] = {k: x[k] for k in self.delayed}
+        signals.update(external)
         changed: dict[str, Array] = {}
         put_out: dict[str, Array] = {}
         for block in blocks:
@@ -124,15 +124,15 @@ class Wiring:
             changed.update((f"{block.name}.{k}", v) for k, v in new.items())
             signals.update(outputs)
             put_out.update(outputs)
-        changed.update((k, v) for k, v in put_out.items() if k in self.held)
+        changed.update((k, v) for k, v in put_out.items() if k in self.delayed)
         return changed, put_out
 
-    def describe(self, shape: Shape) -> list[dict[str, Any]]:
+    def describe(self, shape: LoopShape) -> list[dict[str, Any]]:
         """One row per wire: from which block, to which, what it carries, when it arrives."""
-        source = {name: signal_of(name).outside for name in self.given}
+        source = {name: signal_of(name).outside for name in self.external}
         source.update((name, block.name) for block in self.blocks for name in block.outputs)
         ends = [(block.name, block.inputs, block.outputs) for block in self.blocks]
-        at_once, rows = set(self.given), []
+        at_once, rows = set(self.external), []
         ends.append(("engine", tuple(name for name in TO_ENGINE if name in source), ()))
         for reader, inputs, outputs in ends:
             for name in inputs:
