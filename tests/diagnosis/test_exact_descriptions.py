@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import ves_gym.effects as E
-from ves_gym.diagnosis.diagnose import NOTHING, diagnose
+from ves_gym.diagnosis.diagnose import NOTHING, WEAK, diagnose
 from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
@@ -141,9 +141,10 @@ def test_nothing_is_missing_in_an_exact_description(name):
 
 
 @pytest.mark.slow
-def test_nothing_is_missing_in_199_of_200():
+def test_no_alarm_in_199_of_200():
+    """Two logs of a noisy loop may say too little of a joint; that is no alarm."""
     verdicts = [told(*case(k)).verdict for k in range(200)]
-    assert verdicts.count(NOTHING) >= 199
+    assert sum(v in (NOTHING, WEAK) for v in verdicts) >= 199
 
 
 if __name__ == "__main__":
@@ -152,6 +153,6 @@ if __name__ == "__main__":
     for k in range(first, last):
         one, *logs = case(k)
         found = told(one, *logs)
-        alarms += found.verdict != NOTHING
+        alarms += found.verdict not in (NOTHING, WEAK)
         print(f"{k} {in_words(one)}: {found.sentence}", flush=True)
-    print(f"{alarms} of {last - first} with something missing")
+    print(f"{alarms} of {last - first} with a false alarm")
