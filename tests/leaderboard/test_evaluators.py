@@ -190,7 +190,7 @@ MUTATIONS = {
         "damping.zip", "pped-bent/releases",
     ),
     "penalty of a failure": (
-        "envs/batch.py", "_FAILURE = -2.0", "_FAILURE = -2.5",
+        "envs/episode.py", "FAILURE = -2.0", "FAILURE = -2.5",
         "policies ves/BeamLQR-v0", "BeamLQR-v0/evaluation-policies",
     ),
     "weight of a reward": (
