@@ -1,4 +1,4 @@
-"""Emulated mode against ideal mode, both on MuJoCo: physics steps per second."""
+"""Emulated mode against ideal mode on the same engine and one thread: steps per second."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ SYSTEMS = {
 }
 
 
-def emulated_against_ideal(name: str, n: int) -> Pair:
+def emulated_against_ideal(name: str, n: int, backend: str = "mujoco") -> Pair:
     """PERIODS control periods of n simulations; ratio 1 would be as fast as ideal mode."""
     system = SYSTEMS[name]
-    ours = Simulator(system, n, backend="mujoco", warn_at=None)
-    ideal = Simulator(system.ideal(), n, backend="mujoco")
+    ours = Simulator(system, n, backend=backend, threads=1, warn_at=None)
+    ideal = Simulator(system.ideal(), n, backend=backend, threads=1)
 
     def run(sim: Simulator) -> None:
         hold = sim.servo_command(sim.state.q * 0, sim.state.v * 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import platform
@@ -32,14 +33,14 @@ def main() -> None:
             f"Simulator n = {n:<4} {pair.ratio:5.2f} of bare batch physics"
             f" ({pair.low:.2f}-{pair.high:.2f}), {steps_per_second(n, pair):,.0f} steps/s"
         )
-    for n in (1, 256):
-        for name in SYSTEMS:
-            pair = emulated_against_ideal(name, n)
-            results[f"emulated_{name.replace(', ', '_').replace(' ', '_')}_n{n}"] = asdict(pair)
-            print(
-                f"emulated n = {n:<4} {pair.ratio:5.2f} of ideal mode"
-                f" ({pair.low:.2f}-{pair.high:.2f}), {name}"
-            )
+    for backend, n, name in itertools.product(("mujoco", "kernel"), (1, 256), SYSTEMS):
+        pair = emulated_against_ideal(name, n, backend)
+        kind = name.replace(", ", "_").replace(" ", "_")
+        results[f"emulated_{kind}_{backend}_n{n}"] = asdict(pair)
+        print(
+            f"emulated n = {n:<4} {pair.ratio:5.2f} of ideal mode"
+            f" ({pair.low:.2f}-{pair.high:.2f}), {name}, {backend}"
+        )
     for n, threads in ((256, 1), (256, 2)):
         pair = kernel.bare_physics(n, threads)
         results[f"kernel_n{n}_threads{threads}"] = asdict(pair)
