@@ -131,3 +131,9 @@ def test_a_maximum_hands_on_what_is_not_a_number(function):
     expected = function(NUMPY, array)
     assert np.isnan(expected).any()
     np.testing.assert_array_equal(traced(function, array)[1], expected)
+
+
+def test_one_singular_matrix_leaves_the_others_their_answers():
+    A = np.stack([2.0 * np.eye(2), np.zeros((2, 2)), np.eye(2)])
+    x = NUMPY.solve(A, np.ones((3, 2)))
+    np.testing.assert_array_equal(x, [[0.5, 0.5], [np.nan, np.nan], [1.0, 1.0]])

@@ -58,6 +58,9 @@ class ArrayFunctions(Protocol):
         Args:
             A: (..., m, m), one that elimination without exchange of rows can solve.
             b: (..., m).
+
+        Returns:
+            (..., m), in NumPy NaN where A is singular.
         """
 
 
@@ -95,7 +98,15 @@ class _NumpyFunctions:
 
     @staticmethod
     def solve(A: Array, b: Array) -> Array:
-        return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], dtype=np.float64)
+        try:
+            out = np.linalg.solve(A, b[..., None])[..., 0]
+        except np.linalg.LinAlgError:  # of one matrix; the others have their answers
+            bad = np.linalg.det(A) == 0
+            out = np.linalg.solve(
+                np.where(bad[..., None, None], np.eye(b.shape[-1]), A), b[..., None]
+            )[..., 0]
+            out = np.where(bad[..., None], np.nan, out)
+        return np.asarray(out, dtype=np.float64)
 
 
 NUMPY: ArrayFunctions = _NumpyFunctions()

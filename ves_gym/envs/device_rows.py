@@ -161,7 +161,7 @@ class DeviceRows:
         """Give the formulas what `Task.lookup` finds for the end of the coming period.
 
         Args:
-            table: (r, periods + 1, found) of all beginnings.
+            table: (r, periods + 1, k) values of all beginnings.
             rows: (n,) of the present ones.
         """
         steps = self._slates[self._parity][self.shape.slate["steps"]][0].round().long() + 1

@@ -368,7 +368,7 @@ class Legs:
         x, y, path = np.moveaxis(state, 1, 0).copy(), pose, []
         u = leg.sample(x, stewart.leg_lengths(y_cmd), xp)
         for _ in range(leg.steps):
-            yd, ydd = stewart.motion_at(xp, y, x[_SPEED], x[_ACCELERATION])
+            yd, ydd = stewart.motion(y, x[_SPEED], x[_ACCELERATION], xp)
             path.append((y, yd, ydd))
             leg.drift(x, u)
             # where this motion leads, then Newton's method
@@ -384,7 +384,7 @@ class Legs:
         Args:
             state, pose, xp: see `advance`.
         """
-        return self.stewart.motion_at(xp, pose, state[:, _SPEED], state[:, _ACCELERATION])
+        return self.stewart.motion(pose, state[:, _SPEED], state[:, _ACCELERATION], xp)
 
     def present(self, state: Array, pose: Array) -> tuple[Array, Array]:
         """Return pose and rate (n, 6) that the legs have now.
@@ -393,7 +393,7 @@ class Legs:
             state, pose: see `advance`.
         """
         y = self.stewart.forward(state[:, _ROD], pose)
-        return y, self.stewart.motion(y, state[:, _SPEED], state[:, _ACCELERATION])[0]
+        return y, self.motion(state, y, NUMPY)[0]
 
     def measured(self, state: Array, pose: Array, xp: ArrayFunctions = NUMPY) -> Array:
         """Return the pose (n, 6) by forward kinematics of the measured lengths.

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.array_functions import ArrayFunctions
+from ves_gym._util.array_functions import NUMPY, ArrayFunctions
 from ves_gym._util.params import (
     Array,
     Index,
@@ -171,10 +171,6 @@ class Stewart:
         J[..., 5] = moment[2]
         return J
 
-    def inverse_jacobian(self, y: npt.ArrayLike) -> Array:
-        """(..., 6, 6) J^-1 with Y' = J^-1 l'; NaN at a singular pose."""
-        return _solve(self.jacobian(y))
-
     def forward(self, lengths: npt.ArrayLike, start: npt.ArrayLike) -> Array:
         """Forward kinematics by Newton's method from a nearby pose, to `TOLERANCE`.
 
@@ -196,7 +192,7 @@ class Stewart:
             rows, error = rows[~near], error[~near]
             if not len(rows):
                 break
-            step = _solve(self.jacobian(pose[rows]), error)
+            step = NUMPY.solve(self.jacobian(pose[rows]), error)
             good = np.abs(step).max(axis=-1) < 1.0  # False for NaN
             rows = rows[good]
             pose[rows] += step[good]
@@ -220,22 +216,8 @@ class Stewart:
         error, J = lengths - self.leg_lengths(y), self.jacobian(y)
         return y + _least_squares(xp, J, error), xp.largest(np.abs(error))
 
-    def motion_at(
-        self, xp: ArrayFunctions, y: Array, speeds: Array, accelerations: Array
-    ) -> tuple[Array, Array]:
-        """Return `motion` by functions that can be traced.
-
-        Args:
-            xp: functions of the arrays.
-            y, speeds, accelerations: see `motion`.
-        """
-        J = self.jacobian(y)
-        yd = _least_squares(xp, J, speeds)
-        push = accelerations - self._curvature(y, yd, speeds)
-        return yd, _least_squares(xp, J, push)
-
     def motion(
-        self, y: npt.ArrayLike, speeds: npt.ArrayLike, accelerations: npt.ArrayLike
+        self, y: Array, speeds: Array, accelerations: Array, xp: ArrayFunctions = NUMPY
     ) -> tuple[Array, Array]:
         """Return Y' and Y'' (..., 6) of leg motions.
 
@@ -245,11 +227,12 @@ class Stewart:
             y: (..., 6) poses [m, rad].
             speeds: (..., 6) of the legs [m/s].
             accelerations: (..., 6) of the legs [m/s^2].
+            xp: functions of the arrays.
         """
-        pose, ld, ldd = (np.asarray(a, float) for a in (y, speeds, accelerations))
-        inverse = self.inverse_jacobian(pose)
-        yd = matvec(inverse, ld)
-        return yd, matvec(inverse, ldd - self._curvature(pose, yd, ld))
+        J = self.jacobian(y)
+        yd = _least_squares(xp, J, speeds)
+        push = accelerations - self._curvature(y, yd, speeds)
+        return yd, _least_squares(xp, J, push)
 
     def _curvature(self, pose: Array, yd: Array, ld: Array) -> Array:
         """(..., 6) leg accelerations h at Y'' = 0 [m/s^2]."""
@@ -363,19 +346,6 @@ def _least_squares(xp: ArrayFunctions, J: Array, b: Array) -> Array:
     """x (..., 6) of J x = b."""
     turned = np.swapaxes(J, -1, -2)
     return xp.solve(turned @ J, matvec(turned, b))
-
-
-def _solve(J: Array, b: Array | None = None) -> Array:
-    """J^-1 b, or J^-1, over leading axes; NaN where J is singular or not finite."""
-    try:
-        if b is None:
-            return np.linalg.inv(J).astype(float, copy=False)
-        return np.linalg.solve(J, b[..., None])[..., 0].astype(float, copy=False)
-    except np.linalg.LinAlgError:
-        bad = np.linalg.det(J) == 0
-        out = _solve(np.where(bad[..., None, None], np.eye(6), J), b)
-        out[bad] = np.nan
-        return out
 
 
 def read_stewart(path: str | os.PathLike[str]) -> Stewart:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array, Index, Mask, ParameterError
-from ves_gym.engine.batch_parameters import Bodies, Inertias, ParameterRows, bodies_of
+from ves_gym.engine.batch_parameters import Bodies, ParameterRows, bodies_of
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.hardware.leg_servo import Legs, LegServo
 from ves_gym.hardware.platform import PoseServo
@@ -100,6 +100,7 @@ class EmulationLoop:
         self._linear = not self.nonlinear
         self._arm = system.replace(effects=())  # what the compensation goes by
         self._names = ParameterRows(self._arm) if self.compensating else None
+        self._inertia = ArmInertia(self._arm, n) if self.compensating else None
         self._bodies = self._row(system, "own system").repeated(n)
         self._systems = [system] * n
         self._start: LoopParameters | None = (
@@ -128,8 +129,8 @@ class EmulationLoop:
         servo_joints = moving if self.compensating else 0
         microgravity = spec.operation == "microgravity"
         before: list[Block] = []
-        if self.compensating:
-            before.append(ArmInertia(self._arm, self.n))
+        if self._inertia is not None:
+            before.append(self._inertia)
         if spec.operation != "position":
             before.append(self._admittance(servo_joints))
         platform = self._platform(legs, as_stated=False)
@@ -272,21 +273,13 @@ class EmulationLoop:
         def install() -> None:
             for i, system in others:
                 self._bodies.put(i, rows_of[_all_bodies(system)])
-                if self.compensating:
-                    self._arms_differ().arms[i] = system.arm
+                if self._inertia is not None:
+                    self._inertia.tell_apart().arms[i] = system.arm
             for i, system in pairs:
                 self._systems[i] = system
             self.install(ids, p)
 
         return install
-
-    def _arms_differ(self) -> Inertias:
-        """Inertias of arms that may differ."""
-        block = self.wiring.block("arm_inertia")
-        assert isinstance(block, ArmInertia)
-        if block.different is None:
-            block.different = Inertias(self._arm, self.n)
-        return block.different
 
     def _parameters_of(self, system: System) -> LoopParameters:
         """One row."""
@@ -328,22 +321,9 @@ class EmulationLoop:
             self.estimate is not None and self._oldest_estimate() > self.estimate.oldest,
             (self.table is not None) != ("table" in self.wiring.external),
         ]
-        if not any(missing):
-            return
-        different = (
-            self._arms_differ() if self.compensating and self._has_other_arms() else None
-        )
-        self._build()
-        if different is not None:
-            block = self.wiring.block("arm_inertia")
-            assert isinstance(block, ArmInertia)
-            block.different = different
-        self._load()
-
-    def _has_other_arms(self) -> bool:
-        block = self.wiring.block("arm_inertia")
-        assert isinstance(block, ArmInertia)
-        return block.different is not None
+        if any(missing):
+            self._build()
+            self._load()
 
     # ------------------------------------------------------------------ state
 
@@ -364,10 +344,8 @@ class EmulationLoop:
                 u["start_draws"][row] = self.generators[i].standard_normal((6, 2))
         if self.table is not None:
             u["table"] = self.table[ids, 0]
-        if self.compensating:
-            inertia = self.wiring.block("arm_inertia")
-            assert isinstance(inertia, ArmInertia)
-            u["inertia"] = inertia.rows(self._rows("arm_inertia", ids), q, ids)
+        if self._inertia is not None:
+            u["inertia"] = self._inertia.rows(self._rows(self._inertia.name, ids), q, ids)
         if self.system.actual.base.extra:
             bases = [self._systems[i].actual.base for i in ids.tolist()]
             for name, part in (("attached", y), ("attached_rate", yd)):

@@ -70,7 +70,7 @@ class EffectRows:
         return any(isinstance(self.template.effects[i], kind) for i in self.places)
 
     def replaces(self, assigned: Given | None) -> bool:
-        """True if these rows say all that differs from `own` where `given` was in force."""
+        """True if these rows say all that differs from `template`, with `assigned` in force."""
         if assigned is None:
             return True
         if isinstance(assigned, System):

@@ -116,7 +116,7 @@ class CompiledLoop:
 
         Args:
             half: "before" or "after" the engine.
-            given: (n, ...) signals from outside.
+            external: (n, ...) signals from outside.
         """
         assert self._library is not None
         n = self.memory.n

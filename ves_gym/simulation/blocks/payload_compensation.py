@@ -30,6 +30,7 @@ class ArmInertia(Block):
     def __init__(self, system: System, n: int) -> None:
         """`system` without effects: the arm as described."""
         self.system, self.alike = system, InertiaMap(system, n)
+        self.n = n
         self.different: Inertias | None = None  # where arms differ in numbers
 
     @property
@@ -47,11 +48,14 @@ class ArmInertia(Block):
             graph = inertia_matrix(self.system)
             entries = graph(column([q]), column([p["numbers"]]))
             H = array([entries[k] for k in range(size**2)], (1, size, size))
-        elif self.different is None:
-            H = self.alike(q)
-        else:
-            H = self.different(q, np.arange(len(q)), p["numbers"])
-        return {}, {"inertia": p["scale"][:, None, None] * H}
+            return {}, {"inertia": p["scale"][:, None, None] * H}
+        return {}, {"inertia": self.rows(p, q, np.arange(len(q)))}
+
+    def tell_apart(self) -> Inertias:
+        """Inertias of arms that may differ from now on."""
+        if self.different is None:
+            self.different = Inertias(self.system, self.n)
+        return self.different
 
     def rows(self, p: Values, q: Array, ids: Index) -> Array:
         """H (m, 6 + n, 6 + n) of some simulations.

@@ -31,7 +31,7 @@ class Wiring:
     Args:
         before: from the present readings to what the engine's platform is given.
         after: from the engine's wrench to the next readings.
-        given: signals that come from outside.
+        external: signals that come from outside.
         watched: signals to be held in any case, for others to read.
     """
 
@@ -108,7 +108,7 @@ class Wiring:
             xp: functions of the arrays.
             p: parameters of each block.
             x: what is carried over, by the names of `carried`.
-            given: signals from outside.
+            external: signals from outside.
 
         Returns:
             What has changed of x, and all signals put out.
