@@ -343,9 +343,40 @@ def emit_map(graph: casadi.Function) -> str:
 
     void map(double *x, double *p, double *y, i64 lo, i64 hi)
     """
-    nx, ny = graph.size1_in(0), graph.size1_out(0)
-    body = _MAP.format(V=_V, nx=nx, ny=ny)
-    return "\n".join([declarations(), emit_function("point", graph), body])
+    body = "\n".join(
+        [
+            *rows_of("x", graph.size1_in(0)),
+            *rows_of("y", graph.size1_out(0)),
+            "  call void @point(ptr %xb, ptr %p, ptr %yb)",
+        ]
+    )
+    loop = over_blocks("map", "ptr %x, ptr %p, ptr %y", body)
+    return "\n".join([declarations(), emit_function("point", graph), loop])
+
+
+def over_blocks(name: str, arguments: str, body: str, setup: str = "") -> str:
+    """Return a function that runs a body for the blocks %b from %lo to %hi.
+
+    Args:
+        name: of the function.
+        arguments: those before `i64 %lo, i64 %hi`.
+        body: lines for one block.
+        setup: lines before the first one.
+    """
+    return _OVER_BLOCKS.format(name=name, arguments=arguments, body=body, setup=setup)
+
+
+def rows_of(pointer: str, rows: int | str) -> list[str]:
+    """Lines that find a block's rows of lanes, `%xb` of a pointer `%x`.
+
+    Args:
+        pointer: its name.
+        rows: of a block, a number or a value.
+    """
+    return [
+        f"  %{pointer}row = mul i64 %b, {rows}",
+        f"  %{pointer}b = getelementptr {_V}, ptr %{pointer}, i64 %{pointer}row",
+    ]
 
 
 def emit_shared(name: str, graph: casadi.Function) -> str:
@@ -399,8 +430,9 @@ def emit_driver(parts: Mapping[str, Sequence[Call]], rows: int, parameters: int)
                 outputs = [code.row("%mb", at + k * by) for at, by in moved]
                 arguments = ", ".join(f"ptr {pointer}" for pointer in (*fixed, *outputs))
                 code.lines.append(f"  call void @{call.name}({arguments})")
-        text = "\n".join(code.lines)
-        bodies.append(_DRIVER.format(V=_V, name=name, rows=rows, p=parameters, calls=text))
+        body = [*rows_of("m", rows), *rows_of("p", parameters), *code.lines]
+        bodies.append(over_blocks(name, "ptr %m, ptr %p", "\n".join(body)))
+        bodies.append(_ENTRY_BY_TABLE.format(name=name))
     return "\n".join([*declared.values(), *bodies])
 
 
@@ -515,18 +547,15 @@ done:
 }}
 """
 
-_MAP = """
-define void @map(ptr %x, ptr %p, ptr %y, i64 %lo, i64 %hi) {{
+_OVER_BLOCKS = """
+define void @{name}({arguments}, i64 %lo, i64 %hi) {{
 entry:
+{setup}
   %any = icmp slt i64 %lo, %hi
   br i1 %any, label %block, label %done
 block:
   %b = phi i64 [ %lo, %entry ], [ %bnext, %block ]
-  %xrow = mul i64 %b, {nx}
-  %xb = getelementptr {V}, ptr %x, i64 %xrow
-  %yrow = mul i64 %b, {ny}
-  %yb = getelementptr {V}, ptr %y, i64 %yrow
-  call void @point(ptr %xb, ptr %p, ptr %yb)
+{body}
   %bnext = add i64 %b, 1
   %again = icmp slt i64 %bnext, %hi
   br i1 %again, label %block, label %done
@@ -535,24 +564,7 @@ done:
 }}
 """
 
-_DRIVER = """
-define void @{name}(ptr %m, ptr %p, i64 %lo, i64 %hi) {{
-entry:
-  %any = icmp slt i64 %lo, %hi
-  br i1 %any, label %block, label %done
-block:
-  %b = phi i64 [ %lo, %entry ], [ %bnext, %block ]
-  %mrow = mul i64 %b, {rows}
-  %mb = getelementptr {V}, ptr %m, i64 %mrow
-  %prow = mul i64 %b, {p}
-  %pb = getelementptr {V}, ptr %p, i64 %prow
-{calls}
-  %bnext = add i64 %b, 1
-  %again = icmp slt i64 %bnext, %hi
-  br i1 %again, label %block, label %done
-done:
-  ret void
-}}
+_ENTRY_BY_TABLE = """
 define void @{name}_piece(ptr %table, i64 %lo, i64 %hi) {{
   %a = load i64, ptr %table
   %second = getelementptr i64, ptr %table, i64 1

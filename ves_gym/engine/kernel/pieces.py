@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array
-from ves_gym.engine.kernel.emit import LANES, declarations, emit_function
+from ves_gym.engine.kernel.emit import LANES, declarations, emit_function, over_blocks, rows_of
 
 if TYPE_CHECKING:
     import casadi
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from ves_gym.engine.kernel.build import Library
 
 Table = npt.NDArray[np.int64]
-_V = f"<{LANES} x double>"
 
 
 class Piece:
@@ -132,37 +131,15 @@ def _piece(name: str, graph: casadi.Function) -> str:
         load += [
             f"  %wa{i} = getelementptr i64, ptr %table, i64 {2 * i}",
             f"  %a{i} = load i64, ptr %wa{i}",
-            f"  %base{i} = inttoptr i64 %a{i} to ptr",
+            f"  %k{i} = inttoptr i64 %a{i} to ptr",
             f"  %ws{i} = getelementptr i64, ptr %table, i64 {2 * i + 1}",
             f"  %stride{i} = load i64, ptr %ws{i}",
         ]
-        move += [
-            f"  %row{i} = mul i64 %b, %stride{i}",
-            f"  %at{i} = getelementptr {_V}, ptr %base{i}, i64 %row{i}",
-        ]
-    arguments = ", ".join(f"ptr %at{i}" for i in range(ends))
-    return _PIECE.format(
-        name=name, load="\n".join(load), move="\n".join(move), arguments=arguments
-    )
+        move += rows_of(f"k{i}", f"%stride{i}")
+    arguments = ", ".join(f"ptr %k{i}b" for i in range(ends))
+    body = [*move, f"  call void @{name}_point({arguments})"]
+    return over_blocks(name, "ptr %table", "\n".join(body), "\n".join(load))
 
-
-_PIECE = """
-define void @{name}(ptr %table, i64 %lo, i64 %hi) {{
-entry:
-{load}
-  %any = icmp slt i64 %lo, %hi
-  br i1 %any, label %block, label %done
-block:
-  %b = phi i64 [ %lo, %entry ], [ %bnext, %block ]
-{move}
-  call void @{name}_point({arguments})
-  %bnext = add i64 %b, 1
-  %again = icmp slt i64 %bnext, %hi
-  br i1 %again, label %block, label %done
-done:
-  ret void
-}}
-"""
 
 _PROGRAM = """
 define void @program(ptr %words, i64 %lo, i64 %hi) {
