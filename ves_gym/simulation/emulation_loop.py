@@ -17,35 +17,15 @@ from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.engine.batch_parameters import Bodies, ParameterRows, bodies_of
 from ves_gym.hardware.admittance import Nonlinear
-from ves_gym.hardware.leg_servo import Legs, LegServo
-from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
-from ves_gym.simulation.blocks.admittance import (
-    CoupledAdmittance,
-    LinearAdmittance,
-    NonlinearAdmittance,
-)
-from ves_gym.simulation.blocks.block import Block, LoopShape, ModelOf
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
-from ves_gym.simulation.blocks.force_sensor import ForceSensorBlock
-from ves_gym.simulation.blocks.gravity_estimate import GravityEstimate
 from ves_gym.simulation.blocks.memory import NamedArrays
-from ves_gym.simulation.blocks.payload_compensation import ArmInertia, PayloadCompensation
-from ves_gym.simulation.blocks.platform import (
-    CommandLine,
-    ComputingDelay,
-    EngineInput,
-    LegSensors,
-    LegServos,
-    PosePlatform,
-    Safety,
-)
-from ves_gym.simulation.blocks.wiring import Wiring
+from ves_gym.simulation.blocks.payload_compensation import ArmInertia
+from ves_gym.simulation.blocks.platform import Safety
+from ves_gym.simulation.loop_wiring import LoopParts, Needs
 from ves_gym.system.deviations import ARRAYS, LoopParameters
 from ves_gym.system.effect import BaseEffect
 from ves_gym.system.system import System
-
-_WATCHED = ("reading", "weight", "y_measured", "command", "command_sent", "frozen")
 
 
 class Event(NamedTuple):
@@ -96,8 +76,7 @@ class EmulationLoop:
         _require_vehicle(system, admittance)
         self.compensating = emulator.payload_compensation and emulator.operation != "position"
         base = system.actual.base  # the arm's model, in what follows, is the description
-        self.nonlinear = base.body is not None or admittance is not None
-        self._linear = not self.nonlinear
+        self._linear = base.body is None and admittance is None
         self._arm = system.replace(effects=())  # what the compensation goes by
         self._names = ParameterRows(self._arm) if self.compensating else None
         self._inertia = ArmInertia(self._arm, n) if self.compensating else None
@@ -111,93 +90,37 @@ class EmulationLoop:
         self.table: Array | None = None  # (n, m, 6): replaces the estimate, row by row
         self.events: list[Event] = []
         self.time = np.zeros(n)  # s since the reset
+        self._needs = self._asked()
         self._build()
         self._load()
 
     # ------------------------------------------------------------------ wiring
 
     def _build(self) -> None:
-        """List the blocks and their wires; what they remember goes on under its name."""
-        system, spec, p = self.system, self.spec, self.parameters
-        clock = self.dt, system.physics_dt
-        legs = None
-        if isinstance(spec.platform, LegServo):
-            legs = Legs(spec.platform, spec.stewart, *clock)
-        states = 0 if legs is None else legs.leg.size
-        self.shape = shape = LoopShape(system.substeps + 1, system.arm.n, *clock, states)
-        moving = system.arm.n if system.drive == "motor" else 0  # joints that give way
-        servo_joints = moving if self.compensating else 0
-        microgravity = spec.operation == "microgravity"
-        before: list[Block] = []
-        if self._inertia is not None:
-            before.append(self._inertia)
-        if spec.operation != "position":
-            before.append(self._admittance(servo_joints))
-        platform = self._platform(legs, as_stated=False)
-        self.platform = platform[0]
-        limited = bool((p.platform_travel > 0).any() or (p.platform_speed > 0).any())
-        before += [
-            ComputingDelay(spec.delay),
-            Safety(spec, shape),
-            CommandLine(spec.stewart, shape, self._oldest_command(), limited),
-            *platform,
-        ]
-        if self.compensating:
-            modelled = not p.as_stated  # a machine as stated is its own model
-            if modelled:
-                before += [ModelOf(block) for block in self._platform(legs, as_stated=True)]
-            cutoff = spec.sensor.cutoff
-            before.append(PayloadCompensation(shape, servo_joints, cutoff, modelled))
-        before.append(EngineInput(shape))
-        self.sensor = ForceSensorBlock(spec.sensor, shape)
-        after: list[Block] = [self.sensor]
-        self.estimate: GravityEstimate | None = None
-        if microgravity:
-            oldest = self._oldest_estimate()
-            tabulated = self.table is not None
-            self.estimate = GravityEstimate(system.arm, shape, oldest, tabulated)
-            after.append(self.estimate)
-        external = ["q", "y_engine", "yd_engine", "wrench", "draws"]
-        if self.compensating:
-            external += ["kp", "kd"]
-        if spec.operation == "position":
-            external.append("motion")
-        if self.table is not None:
-            external.append("table")
-        if not microgravity:
-            external.append("weight")
-        watched = [k for k in _WATCHED if k not in external]
-        self.wiring = Wiring(before, after, external, watched)
+        """Wire the blocks; what they remember goes on under its name."""
+        parts = LoopParts(self.system, self._needs, self._inertia, self.custom)
+        self.shape, self.wiring = parts.shape, parts.wiring
+        self.platform, self.sensor, self.estimate = parts.platform, parts.sensor, parts.estimate
         earlier = getattr(self, "memory", None)
         names = getattr(self, "_carried", ())
-        self._carried = self.wiring.carried(shape)
+        self._carried = self.wiring.carried(self.shape)
         self._code: CompiledLoop | None = None
         if self._compiled and all(block.compiles for block in self.wiring.blocks):
-            self.memory = NamedArrays(self.wiring.everything(shape), self.n, lanes=True)
+            self.memory = NamedArrays(self.wiring.everything(self.shape), self.n, lanes=True)
             self._code = CompiledLoop(self.wiring, self.memory)
         else:
             self.memory = NamedArrays(self._carried, self.n, lanes=False)
         if earlier is not None:
             self._remember(earlier.copied(names))
 
-    def _admittance(self, servo_joints: int) -> Block:
-        system, spec = self.system, self.spec
-        carried = len(system.actual.base.extra)
-        if self.compensating:
-            lag = spec.lag(self.dt)
-            return CoupledAdmittance(
-                self.shape, carried, servo_joints, lag, self.nonlinear, self.custom
-            )
-        if self.nonlinear:
-            return NonlinearAdmittance(self.shape, self.custom)
-        return LinearAdmittance(self.shape, carried)
-
-    def _platform(self, legs: Legs | None, *, as_stated: bool) -> list[Any]:
-        """Blocks of the platform; the first has its state."""
-        if legs is not None:
-            return [LegServos(legs), LegSensors(legs)]
-        assert isinstance(self.spec.platform, PoseServo)
-        return [PosePlatform(self.spec.platform, self.shape, as_stated=as_stated)]
+    def _asked(self) -> Needs:
+        """What parameters and table ask of the blocks."""
+        return Needs.of(
+            self.parameters,
+            self.dt,
+            compensating=self.compensating,
+            tabulated=self.table is not None,
+        )
 
     def _remember(self, earlier: Mapping[str, Array]) -> None:
         """Carry memory over from a wiring with other arrays, or shorter or longer ones."""
@@ -214,19 +137,6 @@ class EmulationLoop:
                 value = np.concatenate([value, np.repeat(oldest, missing, axis=1)], axis=1)
                 value = value[:, : shape[0]]
             self.memory[name] = value
-
-    def _oldest_estimate(self) -> int:
-        """Number of estimates to look back over, in control periods."""
-        oldest = int(np.ceil(self.parameters.gravity_delay.max() / self.dt - 1e-9)) + 1
-        estimate = getattr(self, "estimate", None)
-        return oldest if estimate is None else max(oldest, estimate.oldest)
-
-    def _oldest_command(self) -> int:
-        """Number of commands to look back over: none where platforms hear at once."""
-        delay = float(self.parameters.platform_delay.max())
-        oldest = int(np.ceil(delay / self.dt - 1e-9)) + 1 if delay > 0 else 0
-        earlier = getattr(self, "wiring", None)
-        return max(oldest, earlier.block("command_line").oldest) if earlier else oldest
 
     def _load(self) -> None:
         """Take the parameters of all simulations to the blocks."""
@@ -310,18 +220,9 @@ class EmulationLoop:
 
     def _rewire(self) -> None:
         """Build the wiring anew where parameters need blocks or memory that it lacks."""
-        p, line = self.parameters, self.wiring.block("command_line")
-        assert isinstance(line, CommandLine)
-        names = [block.name for block in self.wiring.blocks]
-        limited = bool((p.platform_travel > 0).any() or (p.platform_speed > 0).any())
-        missing = [
-            self._oldest_command() > line.oldest,
-            limited and not line.limited,
-            self.compensating and not p.as_stated and "platform_model" not in names,
-            self.estimate is not None and self._oldest_estimate() > self.estimate.oldest,
-            (self.table is not None) != ("table" in self.wiring.external),
-        ]
-        if any(missing):
+        needs = self._asked().joined(self._needs)
+        if needs != self._needs:
+            self._needs = needs
             self._build()
             self._load()
 
