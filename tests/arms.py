@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi
 
 from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal
@@ -98,9 +99,22 @@ def six_joint_arm() -> Arm:
     return Arm(name="puma560-wrist", base=base, links=links, source="test: after AKB 1986")
 
 
+def seven_joint_arm() -> Arm:
+    """The six-joint arm with a second forearm behind the first: a redundant PUMA."""
+    six = six_joint_arm()
+    forearm = six.links[2]
+    links = (*six.links[:3], replace(forearm, d=0.25, alpha=pi / 2), *six.links[3:])
+    return replace(six, name="puma560-seven", links=links)
+
+
 PLANAR_GAINS = JointServo(kp=(800.0, 500.0), kd=(60.0, 40.0), source="test")
 WRIST_GAINS = JointServo(
     kp=(3000.0, 2000.0, 1000.0, 100.0, 100.0, 100.0),
     kd=(50.0, 40.0, 30.0, 5.0, 5.0, 5.0),
+    source="test",
+)
+SEVEN_GAINS = JointServo(
+    kp=(3000.0, 2000.0, 1000.0, 1000.0, 100.0, 100.0, 100.0),
+    kd=(50.0, 40.0, 30.0, 30.0, 5.0, 5.0, 5.0),
     source="test",
 )

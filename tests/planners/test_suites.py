@@ -1,24 +1,31 @@
 """The benchmark's questions are fixed, seeded and inside the limits."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from tests.arms import planar_arm
+from tests.arms import planar_arm, seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError, content_hash, write_table
 from ves_gym.effects import GravityScale, SensorLag
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
+from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT, DECOUPLED, STRAIGHT_HORIZONTAL
 from ves_gym.planners.query import is_feasible
 from ves_gym.planners.registry import PLANNERS
 from ves_gym.planners.suites import (
     REACH_DURATIONS,
+    REACH_OBSTACLES,
     REACH_RANGE,
     SPEED_LIMITS,
     SUITES,
     get_suite,
     is_compensated,
     reach100,
+    reach_durations,
+    reach_obstacles,
+    reach_range,
     uncompensated,
 )
 from ves_gym.system.emulator_settings import EmulatorSettings
@@ -95,9 +102,52 @@ def test_the_questions_do_not_depend_on_the_vehicle_or_drive(full, tmp_path):
     assert other.queries[0][1].system.vehicle == DECOUPLED
 
 
-def test_reach100_is_for_three_joints():
-    with pytest.raises(ParameterError, match="reach100 asks a 3-joint arm, got 2 joints"):
-        reach100(System(arm=planar_arm()), "bent", 1)
+@pytest.mark.parametrize("make", [planar_arm, six_joint_arm, seven_joint_arm])
+def test_reach100_asks_any_arm(make):
+    """From its own limits; prefixes, determinism and speed as for the PUMA."""
+    arm = make()
+    system = System(arm=arm, drive="prescribed")
+    suite = reach100(system, "bent", 3)
+    assert ends(suite) == ends(reach100(system, "bent", 3))
+    longer = reach100(system, "bent", 5, durations=(suite.queries[0][1].duration,))
+    assert ends(longer)[:3] == ends(suite)[:3]
+    middle = (arm.column("q_min") + arm.column("q_max")) / 2
+    for _, q in suite.queries:
+        start, goal = q.ends
+        assert (np.abs([start - middle, goal - middle]) <= reach_range(arm)).all()
+        peak = np.abs(goal - start) * QUINTIC_PEAK_SPEED / q.duration
+        assert (peak <= arm.column("v_max")).all()
+
+
+def test_the_box_of_reach100_is_cut_to_whole_multiples_of_60_degrees():
+    np.testing.assert_array_equal(reach_range(PUMA_560), REACH_RANGE)
+    assert reach_durations(PUMA_560) == REACH_DURATIONS
+    assert reach_obstacles(PUMA_560) == REACH_OBSTACLES
+    link = PUMA_560.links[0]
+    limits = ((-6.2, 6.2), (0.0, np.pi), (-0.8, 0.8), (0.1, 0.2))  # rad
+    links = tuple(dataclasses.replace(link, q_min=a, q_max=b) for a, b in limits)
+    arm = dataclasses.replace(PUMA_560, links=links)
+    np.testing.assert_allclose(np.rad2deg(reach_range(arm)), [180, 60, 30, 1.875])
+    queries = reach100(System(arm=arm, drive="prescribed"), "bent", 20).queries
+    second = np.rad2deg([q.start[1] for _, q in queries])
+    assert second.min() >= 30.0 and second.max() <= 150.0
+
+
+def test_a_slow_arm_is_asked_for_slow_motions():
+    """Ten times as slow, sixteen or eight times as long; a longer one, larger obstacles."""
+    links = tuple(
+        dataclasses.replace(k, v_max=k.v_max / 10, a=3 * k.a, d=3 * k.d) for k in PUMA_560.links
+    )
+    arm = dataclasses.replace(PUMA_560, links=links)
+    assert reach_durations(arm) == (4.0, 8.0, 16.0, 32.0)
+    first, wide = REACH_OBSTACLES.obstacles[0], reach_obstacles(arm).obstacles[0]
+    np.testing.assert_allclose(wide.size, 3 * np.array(first.size))
+    np.testing.assert_allclose(wide.centre, 3 * np.array(first.centre))
+
+
+def test_the_thesis_suite_is_for_three_joints():
+    with pytest.raises(ParameterError, match=r"thesis's arm, of 3 joints: got 2 \(planar\)"):
+        get_suite("thesis", system=System(arm=planar_arm()))
 
 
 def test_the_thesis_suite():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,18 +77,20 @@ def _curves(run: Recording, k: int, detailed: bool) -> dict[str, list[float]]:
 
 
 def coupling_maps(vehicle: str, plans: list[Plan]) -> list[dict[str, Any]]:
-    """Map three cross-sections through the start of a query, with every path drawn on them.
+    """Map the cross-sections of the first three joints through the start of a query.
+
+    With every path drawn on them.
 
     Args:
         vehicle: its name.
         plans: answers to the same query.
 
     Returns:
-        Three maps as `map_data` makes them.
+        Three maps as `map_data` makes them; of an arm of two joints, one.
     """
     query = plans[0].query
     out = []
-    for i, j in ((0, 1), (0, 2), (1, 2)):
+    for i, j in itertools.combinations(range(min(3, query.system.arm.n)), 2):
         section = coupling_map(query.system, (i, j), query.start, points=_POINTS)
         out.append(map_data(vehicle, section, plans))
     return out

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ves_gym._util.params import ParameterError, Vector
+from ves_gym._util.params import Array, ParameterError, Vector
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
+from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings
 from ves_gym.planners.query import Query
 from ves_gym.system.system import System
 
-# A rule of the benchmark, not a claim about the machine: joint speeds [rad/s].
+# Rules of the benchmark, not claims about the machine. Of the PUMA: joint speeds [rad/s],
 SPEED_LIMITS: Vector = tuple(np.deg2rad([82.0, 54.0, 122.0]).tolist())
-REACH_RANGE = np.deg2rad([120.0, 60.0, 120.0])  # +- of each joint
-REACH_DURATIONS = (0.5, 1.0, 2.0, 4.0)  # s
+REACH_RANGE = np.deg2rad([120.0, 60.0, 120.0])  # +- of each joint, see `reach_range`
+REACH_DURATIONS = (0.5, 1.0, 2.0, 4.0)  # s, see `reach_durations`
 REACH_SEED = 560  # the published question set
+_GRID = 60.0  # deg: a joint's range is cut to a multiple of it
+_WIDEST = 180.0  # deg, +-: further on lies the same place
+_RAREST = 1000  # draws an acceptable pair may take, on average
 SUITES = ("reach100", "thesis")
 OBSTACLES = ("off", "on", "both")
 # Two crates and a ball within reach: a quarter of the straight lines of 4 s run into one.
@@ -102,6 +109,52 @@ def is_compensated(system: System) -> bool:
     return system.mode == "ideal" or system.emulator_settings.operation == "microgravity"
 
 
+def reach_range(arm: Arm) -> Array:
+    """Return how far from the middle of its range each joint starts and ends, (n,) [rad].
+
+    The largest whole multiple of 60 deg inside its limits, at most 180 deg; of 30, 15, ... deg
+    for a joint that has less. The PUMA's 160, 110 and 135 deg become 120, 60 and 120.
+    """
+    half = np.rad2deg(arm.column("q_max") - arm.column("q_min")) / 2
+    out = []
+    for reach in np.minimum(half, _WIDEST) * (1 + 1e-12):
+        grid = _GRID
+        while grid > reach:
+            grid /= 2
+        out.append(grid * math.floor(reach / grid))
+    return np.deg2rad(out)
+
+
+def reach_durations(arm: Arm) -> tuple[float, ...]:
+    """Return the durations of an arm's questions [s]: the PUMA's times a power of two.
+
+    By the time that the joint in the middle needs for its `reach_range` at its largest rate.
+    """
+
+    def pace(of: Arm) -> float:
+        return float(np.median(reach_range(of) / of.column("v_max")))
+
+    factor = 2.0 ** round(math.log2(pace(arm) / pace(PUMA_560)))
+    return tuple(factor * duration for duration in REACH_DURATIONS)
+
+
+def reach_obstacles(arm: Arm) -> Surroundings:
+    """Return `REACH_OBSTACLES` as much larger as the arm is longer than the PUMA."""
+
+    def length(of: Arm) -> float:
+        return sum(math.hypot(link.a, link.d) for link in of.links)
+
+    size = length(arm) / length(PUMA_560)
+
+    def scaled(obstacle: Sphere | Box) -> Sphere | Box:
+        centre = tuple(size * x for x in obstacle.centre)
+        if isinstance(obstacle, Sphere):
+            return replace(obstacle, centre=centre, radius=size * obstacle.radius)
+        return replace(obstacle, centre=centre, size=tuple(size * x for x in obstacle.size))
+
+    return replace(REACH_OBSTACLES, obstacles=tuple(map(scaled, REACH_OBSTACLES.obstacles)))
+
+
 def reach100(
     system: System,
     vehicle: str,
@@ -109,41 +162,38 @@ def reach100(
     obstacles: str = "off",
     *,
     seed: int = REACH_SEED,
-    durations: tuple[float, ...] = REACH_DURATIONS,
+    durations: tuple[float, ...] | None = None,
 ) -> Suite:
-    """`count` seeded start and goal pairs per duration, uniform in the joint box.
+    """`count` seeded start and goal pairs per duration, uniform in a box of joint space.
 
-    A pair is drawn again until the straight quintic respects the speed limits. The first k of
-    a larger count are those of a smaller one. Among obstacles the ends are the same; some of
-    them are then inside one, which a planner has to say.
+    The box is `reach_range` about the middle of every joint's range. A pair is drawn again
+    until the straight quintic respects the arm's speed limits; of many joints a few at a time,
+    which gives the same distribution in fewer draws. The first k of a larger count are
+    those of a smaller one. Among obstacles the ends are the same; some of them are then inside
+    one, which a planner has to say.
 
     Args:
-        system: everything but the vehicle; a three-joint arm.
+        system: everything but the vehicle.
         vehicle: name or file.
         count: pairs per duration.
-        obstacles: off, on or both.
+        obstacles: off, on or both; they grow with the arm (`reach_obstacles`).
         seed: of the question set.
-        durations: of the motions [s].
+        durations: of the motions [s]; default those of the arm (`reach_durations`).
 
     Returns:
         The suite.
 
     Raises:
-        ParameterError: an arm of another number of joints, or an unknown vehicle.
+        ParameterError: an unknown vehicle.
     """
     mounted = system.replace(vehicle=get_vehicle(vehicle))
-    if mounted.arm.n != len(REACH_RANGE):
-        raise ParameterError(
-            f"reach100 asks a {len(REACH_RANGE)}-joint arm, got {mounted.arm.n} joints"
-        )
+    arm = mounted.arm
+    limits: Vector = tuple(arm.column("v_max").tolist())
     queries = []
-    for duration in durations:
+    for duration in reach_durations(arm) if durations is None else durations:
         rng = np.random.default_rng((seed, round(1000 * duration)))
-        accepted = 0
-        while accepted < count:
-            start, goal = rng.uniform(-1, 1, (2, len(REACH_RANGE))) * REACH_RANGE
-            if (np.abs(goal - start) * QUINTIC_PEAK_SPEED / duration > SPEED_LIMITS).any():
-                continue
+        for k in range(count):
+            start, goal = _drawn(arm, duration, rng)
             queries.append(
                 (
                     vehicle,
@@ -152,17 +202,14 @@ def reach100(
                         start=tuple(start.tolist()),
                         goal=tuple(goal.tolist()),
                         duration=duration,
-                        v_max=SPEED_LIMITS,
-                        name=f"reach-{duration:g}s-{accepted:03d}",
+                        v_max=limits,
+                        name=f"reach-{duration:g}s-{k:03d}",
                     ),
                 )
             )
-            accepted += 1
+    room = reach_obstacles(arm)
     among = [
-        (
-            v + OBSTACLE_SUFFIX,
-            replace(q, name=f"{q.name}-obstacles", surroundings=REACH_OBSTACLES),
-        )
+        (v + OBSTACLE_SUFFIX, replace(q, name=f"{q.name}-obstacles", surroundings=room))
         for v, q in queries
     ]
     return Suite(
@@ -170,6 +217,38 @@ def reach100(
         queries=tuple({"off": queries, "on": among, "both": queries + among}[obstacles]),
         planners=("straight", "hotspot-q", "hotspot-qt", "direct", "refined"),
     )
+
+
+def _drawn(arm: Arm, duration: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Start and goal (n,) between which the straight quintic keeps the speed limits."""
+    width, limit = reach_range(arm), arm.column("v_max")
+    ends = np.empty((2, arm.n))
+    for part in _groups(width, limit * duration / QUINTIC_PEAK_SPEED):
+        while True:
+            pair = rng.uniform(-1, 1, (2, len(width[part]))) * width[part]
+            speed = np.abs(pair[1] - pair[0]) * QUINTIC_PEAK_SPEED / duration
+            if (speed <= limit[part]).all():
+                break
+        ends[:, part] = pair
+    start, goal = ends + (arm.column("q_min") + arm.column("q_max")) / 2
+    return start, goal
+
+
+def _groups(width: Array, furthest: Array) -> list[slice]:
+    """Joints in a row drawn together: as many as leave one pair in `_RAREST` acceptable.
+
+    Args:
+        width: (n,) +- of each joint [rad].
+        furthest: (n,) between start and goal [rad].
+    """
+    part = np.minimum(furthest / (2 * width), 1.0)
+    firsts, share = [0], 1.0
+    for j, accepted in enumerate(part * (2 - part)):
+        share *= accepted
+        if share < 1 / _RAREST and j > firsts[-1]:
+            firsts.append(j)
+            share = accepted
+    return [slice(a, b) for a, b in itertools.pairwise([*firsts, len(width)])]
 
 
 def thesis(system: System, vehicle: str | None) -> Suite:
@@ -188,8 +267,14 @@ def thesis(system: System, vehicle: str | None) -> Suite:
         The suite.
 
     Raises:
-        ParameterError: a vehicle that the suite does not have.
+        ParameterError: a vehicle that the suite does not have, or an arm of other than three
+            joints.
     """
+    if system.arm.n != 3:
+        raise ParameterError(
+            "suite thesis asks the thesis's arm, of 3 joints: got"
+            f" {system.arm.n} ({system.arm.name}); reach100 asks any arm"
+        )
     shoulder = (np.deg2rad([-90.0, 0, 0]), np.deg2rad([90.0, 0, 0]), 2.0, "shoulder-180")
     ends = np.deg2rad([0.0, -45, 90]), np.deg2rad([90.0, 45, -45])
     questions = [
