@@ -30,6 +30,8 @@ from ves_gym._util.params import (
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Inertial, diagonal, matrix, skew
 from ves_gym.mechanics.modes import natural_modes
+from ves_gym.mechanics.section import ALUMINIUM as ALUMINIUM
+from ves_gym.mechanics.section import Material as Material
 
 _GAUSS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; the beam needs 6
 
@@ -126,24 +128,6 @@ def elementwise_damping(M: Array, K: Array, ratio: float) -> Array:
 
 
 # ---------------------------------------------------------------------------- beams
-
-
-@dataclass(frozen=True, kw_only=True)
-class Material:
-    """An isotropic elastic material."""
-
-    youngs_modulus: float = unit("Pa")
-    shear_modulus: float = unit("Pa")
-    density: float = unit("kg/m^3")
-    source: str
-
-    def __post_init__(self) -> None:
-        require_positive(self, "youngs_modulus", "shear_modulus", "density")
-
-
-ALUMINIUM = Material(
-    youngs_modulus=72e9, shear_modulus=27e9, density=2.8e3, source="thesis App. A.2"
-)
 
 
 @dataclass(frozen=True, kw_only=True)

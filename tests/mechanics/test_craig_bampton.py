@@ -1,0 +1,242 @@
+"""The reduction to an interface and modes against the structure that it is made of."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse
+
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics import craig_bampton
+from ves_gym.mechanics.arm import Inertial, diagonal
+from ves_gym.mechanics.craig_bampton import reduce
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.finite_elements import polyline
+from ves_gym.mechanics.modes import natural_modes
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.section import ALUMINIUM, Tube
+from ves_gym.mechanics.vehicle import BENT, STRAIGHT_HORIZONTAL, STRAIGHT_VERTICAL
+
+BEAMS = {
+    "bent": BENT,
+    "straight-vertical": STRAIGHT_VERTICAL,
+    "straight-horizontal": STRAIGHT_HORIZONTAL,
+}
+ARM = inertia(PUMA_560, np.zeros(3))[:6, :6]
+# of BASES.md and of the independent frame of tests/claims/test_beams.py [Hz]
+FINE = {
+    "bent": [0.43, 0.48, 1.44, 1.87, 8.09, 8.76, 13.66],
+    "straight-vertical": [0.13, 0.13, 1.74, 1.75, 2.94, 5.04, 5.29, 9.73],
+    "straight-horizontal": [0.14, 0.14, 1.73, 1.77, 2.16, 4.20, 5.97, 8.45],
+}
+
+
+def structure(beam, pieces=8):
+    """M, K of a beam's frame, its interface and its clamp."""
+    tube = Tube(outer_diameter=beam.outer_diameter, wall=beam.wall)
+    count = len(beam.segments)
+    frame = polyline(beam.segments, [tube] * count, beam.material).divided(pieces)
+    M, K = frame.matrices()
+    return M, K, np.arange(6) + 6 * count, np.arange(6)
+
+
+def frequencies(M, K):
+    """Hz, slowest first."""
+    return natural_modes(np.asarray(K), np.asarray(M)).omega / (2 * np.pi)
+
+
+@pytest.mark.parametrize("name", BEAMS)
+def test_all_modes_are_no_reduction(name):
+    """Every mode kept: the frequencies of the whole, the arm standing on it, to 1e-8."""
+    M, K, tip, clamp = structure(BEAMS[name], 4)
+    free = np.setdiff1d(np.arange(K.shape[0]), clamp)
+    reduced = reduce(M, K, tip, len(free) - 6, held=clamp)
+    M_z, K_z = reduced.matrices()
+    M_z[:6, :6] += ARM
+    full, stiff = M.toarray(), K.toarray()
+    full[np.ix_(tip, tip)] += ARM
+    grid = np.ix_(free, free)
+    expected = scipy.linalg.eigh(full[grid], stiff[grid], eigvals_only=True)[::-1] ** -0.5
+    found = scipy.linalg.eigh(M_z, K_z, eigvals_only=True)[::-1] ** -0.5
+    assert found == pytest.approx(expected, rel=1e-8)
+
+
+@pytest.mark.parametrize("name", BEAMS)
+def test_frequencies_with_the_arm_are_those_of_a_fine_model(name):
+    """Below 20 Hz within 1 % with eight modes; the condensed model misses some altogether."""
+    beam = BEAMS[name]
+    M, K, tip, clamp = structure(beam, 20)
+    M_z, K_z = reduce(M, K, tip, 8, held=clamp).matrices()
+    M_z[:6, :6] += ARM
+    found = frequencies(M_z, K_z)
+    assert found[: len(FINE[name])] == pytest.approx(FINE[name], abs=6e-3)
+    fine, stiff = M.toarray(), K.toarray()
+    fine[np.ix_(tip, tip)] += ARM
+    grid = np.ix_(np.arange(6, len(fine)), np.arange(6, len(fine)))
+    true = scipy.linalg.eigh(fine[grid], stiff[grid], eigvals_only=True)[::-1]
+    true = true**-0.5 / (2 * np.pi)
+    true = true[true < 20]
+    assert found[: len(true)] == pytest.approx(true, rel=1e-2)
+    condensed = frequencies(beam.consistent_mass() + ARM, beam.stiffness())
+    assert np.abs(condensed[3:5] / true[3:5] - 1).max() > 0.1
+
+
+@pytest.mark.parametrize("name", BEAMS)
+def test_statics_are_those_of_today(name):
+    """K of `Beam` and, but for rotary inertia (2e-4), its consistent mass."""
+    beam = BEAMS[name]
+    M, K, tip, clamp = structure(beam, 6)
+    found = reduce(M, K, tip, 0, held=clamp)
+    size = np.sqrt(np.diag(beam.stiffness()))
+    assert np.abs((found.K - beam.stiffness()) / np.outer(size, size)).max() < 2e-11
+    scale = np.sqrt(np.diag(beam.consistent_mass()))
+    assert np.abs((found.M - beam.consistent_mass()) / np.outer(scale, scale)).max() < 5e-3
+
+
+def test_modes_left_out_follow_in_statics():
+    """Truncation is the reduction with fewer modes, and the mass beside them grows."""
+    M, K, tip, clamp = structure(BENT)
+    many, few = (reduce(M, K, tip, m, held=clamp) for m in (12, 5))
+    cut = many.truncated(5)
+    for name in ("K", "M", "coupling", "omega", "static", "shapes"):
+        a, b = getattr(cut, name), getattr(few, name)
+        assert np.abs(a - b).max() < 1e-8 * np.abs(b).max(), name
+    assert many.within(2 * np.pi * 17.5).m == 4
+    zero = np.zeros((18, 18))
+    rest = [r.absolute(zero[: 6 + r.m, : 6 + r.m])[0] for r in (many, few)]
+    assert np.linalg.eigvalsh(rest[0])[0] > 0
+    assert np.linalg.eigvalsh(rest[1] - rest[0])[0] > -1e-9
+
+
+def test_absolute_coordinates_are_the_same_structure():
+    """Over (Y, u): mass without coupling, strain by u - P^T Y, damping ratios as asked for."""
+    M, K, tip, clamp = structure(BENT)
+    found = reduce(M, K, tip, 6, held=clamp)
+    D = found.modal_damping(0.03)
+    rest, loss = found.absolute(D)
+    mass = scipy.linalg.block_diag(rest, np.eye(6))
+    way = np.vstack([-found.coupling, np.eye(6)])
+    stiffness = scipy.linalg.block_diag(found.K, np.zeros((6, 6)))
+    stiffness = stiffness + (way * found.omega**2) @ way.T
+    expected = natural_modes(*found.matrices()[::-1]).omega
+    assert natural_modes(stiffness, mass).omega == pytest.approx(expected, rel=1e-9)
+    inverse = np.linalg.inv(mass)
+    states = np.block(
+        [[np.zeros((12, 12)), np.eye(12)], [-inverse @ stiffness, -inverse @ loss]]
+    )
+    poles = np.linalg.eigvals(states)
+    assert -poles.real / np.abs(poles) == pytest.approx(np.full(24, 0.03), rel=1e-6)
+
+
+def test_damping_ratio_of_each_mode():
+    M, K, tip, clamp = structure(BENT)
+    found = reduce(M, K, tip, 2, held=clamp)
+    ratios = np.linspace(0.01, 0.08, 8)
+    M_z, K_z = found.matrices()
+    omega, V = natural_modes(K_z, M_z)
+    assert np.diag(V.T @ found.modal_damping(ratios) @ V) == pytest.approx(2 * ratios * omega)
+
+
+def test_a_structures_own_damping_is_carried_along():
+    """Rayleigh damping a M + b K stays a M_z + b K_z."""
+    M, K, tip, clamp = structure(BENT)
+    found = reduce(M, K, tip, 5, damping=0.2 * M + 1e-3 * K, held=clamp)
+    M_z, K_z = found.matrices()
+    expected = 0.2 * M_z + 1e-3 * K_z
+    assert np.abs(found.damping - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def test_sparse_solver_gives_the_same(monkeypatch):
+    M, K, tip, clamp = structure(BENT)
+    dense = reduce(M, K, tip, 6, held=clamp)
+    monkeypatch.setattr(craig_bampton, "_DENSE", 0)
+    sparse = reduce(M, K, tip, 6, held=clamp)
+    assert sparse.omega == pytest.approx(dense.omega, rel=1e-8)
+    assert sparse.coupling == pytest.approx(dense.coupling, abs=1e-5)
+
+
+def test_modes_of_equal_frequency_have_axes_that_no_solver_chose():
+    """A straight tube lying oblique: the same P whatever basis the planes were solved in."""
+    M, K, tip, clamp = structure(STRAIGHT_VERTICAL)
+    found = reduce(M, K, tip, 4, held=clamp)
+    assert found.omega[0] == pytest.approx(found.omega[1], rel=1e-9)
+    # of the first pair one does not move along the first axis: x leads in one mode alone
+    assert np.abs(found.coupling[:, :2]).min(axis=1)[:2] == pytest.approx([0, 0], abs=1e-6)
+    assert (found.coupling[np.abs(found.coupling).argmax(axis=0), range(4)] > 0).all()
+
+
+def test_a_free_structure_has_no_stiffness_at_its_interface():
+    """No clamp: K vanishes, M is that of a rigid body, and modes are those of the rest."""
+    M, K, tip, _ = structure(BENT)
+    found = reduce(M, K, tip, 6)
+    assert np.abs(found.K).max() < 1e-8 * abs(K).max()
+    assert np.diag(found.M)[:3] == pytest.approx(np.full(3, BENT.mass), rel=1e-9)
+    M_z, K_z = found.matrices()
+    omega = natural_modes(K_z, M_z).omega
+    assert omega[5] < 0.01 * omega[6]
+
+
+def test_units_and_axes():
+    """A model in tonnes and millimetres, with other axes, is the same structure."""
+    M, K, tip, clamp = structure(BENT)
+    expected = reduce(M, K, tip, 4, damping=0.1 * M, held=clamp)
+    size = K.shape[0]
+    way = np.where(np.arange(size) % 6 < 3, 1e3, 1.0)  # mm per m, rad
+    scale = scipy.sparse.diags_array(1 / way)
+    energy = 1 / (1e3 * 1e-6)  # t mm^2/s^2 per J
+    in_mm = [scale @ k @ scale * energy for k in (M, K, 0.1 * M)]
+    found = reduce(*in_mm[:2], tip, 4, damping=in_mm[2], held=clamp)
+    found = found.rescaled(length=1e-3, mass=1e3, time=1.0)
+    for name in ("K", "M", "coupling", "omega", "damping", "static", "shapes"):
+        a, b = getattr(found, name), getattr(expected, name)
+        rows = slice(None) if name not in ("static", "shapes") else np.arange(size) % 6 < 3
+        assert np.abs(a[rows] - b[rows]).max() < 1e-7 * np.abs(b[rows]).max(), name
+
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    turned = expected.turned(turn)
+    assert turned.K[0, 0] == pytest.approx(expected.K[1, 1])
+    assert natural_modes(*turned.matrices()[::-1]).omega == pytest.approx(
+        natural_modes(*expected.matrices()[::-1]).omega
+    )
+
+
+def test_a_body_on_the_way_is_part_of_it():
+    """A satellite of 50 kg in the elbow: a slow internal mode appears."""
+    tube = Tube(outer_diameter=0.18, wall=0.007)
+    body = Inertial(mass=50.0, com=(0.0, 0.0, 0.0), inertia=diagonal(5.0, 5.0, 5.0))
+    frame = polyline(BENT.segments, [tube] * 2, ALUMINIUM)
+    omega = []
+    for bodies in ((), ((1, body),)):
+        M, K = dataclasses.replace(frame, bodies=bodies).divided(6).matrices()
+        omega.append(reduce(M, K, np.arange(12, 18), 3, held=range(6)).omega)
+    assert (omega[1] < omega[0]).all()
+    assert omega[1][0] < 0.8 * omega[0][0]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"interface": [0, 1, 2]}, "interface must be 6 freedoms"),
+        ({"interface": [12, 13, 14, 15, 16, 999]}, "freedoms 0 to 101, got 999"),
+        ({"interface": [0, 1, 2, 3, 4, 5]}, "must differ, got 0 twice"),
+        ({"modes": 500}, "modes must be 0 to 90, got 500"),
+    ],
+)
+def test_what_does_not_fit_is_refused(change, message):
+    M, K, tip, clamp = structure(BENT)
+    options = {"interface": tip, "modes": 4, "held": clamp, **change}
+    with pytest.raises(ParameterError, match=message):
+        reduce(M, K, **options)
+
+
+def test_a_part_that_hangs_on_nothing_is_refused():
+    M, K, tip, clamp = structure(BENT)
+    loose = scipy.sparse.block_diag([K, np.zeros((1, 1))])
+    heavy = scipy.sparse.block_diag([M, np.ones((1, 1))])
+    with pytest.raises(ParameterError, match="must not move freely"):
+        reduce(heavy, loose, tip, 4, held=clamp)
+    massless = scipy.sparse.block_diag([M, np.zeros((1, 1))])
+    held = scipy.sparse.block_diag([K, np.ones((1, 1))])
+    with pytest.raises(ParameterError, match="90 modes of its own, got modes 91"):
+        reduce(massless, held, tip, 91, held=clamp)

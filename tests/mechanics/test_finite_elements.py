@@ -1,0 +1,244 @@
+"""Finite elements against closed forms and published frequencies.
+
+Closed forms: Blevins, Formulas for Natural Frequency and Mode Shape (1979), tables 8-1, 8-8
+and 8-19. Timoshenko: Lee and Schultz, J. Sound Vib. 269 (2004), tables 1 and 2 (nu = 0.3,
+kappa = 5/6, sqrt(omega L^2 sqrt(rho A / E I)) as printed).
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.optimize
+
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.arm import Inertial, diagonal
+from ves_gym.mechanics.finite_elements import Frame, Member, element, polyline
+from ves_gym.mechanics.section import ALUMINIUM, Material, Section, Tube, cowper
+from ves_gym.mechanics.vehicle import BENT, STRAIGHT_VERTICAL, Beam
+
+# so slender that rotary inertia and shear change nothing in six digits
+HAIR = Tube(outer_diameter=4e-3, wall=5e-4)
+LENGTH = 10.0
+ALONG = np.array([2.0, -1.0, 2.0]) / 3  # oblique, so that axes are seen to be turned
+
+
+def line(section, pieces=32, length=LENGTH, along=ALONG, **options):
+    """A straight frame, its first node at the far end of the list of corners."""
+    frame = polyline([length * along], [section], options.get("material", ALUMINIUM))
+    return dataclasses.replace(frame, bodies=options.get("bodies", ())).divided(pieces)
+
+
+def frequencies(frame, held=(), count=8):
+    """(count,) omega [rad/s], slowest first; rigid motions come as zeros."""
+    M, K = (k.toarray() for k in frame.matrices())
+    free = np.setdiff1d(np.arange(len(K)), held)
+    M, K = M[np.ix_(free, free)], K[np.ix_(free, free)]
+    if len(held):  # the slow ones of a slender beam come out better as the largest 1/omega^2
+        return scipy.linalg.eigh(M, K, eigvals_only=True)[::-1][:count] ** -0.5
+    return np.sqrt(np.maximum(scipy.linalg.eigh(K, M, eigvals_only=True)[:count], 0))
+
+
+def bending(section, material=ALUMINIUM, length=LENGTH):
+    """omega of the unit of Blevins's omega L^2 sqrt(rho A / E I)."""
+    s = section.of(material)
+    return (
+        np.sqrt(material.youngs_modulus * s.second_z / (material.density * s.area)) / length**2
+    )
+
+
+def test_cantilever():
+    """Both planes: 3.5160, 22.034, 61.697, 120.90."""
+    found = frequencies(line(HAIR), held=range(6)) / bending(HAIR)
+    assert found == pytest.approx(np.repeat([3.51602, 22.0345, 61.6972, 120.902], 2), rel=2e-5)
+
+
+def test_free_beam():
+    """Six rigid motions, then 22.373, 61.673, 120.90."""
+    found = frequencies(line(HAIR), count=12) / bending(HAIR)
+    assert found[:6] == pytest.approx(np.zeros(6), abs=1e-2)
+    assert found[6:] == pytest.approx(np.repeat([22.3733, 61.6728, 120.903], 2), rel=2e-5)
+
+
+def test_pinned_beam():
+    """(n pi)^2 in both planes; held against turning about its own axis."""
+    frame = line(HAIR, along=np.array([1.0, 0, 0]))
+    held = [0, 1, 2, 3, 6, 7, 8, 9]
+    found = frequencies(frame, held) / bending(HAIR)
+    assert found == pytest.approx(np.repeat((np.pi * np.arange(1, 5)) ** 2, 2), rel=2e-5)
+
+
+@pytest.mark.parametrize("share", [0.1, 1.0, 10.0])
+def test_tip_mass(share):
+    """1 + cos b cosh b + mu b (cos b sinh b - sin b cosh b) = 0, mu of the beam's mass."""
+    s = HAIR.of(ALUMINIUM)
+    mass = share * s.area * LENGTH * ALUMINIUM.density
+    tip = Inertial(mass=mass, com=(0.0, 0.0, 0.0), inertia=diagonal(0.0, 0.0, 0.0))
+
+    def equation(b):
+        c, ch, s_, sh = np.cos(b), np.cosh(b), np.sin(b), np.sinh(b)
+        return 1 + c * ch + share * b * (c * sh - s_ * ch)
+
+    roots = [scipy.optimize.brentq(equation, *span) for span in ((0.3, 2.5), (3.9, 4.9))]
+    found = frequencies(line(HAIR, bodies=((1, tip),)), held=range(6), count=4) / bending(HAIR)
+    assert found == pytest.approx(np.repeat(np.square(roots), 2), rel=2e-5)
+
+
+def test_torsion_and_tension_of_a_rod():
+    """(2 n - 1) pi / 2 times the wave speed over the length, within the mesh's 1e-3."""
+    thick = Tube(outer_diameter=0.07, wall=0.006)
+    M, K = (k.toarray() for k in line(thick, 24, along=np.array([1.0, 0, 0])).matrices())
+    for freedom, modulus in ((3, ALUMINIUM.shear_modulus), (0, ALUMINIUM.youngs_modulus)):
+        only = np.arange(freedom, len(K), 6)[1:]  # the first node is clamped
+        squares = scipy.linalg.eigh(
+            K[np.ix_(only, only)], M[np.ix_(only, only)], eigvals_only=True
+        )
+        unit = np.sqrt(modulus / ALUMINIUM.density) / LENGTH
+        expected = np.array([1, 3, 5]) * np.pi / 2
+        assert np.sqrt(squares[:3]) / unit == pytest.approx(expected, rel=5e-3)
+
+
+PUBLISHED = {  # thickness over length -> square roots of the frequency, first five
+    ("pinned", 0.1): [3.11568, 6.09066, 8.84052, 11.3431, 13.6132],
+    ("pinned", 0.2): [3.04533, 5.67155, 7.83952, 9.65709, 11.2220],
+    ("clamped", 0.1): [4.57955, 7.33122, 9.85611, 12.1454, 14.2324],
+    ("clamped", 0.2): [4.24201, 6.41794, 8.28532, 9.90372, 11.3487],
+}
+STOCKY = Material(youngs_modulus=1e9, shear_modulus=1e9 / 2.6, density=1e3, source="nu = 0.3")
+
+
+@pytest.mark.parametrize(("ends", "ratio"), PUBLISHED)
+def test_timoshenko_beam_against_published_frequencies(ends, ratio):
+    area, second = ratio, ratio**3 / 12  # width and length 1 m
+    section = Section(
+        area=area,
+        second_y=second,
+        second_z=second,
+        torsion=second,
+        shear_y=5 / 6,
+        shear_z=5 / 6,
+    )
+    frame = line(section, 160, 1.0, np.array([1.0, 0, 0]), material=STOCKY)
+    M, K = (k.toarray() for k in frame.matrices())
+    plane = np.setdiff1d(np.r_[1 : len(K) : 6, 5 : len(K) : 6], [1, 7])
+    if ends == "clamped":
+        plane = np.setdiff1d(plane, [5, 11])
+    grid = np.ix_(plane, plane)
+    squares = scipy.linalg.eigh(K[grid], M[grid], eigvals_only=True)[:5]
+    found = np.sqrt(np.sqrt(squares) / bending(section, STOCKY, 1.0))
+    assert found == pytest.approx(PUBLISHED[ends, ratio], rel=2e-4)
+
+
+def test_shear_is_left_out_where_it_is_not_asked_for():
+    """A sheared cantilever gives by F L / (kappa G A) more; Cowper's 0.53 of a thin tube."""
+    tip = []
+    for shear in (False, True):
+        tube = Tube(outer_diameter=0.18, wall=0.007, shear=shear)
+        _, K = line(tube, 1, 2.0, np.array([1.0, 0, 0])).matrices()
+        tip.append(np.linalg.inv(K.toarray()[6:, 6:])[1, 1])
+    s = tube.of(ALUMINIUM)
+    assert s.shear_y == pytest.approx(0.5347, abs=1e-4)
+    expected = 2.0 / (s.shear_y * ALUMINIUM.shear_modulus * s.area)
+    assert tip[1] - tip[0] == pytest.approx(expected, rel=1e-9)
+    assert cowper(0.0, 0.3) == pytest.approx(6 * 1.3 / (7 + 6 * 0.3))  # solid round bar
+
+
+CROOKED = Beam(
+    segments=((3.0, -1.0, 0.5), (0.0, 2.0, 2.0), (-1.0, 0.3, 4.0)),
+    outer_diameter=0.11,
+    wall=0.004,
+)
+
+
+@pytest.mark.parametrize("beam", [BENT, STRAIGHT_VERTICAL, CROOKED], ids=str)
+def test_stiffness_is_that_of_the_beam(beam):
+    """One element a segment is exact in statics: K of `Beam` to 1e-12."""
+    tube = Tube(outer_diameter=beam.outer_diameter, wall=beam.wall)
+    frame = polyline(beam.segments, [tube] * len(beam.segments), beam.material)
+    _, K = frame.matrices()
+    compliance = np.linalg.inv(K.toarray()[6:, 6:])[-6:, -6:]
+    true = np.linalg.inv(beam.stiffness())
+    size = np.sqrt(np.diag(true))
+    assert np.abs((compliance - true) / np.outer(size, size)).max() < 1e-12
+
+
+def test_mass_and_rigid_motion():
+    """A rigid motion strains nothing, and its kinetic energy is that of the whole body."""
+    tube = Tube(outer_diameter=0.1, wall=0.01)
+    body = Inertial(mass=3.0, com=(0.1, 0.0, 0.2), inertia=diagonal(0.1, 0.2, 0.25))
+    frame = polyline([(1.0, 2.0, 0.5), (0.0, -1.0, 2.0)], [tube] * 2, ALUMINIUM)
+    frame = dataclasses.replace(frame, bodies=((1, body),)).divided(3)
+    M, K = frame.matrices()
+    rigid = np.zeros((6 * len(frame.nodes), 6))
+    for node, (x, y, z) in enumerate(frame.nodes):
+        rigid[6 * node : 6 * node + 6] = np.eye(6)
+        rigid[6 * node : 6 * node + 3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
+    assert np.abs(K @ rigid).max() < 1e-9 * abs(K).max()
+    total = rigid.T @ M @ rigid
+    s = tube.of(ALUMINIUM)
+    lengths = np.linalg.norm([(1.0, 2.0, 0.5), (0.0, -1.0, 2.0)], axis=1)
+    mass = 2.8e3 * s.area * lengths.sum() + 3.0
+    assert total[:3, :3] == pytest.approx(mass * np.eye(3), abs=1e-9)
+    centres = np.array([[-0.5, 0.0, -2.25], [0.0, 0.5, -1.0]])
+    moment = 2.8e3 * s.area * lengths @ centres + 3.0 * (frame.nodes[1] + [0.1, 0.0, 0.2])
+    assert total[3:, 0] == pytest.approx(np.cross(moment, [1.0, 0, 0]), abs=1e-9)
+
+
+def test_stress_of_a_loaded_cantilever():
+    """M c / I at the clamp, nothing at the tip, N / A along it."""
+    tube = Tube(outer_diameter=0.18, wall=0.007)
+    frame = line(tube, 4, 3.0)
+    _, K = frame.matrices()
+    across = np.cross(ALONG, [0.0, 0, 1])
+    across /= np.linalg.norm(across)
+    moved = np.zeros(K.shape[0])
+    load = np.zeros(K.shape[0])
+    load[6:9] = 700.0 * across + 5000.0 * ALONG
+    moved[6:] = np.linalg.solve(K.toarray()[6:, 6:], load[6:])
+    s = tube.of(ALUMINIUM)
+    tension = 5000.0 / s.area
+    found = frame.stress(moved)
+    order = [0, *range(1, 4)]
+    assert found[order[0], 0] == pytest.approx(tension + 700 * 3.0 * 0.09 / s.second_z)
+    assert found.min() == pytest.approx(tension)
+
+
+def test_an_unsymmetrical_section_bends_about_its_own_axes():
+    flat = Section(area=0.01, second_y=1e-6, second_z=4e-6, torsion=1e-6, up=(0.0, 1.0, 0.0))
+    _, K = line(flat, 1, 1.0, np.array([1.0, 0, 0])).matrices()
+    tip = np.linalg.inv(K.toarray()[6:, 6:])
+    # local z lies along y: the force along y meets second_y
+    assert tip[1, 1] == pytest.approx(1 / (3 * 72e9 * 1e-6))
+    assert tip[2, 2] == pytest.approx(1 / (3 * 72e9 * 4e-6))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: Tube(outer_diameter=0.1, wall=0.05),
+            "half the outer diameter 0.1 m, got 0.05",
+        ),
+        (lambda: Frame(np.zeros((1, 3)), (Member(0, 1, HAIR, ALUMINIUM),)), "0 to 0, got 1"),
+        (lambda: Frame(np.zeros((2, 3)), (Member(0, 1, HAIR, ALUMINIUM),)), "has no length"),
+        (
+            lambda: Section(area=1.0, second_y=1.0, second_z=1.0, torsion=1.0, shear_y=0.5),
+            "both shear_y and shear_z or neither",
+        ),
+        (
+            lambda: Frame(np.zeros((2, 2)), ()),
+            r"nodes must have shape \(2, 3\)",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(make, message):
+    with pytest.raises(ParameterError, match=message):
+        make()
+
+
+def test_an_element_of_no_shear_is_the_limit_of_one_with_little():
+    thin = Section(area=1e-3, second_y=1e-7, second_z=1e-7, torsion=2e-7)
+    stiff = dataclasses.replace(thin, shear_y=1e9, shear_z=1e9)
+    for a, b in zip(element(1.0, thin, ALUMINIUM), element(1.0, stiff, ALUMINIUM), strict=True):
+        assert np.abs(a - b).max() < 1e-9 * np.abs(a).max()

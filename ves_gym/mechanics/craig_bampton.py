@@ -1,0 +1,297 @@
+"""Reduction of a structure to one interface and m internal modes (Craig and Bampton, 1968).
+
+The inner freedoms move as the interface carries them in statics, and in the modes that they
+have with the interface held: u_i = Psi Y + Phi eta. Over (Y, eta)
+
+    K_z = [[K, 0], [0, diag(omega^2)]]        M_z = [[M, P], [P^T, 1]],
+
+K the static stiffness, M the mass in static shapes (Guyan's), P = (M_ib^T + Psi^T M_ii) Phi.
+The coordinates u = eta + P^T Y of the modes (`absolute`) decouple the mass: M - P P^T beside 1.
+A mode that is left out follows the interface in statics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+import scipy.sparse
+import scipy.sparse.linalg
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.modes import natural_modes
+
+_DENSE = 1500  # inner freedoms up to which all modes come from one dense solve
+_ALIKE = 1e-9  # relative distance of frequencies whose modes have no axes of their own
+_REFINED = 3  # rounds of iterative refinement of the static shapes
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """A structure over (Y, eta): interface pose (6) and m modes with the interface held."""
+
+    K: Array  # (6, 6) static stiffness at the interface [N/m, N, N m]
+    M: Array  # (6, 6) mass in static shapes [kg, kg m, kg m^2]
+    coupling: Array  # (6, m) P [kg^(1/2), kg^(1/2) m]
+    omega: Array  # (m,) ascending [rad/s]
+    static: Array  # (n, 6) way of every freedom per Y; identity at the interface
+    shapes: Array  # (n, m) way of every freedom per eta; zero at the interface
+    damping: Array | None = None  # (6 + m, 6 + m) over (Y', eta'), where the structure has one
+
+    @property
+    def m(self) -> int:
+        """Number of modes."""
+        return len(self.omega)
+
+    def matrices(self) -> tuple[Array, Array]:
+        """Return M_z and K_z over (Y, eta), two (6 + m, 6 + m)."""
+        m = self.m
+        mass = np.block([[self.M, self.coupling], [self.coupling.T, np.eye(m)]])
+        stiffness = np.zeros((6 + m, 6 + m))
+        stiffness[:6, :6] = self.K
+        stiffness[range(6, 6 + m), range(6, 6 + m)] = self.omega**2
+        return mass, stiffness
+
+    def truncated(self, modes: int) -> Reduction:
+        """Return the reduction with its slowest modes only; the others become static.
+
+        Args:
+            modes: to keep; all where there are fewer.
+        """
+        m = min(modes, self.m)
+        return replace(
+            self,
+            coupling=self.coupling[:, :m],
+            omega=self.omega[:m],
+            shapes=self.shapes[:, :m],
+            damping=None if self.damping is None else self.damping[: 6 + m, : 6 + m],
+        )
+
+    def within(self, fastest: float) -> Reduction:
+        """Return the reduction without the modes faster than this [rad/s]."""
+        return self.truncated(int(np.searchsorted(self.omega, fastest, side="right")))
+
+    def modal_damping(self, ratios: float | Array) -> Array:
+        """Return the damping that gives the whole, with its interface free, these ratios.
+
+        Args:
+            ratios: one for all, or (6 + m,) of the modes of (K_z, M_z), slowest first [1].
+
+        Returns:
+            (6 + m, 6 + m) over (Y', eta').
+        """
+        mass, stiffness = self.matrices()
+        omega, shapes = natural_modes(stiffness, mass)
+        rates = 2 * np.broadcast_to(ratios, omega.shape) * omega
+        half = mass @ shapes
+        out: Array = (half * rates) @ half.T
+        return (out + out.T) / 2
+
+    def absolute(self, damping: Array) -> tuple[Array, Array]:
+        """Return the mass beside the modes, and a damping, over (Y, u), u = eta + P^T Y.
+
+        Args:
+            damping: (6 + m, 6 + m) over (Y', eta').
+
+        Returns:
+            M - P P^T (6, 6), and the damping over (Y', u') (6 + m, 6 + m).
+        """
+        rest = self.M - self.coupling @ self.coupling.T
+        change = np.eye(6 + self.m)
+        change[6:, :6] = -self.coupling.T
+        return (rest + rest.T) / 2, change.T @ damping @ change
+
+    def rescaled(self, length: float, mass: float, time: float) -> Reduction:
+        """Return the reduction of a structure in other units in SI.
+
+        Args:
+            length: of one unit [m].
+            mass: of one unit [kg].
+            time: of one unit [s].
+        """
+        m = self.m
+        way = np.r_[np.full(3, length), np.ones(3)]  # of Y
+        own = np.full(m, length * np.sqrt(mass))  # of eta
+        energy = mass * length**2 / time**2
+        both = np.r_[way, own]
+        damping = self.damping
+        if damping is not None:
+            damping = damping * energy * time / np.outer(both, both)
+        return replace(
+            self,
+            K=self.K * energy / np.outer(way, way),
+            M=self.M * energy * time**2 / np.outer(way, way),
+            coupling=self.coupling * energy * time**2 / np.outer(way, own),
+            omega=self.omega / time,
+            static=self.static * length / way,
+            shapes=self.shapes * length / own,
+            damping=damping,
+        )
+
+    def turned(self, axes: Array) -> Reduction:
+        """Return the reduction with the interface in other axes.
+
+        Args:
+            axes: (3, 3) columns: the new x, y, z in the old axes.
+        """
+        turn = np.kron(np.eye(2), axes)  # new components -> old
+        damping = self.damping
+        if damping is not None:
+            both = scipy.linalg.block_diag(turn, np.eye(self.m))
+            damping = both.T @ damping @ both
+        return replace(
+            self,
+            K=turn.T @ self.K @ turn,
+            M=turn.T @ self.M @ turn,
+            coupling=turn.T @ self.coupling,
+            static=self.static @ turn,
+            damping=damping,
+        )
+
+
+def reduce(
+    mass: Any,
+    stiffness: Any,
+    interface: npt.ArrayLike,
+    modes: int,
+    damping: Any = None,
+    held: npt.ArrayLike = (),
+) -> Reduction:
+    """Reduce a structure to the six freedoms of one node and its slowest internal modes.
+
+    Args:
+        mass, stiffness: (n, n) dense or sparse, symmetric; SI units, or `rescaled` after.
+        interface: (6,) freedoms of the node in order x, y, z, phi_x, phi_y, phi_z.
+        modes: to keep.
+        damping: (n, n), if the structure has one.
+        held: freedoms that do not move (a clamp).
+
+    Returns:
+        The reduction; rows of `static` and `shapes` are all n freedoms, held ones zero.
+
+    Raises:
+        ParameterError: freedoms that are not there or given twice, more modes than the
+            structure has, or one that still moves freely with the interface held.
+    """
+    M, K = (scipy.sparse.csc_array(k, dtype=np.float64) for k in (mass, stiffness))
+    size = K.shape[0]
+    b, fixed = np.asarray(interface, int), np.asarray(held, int)
+    _check_freedoms(b, fixed, size)
+    moving = np.setdiff1d(np.arange(size), np.r_[b, fixed])
+    Kii, Mii = K[moving][:, moving], M[moving][:, moving]
+    Kib, Mib = K[moving][:, b].toarray(), M[moving][:, b].toarray()
+    if not 0 <= modes <= len(moving):
+        raise ParameterError(f"modes must be 0 to {len(moving)}, got {modes}")
+
+    psi = _static_shapes(Kii, Kib)
+    static, shapes = np.zeros((size, 6)), np.zeros((size, modes))
+    static[b], static[moving] = np.eye(6), psi
+    K_b = static.T @ (K @ static)
+    M_b = static.T @ (M @ static)
+    carried = Mib + Mii @ psi  # momentum of the inner freedoms per Y'
+    omega, phi, P = np.zeros(0), np.zeros((len(moving), 0)), np.zeros((6, 0))
+    if modes:
+        omega, phi = _held_modes(Mii, Kii, modes)
+        P = carried.T @ phi
+        phi, P = _own_axes(omega, phi, P)
+    shapes[moving] = phi
+    lost = None
+    if damping is not None:
+        both = np.hstack([static, shapes])
+        lost = both.T @ (scipy.sparse.csc_array(damping) @ both)
+        lost = (lost + lost.T) / 2
+    return Reduction((K_b + K_b.T) / 2, (M_b + M_b.T) / 2, P, omega, static, shapes, lost)
+
+
+def _check_freedoms(interface: Any, held: Any, size: int) -> None:
+    named = np.r_[interface, held]
+    if interface.shape != (6,):
+        raise ParameterError(f"interface must be 6 freedoms, got {interface.tolist()}")
+    if named.size and not (named.min() >= 0 and named.max() < size):
+        worst = named[(named < 0) | (named >= size)][0]
+        raise ParameterError(f"the structure has freedoms 0 to {size - 1}, got {worst}")
+    values, counts = np.unique(named, return_counts=True)
+    if (counts > 1).any():
+        raise ParameterError(
+            f"interface and held freedoms must differ, got {values[counts > 1][0]} twice"
+        )
+
+
+def _static_shapes(Kii: Any, Kib: Array) -> Array:
+    """-K_ii^-1 K_ib (n, 6), refined: a slender frame is badly conditioned."""
+    if not len(Kib):
+        return np.zeros((0, 6))
+    try:
+        factor = scipy.sparse.linalg.splu(Kii)
+    except RuntimeError:  # SuperLU: exactly singular
+        raise ParameterError(
+            "with its interface held the structure must not move freely, got a singular K_ii"
+        ) from None
+    psi: Array = -factor.solve(Kib)
+    for _ in range(_REFINED):
+        psi -= factor.solve(Kii @ psi + Kib)
+    if not np.isfinite(psi).all():
+        raise ParameterError(
+            "with its interface held the structure must not move freely, got a singular K_ii"
+        )
+    return psi
+
+
+def _held_modes(Mii: Any, Kii: Any, modes: int) -> tuple[Array, Array]:
+    """omega (m,) and mass-normalised shapes (n, m) of the slowest modes."""
+    n = Kii.shape[0]
+    if n <= _DENSE:
+        try:
+            inverse, phi = scipy.linalg.eigh(
+                Mii.toarray(), Kii.toarray(), subset_by_index=[n - modes, n - 1]
+            )
+        except np.linalg.LinAlgError:
+            lowest = float(np.linalg.eigvalsh(Kii.toarray())[0])
+            raise ParameterError(
+                "with its interface held the structure must not move freely, got an"
+                f" eigenvalue {lowest:.6g} of K_ii"
+            ) from None
+        inverse, phi = inverse[::-1], phi[:, ::-1]
+    else:
+        start = np.random.default_rng(0).standard_normal(n)  # the same every time
+        squares, phi = scipy.sparse.linalg.eigsh(Kii, k=modes, M=Mii, sigma=0.0, v0=start)
+        if squares.min() <= 0:
+            raise ParameterError(
+                "with its interface held the structure must not move freely, got"
+                f" omega^2 = {squares.min():.6g}"
+            )
+        order = np.argsort(squares)
+        inverse, phi = 1 / squares[order], phi[:, order]
+    masses = np.sum(inverse > 1e-14 * inverse[0])  # eigenvalues of a massless freedom vanish
+    if masses < modes:
+        raise ParameterError(f"the structure has {masses} modes of its own, got modes {modes}")
+    phi = phi / np.sqrt(np.sum(phi * (Mii @ phi), axis=0))
+    return 1 / np.sqrt(inverse), phi
+
+
+def _own_axes(omega: Array, phi: Array, P: Array) -> tuple[Array, Array]:
+    """Modes with a sign, and of equal frequencies with axes, that no solver chose.
+
+    A round beam bends alike in both planes: which two shapes a solver returns is rounding.
+    Of such modes each carries the first of the interface's axes that is left.
+    """
+    phi, P = phi.copy(), P.copy()
+    first = 0
+    while first < len(omega):
+        last = first + 1
+        while last < len(omega) and omega[last] - omega[first] <= _ALIKE * omega[first]:
+            last += 1
+        if last - first > 1:
+            turn, _, _ = scipy.linalg.qr(P[:, first:last].T, pivoting=True)
+            phi[:, first:last] = phi[:, first:last] @ turn
+            P[:, first:last] = P[:, first:last] @ turn
+        first = last
+    for k in range(len(omega)):
+        leading = P[:, k] if np.abs(P[:, k]).max() > 0 else phi[:, k]
+        if leading[np.abs(leading).argmax()] < 0:
+            phi[:, k] *= -1
+            P[:, k] *= -1
+    return phi, P
