@@ -11,7 +11,17 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.spatial import matvec
 from ves_gym.mechanics.vehicle import VEHICLES
-from ves_gym.planners.prediction import MeanEnergy, predict, spectral_energy
+from ves_gym.planners import prediction
+from ves_gym.planners.prediction import (
+    BaseState,
+    LinearBase,
+    MeanEnergy,
+    joint_momentum,
+    predict,
+    spectral_energy,
+)
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.energy import energies
 from ves_gym.system.system import System
 
 START = np.array([0.4, -0.6, 0.9])
@@ -99,3 +109,81 @@ def test_more_nodes_change_little():
 def test_a_prediction_wants_a_motion_of_the_arm():
     with pytest.raises(ParameterError, match="q must have shape"):
         predict(System(), Motion.straight([0.0, 0.0], [1.0, 1.0], 1.0))
+
+
+# ------------------------------------------------------- a base that moves at the start
+
+MOVING = BaseState(y=(0.01, 0.02, -0.01, 0.001, 0.0, 0.002), yd=(0.02, 0.0, 0.03, 0, 0.001, 0))
+TO_REST = Motion.to_rest(START, [0.3, -0.2, 0.4], [0.5, 0.0, -0.5], START + 0.2, 1.0)
+
+
+@pytest.mark.parametrize("servo", [None, HIGH_GAINS], ids=["exact joints", "servo"])
+@pytest.mark.parametrize("motion", [LARGE, TO_REST], ids=["rest", "moving joints"])
+@pytest.mark.parametrize("base", [None, MOVING], ids=["base at rest", "base moving"])
+def test_along_a_motion_the_form_is_the_prediction(servo, motion, base):
+    """Two texts of the same steps: equal to rounding."""
+    u = joint_momentum(System(), motion, np.zeros(1))[0]
+    form = MeanEnergy(System(), motion, 1.0, servo, base=base, momentum=u)
+    expected = predict(System(), motion, servo, base=base).E_mean
+    assert form.of(motion) == pytest.approx(expected, rel=1e-10)
+
+
+def test_the_linear_term_is_the_slope():
+    form = MeanEnergy(System(), LARGE, 1.0, HIGH_GAINS, nodes=12, base=MOVING)
+    u = joint_momentum(System(), LARGE, form.t).ravel()
+    step = np.random.default_rng(0).normal(size=u.size)
+    slope = (form.value(u + step) - form.value(u - step)) / 2  # exact of a quadratic
+    assert slope == pytest.approx(form.force(u) @ step, rel=1e-9)
+    assert form.constant > 0
+    at_rest = MeanEnergy(System(), LARGE, 1.0, HIGH_GAINS, nodes=12)
+    assert at_rest.constant == 0.0
+    assert not at_rest.gradient.any()
+
+
+@pytest.mark.parametrize("motion", [LARGE, TO_REST], ids=["rest", "moving joints"])
+def test_a_moving_base_is_predicted_as_it_is_simulated(motion):
+    """Tolerance: 1 % for rotations of the base of milliradians, which the linear base lacks."""
+    run = play_motions(System(), [motion], y=MOVING.y, yd=MOVING.yd)
+    simulated = energies(run.system, run.t, run.q, run.y, run.yd, duration=1.0)[0]
+    predicted = predict(System(), motion, HIGH_GAINS, base=MOVING)
+    assert predicted.E_mean == pytest.approx(simulated.E_mean, rel=0.01)
+    assert predicted.E_mean != pytest.approx(predict(System(), motion, HIGH_GAINS).E_mean, 0.1)
+
+
+def test_internal_coordinates_are_part_of_the_base(monkeypatch):
+    """A base of 8 coordinates: two oscillators tied to its pose, or to nothing.
+
+    Those tied to nothing keep their energy, 1/2 w^2 u^2 each; tied, they change the rest.
+    """
+    M, D, K = prediction.base_matrices(System())
+
+    def wider(coupling):
+        ways = np.vstack([-coupling * np.eye(6)[:, :2], np.eye(2)])
+        strain = ways @ np.diag([4.0, 25.0]) @ ways.T
+        strain[:6, :6] += K
+        return (
+            np.block([[M, np.zeros((6, 2))], [np.zeros((2, 6)), np.eye(2)]]),
+            np.block([[D, np.zeros((6, 2))], [np.zeros((2, 8))]]),
+            strain,
+        )
+
+    six = predict(System(), LARGE, HIGH_GAINS, base=MOVING).E_mean
+    base = dataclasses.replace(MOVING, u=(0.5, -0.2), ud=(0.0, 0.0))
+    monkeypatch.setattr(prediction, "base_matrices", lambda system: wider(0.0))
+    assert LinearBase(System(), HIGH_GAINS).size == 11
+    apart = predict(System(), LARGE, HIGH_GAINS, base=base).E_mean
+    assert apart == pytest.approx(six + (4.0 * 0.5**2 + 25.0 * 0.2**2) / 2, rel=1e-4)
+    monkeypatch.setattr(prediction, "base_matrices", lambda system: wider(5.0))
+    tied = predict(System(), LARGE, HIGH_GAINS, base=base).E_mean
+    assert tied != pytest.approx(apart, rel=0.01)
+    form = MeanEnergy(System(), LARGE, 1.0, HIGH_GAINS, base=base)
+    assert form.of(LARGE) == pytest.approx(tied, rel=1e-10)
+
+
+def test_a_base_state_that_is_none():
+    with pytest.raises(ParameterError, match=r"BaseState.y must have shape \(6,\)"):
+        BaseState(y=(0.1,) * 3)
+    with pytest.raises(ParameterError, match=r"BaseState.ud must have shape \(1,\)"):
+        BaseState(u=(0.1,), ud=(0.1, 0.1))
+    with pytest.raises(ParameterError, match="0 internal coordinates, got 1"):
+        predict(System(), LARGE, base=BaseState(u=(0.1,), ud=(0.0,)))

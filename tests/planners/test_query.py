@@ -13,7 +13,9 @@ import pytest
 from ves_gym._util.params import ParameterError, content_hash
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
-from ves_gym.planners.query import Query, broken_limit, is_feasible, solve
+from ves_gym.planners.direct import Direct
+from ves_gym.planners.prediction import BaseState, predict
+from ves_gym.planners.query import Plan, Query, broken_limit, is_feasible, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import SPEED_LIMITS
 from ves_gym.simulation.playback import play_motions
@@ -70,11 +72,39 @@ def test_an_unknown_planner_is_an_error_that_lists_the_known(name):
         ({"a_max": (1.0, 1.0)}, r"a_max must have shape \(3,\)"),
         ({"a_max": (1.0, 0.0, 1.0)}, r"a_max must be > 0 rad/s\^2"),
         ({"surroundings": "room.toml"}, "surroundings must be Surroundings, got 'room.toml'"),
+        ({"start_rate": (1.0, 1.0)}, r"start_rate must have shape \(3,\)"),
+        ({"start_acceleration": (1.0, 1.0, np.inf)}, "start_acceleration must be finite"),
+        ({"base": (0.1,) * 6}, "base must be a BaseState"),
     ],
 )
 def test_a_query_nobody_can_answer_is_refused(options, message):
     with pytest.raises(ParameterError, match=message):
         query(**options)
+
+
+def test_a_motion_continues_what_the_joints_do():
+    moving = query(start_rate=(0.3, -0.2, 0.1), start_acceleration=(0.5, 0.0, -1.0))
+    for motion in (moving.straight, solve(Direct(iterations=3), moving).motion):
+        begin, end = (k[0] for k in motion.at([0.0])[1:]), motion.at([2.0])
+        for got, expected in zip(begin, (moving.start, *moving.start_motion), strict=True):
+            np.testing.assert_allclose(got, expected, atol=1e-9)
+        np.testing.assert_allclose(end.q[0], moving.goal, atol=1e-12)
+        np.testing.assert_allclose([end.v, end.a], 0.0, atol=1e-9)
+        assert is_feasible(moving, motion)
+        assert Motion.from_dict(motion.to_dict()) == motion
+    at_rest = query()
+    assert not is_feasible(moving, at_rest.straight)
+    assert "do not move at the start" in broken_limit(at_rest, moving.straight)
+
+
+def test_a_plan_against_a_moving_base_is_kept_with_it(tmp_path):
+    base = BaseState(y=(0.05, 0.0, 0.0, 0.0, 0.0, 0.0))
+    plan = solve(Direct(iterations=5), query(base=base, start_rate=(0.1, 0.0, 0.0)))
+    plan.save(tmp_path / "plan.json")
+    kept = Plan.load(tmp_path / "plan.json")
+    assert kept.query == plan.query
+    assert kept.motion == plan.motion
+    assert kept.predicted == predict(System(), kept.motion, kept.query.servo, base=base)
 
 
 def test_a_seed_that_is_none():

@@ -1,4 +1,4 @@
-"""Joint motions: quintic B-splines in time, at rest at both ends.
+"""Joint motions: quintic B-splines in time, at rest at both ends or at the last one only.
 
 One form serves a straight rest-to-rest quintic (no inner knots), a spline through
 way-points and the path an optimiser shapes; its control points are the decision.
@@ -58,21 +58,23 @@ QUINTIC_PEAK_SPEED = 15 / 8  # of quintic(u), at u = 1/2
 class Motion:
     """q(t) on [0, duration]; before and after it the joints are held.
 
-    `control` holds the B-spline control points (m, n); the first three are equal and so
-    are the last three. Knots: see `knots`.
+    `control` holds the B-spline control points (m, n); the last three are equal, and so are
+    the first three unless the joints are `moving` at the start. Knots: see `knots`.
     """
 
     duration: float = unit("s")
     control: Matrix = unit("rad")
+    moving: bool | None = None  # True: not at rest at the start
 
     def __post_init__(self) -> None:
         require_positive(self, "duration")
+        if self.moving is not None and not isinstance(self.moving, bool):
+            raise ParameterError(f"Motion.moving must be true or false, got {self.moving!r}")
         points = _points(self.control, "Motion.control", least=DEGREE + 1)
-        ends = (points[:_HELD], points[-_HELD:])
+        ends = (points[-_HELD:],) if self.moving else (points[:_HELD], points[-_HELD:])
         if any(not np.array_equal(end, np.broadcast_to(end[0], end.shape)) for end in ends):
-            raise ParameterError(
-                "Motion.control must repeat its first and its last point three times"
-            )
+            which = "its last point" if self.moving else "its first and its last point"
+            raise ParameterError(f"Motion.control must repeat {which} three times")
 
     @staticmethod
     def straight(start: npt.ArrayLike, goal: npt.ArrayLike, duration: float) -> Motion:
@@ -84,6 +86,27 @@ class Motion:
         """
         a, b = _points([start, goal], "start and goal", least=2)
         return Motion(duration=duration, control=matrix(np.array([a] * _HELD + [b] * _HELD)))
+
+    @staticmethod
+    def to_rest(
+        start: npt.ArrayLike,
+        rate: npt.ArrayLike,
+        acceleration: npt.ArrayLike,
+        goal: npt.ArrayLike,
+        duration: float,
+    ) -> Motion:
+        """Return the quintic from moving joints to rest.
+
+        Args:
+            start, rate, acceleration: (n,) at time 0 [rad, rad/s, rad/s^2].
+            goal: (n,) joint angles at the end [rad].
+            duration: [s].
+        """
+        a, v, dv, b = _points([start, rate, acceleration, goal], "start and goal", least=4)
+        first = leading_points(2 * _HELD, duration, a, v, dv)
+        return Motion(
+            duration=duration, control=matrix(np.vstack([first, [b] * _HELD])), moving=True
+        )
 
     @staticmethod
     def through(points: npt.ArrayLike, duration: float, *, controls: int = 48) -> Motion:
@@ -115,7 +138,13 @@ class Motion:
         return Motion.fit(q, duration, controls=controls)
 
     @staticmethod
-    def fit(samples: npt.ArrayLike, duration: float, *, controls: int = 32) -> Motion:
+    def fit(
+        samples: npt.ArrayLike,
+        duration: float,
+        *,
+        controls: int = 32,
+        first: Array | None = None,
+    ) -> Motion:
         """Return the least-squares motion through positions at evenly spaced times.
 
         The ends are kept exactly, with zero velocity and acceleration.
@@ -124,19 +153,25 @@ class Motion:
             samples: (N, n) joint angles [rad].
             duration: [s].
             controls: number of control points.
+            first: (3, n) first control points of joints that move at the start
+                (`leading_points`).
         """
         q = _points(samples, "samples", least=2)
         if controls < DEGREE + 1:
             raise ParameterError(f"controls must be >= {DEGREE + 1}, got {controls}")
         u = np.linspace(0, 1, len(q))
         design = basis(controls, u)
-        ends = (
-            design[:, :_HELD].sum(1)[:, None] * q[0]
-            + design[:, -_HELD:].sum(1)[:, None] * q[-1]
-        )
+        last = design[:, -_HELD:].sum(1)[:, None] * q[-1]
+        if first is None:
+            ends = design[:, :_HELD].sum(1)[:, None] * q[0] + last
+        else:
+            ends = design[:, :_HELD] @ first + last
         inner = np.linalg.lstsq(design[:, _HELD:-_HELD], q - ends, rcond=None)[0]
-        control = np.vstack([[q[0]] * _HELD, inner, [q[-1]] * _HELD])
-        return Motion(duration=duration, control=matrix(control))
+        begin = np.array([q[0]] * _HELD) if first is None else first
+        control = np.vstack([begin, inner, [q[-1]] * _HELD])
+        return Motion(
+            duration=duration, control=matrix(control), moving=None if first is None else True
+        )
 
     @cached_property
     def _splines(self) -> tuple[Any, Any, Any]:
@@ -171,7 +206,7 @@ class Motion:
 
     def retimed(self, duration: float) -> Motion:
         """The same path at another duration."""
-        return Motion(duration=duration, control=self.control)
+        return Motion(duration=duration, control=self.control, moving=self.moving)
 
     def __repr__(self) -> str:
         return (
@@ -251,6 +286,22 @@ def knots(m: int) -> Array:
     """
     inner = graded(m - DEGREE + 1)
     out: Array = np.r_[np.zeros(DEGREE), inner, np.ones(DEGREE)]
+    return out
+
+
+def leading_points(m: int, duration: float, q: Array, v: Array, a: Array) -> Array:
+    """Return the first three control points of a motion of m that begins moving.
+
+    Args:
+        m: control points in all.
+        duration: of the motion [s].
+        q, v, a: (n,) angles [rad], rates [rad/s] and accelerations [rad/s^2] at the start.
+
+    Returns:
+        (3, n) [rad].
+    """
+    rows = [basis(m, [0.0], k)[0, :_HELD] / duration**k for k in range(_HELD)]
+    out: Array = np.linalg.solve(np.array(rows), np.array([q, v, a]))
     return out
 
 

@@ -1,11 +1,12 @@
 """Direct minimisation of the predicted E_mean over smooth motions.
 
-With the base mass frozen at the middle of the straight line, E_mean = 1/2 u^T W u in the
-samples u of the joint momentum H_bm(q) q' (`MeanEnergy`). The decision is the inner control
-points of a B-spline: way-points and their timing at once. Position, speed and acceleration
-limits are linear in them, on the control polygon, so they hold at every instant; motor
-torque and the distance from obstacles are kept at sampled times. Sequential quadratic
-programming with the exact derivative of u and Gauss and Newton's second derivative J^T W J.
+With the base mass frozen at the middle of the straight line, E_mean = 1/2 u^T W u + g^T u + c
+in the samples u of the joint momentum H_bm(q) q' (`MeanEnergy`); from rest g and c are zero.
+The decision is the inner control points of a B-spline: way-points and their timing at once.
+Position, speed and acceleration limits are linear in them, on the control polygon, so they
+hold at every instant; motor torque and the distance from obstacles are kept at sampled times.
+Sequential quadratic programming with the exact derivative of u and Gauss and Newton's second
+derivative J^T W J.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import matrix
-from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots, leading_points
 from ves_gym.planners.momentum import momentum, torque
 from ves_gym.planners.obstacles import Collisions, collisions
 from ves_gym.planners.prediction import MeanEnergy
@@ -74,8 +76,10 @@ class MotionProblem:
         self.query, self.arm = query, query.system.arm
         self.start, self.goal = query.ends
         self.n, self.m = self.arm.n, free + 2 * _FIXED
-        middle = (self.start + self.goal) / 2
-        self.energy = MeanEnergy(query.system, middle, query.duration, query.servo)
+        self.first = np.array([self.start] * _FIXED)  # control points
+        if query.is_moving:
+            self.first = leading_points(self.m, query.duration, self.start, *query.start_motion)
+        self.energy = self.form_at((self.start + self.goal) / 2)
         self._bases = self._sampled(self.energy.t / query.duration, 2)
         self._torque_times = graded(_SAMPLES * self.m + 1)
         self._torque_bases = self._sampled(self._torque_times, 3)
@@ -86,6 +90,20 @@ class MotionProblem:
         if query.surroundings is not None:
             self._checker = collisions(query.system.ideal(), query.surroundings)
 
+    def form_at(self, at: Array | Motion) -> MeanEnergy:
+        """E_mean as a function of the momentum, the inertia frozen or that along a motion.
+
+        Args:
+            at: (n,) [rad], or a motion of the query's duration.
+        """
+        query = self.query
+        momentum = None
+        if query.is_moving:
+            momentum = inertia(self.arm, self.start)[:6, 6:] @ query.start_motion[0]
+        return MeanEnergy(
+            query.system, at, query.duration, query.servo, base=query.base, momentum=momentum
+        )
+
     def _sampled(self, u: Array, orders: int) -> list[Array]:
         """Basis functions and their derivatives at times u T: each (N, m)."""
         return [basis(self.m, u, k) / self.query.duration**k for k in range(orders)]
@@ -95,18 +113,22 @@ class MotionProblem:
         if motion.n != self.n:
             raise ParameterError(f"motion must have {self.n} joints, got {motion.n}")
         q = motion.at(np.linspace(0, motion.duration, 12 * self.m)).q
-        fitted = Motion.fit(q, self.query.duration, controls=self.m)
+        first = self.first if self.query.is_moving else None
+        fitted = Motion.fit(q, self.query.duration, controls=self.m, first=first)
         low, high = self.bounds
         return np.clip(np.array(fitted.control)[_FIXED:-_FIXED].ravel(), low, high)
 
     def control(self, x: Array) -> Array:
         """(m, n) control points from the free ones."""
         inner = x.reshape(-1, self.n)
-        return np.vstack([[self.start] * _FIXED, inner, [self.goal] * _FIXED])
+        return np.vstack([self.first, inner, [self.goal] * _FIXED])
 
     def motion(self, x: Array) -> Motion:
         """The motion of a decision."""
-        return Motion(duration=self.query.duration, control=matrix(self.control(x)))
+        moving = True if self.query.is_moving else None
+        return Motion(
+            duration=self.query.duration, control=matrix(self.control(x)), moving=moving
+        )
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -130,8 +152,7 @@ class MotionProblem:
     def value(self, x: Array) -> tuple[float, Array]:
         """E_mean [J] and its gradient."""
         u, slope = self.momentum(x)
-        force = self.energy.hessian @ u  # dE/du
-        return 0.5 * float(u @ force), slope.T @ force
+        return self.energy.value(u), slope.T @ self.energy.force(u)
 
     # ------------------------------------------------------------------------ limits
 
@@ -303,7 +324,7 @@ def _minimise(problem: MotionProblem, x0: Array, iterations: int, tolerance: flo
     def at(x: Array) -> _Point:
         u, slope = problem.momentum(x)
         limits, rows = problem.limits(x)
-        return _Point(x, 0.5 * float(u @ W @ u), u, slope, limits, rows)
+        return _Point(x, problem.energy.value(u), u, slope, limits, rows)
 
     point = at(np.clip(x0, low, high))
     scale = max(point.energy, 1e-12)
@@ -311,9 +332,8 @@ def _minimise(problem: MotionProblem, x0: Array, iterations: int, tolerance: flo
     message = "iteration limit reached"
     while done < iterations:
         done += 1
-        force = W @ point.slope
-        hessian = point.slope.T @ force / scale
-        gradient = force.T @ point.u / scale
+        hessian = point.slope.T @ (W @ point.slope) / scale
+        gradient = point.slope.T @ problem.energy.force(point.u) / scale
         step = None
         while radius > _LEAST_STEP:
             step, slack, price = _subproblem(

@@ -6,8 +6,10 @@ with the joint momentum u(t) = H_bm(q) q' and P = M_t Y' + u,
     Y' = M_t^-1 (P - u),    P' = -D Y' - K Y.
 
 `spectral_energy` is its undamped closed form (THEORY eq. 1). `predict` keeps damping,
-servo compliance and the mean over the tail; with M_t frozen at one configuration, E_mean
-is a quadratic form in u (`MeanEnergy`), which is what `direct` minimises.
+servo compliance and the mean over the tail; with M_t frozen at one configuration, or along
+one motion, E_mean is a quadratic function of u (`MeanEnergy`), which is what `direct`
+minimises. A base that moves at the start (`BaseState`) adds its free response: a linear term
+in u and a constant.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from ves_gym._util.params import Array
+from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import sum_quadratic
 from ves_gym.mechanics.motion import Motion
@@ -29,6 +31,40 @@ from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
 
 NODES = 96  # samples of a motion; energies converge to about 1e-3 (docs/physics.md)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseState:
+    """Motion of the base at one instant: pose and rate, and those of its internal modes."""
+
+    y: Vector = unit("m, rad", default=(0.0,) * 6)  # (6,) pose
+    yd: Vector = unit("m/s, rad/s", default=(0.0,) * 6)  # (6,) its rate
+    u: Vector = unit("kg^0.5 m", default=())  # (m,) internal coordinates
+    ud: Vector = unit("kg^0.5 m/s", default=())  # (m,) their rates
+
+    def __post_init__(self) -> None:
+        for name, size in (("y", 6), ("yd", 6), ("u", len(self.u)), ("ud", len(self.u))):
+            finite(getattr(self, name), (size,), f"BaseState.{name}")
+
+    def stacked(self, size: int) -> tuple[Array, Array]:
+        """Coordinates z = (Y, u) of a base and their rates, (size,) each.
+
+        Args:
+            size: 6 and the number of internal coordinates; without any given they are
+                at rest where they are zero.
+
+        Raises:
+            ParameterError: another number of internal coordinates.
+        """
+        if len(self.u) not in (0, size - 6):
+            raise ParameterError(
+                f"BaseState.u must have {size - 6} internal coordinates, got {len(self.u)}"
+            )
+        z, zd = np.zeros((2, size))
+        z[:6], zd[:6] = self.y, self.yd
+        if self.u:
+            z[6:], zd[6:] = self.u, self.ud
+        return z, zd
 
 
 @dataclass(frozen=True)
@@ -86,29 +122,34 @@ def joint_momentum(system: System, motion: Motion, t: Array) -> Array:
 class LinearBase:
     """Matrices of the linear base under joint motion; P = M x' + u, x' = M^-1 (P - u).
 
-    With a `servo` on motor drives the joints may give way: x = (Y, joint error), with
-    the full inertia matrix and the servo gains as joint stiffness and damping
-    (feed-forward supplies the nominal joint torque). Otherwise the joints follow exactly
-    and x = Y.
+    The base's coordinates z (b) start with its pose Y (6); only these feel the arm. With a
+    `servo` on motor drives the joints may give way: x = (z, joint error), with the full
+    inertia matrix and the servo gains as joint stiffness and damping (feed-forward supplies
+    the nominal joint torque). Otherwise the joints follow exactly and x = z.
     """
 
     def __init__(self, system: System, servo: JointServo | None = None) -> None:
-        self.system, self.base = system, system.base
-        self.size = 6
-        self.D, self.K = self.base.D, self.base.K
+        self.system = system
+        self.base_mass, self.D, self.K = base_matrices(system)
+        self.base_stiffness = self.K
+        self.b = self.size = len(self.K)
         if servo is not None and system.drive == "motor":
             self.size += system.arm.n
             self.D = scipy.linalg.block_diag(self.D, np.diag(servo.kd))
             self.K = scipy.linalg.block_diag(self.K, np.diag(servo.kp))
+        # of x, what the arm's inertia matrix (6 + n) acts on
+        self._seen = np.r_[np.arange(6), np.arange(self.b, self.size)]
 
     def mass(self, H: Array) -> Array:
         """Inertia of x (..., size, size) from the arm's inertia matrices."""
-        M = H[..., : self.size, : self.size].copy()
-        M[..., :6, :6] += self.base.mass_matrix
+        M = np.zeros((*H.shape[:-2], self.size, self.size))
+        k = len(self._seen)
+        M[..., self._seen[:, None], self._seen] = H[..., :k, :k]
+        M[..., : self.b, : self.b] += self.base_mass
         return M
 
     def plant(self, M: Array) -> tuple[Array, Array]:
-        """A, B of z' = A z + B u with z = (x, P), over leading axes of M."""
+        """A, B of s' = A s + B u with s = (x, P), over leading axes of M."""
         inverse = np.linalg.inv(M)
         zero = np.zeros_like(inverse)
         K = np.broadcast_to(self.K, M.shape)
@@ -116,19 +157,50 @@ class LinearBase:
         return A, np.concatenate([-inverse, self.D @ inverse], axis=-2)
 
     def weight(self, M: Array) -> Array:
-        """C with base energy E = z^T C z while the joints are held."""
-        row = np.linalg.inv(M)[:6]
+        """C with base energy E = s^T C s while the joints are held."""
+        row = np.linalg.inv(M)[: self.b]
         strain = np.zeros_like(M)
-        strain[:6, :6] = self.base.K
-        return 0.5 * scipy.linalg.block_diag(strain, row.T @ M[:6, :6] @ row)
+        strain[: self.b, : self.b] = self.base_stiffness
+        kinetic = row.T @ M[: self.b, : self.b] @ row
+        return 0.5 * scipy.linalg.block_diag(strain, kinetic)
 
     def tail(self, M: Array) -> Array:
-        """S with the integral of E over the tail = z^T S z, joints held."""
+        """S with the integral of E over the tail = s^T S s, joints held."""
         return _gramian(self.plant(M)[0], self.weight(M), TAIL)
+
+    def begin(self, M: Array, base: BaseState | None, u: Array) -> Array:
+        """State s = (x, P) (2 size,) at the start, the joints on their command.
+
+        Args:
+            M: (size, size) inertia there.
+            base: motion of the base; None: at rest.
+            u: (6,) momentum of the joints there.
+        """
+        s = np.zeros(2 * self.size)
+        if base is not None:
+            z, zd = base.stacked(self.b)
+            s[: self.b], s[self.size :] = z, M[:, : self.b] @ zd
+        s[self.size : self.size + 6] += u
+        return s
+
+
+def base_matrices(system: System) -> tuple[Array, Array, Array]:
+    """Return mass, damping and stiffness of the base alone over its coordinates, (b, b) each.
+
+    Args:
+        system: its vehicle is the base.
+    """
+    base = system.base
+    return base.mass_matrix, base.D, base.K
 
 
 def predict(
-    system: System, motion: Motion, servo: JointServo | None = None, nodes: int = NODES
+    system: System,
+    motion: Motion,
+    servo: JointServo | None = None,
+    nodes: int = NODES,
+    *,
+    base: BaseState | None = None,
 ) -> Prediction:
     """Predict the energies of a motion on the linear base, its inertia as the arm moves.
 
@@ -140,12 +212,13 @@ def predict(
         motion: of the joints.
         servo: that moves them; None: they follow exactly.
         nodes: steps.
+        base: its motion at the start; None: at rest.
 
     Returns:
         E_mean, E_res and E_peak [J].
     """
     linear = LinearBase(system, servo)
-    size = linear.size
+    size, b = linear.size, linear.b
     t = np.linspace(0, motion.duration, 2 * nodes + 1)
     s = motion.at(t)
     H = inertia(system.arm, s.q)
@@ -163,12 +236,13 @@ def predict(
     block[:, -2, -1] = 1.0
     steps = scipy.linalg.expm(block)
     z = np.zeros((nodes + 1, 2 * size))
+    z[0] = linear.begin(M[0], base, u[0, :6])
     for k in range(nodes):
         z[k + 1] = steps[k, :-2, :-2] @ z[k] + steps[k, :-2, -1]
 
     M, x = M[::2], z[:, :size]
     rate = np.asarray(np.linalg.solve(M, (z[:, size:] - u[::2])[..., None])[..., 0], float)
-    E = quadratic(M[:, :6, :6], rate[:, :6]) + quadratic(linear.base.K, x[:, :6])
+    E = quadratic(M[:, :b, :b], rate[:, :b]) + quadratic(linear.base_stiffness, x[:, :b])
     final = np.concatenate([x[-1], M[-1] @ rate[-1]])
     total = np.trapezoid(E, t[::2]) + final @ linear.tail(M[-1]) @ final
     mean = total / (motion.duration + TAIL)
@@ -176,62 +250,111 @@ def predict(
 
 
 class MeanEnergy:
-    """E_mean of a motion as a quadratic form, with the inertia frozen at `at`.
+    """E_mean of a motion as a quadratic function, with the inertia frozen at `at`.
 
-    E_mean = 1/2 u^T W u over the samples u (N + 1, 6) of the joint momentum H_bm(q) q'
-    at the times `t`; u is held linear between them.
+    E_mean = 1/2 u^T W u + g^T u + c over the samples u (N + 1, 6) of the joint momentum
+    H_bm(q) q' at the times `t`; u is held linear between them. W is `hessian`, g `gradient`
+    and c `constant`; the latter are zero where base and joints start at rest.
+
+    Args:
+        system: arm and vehicle.
+        at: (n,) configuration of the frozen inertia [rad], or a motion of the duration: the
+            inertia is then that along it.
+        duration: of the motions [s].
+        servo: that moves them; None: they follow exactly.
+        nodes: steps.
+        base: its motion at the start; None: at rest.
+        momentum: (6,) of the joints at the start; None: at rest.
     """
 
     def __init__(
         self,
         system: System,
-        at: npt.ArrayLike,
+        at: npt.ArrayLike | Motion,
         duration: float,
         servo: JointServo | None = None,
         nodes: int = NODES,
+        *,
+        base: BaseState | None = None,
+        momentum: Array | None = None,
     ) -> None:
-        linear = LinearBase(system, servo)
+        self.linear = LinearBase(system, servo)
         self.t = np.linspace(0, duration, nodes + 1)
         self.system = system
-        self.hessian = self._hessian(linear, linear.mass(inertia(system.arm, at)))
+        u0 = np.zeros(6) if momentum is None else momentum
+        self._along(at)
+        self._start = None
+        if base is not None or u0.any():
+            self._start = self.linear.begin(self._mass_at(0), base, u0)
+        self._form()
 
     def of(self, motion: Motion) -> float:
         """E_mean of a motion [J]."""
-        u = joint_momentum(self.system, motion, self.t).ravel()
-        return 0.5 * float(u @ self.hessian @ u)
+        return self.value(joint_momentum(self.system, motion, self.t).ravel())
 
-    def _hessian(self, linear: LinearBase, M: Array) -> Array:
-        """W: (6(N + 1), 6(N + 1)) [J / (kg m/s)^2]."""
-        N, size, duration = len(self.t), linear.size, float(self.t[-1])
-        A, B = linear.plant(M)
-        Phi, first_step, second_step = _hold(A, B[:, :6], self.t[1])
-        first, second = np.empty((N, 2 * size, 6)), np.empty((N, 2 * size, 6))
-        first[0], second[0] = first_step, second_step
-        for k in range(1, N):
-            first[k], second[k] = Phi @ first[k - 1], Phi @ second[k - 1]
-        # response of the state at node k to u at node j: as the end of one step (second)
-        # and as the start of the next (first)
-        lagged = second.copy()
-        lagged[1:] += first[:-1]
-        states = np.zeros((N, 2 * size, N, 6))
-        for k in range(1, N):
-            states[k, :, 1 : k + 1] = lagged[:k][::-1].transpose(1, 0, 2)
-            states[k, :, 0] = first[k - 1]
-        # E_k = 1/2 |R_K Y|^2 + 1/2 |R_M Y'|^2 with Y' = (M^-1 (P - u))[:6]
-        pose = _root(linear.base.K)
-        speed = _root(M[:6, :6]) @ np.linalg.inv(M)[:6]
-        rows = np.empty((N, 12, N, 6))
-        rows[:, :6] = np.einsum("ab,kbjc->kajc", pose, states[:, :6])
-        rows[:, 6:] = np.einsum("ab,kbjc->kajc", speed, states[:, size:])
-        nodes = np.arange(N)
-        rows[nodes, 6:, nodes] -= speed[:, :6]
+    def value(self, u: Array) -> float:
+        """E_mean [J] of momenta u (6 (N + 1),)."""
+        quadratic_part = 0.5 * float(u @ self.hessian @ u)
+        if self._start is None:
+            return quadratic_part
+        return quadratic_part + float(self.gradient @ u) + self.constant
+
+    def force(self, u: Array) -> Array:
+        """Derivative of `value` (6 (N + 1),)."""
+        out: Array = self.hessian @ u
+        return out if self._start is None else out + self.gradient
+
+    def _along(self, at: npt.ArrayLike | Motion) -> None:
+        """Inertia at the nodes, and in the middle of every step."""
+        if isinstance(at, Motion):
+            half = np.linspace(0, self.t[-1], 2 * len(self.t) - 1)
+            M = self.linear.mass(inertia(self.system.arm, at.at(half).q))
+            self._M, middle = M[::2], M[1::2]
+        else:
+            self._M = self.linear.mass(inertia(self.system.arm, at))[None]
+            middle = self._M
+        A, B = self.linear.plant(middle)
+        self._steps = [
+            _hold(a, b[:, :6], self.t[1] - self.t[0]) for a, b in zip(A, B, strict=True)
+        ]
+
+    def _mass_at(self, k: int) -> Array:
+        out: Array = self._M[k if len(self._M) > 1 else 0]
+        return out
+
+    def _form(self) -> None:
+        """W (6(N + 1), 6(N + 1)) [J / (kg m/s)^2], g [J / (kg m/s)] and c [J]."""
+        linear, N, duration = self.linear, len(self.t), float(self.t[-1])
+        size, b = linear.size, linear.b
+        # response of the state at node k to u at node j, and last of all to the start
+        states = np.zeros((N, 2 * size, N * 6 + 1))
+        if self._start is not None:
+            states[0, :, -1] = self._start
+        for k in range(N - 1):
+            Phi, first, second = self._steps[k if len(self._steps) > 1 else 0]
+            done = 6 * k + 6
+            states[k + 1, :, :done] = Phi @ states[k, :, :done]
+            states[k + 1, :, -1] = Phi @ states[k, :, -1]
+            states[k + 1, :, done - 6 : done] += first
+            states[k + 1, :, done : done + 6] = second
+        # E_k = 1/2 |R_K z|^2 + 1/2 |R_M z'|^2 with z' = (M^-1 (P - u))[:b]
+        pose = _root(linear.base_stiffness)
+        speed = np.stack([_root(M[:b, :b]) @ np.linalg.inv(M)[:b] for M in self._M])
+        rows = np.empty((N, 2 * b, 6 * N + 1))
+        rows[:, :b] = pose @ states[:, :b]
+        rows[:, b:] = speed @ states[:, size:]
+        for k in range(N):
+            rows[k, b:, 6 * k : 6 * k + 6] -= speed[k if len(speed) > 1 else 0, :, :6]
         weight = np.full(N, self.t[1])
         weight[[0, -1]] /= 2
-        rows *= np.sqrt(weight / (duration + TAIL))[:, None, None, None]
-        flat = rows.reshape(12 * N, 6 * N)
-        last = states[-1].reshape(2 * size, 6 * N)
-        out: Array = flat.T @ flat + last.T @ (2 / (duration + TAIL) * linear.tail(M)) @ last
-        return out
+        rows *= np.sqrt(weight / (duration + TAIL))[:, None, None]
+        flat = rows.reshape(2 * b * N, -1)
+        tail = 2 / (duration + TAIL) * linear.tail(self._mass_at(-1))
+        last = states[-1]
+        whole = flat.T @ flat + last.T @ tail @ last
+        self.hessian: Array = np.ascontiguousarray(whole[:-1, :-1])
+        self.gradient: Array = whole[:-1, -1].copy()
+        self.constant = 0.5 * float(whole[-1, -1])
 
 
 def _hold(A: Array, B: Array, dt: float) -> tuple[Array, Array, Array]:

@@ -31,7 +31,7 @@ from ves_gym.mechanics.limits import LimitCheck, check_reference, limits_of
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 from ves_gym.planners.obstacles import RESOLUTION, Surroundings, collisions
-from ves_gym.planners.prediction import Prediction, predict
+from ves_gym.planners.prediction import BaseState, Prediction, base_matrices, predict
 from ves_gym.system.system import System
 
 SCHEMA = "ves-plan-file/1"  # of a saved plan
@@ -39,7 +39,11 @@ SCHEMA = "ves-plan-file/1"  # of a saved plan
 
 @dataclass(frozen=True, kw_only=True)
 class Query:
-    """From rest at `start` to rest at `goal` in `duration`, disturbing the base least."""
+    """From `start` to rest at `goal` in `duration`, so that the base has least energy.
+
+    Arm and base are at rest at the start unless `start_rate`, `start_acceleration` or `base`
+    say how they move.
+    """
 
     system: System
     start: Vector = unit("rad")
@@ -50,6 +54,9 @@ class Query:
     surroundings: Surroundings | None = None  # what not to touch, None = nothing is checked
     servo: JointServo = HIGH_GAINS  # what will move the joints
     name: str = ""
+    base: BaseState | None = None  # how the base moves at the start, None = at rest
+    start_rate: Vector | None = unit("rad/s", default=None)  # of the joints, None = at rest
+    start_acceleration: Vector | None = unit("rad/s^2", default=None)
 
     def __post_init__(self) -> None:
         require_positive(self, "duration")
@@ -64,6 +71,13 @@ class Query:
             raise ParameterError(
                 f"surroundings must be Surroundings, got {self.surroundings!r}"
             )
+        for name in ("start_rate", "start_acceleration"):
+            if getattr(self, name) is not None:
+                finite(getattr(self, name), (arm.n,), name)
+        if not isinstance(self.base, BaseState | None):
+            raise ParameterError(f"base must be a BaseState, got {self.base!r}")
+        if self.base is not None:
+            self.base.stacked(len(base_matrices(self.system)[0]))
         if self.system.drive == "motor" and len(self.servo.kp) != arm.n:
             raise ParameterError(
                 f"servo must have gains for {arm.n} joints, got {len(self.servo.kp)}"
@@ -71,8 +85,25 @@ class Query:
 
     @property
     def straight(self) -> Motion:
-        """The straight quintic between the ends."""
-        return Motion.straight(self.start, self.goal, self.duration)
+        """The quintic between the ends: a straight line where the joints start at rest."""
+        if not self.is_moving:
+            return Motion.straight(self.start, self.goal, self.duration)
+        return Motion.to_rest(self.start, *self.start_motion, self.goal, self.duration)
+
+    @property
+    def is_moving(self) -> bool:
+        """True where the joints are not at rest at the start."""
+        return any(map(np.any, self.start_motion))
+
+    @property
+    def start_motion(self) -> tuple[Array, Array]:
+        """Rate and acceleration of the joints at the start (n,) [rad/s, rad/s^2]."""
+        still = np.zeros(self.system.arm.n)
+        rate, acceleration = (
+            still if k is None else np.array(k)
+            for k in (self.start_rate, self.start_acceleration)
+        )
+        return rate, acceleration
 
     @property
     def ends_in_words(self) -> str:
@@ -223,7 +254,7 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
         except NoPlan as error:
             failure: str | None = str(error)
         else:
-            predicted = predict(query.system, motion, query.servo)
+            predicted = predict(query.system, motion, query.servo, base=query.base)
             failure = broken_limit(query, motion)
     seconds = time.perf_counter() - begin
     return Plan(planner.name, query, motion, predicted, seconds, failure, info)
@@ -266,6 +297,10 @@ def broken_limit(query: Query, motion: Motion) -> str | None:
         return "the motion does not join the ends of the query"
     if not math.isclose(motion.duration, query.duration):
         return f"the motion takes {motion.duration:g} s, asked {query.duration:g} s"
+    if query.is_moving or motion.moving:
+        begin = motion.at([0.0])
+        if not all(map(np.allclose, (begin.v[0], begin.a[0]), query.start_motion)):
+            return "the joints do not move at the start as the query says"
     limits = limits_of_query(query)
     if query.v_max is None:
         del limits["velocity"]  # an answer may be faster than the arm: the question says so

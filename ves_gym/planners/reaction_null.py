@@ -111,7 +111,8 @@ class ReactionNull:
         if not moved:
             raise NoPlan(why)
         ours, straight = (
-            predict(query.system, m, query.servo).E_mean for m in (motion, query.straight)
+            predict(query.system, m, query.servo, base=query.base).E_mean
+            for m in (motion, query.straight)
         )
         if ours > straight:
             raise NoPlan(

@@ -214,7 +214,8 @@ def play_motions(
     fine = system.substeps if emulated else 1  # steps between looks at the joints
     if table is not None:
         sim.use_gravity(table[:, :1])
-    sim.reset(q=np.stack([m.start for m in motions]), y=y, yd=yd)
+    moving = np.stack([m.at([0.0]).v[0] if m.moving else np.zeros(m.n) for m in motions])
+    sim.reset(q=np.stack([m.start for m in motions]), v=moving, y=y, yd=yd)
     for k in range(records):
         state = sim.state
         tau, ydd = sim.evaluate(commands[:, k * stride])
