@@ -176,9 +176,7 @@ EXTRA = BaseExtraMode(mass=200.0, frequency=0.3, damping_ratio=0.05, direction=(
 def reference(system, y, t):
     """(N, 6) of vehicle, locked arm and oscillator, linear, by the matrix exponential."""
     base = system.actual.base
-    M, D, K = base.widened()
-    for part, own in zip((M, D, K), (base.M, base.D, base.K), strict=True):
-        part[:6, :6] += own
+    M, D, K = base.full()
     M[:6, :6] += inertia(system.arm, np.zeros(3))[:6, :6]
     size = len(M)
     A = np.zeros((2 * size, 2 * size))
@@ -214,9 +212,7 @@ def test_motion_with_an_extra_mode(mode, tolerance, backend):
 def test_the_admittance_is_sampled_exactly():
     """Without compensation: the eigenvalues of the wider vehicle, whatever the form."""
     base = System(vehicle=DECOUPLED, effects=(EXTRA,)).actual.base
-    M, D, K = base.widened()
-    for part, own in zip((M, D, K), (base.M, base.D, base.K), strict=True):
-        part[:6, :6] += own
+    M, D, K = base.full()
     A = np.block(
         [[np.zeros((7, 7)), np.eye(7)], [-np.linalg.solve(M, K), -np.linalg.solve(M, D)]]
     )
@@ -269,7 +265,7 @@ def test_gears_are_the_same_joints_in_all_simulations():
     ):
         sim.assign([System(effects=(soft(0.0),))])
     sim = Simulator(System(effects=(EXTRA,)))
-    with pytest.raises(ParameterError, match=r"oscillators on the vehicle must be .* 1, got 0"):
+    with pytest.raises(ParameterError, match=r"internal modes must be .* 1, got 0"):
         sim.assign([System(effects=(BaseExtraMode(),))])
 
 

@@ -20,6 +20,7 @@ from hypothesis.extra.numpy import arrays
 
 from ves_gym._util import optional
 from ves_gym.system.runlog import OPTIONAL, QUANTITIES, RunLog, RunLogError
+from ves_gym.system.runlog_files import JOINT, MODE, POSE
 
 JOINTS = 3
 META = {
@@ -36,7 +37,8 @@ PARQUET = pytest.param("parquet", marks=needs_pyarrow)
 
 def make(n: int = JOINTS, samples: int = 5, optional: Any = OPTIONAL, **changes: Any) -> RunLog:
     rng = np.random.default_rng(n * samples)
-    wanted = {k: n if j else 6 for k, (j, must) in QUANTITIES.items() if must or k in optional}
+    sizes = {JOINT: n, POSE: 6, MODE: 4}
+    wanted = {k: sizes[j] for k, (j, must) in QUANTITIES.items() if must or k in optional}
     columns = {k: rng.standard_normal((samples, size)) for k, size in wanted.items()}
     meta = META if n == JOINTS else {"format": "ves-run/1"}
     return RunLog(**{"t": 0.1 * np.arange(samples), "meta": meta} | columns | changes)
@@ -101,9 +103,9 @@ def logs(draw: st.DrawFn) -> RunLog:
     n, samples = draw(st.integers(1, 7)), draw(st.integers(2, 50))
     optional = draw(st.sets(st.sampled_from(OPTIONAL)))
     values: dict[str, Any] = {}
-    for name, (per_joint, required) in QUANTITIES.items():
+    for name, (axis, required) in QUANTITIES.items():
         if required or name in optional:
-            shape = (samples, n if per_joint else 6)
+            shape = (samples, {JOINT: n, POSE: 6, MODE: 4}[axis])
             values[name] = draw(arrays(np.float64, shape, elements=FLOATS))
     t = draw(st.lists(FLOATS, min_size=samples, max_size=samples, unique=True))
     note = draw(st.text(max_size=20))
@@ -133,9 +135,7 @@ def test_both_formats_give_one_digest_and_one_column_order(tmp_path: Path) -> No
     names = cells(tmp_path / "a.csv")[0]
     assert names == list(log.columns()) == pq.read_schema(tmp_path / "a.parquet").names
     assert names[:5] == ["t", "q_cmd_1", "q_cmd_2", "q_cmd_3", "v_cmd_1"]
-    assert [k for k in names if k.endswith("_1")] == [
-        f"{k}_1" for k in ("q_cmd", "v_cmd", "q", "v", "tau", "y", "y_cmd", "yd", "w", "wg")
-    ]
+    assert [k for k in names if k.endswith("_1")] == [f"{k}_1" for k in QUANTITIES]
     assert pq.read_schema(tmp_path / "a.parquet").metadata[b"ves_gym"]
 
 
@@ -358,7 +358,7 @@ def test_rows_of_the_wrong_length_are_named(saved: Path) -> None:
     for row, spoil, where in (
         (3, table[3][:cut], f"column v_2: expected {width} cells, got {cut}"),
         (5, table[5][:cut], f"column v_2: expected {width} cells, got {cut}"),
-        (2, [*table[2], "0.0"], f"column wg_6: expected {width} cells, got {width + 1}"),
+        (2, [*table[2], "0.0"], f"column ud_4: expected {width} cells, got {width + 1}"),
         (2, [""], f"column q_cmd_1: expected {width} cells, got 1"),
     ):
         put(saved, [*table[:row], spoil, *table[row + 1 :]])
@@ -371,7 +371,7 @@ def test_a_file_cut_off_inside_a_number_is_named(saved: Path) -> None:
     """The cut number would read as another number; the missing line end gives it away."""
     saved.write_bytes(saved.read_bytes()[:-3])
     refuses(
-        saved, "run.csv: row 5, column wg_6: expected a line end after every row", "cut off"
+        saved, "run.csv: row 5, column ud_4: expected a line end after every row", "cut off"
     )
 
 

@@ -120,31 +120,32 @@ def require_choice(params: object, name: str, choices: tuple[str, ...]) -> None:
         )
 
 
-def symmetric(value: object, name: str, *, semidefinite: bool = True) -> Array:
-    """Return a value as a symmetric positive (semi)definite 6x6 matrix.
+def symmetric(value: object, name: str, size: int = 6, *, semidefinite: bool = True) -> Array:
+    """Return a value as a symmetric positive (semi)definite matrix.
 
     Symmetry is tested to 1e-9 of the largest entry (rounding of a printed or inverted
     matrix); an eigenvalue may be negative by 1e-12 of the largest.
 
     Args:
-        value: (6, 6) numbers.
+        value: (size, size) numbers.
         name: of the value, for the message.
+        size: rows and columns.
         semidefinite: admit vanishing eigenvalues.
 
     Raises:
         ParameterError: not symmetric, or tells the offending eigenvalue.
     """
-    matrix = finite(value, (6, 6), name)
-    size = max(float(np.abs(matrix).max()), np.finfo(float).tiny)
+    matrix = finite(value, (size, size), name)
+    largest = max(float(np.abs(matrix).max()), np.finfo(float).tiny)
     gap = np.abs(matrix - matrix.T)
-    if gap.max() > 1e-9 * size:
+    if gap.max() > 1e-9 * largest:
         i, j = (int(k) for k in np.unravel_index(int(gap.argmax()), gap.shape))
         raise ParameterError(
             f"{name} must be symmetric, got [{i + 1},{j + 1}] = {matrix[i, j]:.6g}"
             f" and [{j + 1},{i + 1}] = {matrix[j, i]:.6g}"
         )
     lowest = float(np.linalg.eigvalsh(matrix)[0])
-    if lowest < -1e-12 * size or (not semidefinite and lowest <= 0):
+    if lowest < -1e-12 * largest or (not semidefinite and lowest <= 0):
         kind = "positive semidefinite" if semidefinite else "positive definite"
         raise ParameterError(f"{name} must be {kind}, got an eigenvalue {lowest:.6g}")
     return (matrix + matrix.T) / 2

@@ -22,7 +22,7 @@ from ves_gym.planners.ompl_worker import ALGORITHMS
 from ves_gym.planners.prediction import Prediction
 from ves_gym.planners.query import Plan, Planner, Query, solve, speed_limits
 from ves_gym.planners.registry import PLANNERS, get_planner
-from ves_gym.system.energy import Energies, energies
+from ves_gym.system.energy import Energies
 
 SCHEMA = "ves-plan/1"
 _SAMPLES = 101  # of the path in the result
@@ -151,7 +151,7 @@ def _simulated(query: Query, motion: Motion) -> tuple[Energies, Energies, LimitC
         Energies of both, and whether the arm keeps its limits on the former.
     """
     run = simulate_motions(query, [motion])
-    first, second = energies(query.system, run.t, run.q, run.y, run.yd, duration=query.duration)
+    first, second = run.energies()
     return first, second, run.limit_check(0, v_max=query.v_max)
 
 

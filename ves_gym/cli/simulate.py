@@ -32,7 +32,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.simulation.gravity_learning import learn_gravity
 from ves_gym.simulation.playback import Recording, play_motions, weigh_poses
-from ves_gym.system.energy import TAIL, Energies, EnergyBalance, base_energy, energies
+from ves_gym.system.energy import TAIL, Energies, EnergyBalance, base_energy, log_base_energy
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
@@ -262,16 +262,8 @@ def _in_space(
 
 
 def _energies(recording: Recording, settle: float) -> Energies:
-    return energies(
-        recording.system,
-        recording.t,
-        recording.q,
-        recording.y,
-        recording.yd,
-        duration=recording.duration,
-        # a recording interval that does not divide the run ends it up to a record later
-        tail=min(TAIL, settle),
-    )[0]
+    # a recording interval that does not divide the run ends it up to a record later
+    return recording.energies(tail=min(TAIL, settle))[0]
 
 
 def _base_error(recording: Recording, space: Recording) -> float:
@@ -386,7 +378,7 @@ def _picture(
     from matplotlib.figure import Figure
 
     assert log.yd is not None  # a recording has it
-    E = base_energy(system, log.q, log.y, log.yd)
+    E = log_base_energy(log, system)
     figure = Figure(figsize=(8, 9), layout="constrained")
     FigureCanvasAgg(figure)
     place, turn, joint, error, energy = figure.subplots(5, 1, sharex=True)
@@ -404,7 +396,8 @@ def _picture(
     energy.plot(log.t, E.total, label="total", lw=1.2)
     energy.plot(log.t, E.strain, label="strain", lw=0.8)
     if space is not None:
-        total = base_energy(space.system, space.q[0], space.y[0], space.yd[0]).total
+        motion = space.q[0], space.y[0], space.yd[0]
+        total = base_energy(space.system, *motion, space.internal(0)).total
         energy.plot(space.t, total, "--", color="0.4", label="total in space", lw=1)
     labels = ("base [mm]", "base [deg]", "joints [deg]", "joint error [deg]", "base energy [J]")
     for axes, label in zip((place, turn, joint, error, energy), labels, strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ves_gym.mechanics.vehicle import BaseModel, has
 from ves_gym.system.effect import BaseEffect, parameter, register
@@ -27,4 +27,4 @@ class BaseDamping(BaseEffect):
 
     def base(self, base: BaseModel) -> BaseModel:
         """D (1 + error)."""
-        return replace(base, D=base.D * (1 + self.error)) if self.error else base
+        return base.scaled(damping=1 + self.error) if self.error else base

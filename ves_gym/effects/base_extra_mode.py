@@ -10,7 +10,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector
 from ves_gym.mechanics.spatial import AXES
-from ves_gym.mechanics.vehicle import BaseModel, Oscillator, Satellite
+from ves_gym.mechanics.vehicle import BaseModel, InternalModes, Oscillator, Satellite
 from ves_gym.system.candidate import Candidate, Scope, number_of, placed
 from ves_gym.system.effect import BaseEffect, parameter, register
 from ves_gym.system.system import System
@@ -76,4 +76,6 @@ class BaseExtraMode(BaseEffect):
             damping=2 * self.damping_ratio * self.mass * rate,
             direction=tuple(way.tolist()),
         )
-        return replace(base, extra=(*base.extra, oscillator))
+        mode = InternalModes.of((oscillator,))
+        internal = mode if base.internal is None else base.internal.joined(mode)
+        return replace(base, internal=internal)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ves_gym.mechanics.vehicle import BaseModel, has
 from ves_gym.system.effect import BaseEffect, parameter, register
@@ -28,4 +28,4 @@ class BaseStiffness(BaseEffect):
 
     def base(self, base: BaseModel) -> BaseModel:
         """K (1 + error)."""
-        return replace(base, K=base.K * (1 + self.error)) if self.error else base
+        return base.scaled(stiffness=1 + self.error) if self.error else base

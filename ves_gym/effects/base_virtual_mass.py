@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import numpy as np
-
-from ves_gym._util.params import Array
-from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.vehicle import BaseModel
 from ves_gym.system.effect import BaseEffect, parameter, register
 
@@ -27,10 +23,4 @@ class BaseVirtualMass(BaseEffect):
 
     def base(self, base: BaseModel) -> BaseModel:
         """M (1 + error), and the same for a satellite's mass and inertia."""
-        if not self.error:
-            return base
-        factor, body = 1 + self.error, base.body
-        if body is not None:
-            moments: Array = np.array(body.inertia) * factor
-            body = replace(body, mass=body.mass * factor, inertia=matrix(moments))
-        return replace(base, M=base.M * factor, body=body)
+        return base.scaled(mass=1 + self.error) if self.error else base

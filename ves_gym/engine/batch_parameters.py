@@ -60,9 +60,9 @@ def require_alike(template: System, other: System, which: str) -> None:
     if template.actual.arm.geared != other.actual.arm.geared:
         mine, theirs = ([i + 1 for i in s.actual.arm.geared] for s in (template, other))
         refuse("joints whose gears give way", mine or "none", theirs or "none")
-    carried = tuple(len(s.actual.base.extra) for s in (template, other))
+    carried = tuple(s.actual.base.m for s in (template, other))
     if carried[0] != carried[1]:
-        refuse("the number of oscillators on the vehicle", *carried)
+        refuse("the number of the vehicle's internal modes", *carried)
     if other.vehicle is not template.vehicle:
         bodies = tuple("a body" if s.base.body else "no body" for s in (template, other))
         if bodies[0] != bodies[1]:
@@ -184,7 +184,7 @@ class Bodies:
     D: Array
     K: Array
     drag: Array  # (n, 6)
-    wide: Array  # (n, 3, 6 + m, 6 + m) what m oscillators add to M, D, K
+    wide: Array  # (n, 3, 6 + m, 6 + m) what m internal modes add to M, D, K
     body: Array  # (n, 6, 6) spatial inertia of a satellite, zero without one
     phi: Array  # (n, 12, 12) admittance, zero where the vehicle is nonlinear
     gamma: Array  # (n, 12, 6)
@@ -208,7 +208,9 @@ class Bodies:
             phi, gamma = admittance_matrices(base, system.control_dt, form)
         body = np.zeros((6, 6)) if base.body is None else base.body.spatial()
         drag = np.zeros(6) if base.drag is None else base.drag
-        wide = np.array(base.widened())
+        wide = np.zeros((3, 6, 6))
+        if base.internal is not None:
+            wide = np.array(base.internal.matrices())
         row = (base.M, base.D, base.K, drag, wide, body, phi, gamma, weight.mass, weight.P)
         return Bodies(*(np.array([k]) for k in (*row, numbers)))
 

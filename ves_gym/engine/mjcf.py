@@ -15,7 +15,7 @@ from ves_gym._util.mujoco_loader import mujoco
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm, Inertial
-from ves_gym.mechanics.vehicle import BaseModel
+from ves_gym.mechanics.vehicle import BaseModel, InternalModes
 
 if TYPE_CHECKING:
     import pinocchio
@@ -65,7 +65,7 @@ def build_spec(
 
 
 def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
-    """Add springs of the gears, drag and oscillators of a vehicle: the last tendons and joints.
+    """Add springs of gears, drag and internal modes of a vehicle: last tendons and joints.
 
     Args:
         spec: written.
@@ -74,24 +74,8 @@ def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
     """
     if base is not None:
         add_drag(spec, base)
-        for i, oscillator in enumerate(base.extra, start=1):
-            body = spec.worldbody.add_body(name=f"extra_{i}")
-            body.mass, body.ipos, body.inertia = (
-                oscillator.mass,
-                [0, 0, 0],
-                [oscillator.mass] * 3,
-            )
-            body.explicitinertial = True
-            body.add_joint(name=f"u_{i}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
-            tendon = spec.add_tendon(name=f"extra_{i}")
-            tendon.wrap_joint(f"u_{i}", 1.0)
-            for axis, part in zip("xyz", oscillator.direction, strict=True):
-                tendon.wrap_joint(axis, -part)
-            tendon.springlength = [0.0, 0.0]
-            tendon.stiffness, tendon.damping = (
-                [oscillator.stiffness, 0, 0],
-                [oscillator.damping, 0, 0],
-            )
+        if base.internal is not None:
+            _add_internal(spec, base.internal)
     for i in arm.geared:
         gear = arm.links[i].gear
         assert gear is not None
@@ -99,6 +83,32 @@ def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
         tendon.wrap_joint(f"d_{i + 1}", 1.0)
         tendon.springlength = [-gear.gap / 2, gear.gap / 2]  # none within
         tendon.stiffness, tendon.damping = [gear.stiffness, 0, 0], [gear.damping, 0, 0]
+
+
+def _add_internal(spec: mujoco.MjSpec, internal: InternalModes) -> None:
+    """Slides of unit mass, a spring from each to the base, and damping over all of them."""
+    names = [f"u_{k + 1}" for k in range(internal.m)]
+    for k, name in enumerate(names):
+        body = spec.worldbody.add_body(name=f"internal_{k + 1}")
+        body.mass, body.ipos, body.inertia = 1.0, [0, 0, 0], [1.0] * 3
+        body.explicitinertial = True
+        body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
+        tendon = spec.add_tendon(name=f"internal_stiffness_{k + 1}")
+        tendon.wrap_joint(name, 1.0)
+        for joint, part in zip(BASE_JOINTS, internal.coupling[TO_Y, k], strict=True):
+            tendon.wrap_joint(joint, -float(part))
+        tendon.springlength = [0.0, 0.0]
+        tendon.stiffness = [float(internal.omega[k] ** 2), 0.0, 0.0]
+    order = np.r_[TO_Y, 6 + np.arange(internal.m)]
+    damping = internal.damping[np.ix_(order, order)]
+    eigenvalues, vectors = np.linalg.eigh(damping)
+    least = 1e-15 * np.abs(damping).max()
+    for k, (value, vector) in enumerate(zip(eigenvalues, vectors.T, strict=True), start=1):
+        tendon = spec.add_tendon(name=f"internal_damping_{k}")
+        for joint, part in zip((*BASE_JOINTS, *names), vector, strict=True):
+            tendon.wrap_joint(joint, float(part))
+        tendon.springlength = [0.0, 0.0]
+        tendon.damping = [float(value) if value > least else 0.0, 0.0, 0.0]
 
 
 def add_drag(spec: mujoco.MjSpec, base: BaseModel) -> None:

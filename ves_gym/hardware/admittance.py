@@ -74,12 +74,12 @@ def admittance_matrices(
 
     `coupled` treats all axes at once, `beam` each set of coupled axes, `decoupled` each
     axis alone (thesis 2.4.2: cheaper cycles for sparser models). The results agree; the
-    decoupled form refuses a vehicle whose axes are coupled. A vehicle that carries m
-    oscillators is taken as a whole, whatever the form: Phi (12 + 2m, 12 + 2m), Gamma (12 +
+    decoupled form refuses a vehicle whose axes are coupled. A vehicle with m internal
+    modes is taken as a whole, whatever the form: Phi (12 + 2m, 12 + 2m), Gamma (12 +
     2m, 6) of (Y, u, Y', u').
 
     Args:
-        base: M, D, K and oscillators.
+        base: M, D, K and internal modes.
         dt: step [s], the wrench held over it.
         form: coupled, beam or decoupled.
 
@@ -91,12 +91,9 @@ def admittance_matrices(
             f"admittance form must be one of {', '.join(FORMS)}, got {form!r}"
             f"{did_you_mean(form, FORMS)}"
         )
-    M, D, K = base.mass_matrix, base.D, base.K
-    if base.extra:
-        wide = base.widened()
-        for matrix, block in zip((M, D, K), wide, strict=True):
-            block[:6, :6] += matrix
-        transition, driven = discretise(*wide, dt)
+    M, D, K = base.full()
+    if base.m:
+        transition, driven = discretise(M, D, K, dt)
         return transition, driven[:, :6]
     if form == "coupled":
         return discretise(M, D, K, dt)

@@ -7,8 +7,9 @@ that turns with the base instead of a constant M.
 
 from __future__ import annotations
 
+import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -68,39 +69,143 @@ class Oscillator:
 
 
 @dataclass(frozen=True)
+class InternalModes:
+    """Motion of a base beside that of its interface: m oscillators of unit mass.
+
+    Oscillator k has its own coordinate u_k and is carried along u_k = P_k . Y. Beside M, D, K
+    of `BaseModel` they add (derived in docs/physics.md from Craig and Bampton's reduction)
+
+        kinetic energy   1/2 |u'|^2
+        strain energy    1/2 sum_k omega_k^2 (u_k - P_k . Y)^2
+        power lost       (Y', u')^T damping (Y', u').
+    """
+
+    coupling: Array  # (6, m) P, a column per mode [kg^(1/2), kg^(1/2) m]
+    omega: Array  # (m,) with the interface at rest [rad/s]
+    damping: Array  # (6 + m, 6 + m) over (Y', u'), symmetric positive semidefinite
+
+    def __post_init__(self) -> None:
+        m = len(self.omega)
+        for name, shape in (("coupling", (6, m)), ("damping", (6 + m, 6 + m))):
+            if np.shape(getattr(self, name)) != shape:
+                raise ParameterError(
+                    f"InternalModes.{name} of {m} modes must have shape {shape}, got"
+                    f" {np.shape(getattr(self, name))}"
+                )
+
+    @property
+    def m(self) -> int:
+        """Number of modes."""
+        return len(self.omega)
+
+    @staticmethod
+    def of(oscillators: tuple[Oscillator, ...]) -> InternalModes | None:
+        """Return masses on springs as modes, u = mass^(1/2) times the way; None for none."""
+        m = len(oscillators)
+        if not m:
+            return None
+        coupling, omega, damping = np.zeros((6, m)), np.zeros(m), np.zeros((6 + m, 6 + m))
+        for i, oscillator in enumerate(oscillators):
+            root = math.sqrt(oscillator.mass)
+            coupling[:3, i] = root * np.array(oscillator.direction)
+            omega[i] = math.sqrt(oscillator.stiffness / oscillator.mass)
+            stretch = np.zeros(6 + m)  # of the spring per (Y, u)
+            stretch[:3], stretch[6 + i] = oscillator.direction, -1 / root
+            damping += oscillator.damping * np.outer(stretch, stretch)
+        return InternalModes(coupling, omega, damping)
+
+    def joined(self, other: InternalModes | None) -> InternalModes:
+        """Return these modes and, after them, those of another set on the same base."""
+        if other is None:
+            return self
+        m, k = self.m, other.m
+        damping = np.zeros((6 + m + k, 6 + m + k))
+        damping[: 6 + m, : 6 + m] = self.damping
+        at = np.r_[:6, 6 + m : 6 + m + k]
+        damping[np.ix_(at, at)] += other.damping
+        coupling = np.hstack([self.coupling, other.coupling])
+        return InternalModes(coupling, np.r_[self.omega, other.omega], damping)
+
+    def matrices(self) -> tuple[Array, Array, Array]:
+        """Return their part of M, D, K over (Y, u): three (6 + m, 6 + m)."""
+        m = self.m
+        stretch = np.vstack([-self.coupling, np.eye(m)])
+        mass = np.diag(np.r_[np.zeros(6), np.ones(m)])
+        return mass, self.damping, (stretch * self.omega**2) @ stretch.T
+
+
+@dataclass(frozen=True)
 class BaseModel:
-    """Linear base dynamics in Y, SI units, plus an optional rigid body at the base."""
+    """Linear base dynamics in Y, SI units, plus an optional rigid body at the base.
+
+    With internal modes M, D, K are what is left of the base beside them: M is its mass where
+    all u stand still, K is its static stiffness.
+    """
 
     M: Array  # (6, 6) constant mass matrix [kg, kg m, kg m^2]
     D: Array  # (6, 6) damping [N s/m, N s, N m s]
     K: Array  # (6, 6) stiffness [N/m, N, N m]
     body: Inertial | None = None
     drag: Array | None = None  # (6,) c of a damping force c |Y'| Y' [N s^2/m^2, N m s^2]
-    extra: tuple[Oscillator, ...] = ()  # masses on springs that it carries
+    internal: InternalModes | None = None
 
     @property
     def mass_matrix(self) -> Array:
         """(6, 6) mass matrix at Y = 0: M plus the rigid body's inertia."""
         return self.M if self.body is None else self.M + self.body.spatial()
 
-    def widened(self) -> tuple[Array, Array, Array]:
-        """Return the part of the oscillators in M, D, K over (Y, u): three (6 + m, 6 + m)."""
-        m = len(self.extra)
-        M, D, K = np.zeros((3, 6 + m, 6 + m))
-        for i, oscillator in enumerate(self.extra):
-            M[6 + i, 6 + i] = oscillator.mass
-            way = np.zeros(6 + m)
-            way[:3], way[6 + i] = oscillator.direction, -1.0
-            D += oscillator.damping * np.outer(way, way)
-            K += oscillator.stiffness * np.outer(way, way)
-        return M, D, K
+    @property
+    def m(self) -> int:
+        """Number of internal modes."""
+        return 0 if self.internal is None else self.internal.m
+
+    def full(self) -> tuple[Array, Array, Array]:
+        """Return M, D, K over (Y, u) at Y = 0, the body included: three (6 + m, 6 + m)."""
+        out = tuple(np.array(k, dtype=np.float64) for k in (self.mass_matrix, self.D, self.K))
+        if self.internal is not None:
+            wide = tuple(part.copy() for part in self.internal.matrices())
+            for matrix_, block in zip(wide, out, strict=True):
+                matrix_[:6, :6] += block
+            out = wide
+        return out[0], out[1], out[2]
 
     def attached(self, y: Array) -> Array:
-        """(..., m) coordinates of the oscillators at rest on a vehicle at (..., 6)."""
-        out = np.zeros((*y.shape[:-1], len(self.extra)))
-        for i, oscillator in enumerate(self.extra):
-            out[..., i] = sum(c * y[..., k] for k, c in enumerate(oscillator.direction))
+        """(..., m) coordinates u of modes at rest on a base at (..., 6) Y; rates likewise."""
+        out = np.zeros((*y.shape[:-1], self.m))
+        if self.internal is not None:  # sum by sum: every simulation of a batch rounds alike
+            for k in range(6):
+                out += self.internal.coupling[k] * y[..., k, None]
         return out
+
+    def scaled(
+        self, mass: float = 1.0, damping: float = 1.0, stiffness: float = 1.0
+    ) -> BaseModel:
+        """Return the base with all its mass, damping or stiffness multiplied.
+
+        Args:
+            mass, damping, stiffness: factors of M, D, K over (Y, u) and of the body [1].
+        """
+        body, internal = self.body, self.internal
+        if body is not None and mass != 1:
+            moments = matrix(np.array(body.inertia) * mass)
+            body = replace(body, mass=body.mass * mass, inertia=moments)
+        if internal is not None:
+            rate = np.r_[
+                np.ones(6), np.full(internal.m, 1 / math.sqrt(mass))
+            ]  # of u by the old
+            internal = InternalModes(
+                coupling=internal.coupling * math.sqrt(mass),
+                omega=internal.omega * math.sqrt(stiffness / mass),
+                damping=damping * internal.damping * np.outer(rate, rate),
+            )
+        return replace(
+            self,
+            M=self.M * mass,
+            D=self.D * damping,
+            K=self.K * stiffness,
+            body=body,
+            internal=internal,
+        )
 
 
 def modal_damping(M: Array, K: Array, ratio: float) -> Array:
@@ -291,7 +396,8 @@ class MatrixVehicle(_Saved):
     """The user's own M, D, K in Y; each symmetric and positive semidefinite.
 
     `drag`: damping that grows with speed, a force c |Y'| Y' along each axis. `extra`:
-    masses on springs that it carries.
+    masses on springs that it carries. `coupling`, `omega`, `internal_damping`: its internal
+    modes, see `InternalModes`; M is then the mass beside them.
     """
 
     kind: ClassVar[str] = "matrices"
@@ -300,11 +406,15 @@ class MatrixVehicle(_Saved):
     K: Matrix = unit("N/m, N, N m")
     drag: Vector | None = unit("N s^2/m^2, N m s^2", default=None)
     extra: tuple[Oscillator, ...] | None = None
+    coupling: Matrix | None = unit("kg^(1/2), kg^(1/2) m", default=None)  # (6, m)
+    omega: Vector | None = unit("rad/s", default=None)  # (m,)
+    internal_damping: Matrix | None = unit("N s/m", default=None)  # (6 + m, 6 + m)
     source: str = "user"
 
     def __post_init__(self) -> None:
         for name in ("M", "D", "K"):
             symmetric(getattr(self, name), f"MatrixVehicle.{name}")
+        self._modes()  # refuses what does not fit together
         if self.drag is not None and (finite(self.drag, (6,), "MatrixVehicle.drag") < 0).any():
             raise ParameterError(f"MatrixVehicle.drag must be >= 0, got {self.drag}")
 
@@ -312,7 +422,26 @@ class MatrixVehicle(_Saved):
         """The matrices as given, symmetrised to rounding."""
         M, D, K = (symmetric(getattr(self, name), name) for name in "MDK")
         drag = None if self.drag is None else np.array(self.drag)
-        return BaseModel(M, D, K, drag=drag, extra=self.extra or ())
+        internal = InternalModes.of(self.extra or ())
+        modes = self._modes()
+        if modes is not None:
+            internal = modes.joined(internal)
+        return BaseModel(M, D, K, drag=drag, internal=internal)
+
+    def _modes(self) -> InternalModes | None:
+        if self.omega is None:
+            if self.coupling is not None or self.internal_damping is not None:
+                raise ParameterError("MatrixVehicle.omega must be given with internal modes")
+            return None
+        m = len(self.omega)
+        if not (finite(self.omega, (m,), "MatrixVehicle.omega") >= 0).all():
+            raise ParameterError(f"MatrixVehicle.omega must be >= 0, got {self.omega}")
+        coupling = finite(self.coupling, (6, m), "MatrixVehicle.coupling")
+        size = 6 + m
+        damping = np.zeros((size, size))
+        if self.internal_damping is not None:
+            damping = symmetric(self.internal_damping, "MatrixVehicle.internal_damping", size)
+        return InternalModes(coupling, np.array(self.omega), damping)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -399,9 +528,15 @@ def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
     if base.body is not None:
         thrusters = isinstance(vehicle, Satellite) and vehicle.thrusters
         return Satellite(body=base.body, thrusters=thrusters, source=vehicle.source)
-    parts = {name: matrix(getattr(base, name)) for name in "MDK"}
+    parts: dict[str, Any] = {name: matrix(getattr(base, name)) for name in "MDK"}
     drag = None if base.drag is None else tuple(base.drag.tolist())
-    return MatrixVehicle(**parts, drag=drag, extra=base.extra or None, source=vehicle.source)
+    if base.internal is not None:
+        parts |= {
+            "coupling": matrix(base.internal.coupling),
+            "omega": tuple(base.internal.omega.tolist()),
+            "internal_damping": matrix(base.internal.damping),
+        }
+    return MatrixVehicle(**parts, drag=drag, source=vehicle.source)
 
 
 def vehicle_from_plain(plain: Any, where: str = "vehicle") -> Vehicle:

@@ -35,7 +35,7 @@ from ves_gym.planners.registry import get_planner
 from ves_gym.planners.scenes import PlayedPlan, coupling_maps, scene, trace
 from ves_gym.planners.suites import Suite, is_compensated, uncompensated
 from ves_gym.simulation.playback import Recording, play_motions
-from ves_gym.system.energy import TAIL, Energies, energies
+from ves_gym.system.energy import TAIL, Energies
 from ves_gym.system.system import System
 
 SCHEMA = "ves-benchmark/1"
@@ -266,9 +266,7 @@ def _measure(run: Recording) -> list[Energies | None]:
     complete = [i for i in range(len(run.q)) if i not in stopped]
     out: list[Energies | None] = [None] * len(run.q)
     if complete:
-        parts = (part[complete] for part in (run.q, run.y, run.yd))
-        measures = energies(run.system, run.t, *parts, duration=run.duration)
-        for i, measured in zip(complete, measures, strict=True):
+        for i, measured in zip(complete, run.energies(complete), strict=True):
             out[i] = measured
     return out
 

@@ -19,7 +19,7 @@ from ves_gym._util.views import Viewable
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.query import Plan, Planner, Query, solve
 from ves_gym.simulation.playback import Recording, play_motions
-from ves_gym.system.energy import TAIL, Energies, base_energy, energies
+from ves_gym.system.energy import TAIL, Energies, base_energy
 
 SCHEMA = "ves-compare/1"
 _RECORD = 12.5e-3  # s between records of a simulation
@@ -197,7 +197,8 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
             ratio = simulated.E_mean / straight.E_mean
         trace = None
         if simulated is not None:
-            trace = base_energy(query.system, run.q[i], run.y[i], run.yd[i]).total
+            motion = run.q[i], run.y[i], run.yd[i]
+            trace = base_energy(query.system, *motion, run.internal(i)).total
         rows.append(
             ComparisonRow(
                 planner=plan.planner,
@@ -243,5 +244,5 @@ def _measured(run: Recording) -> list[Energies | None]:
     stopped = {event.simulation for event in run.events}
     if len(stopped) == len(run.q):
         return [None] * len(run.q)
-    parts = energies(run.system, run.t, run.q, run.y, run.yd, duration=run.duration)
+    parts = run.energies()
     return [None if k in stopped else part for k, part in enumerate(parts)]

@@ -136,9 +136,10 @@ def simulate_free_vibration(
         away = np.einsum("mij,mj->mi", across_K, state.q - start)
         return np.asarray(hold - away - np.einsum("mij,mj->mi", across_B, state.v))
 
-    states, torques = [], []
+    states, torques, internal = [], [], []
     for k in range(len(t)):
         states.append(sim.state)
+        internal.append(sim.base_modes)
         torques.append(sim.evaluate(command())[0])
         if k + 1 == len(t):
             break
@@ -150,7 +151,12 @@ def simulate_free_vibration(
     joints, pose, rate = (
         np.stack([getattr(s, name) for s in states], axis=1) for name in ("q", "y", "yd")
     )
-    energy = base_energy(system, joints, pose, rate)
+    shaken = [k for k in internal if k is not None]
+    modes_of_base = None
+    if shaken:
+        u, ud = (np.stack(part, axis=1) for part in zip(*shaken, strict=True))
+        modes_of_base = u, ud
+    energy = base_energy(system, joints, pose, rate, modes_of_base)
     return FreeVibration(
         t=t,
         y=pose,

@@ -68,7 +68,8 @@ def trace(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
 def _curves(run: Recording, k: int, detailed: bool) -> dict[str, list[float]]:
     """Time [s] and energy [J] of a run, about 400 points; `more`: strain [J], distance [m]."""
     part = slice(0, run.records(k), max(1, len(run.t) // 400))
-    energy = base_energy(run.system, run.q[k, part], run.y[k, part], run.yd[k, part])
+    motion = run.q[k, part], run.y[k, part], run.yd[k, part]
+    energy = base_energy(run.system, *motion, run.internal(k, part))
     out = {"t": _round(run.t[part], 4), "E": _digits(energy.total)}
     if detailed:
         out["strain"] = _digits(energy.strain)
@@ -165,6 +166,7 @@ def scene(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
         y, yd, q = run.y[k, index], run.yd[k, index], run.q[k, index]
         arm = joint_positions(run.system.arm, q) @ np.swapaxes(rotation(y), -1, -2)
         beam = beam_line(run.system.vehicle, y)
+        energy = base_energy(run.system, q, y, yd, run.internal(k, index))
         data["runs"].append(
             {
                 "planner": plan.planner,
@@ -172,7 +174,7 @@ def scene(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
                 "arm": _round(arm + y[:, None, :3], 4),
                 "base": _round(y, 5),
                 "beam": None if beam is None else _round(beam, 4),
-                "E": _digits(base_energy(run.system, q, y, yd).total, 4),
+                "E": _digits(energy.total, 4),
             }
         )
     return data

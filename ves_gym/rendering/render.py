@@ -21,7 +21,7 @@ from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError, require_positive, unit, write_bytes
 from ves_gym.rendering.opengl import RenderError, choose_backend, probe, require_display
 from ves_gym.rendering.process import DrawingProcess
-from ves_gym.system.energy import base_energy, base_rate
+from ves_gym.system.energy import log_base_energy
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
@@ -132,7 +132,7 @@ def _clip(log: RunLog, view: View) -> dict[str, Any]:
     def at(values: Array) -> Array:
         return np.stack([np.interp(t, log.t, column) for column in values.T], axis=1)
 
-    E = base_energy(system, log.q, log.y, base_rate(log)).total
+    E = log_base_energy(log, system).total
     clip = {
         "t": t - log.t[0],
         "q": at(log.q),

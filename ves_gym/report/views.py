@@ -29,8 +29,7 @@ from ves_gym.report.planner_styles import COLOURS, line_style
 from ves_gym.simulation.stability import EmulationCheck
 from ves_gym.system.energy import (
     EnergyBalance,
-    base_energy,
-    base_rate,
+    log_base_energy,
     log_energies,
     motion_end,
 )
@@ -101,7 +100,7 @@ def _draw_energy(axes: Axes, log: RunLog, system: System | None, **style: Any) -
         axes.plot(log.t, 1e3 * np.linalg.norm(log.y[:, :3], axis=1), **style)
         axes.set_ylabel("base displacement [mm]")
         return
-    parts = base_energy(system, log.q, log.y, base_rate(log))
+    parts = log_base_energy(log, system)
     axes.plot(log.t, parts.total, label="total", **{"color": COLOURS[3], "lw": 1.3, **style})
     if not style:
         axes.plot(log.t, parts.strain, color=COLOURS[1], lw=0.9, label="strain")

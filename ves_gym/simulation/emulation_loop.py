@@ -247,7 +247,7 @@ class EmulationLoop:
             u["table"] = self.table[ids, 0]
         if self._inertia is not None:
             u["inertia"] = self._inertia.rows(self._rows(self._inertia.name, ids), q, ids)
-        if self.system.actual.base.extra:
+        if self.system.actual.base.m:
             bases = [self._systems[i].actual.base for i in ids.tolist()]
             for name, part in (("attached", y), ("attached_rate", yd)):
                 u[name] = np.stack([b.attached(k) for b, k in zip(bases, part, strict=True)])
@@ -417,7 +417,7 @@ class EmulationLoop:
     @property
     def carried(self) -> tuple[Array, Array]:
         """Coordinates and rates (n, m) of the oscillators that the vehicle carries."""
-        if not self.system.actual.base.extra or self.spec.operation == "position":
+        if not self.system.actual.base.m or self.spec.operation == "position":
             return np.zeros((self.n, 0)), np.zeros((self.n, 0))
         block: Any = self.wiring.block("admittance")
         at, moving = block.oscillators

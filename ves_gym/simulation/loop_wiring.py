@@ -158,7 +158,7 @@ class LoopParts:
 
     def _admittance(self) -> Block:
         base, spec = self._system.actual.base, self._system.emulator_settings
-        carried = len(base.extra)
+        carried = base.m
         nonlinear = base.body is not None or self._custom is not None
         if self._inertia is not None:
             lag = spec.lag(self.shape.control_dt)

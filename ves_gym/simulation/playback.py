@@ -17,6 +17,7 @@ from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix
 from ves_gym.simulation.emulation_loop import Event
 from ves_gym.simulation.simulator import Simulator, State
+from ves_gym.system.energy import TAIL, Energies, energies
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
@@ -66,9 +67,36 @@ class Recording:
     #           laboratory what the force sensor reports, weight included
     wg: Array | None = None  # (n, N, 6) w less the estimated weight; laboratory only
     y_cmd: Array | None = None  # (n, N, 6) pose the platform is told; laboratory only
+    u: Array | None = None  # (n, N, m) internal modes of the base, None where it has none
+    ud: Array | None = None
     events: tuple[Event, ...] = ()  # safety stops; a run is meaningful up to its own
     backend: str = ""  # the engine that ran
     extremes: Extremes | None = None  # of the joints, where they were watched
+
+    def internal(self, i: Any, part: Any = slice(None)) -> tuple[Array, Array] | None:
+        """Return u and u' of the internal modes in run i, None of a base without.
+
+        Args:
+            i: which run, or runs.
+            part: of the records.
+        """
+        if self.u is None or self.ud is None:
+            return None
+        return self.u[i][..., part, :], self.ud[i][..., part, :]
+
+    def energies(
+        self, which: Sequence[int] | None = None, *, tail: float = TAIL
+    ) -> list[Energies]:
+        """Return the energy measures of runs.
+
+        Args:
+            which: numbers of the runs; None for all.
+            tail: how long after the motion E_mean reaches [s].
+        """
+        rows: Any = slice(None) if which is None else list(which)
+        motion = self.t, self.q[rows], self.y[rows], self.yd[rows]
+        modes = self.internal(rows)
+        return energies(self.system, *motion, duration=self.duration, tail=tail, internal=modes)
 
     def records(self, i: int) -> int:
         """Records of run i up to its safety stop (that included), all N without one."""
@@ -144,6 +172,8 @@ class Recording:
             w=self.w[i, :end],
             wg=None if self.wg is None else self.wg[i, :end],
             y_cmd=None if self.y_cmd is None else self.y_cmd[i, :end],
+            u=None if self.u is None else self.u[i, :end],
+            ud=None if self.ud is None else self.ud[i, :end],
             meta=meta,
         )
 
@@ -220,6 +250,7 @@ def play_motions(
         state = sim.state
         tau, ydd = sim.evaluate(commands[:, k * stride])
         row = (*sim.measured, tau, state.y, state.yd)
+        row = (*row, *(sim.base_modes or ()))
         if extremes is not None:
             extremes.watch(edges[k * stride], row[0] - middle, row[1], tau)
         if emulated:
@@ -248,7 +279,8 @@ def play_motions(
                     extremes.watch(edges[end], q - middle, v, sim.evaluate(commands[:, end])[0])
         if progress is not None and k % 32 == 0:
             progress(k / records)
-    names = ("q", "v", "tau", "y", "yd", "w", "wg", "y_cmd")
+    modes = () if sim.base_modes is None else ("u", "ud")
+    names = ("q", "v", "tau", "y", "yd", *modes, "w", "wg", "y_cmd")
     stacked = (np.stack(column, axis=1) for column in zip(*rows, strict=True))
     end = (len(rows) - 1) * stride + 1
     return Recording(
@@ -394,12 +426,12 @@ def base_wrench(
     force = matvec(base.M, ydd) + matvec(base.D, yd) + matvec(base.K, y)  # conjugate to Y
     if base.drag is not None:
         force = force + base.drag * np.abs(yd) * yd
-    if base.extra:
+    if base.internal is not None:
         if hidden is None:
-            raise ParameterError("a vehicle that carries oscillators needs their state")
-        _, D, K = base.widened()
+            raise ParameterError("a vehicle with internal modes needs their state")
+        _, D, K = base.internal.matrices()
         for matrix, part, internal in ((K, y, hidden[0]), (D, yd, hidden[1])):
-            stacked = np.concatenate([part, internal[:, -len(base.extra) :]], axis=-1)
+            stacked = np.concatenate([part, internal[:, -base.m :]], axis=-1)
             force = force + matvec(matrix[:6], stacked)
     turn = np.swapaxes(rate_matrix(y), -1, -2)
     wrench = np.linalg.solve(turn, force[..., None])[..., 0]

@@ -546,6 +546,19 @@ class Simulator:
         return self.joint_delays.measured(z[:, 6:], zd[:, 6:])[0]
 
     @property
+    def base_modes(self) -> tuple[Array, Array] | None:
+        """u and u' (n, m) of the internal modes that the described base has, None of none.
+
+        None as well in position control, where nothing moves them.
+        """
+        m = self.system.base.m
+        at, rate = self.internal_state
+        first = len(self.system.actual.arm.geared)  # effects add modes after the base's own
+        if not m or at.shape[1] < first + m:
+            return None
+        return at[:, first : first + m].copy(), rate[:, first : first + m].copy()
+
+    @property
     def internal_state(self) -> tuple[Array, Array]:
         """Coordinates and rates (n, g + m) that no log shows.
 
@@ -794,10 +807,10 @@ def _passive(system: System) -> tuple[Array, Array, Array]:
     parts = inertia_entries(arm, [0.0] * arm.n, math)
     across: Array = np.array(parts.across).T
     H = np.block([[np.array(parts.base), across], [across.T, np.array(parts.joints)]])
-    if not (arm.geared or base.extra):
+    if not (arm.geared or base.m):
         return base.mass_matrix + H[:6, :6], base.D, base.K
-    n, g, m = arm.n, len(arm.geared), len(base.extra)
-    # coordinates: Y, rotors, deflections of the gears, oscillators
+    n, g, m = arm.n, len(arm.geared), base.m
+    # coordinates: Y, rotors, deflections of the gears, internal modes
     link = np.zeros((6 + n, 6 + n + g))  # velocities of base and links from theirs
     link[:, : 6 + n] = np.eye(6 + n)
     link[[6 + i for i in arm.geared], 6 + n + np.arange(g)] = 1.0
@@ -813,10 +826,7 @@ def _passive(system: System) -> tuple[Array, Array, Array]:
     if system.mode == "ideal":
         free = np.arange(len(M))
         at = np.r_[:6, 6 + n + g : len(M)]
-        for part, block, extra in zip(
-            (M, D, K), (base.mass_matrix, base.D, base.K), base.widened(), strict=True
-        ):
-            part[at[:, None], at] += extra
-            part[:6, :6] += block
+        for part, block in zip((M, D, K), base.full(), strict=True):
+            part[at[:, None], at] += block
     picked = free[:, None], free
     return M[picked], D[picked], K[picked]

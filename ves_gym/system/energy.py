@@ -20,6 +20,7 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.views import Viewable
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import quadratic, twist
+from ves_gym.mechanics.vehicle import BaseModel
 from ves_gym.system.effect import joint_torque
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -67,8 +68,15 @@ class Energies:
         return Energies(**{k: math.inf if v is None else v for k, v in plain.items()})
 
 
+Internal = tuple[Array, Array]  # u and u' (..., m) of a base's internal modes
+
+
 def base_energy(
-    system: System, q: npt.ArrayLike, y: npt.ArrayLike, yd: npt.ArrayLike
+    system: System,
+    q: npt.ArrayLike,
+    y: npt.ArrayLike,
+    yd: npt.ArrayLike,
+    internal: Internal | None = None,
 ) -> BaseEnergy:
     """Strain and kinetic energy of the base.
 
@@ -77,14 +85,79 @@ def base_energy(
 
     Args:
         q: (..., n) joint angles. y, yd: (..., 6) base pose and its rate.
+        internal: u and u' of a base with internal modes; `internal_motion` estimates them.
+
+    Raises:
+        ParameterError: the base has internal modes whose motion is not given.
     """
     base = system.base
     pose, rate = np.asarray(y, float), np.asarray(yd, float)
     body = inertia(system.arm, q)[..., :6, :6]
     if base.body is not None:
         body = body + base.body.spatial()
-    kinetic = quadratic(base.M, rate) + quadratic(body, twist(pose, rate))
-    return BaseEnergy(quadratic(base.K, pose), kinetic)
+    strain, moving, _ = _interface_energies(base, pose, rate, internal)
+    return BaseEnergy(strain, moving + quadratic(body, twist(pose, rate)))
+
+
+def _interface_energies(
+    base: BaseModel, y: Array, yd: Array, internal: Internal | None
+) -> tuple[Array, Array, Array]:
+    """Strain energy of the base, kinetic energy of M and modes, power lost in D."""
+    strain, kinetic = quadratic(base.K, y), quadratic(base.M, yd)
+    power = 2 * quadratic(base.D, yd)
+    if base.internal is not None:
+        if internal is None:
+            raise ParameterError(
+                f"the energy of a base with {base.m} internal modes needs their motion"
+            )
+        u, ud = internal
+        stretch = (u - base.attached(y)) * base.internal.omega
+        strain = strain + 0.5 * np.sum(stretch**2, axis=-1)
+        kinetic = kinetic + 0.5 * np.sum(ud**2, axis=-1)
+        rates = np.concatenate([yd, ud], axis=-1)
+        power = power + 2 * quadratic(base.internal.damping, rates)
+    return strain, kinetic, power
+
+
+def internal_motion(base: BaseModel, t: Array, y: Array, yd: Array) -> Internal:
+    """Estimate the motion of internal modes from that of the interface, from rest on it.
+
+    The pose between samples is the cubic through poses and rates; u'' follows from it
+    exactly. What a mode did before the first sample is not known, and is not there.
+
+    Args:
+        base: with internal modes.
+        t: (N,) s, evenly spaced.
+        y, yd: (..., N, 6) pose and rate of the interface.
+
+    Returns:
+        u and u' (..., N, m).
+    """
+    modes = base.internal
+    assert modes is not None
+    m, C = modes.m, modes.damping
+    h = float(t[-1] - t[0]) / (len(t) - 1)
+    # x = (u, u', y and its three derivatives) of a cubic piece, whose third is constant
+    size = 2 * m + 24
+    A = np.zeros((size, size))
+    A[:m, m : 2 * m] = np.eye(m)
+    A[m : 2 * m, :m], A[m : 2 * m, m : 2 * m] = -np.diag(modes.omega**2), -C[6:, 6:]
+    A[m : 2 * m, 2 * m : 2 * m + 6] = (modes.coupling * modes.omega**2).T
+    A[m : 2 * m, 2 * m + 6 : 2 * m + 12] = -C[6:, :6]
+    A[2 * m : -6, 2 * m + 6 :] = np.eye(18)
+    step = scipy.linalg.expm(A * h)[: 2 * m]
+    rise, first, last = np.diff(y, axis=-2), yd[..., :-1, :], yd[..., 1:, :]
+    bend = (6 * rise / h - 4 * first - 2 * last) / h
+    jerk = (6 * (first + last) - 12 * rise / h) / h**2
+    pieces = np.concatenate([y[..., :-1, :], first, bend, jerk], axis=-1)
+    driven = pieces @ step[:, 2 * m :].T
+    x = np.concatenate([base.attached(y[..., 0, :]), base.attached(yd[..., 0, :])], axis=-1)
+    out = [x]
+    for k in range(len(t) - 1):
+        x = x @ step[:, : 2 * m].T + driven[..., k, :]
+        out.append(x)
+    stacked = np.stack(out, axis=-2)
+    return stacked[..., :m], stacked[..., m:]
 
 
 def element_table(system: System, y: npt.ArrayLike) -> Array:
@@ -102,13 +175,15 @@ def element_table(system: System, y: npt.ArrayLike) -> Array:
     return table
 
 
-def _port_energy(system: System, y: Array, yd: Array) -> tuple[Array, Array]:
+def _port_energy(
+    system: System, y: Array, yd: Array, internal: Internal | None
+) -> tuple[Array, Array]:
     """Energy stored in the vehicle alone, and the power it dissipates."""
     base = system.base
-    stored = quadratic(base.M, yd) + quadratic(base.K, y)
+    strain, kinetic, power = _interface_energies(base, y, yd, internal)
+    stored = strain + kinetic
     if base.body is not None:
         stored = stored + quadratic(base.body.spatial(), twist(y, yd))
-    power = 2 * quadratic(base.D, yd)
     if base.drag is not None:
         power = power + np.sum(base.drag * np.abs(yd) ** 3, axis=-1)
     return stored, power
@@ -123,6 +198,7 @@ def energies(
     *,
     duration: float,
     tail: float = TAIL,
+    internal: Internal | None = None,
 ) -> list[Energies]:
     """Energy measures of a stack of runs of one system on one clock.
 
@@ -130,6 +206,8 @@ def energies(
         t: (N,) s from the start of the motion; must reach duration + tail.
         q: (n, N, joints). y, yd: (n, N, 6).
         duration: of the motion [s]. tail: how long after it E_mean reaches [s].
+        internal: u and u' (n, N, m) of a base with internal modes; estimated from y and yd
+            where they are not given.
     """
     if t[-1] - t[0] < duration + tail - 1e-6:
         raise ParameterError(
@@ -137,9 +215,11 @@ def energies(
             f" run of {t[-1] - t[0]:g} s"
         )
     clock = t - t[0]
-    parts = base_energy(system, q, y, yd)
+    if internal is None and system.base.internal is not None:
+        internal = internal_motion(system.base, t, y, yd)
+    parts = base_energy(system, q, y, yd, internal)
     total = parts.total
-    stored, power = _port_energy(system, y, yd)
+    stored, power = _port_energy(system, y, yd, internal)
     work = stored[:, -1] - stored[:, 0] + np.trapezoid(power, clock, axis=-1)
     window = clock <= duration + tail + 1e-9
     end = int(np.searchsorted(clock, duration - 1e-9))
@@ -177,9 +257,31 @@ def log_energies(log: RunLog, *, duration: float | None = None, tail: float = TA
     if duration is None:
         duration = motion_end(log)
     yd = base_rate(log)
-    return energies(
-        system, log.t, log.q[None], log.y[None], yd[None], duration=duration, tail=tail
-    )[0]
+    found = _internal_of(system, log)
+    internal = None if found is None else (found[0][None], found[1][None])
+    motion = log.t, log.q[None], log.y[None], yd[None]
+    return energies(system, *motion, duration=duration, tail=tail, internal=internal)[0]
+
+
+def log_base_energy(log: RunLog, system: System | None = None) -> BaseEnergy:
+    """Return the base energy of a run log at each sample.
+
+    Internal modes as the log holds them, else as the motion of the base lets one estimate.
+
+    Args:
+        log: the run.
+        system: that it is of; None: as its metadata say.
+    """
+    system = system or _system(log)
+    return base_energy(system, log.q, log.y, base_rate(log), _internal_of(system, log))
+
+
+def _internal_of(system: System, log: RunLog) -> Internal | None:
+    if system.base.internal is None:
+        return None
+    if log.u is not None and log.ud is not None:
+        return log.u, log.ud
+    return internal_motion(system.base, log.t, log.y, base_rate(log))
 
 
 def _system(log: RunLog) -> System:
@@ -252,16 +354,16 @@ class EnergyBalance(Viewable):
             missing = [k for k in ("tau", "v", "yd") if getattr(log, k) is None]
             raise ParameterError(f"the energy balance needs the columns {', '.join(missing)}")
         system = _system(log).actual
-        if system.arm.geared or system.base.extra:
-            raise ParameterError(
-                "the energy balance knows no gears that give way and no oscillators of the"
-                " vehicle"
-            )
+        if system.arm.geared:
+            raise ParameterError("the energy balance knows no gears that give way")
+        internal = _internal_of(system, log)
         laws = joint_torque(system.effects, log.q, log.v, log.tau, system.arm.column("tau_max"))
         power = -np.sum(laws * log.v, axis=-1)
         in_joints = scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0)
         parts = log.t, log.q, log.v, log.y, log.yd
-        return cls.close(system, *parts, _drive_work(system, log), in_joints=in_joints)
+        return cls.close(
+            system, *parts, _drive_work(system, log), in_joints=in_joints, internal=internal
+        )
 
     @classmethod
     def close(
@@ -276,6 +378,7 @@ class EnergyBalance(Viewable):
         *,
         in_joints: Array | float = 0.0,
         turned_over: float | None = None,
+        internal: Internal | None = None,
     ) -> EnergyBalance:
         """Set the work of the drives against the energies of the samples.
 
@@ -289,6 +392,7 @@ class EnergyBalance(Viewable):
             turned_over: all work of the drives, whatever its sign [J]. With it the residual
                 is judged by that and the energy at the first sample, else by the largest
                 work through the base port.
+            internal: u and u' (N, m) of a base with internal modes.
 
         Returns:
             The account, its losses in the vehicle by Simpson's rule.
@@ -297,9 +401,9 @@ class EnergyBalance(Viewable):
         body = inertia(system.arm, q)
         if system.base.body is not None:
             body[..., :6, :6] += system.base.body.spatial()
-        kinetic = quadratic(body, rates) + quadratic(system.base.M, yd)
-        strain = quadratic(system.base.K, y)
-        stored, power = _port_energy(system, y, yd)
+        strain, moving, _ = _interface_energies(system.base, y, yd, internal)
+        kinetic = quadratic(body, rates) + moving
+        stored, power = _port_energy(system, y, yd, internal)
         dissipated = scipy.integrate.cumulative_simpson(power, x=t, initial=0.0)
         if turned_over is not None:
             scale = float(kinetic[0] + strain[0]) + turned_over

@@ -25,7 +25,10 @@ from ves_gym._util.views import Viewable
 from ves_gym.system.runlog_files import (
     BASE,
     DIGEST_KEY,
+    JOINT,
     META_KEY,
+    MODE,
+    POSE,
     QUANTITIES,
     RunLogError,
     load_pyarrow,
@@ -74,6 +77,8 @@ class RunLog(Viewable):
     yd: Array | None = None  # (N, 6) m/s, rad/s: d/dt of y, where it is measured
     w: Array | None = None  # (N, 6) N, N m: force sensor; on Earth it contains the weight
     wg: Array | None = None  # (N, 6) N, N m: w with the gravity estimate subtracted
+    u: Array | None = None  # (N, m) internal modes of the base: a simulation's, never measured
+    ud: Array | None = None  # (N, m) d/dt of u
 
     def __post_init__(self) -> None:
         store = object.__setattr__  # the dataclass is frozen
@@ -85,12 +90,14 @@ class RunLog(Viewable):
             raise RunLogError(f"q: expected shape (N, n) with n >= 1 joints, got {q.shape}")
         _check_time(t)
         store(self, "t", t)
-        for name, (per_joint, required) in QUANTITIES.items():
+        modes = next((np.shape(k)[-1:] for k in (self.u, self.ud) if k is not None), ())
+        sizes = {JOINT: q.shape[1], POSE: BASE, MODE: modes[0] if modes else 1}
+        for name, (axis, required) in QUANTITIES.items():
             value = getattr(self, name)
             if value is None and not required:
                 continue
             array = _numbers(value, name)
-            shape = (len(t), q.shape[1] if per_joint else BASE)
+            shape = (len(t), sizes[axis])
             if array.shape != shape:
                 raise RunLogError(f"{name}: expected shape {shape}, got {array.shape}")
             _check_finite(array, [f"{name}_{i + 1}" for i in range(shape[1])])

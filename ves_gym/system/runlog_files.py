@@ -27,20 +27,23 @@ META_KEY = "ves_gym"  # of the Parquet schema's metadata
 DIGEST_KEY = "ves_gym_digest"  # beside it, in files that `save` wrote
 BASE = 6  # x, y, z, phi_x, phi_y, phi_z and their wrench
 
-# quantity -> (one column per joint, required), in the order of the columns on disk
+JOINT, POSE, MODE = "n", str(BASE), "m"  # one column per joint, base coordinate, mode
+# quantity -> (its columns, required), in the order of the columns on disk
 QUANTITIES = {
-    "q_cmd": (True, True),
-    "v_cmd": (True, True),
-    "q": (True, True),
-    "v": (True, False),
-    "tau": (True, False),
-    "y": (False, True),
-    "y_cmd": (False, False),
-    "yd": (False, False),
-    "w": (False, False),
-    "wg": (False, False),
+    "q_cmd": (JOINT, True),
+    "v_cmd": (JOINT, True),
+    "q": (JOINT, True),
+    "v": (JOINT, False),
+    "tau": (JOINT, False),
+    "y": (POSE, True),
+    "y_cmd": (POSE, False),
+    "yd": (POSE, False),
+    "w": (POSE, False),
+    "wg": (POSE, False),
+    "u": (MODE, False),
+    "ud": (MODE, False),
 }
-KNOWN = ", ".join(["t", *(f"{k}_1..{'n' if j else BASE}" for k, (j, _) in QUANTITIES.items())])
+KNOWN = ", ".join(["t", *(f"{k}_1..{axis}" for k, (axis, _) in QUANTITIES.items())])
 
 _COLUMN = re.compile(rf"({'|'.join(QUANTITIES)})_([1-9][0-9]{{0,5}})")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
@@ -122,7 +125,7 @@ def read_parquet(path: Path) -> tuple[dict[str, Array], Any, str | None]:
     try:
         file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
         schema, keys = file.schema_arrow, file.metadata.metadata or {}
-        joints = _check_names(schema.names)
+        sizes = _check_names(schema.names)
         table = file.read()
     except RunLogError:
         raise
@@ -138,7 +141,7 @@ def read_parquet(path: Path) -> tuple[dict[str, Array], Any, str | None]:
     digest = (
         keys[DIGEST_KEY.encode()].decode("latin-1") if DIGEST_KEY.encode() in keys else None
     )
-    return _arrays(columns, joints), read_json(keys[META_KEY.encode()]), digest
+    return _arrays(columns, sizes), read_json(keys[META_KEY.encode()]), digest
 
 
 def read_csv(path: Path) -> dict[str, Array]:
@@ -151,7 +154,7 @@ def read_csv(path: Path) -> dict[str, Array]:
         raise RunLogError(
             f"header: expected column names, got {short(header)}: {error}"
         ) from None
-    joints = _check_names(names)
+    sizes = _check_names(names)
     rows = body.split("\n")
     if last := rows.pop():  # a cut number still looks like one
         column = names[min(last.count(","), len(names) - 1)]
@@ -170,7 +173,7 @@ def read_csv(path: Path) -> dict[str, Array]:
     except ValueError as error:
         _locate(rows, names)
         raise RunLogError(f"expected a table of numbers, got {error}") from None
-    return _arrays(dict(zip(names, table.T, strict=True)), joints)
+    return _arrays(dict(zip(names, table.T, strict=True)), sizes)
 
 
 def _locate(rows: Sequence[str], names: Sequence[str]) -> None:
@@ -205,29 +208,30 @@ def read_json(data: bytes) -> Any:
         raise RunLogError(f"metadata: expected JSON, got {error}") from None
 
 
-def _check_names(names: Sequence[str]) -> int:
-    """Number of joints, once every name is known, single and part of a complete set."""
+def _check_names(names: Sequence[str]) -> dict[str, int]:
+    """Columns per axis, once every name is known, single and part of a complete set."""
     if len(names) == 0:
         raise RunLogError(f"header: expected the columns {KNOWN}, got none")
     columns: dict[str, set[int]] = {"t": set()}
     for name in names:
         match = _COLUMN.fullmatch(name)
         if name != "t" and (
-            match is None or (not QUANTITIES[match[1]][0] and int(match[2]) > BASE)
+            match is None or (QUANTITIES[match[1]][0] == POSE and int(match[2]) > BASE)
         ):
             raise RunLogError(f"column {short(name)}: unknown; expected {KNOWN}")
         quantity, index = (match[1], int(match[2])) if match else ("t", 1)
         if index in columns.setdefault(quantity, set()):
             raise RunLogError(f"column {name}: expected once, got it more than once")
         columns[quantity].add(index)
-    joints = max(
-        (max(k) for q, k in columns.items() if q != "t" and QUANTITIES[q][0]), default=1
-    )
+    sizes = {POSE: BASE}
+    for axis in (JOINT, MODE):
+        of_axis = [max(k) for q, k in columns.items() if q != "t" and QUANTITIES[q][0] == axis]
+        sizes[axis] = max(of_axis, default=1)
     if not columns["t"]:
         raise RunLogError(f"column t: missing; got {', '.join(names[:8])} ...")
-    for quantity, (per_joint, required) in QUANTITIES.items():
+    for quantity, (axis, required) in QUANTITIES.items():
         if required or quantity in columns:
-            size = joints if per_joint else BASE
+            size = sizes[axis]
             have = columns.get(quantity, set())
             lost = next((i for i in range(1, size + 1) if i not in have), None)
             if lost is not None:
@@ -235,15 +239,15 @@ def _check_names(names: Sequence[str]) -> int:
                     f"column {quantity}_{lost}: missing; expected {quantity}_1..{size},"
                     f" got {len(have)} of them"
                 )
-    return joints
+    return sizes
 
 
-def _arrays(columns: Mapping[str, Array], joints: int) -> dict[str, Array]:
+def _arrays(columns: Mapping[str, Array], sizes: Mapping[str, int]) -> dict[str, Array]:
     """Columns by name -> the arrays of a RunLog."""
     out = {"t": columns["t"]}
-    for quantity, (per_joint, _) in QUANTITIES.items():
+    for quantity, (axis, _) in QUANTITIES.items():
         if f"{quantity}_1" in columns:
-            size = joints if per_joint else BASE
+            size = sizes[axis]
             out[quantity] = np.column_stack(
                 [columns[f"{quantity}_{i + 1}"] for i in range(size)]
             )

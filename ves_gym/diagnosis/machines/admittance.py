@@ -90,7 +90,7 @@ def _linear_gap(base: BaseModel, y: Array, force: Array, system: System) -> Arra
     known = y[:, 1:] - y[:, :-1] @ block(pose, pose).T
     z = np.zeros((*known.shape[:2], len(rest)))
     held, v = force[:, :-1], np.zeros_like(known)
-    start = np.concatenate([base.attached(y[:, 0]), np.zeros((len(y), len(base.extra)))], 1)
+    start = np.concatenate([base.attached(y[:, 0]), np.zeros((len(y), base.m))], 1)
     for _ in range(_ROUNDS if base.drag is not None else 1):
         if base.drag is not None:
             held = force[:, :-1] - base.drag * np.abs(v) * v

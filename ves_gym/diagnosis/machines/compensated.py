@@ -132,7 +132,7 @@ def reference(run: Run, taken: Taken, described: System) -> Trajectory:
     if "controller" not in memory:
         first = Taken(taken.force[:1], taken.pose[:1], taken.rate[:1], taken.q)
         y = first.pose
-        size = 6 + _moving(described) + len(described.actual.base.extra)
+        size = 6 + _moving(described) + described.actual.base.m
         state = np.zeros((1, y.shape[1], 2 * size))
         state[..., :6] = y
         state[..., size : size + 6] = np.gradient(y, described.control_dt, axis=1)
@@ -186,11 +186,9 @@ def _inverse(
 
     m, dt = _moving(system), system.control_dt
     base, lag = system.actual.base, system.emulator_settings.lag(dt)
-    k = m + len(base.extra)
+    k = m + base.m
     size = 6 + k
-    block = CoupledAdmittance(
-        _shape(system), len(base.extra), m, lag, base.body is not None, None
-    )
+    block = CoupledAdmittance(_shape(system), base.m, m, lag, base.body is not None, None)
     at, rates = np.split(near.state[0], 2, axis=-1)
     X = np.concatenate([at[:, :6], rates[:, :6]], axis=-1)
     N, none = len(X), np.zeros((len(X), 6))

@@ -29,7 +29,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics, newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import AXES, body_wrench, matvec, rate_matrix, twist, twist_rate
-from ves_gym.mechanics.vehicle import Oscillator
+from ves_gym.mechanics.vehicle import InternalModes
 from ves_gym.system.deviations import Delays, LoopParameters
 from ves_gym.system.effect import Effect, joint_torque
 from ves_gym.system.system import System
@@ -340,9 +340,8 @@ class SystemMachine:
             force = force - matvec(turn, body_wrench(base.body.spatial(), y, yd, ydd))
         if base.drag is not None:
             force = force - base.drag * np.abs(yd) * yd
-        for mass in base.extra:
-            way = np.concatenate([mass.direction, np.zeros(3)])
-            force = force + _carried(mass, ydd @ way, run.dt)[..., None] * way
+        if base.internal is not None:
+            force = force + _internal_force(base.internal, yd, ydd, run.dt)
         return np.asarray(force)
 
 
@@ -418,12 +417,27 @@ def _weight(arm: Arm, q: Array, pose: Array) -> Array:
     return out
 
 
-def _carried(mass: Oscillator, shaken: Array, dt: float) -> Array:
-    """Force (..., T) on what carries a mass on a spring and is accelerated, from rest."""
-    top = [mass.damping * mass.mass, mass.stiffness * mass.mass]
-    system = (top, [mass.mass, mass.damping, mass.stiffness])
-    b, a, _ = scipy.signal.cont2discrete(system, dt, method="foh")
-    return -np.asarray(scipy.signal.lfilter(np.ravel(b), np.ravel(a), shaken, axis=-1))
+def _internal_force(modes: InternalModes, yd: Array, ydd: Array, dt: float) -> Array:
+    """Force (..., T, 6) of internal modes on a base that moves as measured, from rest.
+
+    Their way against the base, e = u - P^T Y, is driven by it and comes to lie in a few states
+    that decay by themselves; straight lines from sample to sample.
+    """
+    m, P, C = modes.m, modes.coupling, modes.damping
+    drive = -(ydd @ P) - yd @ (C[6:, :6] + C[6:, 6:] @ P.T).T
+    A = np.block([[np.zeros((m, m)), np.eye(m)], [-np.diag(modes.omega**2), -C[6:, 6:]]])
+    B = np.vstack([np.zeros((m, m)), np.eye(m)])
+    step, at, _, direct, _ = scipy.signal.cont2discrete(
+        (A, B, np.eye(2 * m), np.zeros((2 * m, m))), dt, method="foh"
+    )
+    value, vector = np.linalg.eig(step)  # each state of its own is a filter of first order
+    driven = drive @ np.linalg.solve(vector, at).T
+    for i, pole in enumerate(value):
+        driven[..., i] = scipy.signal.lfilter([0.0, 1.0], [1.0, -pole], driven[..., i], axis=-1)
+    e = (driven @ vector.T).real + drive @ direct.T
+    rate = e[..., m:] + yd @ P
+    lost = yd @ C[:6, :6].T + rate @ C[:6, 6:].T
+    return np.asarray(e[..., :m] @ (P * modes.omega**2).T - lost)
 
 
 def _deflections(arm: Arm, torque: Array, dt: float) -> Array:

@@ -30,7 +30,7 @@ class CompiledBackend(Remembering):
         self._gains = np.array([name[:2] in ("kp", "kd") for name in self.names])
         self._systems = [system] * n
         size = 6 + self.joints
-        self._extras = 0 if self.emulated else len(system.base.extra)
+        self._extras = 0 if self.emulated else system.base.m
         self._gears = len(system.arm.geared)
         self._order = size + self._gears + self._extras  # coordinates: (Y, q), what is hidden
         self._nx, self._nu = 2 * self._order, size

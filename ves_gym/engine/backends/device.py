@@ -29,11 +29,11 @@ class DeviceBackend(Remembering):
             raise ParameterError(
                 f"backend {self.name} has no torque laws of effects: use kernel or mujoco"
             )
-        carried = system.base.extra or system.base.drag is not None
+        carried = system.base.m or system.base.drag is not None
         if system.arm.geared or (carried and system.mode == "ideal"):
             raise ParameterError(
-                f"backend {self.name} has no gears that give way, drag or oscillators of the"
-                " vehicle: use kernel or mujoco"
+                f"backend {self.name} has no gears that give way, drag or internal modes"
+                " of the vehicle: use kernel or mujoco"
             )
         if system.integrator == "implicitfast":
             raise ParameterError(

@@ -125,7 +125,7 @@ class MujocoBackend:
         self.joints = system.arm.n
         self.prescribed = system.drive == "prescribed"
         self.system, self._nthread = system, threads
-        self._carried = len(system.base.extra) if system.mode == "ideal" else 0
+        self._carried = system.base.m if system.mode == "ideal" else 0
         # coordinates of the motors; those of gears lie between them
         self._motors: Any = slice(6, 6 + self.joints)
         geared = np.array(system.arm.geared, int)

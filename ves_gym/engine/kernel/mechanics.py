@@ -35,12 +35,12 @@ class Model:
     gain: list[Expression]
     laws: list[tuple[TorqueEffect, dict[str, Any]]]  # with their numbers
     gears: dict[int, Any]  # of the joints that have one: stiffness, damping, gap
-    extra: list[Any]  # oscillators on the vehicle: mass, stiffness, damping, direction
+    internal: Any = None  # modes of the base: coupling (m, 6), stiffness (m,), damping
 
     @property
     def hidden(self) -> int:
-        """Coordinates beside (Y, q): deflections of the gears, then the oscillators."""
-        return len(self.gears) + len(self.extra)
+        """Coordinates beside (Y, q): deflections of the gears, then the internal modes."""
+        return len(self.gears) + (0 if self.internal is None else len(self.internal.stiffness))
 
     def push(self, q: list[Any], v: list[Any], tau: list[Any], xp: Any) -> list[Any]:
         """Return the torque of the effects' laws at the joints [N m].
@@ -143,27 +143,30 @@ def gear_torque(model: Model, d: list[Any], rate: list[Any], xp: Any) -> list[An
     return out
 
 
-def oscillator_forces(
+def internal_forces(
     model: Model, y: list[Any], yd: list[Any], u: list[Any], ud: list[Any]
 ) -> tuple[list[Any], list[Any]]:
-    """Return the generalised force on Y (6), and u'' of the oscillators.
+    """Return the generalised force of the internal modes on Y (6), and their u'' (m).
 
     Args:
-        model: with its oscillators.
-        y, yd: base pose and rate.
-        u, ud: coordinates and rates of the oscillators.
+        model: with its modes (`vehicle.InternalModes`).
+        y, yd: state (Y, q) and its rate.
+        u, ud: coordinates and rates of the modes.
     """
-    push: list[Any] = [0.0] * 6
-    out = []
-    for oscillator, at, moving in zip(model.extra, u, ud, strict=True):
-        stretch = at - sum(c * k for c, k in pairs(list(oscillator.direction), y[:3]))
-        speed = moving - sum(c * k for c, k in pairs(list(oscillator.direction), yd[:3]))
-        force = oscillator.stiffness * stretch + oscillator.damping * speed
-        for i, c in enumerate(oscillator.direction):
-            if not is_zero(c):
-                push[i] = push[i] + c * force
-        out.append(-force / oscillator.mass)
-    return push, out
+    modes, push = model.internal, [0.0] * 6
+    out: list[Any] = []
+    if modes is None:
+        return push, out
+    lost = times(modes.damping, [*yd[:6], *ud])
+    for column, stiffness, at, loss in zip(
+        modes.coupling, modes.stiffness, u, lost[6:], strict=True
+    ):
+        force = stiffness * (at - sum(c * k for c, k in pairs(column, y[:6])))
+        push = [
+            a + b * force if not is_zero(b) else a for a, b in zip(push, column, strict=True)
+        ]
+        out.append(-force - loss)
+    return [a - b for a, b in zip(push, lost[:6], strict=True)], out
 
 
 def _rates(y: list[Expression], xp: Any) -> tuple[list[list[Expression]], list[Expression]]:

@@ -28,10 +28,10 @@ from ves_gym.engine.kernel.mechanics import (
     gear_torque,
     in_space,
     interleaved,
+    internal_forces,
     is_zero,
     on_platform,
     one_base,
-    oscillator_forces,
     pairs,
     residual,
     separated,
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     import casadi
 
     from ves_gym.mechanics.arm import Arm
+    from ves_gym.mechanics.vehicle import InternalModes
     from ves_gym.system.effect import Effect
     from ves_gym.system.system import System
 
@@ -63,7 +64,7 @@ class Equations:
     names: tuple[str, ...]  # of p
     motion: casadi.Function  # (x, u, p) -> x'; x with what is hidden: (z, h, z', h')
     observe: casadi.Function  # (x, u, p) -> x', (z'', drive torque, wrench if emulated)
-    hidden: int = 0  # coordinates h: deflections of gears, oscillators of the vehicle
+    hidden: int = 0  # coordinates h: deflections of gears, internal modes of the base
 
 
 class _Numbers:
@@ -100,14 +101,17 @@ class _Numbers:
             gap=self(f"{name}.gap", gear.gap),
         )
 
-    def oscillator(self, name: str, oscillator: Any) -> Any:
+    def modes(self, internal: InternalModes) -> Any:
+        coupling = [
+            [self(f"coupling{k + 1}.{i + 1}", c) for i, c in enumerate(column)]
+            for k, column in enumerate(internal.coupling.T)
+        ]
         return SimpleNamespace(
-            mass=self(f"{name}.mass", oscillator.mass),
-            stiffness=self(f"{name}.stiffness", oscillator.stiffness),
-            damping=self(f"{name}.damping", oscillator.damping),
-            direction=[
-                self(f"{name}.direction{k + 1}", c) for k, c in enumerate(oscillator.direction)
+            coupling=coupling,
+            stiffness=[
+                self(f"internal_stiffness{k + 1}", w * w) for k, w in enumerate(internal.omega)
             ],
+            damping=self.matrix("internal_damping.", internal.damping),
         )
 
     def inertial(self, name: str, body: Any) -> Any:
@@ -162,10 +166,7 @@ def _model(system: System, read: _Numbers) -> Model:
             if isinstance(effect, TorqueEffect)
         ],
         gears={i: read.gear(f"gear{i + 1}", arm.links[i].gear) for i in arm.geared},
-        extra=[
-            read.oscillator(f"extra{i + 1}", oscillator)
-            for i, oscillator in enumerate(base.extra if ideal else ())
-        ],
+        internal=read.modes(base.internal) if ideal and base.internal is not None else None,
     )
 
 
@@ -271,13 +272,13 @@ def equations(system: System) -> Equations:
 
 
 def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
-    """The same with gears that give way, and oscillators that the vehicle carries."""
+    """The same with gears that give way, and internal modes of the base."""
     import casadi as ca
 
     if system.integrator == "implicitfast":
         raise ParameterError(
-            "backend kernel integrates gears and oscillators by rk4 or euler, got implicitfast:"
-            " use backend mujoco"
+            "backend kernel integrates gears and internal modes by rk4 or euler, got"
+            " implicitfast: use backend mujoco"
         )
     n, h, g = system.arm.n, model.hidden, len(model.gears)
     size = 6 + n
@@ -295,7 +296,7 @@ def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
     joints = interleaved(model, drives, gear_torque(model, d, dd, ca))
     pose = [*z[:6], *interleaved(model, z[6:], d)]
     moving = [*zd[:6], *interleaved(model, zd[6:], dd)]
-    push, sdd = oscillator_forces(model, z, zd, s, sd)
+    push, sdd = internal_forces(model, z, zd, s, sd)
     loose = [[0.0] * len(pose) for _ in pose]
     wrench: list[Any] = []
     if system.mode == "emulated":
@@ -370,7 +371,7 @@ def _balance(system: System) -> _Balance:
     model, symbols = _symbols(system)
     if model.hidden:
         raise ParameterError(
-            "derivatives know no gears that give way and no oscillators of the vehicle: use"
+            "derivatives know no gears that give way and no internal modes of the base: use"
             " differences of Simulator runs"
         )
     size = 6 + system.arm.n

@@ -31,7 +31,7 @@ from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import reach100
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Divergence
-from ves_gym.system.energy import TAIL, Energies, EnergyBalance, energies
+from ves_gym.system.energy import TAIL, Energies, EnergyBalance
 from ves_gym.system.system import System
 
 _VEHICLE = "bent"
@@ -315,7 +315,7 @@ def _batch(
         if len(which) == 1:
             return [None]
         return [_batch(queries, motions, [k], account)[0] for k in which]
-    return list(energies(system, run.t, run.q, run.y, run.yd, duration=run.duration))
+    return list(run.energies())
 
 
 def _require_account(
