@@ -1,0 +1,315 @@
+"""A user's structure from files: every format gives the same one, wrong ones are refused."""
+
+import gzip
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse
+
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.craig_bampton import reduce
+from ves_gym.mechanics.finite_elements import polyline
+from ves_gym.mechanics.matrix_files import read_matrices
+from ves_gym.mechanics.section import ALUMINIUM, Tube
+from ves_gym.mechanics.structure import UNITS, Structure, read_structure
+from ves_gym.mechanics.vehicle import BENT
+
+TUBE = Tube(outer_diameter=0.18, wall=0.007)
+FRAME = polyline(BENT.segments, [TUBE] * 2, ALUMINIUM).divided(4)
+MASS, STIFF = FRAME.matrices()
+TIP, CLAMP = tuple(range(12, 18)), tuple(range(6))  # old nodes come first: clamp, elbow, tip
+TRUE = reduce(MASS, STIFF, TIP, 4, held=CLAMP)
+
+
+def label(freedom):
+    """Node (from 101) and component, as a finite-element program numbers them."""
+    return 101 + freedom // 6, freedom % 6 + 1
+
+
+def short(text):
+    """A number in 16 places: NASTRAN's D for the exponent, nine decimals."""
+    return f"{float(text):.8E}".replace("E", "D")
+
+
+def dmig(matrices, style="wide"):
+    """A punch file of symmetric matrices, the lower triangle by columns."""
+    lines = ["$TITLE   = BENT BEAM", "GRID         101        -8.0     0.0    -8.0"]
+    for name, matrix in matrices.items():
+        if style == "comma":
+            lines.append(f"DMIG,{name},0,6,2,0,,,,")
+        else:
+            lines.append(f"DMIG    {name:<8}       0       6       2       0")
+        columns = scipy.sparse.tril(matrix).tocsc()
+        for j in range(columns.shape[1]):
+            part = slice(columns.indptr[j], columns.indptr[j + 1])
+            node, component = label(j)
+            terms = [
+                (*label(i), f"{v:.12E}")
+                for i, v in zip(columns.indices[part], columns.data[part], strict=True)
+            ]
+            if not terms:
+                continue
+            if style == "wide":
+                lines.append(f"DMIG*   {name:<16}{node:16d}{component:16d}")
+                lines += [f"*       {n:16d}{c:16d}{short(v):>16}" for n, c, v in terms]
+            else:
+                lines.append(f"DMIG,{name},{node},{component},")
+                lines += [f",{n},{c},{v.replace('E', 'D')}" for n, c, v in terms]
+    return "\n".join([*lines, "ENDDATA", ""])
+
+
+def op4(matrices, style="dense"):
+    """Text OP4 with 16 digits: dense columns, or sparse ones (big: two-number heads)."""
+    lines = []
+    for name, matrix in matrices.items():
+        full = matrix.toarray()
+        size = len(full)
+        rows = -size if style == "big" else size
+        lines.append(f"{size:8d}{rows:8d}{6:8d}{2:8d}{name:<8}1P,3E23.16")
+        for j, column in enumerate(full.T):
+            (used,) = np.nonzero(column)
+            if not len(used):
+                continue
+            if style == "dense":
+                first, values = used[0], column[used[0] : used[-1] + 1]
+                lines += [f"{j + 1:8d}{first + 1:8d}{2 * len(values):8d}", *reals(values)]
+                continue
+            runs = np.split(used, np.nonzero(np.diff(used) > 1)[0] + 1)
+            lines.append(f"{j + 1:8d}{0:8d}{sum(2 * len(r) + 2 for r in runs):8d}")
+            for run in runs:
+                words = 2 * len(run) + 1
+                if style == "big":
+                    lines.append(f"{words:8d}{run[0] + 1:8d}")
+                else:
+                    lines.append(f"{run[0] + 1 + 65536 * words:12d}")
+                lines += reals(column[run])
+        lines += [f"{size + 1:8d}{1:8d}{1:8d}", " 1.0000000000000000E+00"]
+    return "\n".join([*lines, ""])
+
+
+def reals(values):
+    texts = [f"{v:23.16E}" for v in values]
+    return ["".join(texts[k : k + 3]) for k in range(0, len(texts), 3)]
+
+
+def write(folder, kind):
+    """Write both matrices in a format: what `read_structure` takes for `files`."""
+    if kind == "npy":
+        np.save(folder / "M.npy", MASS.toarray())
+        np.save(folder / "K.npy", STIFF.toarray())
+        return {"M": folder / "M.npy", "K": folder / "K.npy"}
+    if kind == "npz":
+        np.savez(folder / "both.npz", mass=MASS.toarray(), stiffness=STIFF.toarray())
+        return folder / "both.npz"
+    if kind == "sparse npz":
+        scipy.sparse.save_npz(folder / "M.npz", MASS)
+        scipy.sparse.save_npz(folder / "K.npz", STIFF)
+        return {"M": folder / "M.npz", "K": folder / "K.npz"}
+    if kind == "Matrix Market":
+        scipy.io.mmwrite(folder / "M.mtx", MASS, symmetry="symmetric", precision=17)
+        with gzip.open(folder / "K.mtx.gz", "wb") as file:
+            scipy.io.mmwrite(file, STIFF, symmetry="general", precision=17)
+        return {"M": folder / "M.mtx", "K": folder / "K.mtx.gz"}
+    if kind == "CalculiX":
+        for name, matrix in (("mas", MASS), ("sti", STIFF)):
+            part = scipy.sparse.triu(matrix).tocoo()
+            lines = [
+                f"{i + 1} {j + 1} {v:.16e}"
+                for i, j, v in zip(part.row, part.col, part.data, strict=True)
+            ]
+            (folder / f"job.{name}").write_text("\n".join(lines))
+        dof = [f"{n}.{c}" for n, c in map(label, range(MASS.shape[0]))]
+        (folder / "job.dof").write_text("\n".join(dof))
+        return {"M": folder / "job.mas", "K": folder / "job.sti"}
+    if kind.startswith("DMIG"):
+        path = folder / "beam.pch"
+        path.write_text(dmig({"MAAX": MASS, "KAAX": STIFF}, kind.split()[1]))
+        return path
+    path = folder / "beam.op4"
+    path.write_text(op4({"MAA": MASS, "KAA": STIFF}, kind.split()[1]))
+    return path
+
+
+KINDS = {  # with the digits that they keep
+    "npy": 1e-9,
+    "npz": 1e-9,
+    "sparse npz": 1e-9,
+    "Matrix Market": 1e-9,
+    "CalculiX": 1e-9,
+    "DMIG wide": 1e-4,  # nine digits of a stiffness that spans 1e6
+    "DMIG comma": 1e-6,
+    "OP4 dense": 1e-9,
+    "OP4 sparse": 1e-9,
+    "OP4 big": 1e-9,
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_format_gives_the_same_structure(kind, tmp_path):
+    files = write(tmp_path, kind)
+    numbered = kind.startswith(("DMIG", "CalculiX"))
+    interface = 103 if numbered else TIP
+    found = read_structure(files, interface=interface, held=CLAMP, units="m-kg-s").reduce(4)
+    for name in ("K", "M", "coupling", "omega"):
+        expected = getattr(TRUE, name)
+        error = np.abs(getattr(found, name) - expected).max() / np.abs(expected).max()
+        assert error < KINDS[kind], name
+
+
+def test_small_fields_and_numbers_without_an_e(tmp_path):
+    """DMIG in fields of 8: two terms on each following line, 1.5+3 and 2.-1."""
+    lines = [
+        "DMIG    K              0       1       1       0",
+        "DMIG    K              7       1               7       1   1.5+3",
+        "               7       2    2.-1               8       0   -3.25",
+        "DMIG    K              7       2               7       1     0.2",
+        "DMIG    K              8       0               7       1   -3.25",
+    ]
+    (tmp_path / "small.dmig").write_text("\n".join(lines))
+    matrix = read_matrices(tmp_path / "small.dmig")["K"]
+    assert matrix.labels == ((7, 1), (7, 2), (8, 0))
+    assert matrix.values.toarray().tolist() == [
+        [1500.0, 0.2, -3.25],
+        [0.2, 0.0, 0.0],
+        [-3.25, 0.0, 0.0],
+    ]
+
+
+def test_mass_may_lack_freedoms_that_have_none(tmp_path):
+    """Freedoms are matched by node and component, in whatever order the files have them."""
+    heavy = MASS.toarray()
+    heavy[6:12], heavy[:, 6:12] = 0.0, 0.0  # a massless elbow
+    path = tmp_path / "beam.pch"
+    path.write_text(dmig({"KAAX": STIFF, "MAAX": scipy.sparse.csc_array(heavy)}, "comma"))
+    found = read_structure(path, interface=103, held=CLAMP, units="m-kg-s").reduce(4)
+    expected = reduce(heavy, STIFF, TIP, 4, held=CLAMP)
+    assert found.omega == pytest.approx(expected.omega, rel=1e-6)
+
+
+@pytest.mark.parametrize("units", UNITS)
+def test_units_of_the_file_are_not_those_of_the_result(units):
+    length, mass, time = UNITS[units]
+    way = scipy.sparse.diags_array(np.where(np.arange(MASS.shape[0]) % 6 < 3, length, 1.0))
+    energy = mass * length**2 / time**2
+    M, K = way @ MASS @ way / (energy * time**2), way @ STIFF @ way / energy
+    found = Structure(M, K, None, TIP, CLAMP, units).reduce(4)
+    for name in ("K", "M", "coupling", "omega"):
+        expected = getattr(TRUE, name)
+        assert np.abs(getattr(found, name) - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+def test_a_free_structure_has_exactly_no_stiffness(tmp_path):
+    files = write(tmp_path, "npz")
+    found = read_structure(files, interface=TIP, units="m-kg-s", rigid_modes=6).reduce(3)
+    assert not found.K.any()
+    assert found.M[0, 0] == pytest.approx(BENT.mass)
+
+
+def spoiled(name, change):
+    def write_it(folder):
+        matrices = {"mass": MASS.toarray(), "stiffness": STIFF.toarray()}
+        change(matrices[name])
+        np.savez(folder / "both.npz", **matrices)
+        return folder / "both.npz"
+
+    return write_it
+
+
+def as_it_is(M):
+    pass
+
+
+def skewed(K):
+    i, j = np.unravel_index(np.abs(np.triu(K, 1)).argmax(), K.shape)
+    K[i, j] *= 1.01
+
+
+def lighter(M):
+    M[20, 20] = -5.0
+
+
+def softer(K):
+    K[30, 30] -= 1e9
+
+
+def torn(K):
+    K[9] = K[:, 9] = 0.0
+
+
+def boxed(K):
+    K[0, 0] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("files", "options", "message"),
+    [
+        (spoiled("stiffness", skewed), {}, r"K must be symmetric, got \[\d+,\d+\] = .* and"),
+        (spoiled("mass", lighter), {}, "M must be positive semidefinite, got an eigenvalue -"),
+        (spoiled("stiffness", softer), {}, "must not move freely, got a pivot -"),
+        (spoiled("stiffness", torn), {}, "must not move freely"),
+        (spoiled("stiffness", boxed), {}, "stiffness must be finite"),
+        (spoiled("mass", as_it_is), {"held": ()}, "must have 0 rigid motions .* got more"),
+        (spoiled("mass", as_it_is), {"rigid_modes": 6}, "with 6 rigid motions, got the frequ"),
+        (
+            spoiled("mass", as_it_is),
+            {"interface": TIP[::-1], "held": (), "rigid_modes": 6},
+            "order",
+        ),
+        (spoiled("mass", as_it_is), {"units": "mm"}, "units must be one of m-kg-s"),
+        (spoiled("mass", as_it_is), {"interface": 103}, "do not number nodes"),
+        (
+            spoiled("mass", as_it_is),
+            {"names": {"M": "MGG"}},
+            "no matrix 'MGG'; known: mass, stiff",
+        ),
+        (lambda folder: write(folder, "DMIG wide"), {"interface": 99}, "node 99 must have the"),
+        (lambda folder: {"M": folder / "M.mat", "K": ""}, {}, "expected one of .npy, .npz"),
+        (lambda folder: {"M": folder / "M.npy"}, {}, "cannot be read"),
+    ],
+)
+def test_what_is_no_structure_is_refused_with_its_number(files, options, message, tmp_path):
+    everything = {"interface": TIP, "held": CLAMP, "units": "m-kg-s", **options}
+    with pytest.raises(ParameterError, match=message):
+        read_structure(files(tmp_path), **everything)
+
+
+def test_nothing_in_a_file_is_executed(tmp_path):
+    """A pickle inside .npy or .npz is refused, never loaded."""
+    np.save(tmp_path / "M.npy", np.array([print], dtype=object), allow_pickle=True)
+    np.savez(tmp_path / "all.npz", mass=np.array([print], dtype=object))
+    for name in ("M.npy", "all.npz"):
+        with pytest.raises(ParameterError, match=r"cannot be read .*allow_pickle"):
+            read_matrices(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.op4", "\0\0\0\x18", "expected OP4 as text, got binary"),
+        ("a.op4", f"{2:8d}{2:8d}{6:8d}{4:8d}KAA     1P,3E23.16\n", "must be real"),
+        ("a.op4", op4({"KAA": STIFF})[:3000], "cannot be read as .op4"),
+        ("a.pch", "GRID           1", "at least one matrix, got none"),
+        ("a.pch", "DMIG    K              0       6       4       0", "must be real"),
+        ("a.pch", "DMIG    K              0       9       2       0", "must be square"),
+        ("a.pch", "DMIG    K              1       1", "must begin with its header"),
+        ("a.mtx", "no matrix", "cannot be read as .mtx"),
+        ("a.sti", "1 1 x", "cannot be read as .sti"),
+    ],
+)
+def test_files_that_are_not_what_they_say_are_refused(name, text, message, tmp_path):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ParameterError, match=message):
+        read_matrices(tmp_path / name)
+
+
+def test_a_large_structure_is_judged_by_the_sparse_solver(tmp_path, monkeypatch):
+    files = spoiled("mass", as_it_is)(tmp_path)
+    monkeypatch.setattr("ves_gym.mechanics.structure._DENSE", 0)
+    monkeypatch.setattr("ves_gym.mechanics.craig_bampton._DENSE", 0)
+    structure = read_structure(files, interface=TIP, held=CLAMP, units="m-kg-s")
+    assert structure.reduce(4).omega == pytest.approx(TRUE.omega, rel=1e-6)
+    with pytest.raises(ParameterError, match="an eigenvalue -"):
+        read_structure(
+            spoiled("mass", lighter)(tmp_path), interface=TIP, held=CLAMP, units="m-kg-s"
+        )

@@ -1,0 +1,271 @@
+"""Matrices of a structure from files: NumPy, Matrix Market, CalculiX, NASTRAN DMIG and OP4.
+
+Every reader is text or plain numbers: nothing in a file is executed (no pickles). OP4 is
+read in its text form, dense and sparse; a NASTRAN punch file keeps its DMIG entries, in
+fields of 8, of 16 or with commas, and every other entry is passed over.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+import scipy.sparse
+
+from ves_gym._util.params import ParameterError
+
+Label = tuple[int, int]  # node and component 1 to 6 (0: a scalar point)
+SUFFIXES = (".npy", ".npz", ".mtx", ".mtx.gz", ".sti", ".mas", ".pch", ".dmig", ".bdf", ".op4")
+
+
+@dataclass(frozen=True)
+class NamedMatrix:
+    """A matrix as a file gives it."""
+
+    name: str
+    values: Any  # (n, n) sparse
+    labels: tuple[Label, ...] | None = None  # (n,) of the freedoms, where the file says
+
+
+def read_matrices(path: str | os.PathLike[str]) -> dict[str, NamedMatrix]:
+    """Read every matrix of a file, by name; a file of one matrix names it after itself.
+
+    Raises:
+        ParameterError: an unknown suffix, or content that is not what the suffix says.
+    """
+    path = Path(path)
+    suffix = ".mtx" if path.name.endswith(".mtx.gz") else path.suffix.lower()
+    readers: dict[str, Any] = {
+        ".npy": _numpy,
+        ".npz": _numpy,
+        ".mtx": _matrix_market,
+        ".sti": _calculix,
+        ".mas": _calculix,
+        ".pch": _dmig,
+        ".dmig": _dmig,
+        ".bdf": _dmig,
+        ".op4": _op4,
+    }
+    if suffix not in readers:
+        raise ParameterError(f"{path}: expected one of {', '.join(SUFFIXES)}, got {suffix!r}")
+    try:
+        found: list[NamedMatrix] = readers[suffix](path)
+    except ParameterError:
+        raise
+    except (OSError, ValueError, EOFError, IndexError, KeyError) as error:
+        raise ParameterError(f"{path}: cannot be read as {suffix}: {error}") from None
+    if not found:
+        raise ParameterError(f"{path}: expected at least one matrix, got none")
+    for matrix in found:
+        _check(matrix, path)
+    return {matrix.name: matrix for matrix in found}
+
+
+def _check(matrix: NamedMatrix, path: Path) -> None:
+    values = matrix.values
+    if values.ndim != 2 or values.shape[0] != values.shape[1]:
+        raise ParameterError(f"{path}: {matrix.name} must be square, got {values.shape}")
+    if values.dtype.kind not in "fiu":
+        raise ParameterError(f"{path}: {matrix.name} must be real, got {values.dtype}")
+    if not np.isfinite(values.data).all():
+        raise ParameterError(f"{path}: {matrix.name} must be finite")
+
+
+def _stem(path: Path) -> str:
+    return path.name.partition(".")[0]
+
+
+def _numpy(path: Path) -> list[NamedMatrix]:
+    loaded = np.load(path, allow_pickle=False)
+    if isinstance(loaded, np.ndarray):
+        return [NamedMatrix(_stem(path), _sparse(loaded))]
+    with loaded:
+        if "format" in loaded:  # of scipy.sparse.save_npz
+            return [NamedMatrix(_stem(path), _sparse(scipy.sparse.load_npz(path)))]
+        return [NamedMatrix(name, _sparse(loaded[name])) for name in loaded.files]
+
+
+def _matrix_market(path: Path) -> list[NamedMatrix]:
+    return [NamedMatrix(_stem(path), _sparse(scipy.io.mmread(path)))]
+
+
+def _sparse(values: Any) -> Any:
+    if getattr(values, "ndim", 0) != 2:
+        raise ValueError(f"expected a matrix, got an array of shape {values.shape}")
+    return scipy.sparse.csc_array(values)
+
+
+def _calculix(path: Path) -> list[NamedMatrix]:
+    """*FREQUENCY, SOLVER=MATRIXSTORAGE: lines (row, column, value), NAME.dof beside it."""
+    table = np.loadtxt(path, ndmin=2)
+    rows, columns = (table[:, k].astype(int) - 1 for k in (0, 1))
+    labels = None
+    names = path.with_suffix(".dof")
+    size = int(max(rows.max(), columns.max())) + 1
+    if names.exists():
+        words = names.read_text("utf-8").split()
+        labels = tuple((int(a), int(b)) for a, b in (k.split(".") for k in words))
+        size = len(labels)
+    # either triangle alone, or both
+    return [NamedMatrix(path.suffix[1:], _filled(rows, columns, table[:, 2], size), labels)]
+
+
+def _filled(rows: Any, columns: Any, values: Any, size: int) -> Any:
+    """A matrix of which one triangle may be given alone."""
+    given = scipy.sparse.coo_array((values, (rows, columns)), shape=(size, size)).tocsc()
+    lower, upper = (scipy.sparse.tril(given, -1), scipy.sparse.triu(given, 1))
+    if lower.count_nonzero() and upper.count_nonzero():
+        return given
+    return scipy.sparse.csc_array(given + lower.T + upper.T)
+
+
+# ------------------------------------------------------------------------- NASTRAN DMIG
+
+
+def _dmig(path: Path) -> list[NamedMatrix]:
+    forms: dict[str, int] = {}
+    terms: dict[str, list[tuple[Label, Label, float]]] = {}
+    for fields in _entries(path):
+        name = fields[0].upper()
+        numbers = fields[1:]
+        if name not in forms:  # the first entry of a name is its header: 0, form, type
+            if int(numbers[0]) != 0:
+                raise ValueError(f"DMIG {name} must begin with its header entry")
+            forms[name], terms[name] = int(numbers[1]), []
+            if int(numbers[2]) not in (1, 2):
+                raise ValueError(f"DMIG {name} must be real (type 1 or 2), got {numbers[2]}")
+            if forms[name] not in (1, 6):
+                raise ValueError(f"DMIG {name} must be square (form 1 or 6), got {numbers[1]}")
+            continue
+        column = (int(numbers[0]), int(numbers[1] or 0))
+        for k in range(3, len(numbers), 4):
+            if numbers[k]:
+                row = (int(numbers[k]), int(numbers[k + 1] or 0))
+                terms[name].append((row, column, _number(numbers[k + 2])))
+    labels = sorted({k for entry in terms.values() for i, j, _ in entry for k in (i, j)})
+    index = {label: i for i, label in enumerate(labels)}
+    out = []
+    for name, entries in terms.items():
+        rows = np.array([index[i] for i, _, _ in entries], int)
+        columns = np.array([index[j] for _, j, _ in entries], int)
+        values = np.array([v for *_, v in entries])
+        size = len(labels)
+        if forms[name] == 6:
+            full = _filled(rows, columns, values, size)
+        else:
+            full = scipy.sparse.coo_array((values, (rows, columns)), (size, size)).tocsc()
+        out.append(NamedMatrix(name, full, tuple(labels)))
+    return out
+
+
+def _entries(path: Path) -> list[list[str]]:
+    """Fields of each DMIG entry after its keyword, continuations joined; 8 or 4 a line."""
+    entries: list[list[str]] = []
+    open_entry = False
+    for raw in path.read_text("ascii", errors="replace").splitlines():
+        line = raw.split("$")[0].rstrip()
+        if not line:
+            continue
+        head = line[:8].split(",")[0].strip().upper()
+        begins = head in ("DMIG", "DMIG*")
+        if begins:
+            entries.append([])
+        open_entry = begins or (open_entry and (head == "" or head[0] in "+*"))
+        if open_entry:
+            entries[-1] += _fields(line, wide=head.endswith("*") or head.startswith("*"))
+    return entries
+
+
+def _fields(line: str, wide: bool) -> list[str]:
+    count = 4 if wide else 8
+    if "," in line:
+        fields = line.split(",")[1 : 1 + count]
+    else:
+        width = 16 if wide else 8
+        line = line.expandtabs(8)
+        fields = [line[8 + width * k : 8 + width * (k + 1)] for k in range(count)]
+    return [k.strip() for k in fields] + [""] * (count - len(fields))
+
+
+def _number(text: str) -> float:
+    """A NASTRAN real: 1.5, 1.5E+3, 1.5D+3 or 1.5+3."""
+    text = text.upper().replace("D", "E")
+    return float(re.sub(r"(?<=[\d.])([+-])", r"E\1", text))
+
+
+# -------------------------------------------------------------------------------- OP4
+
+
+def _op4(path: Path) -> list[NamedMatrix]:
+    data = path.read_bytes()
+    if b"\0" in data[:64]:
+        raise ParameterError(
+            f"{path}: expected OP4 as text, got binary: write it with FORMATTED, or convert it"
+            " (pyNastran's read_op4 and write_op4)"
+        )
+    lines = data.decode("ascii", errors="replace").splitlines()
+    out, at = [], 0
+    while at < len(lines) and lines[at].strip():
+        matrix, at = _op4_matrix(lines, at)
+        out.append(matrix)
+    return out
+
+
+def _op4_matrix(lines: list[str], at: int) -> tuple[NamedMatrix, int]:
+    """One matrix and the line after it."""
+    head = lines[at]
+    columns, rows, _, kind = (int(head[8 * k : 8 * k + 8]) for k in range(4))
+    name, layout = head[32:40].strip(), head[40:].strip()
+    if kind not in (1, 2):
+        raise ValueError(f"OP4 {name} must be real (type 1 or 2), got {kind}")
+    found = re.search(r"(\d+)[EDGF](\d+)\.", layout.upper().removeprefix("1P").strip(", "))
+    width = int(found.group(2)) if found else 16
+    big = rows < 0  # strings of a sparse matrix are headed by two numbers instead of one
+    entries: list[tuple[int, int, float]] = []
+    at += 1
+    while True:
+        # the third number counts words, which programs do differently: the lines tell
+        column, start, _ = (int(lines[at][8 * k : 8 * k + 8]) for k in range(3))
+        at += 1
+        if column > columns:  # the end: one number more
+            return _op4_whole(name, entries, (abs(rows), columns)), at + _run(lines, at)
+        while start > 0 or len(lines[at].split()) <= 2:
+            if start <= 0:
+                start, at = _op4_string(lines[at], big), at + 1
+            count = _run(lines, at)
+            if not count:
+                raise ValueError(f"line {at + 1}: expected numbers of column {column}")
+            values = _op4_values(lines[at : at + count], width)
+            entries += [(start - 1 + k, column - 1, v) for k, v in enumerate(values)]
+            start, at = 0, at + count
+
+
+def _op4_whole(
+    name: str, entries: list[tuple[int, int, float]], size: tuple[int, int]
+) -> NamedMatrix:
+    i, j, v = (np.array(k) for k in zip(*entries, strict=True)) if entries else ([], [], [])
+    return NamedMatrix(name, scipy.sparse.coo_array((v, (i, j)), size).tocsc())
+
+
+def _op4_string(line: str, big: bool) -> int:
+    """First row of a string of a sparse column."""
+    return int(line[8:16]) if big else int(line) % 65536  # row + 65536 (length + 1)
+
+
+def _run(lines: list[str], at: int) -> int:
+    """Number of lines from here on that hold reals; whole numbers have no point."""
+    end = at
+    while end < len(lines) and "." in lines[end] and "," not in lines[end]:
+        end += 1
+    return end - at
+
+
+def _op4_values(lines: list[str], width: int) -> list[float]:
+    """Numbers of a fixed width."""
+    texts = (line.rstrip() for line in lines)
+    return [_number(t[k : k + width].strip()) for t in texts for k in range(0, len(t), width)]

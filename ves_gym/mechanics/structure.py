@@ -1,0 +1,317 @@
+"""A user's structure: mass and stiffness with units, interface and support, checked.
+
+What an arm stands on can come from any finite-element program as M, K and D over its
+freedoms. `read_structure` refuses what cannot be a structure and says which number is
+wrong; `Structure.reduce` gives interface and internal modes in SI units.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+import scipy.sparse.linalg
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.suggest import did_you_mean
+from ves_gym.mechanics.craig_bampton import Reduction, reduce
+from ves_gym.mechanics.matrix_files import Label, NamedMatrix, read_matrices
+
+_POUND = 4.4482216152605  # N
+UNITS: dict[str, tuple[float, float, float]] = {  # length [m], mass [kg], time [s] of one unit
+    "m-kg-s": (1.0, 1.0, 1.0),
+    "mm-t-s": (1e-3, 1e3, 1.0),
+    "mm-kg-ms": (1e-3, 1.0, 1e-3),
+    "mm-kg-s": (1e-3, 1.0, 1.0),
+    "cm-kg-s": (1e-2, 1.0, 1.0),
+    "in-lbf-s": (0.0254, _POUND / 0.0254, 1.0),
+    "ft-lbf-s": (0.3048, _POUND / 0.3048, 1.0),
+}
+NAMES = {  # what files call the matrices; NASTRAN's own and with a suffix, CalculiX's
+    "M": ("m", "mass", "maa", "maax", "mgg", "m2gg", "mas"),
+    "K": ("k", "stiffness", "kaa", "kaax", "kgg", "k2gg", "sti"),
+    "D": ("d", "damping", "baa", "baax", "bgg", "b2gg", "c"),
+}
+
+_SYMMETRIC = 1e-6  # of the largest entry: what text files of seven digits keep
+_INDEFINITE = 1e-9  # an eigenvalue of M may be negative by this part of the largest entry
+_RIGID = 1e-4  # omega^2 of a rigid motion over that of the first mode, interface held
+_ELASTIC = 1e-8  # the least that counts as strain
+_DENSE = 1500
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Symmetric M, K, D over n freedoms, in a system of units of their own."""
+
+    mass: Any  # (n, n) sparse
+    stiffness: Any  # (n, n) sparse
+    damping: Any | None  # (n, n) sparse
+    interface: tuple[
+        int, ...
+    ]  # (6,) freedoms x, y, z, phi_x, phi_y, phi_z where the arm stands
+    held: tuple[int, ...] = ()  # freedoms that do not move
+    units: str = "m-kg-s"  # of `UNITS`
+    rigid_modes: int = 0  # motions without strain: 0 clamped, 6 free
+    labels: tuple[Label, ...] | None = None  # (n,) node and component
+    source: str = "user"
+
+    def reduce(self, modes: int) -> Reduction:
+        """Return interface and internal modes in SI units, rigid motions without stiffness.
+
+        Args:
+            modes: to keep.
+
+        Raises:
+            ParameterError: what moves freely is not what `rigid_modes` says, or the mass is
+                not that of a structure.
+        """
+        with_one = reduce(
+            self.mass,
+            self.stiffness,
+            self.interface,
+            max(modes, 1),
+            damping=self.damping,
+            held=self.held,
+        )
+        found = with_one.rescaled(*UNITS[self.units])
+        return _without_rigid_stiffness(found, self.rigid_modes).truncated(modes)
+
+    def rows(self, nodes: Sequence[int]) -> tuple[tuple[int, ...], ...]:
+        """Return the freedoms x, y, z of nodes by their numbers.
+
+        Args:
+            nodes: as the files number them.
+        """
+        return tuple(_of_node(self.labels, node)[:3] for node in nodes)
+
+
+def read_structure(
+    files: str | os.PathLike[str] | Mapping[str, str | os.PathLike[str]],
+    *,
+    interface: int | Sequence[int],
+    units: str,
+    rigid_modes: int = 0,
+    held: Sequence[int] = (),
+    names: Mapping[str, str] | None = None,
+) -> Structure:
+    """Read mass, stiffness and perhaps damping of a structure from files.
+
+    Args:
+        files: one file with all matrices, or {"M": file, "K": file, "D": file}.
+        interface: number of the node where the arm stands, where the files number nodes;
+            otherwise its six freedoms, counted from 0, in order x, y, z, phi_x, phi_y, phi_z.
+        units: of the matrices, one of `UNITS`; length, mass (or force) and time.
+        rigid_modes: motions without strain that the structure must have: 0 clamped, 6 free.
+        held: freedoms that do not move, counted from 0, where the files kept a clamp.
+        names: of the matrices in the files, {"M": ..., "K": ..., "D": ...}, where they are
+            none of `NAMES`.
+
+    Returns:
+        The structure, its matrices symmetric.
+
+    Raises:
+        ParameterError: names the file and the number that is wrong.
+    """
+    if units not in UNITS:
+        raise ParameterError(
+            f"units must be one of {', '.join(UNITS)}, got {units!r}"
+            f"{did_you_mean(units, UNITS)}"
+        )
+    if rigid_modes not in range(7):
+        raise ParameterError(f"rigid_modes must be 0 to 6, got {rigid_modes!r}")
+    found, source = _find(files, names or {})
+    parts, labels = _aligned(found)
+    checked = {name: _symmetric(values, name) for name, values in parts.items()}
+    size = checked["K"].shape[0]
+    for name in checked:
+        if checked[name].shape != checked["K"].shape:
+            raise ParameterError(
+                f"{name} and K must be of one size, got {checked[name].shape[0]} and {size}"
+            )
+    lowest, largest = _lowest(checked["M"]), abs(checked["M"]).max()
+    if lowest < -_INDEFINITE * largest:
+        raise ParameterError(f"M must be positive semidefinite, got an eigenvalue {lowest:.6g}")
+    if isinstance(interface, int | np.integer):
+        freedoms = _of_node(labels, int(interface))
+    else:
+        freedoms = tuple(int(k) for k in interface)
+    structure = Structure(
+        checked["M"],
+        checked["K"],
+        checked.get("D"),
+        freedoms,
+        tuple(held),
+        units,
+        rigid_modes,
+        labels,
+        source,
+    )
+    structure.reduce(1)  # refuses what does not stand or hangs loose
+    return structure
+
+
+def _find(
+    files: str | os.PathLike[str] | Mapping[str, str | os.PathLike[str]],
+    names: Mapping[str, str],
+) -> tuple[dict[str, NamedMatrix], str]:
+    """Matrices by M, K, D, and the files they came from."""
+    if isinstance(files, Mapping):
+        unknown = [key for key in files if key not in NAMES]
+        if unknown:
+            raise ParameterError(f"files must be named M, K, D, got {unknown[0]!r}")
+        out = {}
+        for key, path in files.items():
+            held = read_matrices(path)
+            if len(held) == 1:
+                out[key] = next(iter(held.values()))
+            else:
+                one = _named(held, key, names)
+                if one is None:
+                    raise ParameterError(f"{path}: which one is {key}? Got {', '.join(held)}")
+                out[key] = one
+        source = ", ".join(os.path.basename(os.fspath(path)) for path in files.values())
+    else:
+        held = read_matrices(files)
+        every = {key: _named(held, key, names) for key in NAMES}
+        out = {key: one for key, one in every.items() if one is not None}
+        source = os.path.basename(os.fspath(files))
+        if "M" not in out or "K" not in out:
+            raise ParameterError(
+                f"{source}: expected a mass and a stiffness matrix (names={{'M': ...,"
+                f" 'K': ...}} says which), got {', '.join(held)}"
+            )
+    for key in "MK":
+        if key not in out:
+            raise ParameterError(f"files must hold M and K, got {', '.join(out)}")
+    return out, source
+
+
+def _named(
+    held: dict[str, NamedMatrix], key: str, names: Mapping[str, str]
+) -> NamedMatrix | None:
+    if key in names:
+        if names[key] not in held:
+            raise ParameterError(f"names: no matrix {names[key]!r}; known: {', '.join(held)}")
+        return held[names[key]]
+    known = [name for name in held if name.lower() in NAMES[key]]
+    return held[known[0]] if len(known) == 1 else None
+
+
+def _aligned(found: dict[str, NamedMatrix]) -> tuple[dict[str, Any], tuple[Label, ...] | None]:
+    """Matrices over the same freedoms: files may leave out those without mass or damping."""
+    if any(matrix.labels is None for matrix in found.values()):
+        return {name: matrix.values for name, matrix in found.items()}, None
+    labels = sorted({k for matrix in found.values() for k in matrix.labels or ()})
+    index = {label: i for i, label in enumerate(labels)}
+    out = {}
+    for name, matrix in found.items():
+        at = np.array([index[k] for k in matrix.labels or ()])
+        given = matrix.values.tocoo()
+        out[name] = scipy.sparse.coo_array(
+            (given.data, (at[given.row], at[given.col])), shape=(len(labels),) * 2
+        ).tocsc()
+    return out, tuple(labels)
+
+
+def _of_node(labels: tuple[Label, ...] | None, node: int) -> tuple[int, ...]:
+    if labels is None:
+        raise ParameterError(
+            f"these files do not number nodes: give six freedoms, got node {node}"
+        )
+    index = {label: i for i, label in enumerate(labels)}
+    missing = [k for k in range(1, 7) if (node, k) not in index]
+    if missing:
+        nodes = sorted({n for n, _ in labels})
+        raise ParameterError(
+            f"node {node} must have the components 1 to 6, {missing} are not in the files;"
+            f" they have nodes {nodes[0]} to {nodes[-1]}"
+        )
+    return tuple(index[node, k] for k in range(1, 7))
+
+
+def _symmetric(values: Any, name: str) -> Any:
+    gap = scipy.sparse.coo_array(abs(values - values.T))
+    size = abs(values).max()
+    if size == 0:
+        raise ParameterError(f"{name} must not vanish")
+    if gap.nnz and gap.data.max() > _SYMMETRIC * size:
+        k = int(gap.data.argmax())
+        i, j = int(gap.row[k]), int(gap.col[k])
+        raise ParameterError(
+            f"{name} must be symmetric, got [{i},{j}] = {values[i, j]:.6g} and [{j},{i}] ="
+            f" {values[j, i]:.6g}"
+        )
+    return scipy.sparse.csc_array((values + values.T) / 2)
+
+
+def _lowest(values: Any) -> float:
+    if values.shape[0] <= _DENSE:
+        return float(np.linalg.eigvalsh(values.toarray())[0])
+    start = np.random.default_rng(0).standard_normal(values.shape[0])
+    found = scipy.sparse.linalg.eigsh(
+        values, k=1, which="SA", v0=start, tol=1e-3, return_eigenvectors=False
+    )
+    return float(found[0])
+
+
+def _without_rigid_stiffness(found: Reduction, expected: int) -> Reduction:
+    """The reduction with K exactly zero along its rigid motions, which must be as expected."""
+    try:
+        squares, shapes = scipy.linalg.eigh(found.K, found.M)
+        np.linalg.cholesky(found.matrices()[0])
+    except np.linalg.LinAlgError:
+        lowest = float(np.linalg.eigvalsh(found.matrices()[0])[0])
+        raise ParameterError(
+            "the mass at the interface must be positive definite (a massless rotation there?),"
+            f" got an eigenvalue {lowest:.6g}"
+        ) from None
+    ratio = squares / found.omega[0] ** 2
+    text = ", ".join(_hertz(k) for k in squares)
+    if np.abs(ratio[:expected]).max(initial=0.0) > _RIGID or ratio[0] < -_RIGID:
+        raise ParameterError(
+            f"K must be positive semidefinite with {expected} rigid motions, got the"
+            f" frequencies {text} Hz at the interface"
+        )
+    if expected < 6 and ratio[expected] < _ELASTIC:
+        raise ParameterError(
+            f"the structure must have {expected} rigid motions (0 clamped, 6 free), got more:"
+            f" frequencies {text} Hz at the interface"
+        )
+    if expected == 6:
+        _require_rigid_body(found.M)
+    half = found.M @ shapes
+    squares[:expected] = 0.0
+    return replace(found, K=_rounded((half * squares) @ half.T)) if expected else found
+
+
+def _rounded(K: Array) -> Array:
+    return (K + K.T) / 2
+
+
+def _hertz(square: float) -> str:
+    root = np.sqrt(abs(square)) / (2 * np.pi)
+    return f"{root:.3g}" if square >= 0 else f"{root:.3g}i"
+
+
+def _require_rigid_body(M: Array) -> None:
+    """M of a free structure is that of a rigid body: m 1, a skew block, inertia."""
+    mass = float(np.trace(M[:3, :3])) / 3
+    off = np.abs(M[:3, :3] - mass * np.eye(3)).max()
+    if off > 1e-3 * mass:
+        raise ParameterError(
+            "a free structure weighs the same in x, y and z (are the interface's freedoms in"
+            f" order x, y, z, phi_x, phi_y, phi_z?), got {np.diag(M)[:3].tolist()} kg"
+        )
+    lever = M[:3, 3:]
+    even = np.abs(lever + lever.T).max()
+    if even > 1e-3 * max(np.abs(lever).max(), mass * 1e-3):
+        raise ParameterError(
+            "a free structure's static moment must be skew (are the interface's axes those of a"
+            f" right-handed frame?), got {lever.tolist()} kg m"
+        )
