@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ves_gym.diagnosis.inference.candidates import Candidate
     from ves_gym.diagnosis.machines.mjcf import MjcfMachine
     from ves_gym.planners.comparison import Comparison
-    from ves_gym.planners.coupling import CouplingMap
+    from ves_gym.planners.coupling_map import CouplingMap
     from ves_gym.planners.obstacles import Surroundings
     from ves_gym.planners.query import Plan, Planner, Query
     from ves_gym.simulation.stability import EmulationCheck
@@ -196,6 +196,7 @@ def coupling_map(
     joints: tuple[int, int] | None = None,
     duration: float | None = None,
     points: int = 61,
+    others: str = "given",
     **at: float,
 ) -> CouplingMap:
     """Sweep two joints over their range and map how strongly they couple to the base.
@@ -206,7 +207,10 @@ def coupling_map(
             not fix.
         duration: of the motions meant, for Q_T [s]; None: the thesis's Q.
         points: per axis.
-        at: angles of the other joints [rad] by name, q1, q2, ...; default 0.
+        others: the other joints are "given", or chosen at every point for the "least" or the
+            "most" coupling.
+        at: angles of the other joints [rad] by name, q1, q2, ...; default as near to
+            0 as its limits allow.
 
     Returns:
         The map, as `ves-gym map` makes it.
@@ -214,11 +218,11 @@ def coupling_map(
     Raises:
         ParameterError: no such joint, or a value out of its range.
     """
-    from ves_gym.planners.coupling import coupling_map as swept
+    from ves_gym.planners.coupling_map import coupling_map as swept
 
     system = _system(system)
-    n = system.arm.n
-    fixed = np.zeros(n)
+    arm, n = system.arm, system.arm.n
+    fixed = np.clip(np.zeros(n), arm.column("q_min"), arm.column("q_max"))
     names = {f"q{k + 1}": k for k in range(n)}
     for name, value in at.items():
         if name not in names:
@@ -235,7 +239,7 @@ def coupling_map(
         pair = free[0], free[1]
     else:
         pair = _pair(joints, n)
-    return swept(system, pair, fixed, duration=duration, points=points)
+    return swept(system, pair, fixed, duration=duration, points=points, others=others)
 
 
 def diagnose(

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from tests.arms import six_joint_arm
 from ves_gym.cli.main import COMMANDS, main
 from ves_gym.system.energy import log_energies
 from ves_gym.system.runlog import RunLog
@@ -186,6 +187,17 @@ def test_map_draws_every_pair(call, tmp_path):
     assert "<svg" in (tmp_path / "out" / "map.svg").read_text()
 
 
+def test_map_of_a_six_joint_arm_with_the_others_chosen(call, tmp_path):
+    System(arm=six_joint_arm()).save(tmp_path / "six.toml")
+    options = ("--system", str(tmp_path / "six.toml"), "--joints", "2,3", "--points", "5")
+    status, out, _, result = call("map", *options, "--others", "least")
+    assert status == 0 and "joints 2 and 3" in out
+    assert result["others"] == "least"
+    assert np.shape(result["maps"][0]["angles"]) == (5, 5, 6)
+    with np.load(tmp_path / "out" / "map.npz") as arrays:
+        np.testing.assert_array_equal(arrays["q2_q3_angles"], result["maps"][0]["angles"])
+
+
 # ------------------------------------------------------------------------------ list
 
 
@@ -291,6 +303,7 @@ BAD = {
     "speed limit": (["plan", "--goal", "1,1,1", "--v-max", "1,0,1"], "v_max"),
     "map joints": (["map", "--joints", "1,1"], "from 1 to 3"),
     "map duration": (["map", "--duration", "soon"], "raw"),
+    "map others": (["map", "--others", "best", "--points", "5"], "given, least, most"),
     "map points": (["map", "--points", "2"], "--points"),
     "missing log": (["view", "nowhere.csv"], "nowhere"),
     "log suffix": (["view", "nowhere.txt"], ".parquet"),

@@ -13,7 +13,8 @@ from ves_gym.mechanics.arm import Arm, Inertial, diagonal, matrix, skew
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics, joint_positions
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.planners.coupling import coupling_map, coupling_matrix
+from ves_gym.planners.coupling import coupling_matrix
+from ves_gym.planners.coupling_map import coupling_map
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.linalg
+import scipy.optimize
 
+from tests.arms import seven_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import quintic_spectrum
@@ -18,17 +20,16 @@ from ves_gym.mechanics.vehicle import (
     STRAIGHT_VERTICAL,
 )
 from ves_gym.planners.coupling import (
-    CouplingMap,
     band_limited,
     blocks,
     coupling_length,
-    coupling_map,
     coupling_matrix,
     disturbance_matrix,
     invariant_directions,
     metric,
     modes,
 )
+from ves_gym.planners.coupling_map import CouplingMap, coupling_map
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
@@ -282,3 +283,66 @@ def test_another_archive_is_refused_with_what_it_lacks(tmp_path):
     np.savez(tmp_path / "other.npz", joints=np.zeros(2))
     with pytest.raises(ParameterError, match=r"no coupling map can be read: .*first"):
         CouplingMap.load(tmp_path / "other.npz")
+
+
+# ------------------------------------------------------------------- the other joints
+
+
+@pytest.mark.parametrize("duration", [None, 2.0], ids=["Q", "Q_T"])
+@pytest.mark.parametrize("others", ["least", "most"])
+def test_the_other_joints_may_be_chosen_at_every_point(others, duration):
+    """Against L-BFGS-B from the point found and from four more: within 2 %."""
+    system = System(arm=seven_joint_arm(), drive="prescribed")
+    low, high = (system.arm.column(k) for k in ("q_min", "q_max"))
+    done = []
+    section = coupling_map(
+        system,
+        (0, 2),
+        np.zeros(7),
+        duration=duration,
+        points=7,
+        others=others,
+        progress=done.append,
+    )
+    assert done[-1] == pytest.approx(1.0)
+    assert section.others == others
+    free, sign = [1, 3, 4, 5, 6], 1.0 if others == "least" else -1.0
+    assert (section.angles >= low).all() and (section.angles <= high).all()
+    given = coupling_map(system, (0, 2), np.zeros(7), duration=duration, points=7)
+    assert (sign * (section.most - given.most) <= 1e-12).all()
+    rng = np.random.default_rng(3)
+    for i, j in ((0, 6), (3, 2)):
+        at = section.angles[i, j]
+        assert at[0] == section.axes[0][i] and at[2] == section.axes[1][j]
+
+        def strength(x, at=at):
+            q = at.copy()
+            q[free] = x
+            block = metric(system, q, duration)[np.ix_((0, 2), (0, 2))]
+            return sign * float(np.linalg.eigvalsh(block)[1])
+
+        assert strength(at[free]) == pytest.approx(sign * section.most[i, j], rel=1e-9)
+        bounds = scipy.optimize.Bounds(low[free], high[free])
+        starts = [at[free], *rng.uniform(low[free], high[free], (4, 5))]
+        runs = (scipy.optimize.minimize(strength, x, bounds=bounds) for x in starts)
+        best = min(run.fun for run in runs)
+        assert strength(at[free]) <= best + 0.02 * abs(best)
+
+
+def test_a_map_with_chosen_joints_comes_back_from_its_file(tmp_path):
+    section = coupling_map(SYSTEM, (0, 1), (0.0, 0.0, 0.3), points=5, others="most")
+    section.save(tmp_path / "map.npz")
+    again = CouplingMap.load(tmp_path / "map.npz")
+    assert again.others == "most"
+    np.testing.assert_array_equal(again.angles, section.angles)
+    with pytest.raises(ParameterError, match="others must be one of given, least, most"):
+        coupling_map(SYSTEM, (0, 1), (0.0, 0.0, 0.3), points=5, others="best")
+
+
+def test_a_disturbance_map_with_chosen_joints():
+    system = System(vehicle=FREE_FLOATING)
+    section = coupling_map(
+        system, (0, 1), (0.0,) * 3, points=5, disturbance=True, others="most"
+    )
+    given = coupling_map(system, (0, 1), (0.0,) * 3, points=5, disturbance=True)
+    assert (section.most >= given.most).all() and (section.most > 1.001 * given.most).any()

@@ -20,7 +20,7 @@ from ves_gym.cli.common import (
     write_json,
 )
 from ves_gym.cli.motions import joint_angles
-from ves_gym.planners.coupling import CouplingMap, coupling_map
+from ves_gym.planners.coupling_map import OTHERS, CouplingMap, coupling_map
 from ves_gym.planners.scenes import map_data
 from ves_gym.system.system import System
 
@@ -33,7 +33,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--joints", default="all", metavar="I,J", help="two joints to sweep, or all pairs (all)"
     )
-    parser.add_argument("--at", metavar="A,B,C", help="the other joints [deg] (default 0,0,0)")
+    parser.add_argument(
+        "--at",
+        metavar="A,B,C",
+        help="all joints; of the two swept it is not used [deg] (0,0,0)",
+    )
+    parser.add_argument(
+        "--others",
+        default="given",
+        metavar="O",
+        help=f"{', '.join(OTHERS)}: the other joints as --at gives them, or at every point"
+        " where the two couple least or most (given)",
+    )
     parser.add_argument(
         "--duration",
         default="raw",
@@ -48,26 +59,47 @@ def run(args: argparse.Namespace) -> int:
     """Sweep, write arrays and pictures."""
     system = system_from(args)
     pairs = _pairs(args.joints, system.arm.n)
-    at = joint_angles(args.at, system.arm, "--at", args.angle_unit)
+    at = np.clip(0.0, system.arm.column("q_min"), system.arm.column("q_max"))
+    if args.at is not None:
+        at = joint_angles(args.at, system.arm, "--at", args.angle_unit)
     duration = _duration(args.duration)
     if not 4 <= args.points <= _MOST:
         raise ParameterError(f"--points must be from 4 to {_MOST}, got {args.points}")
-    maps = []
+    maps: list[CouplingMap] = []
     with progress() as on_progress:
+
+        def tell(done: float) -> None:
+            on_progress("mapping", (len(maps) + done) / len(pairs))
+
         for pair in pairs:
-            maps.append(coupling_map(system, pair, at, duration=duration, points=args.points))
-            on_progress("mapping", len(maps) / len(pairs))
-    write_json(args.json, _result(system, maps))
+            section = coupling_map(
+                system,
+                pair,
+                at,
+                duration=duration,
+                points=args.points,
+                others=args.others,
+                progress=tell,
+            )
+            maps.append(section)
+            tell(0.0)
+            _print(section)
+    if args.json is not None:
+        write_json(args.json, _result(system, maps))
     written = _write(args, maps, out_dir(args, "out/map"))
-    for section in maps:
-        i, j = section.joints
-        print(
-            f"joints {i + 1} and {j + 1}: coupling {section.most.min():.4g} to"
-            f" {section.most.max():.4g} J/rad^2 along the worst direction,"
-            f" {section.least.min():.4g} to {section.least.max():.4g} along the best"
-        )
     print("written: " + "  ".join(str(p) for p in written))
     return 0
+
+
+def _print(section: CouplingMap) -> None:
+    """Say what a section holds as soon as it is there."""
+    i, j = section.joints
+    print(
+        f"joints {i + 1} and {j + 1}: coupling {section.most.min():.4g} to"
+        f" {section.most.max():.4g} J/rad^2 along the worst direction,"
+        f" {section.least.min():.4g} to {section.least.max():.4g} along the best",
+        flush=True,
+    )
 
 
 def _pairs(text: str, n: int) -> list[tuple[int, int]]:
@@ -102,6 +134,7 @@ def _result(system: System, maps: list[CouplingMap]) -> dict[str, Any]:
         "system": system.hash,
         "duration": maps[0].duration,
         "at": maps[0].fixed.tolist(),
+        "others": maps[0].others,
         "maps": [
             {
                 "joints": [k + 1 for k in section.joints],
@@ -110,6 +143,7 @@ def _result(system: System, maps: list[CouplingMap]) -> dict[str, Any]:
                 "most": section.most.tolist(),
                 "direction": section.direction.tolist(),
                 "lines": [curve.tolist() for curve in section.lines()],
+                **({} if section.angles is None else {"angles": section.angles.tolist()}),
             }
             for section in maps
         ],
@@ -123,6 +157,8 @@ def _write(args: argparse.Namespace, maps: list[CouplingMap], folder: Path) -> l
         arrays[f"{name}_first"], arrays[f"{name}_second"] = section.axes
         arrays[f"{name}_least"], arrays[f"{name}_most"] = section.least, section.most
         arrays[f"{name}_direction"] = section.direction
+        if section.angles is not None:
+            arrays[f"{name}_angles"] = section.angles
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     written = [folder / "map.npz"]
@@ -137,4 +173,5 @@ def _write(args: argparse.Namespace, maps: list[CouplingMap], folder: Path) -> l
     for suffix in (".png", ".svg"):
         written.append(folder / f"map{suffix}")
         write_figure(figure, written[-1])
+        figure.set_layout_engine("none")  # of the second file as of the first
     return written

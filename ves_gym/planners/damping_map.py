@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, finite
-from ves_gym.planners.coupling import blocks, coupling_matrix, modes, require_section
+from ves_gym.planners.coupling import blocks, coupling_matrix, modes
+from ves_gym.planners.coupling_map import require_section
 from ves_gym.planners.pped import THESIS_DISPLACEMENT, WIDE, Bounds, Tuned, plants, tune
 from ves_gym.system.system import System
 

@@ -61,6 +61,11 @@ class Metric:
         self._p = np.concatenate([robot, *fixed, [duration or 0.0, 0.0]])
         self._p[-1] = self._least()
 
+    @property
+    def least(self) -> float:
+        """What is added to the diagonal [unit of `squares` per rad^2]."""
+        return float(self._p[-1])
+
     def _least(self) -> float:
         """LEAST of the mean of the diagonal over the joint box."""
         arm = self.system.arm

@@ -11,7 +11,7 @@ from ves_gym._util.params import Array, to_plain
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import beam_line
-from ves_gym.planners.coupling import CouplingMap, coupling_map
+from ves_gym.planners.coupling_map import CouplingMap, coupling_map
 from ves_gym.planners.query import Plan
 from ves_gym.simulation.playback import Recording
 from ves_gym.system.energy import base_energy
@@ -114,6 +114,8 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
         for k, value in enumerate(section.fixed)
         if k not in section.joints
     )
+    if section.others != "given":
+        others = f"others where coupling is {section.others}"
     what = "Q" if section.duration is None else f"Q_T for {section.duration:g} s"
     what = "Disturbance" if section.disturbance else what
     data: dict[str, Any] = {

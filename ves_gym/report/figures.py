@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ves_gym._util.params import Array
 
 BASELINE = "straight"
+_PIECE = 3  # points of a line that share their shade
 _COLUMNS = 3  # panels side by side
 _DPI = 150
 _IN_SPACE: dict[str, Any] = {"linewidth": 0.8, "dashes": (6, 4)}
@@ -288,13 +289,18 @@ def draw_map(
 
     x, y, most = (np.array(section[key]) for key in ("x", "y", "most"))
     # the pieces of a line are shaded one by one, at their middle
-    pieces = [np.stack([curve[:-1], curve[1:]], 1) for curve in map(np.array, section["lines"])]
-    segments = np.concatenate([p for p in pieces if len(p)] or [np.zeros((0, 2, 2))])
+    pieces = [
+        np.array(curve[k : k + _PIECE + 1])
+        for curve in section["lines"]
+        for k in range(0, len(curve) - 1, _PIECE)
+    ]
+    middles = np.array([piece.mean(axis=0) for piece in pieces]).reshape(-1, 2)
     value = RegularGridInterpolator((x, y), most, bounds_error=False, fill_value=None)
-    lines = LineCollection(list(segments), cmap="Greys", linewidths=0.9)
-    lines.set_array(value(segments.mean(axis=1)))
+    lines = LineCollection(pieces, cmap="Greys", linewidths=0.9)
+    lines.set_array(value(middles))
     lines.set_clim(0, most.max())
-    axes.pcolormesh(x, y, most.T, cmap="Greys", alpha=0.2, vmin=0, vmax=most.max())
+    shade = {"cmap": "Greys", "alpha": 0.2, "vmin": 0, "vmax": most.max()}
+    axes.pcolormesh(x, y, most.T, rasterized=True, **shade)  # else thousands of paths
     axes.add_collection(lines)
     for path in section["paths"]:
         points = np.array(path["points"])

@@ -21,7 +21,7 @@ from ves_gym.baselines.comparison import ControllerComparison
 from ves_gym.baselines.training_result import TrainingResult
 from ves_gym.diagnosis.diagnose import Diagnosis
 from ves_gym.planners.comparison import Comparison
-from ves_gym.planners.coupling import CouplingMap
+from ves_gym.planners.coupling_map import CouplingMap
 from ves_gym.planners.query import Plan
 from ves_gym.planners.scenes import map_data
 from ves_gym.report.figures import _darker, draw_map
