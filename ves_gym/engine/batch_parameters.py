@@ -20,7 +20,7 @@ from ves_gym.system.effect import Effect, TorqueEffect, joint_torque
 from ves_gym.system.system import System
 
 _SETTINGS = ("mode", "drive", "integrator", "physics_dt", "control_dt")
-_GEOMETRY = ("d", "a", "alpha", "offset")
+_GEOMETRY = ("d", "a", "alpha", "beta", "offset")
 
 
 def require_alike(template: System, other: System, which: str) -> None:
@@ -51,6 +51,8 @@ def require_alike(template: System, other: System, which: str) -> None:
     if other.arm is not template.arm:
         if other.arm.n != template.arm.n:
             refuse("number of joints", template.arm.n, other.arm.n)
+        if other.arm.mount != template.arm.mount:
+            refuse("mount", template.arm.mount, other.arm.mount)
         for i, (a, b) in enumerate(
             zip(template.arm.links, other.arm.links, strict=True), start=1
         ):

@@ -196,7 +196,7 @@ def _empty_spec(
 
 def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
     """The arm's links, joints and drives on a body at the platform-top frame."""
-    body, position, rotation = root, np.zeros(3), np.eye(3)
+    body, (position, rotation) = root, _mount(arm)
     for i, link in enumerate(arm.links, start=1):
         turn = np.array(
             [
@@ -219,7 +219,15 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
         _set_inertial(body, link.inertial_at_joint)
         rotation, position = link.far_end
         _add_drive(spec, f"drive_{i}", f"q_{i}", 1.0, link.tau_max)
-    body.add_site(name="tool", pos=position.tolist(), quat=_quaternion(rotation))
+    turn = arm.tool_rotation
+    body.add_site(name="tool", pos=position.tolist(), quat=_quaternion(rotation @ turn))
+
+
+def _mount(arm: Arm) -> tuple[Array, Array]:
+    """Position (3,) and rotation (3, 3) of the first joint's frame."""
+    if arm.mount is None:
+        return np.zeros(3), np.eye(3)
+    return np.array(arm.mount.position), arm.mount.rotation
 
 
 def _add_drive(
@@ -315,13 +323,15 @@ def pinocchio_model(arm: Arm, base: BaseModel) -> pinocchio.Model:
     model.appendBodyToJoint(joint, _pin_inertia(arm.base), pin.SE3.Identity())
     if base.body is not None:
         model.appendBodyToJoint(joint, _pin_inertia(base.body), pin.SE3.Identity())
-    placement = pin.SE3.Identity()
+    position, rotation = _mount(arm)
+    placement = pin.SE3(rotation, position)
     for i, link in enumerate(arm.links, start=1):
         turn = pin.SE3(pin.utils.rotate("z", link.offset), np.zeros(3))
         joint = model.addJoint(joint, pin.JointModelRZ(), placement * turn, f"q_{i}")
         model.appendBodyToJoint(joint, _pin_inertia(link.inertial_at_joint), pin.SE3.Identity())
         placement = pin.SE3(*link.far_end)
     model.armature[6:] = arm.column("rotor_inertia")
+    placement = placement * pin.SE3(arm.tool_rotation, np.zeros(3))
     tool = pin.Frame("tool", joint, placement, pin.FrameType.OP_FRAME)
     model.addFrame(tool)
     return model

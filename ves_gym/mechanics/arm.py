@@ -1,14 +1,16 @@
-"""A serial arm as data: standard Denavit-Hartenberg links with mass properties.
+"""A serial arm as data: Denavit-Hartenberg links with mass properties.
 
-Another arm, or the PUMA with its wrist, is another `Arm` (or a TOML file read by
-`read_arm`), not another piece of code.
+Another arm, or the PUMA with its wrist, is another `Arm` (a TOML, URDF or MJCF file read by
+`mechanics/arms.py: get_arm`), not another piece of code.
 """
 
 from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -83,18 +85,59 @@ class Gear:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Capsule:
+    """All points within a radius of a line, in a body's own frame: its shape in collisions."""
+
+    start: Vector = unit("m")
+    end: Vector = unit("m")
+    radius: float = unit("m")
+
+    def __post_init__(self) -> None:
+        finite(self.start, (3,), "Capsule.start")
+        finite(self.end, (3,), "Capsule.end")
+        require_positive(self, "radius")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mount:
+    """Place of an arm's first joint: its frame before it turns, z along the axis."""
+
+    position: Vector = unit("m", default=(0.0, 0.0, 0.0))  # in the platform-top frame
+    angles: Vector = unit("rad", default=(0.0, 0.0, 0.0))  # about its x, then y, then z
+
+    def __post_init__(self) -> None:
+        finite(self.position, (3,), "Mount.position")
+        finite(self.angles, (3,), "Mount.angles")
+
+    @cached_property
+    def rotation(self) -> Array:
+        """(3, 3) from the first joint's frame to the platform-top frame."""
+        (cx, cy, cz), (sx, sy, sz) = np.cos(self.angles), np.sin(self.angles)
+        turn = np.array(
+            [
+                [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+                [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+                [-sy, cy * sx, cy * cx],
+            ]
+        )
+        return turn.round(15) + 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Link:
     """One revolute joint and the link it moves; the frame sits at the link's far end.
 
-    Standard DH: frame i-1 -> i is Rot_z(q + offset) Trans_z(d) Trans_x(a) Rot_x(alpha).
-    With a `gear` that gives way q is the rotor's angle and the link turns further by the
-    gear's deflection, a coordinate of its own (Spong, J. Dyn. Sys. 109, 1987); without one
-    rotor and link are rigidly one.
+    DH: frame i-1 -> i is Rot_z(q + offset) Trans_z(d) Trans_x(a) Rot_x(alpha), and Rot_y(beta)
+    where one is given: the frame may then sit at any point of the next joint's axis, also
+    where two axes are all but parallel (Hayati, CDC 1983). With a `gear` that gives way q is
+    the rotor's angle and the link turns further by the gear's deflection, a coordinate of its
+    own (Spong, J. Dyn. Sys. 109, 1987); without one rotor and link are rigidly one.
     """
 
     d: float = unit("m")
     a: float = unit("m")
     alpha: float = unit("rad")
+    beta: float | None = unit("rad", default=None)
     offset: float = unit("rad", default=0.0)
     inertial: Inertial
     rotor_inertia: float = unit("kg m^2", default=0.0)  # reflected through the gear
@@ -104,10 +147,18 @@ class Link:
     a_max: float = unit("rad/s^2")
     tau_max: float = unit("N m")
     gear: Gear | None = None
+    damping: float | None = unit("N m s/rad", default=None)  # viscous friction of the joint
+    friction: float | None = unit("N m", default=None)  # Coulomb friction of the joint
+    shape: tuple[Capsule, ...] | None = None  # None: capsules along d and a
+    name: str | None = None  # of the joint, where it has another than its number
 
     def __post_init__(self) -> None:
         finite((self.d, self.a, self.alpha, self.offset, self.q_min, self.q_max), (6,), "Link")
+        finite(self.beta or 0.0, (), "Link.beta")
         require_positive(self, "v_max", "a_max", "tau_max")
+        for name in ("damping", "friction"):
+            if getattr(self, name) is not None:
+                require_positive(self, name, zero=True)
         require_positive(self, "rotor_inertia", zero=True)
         if self.gear is not None and self.rotor_inertia == 0:
             raise ParameterError(
@@ -119,9 +170,12 @@ class Link:
     @property
     def far_end(self) -> tuple[Array, Array]:
         """Rotation (3, 3) and position (3,) of the link frame in the frame at its joint."""
-        c, s = math.cos(self.alpha), math.sin(self.alpha)
+        c, s = round(math.cos(self.alpha), 15), round(math.sin(self.alpha), 15)
         rotation = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
-        return rotation.round(15), np.array([self.a, 0.0, self.d])
+        if self.beta:
+            c, s = round(math.cos(self.beta), 15), round(math.sin(self.beta), 15)
+            rotation = rotation @ np.array([[c, 0, s], [0, 1.0, 0], [-s, 0, c]])
+        return rotation, np.array([self.a, 0.0, self.d])
 
     @property
     def inertial_at_joint(self) -> Inertial:
@@ -136,21 +190,70 @@ class Link:
 
 @dataclass(frozen=True, kw_only=True)
 class Arm:
-    """A serial arm on a base link fixed to the platform top."""
+    """A serial arm on a base link fixed to the platform top.
+
+    The tool is the last link's frame, turned by `tool_angle` about its z.
+    """
 
     name: str
     base: Inertial  # base link, in the platform-top frame
+    base_shape: tuple[Capsule, ...] | None = None  # of the base link, in the same frame
+    mount: Mount | None = None  # of the first joint; None: at the platform-top frame
     links: tuple[Link, ...]
+    tool_angle: float | None = unit("rad", default=None)
+    bandwidth: float | None = unit("Hz", default=None)  # of the joint servos, see own_gains
     source: str  # where this whole set comes from
 
     def __post_init__(self) -> None:
         if not self.links:
             raise ParameterError("Arm.links must hold at least one link, got none")
+        finite(self.tool_angle or 0.0, (), "Arm.tool_angle")
+        if self.bandwidth is not None:
+            require_positive(self, "bandwidth")
+
+    @staticmethod
+    def from_urdf(
+        path: str | os.PathLike[str],
+        *,
+        tip: str | None = None,
+        root: str | None = None,
+        locked: Mapping[str, float] | None = None,
+        collision: bool = True,
+        check: bool = True,
+    ) -> Arm:
+        """Read the chain of revolute joints from root to tip of a URDF file.
+
+        Fixed joints are merged; joints off the chain stand still at zero. The root's frame
+        is the platform-top frame, the tip's the tool. What a file does not give is derived,
+        and `source` says so.
+
+        Args:
+            path: the file.
+            tip: link that is the tool; default the last one, where there is one.
+            root: link that stands on the platform; default the file's.
+            locked: angles [rad] of joints that stand still, by name.
+            collision: read shapes as capsules; False: capsules along the links.
+            check: refuse numbers that look like g, mm or kg mm^2.
+
+        Raises:
+            ParameterError: names the link or the joint, and what is wrong with it.
+        """
+        from ves_gym.mechanics.urdf import read_urdf
+
+        return read_urdf(
+            path, tip=tip, root=root, locked=locked or {}, collision=collision, check=check
+        )
 
     @property
     def n(self) -> int:
         """Number of joints."""
         return len(self.links)
+
+    @property
+    def tool_rotation(self) -> Array:
+        """(3, 3) of the tool in the last link's frame."""
+        c, s = math.cos(self.tool_angle or 0.0), math.sin(self.tool_angle or 0.0)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).round(15)
 
     @property
     def geared(self) -> tuple[int, ...]:

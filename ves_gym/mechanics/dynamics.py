@@ -103,6 +103,19 @@ class Frame(NamedTuple):
     origin: Vec  # a point on the joint axis [m]
 
 
+def start(arm: Arm) -> tuple[Rotation, Vec]:
+    """Return the pose of the first joint's frame, before it turns, in the platform-top frame.
+
+    Args:
+        arm: with its mount.
+    """
+    if arm.mount is None:
+        return IDENTITY, ZERO
+    x, y, z = (tuple(column) for column in arm.mount.rotation.T.tolist())
+    px, py, pz = (float(k) for k in arm.mount.position)
+    return Rotation(x, y, z), (px, py, pz)
+
+
 def frames(arm: Arm, q: list[Scalar], xp: Any = np) -> list[Frame]:
     """Return the pose of every link frame in the platform-top frame (thesis B.3).
 
@@ -115,7 +128,7 @@ def frames(arm: Arm, q: list[Scalar], xp: Any = np) -> list[Frame]:
         One frame per link, first link first.
     """
     out = []
-    R, p = IDENTITY, ZERO
+    R, p = start(arm)
     for link, angle in zip(arm.links, q, strict=True):
         if link.offset:
             angle = angle + link.offset
@@ -126,6 +139,10 @@ def frames(arm: Arm, q: list[Scalar], xp: Any = np) -> list[Frame]:
         p = add(p, scale(link.d, axis), scale(link.a, x))
         ca, sa = round(math.cos(link.alpha), 15), round(math.sin(link.alpha), 15)
         R = Rotation(x, add(scale(ca, y), scale(sa, axis)), add(scale(-sa, y), scale(ca, axis)))
+        if link.beta:
+            cb, sb = round(math.cos(link.beta), 15), round(math.sin(link.beta), 15)
+            x, z = R.x, R.z
+            R = Rotation(add(scale(cb, x), scale(-sb, z)), R.y, add(scale(sb, x), scale(cb, z)))
         out.append(Frame(R, p, axis, origin))
     return out
 
@@ -336,7 +353,8 @@ def newton_euler(
 
     x, y, z = arm.base.com
     body(arm.base, IDENTITY, (x, y, z), spin, turn, moved(accel, spin, turn, (x, y, z)))
-    w, dw, point = spin, turn, ZERO  # motion of the frame reached so far
+    w, dw, point = spin, turn, start(arm)[1]  # motion of the frame reached so far
+    accel = moved(accel, w, dw, point)
     for i, frame in enumerate(chain):
         rate = scale(v[i], frame.axis)
         dw = add(dw, scale(a[i], frame.axis), cross(w, rate))

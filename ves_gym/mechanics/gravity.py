@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import IDENTITY, Frame, Scalar, Vec, add, frames, scale
+from ves_gym.mechanics.dynamics import IDENTITY, Frame, Scalar, Vec, add, frames, scale, start
 from ves_gym.mechanics.spatial import numbers
 
 GRAVITY = 9.81  # m/s^2; thesis: 919 N for 93.7 kg
@@ -141,9 +141,10 @@ class MinimalModel:
 def minimal_model(arm: Arm) -> MinimalModel:
     """The minimal moment parameters of a serial arm, from base to tip in closed form.
 
-    Joint i's axis z' (z of body i - 1) is sin(alpha) y + cos(alpha) z of body i, so of y and
-    z one is expressed by the other and z'. Kept are x and that of y, z which z' leaves
-    better determined. Link i's far end moves everything beyond it by d z' + a x.
+    Joint i's axis z' (z of body i - 1) is a sum of body i's x, y and z, without x where
+    there is no beta. One of the three is expressed by the other two and z': the one that z'
+    determines best. Link i's far end moves everything beyond it by d z' + a x', x' being
+    body i's x before beta turns it.
     """
     width = 3 * (arm.n + 1) + arm.n
     chosen = [(0, 0), (0, 1), (0, 2)]
@@ -156,34 +157,38 @@ def minimal_model(arm: Arm) -> MinimalModel:
             rows[j][column] += factor * part
             terms[j].append(_term(part, text))
 
+    def extend(where: dict[int, float], length: float, first: int, name: str) -> None:
+        """Let every body from `first` on lie further away, by `length` along `where`."""
+        beyond = [f"m{j}" for j in range(first, arm.n + 1)]
+        weight = f"({' + '.join(beyond)})" if len(beyond) > 1 else beyond[0]
+        for j, part in where.items():
+            rows[j][3 * (arm.n + 1) + first - 1 :] += length * part
+            terms[j].append(_term(part, f"{weight} {name}"))
+
     for k in range(3):
         lump({k: 1.0}, k, 1.0, f"m0 r0{'xyz'[k]}")
-    z: dict[int, float] = {2: 1.0}  # the joint axis by kept directions
+    turn, place = start(arm)
+    z = {k: float(part) for k, part in enumerate(turn.z) if part}  # axis by kept directions
+    for k, length in enumerate(place):
+        if length:
+            extend({k: 1.0}, length, 1, f"{'xyz'[k]}0")
     for i, link in enumerate(arm.links, start=1):
-        c, s = round(float(np.cos(link.alpha)), 15), round(float(np.sin(link.alpha)), 15)
-        x, other = len(chosen), len(chosen) + 1
-        axis_kept = 1 if abs(c) >= abs(s) else 2
-        chosen += [(i, 0), (i, axis_kept)]
+        far = link.far_end[0]
+        axis = far[2].tolist()  # z' in body i
+        lost = max((2, 1, 0), key=lambda k: abs(axis[k]))
+        kept = [k for k in range(3) if k != lost]
+        number = {k: len(chosen) + j for j, k in enumerate(kept)}
+        chosen += [(i, k) for k in kept]
         rows += [np.zeros(width), np.zeros(width)]
         terms += [[], []]
-        mine, lost = (s, c) if axis_kept == 1 else (c, s)  # z' = mine * kept + lost * left out
-        remainder = {j: part / lost for j, part in z.items()}
-        if mine:
-            remainder[other] = -mine / lost
-        along = (
-            [{x: 1.0}, {other: 1.0}, remainder]
-            if axis_kept == 1
-            else [{x: 1.0}, remainder, {other: 1.0}]
-        )
+        remainder = {j: part / axis[lost] for j, part in z.items()}
+        remainder |= {number[k]: -axis[k] / axis[lost] for k in kept if axis[k]}
+        along = [remainder if k == lost else {number[k]: 1.0} for k in range(3)]
         for k in range(3):
             lump(along[k], 3 * i + k, 1.0, f"m{i} r{i}{'xyz'[k]}")
-        beyond = [f"m{j}" for j in range(i, arm.n + 1)]
-        weight = f"({' + '.join(beyond)})" if len(beyond) > 1 else beyond[0]
-        for length, name, where in ((link.d, "d", z), (link.a, "a", {x: 1.0})):
+        for length, name, where in ((link.d, "d", z), (link.a, "a", _mix(far[0], along))):
             if length:
-                for j, part in where.items():
-                    rows[j][3 * (arm.n + 1) + i - 1 :] += length * part
-                    terms[j].append(_term(part, f"{weight} {name}{i}"))
+                extend(where, length, i, f"{name}{i}")
         z = along[2]
     names = tuple(f"m{body} r{body}{'xyz'[axis]}" for body, axis in chosen)
     described = tuple(" ".join(t).removeprefix("+ ") for t in terms)
@@ -196,6 +201,16 @@ def minimal_model(arm: Arm) -> MinimalModel:
         names=names,
         descriptions=described,
     )
+
+
+def _mix(parts: Array, along: list[dict[int, float]]) -> dict[int, float]:
+    """Return the sum of directions times `parts` (3,), each by kept directions."""
+    out: dict[int, float] = {}
+    for part, where in zip(parts.tolist(), along, strict=True):
+        for j, k in where.items():
+            if part:
+                out[j] = out.get(j, 0.0) + part * k
+    return out
 
 
 def _term(part: float, text: str) -> str:

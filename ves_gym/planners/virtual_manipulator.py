@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm, skew
-from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.dynamics import inertia, start
 from ves_gym.planners.pped import (
     THESIS_DISPLACEMENT,
     WIDE,
@@ -55,16 +55,16 @@ def virtual_links(arm: Arm, to: str = "base") -> Array:
     masses = np.array([b.mass for b in bodies])
     beyond = np.cumsum(masses[::-1])[::-1]  # mass of body j and of all after it
     out = np.array([-b.mass * np.array(b.com) for b in bodies])
+    turn, place = start(arm)
+    lengths = np.zeros((arm.n, *out.shape))  # of each link, by the bodies they turn with
     for j, link in enumerate(arm.links):
-        # d lies along the axis before the link, a along the link's own x
-        out[j, 2] -= beyond[j + 1] * link.d
-        out[j + 1, 0] -= beyond[j + 1] * link.a
+        # d lies along the axis before the link, a along the link's own x before beta
+        lengths[j, j] = link.d * np.array(turn.z if j == 0 else (0.0, 0.0, 1.0))
+        lengths[j, j + 1] = link.a * link.far_end[0][0]
+    lengths[0, 0] += place
+    out -= np.tensordot(beyond[1:], lengths, axes=1)
     out /= arm.mass
-    if to == "tool":
-        for j, link in enumerate(arm.links):
-            out[j, 2] += link.d
-            out[j + 1, 0] += link.a
-    return out
+    return out + lengths.sum(axis=0) if to == "tool" else out
 
 
 def virtual_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:

@@ -94,12 +94,12 @@ def unfolded(model: Model) -> Model:
     for i, link in enumerate(model.arm.links):
         if i in model.gears:
             nothing = SimpleNamespace(mass=0.0, com=(0.0, 0.0, 0.0), inertia=zero)
-            shape = {"d": 0.0, "a": 0.0, "alpha": 0.0, "offset": 0.0}
+            shape = {"d": 0.0, "a": 0.0, "alpha": 0.0, "beta": None, "offset": 0.0}
             rotor = link.rotor_inertia
             links.append(SimpleNamespace(**shape, inertial=nothing, rotor_inertia=rotor))
             link = SimpleNamespace(**{**vars(link), "rotor_inertia": 0.0})
         links.append(link)
-    arm = SimpleNamespace(n=len(links), links=links, base=model.arm.base)
+    arm = SimpleNamespace(**{**vars(model.arm), "n": len(links), "links": links})
     return dataclasses.replace(model, arm=arm)
 
 
@@ -351,6 +351,7 @@ def one_base(arm: Any) -> Any:
     return SimpleNamespace(
         n=arm.n,
         links=arm.links,
+        mount=arm.mount,
         base=SimpleNamespace(mass=mass, com=com, inertia=inertia),
     )
 

@@ -145,7 +145,7 @@ def _model(system: System, read: _Numbers) -> Model:
         body = (body, read.inertial("satellite", base.body))
     every = range(arm.n)
     return Model(
-        arm=SimpleNamespace(n=arm.n, links=links, base=body),
+        arm=SimpleNamespace(n=arm.n, links=links, base=body, mount=arm.mount),
         M=read.matrix("M", base.M if ideal else zero),
         D=read.matrix("D", base.D if ideal else zero),
         K=read.matrix("K", base.K if ideal else zero),
@@ -176,6 +176,7 @@ def _link(link: Any, inertial: Any, rotor_inertia: Expression) -> Any:
         d=link.d,
         a=link.a,
         alpha=link.alpha,
+        beta=link.beta,
         offset=link.offset,
         inertial=inertial,
         rotor_inertia=rotor_inertia,
@@ -208,7 +209,8 @@ def structure(system: System) -> str:
 
 def geometry(arm: Arm) -> str:
     """Return a digest of an arm's lengths and angles: its code depends on no weight."""
-    return f"{_source()} {[(k.d, k.a, k.alpha, k.offset) for k in arm.links]!r}"
+    lengths = [(k.d, k.a, k.alpha, k.beta, k.offset) for k in arm.links]
+    return f"{_source()} {arm.mount!r} {lengths!r}"
 
 
 def _laws(system: System) -> str:
@@ -499,7 +501,7 @@ def regressor(arm: Arm, moving: bool) -> casadi.Function:
         v, a = at[n : 2 * n], at[2 * n : 3 * n]
         spin, turn = at[3 * n : 3 * n + 3], at[3 * n + 3 : 3 * n + 6]
     accel: Any = at[-3:] if moving else [-k for k in at[-3:]]
-    body: Any = SimpleNamespace(n=n, links=links, base=bodies[0])
+    body: Any = SimpleNamespace(n=n, links=links, base=bodies[0], mount=arm.mount)
     torque, force, moment = newton_euler(
         body, q, v, a, spin=spin, turn=turn, accel=accel, xp=ca
     )
@@ -532,7 +534,7 @@ def inertia_matrix(system: System) -> casadi.Function:
     n, q = system.arm.n, ca.SX.sym("q", system.arm.n)
     arm = model.arm
     if isinstance(arm.base, tuple):  # the base link alone, without the satellite
-        arm = SimpleNamespace(n=n, links=arm.links, base=arm.base[0])
+        arm = SimpleNamespace(n=n, links=arm.links, base=arm.base[0], mount=arm.mount)
     H = inertia_entries(arm, list(ca.vertsplit(q)), ca)
     rows = [[*H.base[i], *(H.across[j][i] for j in range(n))] for i in range(6)]
     rows += [[*H.across[j], *H.joints[j]] for j in range(n)]

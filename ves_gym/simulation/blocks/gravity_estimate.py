@@ -32,8 +32,8 @@ class GravityEstimate(Block):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        geometry = [(k.d, k.a, k.alpha, k.offset) for k in self.arm.links]
-        return (geometry, self.oldest, self.tabulated)
+        geometry = [(k.d, k.a, k.alpha, k.beta, k.offset) for k in self.arm.links]
+        return (self.arm.mount, geometry, self.oldest, self.tabulated)
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         return {

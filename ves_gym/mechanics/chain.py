@@ -1,0 +1,338 @@
+"""From joint axes and bodies at one configuration to an `Arm`: what URDF and MJCF lead to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.arm import Arm, Capsule, Inertial, Link, Mount, matrix
+from ves_gym.mechanics.dynamics import inertia
+
+_ZERO = 1e-13  # m, rad: rounding of a file's angles
+_SPEED = math.pi  # rad/s, v_max where a file gives none
+_PUSH = 10.0  # rad/s^2 that tau_max gives the largest inertia, where a file gives none
+_SAMPLES = 256  # configurations among which the largest inertia is looked for
+# Numbers beyond these look like mm, g and kg mm^2 (this project).
+_REACH = 100.0  # m
+_DENSITY = 1e4  # kg/m^3: moving mass over the cube of the reach; a PUMA has 60
+_GYRATION = 10.0  # radius of gyration over the reach
+
+
+@dataclass
+class Lump:
+    """Bodies that move as one, in the root's axes."""
+
+    mass: float = 0.0
+    moment: Array = field(default_factory=lambda: np.zeros(3))  # m c [kg m]
+    second: Array = field(default_factory=lambda: np.zeros((3, 3)))  # about the root's origin
+    capsules: list[tuple[Array, Array, float]] = field(default_factory=list)  # ends, radius
+
+    def add(self, piece: Piece) -> None:
+        """Add a link."""
+        mass, c = piece.mass, piece.com
+        self.mass += mass
+        self.moment = self.moment + mass * c
+        square = c @ c * np.eye(3) - np.outer(c, c)
+        self.second = self.second + piece.moments + mass * square
+
+    def inertial(self, R: Array, p: Array) -> Inertial:
+        """Return the mass properties in a frame of rotation (3, 3) and position (3,)."""
+        if self.mass == 0:
+            return Inertial(mass=0.0, com=(0.0,) * 3, inertia=matrix(np.zeros((3, 3))))
+        c = self.moment / self.mass
+        about = self.second - self.mass * (c @ c * np.eye(3) - np.outer(c, c))
+        turned = R.T @ about @ R
+        return Inertial(
+            mass=self.mass,
+            com=tuple((R.T @ (c - p)).tolist()),
+            inertia=matrix((turned + turned.T) / 2),
+        )
+
+    def shape(self, R: Array, p: Array) -> tuple[Capsule, ...]:
+        """Return the capsules in a frame of rotation (3, 3) and position (3,)."""
+        return tuple(
+            Capsule(
+                start=tuple((R.T @ (a - p)).tolist()),
+                end=tuple((R.T @ (b - p)).tolist()),
+                radius=float(radius),
+            )
+            for a, b, radius in self.capsules
+        )
+
+
+class Piece(NamedTuple):
+    """A link's mass properties, in the root's axes."""
+
+    link: str
+    mass: float  # kg
+    com: Array  # (3,) m
+    moments: Array  # (3, 3) about the centre of mass [kg m^2]
+
+
+@dataclass
+class Joint:
+    """A revolute joint at zero and what it moves up to the next one, in the root's axes."""
+
+    name: str
+    origin: Array  # (3,) [m]
+    axis: Array  # (3,) of length 1
+    q_min: float  # rad
+    q_max: float
+    body: Lump
+    rotor_inertia: float = 0.0  # kg m^2
+    v_max: float | None = None  # rad/s
+    a_max: float | None = None  # rad/s^2
+    tau_max: float | None = None  # N m
+    damping: float | None = None  # N m s/rad
+    friction: float | None = None  # N m
+
+
+def arm_of(
+    name: str,
+    root: Lump,
+    joints: list[Joint],
+    tool: tuple[Array, Array],
+    *,
+    source: str,
+    collision: bool = True,
+    bandwidth: float | None = None,
+) -> Arm:
+    """Return the arm of joint axes and bodies at zero.
+
+    Args:
+        name: of the arm.
+        root: what stands on the platform.
+        joints: from root to tip.
+        tool: rotation (3, 3) and position (3,) [m] of the tool.
+        source: where it comes from; what is derived is added.
+        collision: False: leave the shapes out.
+        bandwidth: of the servos [Hz].
+
+    Raises:
+        ParameterError: names the joint.
+    """
+    mount = _upright(joints[0].axis)
+    R, p = mount, joints[0].origin
+    links = []
+    for i, joint in enumerate(joints):
+        last = i == len(joints) - 1
+        axis = tool[0][:, 2] if last else joints[i + 1].axis
+        target = tool[1] if last else joints[i + 1].origin
+        shape = _far_end(R.T @ (target - p), R.T @ axis)
+        turned = _about_z(shape["offset"])
+        link = _link(joint, shape)
+        R, p = R @ turned @ link.far_end[0], target
+        try:
+            inertial = joint.body.inertial(R, p)
+        except ParameterError as error:
+            raise ParameterError(f"what joint {joint.name!r} moves: {error}") from None
+        capsules = joint.body.shape(R, p) if collision else None
+        links.append(replace(link, inertial=inertial, shape=capsules))
+    rest = R.T @ tool[0]
+    angle = math.atan2(rest[1, 0], rest[0, 0])
+    arm = Arm(
+        name=name,
+        base=root.inertial(np.eye(3), np.zeros(3)),
+        base_shape=root.shape(np.eye(3), np.zeros(3)) if collision else None,
+        mount=_mount(mount, joints[0].origin),
+        links=tuple(links),
+        tool_angle=angle if abs(angle) > _ZERO else None,
+        bandwidth=bandwidth,
+        source=source,
+    )
+    return _with_limits(arm, joints)
+
+
+def require_body(piece: Piece) -> None:
+    """Refuse mass properties that no rigid body has.
+
+    Args:
+        piece: a link.
+
+    Raises:
+        ParameterError: names the link.
+    """
+    try:
+        Inertial(mass=piece.mass, com=(0.0, 0.0, 0.0), inertia=matrix(piece.moments))
+    except ParameterError as error:
+        raise ParameterError(f"link {piece.link!r}: {error}") from None
+    if piece.mass == 0 and piece.moments.any():
+        raise ParameterError(f"link {piece.link!r} has an inertia, but no mass")
+
+
+def require_plausible(joints: list[Joint], tool: Array, pieces: list[Piece]) -> None:
+    """Refuse lengths, masses and inertias that look like mm, g and kg mm^2.
+
+    Args:
+        joints: from root to tip.
+        tool: (3,) position [m].
+        pieces: the links that move.
+
+    Raises:
+        ParameterError: names the joint or the link.
+    """
+    points = np.array([*(joint.origin for joint in joints), tool])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    reach = float(steps.sum())
+    if reach > _REACH:
+        k = int(steps.argmax())
+        raise ParameterError(
+            f"what joint {joints[k].name!r} moves is {steps[k]:.4g} m long and the whole arm"
+            f" {reach:.4g} m: lengths must be in m, these look like mm (check=False takes them)"
+        )
+    apart = [np.linalg.norm(k.com - points, axis=1).min() for k in pieces if k.mass]
+    size = max([reach, 1e-3, *(2 * float(k) for k in apart)])
+    for piece in pieces:
+        largest = float(np.abs(piece.moments).max())
+        if largest > piece.mass * (_GYRATION * size) ** 2:
+            raise ParameterError(
+                f"link {piece.link!r} of {piece.mass:.4g} kg has an inertia of {largest:.4g}"
+                f" kg m^2, a radius of gyration of {math.sqrt(largest / piece.mass):.3g} m on"
+                f" an arm of {size:.3g} m: inertias must be in kg m^2, these look like kg mm^2"
+                " (check=False takes them)"
+            )
+    total = sum(piece.mass for piece in pieces)
+    if total > _DENSITY * size**3:
+        heaviest = max(pieces, key=lambda piece: piece.mass)
+        raise ParameterError(
+            f"link {heaviest.link!r} has {heaviest.mass:.4g} kg and all that moves {total:.4g}"
+            f" kg on {size:.3g} m: masses must be in kg, these look like g (check=False takes"
+            " them)"
+        )
+
+
+def _upright(axis: Array) -> Array:
+    """(3, 3) smallest rotation that brings z to the axis."""
+    x, y, z = axis
+    if z < -1 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    k = 1 / (1 + z)
+    return np.array(
+        [[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]]
+    )
+
+
+def _about_z(angle: float) -> Array:
+    c, s = round(math.cos(angle), 15), round(math.sin(angle), 15)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _mount(R: Array, p: Array) -> Mount | None:
+    """The mount of a first joint at (3, 3), (3,); None at the platform-top frame."""
+    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
+    if abs(math.cos(pitch)) < 1e-8:  # roll and yaw turn about one axis
+        roll, yaw = 0.0, math.atan2(-R[0, 1], R[1, 1])
+    else:
+        roll, yaw = math.atan2(R[2, 1], R[2, 2]), math.atan2(R[1, 0], R[0, 0])
+    mount = Mount(position=tuple(p.tolist()), angles=(roll, pitch, yaw))
+    return None if mount == Mount() else mount
+
+
+def _far_end(p: Array, axis: Array) -> dict[str, float]:
+    """d, a, alpha, beta and offset of a link.
+
+    Args:
+        p: (3,) far end in the frame at the joint, at zero [m].
+        axis: (3,) z of the frame there.
+    """
+    a = math.hypot(p[0], p[1])
+    if a < _ZERO:
+        slant = math.hypot(axis[0], axis[1])
+        offset = math.atan2(axis[0], -axis[1]) if slant > _ZERO else 0.0
+        a = 0.0
+    else:
+        offset = math.atan2(p[1], p[0])
+    if not -math.pi / 2 < offset <= math.pi / 2 + _ZERO:  # the other way round
+        offset, a = offset - math.copysign(math.pi, offset), -a
+    x, y, z = _about_z(offset).T @ axis
+    if abs(x) < _ZERO:
+        x = 0.0
+    beta = math.atan2(x, math.hypot(y, z))
+    alpha = math.atan2(-y, z) if math.hypot(y, z) > _ZERO else 0.0
+    small = {"d": float(p[2]), "a": a, "alpha": alpha, "beta": beta, "offset": offset}
+    return {k: 0.0 if abs(v) < _ZERO else v for k, v in small.items()}
+
+
+def _link(joint: Joint, shape: dict[str, float]) -> Link:
+    """A link without its mass, and with ones for the limits that are not given."""
+    if not joint.q_min < joint.q_max:
+        raise ParameterError(
+            f"joint {joint.name!r}: its lower limit must be below the upper one, got"
+            f" {joint.q_min:g} and {joint.q_max:g} rad"
+        )
+    return Link(
+        d=shape["d"],
+        a=shape["a"],
+        alpha=shape["alpha"],
+        beta=shape["beta"] or None,
+        offset=shape["offset"],
+        inertial=Inertial(mass=0.0, com=(0.0,) * 3, inertia=matrix(np.zeros((3, 3)))),
+        rotor_inertia=joint.rotor_inertia,
+        q_min=joint.q_min,
+        q_max=joint.q_max,
+        v_max=joint.v_max or 1.0,
+        a_max=joint.a_max or 1.0,
+        tau_max=joint.tau_max or 1.0,
+        damping=joint.damping or None,
+        friction=joint.friction or None,
+        name=joint.name,
+    )
+
+
+def largest_inertia(arm: Arm) -> Array:
+    """(n,) largest inertia about each joint, the others at rest [kg m^2].
+
+    Of configurations drawn within the limits, among them zero or what is nearest to it.
+
+    Args:
+        arm: the arm.
+    """
+    low, high = arm.column("q_min"), arm.column("q_max")
+    drawn = low + (high - low) * np.random.default_rng(0).uniform(size=(_SAMPLES, arm.n))
+    q = np.vstack([np.clip(0.0, low, high), drawn])
+    H = inertia(arm, q)[:, 6:, 6:]
+    out: Array = np.diagonal(H, axis1=1, axis2=2).max(axis=0)
+    return out
+
+
+def _with_limits(arm: Arm, joints: list[Joint]) -> Arm:
+    """The arm with limits derived where none are given, which its source then says."""
+    most = largest_inertia(arm)
+    for joint, value in zip(joints, most, strict=True):
+        if value <= 1e-12:
+            raise ParameterError(
+                f"nothing that joint {joint.name!r} moves has an inertia about its axis, nor"
+                " has its rotor: give the links an inertia, or merge them (fixed joints)"
+            )
+    links, notes = [], []
+    for link, joint, J in zip(arm.links, joints, most, strict=True):
+        tau = joint.tau_max or _down(_PUSH * J)
+        links.append(
+            replace(
+                link,
+                v_max=joint.v_max or _SPEED,
+                tau_max=tau,
+                a_max=joint.a_max or _down(tau / J),
+            )
+        )
+    for field_name, text in (
+        ("v_max", "pi rad/s"),
+        ("tau_max", f"{_PUSH:g} rad/s^2 times the largest inertia"),
+        ("a_max", "tau_max over the largest inertia"),
+    ):
+        missing = [joint.name for joint in joints if not getattr(joint, field_name)]
+        if missing:
+            where = "" if len(missing) == len(joints) else f" of {', '.join(missing)}"
+            notes.append(f"{field_name}{where} not given, taken: {text}")
+    source = "; ".join([arm.source, *notes])
+    return replace(arm, links=tuple(links), source=source)
+
+
+def _down(value: float) -> float:
+    """The number rounded down to two digits."""
+    scale = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / scale + 1e-9) * scale:.3g}")

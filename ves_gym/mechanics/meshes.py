@@ -1,0 +1,188 @@
+"""Points of a mesh file, and the smallest capsule that holds them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+
+_FORMATS = (".stl", ".obj", ".dae")
+_SWELL = (1.0, 1.05, 1.1, 1.2, 1.4)  # radii tried: a thicker capsule may be shorter
+_ROUNDS = 60  # of the circle around a set of points
+_STL = np.dtype([("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("color", "<u2")])
+
+
+def mesh_points(path: Path) -> Array:
+    """Return the corners of a mesh.
+
+    Args:
+        path: an STL, OBJ or Collada file.
+
+    Returns:
+        (k, 3) in the file's unit (Collada: m).
+
+    Raises:
+        ParameterError: another format, or nothing in it.
+    """
+    kind = path.suffix.lower()
+    if kind not in _FORMATS:
+        raise ParameterError(f"mesh {path.name}: must be one of {', '.join(_FORMATS)}")
+    try:
+        data = path.read_bytes()
+        read = {".stl": _stl, ".obj": _obj, ".dae": _collada}[kind]
+        points = read(data).reshape(-1, 3)
+    except (OSError, ValueError, ElementTree.ParseError) as error:
+        raise ParameterError(f"mesh {path.name} cannot be read: {error}") from None
+    if len(points) == 0 or not np.isfinite(points).all():
+        raise ParameterError(f"mesh {path.name} has no points")
+    return np.unique(points, axis=0)
+
+
+def capsule_around(points: Array) -> tuple[Array, Array, float]:
+    """Return a capsule that holds points.
+
+    The smallest of those along their main axes and along x, y and z.
+
+    Args:
+        points: (k, 3) [m].
+
+    Returns:
+        Both ends of its line (3,) [m] and its radius [m].
+    """
+    points = _hull(points)
+    main = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)[2]
+    best, found = np.inf, None
+    for axis in (*np.eye(3), *main):
+        across = np.linalg.svd(axis[None])[2][1:]
+        flat, along = points @ across.T, points @ axis
+        centre = _centre(flat)
+        apart = np.linalg.norm(flat - centre, axis=1)
+        for factor in _SWELL:
+            radius = factor * max(float(apart.max()), 1e-6)
+            cap = np.sqrt(np.maximum(radius**2 - apart**2, 0.0))
+            low, high = float((along + cap).min()), float((along - cap).max())
+            if low > high:
+                low = high = (low + high) / 2
+            volume = radius**2 * (high - low) + 4 / 3 * radius**3
+            if volume < best * (1 - 1e-9):
+                middle = centre @ across
+                best, found = volume, (middle + low * axis, middle + high * axis, radius)
+    assert found is not None  # points are finite
+    return found
+
+
+def _hull(points: Array) -> Array:
+    """The points that span the others; all, where they lie in a plane."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(points) < 50:
+        return points
+    try:
+        return np.asarray(points[ConvexHull(points).vertices], float)
+    except QhullError:
+        return points
+
+
+def _centre(points: Array) -> Array:
+    """(2,) centre of a small circle around points (k, 2) (Badoiu and Clarkson, SODA 2003)."""
+    centre: Array = (points.min(axis=0) + points.max(axis=0)) / 2
+    best, least = centre, np.inf
+    for k in range(1, _ROUNDS):
+        apart = np.linalg.norm(points - centre, axis=1)
+        far = int(apart.argmax())
+        if apart[far] < least:
+            best, least = centre, apart[far]
+        centre = centre + (points[far] - centre) / (k + 1)
+    return best
+
+
+def _stl(data: bytes) -> Array:
+    count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
+    if len(data) == 84 + _STL.itemsize * count and count:
+        return np.frombuffer(data, _STL, offset=84)["points"].astype(float)
+    return _numbers(re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", data))
+
+
+def _obj(data: bytes) -> Array:
+    return _numbers(re.findall(rb"(?m)^v\s+(\S+)\s+(\S+)\s+(\S+)", data))
+
+
+def _numbers(rows: list[tuple[bytes, ...]]) -> Array:
+    return np.array([[float(k) for k in row] for row in rows], float)
+
+
+def _collada(data: bytes) -> Array:
+    """Points of all geometries of the scene, in m, the file's z up."""
+    tree = ElementTree.fromstring(data)
+    for element in tree.iter():
+        element.tag = element.tag.rpartition("}")[2]
+    unit = tree.find("./asset/unit")
+    scale = float(unit.get("meter", "1")) if unit is not None else 1.0
+    shapes = {k.get("id"): _collada_points(k) for k in tree.iter("geometry")}
+    out: list[Array] = []
+
+    def walk(node: ElementTree.Element, at: Array) -> None:
+        for child in node:
+            values = (
+                [float(k) for k in (child.text or "").split()] if child.tag in _MOVES else []
+            )
+            if child.tag == "matrix":
+                at = at @ np.array(values).reshape(4, 4)
+            elif child.tag == "translate":
+                at = at @ _moved(np.eye(3), np.array(values))
+            elif child.tag == "scale":
+                at = at @ _moved(np.diag(values), np.zeros(3))
+            elif child.tag == "rotate":
+                at = at @ _moved(
+                    _turn(np.array(values[:3]), np.deg2rad(values[3])), np.zeros(3)
+                )
+        for child in node:
+            if child.tag == "node":
+                walk(child, at)
+            elif child.tag == "instance_geometry":
+                points = shapes.get((child.get("url") or "#")[1:], np.zeros((0, 3)))
+                out.append(points @ at[:3, :3].T + at[:3, 3])
+
+    for scene in tree.iter("visual_scene"):
+        walk(scene, np.eye(4))
+    points = np.concatenate(out or list(shapes.values()) or [np.zeros((0, 3))])
+    return np.asarray(points * scale, float)
+
+
+_MOVES = ("matrix", "translate", "scale", "rotate")
+
+
+def _collada_points(geometry: ElementTree.Element) -> Array:
+    """(k, 3) positions of one geometry."""
+    mesh = geometry.find("mesh")
+    if mesh is None:
+        return np.zeros((0, 3))
+    wanted = {
+        (k.get("source") or "#")[1:]
+        for k in mesh.iter("input")
+        if k.get("semantic") == "POSITION"
+    }
+    rows = [
+        np.array((array.text or "").split(), float).reshape(-1, 3)
+        for source in mesh.iter("source")
+        if source.get("id") in wanted
+        for array in source.iter("float_array")
+    ]
+    return np.concatenate(rows) if rows else np.zeros((0, 3))
+
+
+def _moved(R: Array, p: Array) -> Array:
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = R, p
+    return out
+
+
+def _turn(axis: Array, angle: float) -> Array:
+    k = axis / np.linalg.norm(axis)
+    K = np.array([[0, -k[2], k[1]], [k[2], 0, -k[0]], [-k[1], k[0], 0.0]])
+    out: Array = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+    return out
