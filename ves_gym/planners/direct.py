@@ -70,16 +70,19 @@ class Direct:
 
 
 class MotionProblem:
-    """E_mean of a query's motions, and their limits, by the free control points x."""
+    """E_mean of a query's motions, and their limits, by the free control points x.
 
-    def __init__(self, query: Query, free: int) -> None:
+    `energy` is that of another problem of the same query, which need not be made twice.
+    """
+
+    def __init__(self, query: Query, free: int, energy: MeanEnergy | None = None) -> None:
         self.query, self.arm = query, query.system.arm
         self.start, self.goal = query.ends
         self.n, self.m = self.arm.n, free + 2 * _FIXED
         self.first = np.array([self.start] * _FIXED)  # control points
         if query.is_moving:
             self.first = leading_points(self.m, query.duration, self.start, *query.start_motion)
-        self.energy = self.form_at((self.start + self.goal) / 2)
+        self.energy = energy or self.form_at((self.start + self.goal) / 2)
         self._bases = self._sampled(self.energy.t / query.duration, 2)
         self._torque_times = graded(_SAMPLES * self.m + 1)
         self._torque_bases = self._sampled(self._torque_times, 3)

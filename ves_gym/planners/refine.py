@@ -27,6 +27,7 @@ _DETOURS = (0.3, 0.7)  # rad, by turns: sizes of the random detours started from
 _TOO_MUCH = 0.5  # of a limit that a start may break it by
 _FIRST_LOOK = 15  # iterations after which starts are compared
 _COARSE, _FINE = 1e-3, 1e-5  # relative decrease of E_mean that ends an optimisation
+_LARGE = 100  # variables: of larger problems starts are compared with half the control points
 
 
 class Refined:
@@ -57,7 +58,11 @@ class Refined:
         require_possible(query)
         problem = MotionProblem(query, self.free)
         if query.surroundings is None or broken_limit(query, query.straight) is None:
-            return _best(problem, [problem.straight, *detours(problem, self.starts - 1, seed)])
+            compared = problem
+            if problem.straight.size > _LARGE and self.free > 1:
+                compared = MotionProblem(query, self.free // 2, problem.energy)
+            starts = [compared.straight, *detours(compared, self.starts - 1, seed)]
+            return _best(problem, starts, compared)
         require(f"planner {self.name} among obstacles", "ompl")
         starts, why = [problem.straight], None
         for objective in ("time", "qt"):
@@ -186,18 +191,27 @@ def detours(problem: MotionProblem, count: int, seed: int) -> list[Array]:
     return out
 
 
-def _best(problem: MotionProblem, starts: Sequence[Array]) -> tuple[Motion, dict[str, Any]]:
+def _best(
+    problem: MotionProblem, starts: Sequence[Array], compared: MotionProblem | None = None
+) -> tuple[Motion, dict[str, Any]]:
     """The least of the minima from several starts that stands up to a fine check.
 
     Where none does, the least of the starts that does; where none does either, the minimum
     that breaks least.
+
+    Args:
+        problem: of which the answer is a minimum.
+        starts: decisions of `compared` (free n,) [rad].
+        compared: the problem with fewer control points on which starts are compared.
     """
-    looks = [minimise(problem, x, _FIRST_LOOK, _COARSE) for x in starts]
+    first = problem if compared is None else compared
+    looks = [minimise(first, x, _FIRST_LOOK, _COARSE) for x in starts]
     order = sorted(range(len(looks)), key=lambda i: _rank(looks[i]))
     best: tuple[Motion, Minimum, int] | None = None
     stands = False
     for k in order[: max(1, sum(map(_is_feasible, looks)))]:
-        minimum = minimise(problem, looks[k].x, tolerance=_FINE)
+        x = looks[k].x if first is problem else problem.of(first.motion(looks[k].x))
+        minimum = minimise(problem, x, tolerance=_FINE)
         motion = problem.motion(minimum.x)
         stands = broken_limit(problem.query, motion) is None
         if best is None or stands:
@@ -214,7 +228,7 @@ def _best(problem: MotionProblem, starts: Sequence[Array]) -> tuple[Motion, dict
     info |= best[1].info() | {"iterations": iterations}
     if stands:
         return best[0], info
-    as_they_are = [problem.motion(x) for x in starts]
+    as_they_are = [first.motion(x) for x in starts]
     feasible = [m for m in as_they_are if broken_limit(problem.query, m) is None]
     if not feasible:
         return best[0], info
