@@ -363,7 +363,7 @@ def _figures(
     figures = {
         "poles": pole_figure(
             [(r.name, r.damping.poles) for r in rows],
-            poles_in_space(plant.mass, base.D, base.K),
+            poles_in_space(plant.mass, *base.full()[1:]),
         ),
         "responses": response_figure(names, linear, simulated),
     }

@@ -23,8 +23,9 @@ from ves_gym.system.system import System
 class Linear:
     """x' = drift + A (x - x0) + B (u - u0), at one point or a batch (...) of them.
 
-    x stacks Y, q, Y', q', 2 s of them with s = 6 + n. u (n) is the joint command: torque
-    [N m], or acceleration [rad/s^2] where the drive is prescribed.
+    x stacks Y, q, the base's internal modes, and the rates of all: 2 s of them with s = 6 +
+    n + m. u (n) is the joint command: torque [N m], or acceleration [rad/s^2] where the drive
+    is prescribed.
     """
 
     A: Array  # (..., 2 s, 2 s)
@@ -87,7 +88,8 @@ def linearise_ideal(
             " emulates, core.stability.linearise the laboratory's loop"
         )
     system = system.actual
-    n, size = system.arm.n, 6 + system.arm.n
+    n, m = system.arm.n, system.base.m
+    size = 6 + n + m
     names, p = parameters(system)
     kp = np.zeros(n)
     if servo is not None:
@@ -97,7 +99,8 @@ def linearise_ideal(
         p[[names.index(f"kd{i + 1}") for i in range(n)]] = servo.kd
     if command is None:
         command = kp * points((q, n, "q"))
-    at = points((y, 6, "y"), (q, n, "q"), (command, n, "command"))
+    attached = system.base.attached(np.asarray(y, float) + np.zeros(6)) if m else 0.0
+    at = points((y, 6, "y"), (q, n, "q"), (attached, m, "u"), (command, n, "command"))
     jacobian = evaluate(
         f"linearisation {structure(system)}",
         lambda: linearisation(system),

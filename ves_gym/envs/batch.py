@@ -335,7 +335,8 @@ class Batch:
         s.y_seen, s.yd_seen = s.y, s.yd
         if self._emulated:
             s.y_seen, s.yd_seen, _ = self.measured()
-        s.energies, s.tool, s.tool_seen = self._scenes(s.q, s.v, s.y, s.yd, s.y_seen)
+        motion = s.q, s.v, s.y, s.yd, s.y_seen
+        s.energies, s.tool, s.tool_seen = self._scenes(*motion, self.sim.base_modes)
         s.table_values = self.task.lookup(s.goal, np.rint(s.time / self.dt).astype(np.intp))
 
     def tail(self, ids: Index, ref: Array, kp: Array, kd: Array) -> tuple[Array, Array]:
@@ -349,6 +350,8 @@ class Batch:
         _, y, yd, q, v = (part[ids] for part in self.sim.last_state)
         away = np.zeros_like(q) if self.task.control.level == "torque" else q - ref
         x = np.concatenate([y, away, yd, v], axis=1)
+        if (modes := self.sim.base_modes) is not None:
+            x = np.concatenate([y, modes[0][ids], away, yd, modes[1][ids], v], axis=1)
         return tail_energy(self._space, q, x, kp, kd, seconds=self.task.tail)
 
     def observe(self) -> npt.NDArray[np.float32]:

@@ -347,7 +347,12 @@ def _laboratory(shape: Shape) -> dict[str, casadi.Function]:
     y, X, reading = ca.SX.sym("y", 6), ca.SX.sym("X", 12), ca.SX.sym("reading", 6)
     frozen, lost = ca.SX.sym("frozen"), ca.SX.sym("lost")
     scene_rows = ca.vertcat(y, ca.if_else(frozen, 0.0, X[6:]), ca.fmax(frozen, lost))
+    modes = {}
+    if shape.system.base.m:
+        pair = [ca.SX.sym(name, shape.system.base.m) for name in ("at", "rate")]
+        modes["lab_modes"] = ca.Function("lab_modes", pair, [ca.vertcat(*pair)])
     return {
+        **modes,
         "lab_before": ca.Function("lab_before", [z, zd, gains], first),
         "lab_nodes": ca.Function("lab_nodes", [push, commands], [ca.vertcat(*nodes)]),
         "lab_after": ca.Function(

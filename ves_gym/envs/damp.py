@@ -92,9 +92,9 @@ class Damp(Task):
     @cached_property
     def _modes(self) -> tuple[Array, Array]:
         """Y and Y' (6,) -> root of strain and of kinetic energy of every mode, arm at home."""
-        base = self.system.ideal().base
-        Mt = base.mass_matrix + inertia(self.system.arm, self._middle)[:6, :6]
-        omega, shapes = natural_modes(base.K, Mt)
+        M, _, K = self.system.ideal().base.condensed()  # draws start with modes that follow
+        Mt = M + inertia(self.system.arm, self._middle)[:6, :6]
+        omega, shapes = natural_modes(K, Mt)
         return Mt @ shapes * omega / np.sqrt(2), Mt @ shapes / np.sqrt(2)
 
     @cached_property

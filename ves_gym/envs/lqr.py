@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ves_gym._util.params import Array, Mask, Vector, require_positive, unit
+from ves_gym._util.params import Array, Mask, ParameterError, Vector, require_positive, unit
 from ves_gym.engine.linear import linearise_ideal
 from ves_gym.envs.control import Control, Torque
 from ves_gym.envs.joints import joint_box, require_control, wide
@@ -78,6 +78,11 @@ class Lqr(Task):
         require_positive(self, "effort", "settled")
         require_positive(self, "shift", "tilt", "bend", "pace", "stray", zero=True)
         joint_box(self, self.home, (self.bend,))
+        modes = self.system.base.m
+        if modes:
+            raise ParameterError(
+                f"lqr knows its optimum of a base without internal modes, got {modes} of them"
+            )
 
     # -------------------------------------------------------------- closed form
 

@@ -109,8 +109,14 @@ class Period:
         rows_in = [before, self._moved, self._extra]
         first.append(Piece(library, "follow", [*rows_in, self._nodes, self._tau, gains]))
         rows_in = [z, zd, x, self._slate, self._moved, self._tau, self._goal, self._external]
+        m, modes = batch.system.base.m, []
+        self._modes = rows(2 * m)
+        if m:  # those that the base is described with; effects add theirs after them
+            modes = [self._modes[:, :m], self._modes[:, m:]]
+            if not self._emulated:
+                modes = [part[:, :m] for part in backend.rows_of_modes()]
         last = [
-            scenes.piece([z, zd, measured], self._scene_rows),
+            scenes.piece([z, zd, measured, *modes], self._scene_rows),
             Piece(library, "close", [*rows_in, self._scene_rows, self._outputs, self._next]),
         ]
         steps = batch.system.substeps
@@ -120,7 +126,8 @@ class Period:
             for piece in backend.pieces(library, self._nodes, shape.nodes, steps)
         ]
         if shape.signals is not None:
-            made_of = (batch.sim, shape, library, first, last, (self._nodes, self._external))
+            rows_between = self._nodes, self._external, self._modes
+            made_of = (batch.sim, shape, library, first, last, rows_between)
             self._laboratory = LaboratoryPrograms(*made_of)
 
     def _probe(self) -> tuple[tuple[str, ...], bytes]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ves_gym._util.params import Array, Index, Mask
 from ves_gym.engine.backends.kernel import KernelBackend
@@ -42,7 +42,7 @@ class LaboratoryPrograms:
         shape: of the task's rows.
         library: of the task's pieces.
         first, last: pieces before and after the physics.
-        rows: commands from `follow`, and what `close` is given.
+        rows: commands from `follow`, what `close` is given, internal modes of the base.
     """
 
     def __init__(
@@ -52,12 +52,12 @@ class LaboratoryPrograms:
         library: Library,
         first: Sequence[Piece],
         last: Sequence[Piece],
-        rows: tuple[Array, Array],
+        rows: tuple[Array, Array, Array],
     ) -> None:
         assert isinstance(sim.backend, KernelBackend)
         self.sim, self.backend, self.shape = sim, sim.backend, shape
         self._library, self._first, self._last = library, tuple(first), tuple(last)
-        self._commands, external = rows
+        self._commands, external, self._modes = rows
         self._measured = external[
             :, shape.external["y_seen"].start : shape.external["stopped"].stop
         ]
@@ -99,6 +99,18 @@ class LaboratoryPrograms:
         loop.ran_elsewhere(unlane(self._reading, self.sim.n) if some else None)
         return loop.frozen
 
+    def _modes_piece(self, code: CompiledLoop) -> list[Piece]:
+        """Take the base's internal modes from the admittance, if it has any."""
+        loop, m = self.sim.emulation_loop, self.shape.system.base.m
+        if not m:
+            return []
+        assert loop is not None
+        block: Any = loop.wiring.block("admittance")
+        at = [slice(k.start, k.start + m) for k in block.oscillators]
+        coupled = code.rows("admittance.coupled")
+        pair = [coupled[:, k] for k in at]
+        return [Piece(self._library, "lab_modes", [*pair, self._modes])]
+
     def _build(self, code: CompiledLoop) -> list[Program]:
         library, backend = self._library, self.backend
         assert self.shape.signals is not None
@@ -118,6 +130,7 @@ class LaboratoryPrograms:
             Piece(library, "lab_after", [*rows_in, *second, self._reading]),
             code.piece("after"),
             Piece(library, "lab_seen", [*at, self.lost, self._measured]),
+            *self._modes_piece(code),
             *self._last,
         ]
         steps = self.shape.system.substeps

@@ -63,8 +63,9 @@ def motion_energy(system: System, q: Array, dt: float, tail: float) -> Array:
 def _modes(system: System, q: Array) -> tuple[Array, Array]:
     """Couplings (k, 6, joints) of the base's modes to the joints, their frequencies (k, 6)."""
     base = system.base
-    blocks = inertia_blocks(system.arm, base.mass_matrix, q)
-    omega, shapes = natural_modes(base.K, blocks.Mt)
+    M, _, K = base.full()
+    blocks = inertia_blocks(system.arm, M, q)
+    omega, shapes = natural_modes(K, blocks.Mt)
     return np.swapaxes(shapes, -1, -2) @ blocks.Hbm, np.clip(omega, _RIGID, _STIFF)
 
 

@@ -28,16 +28,19 @@ def tail_energy(
     Args:
         system: mode ideal.
         q: (k, joints) joint angles.
-        x: (k, 2 (6 + joints)) base pose, distance of the joints from where they are held, and
-            the rates of both.
+        x: (k, 2 (b + joints)) base pose and internal modes, b of them, distance of the joints
+            from where they are held, and the rates of all.
         kp, kd: (k, joints) gains that hold the joints.
     """
-    base = system.base
-    H = inertia(system.arm, q)
-    H[:, :6, :6] += base.mass_matrix
-    eye = np.eye(2 * H.shape[-1])
+    (M, D, K), blocks = system.base.full(), inertia(system.arm, q)
+    b, n = len(M), system.arm.n
+    H = np.zeros((len(q), b + n, b + n))
+    at = np.r_[:6, b : b + n]
+    H[:, at[:, None], at] = blocks
+    H[:, :b, :b] += M
+    eye = np.eye(2 * (b + n))
     locked = system.drive == "prescribed"
-    return integrals(H, base.K, base.D, x, kp, kd, eye, seconds=seconds, locked=locked, xp=np)
+    return integrals(H, K, D, x, kp, kd, eye, seconds=seconds, locked=locked, xp=np)
 
 
 def integrals(
@@ -47,8 +50,8 @@ def integrals(
     """`tail_energy` in NumPy or, on the device that the arrays are on, in torch.
 
     Args:
-        H: (k, s, s) inertia of base and joints, s = 6 + joints.
-        K, D: (6, 6) of the vehicle.
+        H: (k, s, s) inertia of base and joints, s = b + joints.
+        K, D: (b, b) of the vehicle.
         x, kp, kd: see `tail_energy`.
         eye: (2 s, 2 s) identity.
         seconds: length of the tail [s].
@@ -58,13 +61,13 @@ def integrals(
     Returns:
         (k,) each [J s].
     """
-    size = H.shape[-1]
+    size, b = H.shape[-1], len(K)
     if locked:
-        x = xp.concatenate([x[:, :6], x[:, size : size + 6]], axis=1)
-        H, kp, kd, size = H[:, :6, :6], kp[:, :0], kd[:, :0], 6
-        eye = eye[:12, :12]
+        x = xp.concatenate([x[:, :b], x[:, size : size + b]], axis=1)
+        H, kp, kd, size = H[:, :b, :b], kp[:, :0], kd[:, :0], b
+        eye = eye[: 2 * b, : 2 * b]
     half = eye[:size, :size]
-    to_base, to_joints = half[:, :6], half[:, 6:]
+    to_base, to_joints = half[:, :b], half[:, b:]
 
     def matrix(base: Any, joints: Any) -> Any:
         return to_base @ base @ to_base.T + (to_joints * joints[:, None]) @ to_joints.T
@@ -76,9 +79,9 @@ def integrals(
     step = _exponential(A * (h / 2**_HALVINGS), eye)
     for _ in range(_HALVINGS):
         step = step @ step
-    pose, rate = eye[:, :6], eye[:, size : size + 6]
+    pose, rate = eye[:, :b], eye[:, size : size + b]
     strain = 0 * step + pose @ (K / 2) @ pose.T
-    total = strain + rate @ (H[:, :6, :6] / 2) @ rate.T
+    total = strain + rate @ (H[:, :b, :b] / 2) @ rate.T
     weights = xp.stack([total, strain])
     sums, step = sum_quadratic(step, weights, _DOUBLINGS)
     end = (step @ x[..., None])[..., 0]

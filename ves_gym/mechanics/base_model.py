@@ -158,6 +158,15 @@ class BaseModel:
             out = wide
         return out[0], out[1], out[2]
 
+    def condensed(self) -> tuple[Array, Array, Array]:
+        """Return M, D, K of the interface with internal modes that follow it: three (6, 6).
+
+        Guyan's static condensation: right for motions much slower than the slowest mode.
+        """
+        M, D, _ = self.full()
+        follow = np.vstack([np.eye(6), self.attached(np.eye(6)).T])
+        return follow.T @ M @ follow, follow.T @ D @ follow, self.K.copy()
+
     def attached(self, y: Array) -> Array:
         """(..., m) coordinates u of modes at rest on a base at (..., 6) Y; rates likewise."""
         out = np.zeros((*y.shape[:-1], self.m))

@@ -14,10 +14,10 @@ from ves_gym.mechanics.dynamics import inertia
 
 
 class InertiaBlocks(NamedTuple):
-    """Inertia blocks of arm and vehicle at Y = 0, over leading axes."""
+    """Inertia blocks of arm and vehicle at Y = 0, over leading axes; b base coordinates."""
 
-    Mt: Array  # (..., 6, 6) base mass with the joints locked, M + H_b
-    Hbm: Array  # (..., 6, n) base momentum per unit joint rate
+    Mt: Array  # (..., b, b) base mass with the joints locked, M + H_b
+    Hbm: Array  # (..., b, n) base momentum per unit joint rate, zero of internal modes
     Hm: Array  # (..., n, n) joint inertia
 
 
@@ -26,11 +26,18 @@ def inertia_blocks(arm: Arm, mass: Array, q: npt.ArrayLike) -> InertiaBlocks:
 
     Args:
         arm: the arm.
-        mass: (6, 6) mass matrix of the vehicle, at the platform-top origin.
+        mass: (b, b) mass matrix of the vehicle, at the platform-top origin; its internal
+            modes, if any, after the six coordinates of the pose.
         q: (..., n) joint angles [rad].
     """
-    H = inertia(arm, q)
-    return InertiaBlocks(H[..., :6, :6] + mass, H[..., :6, 6:], H[..., 6:, 6:])
+    H, b = inertia(arm, q), len(mass)
+    if b == 6:
+        return InertiaBlocks(H[..., :6, :6] + mass, H[..., :6, 6:], H[..., 6:, 6:])
+    Mt, Hbm = np.zeros((*H.shape[:-2], b, b)), np.zeros((*H.shape[:-2], b, arm.n))
+    Mt[:] = mass
+    Mt[..., :6, :6] += H[..., :6, :6]
+    Hbm[..., :6, :] = H[..., :6, 6:]
+    return InertiaBlocks(Mt, Hbm, H[..., 6:, 6:])
 
 
 def sum_quadratic(step: Array, W: Array, doublings: int) -> tuple[Array, Array]:

@@ -33,13 +33,13 @@ _SAME = 0.2  # rad: spots nearer than this are one
 
 def blocks(system: System, q: npt.ArrayLike, base: BaseModel | None = None) -> InertiaBlocks:
     """Return the inertia blocks of arm and vehicle at configurations q (..., n)."""
-    return inertia_blocks(system.arm, (base or system.base).mass_matrix, q)
+    return inertia_blocks(system.arm, (base or system.base).full()[0], q)
 
 
 def modes(system: System, q: npt.ArrayLike) -> Modes:
     """Return the natural modes of (K, M + H_b(q)), undamped."""
     base = system.base
-    return natural_modes(base.K, blocks(system, q, base).Mt)
+    return natural_modes(base.full()[2], blocks(system, q, base).Mt)
 
 
 def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
@@ -63,7 +63,7 @@ def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
     base = system.base
     b = blocks(system, q, base)
     A = np.linalg.solve(b.Mt, b.Hbm)
-    return np.swapaxes(A, -1, -2) @ (base.K @ A)
+    return np.swapaxes(A, -1, -2) @ (base.full()[2] @ A)
 
 
 def band_limited(system: System, q: npt.ArrayLike, duration: float) -> Array:
@@ -86,7 +86,7 @@ def band_limited(system: System, q: npt.ArrayLike, duration: float) -> Array:
         raise ParameterError(f"duration must be > 0 s, got {duration!r}")
     base = system.base
     b = blocks(system, q, base)
-    m = natural_modes(base.K, b.Mt)
+    m = natural_modes(base.full()[2], b.Mt)
     weight = m.omega * quintic_spectrum(m.omega * duration)
     rows = weight[..., :, None] * (np.swapaxes(m.shapes, -1, -2) @ b.Hbm)
     return np.swapaxes(rows, -1, -2) @ rows
@@ -122,7 +122,7 @@ def disturbance_matrix(system: System, q: npt.ArrayLike) -> Array:
         (..., n, n) [1].
     """
     b = blocks(system, q)
-    turn = np.linalg.solve(b.Mt, b.Hbm)[..., 3:, :]
+    turn = np.linalg.solve(b.Mt, b.Hbm)[..., 3:6, :]
     return np.swapaxes(turn, -1, -2) @ turn
 
 

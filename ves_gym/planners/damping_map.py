@@ -41,7 +41,9 @@ def estimated_integral(
     Returns:
         (...) [J s].
     """
-    angles, release, base = np.asarray(q, float), finite(y, (6,), "y"), system.base
+    angles, base = np.asarray(q, float), system.base
+    pose = finite(y, (6,), "y")
+    release = np.r_[pose, base.attached(pose)]
     b, m = blocks(system, angles), modes(system, angles)
     across = np.swapaxes(m.shapes, -1, -2) @ b.Hbm  # rows g_i
     share = np.einsum(
@@ -49,7 +51,9 @@ def estimated_integral(
     )
     amplitude = np.einsum("...ji,...jk,k->...i", m.shapes, b.Mt, release)
     energy = 0.5 * (m.omega * amplitude) ** 2
-    material = np.einsum("...ji,jk,...ki->...i", m.shapes, base.D, m.shapes) / (2 * m.omega)
+    material = np.einsum("...ji,jk,...ki->...i", m.shapes, base.full()[1], m.shapes) / (
+        2 * m.omega
+    )
     zeta = material + np.sqrt(np.maximum(share, 0)) / 2
     return np.asarray(np.sum(energy * (1 / zeta + 4 * zeta) / (4 * m.omega), axis=-1))
 

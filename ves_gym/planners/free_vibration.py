@@ -72,8 +72,8 @@ def linear_free_vibration(
     """
     plant, (t, _) = plant_at(system, q), _clock(system, q, seconds)
     x = np.stack([respond(plant, g, y, t) for g in gains])
-    w = 6 + system.arm.n
-    s, v = x[..., 6:w], x[..., w + 6 :]
+    n, w = system.arm.n, len(plant.free) // 2
+    s, v = x[..., 6 : 6 + n], x[..., w + 6 : w + 6 + n]
     torque = np.stack(
         [a @ g.K + b @ g.B for a, b, g in zip(s, v, gains, strict=True)]  # K, B symmetric
     )

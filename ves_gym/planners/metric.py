@@ -56,7 +56,9 @@ class Metric:
             kind = "kinetic"
         self._graph = partial(_form, self.system, kind)
         self._key = f"metric {kind} {_SWEEPS} {structure(self.system)}"
-        fixed = (base.mass_matrix.ravel(), base.K.ravel())
+        # internal modes follow the interface here: what guides a search need not swing
+        condensed = base.condensed()
+        fixed = (condensed[0].ravel(), condensed[2].ravel())
         robot = parameters(self.system)[1]
         self._p = np.concatenate([robot, *fixed, [duration or 0.0, 0.0]])
         self._p[-1] = self._least()

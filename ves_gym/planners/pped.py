@@ -82,16 +82,32 @@ WIDE = Bounds()
 class LinearPlant:
     """x' = free x + drive u, closed by u = -K s - B s' with s = port z; about rest.
 
-    x stacks z and z', each of width w; z starts with the base's Y. For joint gains z is
-    (Y, q - q0) and s the joints.
+    x stacks z and z', each of width w; z starts with the base's Y and ends with its m
+    internal modes u. For joint gains z is (Y, q - q0, u) and s the joints.
     """
 
     free: Array  # (2 w, 2 w)
     drive: Array  # (2 w, n)
     port: Array  # (n, w)
     displacement_map: Array  # (w, 6) z of a displaced base with s = 0
-    stiffness: Array  # (6, 6) of the base [N/m, N, N m]
-    mass: Array  # (6, 6) of the base with the joints locked, M_t [kg, kg m, kg m^2]
+    K: Array  # (6 + m, 6 + m) of the base over (Y, u)
+    mass: Array  # (6 + m, 6 + m) of the base with the joints locked, M_t [kg, kg m, kg m^2]
+
+    @property
+    def stiffness(self) -> Array:
+        """(6, 6) of the base at rest under loads on its interface [N/m, N, N m]."""
+        if len(self.K) == 6:
+            return self.K
+        inner = np.linalg.solve(self.K[6:, 6:], self.K[6:, :6])
+        static: Array = self.K[:6, :6] - self.K[:6, 6:] @ inner
+        return (static + static.T) / 2
+
+    @property
+    def _base(self) -> tuple[Array, Array]:
+        """Places of the base's coordinates in z, as a grid."""
+        w = len(self.free) // 2
+        at = np.r_[:6, w - len(self.K) + 6 : w]
+        return at[:, None], at
 
     @property
     def n(self) -> int:
@@ -112,14 +128,15 @@ class LinearPlant:
     def strain(self) -> Array:
         """(2 w, 2 w) S of the strain energy x^T S x [J]."""
         S = np.zeros_like(self.free)
-        S[:6, :6] = self.stiffness / 2
+        S[self._base] = self.K / 2
         return S
 
     @property
     def total(self) -> Array:
         """(2 w, 2 w) S of the base energy E = x^T S x, kinetic and strain [J]."""
         S, w = self.strain, len(self.free) // 2
-        S[w : w + 6, w : w + 6] = self.mass / 2
+        rows, columns = self._base
+        S[rows + w, columns + w] = self.mass / 2
         return S
 
 
@@ -147,16 +164,18 @@ def plants(system: System, q: npt.ArrayLike) -> list[LinearPlant]:
         )
     angles = np.atleast_2d(np.asarray(q, float))
     linear = linearise_ideal(system, angles)
-    n, w = system.arm.n, 6 + system.arm.n
+    n, base = system.arm.n, system.base
+    w = 6 + n + base.m
     masses = blocks(system, angles).Mt
-    port, displacement_map = np.eye(w)[6:], np.eye(w)[:, :6]
+    port = np.eye(w)[6 : 6 + n]
+    displacement_map = np.vstack([np.eye(6), np.zeros((n, 6)), base.attached(np.eye(6)).T])
     return [
         LinearPlant(
             free=A,
             drive=B,
             port=port,
             displacement_map=displacement_map,
-            stiffness=K,
+            K=base.full()[2],
             mass=mass,
         )
         for A, B, mass in zip(linear.A, linear.B.reshape(-1, 2 * w, n), masses, strict=True)

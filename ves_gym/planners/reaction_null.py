@@ -43,10 +43,10 @@ def reaction_null_space(
     at = system.arm.require_within_limits(q)
     if not 0 <= share < 1:
         raise ParameterError(f"share must be >= 0 and < 1, got {share}")
-    b, K = blocks(system, at), system.base.K
+    b, K = blocks(system, at), system.base.full()[2]
     moved = np.linalg.solve(b.Mt, b.Hbm)  # of the base, per joint motion
     if attitude:
-        rows = moved[3:]
+        rows = moved[3:6]
     elif K.any():  # so that rows^T rows = Q
         values, vectors = np.linalg.eigh(K)
         rows = np.sqrt(np.maximum(values, 0.0))[:, None] * (vectors.T @ moved)

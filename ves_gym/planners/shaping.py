@@ -152,12 +152,12 @@ def excited_modes(system: System, motion: Motion) -> list[BaseMode]:
         Modes of frequency > 0, with the energy the motion leaves in each [J].
     """
     at = motion.at(motion.duration / 2).q
-    frozen, base = modes(system, at), system.base
+    frozen, (_, D, K) = modes(system, at), system.base.full()
     t = np.linspace(0, motion.duration, _SAMPLES)
-    u = joint_momentum(system, motion, t) @ frozen.shapes  # (N, 6)
+    u = joint_momentum(system, motion, t) @ frozen.shapes[:6]  # (N, modes)
     phase = np.exp(-1j * frozen.omega * t[:, None])
     energy = 0.5 * frozen.omega**2 * np.abs(np.trapezoid(phase * u, t, axis=0)) ** 2
-    damping = _damping(blocks(system, at).Mt, base.D, base.K, frozen.omega)
+    damping = _damping(blocks(system, at).Mt, D, K, frozen.omega)
     base_modes = [
         BaseMode(float(w), float(z), float(e))
         for w, z, e in zip(frozen.omega, damping, energy, strict=True)

@@ -116,24 +116,27 @@ def two_masses(system: System, q: npt.ArrayLike) -> LinearPlant:
     """
     arm, base = system.arm, system.base
     model = plant_at(system, q)  # refuses what has no stiffness, or no motors
-    H, m = model.mass - base.mass_matrix, arm.mass  # of the arm, joints locked
+    H, m = model.mass[:6, :6] - base.mass_matrix, arm.mass  # of the arm, joints locked
     # centre of mass from the first moment in the spatial inertia (`Inertial.spatial`)
     com = np.array([H[5, 1], H[3, 2], H[4, 0]]) / m
-    M, D, K = (np.zeros((9, 9)) for _ in range(3))
-    M[:6, :6], M[6:, 6:] = base.mass_matrix, m * np.eye(3)
-    D[:6, :6], K[:6, :6] = base.D, base.K
+    w = 9 + base.m  # coordinates: Y, c, internal modes
+    M, D, K = (np.zeros((w, w)) for _ in range(3))
+    at = np.r_[:6, 9:w]
+    for part, block in zip((M, D, K), base.full(), strict=True):
+        part[at[:, None], at] = block
+    M[6:9, 6:9] = m * np.eye(3)
     carried = np.hstack([np.eye(3), -skew(com)])  # displacement of the centre with the base
-    port = np.hstack([-carried, np.eye(3)])
-    free, drive = np.zeros((18, 18)), np.zeros((18, 3))
-    free[:9, 9:] = np.eye(9)
-    free[9:] = np.linalg.solve(M, np.hstack([-K, -D]))
-    drive[9:] = np.linalg.solve(M, port.T)
+    port = np.hstack([-carried, np.eye(3), np.zeros((3, base.m))])
+    free, drive = np.zeros((2 * w, 2 * w)), np.zeros((2 * w, 3))
+    free[:w, w:] = np.eye(w)
+    free[w:] = np.linalg.solve(M, np.hstack([-K, -D]))
+    drive[w:] = np.linalg.solve(M, port.T)
     return LinearPlant(
         free=free,
         drive=drive,
         port=port,
-        displacement_map=np.vstack([np.eye(6), carried]),
-        stiffness=model.stiffness,
+        displacement_map=np.vstack([np.eye(6), carried, base.attached(np.eye(6)).T]),
+        K=model.K,
         mass=model.mass,
     )
 

@@ -230,15 +230,18 @@ def in_space(
         servo: joint servo, None for bare torques.
 
     Returns:
-        (6 + n) square for a motor drive, (6, 6) for a prescribed one: what is emulated.
+        Square in (Y, joints of a motor drive, internal modes of the base): what is emulated.
     """
     base, m = system.base, system.arm.n if system.drive == "motor" else 0
-    M = inertia(system.arm, joint_angles(system, q))[: 6 + m, : 6 + m].copy()
-    D, K = np.zeros((2, 6 + m, 6 + m))
-    M[:6, :6] += base.mass_matrix
-    D[:6, :6], K[:6, :6] = base.D, base.K
+    size = 6 + m + base.m
+    M, D, K = np.zeros((3, size, size))
+    M[: 6 + m, : 6 + m] = inertia(system.arm, joint_angles(system, q))[: 6 + m, : 6 + m]
+    at = np.r_[:6, 6 + m : size]
+    for part, block in zip((M, D, K), base.full(), strict=True):
+        part[at[:, None], at] += block
+    joints = np.arange(6, 6 + m)
     if servo is not None and m:
-        D[6:, 6:], K[6:, 6:] = np.diag(servo.kd), np.diag(servo.kp)
+        D[joints, joints], K[joints, joints] = servo.kd, servo.kp
     return M, D, K
 
 

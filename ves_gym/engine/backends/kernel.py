@@ -96,6 +96,11 @@ class KernelBackend(CompiledBackend):
         x = self._x
         return x, x[:, :size], x[:, self._order : self._order + size]
 
+    def rows_of_modes(self) -> tuple[Array, Array]:
+        """Coordinates and rates of the base's internal modes in memory, in place."""
+        first, order = 6 + self.joints + self._gears, self._order
+        return self._x[:, first:order], self._x[:, order + first :]
+
     @property
     def outputs(self) -> int:
         """Numbers per node: accelerations, drive torques and, emulated, the arm's wrench."""

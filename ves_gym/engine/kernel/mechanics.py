@@ -280,16 +280,27 @@ def residual(
     return out + [t - motor for t, motor in zip(torque, tau, strict=True)]
 
 
-def base_energy(model: Model, z: list[Any], zd: list[Any], xp: Any) -> Any:
-    """Return E = 1/2 Y'^T (M + H_b) Y' + 1/2 Y^T K Y (`system/energy.py`).
+def base_energy(
+    model: Model, z: list[Any], zd: list[Any], u: list[Any], ud: list[Any], xp: Any
+) -> tuple[Any, Any]:
+    """Return E = 1/2 Y'^T (M + H_b) Y' + strain energy, and the latter (`system/energy.py`).
 
     Args:
         model, z, zd, xp: see `in_space`.
+        u, ud: coordinates and rates of the internal modes, empty without them.
     """
     twist = times(_rates(z[:6], xp)[0], zd[:6])
     locked = inertia_entries(one_base(model.arm), z[6:], xp).base
-    forms = ((locked, twist), (model.M, zd[:6]), (model.K, z[:6]))
-    return 0.5 * sum(a * b for A, x in forms for a, b in pairs(times(A, x), x))
+    forms = ((locked, twist), (model.M, zd[:6]))
+    kinetic = sum(a * b for A, x in forms for a, b in pairs(times(A, x), x))
+    strain = sum(a * b for a, b in pairs(times(model.K, z[:6]), z[:6]))
+    if model.internal is not None:
+        kinetic = kinetic + sum(k * k for k in ud)
+        springs = zip(model.internal.coupling, model.internal.stiffness, u, strict=True)
+        for column, stiffness, at in springs:
+            stretch = at - sum(c * k for c, k in pairs(column, z[:6]))
+            strain = strain + stiffness * stretch * stretch
+    return 0.5 * (kinetic + strain), 0.5 * strain
 
 
 def on_platform(

@@ -34,7 +34,7 @@ class _Map:
     def __init__(self, system: System, n: int) -> None:
         self.system, self.n, self.ready = system, n, False
         self.blocks = -(-n // LANES)
-        widths, height = self._sizes(system.arm.n)
+        widths, height = self._sizes(system)
         self._x = [aligned(self.blocks, width, LANES) for width in widths]
         self._y = aligned(self.blocks, height, LANES)
         try:
@@ -61,7 +61,7 @@ class _Map:
         return Piece(self.library, "point", [*arguments, self._p, result])
 
     @staticmethod
-    def _sizes(joints: int) -> tuple[tuple[int, ...], int]:
+    def _sizes(system: System) -> tuple[tuple[int, ...], int]:
         """Widths of the arguments, and of the result."""
         raise NotImplementedError
 
@@ -80,8 +80,9 @@ class SceneMap(_Map):
     """Energy of the base and place of the tool (`core.energy`, `dynamics.frames`)."""
 
     @staticmethod
-    def _sizes(joints: int) -> tuple[tuple[int, ...], int]:
-        return (6 + joints, 6 + joints, 6), 8
+    def _sizes(system: System) -> tuple[tuple[int, ...], int]:
+        size, m = 6 + system.arm.n, system.base.m
+        return (size, size, 6, *((m, m) if m else ())), 8
 
     @staticmethod
     def graph(system: System) -> casadi.Function:
@@ -90,10 +91,10 @@ class SceneMap(_Map):
         model, symbols = _symbols(system)
         size = 6 + system.arm.n
         x = [ca.SX.sym(name, k) for name, k in (("z", size), ("zd", size), ("measured", 6))]
-        z, zd, measured = (list(ca.vertsplit(k)) for k in x)
-        energy = mechanics.base_energy(model, z, zd, ca)
-        force = mechanics.times(model.K, z[:6])
-        strain = 0.5 * sum(a * b for a, b in mechanics.pairs(force, z[:6]))
+        x += [ca.SX.sym(name, system.base.m) for name in ("u", "ud") if system.base.m]
+        z, zd, measured, *modes = (list(ca.vertsplit(k)) for k in x)
+        u, ud = modes or ([], [])
+        energy, strain = mechanics.base_energy(model, z, zd, u, ud, ca)
         reach = frames(model.arm, z[6:], ca)[-1].position
         tools = []
         for y in (z[:6], measured):
@@ -103,22 +104,36 @@ class SceneMap(_Map):
         return ca.Function("scene", [*x, ca.vertcat(*symbols)], [ca.cse(out)])
 
     def __call__(
-        self, q: Array, v: Array, y: Array, yd: Array, measured: Array
+        self,
+        q: Array,
+        v: Array,
+        y: Array,
+        yd: Array,
+        measured: Array,
+        modes: tuple[Array, Array] | None = None,
     ) -> tuple[Array, Array, Array]:
         """E of the base and its strain energy (n, 2) [J], tool in space (n, 3) [m].
 
         The tool twice: with the base at its pose y, and at its `measured` pose (n, 6).
+        `modes`: u and u' (n, m) of a base with internal modes.
         """
         if self.ready:
             z, zd = np.concatenate([y, q], axis=1), np.concatenate([yd, v], axis=1)
-            out = self._evaluate(z, zd, measured)
+            out = self._evaluate(z, zd, measured, *(modes or ()))
         else:
-            out = _scene(self.system, q, y, yd, measured)
+            out = _scene(self.system, q, y, yd, measured, modes)
         return out[:, :2], out[:, 2:5], out[:, 5:]
 
 
-def _scene(system: System, q: Array, y: Array, yd: Array, measured: Array) -> Array:
-    energy = base_energy(system, q, y, yd)
+def _scene(
+    system: System,
+    q: Array,
+    y: Array,
+    yd: Array,
+    measured: Array,
+    modes: tuple[Array, Array] | None,
+) -> Array:
+    energy = base_energy(system, q, y, yd, modes)
     reach = joint_positions(system.arm, q)[:, -1]
     tools = [pose[:, :3] + matvec(rotation(pose), reach) for pose in (y, measured)]
     return np.column_stack([energy.total, energy.strain, *tools])
@@ -128,8 +143,8 @@ class TorqueMap(_Map):
     """Joint torque of a motion on a base that stands still (`dynamics.inverse_dynamics`)."""
 
     @staticmethod
-    def _sizes(joints: int) -> tuple[tuple[int, ...], int]:
-        return (3 * joints,), joints
+    def _sizes(system: System) -> tuple[tuple[int, ...], int]:
+        return (3 * system.arm.n,), system.arm.n
 
     @staticmethod
     def graph(system: System) -> casadi.Function:

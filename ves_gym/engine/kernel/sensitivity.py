@@ -28,8 +28,8 @@ class Rollout:
     """Ends of n runs, and their derivatives along m directions."""
 
     time: float  # s
-    x: Array  # (n, 2 (6 + joints)) state (Y, q, Y', q')
-    dx: Array  # (n, m, 2 (6 + joints))
+    x: Array  # (n, 2 s) state (Y, q, internal modes of the base) and rates, s of each
+    dx: Array  # (n, m, 2 s)
     energy: Array  # (n,) mean base energy E(t) over the run [J]
     denergy: Array  # (n, m)
 
@@ -49,7 +49,7 @@ def rollout_gradients(
     Args:
         system: mode ideal, integrator rk4; what runs is `system.actual`.
         commands: (n, k + 1, joints) drive commands at the physics steps, linear between.
-        x0: start (n, 2 (6 + joints)), broadcast; it does not depend on the directions.
+        x0: start (n, 2 s) as `Rollout.x`, broadcast; it does not depend on the directions.
         wrt: parameters by name (`parameters(system.actual)[0]`): K11, link2.mass, kp1, ... A
             number that is zero in the system is structural and has no derivative.
         along: (n, k + 1, c, joints) directions of the commands, c of them.
@@ -87,7 +87,7 @@ def rollout_gradients(
         raise ParameterError(
             f"along must have shape ({n}, {nodes}, c, {joints}), got {push.shape}"
         )
-    c, m, size = push.shape[2], len(wrt) + push.shape[2], 6 + joints
+    c, m, size = push.shape[2], len(wrt) + push.shape[2], 6 + joints + system.base.m
     p = np.tile(nominal, (n, 1)) if values is None else np.array(values, float)
     if p.shape != (n, len(names)):
         raise ParameterError(f"values must have shape ({n}, {len(names)}), got {p.shape}")
@@ -99,7 +99,7 @@ def rollout_gradients(
     width = 2 * size + 1
     x = np.zeros((n, width * (1 + m)))
     x[:, : 2 * size] = np.broadcast_to(np.asarray(x0, float), (n, 2 * size))
-    u = np.zeros((n, nodes, 1 + c, size))
+    u = np.zeros((n, nodes, 1 + c, 6 + joints))
     u[:, :, 0, 6:], u[:, :, 1:, 6:] = samples, push
     out = _advance(system, wrt, c, x, u.reshape(n, nodes, -1), p)
     parts, time = out.reshape(n, 1 + m, width), (nodes - 1) * system.physics_dt

@@ -356,9 +356,16 @@ class _Balance:
     mass: list[list[Any]]
     solution: list[Any]  # the a of r = 0
 
+    @property
+    def width(self) -> int:
+        """Number of coordinates: (Y, q) and the internal modes, whose mass is 1."""
+        return len(self.solution)
+
     def response(self, change: Any) -> list[Any]:
         """da for dr."""
-        return solve(self.mass, [-k for k in self.at_solution(change)])
+        loads = [-k for k in self.at_solution(change)]
+        size = len(self.mass)
+        return [*solve(self.mass, loads[:size]), *loads[size:]]
 
     def at_solution(self, value: Any) -> list[Any]:
         """A value at the acceleration found."""
@@ -371,28 +378,34 @@ def _balance(system: System) -> _Balance:
     import casadi as ca
 
     model, symbols = _symbols(system)
-    if model.hidden:
+    if model.gears:
         raise ParameterError(
-            "derivatives know no gears that give way and no internal modes of the base: use"
-            " differences of Simulator runs"
+            "derivatives know no gears that give way: use differences of Simulator runs"
         )
-    size = 6 + system.arm.n
-    x, u, a = (ca.SX.sym(name, k) for name, k in (("x", 2 * size), ("u", size), ("a", size)))
-    z, zd = list(ca.vertsplit(x))[:size], list(ca.vertsplit(x))[size:]
+    size, m = 6 + system.arm.n, model.hidden
+    width = size + m  # coordinates: (Y, q), then the internal modes
+    x, u, a = (ca.SX.sym(name, k) for name, k in (("x", 2 * width), ("u", size), ("a", width)))
+    at, rate = list(ca.vertsplit(x))[:width], list(ca.vertsplit(x))[width:]
+    z, s, zd, sd = at[:size], at[size:], rate[:size], rate[size:]
     base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
     tau = drive_torque(model, z, zd, command, ca)[1]
     tau = [k + law for k, law in zip(tau, model.push(z[6:], zd[6:], tau, ca), strict=True)]
+    push, sdd = internal_forces(model, z, zd, s, sd)
+    base = [k + more for k, more in zip(base, push, strict=True)]
     mass, loads = balance_of_forces(model, z, zd, base, tau, ca)
+    tried = list(ca.vertsplit(a))
+    missing = residual(model, z, zd, tried[:size], base, tau, ca)
+    missing += [k - found for k, found in zip(tried[size:], sdd, strict=True)]
     return _Balance(
         names=tuple(str(k) for k in symbols),
         x=x,
         u=u,
         p=ca.vertcat(*symbols),
         a=a,
-        missing=ca.vertcat(*residual(model, z, zd, list(ca.vertsplit(a)), base, tau, ca)),
-        energy=base_energy(model, z, zd, ca),
+        missing=ca.vertcat(*missing),
+        energy=base_energy(model, z, zd, s, sd, ca)[0],
         mass=mass,
-        solution=solve(mass, loads),
+        solution=[*solve(mass, loads), *sdd],
     )
 
 
@@ -419,12 +432,13 @@ def _tangents(system: System, wrt: tuple[str, ...], controls: int, at_once: bool
     import casadi as ca
 
     b, size = _balance(system), 6 + system.arm.n
+    width = b.width
     both = ca.vertcat(b.missing, b.energy)
     slope = ca.jacobian(both, b.x) if at_once else None
     states, inputs = [b.x, ca.SX.sym("e")], [b.u]
-    slopes = [b.x[size:], *b.solution, b.energy]
+    slopes = [b.x[width:], *b.solution, b.energy]
     for j in range(len(wrt) + controls):
-        dx, du = ca.SX.sym(f"dx{j}", 2 * size), ca.SX.sym(f"du{j}", size)
+        dx, du = ca.SX.sym(f"dx{j}", 2 * width), ca.SX.sym(f"du{j}", size)
         if j < len(wrt):
             cause, step = b.p[b.names.index(wrt[j])], ca.SX(1)
         else:
@@ -435,7 +449,7 @@ def _tangents(system: System, wrt: tuple[str, ...], controls: int, at_once: bool
         else:
             change = slope @ dx + ca.jtimes(both, cause, step)
         states += [dx, ca.SX.sym(f"de{j}")]
-        slopes += [dx[size:], *b.response(change[:-1]), change[-1]]
+        slopes += [dx[width:], *b.response(change[:-1]), change[-1]]
     arguments = [ca.vertcat(*states), ca.vertcat(*inputs), b.p]
     motion = ca.cse(ca.vertcat(*slopes))
     return Equations(
@@ -447,14 +461,15 @@ def _tangents(system: System, wrt: tuple[str, ...], controls: int, at_once: bool
 
 
 def linearisation(system: System) -> casadi.Function:
-    """((Y, q, command), p) -> z'' at rest, then its derivatives (mode ideal).
+    """((Y, q, u, command), p) -> z'' at rest, then its derivatives (mode ideal).
 
-    (s,) of z'' and, column after column, (s, 2 s) by the state (Y, q, Y', q') and (s, n) by
-    the command, s = 6 + n.
+    (s,) of z'' and, column after column, (s, 2 s) by the state (Y, q, u and their rates) and
+    (s, n) by the command, s = 6 + n + m with m internal modes of the base.
     """
     import casadi as ca
 
-    b, size = _balance(system), 6 + system.arm.n
+    b = _balance(system)
+    size = b.width
     causes = ca.vertcat(b.x, b.u[6:])
     columns = ca.horzsplit(ca.jacobian(b.missing, causes))
     out = ca.vertcat(*b.solution, *(k for column in columns for k in b.response(column)))
@@ -521,9 +536,22 @@ def coupling(system: System) -> casadi.Function:
     H = inertia_entries(one_base(model.arm), list(ca.vertsplit(q)), ca)
     Mt = sum_of(H.base, model.M)
     A = [solve(Mt, row) for row in H.across]  # each the base's motion per joint rate
-    KA = [times(model.K, column) for column in A]
+    KA = [times(_stiffness(model), column) for column in A]
     Q = [sum(a * b for a, b in pairs(A[i], KA[j])) for i in range(n) for j in range(n)]
     return ca.Function("coupling", [q, ca.vertcat(*symbols)], [ca.cse(ca.vertcat(*Q))])
+
+
+def _stiffness(model: Model) -> list[list[Any]]:
+    """K of the base while its internal modes stand still: K + sum_k omega_k^2 P_k P_k^T."""
+    K, modes = model.K, model.internal
+    if modes is None:
+        return K
+    springs = list(zip(modes.stiffness, modes.coupling, strict=True))
+    stiffened = [
+        [sum(w * p[i] * p[j] for w, p in springs if not is_zero(p[i])) for j in range(6)]
+        for i in range(6)
+    ]
+    return sum_of(K, stiffened)
 
 
 def inertia_matrix(system: System) -> casadi.Function:
