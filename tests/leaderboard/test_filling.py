@@ -35,7 +35,8 @@ def test_the_table_has_every_problem_and_nothing_twice(filling):
     known = {(t, p) for t in ("paths", "policies", "damping") for p in problems(t)}
     assert there >= {(t, p) for t, p in known if not p.endswith(filling.QUICK)}
     planners = {w.method for w in table if w.track == "paths"}
-    assert planners == set(PLANNERS) - {"bad-path", "refined-long"}
+    # damp answers queries that begin with a moving base; those of the board begin at rest
+    assert planners == set(PLANNERS) - {"bad-path", "damp", "refined-long"}
 
 
 @pytest.mark.slow

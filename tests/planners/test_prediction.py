@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.spatial import matvec
-from ves_gym.mechanics.vehicle import VEHICLES
-from ves_gym.planners import prediction
+from ves_gym.mechanics.vehicle import VEHICLES, MatrixVehicle
 from ves_gym.planners.prediction import (
     BaseState,
     LinearBase,
@@ -20,6 +20,7 @@ from ves_gym.planners.prediction import (
     predict,
     spectral_energy,
 )
+from ves_gym.planners.query import Query
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy import energies
 from ves_gym.system.system import System
@@ -150,34 +151,45 @@ def test_a_moving_base_is_predicted_as_it_is_simulated(motion):
     assert predicted.E_mean != pytest.approx(predict(System(), motion, HIGH_GAINS).E_mean, 0.1)
 
 
-def test_internal_coordinates_are_part_of_the_base(monkeypatch):
-    """A base of 8 coordinates: two oscillators tied to its pose, or to nothing.
+def with_modes(coupling):
+    """The bent beam with two internal modes tied to its pose, or to nothing."""
+    bent = System().base
+    P = coupling * np.eye(6)[:, [0, 4]]
+    vehicle = MatrixVehicle(
+        **{name: matrix(getattr(bent, name)) for name in "MDK"},
+        coupling=matrix(P),
+        omega=(2.0, 5.0),
+    )
+    return System(vehicle=vehicle)
 
-    Those tied to nothing keep their energy, 1/2 w^2 u^2 each; tied, they change the rest.
-    """
-    M, D, K = prediction.base_matrices(System())
 
-    def wider(coupling):
-        ways = np.vstack([-coupling * np.eye(6)[:, :2], np.eye(2)])
-        strain = ways @ np.diag([4.0, 25.0]) @ ways.T
-        strain[:6, :6] += K
-        return (
-            np.block([[M, np.zeros((6, 2))], [np.zeros((2, 6)), np.eye(2)]]),
-            np.block([[D, np.zeros((6, 2))], [np.zeros((2, 8))]]),
-            strain,
-        )
-
+def test_internal_modes_are_part_of_the_base():
+    """Those tied to nothing keep their energy 1/2 w^2 u^2; tied, they change the rest."""
     six = predict(System(), LARGE, HIGH_GAINS, base=MOVING).E_mean
     base = dataclasses.replace(MOVING, u=(0.5, -0.2), ud=(0.0, 0.0))
-    monkeypatch.setattr(prediction, "base_matrices", lambda system: wider(0.0))
-    assert LinearBase(System(), HIGH_GAINS).size == 11
-    apart = predict(System(), LARGE, HIGH_GAINS, base=base).E_mean
+    assert LinearBase(with_modes(0.0), HIGH_GAINS).size == 11
+    apart = predict(with_modes(0.0), LARGE, HIGH_GAINS, base=base).E_mean
     assert apart == pytest.approx(six + (4.0 * 0.5**2 + 25.0 * 0.2**2) / 2, rel=1e-4)
-    monkeypatch.setattr(prediction, "base_matrices", lambda system: wider(5.0))
-    tied = predict(System(), LARGE, HIGH_GAINS, base=base).E_mean
-    assert tied != pytest.approx(apart, rel=0.01)
-    form = MeanEnergy(System(), LARGE, 1.0, HIGH_GAINS, base=base)
-    assert form.of(LARGE) == pytest.approx(tied, rel=1e-10)
+    tied = with_modes(3.0)
+    expected = predict(tied, LARGE, HIGH_GAINS, base=base).E_mean
+    assert expected != pytest.approx(apart, rel=0.01)
+    form = MeanEnergy(tied, LARGE, 1.0, HIGH_GAINS, base=base)
+    assert form.of(LARGE) == pytest.approx(expected, rel=1e-10)
+
+
+@pytest.mark.parametrize("base", [None, MOVING], ids=["base at rest", "base moving"])
+def test_internal_modes_are_predicted_as_they_are_simulated(base):
+    """Tolerance: that of six coordinates; without the modes it is off by much more."""
+    system = with_modes(7.0)
+    start = {} if base is None else {"y": base.y, "yd": base.yd}
+    run = play_motions(system, [LARGE], **start)
+    simulated = run.energies()[0].E_mean
+    assert predict(system, LARGE, HIGH_GAINS, base=base).E_mean == pytest.approx(
+        simulated, rel=0.02
+    )
+    assert predict(System(), LARGE, HIGH_GAINS, base=base).E_mean != pytest.approx(
+        simulated, rel=0.05
+    )
 
 
 def test_a_base_state_that_is_none():
@@ -187,3 +199,6 @@ def test_a_base_state_that_is_none():
         BaseState(u=(0.1,), ud=(0.1, 0.1))
     with pytest.raises(ParameterError, match="0 internal coordinates, got 1"):
         predict(System(), LARGE, base=BaseState(u=(0.1,), ud=(0.0,)))
+    with pytest.raises(ParameterError, match="0 internal coordinates, got 1"):
+        Query(system=System(), start=(0, 0, 0), goal=(0, 0, 0), duration=1.0,
+              base=BaseState(u=(0.1,), ud=(0.0,)))  # fmt: skip

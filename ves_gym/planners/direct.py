@@ -24,11 +24,12 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots, leading_points
 from ves_gym.planners.momentum import momentum, torque
 from ves_gym.planners.obstacles import Collisions, collisions
-from ves_gym.planners.prediction import MeanEnergy
+from ves_gym.planners.prediction import MeanEnergy, Response, respond, steps_of_joints
 from ves_gym.planners.query import Query, require_time
 
 _FIXED = 3  # control points held at each end
 _SHARE = 1 - 1e-4  # of speed and acceleration limits: more than the optimiser's tolerance
+_MOVED_SHARE = 0.99  # of them where joints yield to a moving base: that is known to first order
 _TORQUE_SHARE = 0.97  # of the limit, at samples: leaves room between them and for the servo
 _SAMPLES = 4  # of torque per control point
 _CLOSER = 1.01  # of that share: a peak between samples that is sampled from then on
@@ -87,6 +88,7 @@ class MotionProblem:
         self._torque_times = graded(_SAMPLES * self.m + 1)
         self._torque_bases = self._sampled(self._torque_times, 3)
         self._tau_max = _TORQUE_SHARE * self.arm.column("tau_max")
+        self._given: Response | None = None  # what the base makes the joints do
         # the straight quintic lies in the spline space, so its fit is exact
         self.straight = self.of(query.straight)
         self._checker: Collisions | None = None
@@ -106,6 +108,29 @@ class MotionProblem:
         return MeanEnergy(
             query.system, at, query.duration, query.servo, base=query.base, momentum=momentum
         )
+
+    def follow(self, motion: Motion) -> None:
+        """Linearise about a motion: inertia along it, limits less what the servo adds there.
+
+        A base that moves pushes the joints; what their servo gives against it, and how fast
+        they yield, is that of the linear base under the motion.
+
+        Args:
+            motion: of the query's duration.
+        """
+        self.energy = self.form_at(motion)
+        linear = self.energy.linear
+        if linear.size > linear.b:
+            nodes = steps_of_joints(self.query.duration)
+            self._given = respond(linear, motion, nodes, self.query.base)
+            self.__dict__.pop("_linear", None)
+
+    def _pushed(self, t: Array) -> tuple[Array, Array]:
+        """Servo torque (N, n) [N m] and yielding rate [rad/s] of pushed joints at t [s]."""
+        if self._given is None:
+            zero = np.zeros((len(t), self.n))
+            return zero, zero
+        return self._given.at(t, self.query.servo)
 
     def _sampled(self, u: Array, orders: int) -> list[Array]:
         """Basis functions and their derivatives at times u T: each (N, m)."""
@@ -193,13 +218,35 @@ class MotionProblem:
             polygon = degree * np.diff(polygon, axis=0) / span[:, None]
             if limit is None:
                 continue
-            most = _SHARE * np.array(limit)
+            most = (_SHARE if self._given is None else _MOVED_SHARE) * np.array(limit)
+            up, down = self._yielding(t, order) / most
             rows = np.kron(polygon[:, free], np.diag(1 / most))
-            at_rest = ((polygon @ ends) / most).ravel()
+            at_rest = (polygon @ ends) / most
             active = np.abs(rows).max(axis=1) > 0
-            offsets += [at_rest[active] - 1, -at_rest[active] - 1]
+            offsets += [
+                (at_rest + up).ravel()[active] - 1,
+                -(at_rest + down).ravel()[active] - 1,
+            ]
             slopes += [rows[active], -rows[active]]
         return np.concatenate(offsets), np.vstack(slopes)
+
+    def _yielding(self, t: Array, order: int) -> Array:
+        """Largest and least rate of pushed joints while a point of the polygon acts (2, k, n).
+
+        Args:
+            t: knots [s].
+            order: of the polygon's derivative; only rates (1) are limited as the joints move.
+        """
+        count, degree = self.m - order, DEGREE + 1 - order
+        if self._given is None or order != 1:
+            return np.zeros((2, count, self.n))
+        rate = self._pushed(self._given.t)[1]
+        out = np.empty((2, count, self.n))
+        for i in range(count):
+            low, high = np.searchsorted(self._given.t, (t[i + order], t[i + degree + order]))
+            part = rate[max(low - 1, 0) : high + 1]
+            out[:, i] = part.max(axis=0), part.min(axis=0)
+        return out
 
     def _torque(self, x: Array) -> tuple[Array, Array]:
         """Joint torque over its limit at sampled times, on a base that stands still."""
@@ -212,7 +259,8 @@ class MotionProblem:
         )
         size = dynamics.tau.size
         scaled = slope / self._tau_max[:, None, None]
-        return (dynamics.tau / self._tau_max).ravel(), scaled.reshape(size, -1)
+        tau = dynamics.tau + self._pushed(self._torque_times * self.query.duration)[0]
+        return (tau / self._tau_max).ravel(), scaled.reshape(size, -1)
 
     def add_torque_samples(self, x: Array) -> bool:
         """Sample the torque also at its peaks between samples; True if any passes its share."""
@@ -221,7 +269,11 @@ class MotionProblem:
         fine = graded(12 * len(self._torque_times))
         control = self.control(x)
         bases = self._sampled(fine, 3)
-        tau = np.abs(torque(self.arm, *(b @ control for b in bases)).tau / self._tau_max)
+        tau = (
+            torque(self.arm, *(b @ control for b in bases)).tau
+            + self._pushed(fine * self.query.duration)[0]
+        )
+        tau = np.abs(tau / self._tau_max)
         inner = (tau[1:-1] >= tau[:-2]) & (tau[1:-1] >= tau[2:]) & (tau[1:-1] > _CLOSER)
         peaks = fine[1:-1][inner.any(axis=1)]
         if not len(peaks):

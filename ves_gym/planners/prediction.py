@@ -14,28 +14,34 @@ in u and a constant.
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
+from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.modes import sum_quadratic
+from ves_gym.mechanics.modes import natural_modes, sum_quadratic
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.spatial import matvec, quadratic
-from ves_gym.planners.coupling import modes
 from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
 
+_PER_SECOND = 60.0  # samples: six and more of a joint on its servo (10 Hz)
 NODES = 96  # samples of a motion; energies converge to about 1e-3 (docs/physics.md)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BaseState:
-    """Motion of the base at one instant: pose and rate, and those of its internal modes."""
+    """Motion of the base at one instant: pose and rate, and those of its internal modes.
+
+    Without internal coordinates the modes move with the pose, as after a slow displacement.
+    """
 
     y: Vector = unit("m, rad", default=(0.0,) * 6)  # (6,) pose
     yd: Vector = unit("m/s, rad/s", default=(0.0,) * 6)  # (6,) its rate
@@ -46,25 +52,23 @@ class BaseState:
         for name, size in (("y", 6), ("yd", 6), ("u", len(self.u)), ("ud", len(self.u))):
             finite(getattr(self, name), (size,), f"BaseState.{name}")
 
-    def stacked(self, size: int) -> tuple[Array, Array]:
-        """Coordinates z = (Y, u) of a base and their rates, (size,) each.
+    def stacked(self, base: BaseModel) -> tuple[Array, Array]:
+        """Coordinates (Y, u) of a base and their rates, (6 + m,) each.
 
         Args:
-            size: 6 and the number of internal coordinates; without any given they are
-                at rest where they are zero.
+            base: whose; its internal modes are carried along where none are given.
 
         Raises:
             ParameterError: another number of internal coordinates.
         """
-        if len(self.u) not in (0, size - 6):
+        y, yd = np.array(self.y), np.array(self.yd)
+        if len(self.u) not in (0, base.m):
             raise ParameterError(
-                f"BaseState.u must have {size - 6} internal coordinates, got {len(self.u)}"
+                f"BaseState.u must have {base.m} internal coordinates, got {len(self.u)}"
             )
-        z, zd = np.zeros((2, size))
-        z[:6], zd[:6] = self.y, self.yd
-        if self.u:
-            z[6:], zd[6:] = self.u, self.ud
-        return z, zd
+        if not self.u:
+            return np.r_[y, base.attached(y)], np.r_[yd, base.attached(yd)]
+        return np.r_[y, self.u], np.r_[yd, self.ud]
 
 
 @dataclass(frozen=True)
@@ -94,13 +98,14 @@ def spectral_energy(system: System, motion: Motion, nodes: int | None = None) ->
         The energy [J].
     """
     T = motion.duration
-    frozen = modes(system, motion.at(T / 2).q)
+    linear = LinearBase(system)
+    frozen = natural_modes(linear.K, linear.mass(inertia(system.arm, motion.at(T / 2).q)))
     if nodes is None:
         nodes = int(min(20_000, max(200, 16 * frozen.omega[-1] * T / (2 * np.pi))))
     t = np.linspace(0, T, nodes)
     momentum = joint_momentum(system, motion, t)  # vanishes at both ends: the trapezoid rule
     phase = np.exp(-1j * frozen.omega * t[:, None])  # is of high order there
-    integral = np.trapezoid(phase * (momentum @ frozen.shapes), t, axis=0)
+    integral = np.trapezoid(phase * (momentum @ frozen.shapes[:6]), t, axis=0)
     return float(0.5 * np.sum(frozen.omega**2 * np.abs(integral) ** 2))
 
 
@@ -130,7 +135,7 @@ class LinearBase:
 
     def __init__(self, system: System, servo: JointServo | None = None) -> None:
         self.system = system
-        self.base_mass, self.D, self.K = base_matrices(system)
+        self.base_mass, self.D, self.K = system.base.full()
         self.base_stiffness = self.K
         self.b = self.size = len(self.K)
         if servo is not None and system.drive == "motor":
@@ -178,50 +183,66 @@ class LinearBase:
         """
         s = np.zeros(2 * self.size)
         if base is not None:
-            z, zd = base.stacked(self.b)
+            z, zd = base.stacked(self.system.base)
             s[: self.b], s[self.size :] = z, M[:, : self.b] @ zd
         s[self.size : self.size + 6] += u
         return s
 
 
-def base_matrices(system: System) -> tuple[Array, Array, Array]:
-    """Return mass, damping and stiffness of the base alone over its coordinates, (b, b) each.
+class Response(NamedTuple):
+    """Linear motion of base and joints while a motion is played, at evenly spaced times."""
 
-    Args:
-        system: its vehicle is the base.
-    """
-    base = system.base
-    return base.mass_matrix, base.D, base.K
+    t: Array  # (N,) s
+    x: Array  # (N, size) base coordinates, then joint angles less their command (with a servo)
+    rate: Array  # (N, size)
+    M: Array  # (N, size, size) inertia of x
+
+    def at(self, t: Array, servo: JointServo) -> tuple[Array, Array]:
+        """Torque that the servo adds to its feed-forward, and the rate at which joints yield.
+
+        Args:
+            t: (N,) times [s].
+            servo: that the response was found with.
+
+        Returns:
+            (N, n) [N m] and (N, n) [rad/s].
+        """
+        n = len(servo.kp)
+        away, rate = self.x[:, -n:], self.rate[:, -n:]
+        torque = -(away * np.array(servo.kp) + rate * np.array(servo.kd))
+        torques, rates = (
+            np.stack([np.interp(t, self.t, column) for column in part.T], axis=1)
+            for part in (torque, rate)
+        )
+        return torques, rates
 
 
-def predict(
-    system: System,
-    motion: Motion,
-    servo: JointServo | None = None,
-    nodes: int = NODES,
-    *,
-    base: BaseState | None = None,
-) -> Prediction:
-    """Predict the energies of a motion on the linear base, its inertia as the arm moves.
+def steps_of_joints(duration: float) -> int:
+    """Return steps of `respond` that show how joints yield in a motion of a duration [s]."""
+    return max(NODES, math.ceil(_PER_SECOND * duration))
+
+
+def respond(
+    linear: LinearBase, motion: Motion, nodes: int, base: BaseState | None = None
+) -> Response:
+    """Simulate the linear base, its inertia as the arm moves.
 
     Exponential midpoint steps: exact where the inertia is constant and the momentum
     linear over a step, second order in the change of inertia.
 
     Args:
-        system: arm and vehicle.
+        linear: the base under the arm that moves.
         motion: of the joints.
-        servo: that moves them; None: they follow exactly.
         nodes: steps.
         base: its motion at the start; None: at rest.
 
     Returns:
-        E_mean, E_res and E_peak [J].
+        Its motion at nodes + 1 times.
     """
-    linear = LinearBase(system, servo)
-    size, b = linear.size, linear.b
+    size = linear.size
     t = np.linspace(0, motion.duration, 2 * nodes + 1)
     s = motion.at(t)
-    H = inertia(system.arm, s.q)
+    H = inertia(linear.system.arm, s.q)
     M = linear.mass(H)
     u = np.zeros((len(t), size))
     u[:, :6] = matvec(H[:, :6, 6:], s.v)
@@ -242,9 +263,35 @@ def predict(
 
     M, x = M[::2], z[:, :size]
     rate = np.asarray(np.linalg.solve(M, (z[:, size:] - u[::2])[..., None])[..., 0], float)
+    return Response(t[::2], x, rate, M)
+
+
+def predict(
+    system: System,
+    motion: Motion,
+    servo: JointServo | None = None,
+    nodes: int = NODES,
+    *,
+    base: BaseState | None = None,
+) -> Prediction:
+    """Predict the energies of a motion on the linear base, its inertia as the arm moves.
+
+    Args:
+        system: arm and vehicle.
+        motion: of the joints.
+        servo: that moves them; None: they follow exactly.
+        nodes: steps (`respond`).
+        base: its motion at the start; None: at rest.
+
+    Returns:
+        E_mean, E_res and E_peak [J].
+    """
+    linear = LinearBase(system, servo)
+    b = linear.b
+    t, x, rate, M = respond(linear, motion, nodes, base)
     E = quadratic(M[:, :b, :b], rate[:, :b]) + quadratic(linear.base_stiffness, x[:, :b])
     final = np.concatenate([x[-1], M[-1] @ rate[-1]])
-    total = np.trapezoid(E, t[::2]) + final @ linear.tail(M[-1]) @ final
+    total = np.trapezoid(E, t) + final @ linear.tail(M[-1]) @ final
     mean = total / (motion.duration + TAIL)
     return Prediction(E_mean=float(mean), E_res=float(E[-1]), E_peak=float(E.max()))
 

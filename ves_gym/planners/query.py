@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Protocol
@@ -27,11 +28,25 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.views import Viewable
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.limits import LimitCheck, check_reference, limits_of
+from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.limits import (
+    LimitCheck,
+    check_limits,
+    check_reference,
+    limits_of,
+    middle_of_range,
+)
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 from ves_gym.planners.obstacles import RESOLUTION, Surroundings, collisions
-from ves_gym.planners.prediction import BaseState, Prediction, base_matrices, predict
+from ves_gym.planners.prediction import (
+    BaseState,
+    LinearBase,
+    Prediction,
+    predict,
+    respond,
+    steps_of_joints,
+)
 from ves_gym.system.system import System
 
 SCHEMA = "ves-plan-file/1"  # of a saved plan
@@ -77,7 +92,7 @@ class Query:
         if not isinstance(self.base, BaseState | None):
             raise ParameterError(f"base must be a BaseState, got {self.base!r}")
         if self.base is not None:
-            self.base.stacked(len(base_matrices(self.system)[0]))
+            self.base.stacked(self.system.base)
         if self.system.drive == "motor" and len(self.servo.kp) != arm.n:
             raise ParameterError(
                 f"servo must have gains for {arm.n} joints, got {len(self.servo.kp)}"
@@ -145,7 +160,7 @@ class Plan(Viewable):
         """The motion against the limits of arm and query; None without a motion."""
         if self.motion is None:
             return None
-        return check_reference(self.query.system.arm, self.motion, limits_of_query(self.query))
+        return check_motion(self.query, self.motion, limits_of_query(self.query))
 
     def __repr__(self) -> str:
         if self.predicted is None:
@@ -291,7 +306,6 @@ def broken_limit(query: Query, motion: Motion) -> str | None:
     Returns:
         The reason in words, or None if the motion is an answer.
     """
-    arm: Arm = query.system.arm
     start, goal = query.ends
     if not (np.allclose(motion.start, start) and np.allclose(motion.goal, goal)):
         return "the motion does not join the ends of the query"
@@ -306,10 +320,37 @@ def broken_limit(query: Query, motion: Motion) -> str | None:
         del limits["velocity"]  # an answer may be faster than the arm: the question says so
     else:
         limits["velocity"] = np.array(query.v_max)
-    broken = check_reference(arm, motion, limits).broken
+    broken = check_motion(query, motion, limits).broken
     if broken:
         return broken[0].short
     return _touched(query, motion)
+
+
+def check_motion(query: Query, motion: Motion, limits: Mapping[str, Array]) -> LimitCheck:
+    """Check a motion as it is commanded, or as a moving base lets the joints follow it.
+
+    With a moving base angles, rates and torques are those of the joints on their servo, pushed
+    by the linear base.
+
+    Args:
+        query: arm, servo and base.
+        motion: of the joints.
+        limits: see `limits_of`.
+    """
+    arm = query.system.arm
+    if query.base is None or query.system.drive != "motor":
+        return check_reference(arm, motion, limits)
+    linear = LinearBase(query.system, query.servo)
+    response = respond(linear, motion, steps_of_joints(motion.duration), query.base)
+    s = motion.at(response.t)
+    added, yielding = response.at(response.t, query.servo)
+    values = {
+        "position": s.q + response.x[:, linear.b :] - middle_of_range(arm),
+        "velocity": s.v + yielding,
+        "acceleration": s.a,
+        "torque": inverse_dynamics(arm, s.q, s.v, s.a)[0] + added,
+    }
+    return check_limits(limits, s.t, values)
 
 
 def speed_limits(arm: Arm, v_max: npt.ArrayLike | None = None) -> Vector | None:

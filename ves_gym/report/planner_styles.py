@@ -31,6 +31,7 @@ STYLES: dict[str, Style] = {
     "hotspot-qt": Style(2),
     "reaction-null": Style(2, _DASHES[2]),
     "direct": Style(3),
+    "damp": Style(3, _DASHES[1]),
     "refined": Style(4),
     "refined-long": Style(4, _DASHES[1]),
     "ompl-energy": Style(5),
