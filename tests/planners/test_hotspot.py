@@ -1,5 +1,6 @@
 """The hot-spot method and its opposite: what the coupling map promises and warns of."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -9,6 +10,7 @@ from tests.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.vehicle import get_vehicle
+from ves_gym.planners.bad_path import worst_order
 from ves_gym.planners.coupling import coupling_length, coupling_matrix, spots
 from ves_gym.planners.hotspot import Lattice, Roadmap, resample
 from ves_gym.planners.query import Query, solve
@@ -96,6 +98,39 @@ def test_the_bad_path_passes_the_corners_of_the_box(query):
     progress = (q - start) / (goal - start)
     corners = [np.abs(progress - c).max(axis=1).min() for c in np.ndindex(2, 2, 2)]
     assert sum(miss < 0.05 for miss in corners) >= 4
+
+
+def test_no_order_of_five_joints_is_longer_than_the_bad_paths():
+    """All 120 orders, each path as a whole; the sixth joint does not move."""
+    system = System(arm=six_joint_arm())
+    start = np.array([-1.2, -0.8, 1.0, -0.8, 0.6, 0.3])
+    goal = np.array([1.2, 0.9, -1.0, 0.8, -0.6, 0.3])
+
+    def length(order):
+        corners = [start.copy()]
+        for j in order:
+            corners.append(corners[-1].copy())
+            corners[-1][j] = goal[j]
+        legs = [np.linspace(a, b, 41)[:-1] for a, b in itertools.pairwise(corners)]
+        return coupling_length(system, np.vstack([*legs, goal]), None)
+
+    lengths = {order: length(order) for order in itertools.permutations(range(5))}
+    worst = tuple(worst_order(system, start, goal))
+    assert sorted(worst) == [0, 1, 2, 3, 4]
+    assert lengths[worst] >= (1 - 1e-3) * max(lengths.values())
+    assert max(lengths.values()) > 1.05 * min(lengths.values())
+
+
+def test_too_many_joints_for_a_bad_path():
+    arm = planar_arm()
+    arm = dataclasses.replace(arm, links=arm.links * 7)
+    query = Query(
+        system=System(arm=arm, drive="prescribed"),
+        start=(0.0,) * 14,
+        goal=(0.3,) * 14,
+        duration=3.0,
+    )
+    assert "12 joints have 4096 sets" in solve(get_planner("bad-path"), query).failure
 
 
 SIX = Query(

@@ -23,7 +23,7 @@ from scipy.stats import qmc
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.motion import Motion, quintic
+from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.coupling import coupling_length, metric
 from ves_gym.planners.metric import LEAST, Metric
 from ves_gym.planners.query import NoPlan, Query, is_feasible
@@ -33,7 +33,6 @@ Ints = npt.NDArray[np.signedinteger[Any]]
 _PITCH = np.deg2rad(15.0)  # lattice spacing
 _LARGEST = 200_000  # lattice edges; beyond that a lattice is the wrong tool
 _ROADMAP = 4000  # points of a roadmap
-_CONTROLS = 64  # of the joint-by-joint motion: follows it to about 1e-4 rad
 _POINTS = 16  # segments of the relaxed path
 _DIFFERENCE = 1e-5  # rad
 
@@ -81,42 +80,6 @@ class HotSpot:
             "share": share,  # of the way from the straight line that the limits allow
         }
         return motion, info
-
-
-class BadPath:
-    """The path that the coupling map warns of: one joint after the other, in the worst order.
-
-    Of all orders of the joints, the one of greatest coupling length on raw Q; each joint
-    moves from rest to rest in its share of the time.
-    """
-
-    name = "bad-path"
-    summary = "one joint after the other, in the order of greatest coupling length"
-
-    def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Move the joints one by one, in the worst order; deterministic.
-
-        Args:
-            query: the ends and the duration.
-            seed: not used.
-
-        Returns:
-            The motion, and its coupling length [J^(1/2)].
-        """
-        start, goal = query.ends
-        moving = np.flatnonzero(start != goal)
-        u = np.linspace(0, max(1, len(moving)), 181)[:, None]
-        best, route = -1.0, np.array([start, goal])
-        for order in itertools.permutations(moving):
-            turn = np.zeros(len(start))  # when each joint moves
-            turn[list(order)] = np.arange(len(order))
-            path = start + quintic(u - turn) * (goal - start)
-            path[-1] = goal  # not to rounding only
-            length = coupling_length(query.system, path, None)
-            if length > best:
-                best, route = length, path
-        motion = Motion.fit(route, query.duration, controls=_CONTROLS)
-        return motion, {"coupling_length": best}
 
 
 # ------------------------------------------------------------------------- lattice

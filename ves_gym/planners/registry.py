@@ -6,9 +6,10 @@ from typing import Any, TypeVar
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.planners.bad_path import BadPath
 from ves_gym.planners.damp import Damp
 from ves_gym.planners.direct import Direct
-from ves_gym.planners.hotspot import BadPath, HotSpot
+from ves_gym.planners.hotspot import HotSpot
 from ves_gym.planners.ompl_search import OBJECTIVES, Ompl
 from ves_gym.planners.query import Planner
 from ves_gym.planners.reaction_null import ReactionNull
