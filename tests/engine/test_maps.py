@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from ves_gym.engine.kernel import build, maps
+from ves_gym.engine.kernel import build, maps, modes
 from ves_gym.engine.kernel.maps import coupling_matrices
+from ves_gym.engine.kernel.modes import ModeMap
+from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.system.system import System
@@ -51,3 +53,68 @@ def test_without_a_compiler_numpy_answers(monkeypatch, tmp_path):
     system, q = System(), np.zeros((2000, 3))
     assert coupling_matrices(system, q) is None
     assert coupling_matrix(system, q).shape == (2000, 3, 3)
+
+
+# ------------------------------------------------------------------------------ modes
+
+N = 4001
+
+
+def matrices(kind):
+    """Stiffness (k, k), masses (N, k, k) and vectors (N, k, 3) of a kind."""
+    rng, k = np.random.default_rng(4), {"twelve": 12, "more": 13}.get(kind, 6)
+    root, roots = rng.normal(size=(k, k)), rng.normal(size=(N, k, k))
+    K, M = root @ root.T, 0.1 * roots @ np.swapaxes(roots, -1, -2) + np.eye(k)
+    if kind == "graded":  # frequencies a factor of 100 apart
+        size = 10.0 ** np.linspace(-1, 1, 6)
+        K = K * size * size[:, None]
+    elif kind == "alike":  # two pairs of equal frequencies
+        turn, _ = np.linalg.qr(root)
+        K = turn @ np.diag([1.0, 1.0, 1.0, 2.0, 2.0, 5.0]) @ turn.T
+        K, M = (K + K.T) / 2, np.broadcast_to(np.eye(6), M.shape)
+    elif kind == "free":
+        K = np.zeros((6, 6))
+    return K, M, rng.normal(size=(N, k, 3))
+
+
+@pytest.mark.parametrize("kind", ["plain", "graded", "alike", "free", "twelve", "more"])
+def test_modes_are_those_of_lapack(kind):
+    """Frequencies, and b^T f(modes) b for a smooth f, which no order or sign changes.
+
+    Tolerance: rounding times the ratio of the largest to the smallest omega^2 that counts.
+    """
+    K, M, b = matrices(kind)
+    omega, pushed = ModeMap(K, 3, N)(M, b)
+    wanted, shapes = natural_modes(K, M)
+    size = wanted.max() or 1.0
+    np.testing.assert_allclose(np.sort(omega, axis=1) ** 2, wanted**2, atol=1e-13 * size**2)
+
+    def energy(omega, g):
+        return np.einsum("nkc,nk,nkd->ncd", g, 1 / (size**2 + omega**2), g)
+
+    expected = energy(wanted, np.swapaxes(shapes, -1, -2) @ b)
+    np.testing.assert_allclose(
+        energy(omega, pushed), expected, atol=1e-12 * np.abs(expected).max()
+    )
+
+
+def test_modes_do_not_depend_on_neighbours():
+    K, M, b = matrices("plain")
+    everyone = ModeMap(K, 3, N)
+    omega, pushed = everyone(M, b)
+    for i in (0, 7, 4000):
+        ours = everyone(M[i : i + 1], b[i : i + 1])
+        np.testing.assert_array_equal(ours[0][0], omega[i])
+        np.testing.assert_array_equal(ours[1][0], pushed[i])
+
+
+def test_modes_without_a_compiler_are_those_of_numpy(monkeypatch):
+    def broken(k, columns):
+        raise RuntimeError("no LLVM")
+
+    monkeypatch.setattr(modes, "_library", broken)
+    K, M, b = matrices("plain")
+    omega, pushed = ModeMap(K, 3, N)(M, b)
+    wanted, shapes = natural_modes(K, M)
+    np.testing.assert_array_equal(omega, wanted)
+    np.testing.assert_array_equal(pushed, np.swapaxes(shapes, -1, -2) @ b)

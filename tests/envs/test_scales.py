@@ -1,11 +1,15 @@
 """`straight_energy`, the measure of the rewards, against simulated straight motions."""
 
+import pickle
+
 import numpy as np
 import pytest
 
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
-from ves_gym.envs.scales import straight_energy
+from ves_gym.envs.scales import BaseModes, straight_energy
+from ves_gym.mechanics.modes import inertia_blocks, natural_modes
+from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.system.system import System
 
 N = 200
@@ -55,3 +59,25 @@ def test_scale_is_even_and_never_zero():
     np.testing.assert_allclose(floor, 1e-4)
     far, near = scale(middle - half, middle + half), scale(middle - half / 2, middle + half / 2)
     np.testing.assert_allclose(far - floor, 4 * (near - floor), rtol=1e-9)
+
+
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_modes_of_a_base_are_those_of_numpy(vehicle):
+    """Their order is any; of copies that have been pickled, and for more and more questions.
+
+    Reference: `natural_modes`. Tolerance: rounding of an omega^2 by 1e5 larger ones.
+    """
+    system = System(vehicle=VEHICLES[vehicle])
+    modes = BaseModes(system)
+    for count in (2, 40, 5):
+        q = np.random.default_rng(count).uniform(-2, 2, (count, 3))
+        g, omega = modes(q)
+        M, _, K = system.base.full()
+        blocks = inertia_blocks(system.arm, M, q)
+        wanted = np.clip(natural_modes(K, blocks.Mt).omega, 1.0, 300.0)
+        np.testing.assert_allclose(np.sort(omega, axis=1), wanted, rtol=1e-9)
+        # the modes together are the base's whole compliance to a push by the joints
+        total = np.swapaxes(g, -1, -2) @ g
+        whole = np.swapaxes(blocks.Hbm, -1, -2) @ np.linalg.solve(blocks.Mt, blocks.Hbm)
+        np.testing.assert_allclose(total, whole, atol=1e-11 * np.abs(whole).max())
+        np.testing.assert_array_equal(pickle.loads(pickle.dumps(modes))(q)[0], g)

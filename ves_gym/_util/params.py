@@ -28,6 +28,7 @@ from ves_gym._util.suggest import did_you_mean
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
+Rows = Index | slice  # some rows of an array
 Vector = tuple[float, ...]
 Matrix = tuple[tuple[float, ...], ...]
 T = TypeVar("T")

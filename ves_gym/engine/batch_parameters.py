@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index, ParameterError, content_hash
+from ves_gym._util.params import Array, Index, ParameterError, Rows, content_hash
 from ves_gym.engine.kernel.blocks import aligned, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_map
@@ -224,9 +224,9 @@ class Bodies:
         """A single row, n times."""
         return Bodies(*(np.repeat(part, n, axis=0) for part in self.parts()))
 
-    def rows(self, ids: Index) -> Bodies:
+    def rows(self, which: Rows) -> Bodies:
         """Some of the rows."""
-        return Bodies(*(part[ids] for part in self.parts()))
+        return Bodies(*(part[which] for part in self.parts()))
 
     def put(self, i: int, row: Bodies) -> None:
         """Replace a row.

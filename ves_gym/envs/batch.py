@@ -186,11 +186,9 @@ class Batch:
         u = np.empty((len(ids), task.draws + self._draws.size))
         mine = [sim.generators[i] for i in ids.tolist()]
         keys = np.column_stack([k[ids].astype(np.uint64) for k in (e.root, e.index, e.number)])
-        for row, (i, generator) in enumerate(
-            zip(ids.tolist(), reseed(mine, keys), strict=True)
-        ):
+        for i, generator, row in zip(ids.tolist(), reseed(mine, keys), u, strict=True):
             sim.generators[i] = generator
-            u[row] = generator.random(u.shape[1])
+            generator.random(out=row)
         if task.randomize:
             self._randomise(ids, u[:, task.draws :])
         begin = task.start(u[:, : task.draws], **(options or {}))
@@ -326,7 +324,7 @@ class Batch:
         """Mode emulated: base pose (n, 6) and rate as measured, platforms stopped (n,)."""
         loop = self.sim.emulation_loop
         assert loop is not None
-        return self.sim.readings.y, loop.vehicle_state[:, 6:].copy(), loop.frozen.copy()
+        return loop.y_measured, loop.vehicle_state[:, 6:].copy(), loop.frozen
 
     def _update_scene(self) -> None:
         """Read the state into the scene."""

@@ -50,16 +50,18 @@ class RestToRest(Task):
 
     def start(self, u: Array, **options: Array) -> Start:
         """See `Task`. Goal: joint angles (joints), then E_straight."""
-        n = self.system.arm.n
+        n, fast = self.system.arm.n, self.system.arm.column("v_max")
         span = np.resize(np.asarray(self.span, float), n)
         ends = (2 * u.reshape(len(u), _TRIES, 2, -1)[..., :n] - 1) * span
         speed = np.abs(ends[:, :, 1] - ends[:, :, 0]) * (QUINTIC_PEAK_SPEED / self.duration)
-        good = np.all(speed <= self.system.arm.column("v_max"), axis=2)
-        pick = np.where(good.any(axis=1), good.argmax(axis=1), 0)
-        chosen = ends[np.arange(len(u)), pick]
+        excess = speed[..., 0] / fast[0]  # of the fastest joint over its limit
+        for i in range(1, n):
+            excess = np.maximum(excess, speed[..., i] / fast[i])
+        pick = (excess <= 1).argmax(axis=1)  # the first that fits, or the first of all
+        rows = np.arange(len(u))
+        chosen = ends[rows, pick]
         # none of the tries: shorten the first until it fits
-        excess = (speed / self.system.arm.column("v_max")).max(axis=2)
-        shrink = np.maximum(excess[np.arange(len(u)), pick], 1.0)[:, None]
+        shrink = np.maximum(excess[rows, pick], 1.0)[:, None]
         q = chosen[:, 0]
         goal = options.get("goal", q + (chosen[:, 1] - q) / shrink)
         q = options.get("q", q)

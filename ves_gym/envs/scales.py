@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.modes import inertia_blocks, natural_modes
+from ves_gym.engine.kernel.maps import InertiaMap
+from ves_gym.engine.kernel.modes import ModeMap
+from ves_gym.mechanics.modes import blocks_of
 from ves_gym.mechanics.motion import quintic
 from ves_gym.system.system import System
 
@@ -17,6 +19,35 @@ _STIFF = 300.0  # rad/s: as does one that is stiffer
 _DAMPING = 0.05  # ratio of the modes, that of the thesis's beams
 
 
+class BaseModes:
+    """Modes of a system's base with the joints locked, for many configurations at once.
+
+    Args:
+        system: arm and vehicle.
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system, self._room = system, 0
+
+    def __call__(self, q: Array) -> tuple[Array, Array]:
+        """Couplings (k, b, joints) of the b modes to the joints, their frequencies (k, b).
+
+        Args:
+            q: (k, joints) [rad].
+        """
+        if len(q) > self._room:
+            self._room = len(q)
+            self._inertia = InertiaMap(self.system, self._room)
+            self._mass, _, K = self.system.base.full()
+            self._modes = ModeMap(K, self.system.arm.n, self._room)
+        blocks = blocks_of(self._inertia(q), self._mass)
+        omega, g = self._modes(blocks.Mt, blocks.Hbm)
+        return g, np.clip(omega, _RIGID, _STIFF)
+
+    def __reduce__(self) -> tuple[type[BaseModes], tuple[System]]:
+        return BaseModes, (self.system,)  # machine code is no part of a copy
+
+
 class straight_energy:  # a function with a table
     """E_mean of the straight quintic, its modes frozen at the middle of the way [J].
 
@@ -26,25 +57,26 @@ class straight_energy:  # a function with a table
     """
 
     def __init__(self, system: System, duration: float, tail: float) -> None:
-        self.system = system
+        self._modes = BaseModes(system)
         self._table = _response(duration, tail)
 
     def __call__(self, start: Array, goal: Array) -> Array:
         """(k, joints) ends -> (k,) [J]."""
-        g, omega = _modes(self.system, (start + goal) / 2)
+        g, omega = self._modes((start + goal) / 2)
         push = (g @ (goal - start)[..., None])[..., 0]
         share = np.interp(np.log(omega), np.log(_FREQUENCIES), self._table)
         return np.asarray(_FLOOR + (share * push**2).sum(axis=1), dtype=np.float64)
 
 
-def motion_energy(system: System, q: Array, dt: float, tail: float) -> Array:
+def motion_energy(modes: BaseModes, q: Array, dt: float, tail: float) -> Array:
     """E_mean of joint motions from rest, base modes frozen at their middle [J].
 
     Args:
+        modes: of the system.
         q: (k, m, joints) angles along the motions, dt apart.
         tail: s of free vibration afterwards that count.
     """
-    g, omega = _modes(system, (q.min(axis=1) + q.max(axis=1)) / 2)
+    g, omega = modes((q.min(axis=1) + q.max(axis=1)) / 2)
     push = np.einsum("kij,kmj->kmi", g, np.diff(q, n=2, axis=1)) / dt**2
     pole = omega * (-_DAMPING + 1j * np.sqrt(1 - _DAMPING**2))
     time = dt * np.arange(1, push.shape[1] + 1)[:, None]
@@ -58,15 +90,6 @@ def motion_energy(system: System, q: Array, dt: float, tail: float) -> Array:
     remainder = energy[:, -1] * -np.expm1(-decay * tail) / decay
     mean = (energy.sum(axis=1) * dt + remainder) / (dt * push.shape[1] + tail)
     return np.asarray(_FLOOR + mean.sum(axis=1), dtype=np.float64)
-
-
-def _modes(system: System, q: Array) -> tuple[Array, Array]:
-    """Couplings (k, 6, joints) of the base's modes to the joints, their frequencies (k, 6)."""
-    base = system.base
-    M, _, K = base.full()
-    blocks = inertia_blocks(system.arm, M, q)
-    omega, shapes = natural_modes(K, blocks.Mt)
-    return np.swapaxes(shapes, -1, -2) @ blocks.Hbm, np.clip(omega, _RIGID, _STIFF)
 
 
 def _response(duration: float, tail: float) -> Array:

@@ -20,7 +20,7 @@ from ves_gym._util.params import (
 )
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.joints import joint_box, rate_fields, rates, require_control
-from ves_gym.envs.scales import motion_energy
+from ves_gym.envs.scales import BaseModes, motion_energy
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.kinematics import dexterity
@@ -98,6 +98,10 @@ class Track(Task):
         periods = np.rint(np.array([0.0, *self.preview]) / self.system.control_dt)
         return periods.astype(np.intp)
 
+    @cached_property
+    def _modes(self) -> BaseModes:
+        return BaseModes(self.system.ideal())
+
     # ------------------------------------------------------------------ episodes
 
     def start(self, u: Array, **options: Array) -> Start:
@@ -128,7 +132,7 @@ class Track(Task):
         path = joint_positions(arm, along)[..., -1, :]
         stride = max(1, round(_COARSE / self.system.control_dt))
         energy = motion_energy(
-            self.system.ideal(), along[:, ::stride], stride * self.system.control_dt, self.tail
+            self._modes, along[:, ::stride], stride * self.system.control_dt, self.tail
         )
         return Start(chosen[0], np.column_stack([energy, path.reshape(k, -1)]))
 

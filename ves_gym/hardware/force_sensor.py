@@ -6,6 +6,7 @@ drift, bias -> quantisation -> zero -> calibration matrix -> platform frame.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
@@ -131,10 +132,19 @@ def low_pass(cutoff: Array, nodes: Array) -> tuple[Array, Array]:
     Returns:
         Transition (n, 2, 2) over all nodes, and weights (n, 2, k + 1) of the inputs there.
     """
-    kinds, which = np.unique(cutoff, return_inverse=True)
     h, k = float(nodes[1] - nodes[0]), len(nodes) - 1
-    parts = [_butterworth(f, h, k) for f in kinds.tolist()]
-    return np.stack([p[0] for p in parts])[which], np.stack([p[1] for p in parts])[which]
+    transition, weights = _of_each(cutoff, lambda f: _butterworth(f, h, k))
+    return transition, weights
+
+
+def _of_each(cutoff: Array, make: Callable[[float], tuple[Array, ...]]) -> list[Array]:
+    """Matrices (n, ...) of filters, made once for those that are alike."""
+    if (cutoff == cutoff[0]).all():
+        parts = make(float(cutoff[0]))
+        return [np.broadcast_to(part, (len(cutoff), *part.shape)) for part in parts]
+    kinds, which = np.unique(cutoff, return_inverse=True)
+    made = [make(f) for f in kinds.tolist()]
+    return [np.stack(part)[which] for part in zip(*made, strict=True)]
 
 
 @lru_cache(maxsize=1024)  # a reset asks for the same again
@@ -167,9 +177,7 @@ def noise_steps(cutoff: Array, dt: float) -> tuple[tuple[Array, Array], Array]:
     Returns:
         ((n, 2, 2) transition, (n, 2, 2) gain of fresh draws), (n, 2, 2) of the start.
     """
-    kinds, which = np.unique(cutoff, return_inverse=True)
-    steps = [_noise_step(f, dt) for f in kinds.tolist()]
-    holds, kicks, starts = (np.stack(part)[which] for part in zip(*steps, strict=True))
+    holds, kicks, starts = _of_each(cutoff, lambda f: _noise_step(f, dt))
     return (holds, kicks), starts
 
 

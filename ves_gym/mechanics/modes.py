@@ -30,10 +30,20 @@ def inertia_blocks(arm: Arm, mass: Array, q: npt.ArrayLike) -> InertiaBlocks:
             modes, if any, after the six coordinates of the pose.
         q: (..., n) joint angles [rad].
     """
-    H, b = inertia(arm, q), len(mass)
+    return blocks_of(inertia(arm, q), mass)
+
+
+def blocks_of(H: Array, mass: Array) -> InertiaBlocks:
+    """Return the inertia blocks of an arm on its vehicle.
+
+    Args:
+        H: (..., 6 + n, 6 + n) inertia of the arm (`dynamics.inertia`).
+        mass: (b, b) of the vehicle, see `inertia_blocks`.
+    """
+    b, n = len(mass), H.shape[-1] - 6
     if b == 6:
         return InertiaBlocks(H[..., :6, :6] + mass, H[..., :6, 6:], H[..., 6:, 6:])
-    Mt, Hbm = np.zeros((*H.shape[:-2], b, b)), np.zeros((*H.shape[:-2], b, arm.n))
+    Mt, Hbm = np.zeros((*H.shape[:-2], b, b)), np.zeros((*H.shape[:-2], b, n))
     Mt[:] = mass
     Mt[..., :6, :6] += H[..., :6, :6]
     Hbm[..., :6, :] = H[..., :6, 6:]

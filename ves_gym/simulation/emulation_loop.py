@@ -9,21 +9,24 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ves_gym._util.array_functions import NUMPY
-from ves_gym._util.params import Array, Index, Mask, ParameterError
+from ves_gym._util.params import Array, Index, Mask, ParameterError, Rows
 from ves_gym.engine.batch_parameters import Bodies, ParameterRows, bodies_of
 from ves_gym.hardware.admittance import Nonlinear
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
+from ves_gym.simulation.blocks.block import Noted
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
 from ves_gym.simulation.blocks.memory import NamedArrays
 from ves_gym.simulation.blocks.payload_compensation import ArmInertia
 from ves_gym.simulation.blocks.platform import Safety
 from ves_gym.simulation.loop_wiring import LoopParts, Needs
-from ves_gym.system.deviations import ARRAYS, LoopParameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import BaseEffect
 from ves_gym.system.system import System
 
@@ -140,8 +143,13 @@ class EmulationLoop:
 
     def _load(self) -> None:
         """Take the parameters of all simulations to the blocks."""
-        p, bodies = self.parameters, self._bodies
-        self.p = {block.name: block.parameters(p, bodies) for block in self.wiring.blocks}
+        self.p: dict[str, dict[str, Array]] = {}
+        self._sources: dict[str, set[str]] = {}  # block -> what its parameters follow from
+        for block in self.wiring.blocks:
+            sources = self._sources[block.name] = set()
+            noted: Any = [Noted(k, sources) for k in (self.parameters, self._bodies)]
+            values = block.parameters(*noted)
+            self.p[block.name] = {k: np.array(v) for k, v in values.items()}  # of its own
         if self._code is not None:
             self._code.load(self.p)
 
@@ -187,36 +195,50 @@ class EmulationLoop:
                     self._inertia.tell_apart().arms[i] = system.arm
             for i, system in pairs:
                 self._systems[i] = system
-            self.install(ids, p)
+            self.install(ids, p, bodies=bool(others))
 
         return install
 
     def _parameters_of(self, system: System) -> LoopParameters:
         """One row."""
-        if self._start is None or self._start.arm is not system.arm:
-            self._start = LoopParameters.nominal(system.arm, self.spec, 1)
-        return self._start.copy().edited(system)
+        return self.described(system.arm).copy().edited(system)
 
-    def install(self, ids: Index, p: LoopParameters) -> None:
+    def described(self, arm: Arm) -> LoopParameters:
+        """Return a row of parameters before any effect.
+
+        Args:
+            arm: the arm.
+        """
+        if self._start is None or self._start.arm is not arm:
+            self._start = LoopParameters.nominal(arm, self.spec, 1)
+        return self._start
+
+    def install(self, ids: Index, p: LoopParameters, *, bodies: bool = False) -> None:
         """Put parameters in place, with all that follows from them; memory stays.
 
         Args:
             ids: (m,) which simulations.
             p: of m simulations.
+            bodies: their arms and vehicles are others than before.
         """
-        for name in ARRAYS:
-            getattr(self.parameters, name)[ids] = getattr(p, name)
-        for mine, theirs in zip(self.parameters.sensor.parts(), p.sensor.parts(), strict=True):
-            mine[ids] = theirs
+        rows = self._rows(ids)
+        changed = self.parameters.put(rows, p)
         self._noisy = self.parameters.sensor.random()
         self._rewire()
-        everyone = np.array_equal(ids, np.arange(self.n))
-        bodies = self._bodies if everyone else self._bodies.rows(ids)
+        if bodies:
+            changed |= {field.name for field in fields(Bodies)}
+        of_these = self._bodies.rows(rows)
+        others: dict[str, list[str]] = {}
         for block in self.wiring.blocks:
-            for name, rows in block.parameters(p, bodies).items():
-                self.p[block.name][name][ids] = rows
+            if not changed & self._sources[block.name]:
+                continue
+            mine = self.p[block.name]
+            for name, values in block.parameters(p, of_these).items():
+                if not np.array_equal(mine[name][rows], values):
+                    mine[name][rows] = values
+                    others.setdefault(block.name, []).append(name)
         if self._code is not None:
-            self._code.load(self.p)
+            self._code.change(rows, self.p, others)
 
     def _rewire(self) -> None:
         """Build the wiring anew where parameters need blocks or memory that it lacks."""
@@ -237,35 +259,48 @@ class EmulationLoop:
             y, yd: (m, 6) pose [m, rad] and its rate.
             kp, kd: (m, joints) gains of the joint servo.
         """
+        rows = self._rows(ids)
         u = {"q": q, "X": np.concatenate([y, yd], axis=-1), "kp": kp, "kd": kd}
-        u["true_weight"] = self._true_weight(q, y, ids)
-        u["start_draws"] = np.zeros((len(ids), 6, 2))
-        for row, i in enumerate(ids.tolist()):
-            if self._noisy[i]:  # start as noisy as it goes on
-                u["start_draws"][row] = self.generators[i].standard_normal((6, 2))
+        u["true_weight"] = self._true_weight(q, y, rows)
+        u["start_draws"] = self._drawn(ids, 6, 2)  # start as noisy as it goes on
         if self.table is not None:
-            u["table"] = self.table[ids, 0]
+            u["table"] = self.table[rows, 0]
         if self._inertia is not None:
-            u["inertia"] = self._inertia.rows(self._rows(self._inertia.name, ids), q, ids)
+            u["inertia"] = self._inertia.rows(self._of(self._inertia.name, rows), q, ids)
         if self.system.actual.base.m:
             bases = [self._systems[i].actual.base for i in ids.tolist()]
             for name, part in (("attached", y), ("attached_rate", yd)):
                 u[name] = np.stack([b.attached(k) for b, k in zip(bases, part, strict=True)])
-        self.events = [e for e in self.events if e.simulation not in set(ids.tolist())]
-        self.time[ids] = 0.0
+        if self.events:
+            begun = set(ids.tolist())
+            self.events = [e for e in self.events if e.simulation not in begun]
+        self.time[rows] = 0.0
         for block in self.wiring.blocks:
-            x, outputs = block.start(self._rows(block.name, ids), u)
+            x, outputs = block.start(self._of(block.name, rows), u)
             u |= outputs
             for name, values in x.items():
-                self.memory.put(ids, f"{block.name}.{name}", values)
+                self.memory.put(rows, f"{block.name}.{name}", values)
         for name in self.wiring.delayed:
-            self.memory.put(ids, name, u[name])
+            self.memory.put(rows, name, u[name])
         if self.spec.zero_at_start:
             self.zero(ids)
 
-    def _rows(self, block: str, ids: Index) -> dict[str, Array]:
+    def _rows(self, ids: Index) -> Rows:
+        """The same simulations; all of them in order as a slice, which copies nothing."""
+        everyone = len(ids) == self.n and (ids == np.arange(self.n)).all()
+        return slice(None) if everyone else ids
+
+    def _of(self, block: str, rows: Rows) -> dict[str, Array]:
         """Parameters of a block for some simulations."""
-        return {name: values[ids] for name, values in self.p[block].items()}
+        return {name: values[rows] for name, values in self.p[block].items()}
+
+    def _drawn(self, ids: Index, *shape: int) -> Array:
+        """(m, *shape) standard normal numbers; zeros where nothing is noisy."""
+        out = np.zeros((len(ids), *shape))
+        for i, row, noisy in zip(ids.tolist(), out, self._noisy[ids].tolist(), strict=True):
+            if noisy:  # the others draw no numbers
+                self.generators[i].standard_normal(out=row)
+        return out
 
     def get_state(self) -> Any:
         """Everything needed to continue exactly from here; picklable."""
@@ -346,10 +381,7 @@ class EmulationLoop:
 
     def draws(self) -> Array:
         """(n, 18) standard normal numbers that the sensors take in a period."""
-        draws = np.zeros((self.n, 18))
-        for i in np.flatnonzero(self._noisy).tolist():  # the others draw no numbers
-            self.generators[i].standard_normal(out=draws[i])
-        return draws
+        return self._drawn(np.arange(self.n), 18)
 
     @property
     def code(self) -> CompiledLoop | None:
@@ -402,6 +434,11 @@ class EmulationLoop:
         return Readings(*(np.array(k) for k in parts))
 
     @property
+    def y_measured(self) -> Array:
+        """(n, 6) pose by the sensors of the platform [m, rad]."""
+        return np.array(self.memory["y_measured"])
+
+    @property
     def frozen(self) -> Mask:
         """(n,) platforms that a safety stop holds."""
         return np.not_equal(self.memory["frozen"], 0)
@@ -429,7 +466,7 @@ class EmulationLoop:
         wrench = np.zeros((len(ids), 6))
         if self.estimate is not None:
             wrench = self.memory["weight"][ids]
-        p = self._rows(self.sensor.name, ids)
+        p = self._of(self.sensor.name, ids)
         x = {k: self.memory[f"{self.sensor.name}.{k}"][ids] for k in self.sensor.memory}
         x["zero"] = self.sensor.zero_to(p, x, wrench)
         self.memory.put(ids, f"{self.sensor.name}.zero", x["zero"])
@@ -462,11 +499,11 @@ class EmulationLoop:
 
     # ---------------------------------------------------------------- helpers
 
-    def _true_weight(self, q: Array, y: Array, ids: Index) -> Array:
+    def _true_weight(self, q: Array, y: Array, rows: Rows) -> Array:
         """True static wrench (m, 6) of the arm on the platform."""
         bodies = self._bodies
         g = gravity_vector(y)
-        return gravity_wrench(self.system.actual.arm, q, g, bodies.mass[ids], bodies.P[ids])
+        return gravity_wrench(self.system.actual.arm, q, g, bodies.mass[rows], bodies.P[rows])
 
 
 def _all_bodies(system: System) -> tuple[int, ...]:

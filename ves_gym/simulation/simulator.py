@@ -22,7 +22,7 @@ from ves_gym.mechanics.spatial import AXES, SINGULAR, matvec, rate_matrix
 from ves_gym.simulation.emulation_loop import EmulationLoop, Event, Readings
 from ves_gym.simulation.joint_delays import joint_delays_of
 from ves_gym.simulation.loop_linearisation import warn_if_unstable
-from ves_gym.system.deviations import Delays, LoopParameters
+from ves_gym.system.deviations import Delays
 from ves_gym.system.effect import DelayEffect, LaboratoryEffect, TorqueEffect
 from ves_gym.system.effect_rows import EffectRows, Given
 from ves_gym.system.system import System
@@ -369,15 +369,17 @@ class Simulator:
                 f" {rows.template!r}"
             )
         assigned = {i: (rows, row) for row, i in enumerate(index.tolist())}
-        if not rows.at_once or not all(rows.replaces(self._assigned.get(i)) for i in assigned):
+        before = [given for given in map(self._assigned.get, assigned) if given is not None]
+        sources = {id(k): k for k in (k if isinstance(k, System) else k[0] for k in before)}
+        if not rows.at_once or not all(map(rows.replaces, sources.values())):
             self.assign([rows.system(row) for row in range(len(rows))], index)
             self._assigned |= assigned
             return
         lab = self.emulation_loop
         parameters = None
         if lab is not None and rows.varied(LaboratoryEffect):
-            start = LoopParameters.nominal(self.system.arm, lab.spec, 1)
-            parameters = rows.loop_parameters(rows.before(start))
+            start = rows.before(lab.described(self.system.arm))
+            parameters = rows.loop_parameters(start)
         if rows.varied(TorqueEffect):
             self.backend.assign_laws(index, rows)
         if lab is not None and parameters is not None:
@@ -733,7 +735,8 @@ class Simulator:
         valid = index.ndim == 1 and (np.issubdtype(index.dtype, np.integer) or not index.size)
         if not valid or (index < 0).any() or (index >= self.n).any():
             raise ParameterError(f"ids must be whole numbers in [0, {self.n}), got {ids!r}")
-        if (np.diff(np.sort(index)) == 0).any():  # `np.unique` would load numpy.ma
+        rising = (index[1:] > index[:-1]).all()
+        if not rising and (np.diff(np.sort(index)) == 0).any():  # `np.unique` loads numpy.ma
             raise ParameterError(f"ids must name each simulation once, got {ids!r}")
         return index.astype(np.intp)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym._util.params import Array, Index, ParameterError, Rows
 from ves_gym.hardware.force_sensor import SensorErrors
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.gravity import GravityModel
@@ -99,6 +99,24 @@ class LoopParameters:
         sensor = SensorErrors(*(part.copy() for part in self.sensor.parts()))
         return replace(self, sensor=sensor, **{k: getattr(self, k).copy() for k in ARRAYS})
 
+    def put(self, rows: Rows, other: LoopParameters) -> set[str]:
+        """Replace rows.
+
+        Args:
+            rows: which simulations.
+            other: parameters of as many.
+
+        Returns:
+            Names of the fields that are not what they were.
+        """
+        names = [*ARRAYS, *("sensor" for _ in self.sensor.parts())]
+        changed = set()
+        for name, mine, theirs in zip(names, self.parts(), other.parts(), strict=True):
+            if not np.array_equal(mine[rows], theirs):
+                mine[rows] = theirs
+                changed.add(name)
+        return changed
+
     def parts(self) -> list[Array]:
         """All arrays, those of the sensor last."""
         return [*(getattr(self, k) for k in ARRAYS), *self.sensor.parts()]
@@ -114,7 +132,7 @@ class LoopParameters:
 
     def with_simulations_last(self) -> LoopParameters:
         """The axis of the simulations moved to the end of every array."""
-        return self._made_of([np.moveaxis(part, 0, -1) for part in self.parts()])
+        return self._made_of([axis_to_end(part) for part in self.parts()])
 
     def with_simulations_first(self, row: LoopParameters, n: int) -> LoopParameters:
         """The way back from `with_simulations_last`.
@@ -125,8 +143,9 @@ class LoopParameters:
         """
         out = []
         for part, one in zip(self.parts(), row.parts(), strict=True):
-            full = np.broadcast_to(part, (*one.shape[1:], n))
-            out.append(np.ascontiguousarray(np.moveaxis(full, -1, 0)))
+            shape = (*one.shape[1:], n)
+            full = part if part.shape == shape else np.broadcast_to(part, shape)
+            out.append(np.ascontiguousarray(full.transpose(-1, *range(full.ndim - 1))))
         return self._made_of(out)
 
     @staticmethod
@@ -138,6 +157,11 @@ class LoopParameters:
             sensor=SensorErrors(*(np.concatenate(parts) for parts in sensors)),
             **{k: np.concatenate([getattr(row, k) for row in rows]) for k in ARRAYS},
         )
+
+
+def axis_to_end(values: Array) -> Array:
+    """Return an array (n, ...) with its first axis moved to the end (`np.moveaxis` is slow)."""
+    return values.transpose(*range(1, values.ndim), 0)
 
 
 # fields of LoopParameters that are an array each

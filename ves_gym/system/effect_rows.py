@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.system.deviations import Delays, LoopParameters
+from ves_gym.system.deviations import Delays, LoopParameters, axis_to_end
 from ves_gym.system.effect import (
     ArmEffect,
     BaseEffect,
@@ -69,15 +69,12 @@ class EffectRows:
         """True if an effect of a kind differs between simulations."""
         return any(isinstance(self.template.effects[i], kind) for i in self.places)
 
-    def replaces(self, assigned: Given | None) -> bool:
-        """True if these rows say all that differs from `template`, with `assigned` in force."""
-        if assigned is None:
-            return True
-        if isinstance(assigned, System):
+    def replaces(self, earlier: System | EffectRows) -> bool:
+        """True if these rows say all that differs from `template`, with `earlier` in force."""
+        if isinstance(earlier, System):
             return False
-        before = assigned[0]
-        same = before.template is self.template and before.places == self.places
-        return same and before.at_once
+        same = earlier.template is self.template and earlier.places == self.places
+        return same and earlier.at_once
 
     def _row(self, i: int, row: int) -> dict[str, Any]:
         return {name: v[row].tolist() for (k, name), v in self.values.items() if k == i}
@@ -87,7 +84,7 @@ class EffectRows:
         effect, values = self.template.effects[i], {}
         for field in dataclasses.fields(effect):  # type: ignore[arg-type]
             if (i, field.name) in self.values:
-                values[field.name] = np.moveaxis(self.values[i, field.name], 0, -1)
+                values[field.name] = axis_to_end(self.values[i, field.name])
             else:
                 value = np.array(getattr(effect, field.name), float)[..., None]
                 values[field.name] = np.broadcast_to(value, (*value.shape[:-1], len(self)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ves_gym._util.params import Array
+from ves_gym._util.params import Array, Rows
 from ves_gym.engine.kernel.emit import LANES
 
 
@@ -31,6 +31,20 @@ def fill(rows: Array, values: Array) -> None:
         rows[full:] = 0.0
         if remainder:
             rows[full, :, :remainder] = values[full * LANES :].T
+
+
+def put_rows(rows: Array, which: Rows, values: Array) -> None:
+    """Write the values of some simulations into lanes.
+
+    Args:
+        rows: (blocks, k, LANES), written.
+        which: m simulations; a slice stands for all of them.
+        values: (m, k).
+    """
+    if isinstance(which, slice):
+        fill(rows, values)
+    else:
+        rows[which // LANES, :, which % LANES] = values
 
 
 def lanes(values: Array) -> Array:

@@ -178,10 +178,18 @@ class CoupledAdmittance(_Admittance):
     def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
         """Set the state back by what the platform is told ahead."""
         x, _ = super().start(p, u)
-        system = self.coupled_system(
-            NUMPY, p, u["X"], x["coupled"], np.zeros((len(u["X"]), 6)), u
-        )
-        X, coupled = self.split(implicit_step(*system, -self.lag))
+        X, coupled = x["X"], x["coupled"]
+        moving = np.any(X, axis=1) | np.any(coupled, axis=1)
+        if self.nonlinear:
+            moving[:] = True
+        elif not moving.all():  # what rests where nothing pulls has been there before as well
+            p, u = ({k: v[moving] for k, v in values.items()} for values in (p, u))
+        if moving.any():
+            force = np.zeros((int(moving.sum()), 6))
+            system = self.coupled_system(NUMPY, p, X[moving], coupled[moving], force, u)
+            before = self.split(implicit_step(*system, -self.lag))
+            X, coupled = X.copy(), coupled.copy()
+            X[moving], coupled[moving] = before
         return {"X": X, "coupled": coupled}, {"payload": np.zeros((len(X), 6))}
 
     def coupled_system(

@@ -114,6 +114,17 @@ class Memory:
     feeds_back: bool = True  # False: constant or random, no part of the loop's dynamics
 
 
+class Noted:
+    """Parameters that note which of their fields are read."""
+
+    def __init__(self, source: LoopParameters | Bodies, names: set[str]) -> None:
+        self._source, self._names = source, names
+
+    def __getattr__(self, name: str) -> Any:
+        self._names.add(name)
+        return getattr(self._source, name)
+
+
 _ANY = LoopShape(0, 0, 0.0, 0.0)
 
 
@@ -145,6 +156,8 @@ class Block(ABC):
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         """Return the block's parameters, one row per row of what is given.
+
+        They are derived anew where a field that was read here at first has changed.
 
         Args:
             p: parameters of m loops, effects included.

@@ -8,7 +8,7 @@ code is stored block by block, so that loops share what they have in common.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ves_gym._util import array_functions
-from ves_gym._util.params import Array, Index
-from ves_gym.engine.kernel.blocks import aligned, fill, unlane
+from ves_gym._util.params import Array, Index, Rows
+from ves_gym.engine.kernel.blocks import aligned, fill, put_rows, unlane
 from ves_gym.engine.kernel.build import Library, linked
 from ves_gym.engine.kernel.emit import LANES, Call, emit_driver, emit_shared
 from ves_gym.engine.kernel.graph_arrays import GRAPH, column, symbols
@@ -45,6 +45,7 @@ class CompiledLoop:
         self.wiring, self.memory, self.lanes = wiring, memory, memory.lanes
         # which entries of an array are parameters, where zeros are part of the structure
         self._entries: dict[tuple[str, str], Index] = {}
+        self._places: dict[tuple[str, str], slice] = {}  # of these in `_p`
         self._library: Library | None = None
         self._p = aligned(len(self.lanes), 0, LANES)
         self._rows = {name: self.lanes[:, place] for name, place in memory.places.items()}
@@ -67,13 +68,36 @@ class CompiledLoop:
             _flat(p[block][name])[:, entries]
             for (block, name), entries in self._entries.items()
         ]
-        width = sum(row.shape[1] for row in rows)
+        ends = np.cumsum([0, *(len(entries) for entries in self._entries.values())]).tolist()
+        self._places = dict(zip(self._entries, map(slice, ends[:-1], ends[1:]), strict=True))
+        width = ends[-1]
         changed = self._library is None or width != self._p.shape[1]
         if changed:
             self._p = aligned(len(self.lanes), width, LANES)
         fill(self._p, np.concatenate(rows, axis=1) if rows else np.zeros((n, 0)))
         if changed:
             self._library = self._linked(p)
+
+    def change(self, which: Rows, p: Parameters, names: Mapping[str, Iterable[str]]) -> None:
+        """Take some parameters of some simulations.
+
+        Args:
+            which: simulations.
+            p: (n, ...) of each block.
+            names: block -> its parameters that have changed.
+        """
+        keys = [(block, name) for block, those in names.items() for name in those]
+        values = {key: _flat(p[key[0]][key[1]]) for key in keys}
+        for key, flat in values.items():
+            entries = self._entries[key]
+            if len(entries) < flat.shape[1] and len(_entries(flat, True, entries)) > len(
+                entries
+            ):
+                self.load(p)  # what the code has left out is zero no longer
+                return
+        for key, flat in values.items():
+            rows = flat[which][:, self._entries[key]]
+            put_rows(self._p[:, self._places[key]], which, rows)
 
     def _linked(self, p: Parameters) -> Library:
         """The machine code of both halves."""

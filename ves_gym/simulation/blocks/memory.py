@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index
-from ves_gym.engine.kernel.blocks import aligned, fill, unlane
+from ves_gym._util.params import Array, Rows
+from ves_gym.engine.kernel.blocks import aligned, fill, put_rows, unlane
 from ves_gym.engine.kernel.emit import LANES
 
 
@@ -51,22 +51,21 @@ class NamedArrays:
             rows = self.lanes[:, self.places[name]]
             fill(rows, values.reshape(self.n, rows.shape[1]))
 
-    def put(self, ids: Index, name: str, values: Array) -> None:
+    def put(self, rows: Rows, name: str, values: Array) -> None:
         """Write rows.
 
         Args:
-            ids: (m,) which simulations.
+            rows: which m simulations.
             name: of the array.
             values: (m, ...).
         """
         if self.lanes is None:
             changed = self._rows[name].copy()
-            changed[ids] = values
+            changed[rows] = values
             self._rows[name] = changed
         else:
-            place = self.places[name]
-            flat = np.reshape(values, (len(ids), place.stop - place.start))
-            self.lanes[ids // LANES, place, ids % LANES] = flat
+            flat = values.reshape(len(values), int(np.prod(self.shapes[name])))
+            put_rows(self.lanes[:, self.places[name]], rows, flat)
 
     def copied(self, names: Iterable[str]) -> dict[str, Array]:
         """Copies of some arrays."""

@@ -93,8 +93,7 @@ class PayloadCompensation(Block):
         return (self.joints,)
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
-        n = len(p.gravity_mass)
-        hold, weights = low_pass(np.full(n, self.cutoff), self.nodes)
+        hold, weights = low_pass(np.full(len(bodies.mass), self.cutoff), self.nodes)
         return {"hold": hold, "weights": weights}
 
     def step(
