@@ -5,14 +5,21 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.arms import seven_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING
 from ves_gym.planners.coupling import coupling_matrix, disturbance_matrix
+from ves_gym.planners.least_reaction import ReactionProblem
 from ves_gym.planners.query import Query, solve
-from ves_gym.planners.reaction_null import ReactionNull, reaction_null_space
+from ves_gym.planners.reaction_null import (
+    ReactionNull,
+    reaction_null_path,
+    reaction_null_space,
+)
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import reach100
 from ves_gym.simulation.playback import play_motions
@@ -21,6 +28,7 @@ from ves_gym.system.system import System
 
 # PUMAs on top of each other: heavy links all the way out
 SIX = dataclasses.replace(PUMA_560, name="six", links=PUMA_560.links * 2)
+SEVEN = dataclasses.replace(PUMA_560, name="seven", links=(PUMA_560.links * 3)[:7])
 EIGHT = dataclasses.replace(PUMA_560, name="eight", links=(PUMA_560.links * 3)[:8])
 
 
@@ -87,6 +95,80 @@ def test_along_it_the_base_rests():
     run = play_motions(system, [plan.motion, query.straight], servo=query.servo, settle=0.0)
     energy, straight = base_energy(system, run.q, run.y, run.yd).total.max(axis=1)
     assert energy < 0.01 * straight
+
+
+@pytest.mark.parametrize("vehicle", [BENT, FREE_FLOATING])
+def test_seven_joints_move_along_a_curve_without_reaction(vehicle):
+    """Simulated: a thousandth of the energy, or of the turn, of a straight line as long.
+
+    Half a radian from the same configuration, the links as heavy all the way out.
+    """
+    system = System(arm=SEVEN, vehicle=vehicle, drive="prescribed")
+    free = vehicle is FREE_FLOATING
+    path = reaction_null_path(system, HOME[:7], np.ones(7), length=0.5, attitude=free)
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(0.5, rel=1e-2)
+    assert np.abs(path[-1] - path[0])[:3].max() > 0.05  # heavy links, not the last ones alone
+    motion = Motion.through(path, 2.0)
+    other = Motion.straight(path[0], path[0] + 0.5 / np.sqrt(7), 2.0)
+    run = play_motions(system, [motion, other], servo=servo(7), settle=0.0)
+    if free:
+        turned = np.abs(run.y[:, :, 3:]).max(axis=(1, 2))
+        assert turned[0] < 1e-3 * turned[1]
+    else:
+        energy = base_energy(system, run.q, run.y, run.yd).total.max(axis=1)
+        assert energy[0] < 1e-3 * energy[1]
+
+
+def test_a_path_ends_at_a_joint_limit_and_begins_where_there_is_one():
+    system = System(arm=SEVEN)
+    path = reaction_null_path(system, HOME[:7], length=50.0)
+    assert (path >= SEVEN.column("q_min")).all() and (path <= SEVEN.column("q_max")).all()
+    assert len(path) < 2000
+    with pytest.raises(ParameterError, match="every motion of 3 joints moves this base"):
+        reaction_null_path(System(), (0.3, -0.5, 0.8))
+    with pytest.raises(ParameterError, match="direction must have a part without reaction"):
+        null = reaction_null_space(system, HOME[:7])[:, 0]
+        across = np.linalg.svd(null[None])[2][1]
+        reaction_null_path(system, HOME[:7], across)
+    with pytest.raises(ParameterError, match="length must be > 0 rad"):
+        reaction_null_path(system, HOME[:7], length=0.0)
+
+
+@pytest.mark.parametrize("vehicle", [BENT, FREE_FLOATING])
+def test_seven_joints_between_any_ends_take_the_least_reaction(vehicle):
+    """Less than the straight line's, never more energy on a base with stiffness."""
+    system = System(arm=seven_joint_arm(), vehicle=vehicle, drive="prescribed")
+    for _, query in reach100(system, "bent", 2, durations=(2.0,)).queries:
+        query = dataclasses.replace(query, system=system)
+        plan = solve(get_planner("reaction-null"), query)
+        assert plan.feasible
+        assert 0 < plan.info["reaction"] < 0.9
+        assert 0 < plan.info["null_share"] < 1
+        if vehicle is BENT:
+            straight = solve(get_planner("straight"), query)
+            assert plan.predicted.E_mean < 0.7 * straight.predicted.E_mean
+
+
+@pytest.mark.parametrize("vehicle", [BENT, FREE_FLOATING])
+def test_the_reaction_is_that_of_the_base_and_its_derivative_exact(vehicle):
+    """Root mean square of the base's turn (free) or of sqrt(q'^T Q q') at the middle."""
+    system = System(arm=seven_joint_arm(), vehicle=vehicle, drive="prescribed")
+    middle, step = HOME[:7] * 0.5, 1e-3 * np.linspace(1.0, -0.5, 7)
+    ends = (tuple(middle - step), tuple(middle + step))
+    query = Query(system=system, start=ends[0], goal=ends[1], duration=2.0)
+    problem = ReactionProblem(query, 8)
+    matrix = (disturbance_matrix if vehicle is FREE_FLOATING else coupling_matrix)(
+        system, middle
+    )
+    # mean of the quintic's s'^2 over [0, 1] is 10/7
+    expected = np.sqrt(10 / 7 * (2 * step) @ matrix @ (2 * step)) / 2.0
+    assert problem.reaction(problem.straight) == pytest.approx(expected, rel=1e-3)
+    rng = np.random.default_rng(0)
+    x = problem.straight + 0.3 * rng.normal(size=problem.straight.size)
+    way = rng.normal(size=x.size)
+    ahead, back = (problem.momentum(x + h * way)[0] for h in (1e-6, -1e-6))
+    slope = problem.momentum(x)[1] @ way
+    np.testing.assert_allclose((ahead - back) / 2e-6, slope, atol=1e-6 * np.abs(slope).max())
 
 
 @pytest.mark.parametrize(("vehicle", "least"), [(BENT, 7), (FREE_FLOATING, 4)])

@@ -22,7 +22,7 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots, leading_points
-from ves_gym.planners.momentum import momentum, torque
+from ves_gym.planners.momentum import BaseMomentum, momentum, torque
 from ves_gym.planners.obstacles import Collisions, collisions
 from ves_gym.planners.prediction import MeanEnergy, Response, respond, steps_of_joints
 from ves_gym.planners.query import Query, require_time
@@ -171,7 +171,18 @@ class MotionProblem:
         """Samples u (N 6) of the base momentum, and their derivative (N 6, free n)."""
         control = self.control(x)
         position, velocity = self._bases
-        sample = momentum(self.arm, position @ control, velocity @ control)
+        return self.chained(momentum(self.arm, position @ control, velocity @ control))
+
+    def chained(self, sample: BaseMomentum) -> tuple[Array, Array]:
+        """Turn samples and their derivatives by q and q' into those by the control points.
+
+        Args:
+            sample: at the times of `energy`, (N, k) and (N, k, n) twice.
+
+        Returns:
+            (N k,) and (N k, free n).
+        """
+        position, velocity = self._bases
         inner = slice(_FIXED, self.m - _FIXED)
         slope = np.einsum("kcj,km->kcmj", sample.by_q, position[:, inner])
         slope += np.einsum("kcj,km->kcmj", sample.by_v, velocity[:, inner])

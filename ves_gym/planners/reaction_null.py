@@ -4,6 +4,11 @@ Joint rates with H_bm(q) q' = 0 leave the base at rest (reaction null space, Nen
 1999), of dimension n - 6 in general; a free-floating base keeps its attitude where the
 disturbance matrix has a null space, of dimension n - 3. Arms with fewer joints have at
 places a direction that nearly is one.
+
+Along the null space an arm moves without any reaction (`reaction_null_path`): with seven
+joints on a flexible base one such curve goes through every configuration. Two given ends seldom
+lie on the same curve; planner reaction-null then gives the motion of least reaction between
+them (`least_reaction.py`) and says how much is left.
 """
 
 from __future__ import annotations
@@ -13,10 +18,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, ParameterError, finite
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.coupling import blocks
+from ves_gym.planners.direct import minimise
 from ves_gym.planners.hotspot import feasible_part
+from ves_gym.planners.least_reaction import ReactionProblem
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import NoPlan, Query
 from ves_gym.system.system import System
@@ -25,6 +32,11 @@ NEARLY = 0.02  # of the largest coupling (root of the eigenvalue) that counts as
 _STEP = 0.02  # rad along the null space
 _LITTLE = 0.1  # of the way to go: a null direction that leads less far on is left
 _LONGEST = 2000  # steps
+_TRULY = 1e-9  # of the largest coupling: rounding
+_FREE = 16  # control points of a motion of least reaction
+_ITERATIONS = 60  # of its optimisation, in each round
+_MISSED = 1e-4  # of a limit that a minimum may break
+_SAMPLES = 97  # of a motion, for its share along null directions
 
 
 def reaction_null_space(
@@ -58,31 +70,108 @@ def reaction_null_space(
     return vectors[size <= share * values[0]].T
 
 
+def reaction_null_path(
+    system: System,
+    q: npt.ArrayLike,
+    direction: npt.ArrayLike | None = None,
+    *,
+    length: float = 1.0,
+    attitude: bool = False,
+) -> Array:
+    """Configurations along reactionless directions from q, as far as the joint limits allow.
+
+    By the classical Runge-Kutta rule in steps of 0.02 rad; `Motion.through` times it.
+
+    Args:
+        system: arm and vehicle.
+        q: (n,) where it begins [rad].
+        direction: (n,) of which the reactionless part is followed; None: the first one.
+        length: of the path in joint space [rad].
+        attitude: only the rotation of a free-floating base has to rest.
+
+    Returns:
+        (k, n) configurations [rad], shorter than `length` where a limit is met.
+
+    Raises:
+        ParameterError: no reactionless direction at q, or none along `direction`.
+    """
+    arm = system.arm
+    at = arm.require_within_limits(q)
+    if not 0 < length < np.inf:
+        raise ParameterError(f"length must be > 0 rad and finite, got {length}")
+    null = reaction_null_space(system, at, attitude=attitude)
+    if not null.shape[1]:
+        raise ParameterError(_none_for(arm.n, attitude))
+    heading = null[:, 0] if direction is None else finite(direction, (arm.n,), "direction")
+    if np.linalg.norm(null.T @ heading) <= 1e-9 * np.linalg.norm(heading):
+        raise ParameterError(
+            f"direction must have a part without reaction, got {heading.tolist()}"
+        )
+    low, high = arm.column("q_min"), arm.column("q_max")
+
+    def along(place: Array, heading: Array) -> Array:
+        N = reaction_null_space(system, np.clip(place, low, high), attitude=attitude)
+        way = N @ (N.T @ heading)
+        return way / max(float(np.linalg.norm(way)), 1e-300)
+
+    path, h = [at], min(_STEP, length)
+    for _ in range(max(1, round(length / h))):
+        a = along(path[-1], heading)
+        b = along(path[-1] + h / 2 * a, a)
+        c = along(path[-1] + h / 2 * b, b)
+        d = along(path[-1] + h * c, c)
+        heading = (a + 2 * b + 2 * c + d) / 6
+        onward = path[-1] + h * heading
+        if (onward < low).any() or (onward > high).any():
+            break
+        path.append(onward)
+    return np.array(path)
+
+
+def _none_for(n: int, free: bool) -> str:
+    rest = "keeps a free base from turning" if free else "spares it"
+    return (
+        f"no reactionless motion: every motion of {n} joints moves this base; in general it"
+        f" takes {4 if free else 7} joints for one that {rest}"
+    )
+
+
 class ReactionNull:
-    """From both ends along (nearly) reactionless directions, the rest straight."""
+    """Motion of least reaction where an arm can be reactionless, else along what nearly is.
+
+    An arm with a reaction null space at both ends takes the motion of least reaction: none at
+    all where null directions join the ends. Another goes along (nearly) reactionless directions
+    from both ends, the rest straight.
+    """
 
     name = "reaction-null"
-    summary = "along (nearly) reactionless directions from both ends, straight between"
+    summary = "least reaction; of arms that cannot be reactionless, along what nearly is"
 
     def __init__(self, share: float = NEARLY) -> None:
         self.share = share
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Follow null directions from both ends; deterministic.
+        """Follow null directions from both ends, or minimise the reaction; deterministic.
 
         Args:
             query: the ends, the duration and limits.
             seed: not used.
 
         Returns:
-            The motion, and the share of its length along null directions [1].
+            The motion, the share of its length along null directions [1], and, where the
+            reaction was minimised, what is left of the straight line's [1].
+
+        Raises:
+            NoPlan: an arm that cannot be reactionless gains nothing by trying.
         """
         start, goal = query.ends
+        free = not query.system.base.full()[2].any()
+        spaces = (reaction_null_space(query.system, q, attitude=free) for q in (start, goal))
+        if all(space.shape[1] for space in spaces) and not np.array_equal(start, goal):
+            return self._least(query, free)
         ahead = self._flow(query.system, start, goal)
         back = self._flow(query.system, goal, ahead[-1])
-        path = np.vstack([ahead, back[::-1]])
-        path = path[np.r_[True, np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9]]
-        motion, share = feasible_part(query, path if len(path) > 1 else np.array([start, goal]))
+        motion, share = feasible_part(query, _joined(query, ahead, back))
         lengths = [
             float(np.linalg.norm(np.diff(k, axis=0), axis=1).sum()) for k in (ahead, back)
         ]
@@ -92,6 +181,38 @@ class ReactionNull:
             "null_share": sum(lengths) / max(sum(lengths) + gap, 1e-300),  # of the length
             "share": share,  # of the way from the straight line that the limits allow
         }
+
+    def _least(self, query: Query, free: bool) -> tuple[Motion, dict[str, Any]]:
+        """Least reaction from the straight line and, where it leads on, from the null space."""
+        problem = ReactionProblem(query, _FREE)
+        start, goal = query.ends
+        starts = [problem.straight]
+        flow = ReactionNull(share=_TRULY)
+        ahead = flow._flow(query.system, start, goal)
+        back = flow._flow(query.system, goal, ahead[-1])
+        if len(ahead) + len(back) > 2:
+            path = _joined(query, ahead, back)
+            starts.append(problem.of(Motion.through(path, query.duration)))
+        minima = [minimise(problem, x, _ITERATIONS) for x in starts]
+        best = min(minima, key=lambda m: (m.excess > _MISSED, m.energy))
+        motion = problem.motion(best.x)
+        left = problem.reaction(best.x) / max(problem.reaction(problem.straight), 1e-300)
+        if not free:
+            self._require_less_energy(query, motion, left)
+        info = {"null_share": _null_share(query.system, motion, free), "reaction": left}
+        return motion, info | best.info()
+
+    def _require_less_energy(self, query: Query, motion: Motion, left: float) -> None:
+        """Raise NoPlan where the least reaction costs more than the straight line."""
+        ours, straight = (
+            predict(query.system, m, query.servo, base=query.base).E_mean
+            for m in (motion, query.straight)
+        )
+        if ours > straight:
+            raise NoPlan(
+                f"no reactionless motion joins these ends: {100 * left:.3g} % of the straight"
+                f" line's reaction is left at least, at {ours / straight:.3g} x its energy"
+            )
 
     def _require_less(self, query: Query, motion: Motion, moved: bool) -> None:
         """Raise NoPlan where an arm that cannot be reactionless gains nothing by trying.
@@ -103,11 +224,7 @@ class ReactionNull:
         spaces = (reaction_null_space(query.system, q, attitude=free) for q in (start, goal))
         if np.array_equal(start, goal) or any(space.shape[1] for space in spaces):
             return
-        n, rest = query.system.arm.n, "keeps a free base from turning" if free else "spares it"
-        why = (
-            f"no reactionless motion: every motion of {n} joints moves this base; in general it"
-            f" takes {4 if free else 7} joints for one that {rest}"
-        )
+        why = _none_for(query.system.arm.n, free)
         if not moved:
             raise NoPlan(why)
         ours, straight = (
@@ -142,3 +259,26 @@ class ReactionNull:
         """The part of the way to the goal that lies in the null space."""
         null = reaction_null_space(system, q, attitude=free, share=self.share)
         return null @ (null.T @ (goal - q))
+
+
+def _joined(query: Query, ahead: Array, back: Array) -> Array:
+    """Way-points (k, n) from start to goal along both flows, without repeated ones [rad].
+
+    Args:
+        query: whose ends stand where no flow leads anywhere.
+        ahead: (i, n) from the start. back: (j, n) from the goal.
+    """
+    path = np.vstack([ahead, back[::-1]])
+    path = path[np.r_[True, np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9]]
+    return path if len(path) > 1 else np.array(query.ends)
+
+
+def _null_share(system: System, motion: Motion, free: bool) -> float:
+    """Share of a motion's length in joint space that lies in the null space [1]."""
+    s = motion.at(np.linspace(0, motion.duration, _SAMPLES))
+    low, high = system.arm.column("q_min"), system.arm.column("q_max")
+    along = 0.0
+    for q, v in zip(np.clip(s.q, low, high), s.v, strict=True):
+        null = reaction_null_space(system, q, attitude=free)
+        along += float(np.linalg.norm(null.T @ v))
+    return along / max(float(np.linalg.norm(s.v, axis=1).sum()), 1e-300)
