@@ -13,7 +13,7 @@ from ves_gym.engine.kernel.blocks import aligned, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_map
 from ves_gym.engine.kernel.trace import inertia_matrix, parameters, structure
-from ves_gym.hardware.admittance import admittance_matrices
+from ves_gym.hardware.admittance import admittance_matrices, require_admittance
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.gravity import GravityModel
 from ves_gym.system.effect import Effect, TorqueEffect, joint_torque
@@ -188,26 +188,32 @@ class Bodies:
     drag: Array  # (n, 6)
     wide: Array  # (n, 3, 6 + m, 6 + m) what m internal modes add to M, D, K
     body: Array  # (n, 6, 6) spatial inertia of a satellite, zero without one
-    phi: Array  # (n, 12, 12) admittance, zero where the vehicle is nonlinear
+    phi: Array  # (n, 12, 12) admittance, zero where it is not sampled beforehand
     gamma: Array  # (n, 12, 6)
     mass: Array  # (n,) of the arm [kg]
     P: Array  # (n, p) of its weight's moment [kg m]
     numbers: Array  # (n, k) of `trace.parameters` as `Inertias` takes them
 
     @staticmethod
-    def of(system: System, linear: bool, numbers: Array) -> Bodies:
+    def of(system: System, linear: bool, sampled: bool, numbers: Array) -> Bodies:
         """Return one row for a system.
 
         Args:
             system: arm and vehicle as they really are, but for the numbers.
-            linear: the vehicle is a linear one, discretised beforehand.
+            linear: the vehicle is a linear one.
+            sampled: it is discretised beforehand.
             numbers: (k,) masses and the like.
+
+        Raises:
+            ParameterError: a linear vehicle that cannot be emulated.
         """
         base, weight = system.actual.base, GravityModel.of(system.actual.arm)
         phi, gamma = np.zeros((12, 12)), np.zeros((12, 6))
-        if linear:
-            form = system.emulator_settings.admittance_form
+        form = system.emulator_settings.admittance_form
+        if sampled:
             phi, gamma = admittance_matrices(base, system.control_dt, form)
+        elif linear:
+            require_admittance(base, form)
         body = np.zeros((6, 6)) if base.body is None else base.body.spatial()
         drag = np.zeros(6) if base.drag is None else base.drag
         wide = np.zeros((3, 6, 6))

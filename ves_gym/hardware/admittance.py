@@ -39,12 +39,7 @@ def discretise(M: Array, D: Array, K: Array, dt: float) -> tuple[Array, Array]:
         ParameterError: M is not positive definite or dt is not > 0.
     """
     m = len(M)
-    lowest = float(np.linalg.eigvalsh(M)[0])
-    if lowest <= 0:
-        raise ParameterError(
-            f"an admittance needs a positive definite M, got an eigenvalue {lowest:.3g};"
-            " a vehicle without mass cannot be emulated"
-        )
+    _require_mass(M)
     if not dt > 0:
         raise ParameterError(f"the sample time must be > 0 s, got {dt}")
     generator = np.zeros((3 * m, 3 * m))  # of (Y, Y', W)
@@ -52,6 +47,15 @@ def discretise(M: Array, D: Array, K: Array, dt: float) -> tuple[Array, Array]:
     generator[m : 2 * m] = np.linalg.solve(M, np.hstack([-K, -D, np.eye(m)]))
     step = scipy.linalg.expm(generator * dt)
     return step[: 2 * m, : 2 * m], step[: 2 * m, 2 * m :]
+
+
+def _require_mass(M: Array) -> None:
+    lowest = float(np.linalg.eigvalsh(M)[0])
+    if lowest <= 0:
+        raise ParameterError(
+            f"an admittance needs a positive definite M, got an eigenvalue {lowest:.3g};"
+            " a vehicle without mass cannot be emulated"
+        )
 
 
 def coupled_axes(*matrices: Array) -> list[list[int]]:
@@ -86,11 +90,7 @@ def admittance_matrices(
     Raises:
         ParameterError: unknown form, or one that cannot hold this vehicle.
     """
-    if form not in FORMS:
-        raise ParameterError(
-            f"admittance form must be one of {', '.join(FORMS)}, got {form!r}"
-            f"{did_you_mean(form, FORMS)}"
-        )
+    require_admittance(base, form)
     M, D, K = base.full()
     if base.m:
         transition, driven = discretise(M, D, K, dt)
@@ -98,12 +98,6 @@ def admittance_matrices(
     if form == "coupled":
         return discretise(M, D, K, dt)
     sets = coupled_axes(M, D, K)
-    if form == "decoupled" and len(sets) < 6:
-        pair = next(s for s in sets if len(s) > 1)
-        raise ParameterError(
-            "the decoupled admittance form needs diagonal M, D and K, got coupling among"
-            f" {', '.join(AXES[i] for i in pair)}"
-        )
     phi, gamma = np.zeros((12, 12)), np.zeros((12, 6))
     for axes in sets:
         part = np.ix_(axes, axes)
@@ -111,6 +105,33 @@ def admittance_matrices(
         rows = [*axes, *(6 + i for i in axes)]
         phi[np.ix_(rows, rows)], gamma[np.ix_(rows, axes)] = a, b
     return phi, gamma
+
+
+def require_admittance(base: BaseModel, form: str) -> None:
+    """Check that a linear vehicle can be emulated.
+
+    Args:
+        base: M, D, K and internal modes.
+        form: coupled, beam or decoupled.
+
+    Raises:
+        ParameterError: unknown form, or one that cannot hold this vehicle, or no mass.
+    """
+    if form not in FORMS:
+        raise ParameterError(
+            f"admittance form must be one of {', '.join(FORMS)}, got {form!r}"
+            f"{did_you_mean(form, FORMS)}"
+        )
+    M, D, K = base.full()
+    if form == "decoupled" and not base.m:
+        sets = coupled_axes(M, D, K)
+        if len(sets) < 6:
+            pair = next(s for s in sets if len(s) > 1)
+            raise ParameterError(
+                "the decoupled admittance form needs diagonal M, D and K, got coupling among"
+                f" {', '.join(AXES[i] for i in pair)}"
+            )
+    _require_mass(M)
 
 
 def rigid_body(body: Inertial, base: BaseModel) -> Nonlinear:

@@ -162,7 +162,8 @@ class EmulationLoop:
             numbers = self._names.values  # those of the arm: a vehicle is the loop's alone
         elif self._names is not None:
             numbers = self._names.of(system.replace(effects=()), which)
-        return Bodies.of(system, self._linear, numbers)
+        sampled = self._linear and not self.compensating  # a coupled one is stepped implicitly
+        return Bodies.of(system, self._linear, sampled, numbers)
 
     def prepare(self, ids: Index, systems: Sequence[System]) -> Callable[[], None]:
         """Check systems of their own for some simulations; the result installs them.

@@ -192,7 +192,9 @@ def _inverse(
     at, rates = np.split(near.state[0], 2, axis=-1)
     X = np.concatenate([at[:, :6], rates[:, :6]], axis=-1)
     N, none = len(X), np.zeros((len(X), 6))
-    numbers = block.parameters(_parameters(system), Bodies.of(system, False, np.empty(0)))
+    numbers = block.parameters(
+        _parameters(system), Bodies.of(system, False, False, np.empty(0))
+    )
     signals = _signals(run, taken, system, described)
     coupled = np.zeros((N, 2 * k))
     M, D, K, _, offset = block.coupled_system(NUMPY, numbers, X, coupled, none, signals)
