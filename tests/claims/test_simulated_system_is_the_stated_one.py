@@ -62,30 +62,39 @@ CASES = {
 class States:
     """Random states and loads, in the engine's coordinate order."""
 
-    z: np.ndarray  # (N, 9) [m, rad]
+    z: np.ndarray  # (N, 9 + m) [m, rad], a base's internal modes last
     zd: np.ndarray
-    load: np.ndarray  # (N, 9) applied generalised force [N, N m]
+    load: np.ndarray  # (N, 9 + m) applied generalised force [N, N m]
 
 
-def draw(seed: int) -> States:
-    """Base within 0.3 m and 0.6 rad, joints anywhere, rates up to 1 m/s and 2 rad/s."""
+def draw(seed: int, modes: int = 0) -> States:
+    """Base within 0.3 m and 0.6 rad, joints anywhere, rates up to 1 m/s and 2 rad/s.
+
+    Internal modes within 3 kg^(1/2) m, no load on them.
+    """
     rng = np.random.default_rng(seed)
     box = np.r_[0.3, 0.3, 0.3, 0.6, 0.6, 0.6, 3.0, 3.0, 3.0]
     rates = np.r_[np.ones(3), 2 * np.ones(6)]
     loads = np.r_[100 * np.ones(3), 100 * np.ones(3), 80 * np.ones(3)]
     z, zd, load = rng.uniform(-1, 1, (3, STATES, 9))
-    return States(z * box, zd * rates, load * loads)
+    u, ud = rng.uniform(-3, 3, (2, STATES, modes))
+    return States(
+        np.hstack([z * box, u]),
+        np.hstack([zd * rates, ud]),
+        np.hstack([load * loads, np.zeros((STATES, modes))]),
+    )
 
 
 def engine(model: mujoco.MjModel, s: States) -> dict[str, np.ndarray]:
     """Inertia, bias, passive force and acceleration as MuJoCo computes them."""
     data = mujoco.MjData(model)
-    out = {"inertia": np.zeros((STATES, 9, 9))}
-    out |= {name: np.zeros((STATES, 9)) for name in ("bias", "passive", "acceleration")}
+    size = s.z.shape[1]
+    out = {"inertia": np.zeros((STATES, size, size))}
+    out |= {name: np.zeros((STATES, size)) for name in ("bias", "passive", "acceleration")}
     for k in range(STATES):
         data.qpos[:], data.qvel[:] = s.z[k], s.zd[k]
         data.qfrc_applied[:6] = s.load[k, :6]
-        data.act[:] = s.load[k, 6:]  # the drives' torque, inside their range
+        data.act[:] = s.load[k, 6:9]  # the drives' torque, inside their range
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, out["inertia"][k])
         out["bias"][k] = data.qfrc_bias
@@ -98,15 +107,21 @@ def reference(system: System, s: States) -> dict[str, np.ndarray]:
     """The same from Pinocchio and the vehicle's M, D, K."""
     model = pinocchio_model(system.arm, system.base)
     data = model.createData()
-    base = system.base
-    M, D, K = (np.zeros((9, 9)) for _ in range(3))
-    for padded, stated in ((M, base.M), (D, base.D), (K, base.K)):
-        padded[:6, :6] = stated[np.ix_(TO_Y, TO_Y)]
-    out = {"inertia": np.zeros((STATES, 9, 9)), "bias": np.zeros((STATES, 9))}
+    base, size = system.base, s.z.shape[1]
+    at = np.r_[:6, 9:size]  # of what the base is described in, in the engine's order
+    order = np.r_[TO_Y, 6 : len(at)]
+    rigid = np.zeros((len(at),) * 2)  # Pinocchio has a satellite's body
+    rigid[:6, :6] = 0.0 if base.body is None else base.body.spatial()
+    M, D, K = (np.zeros((size, size)) for _ in range(3))
+    stated = base.full()
+    for padded, matrix_ in zip((M, D, K), (stated[0] - rigid, *stated[1:]), strict=True):
+        padded[np.ix_(at, at)] = matrix_[np.ix_(order, order)]
+    out = {"inertia": np.zeros((STATES, size, size)), "bias": np.zeros((STATES, size))}
     for k in range(STATES):
-        upper = np.triu(pin.crba(model, data, s.z[k]))
-        out["inertia"][k] = upper + np.triu(upper, 1).T + M
-        out["bias"][k] = pin.nonLinearEffects(model, data, s.z[k], s.zd[k])
+        upper = np.triu(pin.crba(model, data, s.z[k, :9]))
+        out["inertia"][k] = M
+        out["inertia"][k, :9, :9] += upper + np.triu(upper, 1).T
+        out["bias"][k, :9] = pin.nonLinearEffects(model, data, s.z[k, :9], s.zd[k, :9])
     out["passive"] = -s.z @ K - s.zd @ D
     force = s.load + out["passive"] - out["bias"]
     out["acceleration"] = np.linalg.solve(out["inertia"], force[..., None])[..., 0]
@@ -124,7 +139,7 @@ def largest_error(found: np.ndarray, true: np.ndarray) -> float:
 @pytest.mark.parametrize("name", CASES)
 def test_engine_agrees_with_pinocchio(name):
     system = System(vehicle=CASES[name])
-    states = draw(0)
+    states = draw(0, system.base.m)
     found, true = engine(compile_model(system), states), reference(system, states)
     errors = {key: largest_error(found[key], true[key]) for key in true}
     assert max(errors.values()) <= TOLERANCE, errors

@@ -271,6 +271,6 @@ def test_satellites_float():
 
 def test_a_vehicle_from_plain_data_is_named_in_errors():
     with pytest.raises(
-        ParameterError, match=r"mine.kind must be one of beam, matrices, satell"
+        ParameterError, match=r"mine.kind must be one of beam, flexible, matrices, satell"
     ):
         vehicle_from_plain({"kind": "ship"}, "mine")

@@ -33,6 +33,8 @@ from ves_gym.mechanics.base_model import Saved
 from ves_gym.mechanics.base_model import elementwise_damping as elementwise_damping
 from ves_gym.mechanics.base_model import modal_damping as modal_damping
 from ves_gym.mechanics.beam import Beam as Beam
+from ves_gym.mechanics.flexible_base import FlexibleBase as FlexibleBase
+from ves_gym.mechanics.flexible_base import bent_line
 from ves_gym.mechanics.section import ALUMINIUM as ALUMINIUM
 from ves_gym.mechanics.section import Material as Material
 
@@ -109,7 +111,7 @@ class Satellite(Saved):
         return BaseModel(zero, zero, zero, self.body)
 
 
-Vehicle = Beam | MatrixVehicle | Satellite
+Vehicle = Beam | FlexibleBase | MatrixVehicle | Satellite
 
 STRAIGHT_VERTICAL = Beam(
     segments=((0.0, 0.0, 12.0),),
@@ -142,6 +144,11 @@ FREE_FLYING = Satellite(
     body=_CUBE, thrusters=True, source="nominal, this project: the same cube with jets"
 )
 
+# Modes: scripts/modes_needed.py, frequencies below 20 Hz and E_mean within 1 %.
+BENT_FLEXIBLE = FlexibleBase.of(BENT, modes=5)
+STRAIGHT_VERTICAL_FLEXIBLE = FlexibleBase.of(STRAIGHT_VERTICAL, modes=8)
+STRAIGHT_HORIZONTAL_FLEXIBLE = FlexibleBase.of(STRAIGHT_HORIZONTAL, modes=8)
+
 VEHICLES: dict[str, Vehicle] = {
     "bent": BENT,
     "straight-vertical": STRAIGHT_VERTICAL,
@@ -149,6 +156,9 @@ VEHICLES: dict[str, Vehicle] = {
     "decoupled": DECOUPLED,
     "free-floating": FREE_FLOATING,
     "free-flying": FREE_FLYING,
+    "bent-flexible": BENT_FLEXIBLE,
+    "straight-vertical-flexible": STRAIGHT_VERTICAL_FLEXIBLE,
+    "straight-horizontal-flexible": STRAIGHT_HORIZONTAL_FLEXIBLE,
 }
 
 
@@ -161,6 +171,8 @@ def has(vehicle: Vehicle, name: str) -> bool:
     """
     if isinstance(vehicle, Beam):
         return name != "D" or vehicle.damping_ratio > 0
+    if isinstance(vehicle, FlexibleBase):
+        return vehicle.damped if name == "D" else bool(vehicle.reduction().K.any())
     return isinstance(vehicle, MatrixVehicle) and bool(np.any(getattr(vehicle, name)))
 
 
@@ -216,17 +228,22 @@ def get_vehicle(name: str | os.PathLike[str]) -> Vehicle:
     )
 
 
-def beam_line(vehicle: object, y: Array, points: int = 7) -> Array | None:
+def beam_line(
+    vehicle: object, y: Array, u: Array | None = None, points: int = 7
+) -> Array | None:
     """Return the bent centreline of a beam, None of a vehicle that is none.
 
     Args:
         vehicle: what carries the arm.
         y: (N, 6) base poses [m, rad].
+        u: (N, m) its internal modes [kg^(1/2) m]; None: they rest on its flange.
         points: of each segment, both ends included.
 
     Returns:
         (N, k, 3) points [m].
     """
+    if isinstance(vehicle, FlexibleBase):
+        return bent_line(vehicle, y, u, points)
     if not isinstance(vehicle, Beam):
         return None
     nodes, K = vehicle.nodes, vehicle.stiffness()

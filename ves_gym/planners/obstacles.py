@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
@@ -28,7 +28,7 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.vehicle import Beam
+from ves_gym.mechanics.vehicle import Beam, FlexibleBase
 from ves_gym.system.system import System
 
 RESOLUTION = 0.04  # rad in joint space between the configurations a search checks
@@ -209,7 +209,8 @@ def _model(system: System, surroundings: Surroundings) -> Any:
     from ves_gym.engine.mjcf import build_spec
 
     arm = system.arm
-    spec = build_spec(arm, system.base, gravity=(0.0,) * 3, integrator="euler", physics_dt=1e-3)
+    base = replace(system.base, internal=None)  # nothing to run into
+    spec = build_spec(arm, base, gravity=(0.0,) * 3, integrator="euler", physics_dt=1e-3)
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     r = link_radius(arm, 0)
     _add_arm(spec, arm)
@@ -218,9 +219,9 @@ def _model(system: System, surroundings: Surroundings) -> Any:
     _rod(platform, "platform", "CYLINDER", plate, (0, 0, 0), _PLATFORM[0] * r, under)
     if system.base.body is not None:
         _add_satellite(spec, system.base.body, under)
-    if isinstance(system.vehicle, Beam):
+    if isinstance(system.vehicle, (Beam, FlexibleBase)):
         nodes = system.vehicle.nodes
-        for k, (a, b) in enumerate(itertools.pairwise(nodes)):
+        for k, (a, b) in enumerate(itertools.pairwise(() if nodes is None else nodes)):
             half = system.vehicle.outer_diameter / 2
             _rod(spec.worldbody, f"beam segment {k + 1}", "CAPSULE", a, b, half, under)
     for k, obstacle in enumerate(surroundings.obstacles):

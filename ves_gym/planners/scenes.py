@@ -167,8 +167,9 @@ def scene(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
         index = np.clip(np.searchsorted(run.t, at - 1e-9), 0, run.records(k) - 1)
         y, yd, q = run.y[k, index], run.yd[k, index], run.q[k, index]
         arm = joint_positions(run.system.arm, q) @ np.swapaxes(rotation(y), -1, -2)
-        beam = beam_line(run.system.vehicle, y)
-        energy = base_energy(run.system, q, y, yd, run.internal(k, index))
+        modes = run.internal(k, index)
+        beam = beam_line(run.system.vehicle, y, None if modes is None else modes[0])
+        energy = base_energy(run.system, q, y, yd, modes)
         data["runs"].append(
             {
                 "planner": plan.planner,

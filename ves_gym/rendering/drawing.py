@@ -6,6 +6,7 @@ is imported first and as it is, not by way of `_util.mujoco_loader`, which would
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from typing import Any
@@ -17,7 +18,7 @@ from ves_gym._util.params import Array
 from ves_gym.engine.mjcf import TO_Y, build_spec
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.spatial import rotation
-from ves_gym.mechanics.vehicle import Beam, beam_line
+from ves_gym.mechanics.vehicle import Beam, FlexibleBase, beam_line
 from ves_gym.system.system import System
 
 ARROW = 1.2  # m, of the longest force or moment arrow
@@ -46,12 +47,21 @@ class Drawing:
         if system.mode == "emulated":  # the laboratory stands on legs instead
             stewart = system.emulator_settings.stewart
             self.feet = np.array(stewart.base) - [0.0, 0.0, stewart.home_height]
-        elif isinstance(system.vehicle, Beam):
-            lines: Any = beam_line(system.vehicle, np.vstack([np.zeros(6), np.eye(6)]))
-            self.rest_beam, self.bend = lines[0], lines[1:] - lines[0]  # (6, k, 3) per Y
-            self.thick = system.vehicle.outer_diameter
+        elif isinstance(system.vehicle, (Beam, FlexibleBase)):
+            self._measure(system.vehicle)
         self.model = self._model()
         self.data = mujoco.MjData(self.model)
+
+    def _measure(self, vehicle: Beam | FlexibleBase) -> None:
+        """Centreline at rest, per base coordinate and per internal mode."""
+        lines = beam_line(vehicle, np.vstack([np.zeros(6), np.eye(6)]))
+        if lines is None:  # a user's matrices without a line to draw
+            return
+        self.rest_beam, self.bend = lines[0], lines[1:] - lines[0]  # (6, k, 3) per Y
+        self.thick, m = vehicle.outer_diameter, self.system.base.m
+        if m:
+            ripples: Any = beam_line(vehicle, np.zeros((m, 6)), np.eye(m))
+            self.ripple = ripples - lines[0]  # (m, k, 3) per mode against the flange
 
     # ------------------------------------------------------------------ model
 
@@ -59,7 +69,7 @@ class Drawing:
         system = self.system
         spec = build_spec(
             system.arm,
-            system.base,
+            dataclasses.replace(system.base, internal=None),  # drawn as a line
             gravity=(0.0, 0.0, 0.0),
             integrator=system.integrator,
             physics_dt=system.physics_dt,
@@ -93,7 +103,7 @@ class Drawing:
         return spec.compile()
 
     def _add_base(self, spec: Any) -> None:
-        platform, vehicle = spec.body("platform"), self.system.vehicle
+        platform = spec.body("platform")
         r = self._radius(0)
         _rod(platform, "CYLINDER", (0, 0, -0.06), (0, 0, 0), 3.6 * r, _METAL)
         reach = self.system.arm.links[0].d
@@ -112,10 +122,10 @@ class Drawing:
             return
         if body is not None:
             _box(platform, np.array(body.com), *_equal_box(body), _METAL)
-        if isinstance(vehicle, Beam):
-            clamp, along = vehicle.nodes[0], np.array(vehicle.segments[0])
+        if self.rest_beam is not None:
+            clamp, along = self.rest_beam[0], self.rest_beam[1] - self.rest_beam[0]
             along = along / np.linalg.norm(along)
-            size = max(0.6, 4 * vehicle.outer_diameter)
+            size = max(0.6, 4 * self.thick)
             wall = np.array([0.12, size, size])
             _box(spec.worldbody, clamp - 0.12 * along, wall, _frame_along(along), _DARK)
 
@@ -161,11 +171,22 @@ class Drawing:
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
-    def beam(self, y: Array) -> Array | None:
-        """Bent centreline (..., k, 3) [m] under base poses y (..., 6)."""
+    def beam(self, y: Array, u: Array | None = None) -> Array | None:
+        """Bent centreline.
+
+        Args:
+            y: (..., 6) base poses [m, rad].
+            u: (..., m) internal modes; None: they rest on the flange.
+
+        Returns:
+            (..., k, 3) [m]; None of a system without a beam.
+        """
         if self.rest_beam is None:
             return None
-        return np.asarray(self.rest_beam + np.tensordot(y, self.bend, 1), dtype=np.float64)
+        line = self.rest_beam + np.tensordot(y, self.bend, 1)
+        if u is not None:
+            line = line + np.tensordot(u - self.system.base.attached(y), self.ripple, 1)
+        return np.asarray(line, dtype=np.float64)
 
     def legs(self, y: Array) -> Array | None:
         """Foot and head of every leg (..., 6, 2, 3) [m]; origin: the platform top at home."""
@@ -188,15 +209,16 @@ class Drawing:
         turned = joint_positions(self.system.arm, q) @ np.swapaxes(rotation(y), -1, -2)
         return np.asarray(turned + y[..., None, :3], dtype=np.float64)
 
-    def add_support(self, scene: Any, y: Array, extent: float) -> None:
+    def add_support(self, scene: Any, y: Array, extent: float, u: Array | None = None) -> None:
         """Add what carries the arm and is no rigid body: the bent beam, or the legs.
 
         Args:
             scene: MuJoCo's, of this frame.
             y: (6,) base pose [m, rad].
             extent: size of what the camera sees [m].
+            u: (m,) internal modes of the base; None: they rest on its flange.
         """
-        legs, centreline = self.legs(y), self.beam(y)
+        legs, centreline = self.legs(y), self.beam(y, u)
         if legs is not None:
             for foot, head in legs:
                 middle = foot + 0.55 * (head - foot)

@@ -35,7 +35,7 @@ def _decorate(
     scene: Any, drawing: Drawing, clip: Clip, view: View, k: int, extent: float
 ) -> None:
     """Add to frame k what is not a rigid body."""
-    drawing.add_support(scene, clip["y"][k], extent)
+    drawing.add_support(scene, clip["y"][k], extent, clip["u"][k] if "u" in clip else None)
     first = max(0, k - round(_TRAIL * view.fps / view.speed))
     drawing.add_path(scene, clip["y"][first : k + 1], extent)
     if "w" in clip:

@@ -139,6 +139,8 @@ def _clip(log: RunLog, view: View) -> dict[str, Any]:
         "y": view.magnify * at(log.y),
         "E": np.interp(t, log.t, E),
     }
+    if log.u is not None and system.mode == "ideal":
+        clip["u"] = view.magnify * at(log.u)
     wrench = log.w if log.wg is None else log.wg  # less the weight, where there is any
     if wrench is not None:
         clip["w"] = at(wrench)

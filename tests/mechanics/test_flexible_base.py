@@ -1,0 +1,229 @@
+"""A flexible base: files, what it reduces to, what is refused, and how it bends."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.arm import Inertial, diagonal, matrix
+from ves_gym.mechanics.flexible_base import (
+    ELEMENTS,
+    CornerBody,
+    FlexibleBase,
+    Polyline,
+    Reduced,
+    Strut,
+)
+from ves_gym.mechanics.modes import natural_modes
+from ves_gym.mechanics.section import Section, Tube
+from ves_gym.mechanics.structure import Structure
+from ves_gym.mechanics.vehicle import (
+    BENT,
+    STRAIGHT_HORIZONTAL,
+    STRAIGHT_VERTICAL,
+    beam_line,
+    get_vehicle,
+    has,
+)
+from ves_gym.system.system import System
+
+FLEXIBLE = FlexibleBase.of(BENT, 6)
+MAST = FlexibleBase(
+    structure=Polyline(
+        members=(
+            Strut(
+                vector=(0.0, 0.0, 2.0), section=Tube(outer_diameter=0.3, wall=0.01, shear=True)
+            ),
+            Strut(
+                vector=(1.0, 0.5, 3.0),
+                section=Section(
+                    area=2e-3, second_y=2e-6, second_z=3e-6, torsion=1e-6, up=(0.0, 1.0, 0.0)
+                ),
+            ),
+        ),
+        bodies=(
+            CornerBody(
+                corner=1,
+                inertial=Inertial(
+                    mass=20.0, com=(0.1, 0.0, 0.0), inertia=diagonal(1.0, 1.0, 1.0)
+                ),
+            ),
+        ),
+    ),
+    modes=3,
+    damping_ratios=(0.01,) * 6 + (0.02, 0.03, 0.04),
+)
+
+
+def users(damped=True):
+    """The bent beam as a user's structure, its nodes numbered from 101."""
+    M, K = FLEXIBLE.structure.frame().matrices()
+    labels = tuple((101 + k // 6, k % 6 + 1) for k in range(M.shape[0]))
+    damping = 0.1 * M + 1e-3 * K if damped else None
+    return Structure(M, K, damping, tuple(range(12, 18)), tuple(range(6)), labels=labels)
+
+
+def drawn(axes=None):
+    """The same with a line through all its nodes."""
+    line = FLEXIBLE.structure.frame().nodes
+    at = line if axes is None else line @ axes
+    nodes = tuple(range(101, 101 + len(line)))
+    return Reduced.of(users(), 6, axes=axes, line=at, nodes=nodes, diameter=0.18)
+
+
+@pytest.mark.parametrize(
+    "base",
+    [FLEXIBLE, MAST, FlexibleBase(structure=drawn(), modes=4)],
+    ids=["beam", "mast", "user's"],
+)
+@pytest.mark.parametrize("suffix", ["toml", "json"])
+def test_a_file_gives_it_back(base, suffix, tmp_path):
+    path = tmp_path / f"base.{suffix}"
+    base.save(path)
+    again = get_vehicle(path)
+    assert again == base
+    assert hash(again) == hash(base)
+    system = System(vehicle=again)
+    assert System.from_dict(system.to_dict()).hash == system.hash
+
+
+@pytest.mark.parametrize("beam", [BENT, STRAIGHT_VERTICAL, STRAIGHT_HORIZONTAL])
+def test_static_stiffness_is_that_of_the_condensed_beam(beam):
+    found = FlexibleBase.of(beam, 4).base_model().K
+    size = np.sqrt(np.diag(beam.stiffness()))
+    assert np.abs((found - beam.stiffness()) / np.outer(size, size)).max() < 1e-12
+    assert ((found == 0) == (beam.stiffness() == 0)).all()
+
+
+@pytest.mark.parametrize("base", [FLEXIBLE, MAST])
+def test_the_model_is_the_reduction_in_absolute_coordinates(base):
+    """Same frequencies over (Y, u); every mode of the whole has its damping ratio."""
+    model = base.base_model()
+    M, D, K = model.full()
+    expected = natural_modes(*base.reduction().matrices()[::-1])
+    found = natural_modes(K, M)
+    assert found.omega == pytest.approx(expected.omega, rel=1e-9)
+    lost = np.diag(found.shapes.T @ D @ found.shapes) / (2 * found.omega)
+    ratios = base.damping_ratios or (base.damping_ratio,) * len(lost)
+    assert lost == pytest.approx(ratios, rel=1e-6)
+    assert not model.D.any()
+    assert np.linalg.eigvalsh(model.M)[0] > 0
+    assert not model.K.flags.writeable
+    assert has(base, "D") and has(base, "K")
+
+
+def test_condensed_it_is_the_consistent_beam():
+    """Modes that follow the flange: the mass is Guyan's, as `mass_model` consistent has it."""
+    M, _, K = FLEXIBLE.base_model().condensed()
+    true = dataclasses.replace(BENT, mass_model="consistent").base_model()
+    size = np.sqrt(np.diag(true.M))
+    assert np.abs((M - true.M) / np.outer(size, size)).max() < 2e-3  # rotary inertia
+    assert np.abs(K - true.K).max() < 1e-12 * true.K.max()
+
+
+def test_modes_beyond_reach_are_condensed():
+    """omega dt > 1 at 1.25 ms: 13 of the bent beam's modes are slower than that."""
+    assert FlexibleBase.of(BENT, 30).base_model().m == 13
+    everything = dataclasses.replace(FlexibleBase.of(BENT, 30), fastest=1e6)
+    assert everything.base_model().m == 30
+    assert everything.base_model().internal.omega[12] < 800 < everything.reduction().omega[13]
+
+
+def test_elements_suffice():
+    """Eight modes to 1e-5 with the mesh that is used."""
+    from ves_gym.mechanics.craig_bampton import reduce
+
+    omega = []
+    for elements in (ELEMENTS, 3 * ELEMENTS):
+        M, K = FLEXIBLE.structure.frame(elements).matrices()
+        omega.append(reduce(M, K, range(12, 18), 8, held=range(6)).omega)
+    assert omega[0] == pytest.approx(omega[1], rel=1.1e-5)
+
+
+def test_a_users_structure_is_the_same_base():
+    """From reduced matrices with their own damping, in axes turned by 90 degrees."""
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    straight = FlexibleBase(structure=drawn(), modes=6).base_model()
+    expected = FLEXIBLE.base_model()
+    assert np.abs(straight.K - expected.K).max() < 1e-6 * expected.K.max()
+    assert straight.internal.omega == pytest.approx(expected.internal.omega)
+    both = scipy.linalg.block_diag(turn, turn, np.eye(6))
+    turned = FlexibleBase(structure=drawn(turn), modes=6).base_model()
+    for a, b in zip(turned.full(), straight.full(), strict=True):
+        assert a == pytest.approx(both.T @ b @ both, abs=1e-8 * np.abs(b).max())
+    y, u = np.array([[0.1, -0.2, 0.05, 0.02, 0.01, -0.03]]), np.arange(6.0)[None] / 10
+    lines = [
+        beam_line(FlexibleBase(structure=drawn(k), modes=6), y @ np.kron(np.eye(2), r), u)
+        for k, r in ((None, np.eye(3)), (turn, turn))
+    ]
+    assert lines[1] == pytest.approx(lines[0] @ turn, abs=1e-9)
+    ratio = FlexibleBase(structure=drawn(), modes=6, damping_ratio=0.01).base_model()
+    assert ratio.internal.damping != pytest.approx(straight.internal.damping)
+
+
+def test_it_bends_as_the_condensed_beam_where_modes_rest():
+    y = np.random.default_rng(1).normal(size=(5, 6)) * 0.1
+    assert beam_line(FLEXIBLE, y) == pytest.approx(beam_line(BENT, y), abs=1e-9)
+    rest = FLEXIBLE.base_model().attached(y)
+    assert beam_line(FLEXIBLE, y, rest) == pytest.approx(beam_line(BENT, y), abs=1e-9)
+
+
+def test_a_mode_bends_it_between_its_ends():
+    """eta_1 = 1 with the flange at rest: the shape of the first mode, both ends still."""
+    u = np.zeros((1, 6))
+    u[0, 0] = 1.0
+    bent = (beam_line(FLEXIBLE, np.zeros((1, 6)), u, points=13) - FLEXIBLE.line().rest[::2])[0]
+    assert bent[[0, -1]] == pytest.approx(np.zeros((2, 3)), abs=1e-12)
+    # 170 kg in a mode of unit mass: about 1 / sqrt(half of it) where it moves most
+    assert 0.05 < np.abs(bent).max() < 0.3
+    # the elbow of a clamped bent beam moves out of its plane first
+    assert np.abs(bent[:, 1]).max() == pytest.approx(np.abs(bent).max())
+
+
+def test_a_structure_without_a_line_is_not_drawn():
+    reduced = Reduced.of(users(), 2)
+    base = FlexibleBase(structure=reduced, modes=2)
+    assert beam_line(base, np.zeros((1, 6))) is None
+    assert base.nodes is None
+
+
+REDUCED = Reduced.of(users(damped=False), 2)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: dataclasses.replace(FLEXIBLE, modes=-1), "modes must be 0 to 120, got -1"),
+        (lambda: dataclasses.replace(FLEXIBLE, modes=True), "got True"),
+        (lambda: dataclasses.replace(FLEXIBLE, damping_ratio=None), "needs damping_ratio"),
+        (lambda: dataclasses.replace(FLEXIBLE, damping_ratio=-0.1), "must be >= 0"),
+        (lambda: dataclasses.replace(MAST, damping_ratio=0.1), "needs damping_ratio or"),
+        (lambda: dataclasses.replace(MAST, damping_ratios=(0.1,)), r"must have shape \(9,\)"),
+        (lambda: FlexibleBase(structure=REDUCED, modes=2), "or a structure with its own"),
+        (
+            lambda: FlexibleBase(structure=REDUCED, modes=3, damping_ratio=0.1),
+            "modes must be 0 to 2, got 3",
+        ),
+        (lambda: Polyline(members=()), "at least one, got none"),
+        (
+            lambda: dataclasses.replace(
+                MAST.structure, bodies=(CornerBody(corner=0, inertial=MAST_BODY),)
+            ),
+            "corner must be 1 to 2, got 0",
+        ),
+        (lambda: dataclasses.replace(REDUCED, omega=(3.0, 1.0)), "> 0 rad/s and ascend"),
+        (
+            lambda: dataclasses.replace(REDUCED, coupling=matrix(50 * np.ones((6, 2)))),
+            "must be positive definite, got an eigenvalue -",
+        ),
+        (lambda: Reduced.of(users(), 2, axes=2 * np.eye(3)), "axes must be a rotation"),
+    ],
+)
+def test_what_cannot_be_is_refused(make, message):
+    with pytest.raises(ParameterError, match=message):
+        make()
+
+
+MAST_BODY = MAST.structure.bodies[0].inertial

@@ -1,0 +1,406 @@
+"""A flexible structure under the arm, with the modes that its own mass gives it.
+
+The structure is a polyline of tubes and other sections, divided into finite elements, or
+the reduced matrices of a user's own model. Interface and internal modes follow by Craig and
+Bampton's reduction; docs/physics.md derives both.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from ves_gym._util.params import (
+    Array,
+    Matrix,
+    ParameterError,
+    Vector,
+    finite,
+    require_positive,
+    symmetric,
+    unit,
+)
+from ves_gym.mechanics.arm import Inertial, matrix
+from ves_gym.mechanics.base_model import BaseModel, InternalModes, Saved
+from ves_gym.mechanics.beam import Beam
+from ves_gym.mechanics.craig_bampton import Reduction, reduce
+from ves_gym.mechanics.finite_elements import Frame, Member
+from ves_gym.mechanics.section import ALUMINIUM, Material, Section, Tube
+from ves_gym.mechanics.structure import Structure
+
+ELEMENTS = 24  # of a member: eight modes to 1e-5 of their frequency (tests/mechanics)
+REACH = 800.0  # rad/s: omega dt = 1 at a physics step of 1.25 ms
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strut:
+    """A straight member of a polyline."""
+
+    vector: Vector = unit("m")  # (3,) from its start to its end
+    section: Tube | Section
+    material: Material = ALUMINIUM
+
+    def __post_init__(self) -> None:
+        if np.linalg.norm(finite(self.vector, (3,), "Strut.vector")) == 0:
+            raise ParameterError("Strut.vector must not have zero length")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CornerBody:
+    """A rigid body at a corner of a polyline; its frame sits there in platform axes."""
+
+    corner: int  # 0 is the clamp, the last is the flange
+    inertial: Inertial
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polyline:
+    """A clamped chain of straight members; the arm stands on its free end."""
+
+    kind: ClassVar[str] = "polyline"
+    members: tuple[Strut, ...]
+    bodies: tuple[CornerBody, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "members", tuple(self.members))  # a list has no hash
+        object.__setattr__(self, "bodies", tuple(self.bodies))
+        if not self.members:
+            raise ParameterError("Polyline.members must hold at least one, got none")
+        for body in self.bodies:
+            if not 1 <= body.corner <= len(self.members):
+                raise ParameterError(
+                    f"CornerBody.corner must be 1 to {len(self.members)}, got {body.corner}"
+                )
+
+    @staticmethod
+    def of(beam: Beam) -> Polyline:
+        """Return the members of a condensed beam."""
+        tube = Tube(outer_diameter=beam.outer_diameter, wall=beam.wall)
+        return Polyline(
+            members=tuple(
+                Strut(vector=tuple(k), section=tube, material=beam.material)
+                for k in beam.segments
+            )
+        )
+
+    @property
+    def corners(self) -> Array:
+        """(s + 1, 3) from clamp to flange, the flange at the origin [m]."""
+        ends = np.cumsum([k.vector for k in self.members], axis=0)
+        out: Array = np.vstack([np.zeros(3), ends]) - ends[-1]
+        return out
+
+    def frame(self, elements: int = ELEMENTS) -> Frame:
+        """Return the finite-element model; corners are its first nodes.
+
+        Args:
+            elements: of each member.
+        """
+        members = tuple(
+            Member(i, i + 1, k.section, k.material) for i, k in enumerate(self.members)
+        )
+        bodies = tuple((k.corner, k.inertial) for k in self.bodies)
+        return Frame(self.corners, members, bodies).divided(elements)
+
+    def path(self, elements: int = ELEMENTS) -> list[int]:
+        """Nodes of `frame` from clamp to flange."""
+        corners, inner = len(self.members) + 1, elements - 1
+        out = [0]
+        for i in range(len(self.members)):
+            first = corners + i * inner
+            out += [*range(first, first + inner), i + 1]
+        return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reduced:
+    """Reduced matrices of a user's structure over (Y, eta), and a line to draw it by.
+
+    Over interface and modes with the interface held, as `Structure.reduce` gives them.
+    """
+
+    kind: ClassVar[str] = "reduced"
+    K: Matrix = unit("N/m, N, N m")
+    M: Matrix = unit("kg, kg m, kg m^2")  # in static shapes (Guyan)
+    coupling: Matrix = unit("kg^(1/2), kg^(1/2) m")  # (6, m) P
+    omega: Vector = unit("rad/s")  # (m,) with the interface held
+    damping: Matrix | None = unit("N s/m", default=None)  # (6 + m, 6 + m) over (Y', eta')
+    line: Matrix | None = unit("m", default=None)  # (k, 3) points at rest
+    line_static: Matrix | None = unit("m, 1", default=None)  # (3 k, 6) per Y
+    line_shapes: Matrix | None = unit("kg^(-1/2)", default=None)  # (3 k, m) per eta
+    diameter: float | None = unit("m", default=None)  # to draw it with
+
+    def __post_init__(self) -> None:
+        m = len(self.omega)
+        symmetric(self.K, "Reduced.K")
+        symmetric(self.M, "Reduced.M")
+        finite(self.coupling, (6, m), "Reduced.coupling")
+        omega = finite(self.omega, (m,), "Reduced.omega")
+        if m and not (omega[0] > 0 and (np.diff(omega) >= 0).all()):
+            raise ParameterError(
+                f"Reduced.omega must be > 0 rad/s and ascend, got {list(self.omega)}"
+            )
+        rest = np.linalg.eigvalsh(self._rest())
+        if rest[0] <= 0:
+            raise ParameterError(
+                "Reduced.M - coupling coupling^T must be positive definite, got an eigenvalue"
+                f" {rest[0]:.6g}"
+            )
+        if self.damping is not None:
+            symmetric(self.damping, "Reduced.damping", 6 + m)
+        if self.line is not None:
+            count = len(self.line)
+            finite(self.line, (count, 3), "Reduced.line")
+            finite(self.line_static, (3 * count, 6), "Reduced.line_static")
+            finite(self.line_shapes, (3 * count, m), "Reduced.line_shapes")
+
+    def _rest(self) -> Array:
+        P = np.array(self.coupling).reshape(6, -1)
+        rest: Array = np.array(self.M) - P @ P.T
+        return rest
+
+    @staticmethod
+    def of(
+        structure: Structure,
+        modes: int,
+        axes: Array | None = None,
+        line: Array | None = None,
+        nodes: tuple[int, ...] = (),
+        diameter: float | None = None,
+    ) -> Reduced:
+        """Reduce a structure that was read from files.
+
+        Args:
+            structure: checked.
+            modes: to keep.
+            axes: (3, 3) columns: the platform's x, y, z in the structure's axes.
+            line: (k, 3) nodes to draw it by, from the platform-top origin in platform axes [m].
+            nodes: (k,) their numbers in the files.
+            diameter: to draw it with [m].
+        """
+        found = structure.reduce(modes)
+        turn = np.eye(3) if axes is None else finite(axes, (3, 3), "axes")
+        if np.abs(turn.T @ turn - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0:
+            raise ParameterError(f"axes must be a rotation, got {turn.tolist()}")
+        found = found.turned(turn)
+        parts: dict[str, Matrix] = {}
+        if line is not None:
+            at = finite(line, (len(nodes), 3), "line")
+            rows = np.array(structure.rows(nodes), int)  # (k, 3), in the structure's axes
+            parts = {
+                "line": matrix(at),
+                "line_static": matrix(_turned(found.static, rows, turn)),
+                "line_shapes": matrix(_turned(found.shapes, rows, turn)),
+            }
+        return Reduced(
+            K=matrix(found.K),
+            M=matrix(found.M),
+            coupling=matrix(found.coupling),
+            omega=tuple(found.omega.tolist()),
+            damping=None if found.damping is None else matrix(found.damping),
+            diameter=diameter,
+            **parts,
+        )
+
+    def reduction(self) -> Reduction:
+        """Return the matrices as a reduction; its freedoms are those of the line."""
+        m, count = len(self.omega), 0 if self.line is None else len(self.line)
+        static = np.zeros((0, 6)) if self.line_static is None else np.array(self.line_static)
+        shapes = np.zeros((0, m)) if self.line_shapes is None else np.array(self.line_shapes)
+        return Reduction(
+            K=symmetric(self.K, "Reduced.K"),
+            M=symmetric(self.M, "Reduced.M"),
+            coupling=np.array(self.coupling).reshape(6, m),
+            omega=np.array(self.omega),
+            static=static.reshape(3 * count, 6),
+            shapes=shapes.reshape(3 * count, m),
+            damping=None if self.damping is None else np.array(self.damping),
+        )
+
+
+def _turned(shapes: Array, rows: Array, axes: Array) -> Array:
+    """Ways (3 k, c) of nodes in platform axes from those of all freedoms in their own."""
+    out: Array = np.einsum("ij,kic->kjc", axes, shapes[rows]).reshape(-1, shapes.shape[1])
+    return out
+
+
+class Line(NamedTuple):
+    """A structure's centreline and its ways."""
+
+    rest: Array  # (k, 3) [m]
+    static: Array  # (k, 3, 6) per Y
+    shapes: Array  # (k, 3, m) per eta
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlexibleBase(Saved):
+    """A flexible structure: the pose of its flange and `modes` internal modes.
+
+    Damping: `damping_ratio` of every mode of the whole without the arm, or one for each of
+    its 6 + m modes, slowest first (`damping_ratios`), or neither where the structure brings
+    a damping matrix of its own. Modes faster than `fastest` follow the flange in statics.
+    """
+
+    kind: ClassVar[str] = "flexible"
+    structure: Polyline | Reduced
+    modes: int = 8
+    damping_ratio: float | None = unit("1", default=None)
+    damping_ratios: Vector | None = unit("1", default=None)
+    fastest: float = unit("rad/s", default=REACH)
+    source: str = "user"
+
+    def __post_init__(self) -> None:
+        require_positive(self, "fastest")
+        most = 120 if isinstance(self.structure, Polyline) else len(self.structure.omega)
+        if isinstance(self.modes, bool) or not 0 <= self.modes <= most:
+            raise ParameterError(f"FlexibleBase.modes must be 0 to {most}, got {self.modes!r}")
+        own = isinstance(self.structure, Reduced) and self.structure.damping is not None
+        given = (self.damping_ratio is not None) + (self.damping_ratios is not None)
+        if given != (0 if own and not given else 1):
+            raise ParameterError(
+                "FlexibleBase needs damping_ratio or damping_ratios, or a structure with its"
+                f" own damping, got {self.damping_ratio} and {self.damping_ratios}"
+            )
+        if self.damping_ratio is not None:
+            require_positive(self, "damping_ratio", zero=True)
+        if self.damping_ratios is not None:
+            size = (6 + self.modes,)
+            ratios = finite(self.damping_ratios, size, "FlexibleBase.damping_ratios")
+            if (ratios < 0).any():
+                raise ParameterError(
+                    f"FlexibleBase.damping_ratios must be >= 0, got {self.damping_ratios}"
+                )
+
+    @staticmethod
+    def of(beam: Beam, modes: int) -> FlexibleBase:
+        """Return a condensed beam with its own modes and the same damping ratio.
+
+        Args:
+            beam: its shape, section, material, damping ratio and source are taken over.
+            modes: internal modes to keep.
+        """
+        return FlexibleBase(
+            structure=Polyline.of(beam),
+            modes=modes,
+            damping_ratio=beam.damping_ratio,
+            source=beam.source,
+        )
+
+    @property
+    def damped(self) -> bool:
+        """Return True if it loses energy."""
+        if self.damping_ratios is not None:
+            return any(k > 0 for k in self.damping_ratios)
+        return self.damping_ratio is None or self.damping_ratio > 0
+
+    @property
+    def nodes(self) -> Array | None:
+        """(k, 3) corners from clamp to flange, or the drawn points of a user's model [m]."""
+        if isinstance(self.structure, Polyline):
+            return self.structure.corners
+        return None if self.structure.line is None else np.array(self.structure.line)
+
+    @property
+    def outer_diameter(self) -> float:
+        """Largest outer diameter, to draw it and to keep clear of it [m]."""
+        if isinstance(self.structure, Reduced):
+            return self.structure.diameter or 0.1
+        tubes = [k.section.of(k.material) for k in self.structure.members]
+        return max(2 * (k.fibre or np.sqrt(k.area / np.pi)) for k in tubes)
+
+    def reduction(self) -> Reduction:
+        """Return interface and the internal modes that are kept."""
+        return _reduction(self)
+
+    def base_model(self) -> BaseModel:
+        """M, K at the flange, and the internal modes with all the damping."""
+        return _base_model(self)
+
+    def line(self) -> Line | None:
+        """Return the centreline and its ways, None of a model without one."""
+        return _line(self)
+
+
+@lru_cache(maxsize=32)
+def _reduction(base: FlexibleBase) -> Reduction:
+    if isinstance(base.structure, Reduced):
+        return base.structure.reduction().truncated(base.modes).within(base.fastest)
+    found = _polyline_reduction(base.structure, base.modes)
+    return found.within(base.fastest)
+
+
+def _polyline_reduction(line: Polyline, modes: int) -> Reduction:
+    flange = np.arange(6) + 6 * len(line.members)
+    M, K = line.frame().matrices()
+    found = reduce(M, K, flange, modes, held=range(6))
+    # one element a member is exact in statics, and better conditioned
+    coarse = line.frame(1).matrices()
+    stiffness = reduce(*coarse, flange, 0, held=range(6)).K
+    stiffness[np.abs(stiffness) < 1e-14 * np.abs(stiffness).max()] = 0.0  # as `Beam` has it
+    return replace(found, K=stiffness)
+
+
+@lru_cache(maxsize=32)
+def _base_model(base: FlexibleBase) -> BaseModel:
+    found = base.reduction()
+    if base.damping_ratio is not None:
+        damping = found.modal_damping(base.damping_ratio)
+    elif base.damping_ratios is not None:
+        damping = found.modal_damping(np.array(base.damping_ratios[: 6 + found.m]))
+    elif found.damping is not None:
+        damping = found.damping
+    rest, damping = found.absolute(damping)
+    zero = np.zeros((6, 6))
+    modes = InternalModes(found.coupling, found.omega, damping)
+    for array in (rest, zero, found.K, modes.coupling, modes.omega, modes.damping):
+        array.flags.writeable = False  # shared by every system with this base
+    return BaseModel(rest, zero, found.K, internal=modes)
+
+
+@lru_cache(maxsize=32)
+def _line(base: FlexibleBase) -> Line | None:
+    found = base.reduction()
+    if isinstance(base.structure, Reduced):
+        if base.structure.line is None:
+            return None
+        rest = np.array(base.structure.line)
+        rows = np.arange(3 * len(rest)).reshape(-1, 3)
+    else:
+        path = base.structure.path()
+        rest = base.structure.frame().nodes[path]
+        rows = 6 * np.array(path)[:, None] + np.arange(3)
+    return Line(rest, found.static[rows], found.shapes[rows])
+
+
+def bent_line(
+    base: FlexibleBase, y: Array, u: Array | None = None, points: int = 7
+) -> Array | None:
+    """Return the bent centreline of a flexible base.
+
+    Args:
+        base: what carries the arm.
+        y: (N, 6) poses of its flange [m, rad].
+        u: (N, m) internal modes [kg^(1/2) m]; None: they rest on the flange.
+        points: of each member of a polyline, both ends included.
+
+    Returns:
+        (N, k, 3) points [m], None of a model without a line to draw.
+    """
+    line = base.line()
+    if line is None:
+        return None
+    rest, static, shapes = line
+    if isinstance(base.structure, Polyline):
+        cuts = np.unique(np.round(np.linspace(0, ELEMENTS, points)).astype(int))
+        starts = [ELEMENTS * i for i in range(len(base.structure.members))]
+        keep = np.unique([a + b for a, b in itertools.product(starts, cuts)])
+        rest, static, shapes = rest[keep], static[keep], shapes[keep]
+    out = rest + np.einsum("kic,nc->nki", static, y)
+    if u is not None:
+        eta = u - y @ base.reduction().coupling
+        out = out + np.einsum("kic,nc->nki", shapes, eta)
+    return np.asarray(out, dtype=np.float64)
