@@ -173,7 +173,9 @@ def has(vehicle: Vehicle, name: str) -> bool:
         return name != "D" or vehicle.damping_ratio > 0
     if isinstance(vehicle, FlexibleBase):
         return vehicle.damped if name == "D" else bool(vehicle.reduction().K.any())
-    return isinstance(vehicle, MatrixVehicle) and bool(np.any(getattr(vehicle, name)))
+    if not isinstance(vehicle, MatrixVehicle):
+        return False
+    return bool(np.any(vehicle.base_model().full()["MDK".index(name)]))
 
 
 def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:

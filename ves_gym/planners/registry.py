@@ -14,6 +14,7 @@ from ves_gym.planners.ompl_search import OBJECTIVES, Ompl
 from ves_gym.planners.query import Planner
 from ves_gym.planners.reaction_null import ReactionNull
 from ves_gym.planners.refine import Refined
+from ves_gym.planners.robust import Robust
 from ves_gym.planners.shaping import SHAPERS, Shaped, SmoothJerk
 from ves_gym.planners.straight import Straight
 
@@ -30,6 +31,8 @@ _ALL: list[Planner] = [
     Damp(),
     Refined(),
     Refined(free=32, starts=24, name="refined-long"),  # what is best known comes from it
+    Robust(),
+    Robust(objective="worst", name="robust-worst"),
 ]
 P = TypeVar("P", bound=Planner | type[Planner])
 PLANNERS: dict[str, Planner] = {planner.name: planner for planner in _ALL}

@@ -34,6 +34,8 @@ STYLES: dict[str, Style] = {
     "damp": Style(3, _DASHES[1]),
     "refined": Style(4),
     "refined-long": Style(4, _DASHES[1]),
+    "robust": Style(4, _DASHES[2]),
+    "robust-worst": Style(4, _DASHES[3]),
     "ompl-energy": Style(5),
     "ompl-qt": Style(5, _DASHES[1]),
     "ompl-q": Style(5, _DASHES[2]),
