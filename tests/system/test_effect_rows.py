@@ -6,9 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from ves_gym._util.params import ParameterError
 from ves_gym.effects import EFFECTS, LABORATORY_ERRORS
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
+from ves_gym.mechanics.arm import diagonal
+from ves_gym.mechanics.vehicle import DECOUPLED
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import ArmEffect, BaseEffect, LaboratoryEffect, parameter, register
@@ -19,10 +22,13 @@ from ves_gym.system.system import System
 pytestmark = pytest.mark.bits
 
 EMULATOR = EmulatorSettings(payload_compensation=True)
-WHOLE = sorted(k for k, c in EFFECTS.items() if not issubclass(c, (ArmEffect, BaseEffect)))
+BASES = ("base/amplitude_damping", "base/damping", "base/stiffness", "base/virtual_mass")
+WHOLE = sorted(
+    k for k, c in EFFECTS.items() if k in BASES or not issubclass(c, (ArmEffect, BaseEffect))
+)
 
 
-def rows_of(kind, n=5):
+def rows_of(kind, n=5, mode="emulated", emulator=EMULATOR):
     """Small random values of every parameter of an effect, on top of the nominal budget."""
     cls, rng, values = EFFECTS[kind], np.random.default_rng(1), {}
     for field in dataclasses.fields(cls):
@@ -31,8 +37,9 @@ def rows_of(kind, n=5):
         shape = [k or (9 if kind == "gravity/moment" else 3) for k in field.metadata["shape"]]
         values[field.name] = rng.uniform(low, high, (n, *shape))
     effect = cls(**{name: v[0].tolist() for name, v in values.items()})
-    before = tuple(e for e in LABORATORY_ERRORS if e.kind != kind)
-    system = System(mode="emulated", emulator=EMULATOR, effects=(*before, effect))
+    before = tuple(e for e in LABORATORY_ERRORS if e.kind != kind and mode == "emulated")
+    emulator = emulator if mode == "emulated" else None
+    system = System(mode=mode, emulator=emulator, effects=(*before, effect))
     return EffectRows(system, {(len(before), name): v for name, v in values.items()}, True)
 
 
@@ -61,6 +68,67 @@ def test_rows_are_the_systems_they_stand_for(kind):
     assert ours.state.q.tobytes() == theirs.state.q.tobytes()
     assert len(np.unique(ours.state.q[:, 0])) == 5
     assert ours.systems == theirs.systems
+
+
+def swung(sims):
+    """A third of a second of motion; poses and angles of each."""
+    start = np.array([0.3, -0.5, 0.8])
+    out = []
+    for sim in sims:
+        sim.reset(q=start, y=0.01)
+        target = start + np.linspace(0.1, 0.5, sim.n)[:, None]
+        for _ in range(27):
+            sim.step(sim.servo_command(target, np.zeros((sim.n, 3))))
+        out.append(np.concatenate([sim.state.y, sim.state.q], axis=1))
+    return out
+
+
+LOOSE = EmulatorSettings(payload_compensation=False)
+SETTINGS = {
+    "space": {"mode": "ideal"},
+    "laboratory": {"emulator": EMULATOR},
+    "uncompensated": {"emulator": LOOSE},
+}
+
+
+@pytest.mark.parametrize("settings", SETTINGS)
+@pytest.mark.parametrize("kind", BASES)
+def test_vehicles_of_rows_are_those_of_their_systems(kind, settings):
+    """Bit for bit those of `assign`; on some of the simulations; and back to the template."""
+    rows = rows_of(kind, **SETTINGS[settings])
+    ids, n = np.array([8, 1, 2, 6, 4]), 9
+    ours, theirs, plain = (
+        Simulator(rows.template, n, backend="kernel", warn_at=None) for _ in range(3)
+    )
+    ours.assign_effects(rows, ids)
+    assert not rows._systems  # made when asked for
+    theirs.assign([rows.system(i) for i in range(len(rows))], ids)
+    a, b, c = swung([ours, theirs, plain])
+    assert a.tobytes() == b.tobytes()
+    assert len(np.unique(a[:, 0])) == n  # by their targets
+    others = np.setdiff1d(np.arange(n), ids)
+    assert a[others].tobytes() == c[others].tobytes()
+    assert (a[ids[1:]] != c[ids[1:]]).any(axis=1).all()  # row 0 is the template's own
+    ours.assign([rows.template] * n)
+    a, c = swung([ours, plain])
+    assert a.tobytes() == c.tobytes()
+
+
+def test_vehicles_that_cannot_be_are_refused():
+    """Too stiff for the physics step, or of negative stiffness; nothing is assigned then."""
+    stiff = dataclasses.replace(DECOUPLED, K=diagonal(1.28e7, 1e3, 1e3, 1e3, 1e3, 1e3))
+    effect = EFFECTS["base/stiffness"](error=0.1)  # its pole at 1.9 of a physics step
+    system = System(vehicle=stiff, effects=(effect,), physics_dt=12.5e-3)
+    sim, plain = (Simulator(system, 3, backend="kernel") for _ in "ab")
+    for errors, message in (
+        ([0.0, 3.0, 0.0], "physics_dt must be <= .* vehicle's fastest mode"),
+        ([0.0, 0.0, -1.5], "base/stiffness.error must be one number in"),
+    ):
+        rows = EffectRows(system, {(0, "error"): np.array(errors)}, True)
+        with pytest.raises(ParameterError, match=message):
+            sim.assign_effects(rows)
+        a, b = swung([sim, plain])
+        assert a.tobytes() == b.tobytes()
 
 
 @dataclass(frozen=True, kw_only=True)

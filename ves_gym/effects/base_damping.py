@@ -27,4 +27,4 @@ class BaseDamping(BaseEffect):
 
     def base(self, base: BaseModel) -> BaseModel:
         """D (1 + error)."""
-        return base.scaled(damping=1 + self.error) if self.error else base
+        return base if self.is_null else base.scaled(damping=1 + self.error)

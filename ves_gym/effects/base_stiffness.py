@@ -28,4 +28,4 @@ class BaseStiffness(BaseEffect):
 
     def base(self, base: BaseModel) -> BaseModel:
         """K (1 + error)."""
-        return base.scaled(stiffness=1 + self.error) if self.error else base
+        return base if self.is_null else base.scaled(stiffness=1 + self.error)

@@ -23,4 +23,4 @@ class BaseVirtualMass(BaseEffect):
 
     def base(self, base: BaseModel) -> BaseModel:
         """M (1 + error), and the same for a satellite's mass and inertia."""
-        return base.scaled(mass=1 + self.error) if self.error else base
+        return base if self.is_null else base.scaled(mass=1 + self.error)

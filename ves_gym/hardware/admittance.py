@@ -134,6 +134,23 @@ def require_admittance(base: BaseModel, form: str) -> None:
     _require_mass(M)
 
 
+def require_admittances(bases: BaseModel, form: str) -> None:
+    """Check that linear vehicles without internal modes can be emulated.
+
+    Args:
+        bases: M, D, K (k, 6, 6).
+        form, and errors: see `require_admittance`.
+    """
+    try:
+        np.linalg.cholesky(bases.M)
+        if form != "decoupled":
+            return
+    except np.linalg.LinAlgError:
+        pass
+    for M, D, K in zip(bases.M, bases.D, bases.K, strict=True):
+        require_admittance(BaseModel(M, D, K), form)
+
+
 def rigid_body(body: Inertial, base: BaseModel) -> Nonlinear:
     """Return g(X, W) of a satellite: Newton-Euler, plus the constant M, D, K of its base.
 

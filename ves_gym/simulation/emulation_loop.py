@@ -17,8 +17,9 @@ import numpy as np
 from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array, Index, Mask, ParameterError, Rows
 from ves_gym.engine.batch_parameters import Bodies, ParameterRows, bodies_of
-from ves_gym.hardware.admittance import Nonlinear
+from ves_gym.hardware.admittance import Nonlinear, admittance_matrices
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.simulation.blocks.block import Noted
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
@@ -29,6 +30,8 @@ from ves_gym.simulation.loop_wiring import LoopParts, Needs
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import BaseEffect
 from ves_gym.system.system import System
+
+_BODIES = {field.name for field in fields(Bodies)}
 
 
 class Event(NamedTuple):
@@ -80,11 +83,13 @@ class EmulationLoop:
         self.compensating = emulator.payload_compensation and emulator.operation != "position"
         base = system.actual.base  # the arm's model, in what follows, is the description
         self._linear = base.body is None and admittance is None
+        self._sampled = self._linear and not self.compensating  # a coupled one is not
         self._arm = system.replace(effects=())  # what the compensation goes by
         self._names = ParameterRows(self._arm) if self.compensating else None
         self._inertia = ArmInertia(self._arm, n) if self.compensating else None
         self._bodies = self._row(system, "own system").repeated(n)
         self._systems = [system] * n
+        self._own_bases: set[int] = set()  # simulations with another than their system's
         self._start: LoopParameters | None = (
             None  # one row before effects, of the last arm asked
         )
@@ -162,8 +167,7 @@ class EmulationLoop:
             numbers = self._names.values  # those of the arm: a vehicle is the loop's alone
         elif self._names is not None:
             numbers = self._names.of(system.replace(effects=()), which)
-        sampled = self._linear and not self.compensating  # a coupled one is stepped implicitly
-        return Bodies.of(system, self._linear, sampled, numbers)
+        return Bodies.of(system, self._linear, self._sampled, numbers)
 
     def prepare(self, ids: Index, systems: Sequence[System]) -> Callable[[], None]:
         """Check systems of their own for some simulations; the result installs them.
@@ -176,7 +180,11 @@ class EmulationLoop:
         """
         pairs = list(zip(ids.tolist(), systems, strict=True))
         p = LoopParameters.stacked([self._parameters_of(system) for system in systems])
-        others = [(i, k) for i, k in pairs if _all_bodies(k) != _all_bodies(self._systems[i])]
+        others = [
+            (i, k)
+            for i, k in pairs
+            if i in self._own_bases or _all_bodies(k) != _all_bodies(self._systems[i])
+        ]
         if self.custom is not None and any(
             k.vehicle is not self.system.vehicle for _, k in pairs
         ):
@@ -196,7 +204,8 @@ class EmulationLoop:
                     self._inertia.tell_apart().arms[i] = system.arm
             for i, system in pairs:
                 self._systems[i] = system
-            self.install(ids, p, bodies=bool(others))
+                self._own_bases.discard(i)
+            self._derive(self._rows(ids), self._put(ids, p) | (_BODIES if others else set()))
 
         return install
 
@@ -214,27 +223,51 @@ class EmulationLoop:
             self._start = LoopParameters.nominal(arm, self.spec, 1)
         return self._start
 
-    def install(self, ids: Index, p: LoopParameters, *, bodies: bool = False) -> None:
+    def install(
+        self, ids: Index, p: LoopParameters | None, bases: BaseModel | None = None
+    ) -> None:
         """Put parameters in place, with all that follows from them; memory stays.
 
         Args:
             ids: (m,) which simulations.
-            p: of m simulations.
-            bodies: their arms and vehicles are others than before.
+            p: of m simulations; None: as they are.
+            bases: M, D, K (m, 6, 6) and drag (m, 6) of their vehicles; None: as they are.
         """
+        changed = set() if p is None else self._put(ids, p)
         rows = self._rows(ids)
-        changed = self.parameters.put(rows, p)
+        if bases is not None:
+            for name in ("M", "D", "K", "drag"):
+                getattr(self._bodies, name)[rows] = getattr(bases, name)
+            if self._sampled:
+                form = self.spec.admittance_form
+                for i, M, D, K in zip(ids.tolist(), bases.M, bases.D, bases.K, strict=True):
+                    sampled = admittance_matrices(BaseModel(M, D, K), self.dt, form)
+                    self._bodies.phi[i], self._bodies.gamma[i] = sampled
+            self._own_bases.update(ids.tolist())
+            changed |= _BODIES
+        self._derive(rows, changed)
+
+    def _put(self, ids: Index, p: LoopParameters) -> set[str]:
+        """Replace parameters of some simulations; names of those that have changed."""
+        changed = self.parameters.put(self._rows(ids), p)
         self._noisy = self.parameters.sensor.random()
         self._rewire()
-        if bodies:
-            changed |= {field.name for field in fields(Bodies)}
-        of_these = self._bodies.rows(rows)
+        return changed
+
+    def _derive(self, rows: Rows, changed: set[str]) -> None:
+        """Bring the blocks' parameters of some simulations up to date.
+
+        Args:
+            rows: which simulations.
+            changed: fields of `parameters` and bodies.
+        """
+        p, bodies = self.parameters.rows(rows), self._bodies.rows(rows)
         others: dict[str, list[str]] = {}
         for block in self.wiring.blocks:
             if not changed & self._sources[block.name]:
                 continue
             mine = self.p[block.name]
-            for name, values in block.parameters(p, of_these).items():
+            for name, values in block.parameters(p, bodies).items():
                 if not np.array_equal(mine[name][rows], values):
                     mine[name][rows] = values
                     others.setdefault(block.name, []).append(name)

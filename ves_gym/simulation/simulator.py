@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -13,17 +12,19 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.engine.backends.base import MEANINGLESS
+from ves_gym.engine.backends.compiled import CompiledBackend
 from ves_gym.engine.backends.registry import make_backend
 from ves_gym.engine.batch_parameters import bodies_of, require_alike, share_base
-from ves_gym.hardware.admittance import Nonlinear
-from ves_gym.mechanics.dynamics import inertia_entries
+from ves_gym.hardware.admittance import Nonlinear, require_admittances
+from ves_gym.mechanics.base_model import BaseModel, semidefinite
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, JointServo
 from ves_gym.mechanics.spatial import AXES, SINGULAR, matvec, rate_matrix
 from ves_gym.simulation.emulation_loop import EmulationLoop, Event, Readings
 from ves_gym.simulation.joint_delays import joint_delays_of
 from ves_gym.simulation.loop_linearisation import warn_if_unstable
+from ves_gym.simulation.stable_step import require_stable_step, steps_are_small
 from ves_gym.system.deviations import Delays
-from ves_gym.system.effect import DelayEffect, LaboratoryEffect, TorqueEffect
+from ves_gym.system.effect import BaseEffect, DelayEffect, LaboratoryEffect, TorqueEffect
 from ves_gym.system.effect_rows import EffectRows, Given
 from ves_gym.system.system import System
 
@@ -106,7 +107,7 @@ class Simulator:
         if on_divergence not in ("raise", "mark"):
             raise ParameterError(f"on_divergence must be raise or mark, got {on_divergence!r}")
         if system.mode == "ideal" or system.actual.arm.geared:
-            _require_stable_step(system.actual)
+            require_stable_step(system.actual)
         if system.mode == "ideal" and admittance is not None:
             raise ParameterError("an admittance needs mode emulated, got mode ideal")
         self.system, self.n = system, int(n)
@@ -331,7 +332,7 @@ class Simulator:
             require_alike(self.system, system, f"system of simulation {i}")
             judged = system.mode == "ideal" or bool(system.actual.arm.geared)
             if judged and bodies_of(system.actual) not in stable:
-                _require_stable_step(system.actual)
+                require_stable_step(system.actual)
                 stable.add(bodies_of(system.actual))
         if not len(index):
             return
@@ -352,8 +353,8 @@ class Simulator:
     def assign_effects(self, rows: EffectRows, ids: npt.ArrayLike | None = None) -> None:
         """Give simulations effects with parameters of their own, as `assign` does, but at once.
 
-        Much faster where the effects take arrays (`EffectRows.together`) and leave arm and
-        vehicle alone; otherwise this is `assign` with a system per simulation.
+        Much faster where the effects take arrays (`EffectRows.together`) and leave the arm
+        alone; otherwise this is `assign` with a system per simulation.
 
         Args:
             rows: of the simulator's own system, one row for each of ids.
@@ -371,7 +372,10 @@ class Simulator:
         assigned = {i: (rows, row) for row, i in enumerate(index.tolist())}
         before = [given for given in map(self._assigned.get, assigned) if given is not None]
         sources = {id(k): k for k in (k if isinstance(k, System) else k[0] for k in before)}
-        if not rows.at_once or not all(map(rows.replaces, sources.values())):
+        at_once = rows.at_once and all(map(rows.replaces, sources.values()))
+        bases = rows.bases() if at_once and rows.varied(BaseEffect) else None
+        backend = self.backend
+        if not at_once or (bases is not None and not isinstance(backend, CompiledBackend)):
             self.assign([rows.system(row) for row in range(len(rows))], index)
             self._assigned |= assigned
             return
@@ -380,14 +384,27 @@ class Simulator:
         if lab is not None and rows.varied(LaboratoryEffect):
             start = rows.before(lab.described(self.system.arm))
             parameters = rows.loop_parameters(start)
+        if bases is not None and isinstance(backend, CompiledBackend):
+            self._require_bases(rows, bases)
+            backend.assign_bases(index, bases)
         if rows.varied(TorqueEffect):
             self.backend.assign_laws(index, rows)
-        if lab is not None and parameters is not None:
-            lab.install(index, parameters)
+        if lab is not None and (parameters is not None or bases is not None):
+            lab.install(index, parameters, bases)
         if self.joint_delays is not None and rows.varied(DelayEffect):
             state = self.state
             self.joint_delays.assign(index, [rows.delays()], state.q, state.v)
         self._assigned |= assigned
+
+    def _require_bases(self, rows: EffectRows, bases: BaseModel) -> None:
+        """Refuse vehicles (k, ...) that cannot be, or are too fast for the physics step."""
+        for row in np.flatnonzero(~semidefinite(bases)).tolist():
+            _ = rows.system(row).actual  # says which matrix, and what it should be
+        if self.system.mode == "emulated":
+            require_admittances(bases, self.system.emulator_settings.admittance_form)
+            return
+        for row in np.flatnonzero(~steps_are_small(self.system, bases)).tolist():
+            require_stable_step(rows.system(row).actual)
 
     def set_gains(
         self, kp: npt.ArrayLike, kd: npt.ArrayLike, ids: npt.ArrayLike | None = None
@@ -765,71 +782,3 @@ def _numbers(value: npt.ArrayLike, expected: str) -> Array:
     if numbers.dtype.kind not in "fiu":
         raise ParameterError(f"{expected} {value!r}")
     return numbers.astype(np.float64)
-
-
-def _require_stable_step(system: System) -> None:
-    """Refuse a physics step the integrator cannot take, judged at q = 0.
-
-    Joints locked, or free behind gears that give way.
-    """
-    M, damping, stiffness = _passive(system)
-    K, D = np.linalg.solve(M, stiffness), np.linalg.solve(M, damping)
-    eye, none = np.eye(len(M)), np.zeros(M.shape)
-    poles = np.linalg.eigvals(np.block([[none, eye], [-K, -D]]))
-
-    def stable(dt: float) -> bool:
-        """True if a step lets no mode grow."""
-        if system.integrator == "rk4":
-            z = poles * dt
-            growth = np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4))))
-        else:  # rates first, coordinates with the new rates
-            implicit = system.integrator == "implicitfast"
-            inverse = np.linalg.inv(eye + dt * D) if implicit else eye
-            carry = inverse if implicit else eye - dt * D
-            rates = np.hstack([-dt * inverse @ K, carry])
-            step = np.vstack([np.hstack([eye, none]) + dt * rates, rates])
-            growth = np.abs(np.linalg.eigvals(step))
-        return bool(growth.max() <= 1 + 1e-7)  # rounding of a double eigenvalue 1
-
-    if stable(system.physics_dt):
-        return
-    low, high = 0.0, system.physics_dt
-    for _ in range(30):
-        middle = (low + high) / 2
-        low, high = (middle, high) if stable(middle) else (low, middle)
-    what = "arm's or vehicle's" if system.arm.geared else "vehicle's"
-    raise ParameterError(
-        f"physics_dt must be <= {low:.3g} s for the {what} fastest mode of"
-        f" {np.abs(poles).max() / 2 / np.pi:.3g} Hz, got {system.physics_dt:g} s"
-    )
-
-
-def _passive(system: System) -> tuple[Array, Array, Array]:
-    """M, D, K of what swings by itself, at q = 0."""
-    base, arm = system.base, system.arm
-    parts = inertia_entries(arm, [0.0] * arm.n, math)
-    across: Array = np.array(parts.across).T
-    H = np.block([[np.array(parts.base), across], [across.T, np.array(parts.joints)]])
-    if not (arm.geared or base.m):
-        return base.mass_matrix + H[:6, :6], base.D, base.K
-    n, g, m = arm.n, len(arm.geared), base.m
-    # coordinates: Y, rotors, deflections of the gears, internal modes
-    link = np.zeros((6 + n, 6 + n + g))  # velocities of base and links from theirs
-    link[:, : 6 + n] = np.eye(6 + n)
-    link[[6 + i for i in arm.geared], 6 + n + np.arange(g)] = 1.0
-    rotors = np.diag(np.r_[np.zeros(6), arm.column("rotor_inertia")])
-    M, D, K = np.zeros((3, 6 + n + g + m, 6 + n + g + m))
-    M[: 6 + n + g, : 6 + n + g] = link.T @ (H - rotors) @ link
-    M[: 6 + n, : 6 + n] += rotors
-    for k, i in enumerate(arm.geared, start=6 + n):
-        gear = arm.links[i].gear
-        assert gear is not None
-        D[k, k], K[k, k] = gear.damping, gear.stiffness
-    free = np.arange(6, 6 + n + g)  # a platform goes where it is told
-    if system.mode == "ideal":
-        free = np.arange(len(M))
-        at = np.r_[:6, 6 + n + g : len(M)]
-        for part, block in zip((M, D, K), base.full(), strict=True):
-            part[at[:, None], at] += block
-    picked = free[:, None], free
-    return M[picked], D[picked], K[picked]

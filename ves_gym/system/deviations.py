@@ -117,6 +117,10 @@ class LoopParameters:
                 changed.add(name)
         return changed
 
+    def rows(self, which: Rows) -> LoopParameters:
+        """Those of some simulations."""
+        return self._made_of([part[which] for part in self.parts()])
+
     def parts(self) -> list[Array]:
         """All arrays, those of the sensor last."""
         return [*(getattr(self, k) for k in ARRAYS), *self.sensor.parts()]

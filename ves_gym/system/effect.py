@@ -206,7 +206,12 @@ class ArmEffect(Effect, ABC):
 
 
 class BaseEffect(Effect, ABC):
-    """Difference of the vehicle, real or emulated, from its description."""
+    """Difference of the vehicle, real or emulated, from its description.
+
+    Where simulations have values of their own, `base` is tried with all of them at once, as
+    `LaboratoryEffect.edit` is: M, D, K (6, 6, 1), drag (6, 1), parameters with the simulations'
+    axis last.
+    """
 
     shows: ClassVar[tuple[str, ...]] = ("admittance", "base")
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.system.deviations import Delays, LoopParameters, axis_to_end
 from ves_gym.system.effect import (
     ArmEffect,
@@ -139,6 +140,31 @@ class EffectRows:
                 effect.edit(out)
         return out
 
+    def bases(self) -> BaseModel:
+        """The vehicles that are really there: M, D, K (k, 6, 6) and drag (k, 6).
+
+        Raises:
+            TypeError: a satellite, internal modes.
+        """
+        one = self.template.base
+        drag = np.zeros(6) if one.drag is None else one.drag
+        M, D, K = (part[..., None] for part in (one.M, one.D, one.K))
+        base = BaseModel(M, D, K, one.body, drag[:, None], one.internal)
+        for i in range(len(self.template.effects)):
+            effect = self._turned(i)
+            if isinstance(effect, BaseEffect):
+                base = effect.base(base)
+        if base.body is not None or base.internal is not None:
+            raise TypeError("a satellite, or internal modes")
+        assert base.drag is not None
+        M, D, K, drag = (
+            np.ascontiguousarray(
+                np.moveaxis(np.broadcast_to(part, (*part.shape[:-1], len(self))), -1, 0)
+            )
+            for part in (base.M, base.D, base.K, base.drag)
+        )
+        return BaseModel(M, D, K, drag=drag)
+
     def delays(self) -> Delays:
         """Delays (k, ...) between joint controller and drives."""
         k, joints = len(self), self.template.arm.n
@@ -153,13 +179,13 @@ class EffectRows:
     def together(self, start: LoopParameters | None) -> bool:
         """Return True if these rows at once give the very bits that each gives by itself.
 
-        Not so where an effect changes arm or vehicle, is written for the leading axis, asks
-        `if` of a number, or makes a matrix of a fixed size.
+        Not so where an effect changes the arm, a satellite or internal modes, is written for
+        the leading axis, asks `if` of a number, or makes a matrix of a fixed size.
 
         Args:
             start: (1, ...) the emulation loop as described; None in space.
         """
-        if self.varied(BODIES):
+        if self.varied(ArmEffect):
             return False
         systems = [self.system(row) for row in range(len(self))]
         try:
@@ -168,6 +194,8 @@ class EffectRows:
                 rows = [start.copy().edited(system) for system in systems]
                 if not _same(ours, LoopParameters.stacked(rows)):
                     return False
+            if self.varied(BaseEffect) and not _same_bases(self.bases(), systems):
+                return False
             if self.varied(DelayEffect):
                 delays = [Delays.of(system) for system in systems]
                 for field in dataclasses.fields(Delays):
@@ -182,6 +210,15 @@ class EffectRows:
 def _same(ours: LoopParameters, theirs: LoopParameters) -> bool:
     pairs = zip(ours.parts(), theirs.parts(), strict=True)
     return all(a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in pairs)
+
+
+def _same_bases(ours: BaseModel, systems: list[System]) -> bool:
+    bases = [system.actual.base for system in systems]
+    none = np.zeros(6)
+    drags = [none if base.drag is None else base.drag for base in bases]
+    theirs = [np.array([getattr(base, name) for base in bases]) for name in ("M", "D", "K")]
+    pairs = zip((ours.M, ours.D, ours.K, ours.drag), (*theirs, np.array(drags)), strict=True)
+    return all(a is not None and a.tobytes() == b.tobytes() for a, b in pairs)
 
 
 # the system of a simulation, or the row that it is made of when it is asked for

@@ -1,0 +1,110 @@
+"""Physics steps that an integrator can take, judged at q = 0 by what swings by itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ves_gym._util.params import Array, Mask, ParameterError
+from ves_gym.mechanics.base_model import BaseModel
+from ves_gym.mechanics.dynamics import inertia_entries
+from ves_gym.system.system import System
+
+_SURE = 2.0  # |pole| times step: RK4 is stable in the left half of a disc of 2.6 around 0
+
+
+def require_stable_step(system: System) -> None:
+    """Refuse a physics step the integrator cannot take, judged at q = 0.
+
+    Joints locked, or free behind gears that give way.
+    """
+    M, damping, stiffness = _passive(system)
+    K, D = np.linalg.solve(M, stiffness), np.linalg.solve(M, damping)
+    eye, none = np.eye(len(M)), np.zeros(M.shape)
+    poles = np.linalg.eigvals(np.block([[none, eye], [-K, -D]]))
+
+    def stable(dt: float) -> bool:
+        """True if a step lets no mode grow."""
+        if system.integrator == "rk4":
+            z = poles * dt
+            growth = np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4))))
+        else:  # rates first, coordinates with the new rates
+            implicit = system.integrator == "implicitfast"
+            inverse = np.linalg.inv(eye + dt * D) if implicit else eye
+            carry = inverse if implicit else eye - dt * D
+            rates = np.hstack([-dt * inverse @ K, carry])
+            step = np.vstack([np.hstack([eye, none]) + dt * rates, rates])
+            growth = np.abs(np.linalg.eigvals(step))
+        return bool(growth.max() <= 1 + 1e-7)  # rounding of a double eigenvalue 1
+
+    if stable(system.physics_dt):
+        return
+    low, high = 0.0, system.physics_dt
+    for _ in range(30):
+        middle = (low + high) / 2
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    what = "arm's or vehicle's" if system.arm.geared else "vehicle's"
+    raise ParameterError(
+        f"physics_dt must be <= {low:.3g} s for the {what} fastest mode of"
+        f" {np.abs(poles).max() / 2 / np.pi:.3g} Hz, got {system.physics_dt:g} s"
+    )
+
+
+def steps_are_small(system: System, bases: BaseModel) -> Mask:
+    """(k,) vehicles whose poles, by a bound, are slow enough for the physics step.
+
+    |s|^2 <= |s| |D| + |K| for every pole s, by the norms of L^-1 D L^-T and L^-1 K L^-T with
+    M = L L^T. Where it is False, `require_stable_step` knows.
+
+    Args:
+        system: arm and steps.
+        bases: M, D, K (k, 6, 6), positive semidefinite.
+    """
+    unsure = np.zeros(len(bases.M), bool)
+    if system.integrator != "rk4" or system.arm.geared:
+        return unsure
+    locked, _, _ = _passive(replace(system, vehicle=system.vehicle, effects=()))
+    try:
+        root = np.linalg.cholesky(locked - system.base.M + bases.M)
+    except np.linalg.LinAlgError:
+        return unsure
+    inverse = np.linalg.inv(root)
+    damping, stiffness = (
+        np.linalg.norm(inverse @ part @ np.swapaxes(inverse, -1, -2), axis=(-2, -1))
+        for part in (bases.D, bases.K)
+    )
+    fastest = (damping + np.sqrt(damping**2 + 4 * stiffness)) / 2
+    return np.asarray(fastest * system.physics_dt <= _SURE)
+
+
+def _passive(system: System) -> tuple[Array, Array, Array]:
+    """M, D, K of what swings by itself, at q = 0."""
+    base, arm = system.base, system.arm
+    parts = inertia_entries(arm, [0.0] * arm.n, math)
+    across: Array = np.array(parts.across).T
+    H = np.block([[np.array(parts.base), across], [across.T, np.array(parts.joints)]])
+    if not (arm.geared or base.m):
+        return base.mass_matrix + H[:6, :6], base.D, base.K
+    n, g, m = arm.n, len(arm.geared), base.m
+    # coordinates: Y, rotors, deflections of the gears, internal modes
+    link = np.zeros((6 + n, 6 + n + g))  # velocities of base and links from theirs
+    link[:, : 6 + n] = np.eye(6 + n)
+    link[[6 + i for i in arm.geared], 6 + n + np.arange(g)] = 1.0
+    rotors = np.diag(np.r_[np.zeros(6), arm.column("rotor_inertia")])
+    M, D, K = np.zeros((3, 6 + n + g + m, 6 + n + g + m))
+    M[: 6 + n + g, : 6 + n + g] = link.T @ (H - rotors) @ link
+    M[: 6 + n, : 6 + n] += rotors
+    for k, i in enumerate(arm.geared, start=6 + n):
+        gear = arm.links[i].gear
+        assert gear is not None
+        D[k, k], K[k, k] = gear.damping, gear.stiffness
+    free = np.arange(6, 6 + n + g)  # a platform goes where it is told
+    if system.mode == "ideal":
+        free = np.arange(len(M))
+        at = np.r_[:6, 6 + n + g : len(M)]
+        for part, block in zip((M, D, K), base.full(), strict=True):
+            part[at[:, None], at] += block
+    picked = free[:, None], free
+    return M[picked], D[picked], K[picked]
