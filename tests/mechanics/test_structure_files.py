@@ -313,3 +313,14 @@ def test_a_large_structure_is_judged_by_the_sparse_solver(tmp_path, monkeypatch)
         read_structure(
             spoiled("mass", lighter)(tmp_path), interface=TIP, held=CLAMP, units="m-kg-s"
         )
+
+
+def test_names_given_twice_are_no_names(tmp_path):
+    """CalculiX names the freedoms of a beam's knots twice: they go by their place."""
+    files = write(tmp_path, "CalculiX")
+    dof = (tmp_path / "job.dof").read_text().split()
+    (tmp_path / "job.dof").write_text("\n".join([dof[0], *dof[:-1]]))
+    found = read_structure(files, interface=TIP, held=CLAMP, units="m-kg-s").reduce(4)
+    assert found.omega == pytest.approx(TRUE.omega, rel=1e-9)
+    with pytest.raises(ParameterError, match="do not number nodes"):
+        read_structure(files, interface=103, held=CLAMP, units="m-kg-s")

@@ -17,9 +17,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
-import scipy.sparse
-import scipy.sparse.linalg
+import scipy
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.modes import natural_modes

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from ves_gym._util.params import Array, ParameterError, finite
 from ves_gym.mechanics.arm import Inertial

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.io
-import scipy.sparse
+import scipy
 
 from ves_gym._util.params import ParameterError
 
@@ -109,8 +108,10 @@ def _calculix(path: Path) -> list[NamedMatrix]:
     size = int(max(rows.max(), columns.max())) + 1
     if names.exists():
         words = names.read_text("utf-8").split()
-        labels = tuple((int(a), int(b)) for a, b in (k.split(".") for k in words))
-        size = len(labels)
+        named = tuple((int(a), int(b)) for a, b in (k.split(".") for k in words))
+        size = len(named)
+        # knots of expanded beams and shells have names twice: their freedoms go by place
+        labels = named if len(set(named)) == size else None
     # either triangle alone, or both
     return [NamedMatrix(path.suffix[1:], _filled(rows, columns, table[:, 2], size), labels)]
 
