@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from ves_gym.diagnosis.diagnose import Diagnosis
     from ves_gym.diagnosis.inference.candidates import Candidate
     from ves_gym.diagnosis.machines.mjcf import MjcfMachine
+    from ves_gym.mechanics.tool_pose import ToolPose
     from ves_gym.planners.comparison import Comparison
     from ves_gym.planners.coupling_map import CouplingMap
     from ves_gym.planners.obstacles import Surroundings
@@ -110,7 +111,7 @@ def simulate(
 
 def plan(
     start: npt.ArrayLike,
-    goal: npt.ArrayLike,
+    goal: npt.ArrayLike | ToolPose,
     *,
     duration: float = 2.0,
     planner: str | Planner = "direct",
@@ -124,7 +125,8 @@ def plan(
     """Find one path with one planner, as `ves-gym plan` does.
 
     Args:
-        start, goal: joint angles (n,) [rad].
+        start, goal: joint angles (n,) [rad]; or as the goal a `mechanics.tool_pose.ToolPose`:
+            of the configurations that reach it the one of least predicted E_mean is chosen.
         duration: of the motion [s].
         planner: name (`ves-gym list planners`) or planner.
         system: arm and vehicle; default `System()`.
@@ -139,10 +141,13 @@ def plan(
         limit it breaks.
 
     Raises:
-        ParameterError: an unknown planner, or ends outside the joints' range.
+        ParameterError: an unknown planner, ends outside the joints' range, or a tool pose out
+            of reach.
     """
+    from ves_gym.mechanics.tool_pose import ToolPose
     from ves_gym.planners.obstacles import read_surroundings
     from ves_gym.planners.query import Query, solve, speed_limits
+    from ves_gym.planners.tool_goal import solve_to_tool
 
     system = _system(system)
     n = system.arm.n
@@ -151,13 +156,15 @@ def plan(
     query = Query(
         system=system,
         start=_vector(start, n, "start"),
-        goal=_vector(goal, n, "goal"),
+        goal=_vector(start if isinstance(goal, ToolPose) else goal, n, "goal"),
         duration=duration,
         v_max=speed_limits(system.arm, v_max),
         a_max=None if a_max is None else _vector(a_max, n, "a_max"),
         surroundings=surroundings,
         servo=servo,
     )
+    if isinstance(goal, ToolPose):
+        return solve_to_tool(_planner(planner), query, goal, seed)
     return solve(_planner(planner), query, seed)
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from tests.arms import six_joint_arm
 from ves_gym.cli.main import COMMANDS, main
+from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.system.energy import log_energies
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -159,6 +160,16 @@ def test_plan_is_what_simulate_plays_back(call, tmp_path):
     assert played["energies"]["E_mean"] == pytest.approx(mean, rel=1e-3)
 
 
+def test_plan_to_a_tool_position(call):
+    options = ("--tool", "0.5,0.3,1.2", "--planner", "straight", "--duration", "3")
+    status, out, _, result = call("plan", *options)
+    assert status == 0 and out.startswith("goal: ")
+    goal = np.array(result["path"][-1])
+    tool = joint_positions(System().arm, goal)[-1]
+    np.testing.assert_allclose(tool, (0.5, 0.3, 1.2), atol=2e-6)
+    np.testing.assert_allclose(result["info"]["tool"]["goal"], goal)
+
+
 def test_plan_that_breaks_a_limit_is_a_negative_verdict(call):
     words = ("--planner", "straight", "--goal", "60,0,0", "--duration", "0.5")
     status, out, _, result = call("plan", *words, "--v-max", "82,54,122")
@@ -303,6 +314,8 @@ BAD = {
     "speed limit": (["plan", "--goal", "1,1,1", "--v-max", "1,0,1"], "v_max"),
     "map joints": (["map", "--joints", "1,1"], "from 1 to 3"),
     "map duration": (["map", "--duration", "soon"], "raw"),
+    "plan tool": (["plan", "--tool", "0.5,0.3"], "three lengths in m"),
+    "plan tool far": (["plan", "--tool", "5,0,0"], "must be within reach of puma560"),
     "map others": (["map", "--others", "best", "--points", "5"], "given, least, most"),
     "map points": (["map", "--points", "2"], "--points"),
     "missing log": (["view", "nowhere.csv"], "nowhere"),

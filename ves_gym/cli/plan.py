@@ -15,6 +15,7 @@ from ves_gym.cli.motions import duration_from, joint_angles
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.limits import LimitCheck
 from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.tool_pose import ToolPose
 from ves_gym.planners.comparison import simulate_motions
 from ves_gym.planners.obstacles import read_surroundings
 from ves_gym.planners.ompl_search import Ompl
@@ -22,6 +23,7 @@ from ves_gym.planners.ompl_worker import ALGORITHMS
 from ves_gym.planners.prediction import Prediction
 from ves_gym.planners.query import Plan, Planner, Query, solve, speed_limits
 from ves_gym.planners.registry import PLANNERS, get_planner
+from ves_gym.planners.tool_goal import solve_to_tool
 from ves_gym.system.energy import Energies
 
 SCHEMA = "ves-plan/1"
@@ -31,7 +33,15 @@ _SAMPLES = 101  # of the path in the result
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("--start", metavar="A,B,C", help="joint angles [deg] (default 0,0,0)")
-    parser.add_argument("--goal", metavar="A,B,C", required=True, help="joint angles [deg]")
+    goal = parser.add_mutually_exclusive_group(required=True)
+    goal.add_argument("--goal", metavar="A,B,C", help="joint angles [deg]")
+    goal.add_argument(
+        "--tool",
+        metavar="X,Y,Z[,A,B,C]",
+        help="in place of --goal: position of the tool in the platform-top frame [m] and, if"
+        " its turn matters, Z-Y-X fixed angles about x, y, z [deg]; the configuration that"
+        " leaves the base least energy is chosen",
+    )
     parser.add_argument("--duration", type=float, metavar="S", help="of the motion [s] (2)")
     parser.add_argument(
         "--planner", default="direct", metavar="P", help=f"{', '.join(PLANNERS)} (direct)"
@@ -62,16 +72,23 @@ def run(args: argparse.Namespace) -> int:
     planner = _planner_from(args)
     system = system_from(args)
     arm = system.arm
+    pose = None if args.tool is None else _pose(args.tool, args.angle_unit)
+    start = _angles(args, arm, "start")
     query = Query(
         system=system,
-        start=tuple(joint_angles(args.start, arm, "--start", args.angle_unit).tolist()),
-        goal=tuple(joint_angles(args.goal, arm, "--goal", args.angle_unit).tolist()),
+        start=start,
+        goal=start if pose else _angles(args, arm, "goal"),
         duration=duration_from(args.duration),
         v_max=_v_max(args.v_max, arm),
         a_max=None if args.a_max is None else degrees(args.a_max, arm.n, "--a-max"),
         surroundings=None if args.obstacles is None else read_surroundings(args.obstacles),
     )
-    plan = solve(planner, query, args.seed)
+    if pose is None:
+        plan = solve(planner, query, args.seed)
+    else:
+        plan = solve_to_tool(planner, query, pose, args.seed)
+        query = plan.query
+        print(f"goal: {_in_degrees(query.goal)} deg")
     if plan.motion is None or plan.predicted is None:
         return _without_motion(args, plan)
     reference = plan.reference
@@ -136,6 +153,31 @@ def _without_motion(args: argparse.Namespace, plan: Plan) -> int:
     write_json(args.json, result)
     print(f"{plan.planner}: {plan.failure} ({plan.seconds:.2f} s)")
     return 1
+
+
+def _angles(args: argparse.Namespace, arm: Arm, name: str) -> Vector:
+    """Return --start or --goal [rad]."""
+    angles = joint_angles(getattr(args, name), arm, f"--{name}", args.angle_unit)
+    return tuple(angles.tolist())
+
+
+def _pose(text: str, unit: str | None) -> ToolPose:
+    """Return the tool pose that `--tool` describes."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in (3, 6):
+        raise ParameterError(
+            "--tool must be three lengths in m, or these and three angles in degrees, like"
+            f" 0.6,0.2,1.1 or 0.6,0.2,1.1,0,90,0, got {text!r}"
+        )
+    turn = values[3:] if unit == "radians" else np.deg2rad(values[3:]).tolist()
+    return ToolPose(position=tuple(values[:3]), angles=tuple(turn) or None)
+
+
+def _in_degrees(angles: Vector) -> str:
+    return ", ".join(f"{k + 0.0:.2f}" for k in np.rad2deg(angles))
 
 
 def _v_max(text: str | None, arm: Arm) -> Vector | None:

@@ -66,7 +66,7 @@ class MeanSquare(MeanEnergy):
         self.t = np.linspace(0, duration, NODES + 1)
         share = np.full(NODES + 1, 1 / NODES)  # of the trapezoid rule
         share[[0, -1]] /= 2
-        self.hessian = np.kron(np.diag(share), weight)
+        self.hessian = np.asarray(np.kron(np.diag(share), weight), np.float64)
 
     def value(self, u: Array) -> float:
         """Half the mean square of samples u (k (N + 1),)."""

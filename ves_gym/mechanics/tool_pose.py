@@ -1,0 +1,183 @@
+"""Tool poses: the tool's place and the way it points, and the configurations that give them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+from scipy.stats import qmc
+
+from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import frames
+from ves_gym.mechanics.kinematics import tool_jacobian
+from ves_gym.mechanics.spatial import matvec, rotation
+
+CLOSE = 1e-6  # m and rad from the pose: there
+_ROUNDS = 60
+_STEP = 0.3  # rad, the most a joint moves per round
+_DAMPING = 1e-2  # of the least squares, times the squared error
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolPose:
+    """Place of the tool in the platform-top frame, base at rest, and its turn if it matters."""
+
+    position: Vector = unit("m")
+    angles: Vector | None = unit("rad", default=None)  # Z-Y-X fixed, as the base's; None = any
+
+    def __post_init__(self) -> None:
+        finite(self.position, (3,), "ToolPose.position")
+        if self.angles is not None:
+            finite(self.angles, (3,), "ToolPose.angles")
+
+    @property
+    def rotation(self) -> Array | None:
+        """(3, 3) from the tool's axes to the platform's, None where any turn will do."""
+        if self.angles is None:
+            return None
+        return rotation(np.array([0.0, 0.0, 0.0, *self.angles]))
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates that are asked for: 3 or 6."""
+        return 3 if self.angles is None else 6
+
+
+def tool_pose(arm: Arm, q: npt.ArrayLike) -> ToolPose:
+    """Return the tool's pose at one configuration (n,) [rad], base at rest."""
+    place, turn = tool_frame(arm, finite(q, (arm.n,), "q"))
+    z, y, x = Rotation.from_matrix(turn).as_euler("ZYX")
+    return ToolPose(position=tuple(place.tolist()), angles=(float(x), float(y), float(z)))
+
+
+def tool_frame(arm: Arm, q: npt.ArrayLike) -> tuple[Array, Array]:
+    """Return position and rotation of the tool in the platform-top frame.
+
+    Args:
+        arm: the arm.
+        q: (..., n) joint angles [rad].
+
+    Returns:
+        (..., 3) [m] and (..., 3, 3) from the tool's axes to the platform's.
+    """
+    angles = np.asarray(q, float)
+    last = frames(arm, list(np.moveaxis(angles, -1, 0)))[-1]
+    shape = angles.shape[:-1]
+    place, turn = np.empty((*shape, 3)), np.empty((*shape, 3, 3))
+    for i in range(3):
+        place[..., i] = last.position[i]
+        for j, axis in enumerate(last.rotation):
+            turn[..., i, j] = axis[i]
+    return place, turn @ arm.tool_rotation
+
+
+def tool_twists(arm: Arm, q: npt.ArrayLike) -> Array:
+    """Return velocity and rate of rotation of the tool per joint rate, base at rest.
+
+    Args:
+        arm: the arm.
+        q: (..., n) joint angles [rad].
+
+    Returns:
+        (..., 6, n) in the platform's axes: three rows [m/rad], three [1].
+    """
+    angles = np.asarray(q, float)
+    linear = tool_jacobian(arm, angles)
+    out = np.empty((*angles.shape[:-1], 6, arm.n))
+    out[..., :3, :] = linear
+    for j, frame in enumerate(frames(arm, list(np.moveaxis(angles, -1, 0)))):
+        for i in range(3):
+            out[..., 3 + i, j] = frame.axis[i]
+    return out
+
+
+def pose_error(arm: Arm, pose: ToolPose, q: npt.ArrayLike) -> Array:
+    """Return what is missing to a pose, as a twist.
+
+    Args:
+        arm: the arm.
+        pose: of the tool.
+        q: (..., n) joint angles [rad].
+
+    Returns:
+        (..., 3) [m], or (..., 6) [m, rad] where the turn matters.
+    """
+    place, turn = tool_frame(arm, q)
+    missing: Array = np.array(pose.position) - place
+    goal = pose.rotation
+    if goal is None:
+        return missing
+    turned = goal @ np.swapaxes(turn, -1, -2)
+    vectors = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec()
+    return np.concatenate([missing, vectors.reshape(missing.shape)], axis=-1)
+
+
+def towards_pose(
+    arm: Arm, pose: ToolPose, q: npt.ArrayLike, rounds: int = _ROUNDS
+) -> tuple[Array, Array]:
+    """Bring configurations to a pose by damped least squares inside the joint limits.
+
+    Args:
+        arm: the arm.
+        pose: of the tool.
+        q: (k, n) where to start [rad].
+        rounds: of the least squares.
+
+    Returns:
+        q (k, n) [rad], and how far from the pose each is (k,) [m and rad, root of squares].
+    """
+    low, high = arm.column("q_min"), arm.column("q_max")
+    at = np.clip(np.asarray(q, float), low, high)
+    for _ in range(rounds):
+        error = pose_error(arm, pose, at)
+        if (np.abs(error) < CLOSE / 100).all():
+            break
+        J = tool_twists(arm, at)[..., : pose.size, :]
+        across = np.swapaxes(J, -1, -2)
+        # damped by the error itself, so that the last rounds are Newton's
+        damping = _DAMPING * (error**2).sum(axis=-1)[..., None, None] + 1e-12
+        load = np.linalg.solve(J @ across + damping * np.eye(pose.size), error[..., None])
+        step = matvec(across, load[..., 0])
+        fastest = np.abs(step).max(axis=-1, keepdims=True)
+        at = np.clip(at + step * (_STEP / np.maximum(fastest, _STEP)), low, high)
+    return at, np.linalg.norm(pose_error(arm, pose, at), axis=-1)
+
+
+def configurations_at(
+    arm: Arm, pose: ToolPose, *, near: npt.ArrayLike | None = None, starts: int = 128
+) -> Array:
+    """Configurations within the joint limits that bring the tool to a pose.
+
+    Damped least squares from `near` and from Halton's points over the joints' ranges. Where
+    joints are left over, every start ends somewhere else: a sample of them.
+
+    Args:
+        arm: the arm.
+        pose: of the tool.
+        near: (n,) a configuration to start from as well [rad].
+        starts: Halton's points.
+
+    Returns:
+        (k, n) [rad], at least 0.05 rad apart, that from `near` first; k = 0: out of reach.
+
+    Raises:
+        ParameterError: no starts.
+    """
+    if starts < 1:
+        raise ParameterError(f"starts must be >= 1, got {starts}")
+    low, high = arm.column("q_min"), arm.column("q_max")
+    at = qmc.scale(qmc.Halton(arm.n, scramble=False).random(starts), low, high)
+    if near is not None:
+        at = np.vstack([finite(near, (arm.n,), "near"), at])
+    q, miss = towards_pose(arm, pose, at)
+    out: list[Array] = []
+    for k in np.flatnonzero(miss <= CLOSE):
+        if all(np.linalg.norm(q[k] - other) >= _APART for other in out):
+            out.append(q[k])
+    return np.array(out).reshape(-1, arm.n)
+
+
+_APART = 0.05  # rad between configurations that count as two
