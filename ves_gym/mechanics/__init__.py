@@ -5,11 +5,46 @@ from typing import TYPE_CHECKING
 from ves_gym._util.lazy import lazily as _lazily
 
 if TYPE_CHECKING:
+    from ves_gym.mechanics.flexible_base import CornerBody as CornerBody
+    from ves_gym.mechanics.flexible_base import FlexibleBase as FlexibleBase
+    from ves_gym.mechanics.flexible_base import Polyline as Polyline
+    from ves_gym.mechanics.flexible_base import Reduced as Reduced
+    from ves_gym.mechanics.flexible_base import Strut as Strut
     from ves_gym.mechanics.gravity import GravityModel as GravityModel
     from ves_gym.mechanics.gravity import minimal_model as minimal_model
+    from ves_gym.mechanics.section import Material as Material
+    from ves_gym.mechanics.section import Section as Section
+    from ves_gym.mechanics.section import Tube as Tube
+    from ves_gym.mechanics.structure import read_structure as read_structure
     from ves_gym.mechanics.vehicle import BENT as BENT
 
-__all__ = ["BENT", "GravityModel", "minimal_model"]
+__all__ = [
+    "BENT",
+    "CornerBody",
+    "FlexibleBase",
+    "GravityModel",
+    "Material",
+    "Polyline",
+    "Reduced",
+    "Section",
+    "Strut",
+    "Tube",
+    "minimal_model",
+    "read_structure",
+]
 
-_HOMES = {"BENT": "vehicle", "GravityModel": "gravity", "minimal_model": "gravity"}
+_HOMES = {
+    "BENT": "vehicle",
+    "CornerBody": "flexible_base",
+    "FlexibleBase": "flexible_base",
+    "GravityModel": "gravity",
+    "Material": "section",
+    "Polyline": "flexible_base",
+    "Reduced": "flexible_base",
+    "Section": "section",
+    "Strut": "flexible_base",
+    "Tube": "section",
+    "minimal_model": "gravity",
+    "read_structure": "structure",
+}
 __getattr__, __dir__ = _lazily(__name__, _HOMES)
