@@ -12,6 +12,7 @@ from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT, DECOUPLED, STRAIGHT_HORIZONTAL
+from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.query import is_feasible
 from ves_gym.planners.registry import PLANNERS
 from ves_gym.planners.suites import (
@@ -26,6 +27,7 @@ from ves_gym.planners.suites import (
     reach_durations,
     reach_obstacles,
     reach_range,
+    transfer,
     uncompensated,
 )
 from ves_gym.system.emulator_settings import EmulatorSettings
@@ -212,3 +214,37 @@ def test_an_unknown_suite_is_an_error_that_lists_the_known(name):
         assert suite in str(caught.value)
     with pytest.raises(ParameterError, match="vehicle must be one of"):
         get_suite("reach100", system=System(), vehicle="ship")
+
+
+def test_transfer_asks_of_one_base_and_judges_on_others():
+    suite = get_suite("transfer", system=System(), quick=True)
+    machines = dict.fromkeys(v for v, _ in suite.queries)
+    assert list(machines)[:3] == ["as described", "more modes", "stiffness -20 %"]
+    known = {suite.described[v].hash for v in machines}
+    assert len(known) == 2  # the payload is known in one of them
+    judged = {v: q.system.actual for v, q in suite.queries}
+    nominal = judged["as described"].base
+    assert judged["more modes"].base.m > nominal.m
+    soft = judged["stiffness -20 %"].base
+    np.testing.assert_allclose(soft.full()[2], 0.8 * nominal.full()[2], rtol=1e-12)
+    weak = judged["damping x 0.1"].base
+    np.testing.assert_allclose(weak.full()[1], 0.1 * nominal.full()[1], rtol=1e-9, atol=1e-9)
+    known_payload = suite.described["payload 5 kg, known"].arm
+    assert known_payload.mass == pytest.approx(judged["payload 5 kg"].arm.mass)
+    with pytest.raises(ParameterError, match="needs mode ideal"):
+        get_suite("transfer", system=System(mode="emulated"))
+
+
+def test_a_transfer_benchmark_plans_once_for_machines_described_alike():
+    suite = transfer(System(), "bent-flexible", 1)
+    part = tuple((v, q) for v, q in suite.queries if q.duration == 1.0)
+    chosen = {"as described", "payload 5 kg", "payload 5 kg, known"}
+    suite = dataclasses.replace(suite, queries=tuple(k for k in part if k[0] in chosen))
+    rows = run_benchmark(suite, planners=["direct"], workers=1)["rows"]
+    of = {(r["planner"], r["vehicle"]): r for r in rows}
+    blind, known = of["direct", "payload 5 kg"], of["direct", "payload 5 kg, known"]
+    nominal = of["direct", "as described"]
+    assert blind["predicted"] == nominal["predicted"]
+    assert known["predicted"] != nominal["predicted"]
+    assert known["E_mean"] < blind["E_mean"]
+    assert known["E_mean"] == pytest.approx(known["predicted"], rel=0.3)

@@ -81,11 +81,19 @@ def run_benchmark(
             require(f"planner {name}", "ompl")  # before the others have planned for minutes
     report = progress or (lambda stage, done: None)
     questions = [(n, v, q) for v, q in suite.queries for n in names]
-    jobs = [(n, v, replace(q, system=q.system.ideal())) for n, v, q in questions]
+    jobs = [
+        (n, v, replace(q, system=suite.described.get(v, q.system).ideal()))
+        for n, v, q in questions
+    ]
+    # machines that are described alike are planned for once
+    known = {v: suite.described[v].hash if v in suite.described else v for _, v, _ in jobs}
+    keys = [(name, known[vehicle], query.name) for name, vehicle, query in jobs]
+    alone = dict(zip(keys, jobs, strict=True))
+    answers = _plan_all(list(alone.values()), seed, workers, report)
+    plans = dict(zip(alone, (plan for _, plan in answers), strict=True))
     runs = []
-    for (name, _, query), (vehicle, plan) in zip(
-        questions, _plan_all(jobs, seed, workers, report), strict=True
-    ):
+    for (name, vehicle, query), key in zip(questions, keys, strict=True):
+        plan = plans[key]
         runs.append(_Run(name, vehicle, plan, query.system))
         if (query.name, name) in suite.uncompensated_runs:
             runs.append(_Run(name + _UNCOMPENSATED, vehicle, plan, uncompensated(query.system)))
@@ -266,7 +274,7 @@ def _measure(run: Recording) -> list[Energies | None]:
     complete = [i for i in range(len(run.q)) if i not in stopped]
     out: list[Energies | None] = [None] * len(run.q)
     if complete:
-        for i, measured in zip(complete, run.energies(complete), strict=True):
+        for i, measured in zip(complete, run.energies(complete, as_it_is=True), strict=True):
             out[i] = measured
     return out
 

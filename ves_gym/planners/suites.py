@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.effects.base_damping import BaseDamping
+from ves_gym.effects.base_stiffness import BaseStiffness
+from ves_gym.effects.command_delay import CommandDelay
+from ves_gym.effects.joint_coulomb import JointCoulomb
+from ves_gym.effects.joint_viscous import JointViscous
+from ves_gym.effects.payload_mass import PayloadMass
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.flexible_base import FlexibleBase
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import get_vehicle
+from ves_gym.mechanics.vehicle import get_vehicle, has
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings
 from ves_gym.planners.query import Query
+from ves_gym.system.effect import Effect
 from ves_gym.system.system import System
 
 # Rules of the benchmark, not claims about the machine. Of the PUMA: joint speeds [rad/s],
@@ -26,8 +35,9 @@ REACH_SEED = 560  # the published question set
 _GRID = 60.0  # deg: a joint's range is cut to a multiple of it
 _WIDEST = 180.0  # deg, +-: further on lies the same place
 _RAREST = 1000  # draws an acceptable pair may take, on average
-SUITES = ("reach100", "thesis")
+SUITES = ("reach100", "thesis", "transfer")
 OBSTACLES = ("off", "on", "both")
+MORE_MODES = 14  # of the structure that suite transfer judges on
 # Two crates and a ball within reach: a quarter of the straight lines of 4 s run into one.
 REACH_OBSTACLES = Surroundings(
     obstacles=(
@@ -44,7 +54,8 @@ OBSTACLE_SUFFIX = ", obstacles"  # after the name of a vehicle
 class Suite:
     """Queries by vehicle name, and the planners that answer them unless others are asked.
 
-    A query's system is what the motions are played on; planning is for `System.ideal()`.
+    A query's system is what the motions are played on; planning is for `System.ideal()`, or
+    for the system `described` under the query's vehicle name.
     """
 
     name: str
@@ -53,6 +64,9 @@ class Suite:
     uncompensated_runs: tuple[
         tuple[str, str], ...
     ] = ()  # (query, planner) also played `uncompensated`
+    described: Mapping[str, System] = field(
+        default_factory=dict
+    )  # vehicle name -> what is known
 
 
 def get_suite(
@@ -89,9 +103,85 @@ def get_suite(
         if obstacles != "off":
             raise ParameterError(f"suite thesis has no obstacles, got {obstacles!r}")
         return thesis(system, vehicle)
+    if name == "transfer":
+        if obstacles != "off":
+            raise ParameterError(f"suite transfer has no obstacles, got {obstacles!r}")
+        return transfer(system, vehicle or "bent-flexible", 3 if quick else 10)
     raise ParameterError(
         f"suite must be one of {', '.join(SUITES)}, got {name!r}{did_you_mean(name, SUITES)}"
     )
+
+
+def transfer(system: System, vehicle: str, count: int) -> Suite:
+    """Return reach100's first questions, planned on one base and judged on others.
+
+    Args:
+        system: everything but the vehicle; mode ideal.
+        vehicle: name or file of what planners are told.
+        count: questions per duration.
+
+    Raises:
+        ParameterError: mode emulated, or a system with effects.
+    """
+    if system.mode != "ideal" or system.effects:
+        raise ParameterError(
+            "suite transfer needs mode ideal and no effects (it judges on machines with its"
+            f" own), got mode {system.mode} and {len(system.effects)} effects"
+        )
+    asked = reach100(system, vehicle, count).queries
+    described = asked[0][1].system
+    machines = others_of(described)
+    queries = tuple(
+        (name, replace(query, system=machine))
+        for name, (machine, _) in machines.items()
+        for _, query in asked
+    )
+    return Suite(
+        name="transfer",
+        queries=queries,
+        planners=("straight", "direct", "refined", "robust", "robust-worst"),
+        described={name: told for name, (_, told) in machines.items()},
+    )
+
+
+def others_of(described: System) -> dict[str, tuple[System, System]]:
+    """Return machines beside the described one: name -> (as it is, as planners know it).
+
+    More internal modes, stiffness 20 % off, damping a tenth and twice, a payload known and not,
+    joint friction, a late command, and several of these at once.
+
+    Args:
+        described: mode ideal, without effects.
+    """
+    n = described.arm.n
+
+    def of(*effects: Effect) -> System:
+        return described.replace(effects=effects)
+
+    heavy = PayloadMass(mass=5.0)
+    coulomb, viscous = (2.0,) * n, (1.0,) * n
+    friction = JointCoulomb(torque=coulomb), JointViscous(damping=viscous)
+    soft, stiff = BaseStiffness(error=-0.2), BaseStiffness(error=0.2)
+    weak, strong = BaseDamping(error=-0.9), BaseDamping(error=1.0)
+    out = {"as described": (described, described)}
+    if isinstance(described.vehicle, FlexibleBase):
+        finer = replace(described.vehicle, modes=MORE_MODES)
+        out["more modes"] = described.replace(vehicle=finer), described
+    if has(described.vehicle, "K"):
+        out["stiffness -20 %"] = of(soft), described
+        out["stiffness +20 %"] = of(stiff), described
+    if has(described.vehicle, "D"):
+        out["damping x 0.1"] = of(weak), described
+        out["damping x 2"] = of(strong), described
+    out["payload 2.5 kg"] = of(PayloadMass(mass=2.5)), described
+    out["payload 5 kg"] = of(heavy), described
+    out["payload 5 kg, known"] = of(heavy), described.replace(arm=of(heavy).actual.arm)
+    out["friction"] = of(*friction), described
+    out["command 12.5 ms late"] = of(CommandDelay(delay=0.0125)), described
+    if has(described.vehicle, "K") and has(described.vehicle, "D"):
+        out["soft, weak, 5 kg"] = of(soft, weak, heavy), described
+        out["stiff, weak, 5 kg, friction"] = of(stiff, weak, heavy, *friction), described
+    return out
 
 
 def uncompensated(system: System) -> System:

@@ -85,18 +85,26 @@ class Recording:
         return self.u[i][..., part, :], self.ud[i][..., part, :]
 
     def energies(
-        self, which: Sequence[int] | None = None, *, tail: float = TAIL
+        self,
+        which: Sequence[int] | None = None,
+        *,
+        tail: float = TAIL,
+        as_it_is: bool = False,
     ) -> list[Energies]:
         """Return the energy measures of runs.
 
         Args:
             which: numbers of the runs; None for all.
             tail: how long after the motion E_mean reaches [s].
+            as_it_is: of arm and base with their effects; else of the described ones.
         """
+        system = self.system.actual if as_it_is else self.system
         rows: Any = slice(None) if which is None else list(which)
         motion = self.t, self.q[rows], self.y[rows], self.yd[rows]
         modes = self.internal(rows)
-        return energies(self.system, *motion, duration=self.duration, tail=tail, internal=modes)
+        if modes is not None and modes[0].shape[-1] != system.base.m:
+            modes = None  # effects have added modes, which are not recorded
+        return energies(system, *motion, duration=self.duration, tail=tail, internal=modes)
 
     def records(self, i: int) -> int:
         """Records of run i up to its safety stop (that included), all N without one."""
