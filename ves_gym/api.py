@@ -18,7 +18,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.limits import require_limits
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
+from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.system.energy import TAIL, Energies, log_energies
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -97,7 +97,7 @@ def simulate(
     recording = play_motions(
         system,
         [motion],
-        servo=servo or HIGH_GAINS,
+        servo=servo or OWN_GAINS,
         settle=settle,
         record_dt=default if record_dt is None else record_dt,
         y=y,
@@ -119,7 +119,7 @@ def plan(
     v_max: npt.ArrayLike | None = None,
     a_max: npt.ArrayLike | None = None,
     surroundings: Surroundings | str | os.PathLike[str] | None = None,
-    servo: JointServo = HIGH_GAINS,
+    servo: JointServo = OWN_GAINS,
     seed: int = 0,
 ) -> Plan:
     """Find one path with one planner, as `ves-gym plan` does.
@@ -471,7 +471,7 @@ def check_emulation(
     system: System | None = None,
     q: npt.ArrayLike = 0.0,
     *,
-    servo: JointServo | None = HIGH_GAINS,
+    servo: JointServo | None = OWN_GAINS,
     search: bool = True,
 ) -> EmulationCheck:
     """Judge an emulation before it runs, as `ves-gym emulation-check` does.

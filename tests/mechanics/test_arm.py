@@ -13,6 +13,7 @@ from ves_gym.mechanics.arm import Arm, Inertial, diagonal, matrix, skew
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics, joint_positions
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.servo import HIGH_GAINS, OWN_GAINS, own_gains
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.planners.coupling_map import coupling_map
 from ves_gym.planners.prediction import predict
@@ -171,7 +172,9 @@ def test_the_simulator_runs_it(case):
     with pytest.raises(
         ParameterError, match=rf"servo must have gains for {arm.n} joints, got 3"
     ):
-        Simulator(system)  # the PUMA's three gains
+        Simulator(system, servo=HIGH_GAINS)  # the PUMA's three gains
+    own = Simulator(system).servo
+    assert len(own.kp) == len(own.kd) == arm.n and f"inertia of {arm.name}" in own.source
 
 
 def test_motions_play_and_their_energy_is_predicted(case):
@@ -220,6 +223,45 @@ def test_a_query_wants_gains_for_its_arm():
     arm = six_joint_arm()
     ends = {"start": (0.0,) * 6, "goal": (0.1,) * 6, "duration": 1.0}
     with pytest.raises(ParameterError, match="servo must have gains for 6 joints, got 3"):
-        Query(system=System(arm=arm), **ends)
-    prescribed = Query(system=System(arm=arm, drive="prescribed"), **ends)
+        Query(system=System(arm=arm), **ends, servo=HIGH_GAINS)
+    assert Query(system=System(arm=arm), **ends).servo == own_gains(arm)
+    prescribed = Query(system=System(arm=arm, drive="prescribed"), **ends, servo=HIGH_GAINS)
     assert solve(get_planner("straight"), prescribed).feasible
+
+
+# ------------------------------------------------------------------------ servo gains
+
+
+def test_the_thesis_s_arm_keeps_the_thesis_s_gains():
+    assert OWN_GAINS.for_arm(PUMA_560) == HIGH_GAINS
+    plain = dataclasses.replace(OWN_GAINS, feedforward=False).for_arm(PUMA_560)
+    assert plain == dataclasses.replace(HIGH_GAINS, feedforward=False)
+    assert HIGH_GAINS.for_arm(PUMA_560) is HIGH_GAINS
+
+
+@pytest.mark.parametrize("bandwidth", [1.0, 2.0, 4.0])
+def test_own_gains_have_the_bandwidth_that_the_arm_states(bandwidth):
+    """Each joint alone, the others held, at its largest inertia: w = 2 pi f, zeta = 0.7."""
+    arm = dataclasses.replace(six_joint_arm(), bandwidth=bandwidth)
+    gains = own_gains(arm)
+    q = np.random.default_rng(1).uniform(arm.column("q_min"), arm.column("q_max"), (500, 6))
+    J = np.diagonal(inertia(arm, q)[:, 6:, 6:], axis1=1, axis2=2).max(axis=0)
+    w = np.sqrt(gains.kp / J)
+    np.testing.assert_allclose(w / (2 * np.pi), bandwidth, rtol=0.03)
+    np.testing.assert_allclose(gains.kd / (2 * w * J), 0.7, rtol=0.03)
+
+
+def test_own_gains_of_light_wrists_do_not_outrun_the_physics_step():
+    """Without rotors the wrist is light: at its pure bandwidth some way would be fast."""
+    light = [dataclasses.replace(k, rotor_inertia=0.0) for k in six_joint_arm().links]
+    for link in (3, 4, 5):
+        thin = dataclasses.replace(light[link].inertial, inertia=diagonal(1e-6, 1e-6, 1e-6))
+        light[link] = dataclasses.replace(light[link], inertial=thin)
+    arm = dataclasses.replace(six_joint_arm(), links=tuple(light), bandwidth=4.0)
+    gains = own_gains(arm)
+    for q in np.random.default_rng(1).uniform(-1.5, 1.5, (100, 6)):
+        fast = np.linalg.eigvals(np.linalg.solve(inertia(arm, q)[6:, 6:], np.diag(gains.kd)))
+        assert np.abs(fast).max() < 1.5 * 600
+    start = np.full(6, 0.3)
+    run = play_motions(System(arm=arm), [Motion.straight(start, start + 0.5, 1.5)], settle=0.5)
+    np.testing.assert_allclose(run.q[0, -1], start + 0.5, atol=2e-2)

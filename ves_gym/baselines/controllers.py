@@ -19,7 +19,7 @@ from ves_gym.envs.rest_to_rest import RestToRest
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
+from ves_gym.mechanics.servo import OWN_GAINS, JointServo, own_gains
 
 _PLANNED_JERK = 4000.0  # rad/s^3: twice what planners begin their motions with
 _FOLLOW = 24.0  # 1/s: how fast a follower takes back its distance from the plan
@@ -115,13 +115,16 @@ class Hold:
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
         control, s = env.task.control, env.batch.scene
-        servo = self.gains or HIGH_GAINS
-        kp, kd = (np.resize(np.asarray(k, float), s.q.shape[1]) for k in (servo.kp, servo.kd))
+        arm = env.task.system.arm
+        servo = self.gains or own_gains(arm)
+        if len(servo.kp) != arm.n:  # the thesis's, for three joints
+            servo = own_gains(arm)
+        kp, kd = np.array(servo.kp), np.array(servo.kd)
         if isinstance(control, Gains):
             return np.tile(gains_action(control, kp, kd), (env.num_envs, 1))
         if isinstance(control, Torque):
-            damping = control.damping if control.damping is not None else (0.0,)
-            tau = kp * (self._place - s.q) - (kd - np.resize(damping, len(kd))) * s.v
+            damping = np.array(control.servo_for(arm).kd)
+            tau = kp * (self._place - s.q) - (kd - damping) * s.v
             return _torque_action(env, control, tau)
         return np.zeros((env.num_envs, env.batch.width))  # the reference rests where it is
 
@@ -177,7 +180,7 @@ class Follow:
             goal=tuple(goal.tolist()),
             duration=task.duration,
             v_max=tuple(arm.column("v_max").tolist()),
-            servo=HIGH_GAINS if task.control.level == "torque" else task.control.servo,
+            servo=OWN_GAINS if task.control.level == "torque" else task.control.servo,
         )
         motion = solve(get_planner(self.planner), query, self.seed).motion
         return query.straight if motion is None else motion  # better than not to move

@@ -21,6 +21,7 @@ from ves_gym._util.params import ParameterError, Vector, to_plain, write_text
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
 from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.mechanics.vehicle import VEHICLES, get_vehicle
 from ves_gym.simulation.gravity_calibration import read_calibration
 from ves_gym.system.effect import EFFECTS, Effect
@@ -31,9 +32,15 @@ from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
 def add_system_arguments(
     parser: argparse.ArgumentParser, *, vehicle: bool = True, angles: bool = True
 ) -> None:
-    """--system, --vehicle, --mode, --drive, --integrator, --physics-dt, --control-dt."""
+    """--system, --arm, --vehicle, --mode, --drive, --integrator, --physics-dt, --control-dt."""
     group = parser.add_argument_group("system")
     group.add_argument("--system", metavar="FILE", help="a System in TOML or JSON")
+    group.add_argument(
+        "--arm",
+        metavar="A",
+        help=f"{', '.join(arm_names())}, or a URDF, MJCF or TOML file; FILE#LINK names the tool"
+        " (default puma560)",
+    )
     if vehicle:
         group.add_argument(
             "--vehicle", metavar="V", help=f"{', '.join(VEHICLES)}, or a file (default bent)"
@@ -74,6 +81,8 @@ def system_from(args: argparse.Namespace) -> System:
     }
     if getattr(args, "vehicle", None) is not None:
         changes["vehicle"] = get_vehicle(args.vehicle)
+    if args.arm is not None:
+        changes["arm"] = get_arm(args.arm)
     if changes.get("mode") == "ideal" and system.mode != "ideal":
         system = system.ideal()
     system = system.replace(**changes) if changes else system

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("--at", metavar="A,B,C", help="joint angles [deg] (default 0,0,0)")
     parser.add_argument(
-        "--gains", choices=tuple(GAINS), default="high", help="of the joint servo"
+        "--gains", choices=tuple(GAINS), default="own", help="of the joint servo"
     )
     parser.add_argument(
         "--no-search", action="store_true", help="do not look for the largest bandwidth"

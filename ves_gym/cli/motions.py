@@ -14,10 +14,10 @@ from ves_gym.cli.common import numbers
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.limits import require_limits
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
+from ves_gym.mechanics.servo import FREE, HIGH_GAINS, OWN_GAINS, PPED_GAINS, JointServo
 from ves_gym.system.system import System
 
-GAINS = {"high": HIGH_GAINS, "pped": PPED_GAINS, "free": FREE}
+GAINS = {"own": OWN_GAINS, "high": HIGH_GAINS, "pped": PPED_GAINS, "free": FREE}
 
 
 def motion_from(args: argparse.Namespace, arm: Arm) -> Motion:
@@ -125,8 +125,13 @@ def servo_from(args: argparse.Namespace, system: System) -> JointServo:
         raise ParameterError(
             "a prescribed drive has no servo: leave out --gains, --no-feedforward"
         )
-    text = args.gains or "high"
+    text = args.gains or "own"
     servo = GAINS.get(text) or _numbers(text, system.arm.n)
+    if servo is FREE:
+        zero = (0.0,) * system.arm.n
+        servo = JointServo(kp=zero, kd=zero, feedforward=False, source=FREE.source)
+    if not servo.kp:
+        servo = servo.for_arm(system.arm)
     if args.no_feedforward:
         servo = dataclasses.replace(servo, feedforward=False)
     if system.drive == "motor" and len(servo.kp) != system.arm.n:

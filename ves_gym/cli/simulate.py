@@ -58,7 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--gains",
         metavar="G",
-        help=f"{', '.join(GAINS)}, or kp/kd like 3000,2000,1000/50,40,30 (default high)",
+        help=f"{', '.join(GAINS)}, or kp/kd like 3000,2000,1000/50,40,30 (default own: the"
+        " arm's)",
     )
     parser.add_argument(
         "--no-feedforward", action="store_true", help="no feed-forward joint torque"

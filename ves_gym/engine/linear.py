@@ -93,7 +93,7 @@ def linearise_ideal(
     names, p = parameters(system)
     kp = np.zeros(n)
     if servo is not None:
-        _require_motors(system, servo)
+        servo = _on_motors(system, servo)
         kp = np.array(servo.kp, float)
         p[[names.index(f"kp{i + 1}") for i in range(n)]] = kp
         p[[names.index(f"kd{i + 1}") for i in range(n)]] = servo.kd
@@ -119,10 +119,8 @@ def linearise_ideal(
     return Linear(A=A, B=B, drift=drift, x0=x0, u0=at[..., size:])
 
 
-def _require_motors(system: System, servo: JointServo) -> None:
+def _on_motors(system: System, servo: JointServo) -> JointServo:
+    """The servo with gains for the system's arm."""
     if system.drive != "motor":
         raise ParameterError(f"a servo needs drive motor, got drive {system.drive}")
-    if len(servo.kp) != system.arm.n:
-        raise ParameterError(
-            f"servo must have {system.arm.n} gains for {system.arm.name}, got {len(servo.kp)}"
-        )
+    return servo.for_arm(system.arm)

@@ -7,6 +7,7 @@ damping or stiffness (`docs/physics.md`), so the engine integrates the vehicle n
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from ves_gym._util.mujoco_loader import mujoco
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array
-from ves_gym.mechanics.arm import Arm, Inertial
+from ves_gym.mechanics.arm import Arm, Inertial, matrix
 from ves_gym.mechanics.vehicle import BaseModel, InternalModes
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 # Base joints in the engine's order; Y[i] is engine coordinate TO_Y[i], and back.
 BASE_JOINTS = ("x", "y", "z", "phi_z", "phi_y", "phi_x")
 TO_Y = np.array([0, 1, 2, 5, 4, 3])
+
+_LEAST = 1e-13  # kg, kg m^2: what MuJoCo takes of a body that moves
 
 _INTEGRATORS = {
     "rk4": mujoco.mjtIntegrator.mjINT_RK4,
@@ -216,7 +219,7 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
         )
         if link.gear is not None:  # the link turns on, the rotor does not
             body.add_joint(name=f"d_{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
-        _set_inertial(body, link.inertial_at_joint)
+        _set_inertial(body, _of_some_mass(link.inertial_at_joint))
         rotation, position = link.far_end
         _add_drive(spec, f"drive_{i}", f"q_{i}", 1.0, link.tau_max)
     turn = arm.tool_rotation
@@ -274,6 +277,18 @@ def _add_tendons(spec: mujoco.MjSpec, what: str, values: Array) -> None:
         tendon.springlength = [0.0, 0.0]
         # stiffness and damping are polynomials in the engine; the first term is linear
         setattr(tendon, what, value if what == "armature" else [value, 0.0, 0.0])
+
+
+def _of_some_mass(inertial: Inertial) -> Inertial:
+    """The same where MuJoCo takes it for a body that moves: not without mass or inertia.
+
+    A joint next to another, without a link between them, has neither.
+    """
+    I = np.array(inertial.inertia)
+    if inertial.mass >= _LEAST and np.linalg.eigvalsh(I)[0] >= _LEAST:
+        return inertial
+    mass = max(inertial.mass, _LEAST)
+    return replace(inertial, mass=mass, inertia=matrix(I + _LEAST * np.eye(3)))
 
 
 def _set_inertial(body: Any, inertial: Inertial) -> None:

@@ -31,7 +31,7 @@ from ves_gym.envs.period import Period, period_of
 from ves_gym.envs.randomize import Draws
 from ves_gym.envs.tail import tail_energy
 from ves_gym.envs.task import Scene, Task
-from ves_gym.mechanics.servo import HIGH_GAINS
+from ves_gym.mechanics.servo import own_gains
 from ves_gym.simulation.simulator import Simulator
 
 
@@ -88,7 +88,7 @@ class Batch:
         self.sim = Simulator(
             self.system,
             n,
-            servo=control.servo if motor else None,
+            servo=control.servo_for(arm) if motor else None,
             backend=backend,
             threads=threads,
             on_divergence="mark",
@@ -96,7 +96,7 @@ class Batch:
         )
         if task.randomize and self.system.mode == "emulated":
             warn_of_unstable_corners(
-                task.system, task.randomize, control.servo if motor else None
+                task.system, task.randomize, control.servo_for(arm) if motor else None
             )
         space = self.system.ideal()
         self._space = space  # effects have no part in it
@@ -112,15 +112,16 @@ class Batch:
         z, zj = np.zeros((n, 6)), np.zeros((n, joints))
         goals = task.start(np.zeros((1, task.draws))).goal.shape[1]
         table_values = task.lookup(np.zeros((1, goals)), np.zeros(1, np.intp)).shape[1]
-        hold = control.servo if motor and control.level != "torque" else HIGH_GAINS
+        follows = motor and control.level != "torque"
+        hold = control.servo_for(arm) if follows else own_gains(arm)
         self.scene = Scene(
             time=np.zeros(n), q=zj, v=zj, y=z, yd=z, y_seen=z, yd_seen=z,
             tool=np.zeros((n, 3)), tool_seen=np.zeros((n, 3)), energies=np.zeros((n, 2)),
             ref=np.zeros((n, 3, joints)), goal=np.zeros((n, goals)),
             memory=np.zeros((n, task.memory)), table_values=np.zeros((n, table_values)),
             tau=zj.copy(), tail=np.zeros(n),
-            kp=np.tile(np.asarray(hold.kp[:joints], float), (n, 1)),
-            kd=np.tile(np.asarray(hold.kd[:joints], float), (n, 1)),
+            kp=np.tile(np.asarray(hold.kp, float), (n, 1)),
+            kd=np.tile(np.asarray(hold.kd, float), (n, 1)),
         )  # fmt: skip
         self.episodes = Episodes(
             np.zeros(n, np.uint64), np.arange(n), np.full(n, -1),

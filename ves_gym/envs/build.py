@@ -15,6 +15,7 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.envs.control import Control, get_control
 from ves_gym.envs.randomize import ranges_of
 from ves_gym.envs.task import TASKS, Task
+from ves_gym.mechanics.arm_library import arm_from
 from ves_gym.mechanics.vehicle import get_vehicle, vehicle_from_plain
 from ves_gym.system.effect import Effect
 from ves_gym.system.system import System
@@ -74,6 +75,7 @@ def build_task(
     system: System | Mapping[str, Any] | str | os.PathLike[str] | None = None,
     mode: str | None = None,
     vehicle: Any = None,
+    arm: Any = None,
     effects: str | Iterable[Any] | None = None,
     control: str | Mapping[str, Any] | Control | None = None,
     randomize: Mapping[str, Mapping[str, Any]] | None = None,
@@ -87,6 +89,7 @@ def build_task(
         system: what to simulate: a `System`, its plain data, or a .toml or .json file.
         mode: ideal or emulated; changes the system's.
         vehicle: name, file, plain data or `Vehicle`; changes the system's.
+        arm: name, file (URDF, MJCF, TOML), plain data or `Arm`; changes the system's.
         effects: list of effects or of their plain data, or "laboratory" for the nominal error
             budget of an emulated system; replaces the system's.
         control: name, plain data or `Control`.
@@ -110,13 +113,13 @@ def build_task(
     if laboratory is not None:
         from ves_gym.envs.laboratories import laboratory as errors_of
 
-        bare = _system(start, system, mode, vehicle, ())
+        bare = _system(start, system, mode, vehicle, arm, ())
         errors = errors_of(laboratory, bare)
         if effects is None or isinstance(effects, str):
             effects = errors.effects
         if ranges is None or ranges == ranges_of(V0_RANGES):
             ranges = errors.ranges
-    values: dict[str, Any] = {"system": _system(start, system, mode, vehicle, effects)}
+    values: dict[str, Any] = {"system": _system(start, system, mode, vehicle, arm, effects)}
     if control is not None:
         values["control"] = _control(control)
     if ranges is not None:
@@ -157,7 +160,9 @@ def _typed(cls: type[Task], settings: Mapping[str, Any]) -> dict[str, Any]:
     return {k: from_plain(hints[k], v, f"{cls.kind}.{k}") for k, v in settings.items()}
 
 
-def _system(start: System, system: Any, mode: Any, vehicle: Any, effects: Any) -> System:
+def _system(
+    start: System, system: Any, mode: Any, vehicle: Any, arm: Any, effects: Any
+) -> System:
     if isinstance(system, System):
         start = system
     elif isinstance(system, Mapping):
@@ -171,6 +176,8 @@ def _system(start: System, system: Any, mode: Any, vehicle: Any, effects: Any) -
         elif isinstance(vehicle, Mapping):
             vehicle = vehicle_from_plain(vehicle)
         changes["vehicle"] = vehicle
+    if arm is not None:
+        changes["arm"] = arm_from(arm)
     if mode is not None and mode != start.mode:
         changes["mode"] = mode
         if mode == "ideal":

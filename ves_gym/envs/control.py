@@ -22,7 +22,7 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.servo import FREE, HIGH_GAINS, JointServo
+from ves_gym.mechanics.servo import FREE, OWN_GAINS, PPED_GAINS, JointServo, own_gains
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
@@ -65,7 +65,18 @@ class Control:
     @property
     def servo(self) -> JointServo:
         """Gains of the joint motors."""
-        return HIGH_GAINS
+        return OWN_GAINS
+
+    def servo_for(self, arm: Arm) -> JointServo:
+        """Return the gains of the motors of an arm.
+
+        Args:
+            arm: whose joints.
+
+        Raises:
+            ParameterError: gains for another number of joints.
+        """
+        return self.servo.for_arm(arm)
 
     def width(self, arm: Arm) -> int:
         """Numbers in an action."""
@@ -76,11 +87,11 @@ class Control:
         if system.drive not in self.drives:
             kinds = " or ".join(self.drives)
             raise ParameterError(f"control {self.kind} needs drive {kinds}, got {system.drive}")
-        if system.drive == "motor" and len(self.servo.kp) not in (system.arm.n, 3):
-            raise ParameterError(
-                f"control {self.kind}: servo must have gains for {system.arm.n} joints, got"
-                f" {len(self.servo.kp)}"
-            )
+        if system.drive == "motor":
+            try:
+                self.servo_for(system.arm)
+            except ParameterError as error:
+                raise ParameterError(f"control {self.kind}: {error}") from None
 
     def drive(
         self,
@@ -289,6 +300,15 @@ class Torque(Control):
         if self.damping is None:
             return FREE
         return JointServo(kp=(0.0,) * len(self.damping), kd=self.damping, feedforward=False)
+
+    def servo_for(self, arm: Arm) -> JointServo:
+        """See `Control`; the thesis's damping of three joints is the arm's own on another."""
+        if self.damping is None:
+            return JointServo(kp=(0.0,) * arm.n, kd=(0.0,) * arm.n, feedforward=False)
+        if self.damping == PPED_GAINS.kd and arm.n != len(self.damping):
+            kd = own_gains(arm).kd
+            return JointServo(kp=(0.0,) * arm.n, kd=kd, feedforward=False)
+        return self.servo.for_arm(arm)
 
     def command(
         self,

@@ -44,7 +44,8 @@ class DeviceRows:
         self._space = self.system.ideal()
         joints, control = shape.joints, self.task.control
         if self.system.drive == "motor":
-            kp, kd = (np.tile(k, (self.n, 1)) for k in (control.servo.kp, control.servo.kd))
+            servo = control.servo_for(self.system.arm)
+            kp, kd = (np.tile(k, (self.n, 1)) for k in (servo.kp, servo.kd))
             self.backend.set_gains(np.arange(self.n), kp, kd)
         gained = control.level == "gains"
         self.simulations.set_parameters(self.backend.parameters, alike=not gained)

@@ -126,7 +126,8 @@ class Recorder:
         control = batch.task.control
         kp, kd = batch.scene.kp[i], batch.scene.kd[i]
         if control.level == "torque":
-            kp, kd = (np.resize(k, len(kp)) for k in (control.servo.kp, control.servo.kd))
+            servo = control.servo_for(batch.system.arm)
+            kp, kd = np.array(servo.kp), np.array(servo.kd)
         meta = {
             "format": "ves-run/1",
             "system": batch.sim.systems[i].to_dict(),

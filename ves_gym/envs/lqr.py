@@ -94,7 +94,7 @@ class Lqr(Task):
         """
         home = wide(self.home, self.system.arm)
         described = self.system.replace(effects=()).ideal()
-        linear = linearise_ideal(described, home, servo=self.control.servo)
+        linear = linearise_ideal(described, home, servo=self.control.servo_for(described.arm))
         return linear.discretise(self.system.control_dt)
 
     @cached_property

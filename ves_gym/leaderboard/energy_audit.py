@@ -67,7 +67,7 @@ def _work(
     first, last = tau[1:], tau[1:]  # the command at a period's ends: held over it
     kp, kd = kp[1:], kd[1:]  # of the period, not of the one before
     if control.level == "torque":
-        servo: Any = control.servo
+        servo: Any = control.servo_for(system.arm)
         gains = (servo.kp, servo.kd)
         kp, kd = (np.broadcast_to(np.resize(k, q.shape[1]), kp.shape) for k in gains)
     elif control.level == "reference":

@@ -11,6 +11,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,7 +25,11 @@ from ves_gym._util.params import (
     read_table,
     require_positive,
     unit,
+    write_text,
 )
+
+if TYPE_CHECKING:
+    import pinocchio
 
 _ROUNDING = 1e-12  # relative slack of the inertia tests, kg m^2 per kg m^2
 
@@ -243,6 +248,71 @@ class Arm:
         return read_urdf(
             path, tip=tip, root=root, locked=locked or {}, collision=collision, check=check
         )
+
+    @staticmethod
+    def from_mjcf(
+        path: str | os.PathLike[str],
+        *,
+        tip: str | None = None,
+        root: str | None = None,
+        locked: Mapping[str, float] | None = None,
+        collision: bool = True,
+        check: bool = True,
+    ) -> Arm:
+        """Read the chain of hinges from root to tip of an MJCF file, as MuJoCo compiles it.
+
+        Args:
+            path: the file.
+            tip: body or site that is the tool; default the site `tool`, else the last body,
+                where there is one.
+            root: body that stands on the platform, whose frame is the platform-top frame;
+                default the world.
+            locked, collision, check: see `from_urdf`.
+
+        Raises:
+            ParameterError: names the body or the joint, and what is wrong with it.
+        """
+        from ves_gym.mechanics.mjcf_arm import read_mjcf
+
+        return read_mjcf(
+            path, tip=tip, root=root, locked=locked, collision=collision, check=check
+        )
+
+    def to_urdf(self, path: str | os.PathLike[str]) -> None:
+        """Write a URDF file: `from_urdf` gives this arm back, a capsule as three shapes.
+
+        Args:
+            path: the file.
+
+        Raises:
+            ParameterError: gears that give way, for which URDF has no words.
+        """
+        from ves_gym.mechanics.arm_files import urdf_text
+
+        write_text(path, urdf_text(self))
+
+    def to_mjcf(self, path: str | os.PathLike[str]) -> None:
+        """Write an MJCF file: `from_mjcf` gives this arm back.
+
+        Args:
+            path: the file.
+
+        Raises:
+            ParameterError: gears that give way.
+        """
+        from ves_gym.mechanics.arm_files import mjcf_text
+
+        write_text(path, mjcf_text(self))
+
+    def to_pinocchio(self) -> pinocchio.Model:
+        """Return the arm on a base that stands still in Pinocchio, its tool the frame `tool`.
+
+        Raises:
+            MissingPackageError: Pinocchio is not installed.
+        """
+        from ves_gym.mechanics.arm_files import pinocchio_arm
+
+        return pinocchio_arm(self)
 
     @property
     def n(self) -> int:

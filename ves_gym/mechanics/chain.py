@@ -10,12 +10,13 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm, Capsule, Inertial, Link, Mount, matrix
-from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.dynamics import drawn_configurations, inertia
+from ves_gym.mechanics.servo import BANDWIDTH
 
+ENDLESS = 2 * math.pi  # rad either way, the range taken for a joint without limits
 _ZERO = 1e-13  # m, rad: rounding of a file's angles
 _SPEED = math.pi  # rad/s, v_max where a file gives none
 _PUSH = 10.0  # rad/s^2 that tau_max gives the largest inertia, where a file gives none
-_SAMPLES = 256  # configurations among which the largest inertia is looked for
 # Numbers beyond these look like mm, g and kg mm^2 (this project).
 _REACH = 100.0  # m
 _DENSITY = 1e4  # kg/m^3: moving mass over the cube of the reach; a PUMA has 60
@@ -99,7 +100,7 @@ def arm_of(
     *,
     source: str,
     collision: bool = True,
-    bandwidth: float | None = None,
+    bandwidth: float = BANDWIDTH,
 ) -> Arm:
     """Return the arm of joint axes and bodies at zero.
 
@@ -221,14 +222,16 @@ def _about_z(angle: float) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
+def angles_of(R: Array) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw of a rotation (3, 3): about x, then y, then z [rad]."""
+    yaw = math.atan2(R[1, 0], R[0, 0])
+    rest = _about_z(yaw).T @ R  # without yaw: exact also where x points along z
+    return math.atan2(-rest[1, 2], rest[1, 1]), math.atan2(-rest[2, 0], rest[0, 0]), yaw
+
+
 def _mount(R: Array, p: Array) -> Mount | None:
     """The mount of a first joint at (3, 3), (3,); None at the platform-top frame."""
-    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
-    if abs(math.cos(pitch)) < 1e-8:  # roll and yaw turn about one axis
-        roll, yaw = 0.0, math.atan2(-R[0, 1], R[1, 1])
-    else:
-        roll, yaw = math.atan2(R[2, 1], R[2, 2]), math.atan2(R[1, 0], R[0, 0])
-    mount = Mount(position=tuple(p.tolist()), angles=(roll, pitch, yaw))
+    mount = Mount(position=tuple(p.tolist()), angles=angles_of(R))
     return None if mount == Mount() else mount
 
 
@@ -291,10 +294,7 @@ def largest_inertia(arm: Arm) -> Array:
     Args:
         arm: the arm.
     """
-    low, high = arm.column("q_min"), arm.column("q_max")
-    drawn = low + (high - low) * np.random.default_rng(0).uniform(size=(_SAMPLES, arm.n))
-    q = np.vstack([np.clip(0.0, low, high), drawn])
-    H = inertia(arm, q)[:, 6:, 6:]
+    H = inertia(arm, drawn_configurations(arm))[:, 6:, 6:]
     out: Array = np.diagonal(H, axis1=1, axis2=2).max(axis=0)
     return out
 

@@ -293,6 +293,17 @@ def inertia(arm: Arm, q: npt.ArrayLike) -> Array:
     return out
 
 
+def drawn_configurations(arm: Arm) -> Array:
+    """(257, n) zero, or what is nearest to it, and angles drawn within the limits [rad].
+
+    Args:
+        arm: the arm.
+    """
+    low, high = arm.column("q_min"), arm.column("q_max")
+    drawn = low + (high - low) * np.random.default_rng(0).uniform(size=(256, arm.n))
+    return np.vstack([np.clip(0.0, low, high), drawn])
+
+
 def _spatial(c: _Composite) -> list[list[Scalar]]:
     """(6, 6) spatial inertia of a composite at the origin."""
     x, y, z = c.moment

@@ -6,7 +6,6 @@ off the chain stand still. Shapes become capsules that hold them.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,13 +16,20 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.chain import Joint, Lump, Piece, arm_of, require_body, require_plausible
+from ves_gym.mechanics.chain import (
+    ENDLESS,
+    Joint,
+    Lump,
+    Piece,
+    arm_of,
+    require_body,
+    require_plausible,
+)
 from ves_gym.mechanics.urdf_numbers import HERE, Pose, about, number, origin_of, vector
 from ves_gym.mechanics.urdf_shapes import capsules_of
 
 _TURNS = ("revolute", "continuous")
 _MOVES = (*_TURNS, "prismatic", "floating", "planar")
-_ENDLESS = 2 * math.pi  # rad either way, the range taken for a continuous joint
 
 
 @dataclass
@@ -319,7 +325,7 @@ def _joint(joint: _Joint, poses: Mapping[str, Pose]) -> Joint:
     limit, dynamics = (
         ElementTree.Element("none") if k is None else k for k in (joint.limit, joint.dynamics)
     )
-    low, high = -_ENDLESS, _ENDLESS
+    low, high = -ENDLESS, ENDLESS
     if joint.kind == "revolute":
         if limit.get("lower") is None and limit.get("upper") is None:
             raise ParameterError(f"{where} is revolute and has no <limit lower= upper=>")

@@ -37,7 +37,7 @@ from ves_gym.mechanics.limits import (
     middle_of_range,
 )
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
+from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.planners.obstacles import RESOLUTION, Surroundings, collisions
 from ves_gym.planners.prediction import (
     BaseState,
@@ -67,7 +67,7 @@ class Query:
     v_max: Vector | None = unit("rad/s", default=None)  # speed limits, None = none
     a_max: Vector | None = unit("rad/s^2", default=None)  # acceleration limits, None = none
     surroundings: Surroundings | None = None  # what not to touch, None = nothing is checked
-    servo: JointServo = HIGH_GAINS  # what will move the joints
+    servo: JointServo = OWN_GAINS  # what will move the joints
     name: str = ""
     base: BaseState | None = None  # how the base moves at the start, None = at rest
     start_rate: Vector | None = unit("rad/s", default=None)  # of the joints, None = at rest
@@ -93,10 +93,8 @@ class Query:
             raise ParameterError(f"base must be a BaseState, got {self.base!r}")
         if self.base is not None:
             self.base.stacked(self.system.base)
-        if self.system.drive == "motor" and len(self.servo.kp) != arm.n:
-            raise ParameterError(
-                f"servo must have gains for {arm.n} joints, got {len(self.servo.kp)}"
-            )
+        if self.system.drive == "motor":
+            object.__setattr__(self, "servo", self.servo.for_arm(arm))  # the class is frozen
 
     @property
     def straight(self) -> Motion:

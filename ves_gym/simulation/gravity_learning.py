@@ -16,7 +16,7 @@ import scipy
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
+from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.simulation.emulation_loop import Event
 from ves_gym.simulation.playback import Recording, play_motions
 from ves_gym.system.system import System
@@ -64,7 +64,7 @@ def learn_gravity(
     iterations: int = 9,
     slow: float = 20.0,
     settle: float = 10.0,
-    servo: JointServo = HIGH_GAINS,
+    servo: JointServo = OWN_GAINS,
     start: Callable[[Array], Array] | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,

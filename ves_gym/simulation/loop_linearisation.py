@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, content_hash, finite
 from ves_gym.hardware.leg_servo import LegServo
-from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
+from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.system.system import System
 
 SimulatorFactory = Callable[..., Any]  # `Simulator`, or what builds one like it
@@ -78,7 +78,7 @@ def linearise(
     system: System,
     q: npt.ArrayLike = 0.0,
     *,
-    servo: JointServo | None = HIGH_GAINS,
+    servo: JointServo | None = OWN_GAINS,
 ) -> Linearised:
     """Linearise the whole loop about rest at joint angles q (ideal mode: `engine/linear.py`).
 

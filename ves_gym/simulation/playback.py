@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.limits import LimitCheck, check_limits, limits_of, middle_of_range
 from ves_gym.mechanics.motion import Motion, Samples
-from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
+from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix
 from ves_gym.simulation.emulation_loop import Event
 from ves_gym.simulation.simulator import Simulator, State
@@ -190,7 +190,7 @@ def play_motions(
     system: System,
     motions: Sequence[Motion],
     *,
-    servo: JointServo = HIGH_GAINS,
+    servo: JointServo = OWN_GAINS,
     settle: float = 10.0,
     record_dt: float | None = None,
     y: npt.ArrayLike = 0.0,
@@ -235,6 +235,8 @@ def play_motions(
     if emulated:
         _whole_multiple(interval, system.control_dt, "record_dt", "control periods")
     records = int(np.ceil((duration + settle) / (stride * dt) - 1e-9)) + 1
+    if system.drive == "motor" or not servo.kp:
+        servo = servo.for_arm(system.arm)
     sim = Simulator(
         system, n, servo=servo, backend=backend, seed=seed, warn_at=motions[0].start
     )
@@ -311,7 +313,7 @@ def weigh_poses(
     y: npt.ArrayLike,
     *,
     seconds: float = 1.0,
-    servo: JointServo = HIGH_GAINS,
+    servo: JointServo = OWN_GAINS,
     seed: int = 0,
 ) -> RunLog:
     """Hold arm and platform still in each of m poses and record the force sensor.

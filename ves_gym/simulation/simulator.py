@@ -17,7 +17,7 @@ from ves_gym.engine.backends.registry import make_backend
 from ves_gym.engine.batch_parameters import bodies_of, require_alike, share_base
 from ves_gym.hardware.admittance import Nonlinear, require_admittances
 from ves_gym.mechanics.base_model import BaseModel, semidefinite
-from ves_gym.mechanics.servo import FREE, HIGH_GAINS, JointServo
+from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import AXES, SINGULAR, matvec, rate_matrix
 from ves_gym.simulation.emulation_loop import EmulationLoop, Event, Readings
 from ves_gym.simulation.joint_delays import joint_delays_of
@@ -88,7 +88,7 @@ class Simulator:
         system: System,
         n: int = 1,
         *,
-        servo: JointServo | None = HIGH_GAINS,
+        servo: JointServo | None = OWN_GAINS,
         backend: str = "auto",
         threads: int = 0,
         seed: int = 0,
@@ -125,14 +125,12 @@ class Simulator:
             self.emulation_loop = EmulationLoop(
                 system, self.n, self.generators, admittance, compiled=compiled
             )
+        if servo is not None and system.drive == "motor":
+            servo = servo.for_arm(system.arm)
         self.servo = servo if servo is not None else FREE
         self._kp = np.zeros((n, self.joints))
         self._kd = np.zeros((n, self.joints))
         if system.drive == "motor" and servo is not None:
-            if len(servo.kp) != self.joints:
-                raise ParameterError(
-                    f"servo must have gains for {self.joints} joints, got {len(servo.kp)}"
-                )
             self.set_gains(servo.kp, servo.kd)
         if self.emulation_loop is not None and warn_at is not None and admittance is None:
             warn_if_unstable(type(self), system, warn_at, servo)

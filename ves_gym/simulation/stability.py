@@ -19,7 +19,7 @@ from ves_gym._util.views import Viewable
 from ves_gym.hardware.leg_servo import LegServo
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
+from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.simulation.loop_linearisation import SLACK, Linearised, joint_angles
 from ves_gym.simulation.loop_linearisation import linearise as linearise_loop
 from ves_gym.simulation.simulator import Simulator
@@ -72,7 +72,7 @@ def check_emulation(
     system: System,
     q: npt.ArrayLike = 0.0,
     *,
-    servo: JointServo | None = HIGH_GAINS,
+    servo: JointServo | None = OWN_GAINS,
     search: bool = True,
 ) -> EmulationCheck:
     """Judge an emulated system at joint angles q.
@@ -111,7 +111,7 @@ def check_emulation(
 
 
 def linearise(
-    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
+    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = OWN_GAINS
 ) -> Linearised:
     """Linearise the loop about rest; see `loop_linearisation`.
 
@@ -127,7 +127,7 @@ def linearise(
 
 
 def spectral_radius(
-    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
+    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = OWN_GAINS
 ) -> float:
     """Return the largest eigenvalue magnitude of the loop over one control period.
 
@@ -138,7 +138,7 @@ def spectral_radius(
 
 
 def transition(
-    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
+    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = OWN_GAINS
 ) -> Array:
     """Return the (s, s) linear map of the loop's state over one control period.
 
@@ -149,7 +149,7 @@ def transition(
 
 
 def max_bandwidth(
-    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
+    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = OWN_GAINS
 ) -> float | None:
     """Return the platform bandwidth at which the loop first becomes unstable [Hz], from 0.2 up.
 
@@ -172,7 +172,7 @@ def max_bandwidth(
 
 
 def max_gain(
-    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
+    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = OWN_GAINS
 ) -> float | None:
     """Return the factor on the leg gains at which the loop first becomes unstable.
 
@@ -220,7 +220,7 @@ def _payload_ratio(system: System, H: Array) -> float:
 
 
 def in_space(
-    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = HIGH_GAINS
+    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = OWN_GAINS
 ) -> tuple[Array, Array, Array]:
     """Return M, D, K of base and servo-held joints in mode ideal, linear about rest.
 
@@ -241,6 +241,7 @@ def in_space(
         part[at[:, None], at] += block
     joints = np.arange(6, 6 + m)
     if servo is not None and m:
+        servo = servo.for_arm(system.arm)
         D[joints, joints], K[joints, joints] = servo.kd, servo.kp
     return M, D, K
 

@@ -23,6 +23,7 @@ from ves_gym._util.params import (
     write_table,
 )
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT, VEHICLES, BaseModel, Vehicle, altered, get_vehicle
 from ves_gym.system.effect import ArmEffect, BaseEffect, Effect
@@ -162,7 +163,7 @@ class System:
 
     @staticmethod
     def from_dict(plain: Any, where: str = "System") -> System:
-        """Rebuild a system from plain data. A vehicle may be given by name.
+        """Rebuild a system from plain data. Arm and vehicle may be given by name or file.
 
         Args:
             plain: a table as `to_dict` gives it.
@@ -170,6 +171,8 @@ class System:
         """
         if isinstance(plain, dict) and isinstance(plain.get("vehicle"), str):
             plain = {**plain, "vehicle": to_plain(get_vehicle(plain["vehicle"]))}
+        if isinstance(plain, dict) and isinstance(plain.get("arm"), str):
+            plain = {**plain, "arm": to_plain(get_arm(plain["arm"]))}
         system: System = from_plain(System, plain, where)
         return system
 

@@ -17,7 +17,7 @@ from ves_gym.engine.kernel.blocks import aligned, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_module
 from ves_gym.engine.kernel.trace import parameters, structure, tangents
-from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
+from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.system.system import System
 
 _LIBRARIES: dict[str, Library] = {}
@@ -41,7 +41,7 @@ def rollout_gradients(
     x0: npt.ArrayLike = 0.0,
     wrt: tuple[str, ...] = (),
     along: npt.ArrayLike | None = None,
-    servo: JointServo | None = HIGH_GAINS,
+    servo: JointServo | None = OWN_GAINS,
     values: npt.ArrayLike | None = None,
 ) -> Rollout:
     """Play commands and differentiate what comes out.
@@ -92,6 +92,7 @@ def rollout_gradients(
     if p.shape != (n, len(names)):
         raise ParameterError(f"values must have shape ({n}, {len(names)}), got {p.shape}")
     if servo is not None and values is None and system.drive == "motor":
+        servo = servo.for_arm(system.arm)
         for name, gains in (("kp", servo.kp), ("kd", servo.kd)):
             for i in range(joints):
                 p[:, names.index(f"{name}{i + 1}")] = gains[i]

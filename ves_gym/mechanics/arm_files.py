@@ -1,0 +1,286 @@
+"""Arms as text of URDF and MJCF, and as a model of Pinocchio."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from ves_gym._util.optional import require
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.arm import Arm, Capsule, Inertial
+from ves_gym.mechanics.chain import angles_of
+
+if TYPE_CHECKING:
+    import pinocchio
+
+_LEAST = 1e-13  # kg, kg m^2: what MuJoCo takes of a body that moves
+
+
+def joint_names(arm: Arm) -> list[str]:
+    """Return the joints' names, numbers where they have none."""
+    return [link.name or f"q_{i}" for i, link in enumerate(arm.links, start=1)]
+
+
+def placements(arm: Arm) -> list[tuple[Array, Array]]:
+    """Return each joint's frame at zero in the one before, and last the tool's.
+
+    Args:
+        arm: n links.
+
+    Returns:
+        n + 1 rotations (3, 3) and positions (3,) [m]; the first in the platform-top frame.
+    """
+    out = []
+    R = np.eye(3) if arm.mount is None else arm.mount.rotation
+    p = np.zeros(3) if arm.mount is None else np.array(arm.mount.position)
+    for link in arm.links:
+        c, s = np.cos(link.offset), np.sin(link.offset)
+        out.append((R @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]), p))
+        R, p = link.far_end
+    return [*out, (R @ arm.tool_rotation, p)]
+
+
+def _require_rigid(arm: Arm, what: str) -> None:
+    if arm.geared:
+        names = ", ".join(joint_names(arm)[i] for i in arm.geared)
+        raise ParameterError(f"{what} has no words for the gears of {names}, which give way")
+
+
+def _text(values: Iterable[float]) -> str:
+    return " ".join(repr(float(k) + 0.0) for k in values)
+
+
+def _written(top: Element) -> str:
+    ElementTree.indent(top)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(top, encoding="unicode") + "\n"
+
+
+def _bodies(arm: Arm) -> list[tuple[Inertial, tuple[Capsule, ...]]]:
+    """Mass and shape of the base link and of each link, in the frame at its joint."""
+    out = [(arm.base, arm.base_shape or ())]
+    for link in arm.links:
+        R, p = link.far_end
+        capsules = tuple(
+            Capsule(
+                start=tuple((p + R @ np.array(k.start)).tolist()),
+                end=tuple((p + R @ np.array(k.end)).tolist()),
+                radius=k.radius,
+            )
+            for k in link.shape or ()
+        )
+        out.append((link.inertial_at_joint, capsules))
+    return out
+
+
+# ------------------------------------------------------------------------------- URDF
+
+
+def urdf_text(arm: Arm) -> str:
+    """Return an arm as URDF.
+
+    Rotor inertias are written as <dynamics armature=>, accelerations as <limit acceleration=>;
+    readers that do not know them leave them out.
+
+    Args:
+        arm: without gears.
+    """
+    _require_rigid(arm, "URDF")
+    robot = Element("robot", name=arm.name)
+    names = ["base", *(f"link_{i}" for i in range(1, arm.n + 1))]
+    for name, (inertial, shape) in zip(names, _bodies(arm), strict=True):
+        _urdf_link(robot, name, inertial, shape)
+    SubElement(robot, "link", name="tool")
+    joints = [*joint_names(arm), "tool_joint"]
+    for i, (R, p) in enumerate(placements(arm)):
+        moves = i < arm.n
+        kind = "revolute" if moves else "fixed"
+        joint = SubElement(robot, "joint", name=joints[i], type=kind)
+        SubElement(joint, "parent", link=names[i])
+        SubElement(joint, "child", link=names[i + 1] if moves else "tool")
+        SubElement(joint, "origin", xyz=_text(p), rpy=_text(angles_of(R)))
+        if not moves:
+            continue
+        link = arm.links[i]
+        SubElement(joint, "axis", xyz="0 0 1")
+        SubElement(
+            joint,
+            "limit",
+            lower=repr(link.q_min),
+            upper=repr(link.q_max),
+            effort=repr(link.tau_max),
+            velocity=repr(link.v_max),
+            acceleration=repr(link.a_max),
+        )
+        SubElement(
+            joint,
+            "dynamics",
+            damping=repr(link.damping or 0.0),
+            friction=repr(link.friction or 0.0),
+            armature=repr(link.rotor_inertia),
+        )
+    return _written(robot)
+
+
+def _urdf_link(
+    robot: Element, name: str, inertial: Inertial, shape: tuple[Capsule, ...]
+) -> None:
+    link = SubElement(robot, "link", name=name)
+    if inertial.mass:
+        element = SubElement(link, "inertial")
+        SubElement(element, "origin", xyz=_text(inertial.com), rpy="0 0 0")
+        SubElement(element, "mass", value=repr(inertial.mass))
+        I = np.array(inertial.inertia)
+        keys = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2)}
+        keys |= {"iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+        SubElement(element, "inertia", {k: repr(float(I[i])) for k, i in keys.items()})
+    for k, capsule in enumerate(shape, start=1):
+        a, b = np.array(capsule.start), np.array(capsule.end)
+        length = float(np.linalg.norm(b - a))
+        if length > 0:
+            turn = _along((b - a) / length)
+            element = _shape(link, f"capsule_{k}", (a + b) / 2, turn)
+            SubElement(element, "cylinder", radius=repr(capsule.radius), length=repr(length))
+        for end, point in (("_start", a), ("_end", b)) if length > 0 else (("", a),):
+            element = _shape(link, f"capsule_{k}{end}", point, np.eye(3))
+            SubElement(element, "sphere", radius=repr(capsule.radius))
+
+
+def _shape(link: Element, name: str, p: Array, R: Array) -> Element:
+    element = SubElement(link, "collision", name=name)
+    SubElement(element, "origin", xyz=_text(p), rpy=_text(angles_of(R)))
+    return SubElement(element, "geometry")
+
+
+def _along(axis: Array) -> Array:
+    """(3, 3) a rotation whose z is the axis."""
+    across = np.eye(3)[int(np.abs(axis).argmin())]
+    x = np.cross(across, axis)
+    x = x / np.linalg.norm(x)
+    return np.column_stack([x, np.cross(axis, x), axis])
+
+
+# ------------------------------------------------------------------------------- MJCF
+
+
+def mjcf_text(arm: Arm) -> str:
+    """Return an arm as MJCF: a motor per joint, the tool a site, speeds as <numeric>.
+
+    Args:
+        arm: without gears.
+    """
+    _require_rigid(arm, "Arm.to_mjcf")
+    top = Element("mujoco", model=arm.name)
+    SubElement(top, "compiler", angle="radian", autolimits="true")
+    custom = SubElement(top, "custom")
+    SubElement(custom, "numeric", name="ves_v_max", data=_text(arm.column("v_max")))
+    SubElement(custom, "numeric", name="ves_a_max", data=_text(arm.column("a_max")))
+    if arm.bandwidth is not None:
+        SubElement(custom, "numeric", name="ves_bandwidth", data=_text([arm.bandwidth]))
+    body = SubElement(SubElement(top, "worldbody"), "body", name="base")
+    names, bodies, places = joint_names(arm), _bodies(arm), placements(arm)
+    _mjcf_body(body, *bodies[0], moves=False)
+    actuators = Element("actuator")
+    for i, link in enumerate(arm.links):
+        R, p = places[i]
+        body = SubElement(
+            body, "body", name=f"link_{i + 1}", pos=_text(p), quat=_text(quaternion(R))
+        )
+        _mjcf_body(body, *bodies[i + 1], moves=True)
+        SubElement(
+            body,
+            "joint",
+            name=names[i],
+            axis="0 0 1",
+            range=_text((link.q_min, link.q_max)),
+            armature=repr(link.rotor_inertia),
+            damping=repr(link.damping or 0.0),
+            frictionloss=repr(link.friction or 0.0),
+        )
+        most = _text((-link.tau_max, link.tau_max))
+        SubElement(
+            actuators, "motor", name=names[i], joint=names[i], ctrlrange=most, forcerange=most
+        )
+    R, p = places[-1]
+    SubElement(body, "site", name="tool", pos=_text(p), quat=_text(quaternion(R)))
+    top.append(actuators)
+    return _written(top)
+
+
+def _mjcf_body(
+    body: Element, inertial: Inertial, shape: tuple[Capsule, ...], moves: bool
+) -> None:
+    I = np.array(inertial.inertia)
+    mass = inertial.mass
+    if moves:  # a joint without a link of its own
+        mass = max(mass, _LEAST)
+        I = I + _LEAST * np.eye(3) * (np.linalg.eigvalsh(I)[0] < _LEAST)
+    if mass:
+        moments = I[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        SubElement(
+            body,
+            "inertial",
+            pos=_text(inertial.com),
+            mass=repr(mass),
+            fullinertia=_text(moments),
+        )
+    for capsule in shape:
+        ends = np.array([capsule.start, capsule.end])
+        if np.ptp(ends, axis=0).any():
+            SubElement(
+                body,
+                "geom",
+                type="capsule",
+                fromto=_text(ends.ravel()),
+                size=repr(capsule.radius),
+                mass="0",
+            )
+        else:
+            options: dict[str, str] = {"type": "sphere", "size": repr(capsule.radius)}
+            SubElement(body, "geom", options, pos=_text(ends[0]), mass="0")
+
+
+def quaternion(R: Array) -> Array:
+    """(4,) w, x, y, z of a rotation (3, 3): the eigenvector of Bar-Itzhack (2000)."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R
+    K = np.array(
+        [
+            [xx + yy + zz, zy - yz, xz - zx, yx - xy],
+            [zy - yz, xx - yy - zz, xy + yx, xz + zx],
+            [xz - zx, xy + yx, yy - xx - zz, yz + zy],
+            [yx - xy, xz + zx, yz + zy, zz - xx - yy],
+        ]
+    )
+    out: Array = np.linalg.eigh(K)[1][:, -1]
+    return out if out[0] >= 0 else -out
+
+
+# -------------------------------------------------------------------------- Pinocchio
+
+
+def pinocchio_arm(arm: Arm) -> pinocchio.Model:
+    """Return the arm on a base that stands still, its rotors as armature, no gravity set.
+
+    Args:
+        arm: n links.
+    """
+    require("Arm.to_pinocchio", "pinocchio")
+    import pinocchio as pin
+
+    def inertia(inertial: Inertial) -> Any:
+        return pin.Inertia(inertial.mass, np.array(inertial.com), np.array(inertial.inertia))
+
+    model = pin.Model()
+    model.name = arm.name
+    model.appendBodyToJoint(0, inertia(arm.base), pin.SE3.Identity())
+    joint, places = 0, [pin.SE3(R, p) for R, p in placements(arm)]
+    for link, name, place in zip(arm.links, joint_names(arm), places, strict=False):
+        one = [np.array([k]) for k in (link.tau_max, link.v_max, link.q_min, link.q_max)]
+        joint = model.addJoint(joint, pin.JointModelRZ(), place, name, *one)
+        model.appendBodyToJoint(joint, inertia(link.inertial_at_joint), pin.SE3.Identity())
+    model.armature[:] = arm.column("rotor_inertia")
+    model.addFrame(pin.Frame("tool", joint, places[-1], pin.FrameType.OP_FRAME))
+    return model
