@@ -166,7 +166,7 @@ def test_without_a_compiler_it_is_interpreted(monkeypatch, tmp_path):
         (System(), {"q": np.nan}, "q must be finite"),
         (System(), {"command": np.zeros(2)}, r"command must have shape \(\.\.\., 3\)"),
         (System(), {"q": np.zeros((2, 3)), "y": np.zeros((3, 6))}, "axes must broadcast"),
-        (System(), {"servo": WRIST_GAINS}, "servo must have 3 gains"),
+        (System(), {"servo": WRIST_GAINS}, "servo must have gains for 3 joints, got 6"),
         (System(drive="prescribed"), {"servo": HIGH_GAINS}, "needs drive motor"),
     ],
 )

@@ -16,6 +16,7 @@ from ves_gym.mechanics.servo import BANDWIDTH
 ENDLESS = 2 * math.pi  # rad either way, the range taken for a joint without limits
 _ZERO = 1e-13  # m, rad: rounding of a file's angles
 _SPEED = math.pi  # rad/s, v_max where a file gives none
+_PACE = 20.0  # 1/s, a_max over v_max at most, where a file gives none; the PUMA has 7 to 19
 _PUSH = 10.0  # rad/s^2 that tau_max gives the largest inertia, where a file gives none
 # Numbers beyond these look like mm, g and kg mm^2 (this project).
 _REACH = 100.0  # m
@@ -310,19 +311,19 @@ def _with_limits(arm: Arm, joints: list[Joint]) -> Arm:
             )
     links, notes = [], []
     for link, joint, J in zip(arm.links, joints, most, strict=True):
-        tau = joint.tau_max or _down(_PUSH * J)
+        tau, v_max = joint.tau_max or _down(_PUSH * J), joint.v_max or _SPEED
         links.append(
             replace(
                 link,
-                v_max=joint.v_max or _SPEED,
+                v_max=v_max,
                 tau_max=tau,
-                a_max=joint.a_max or _down(tau / J),
+                a_max=joint.a_max or _down(min(tau / J, _PACE * v_max)),
             )
         )
     for field_name, text in (
         ("v_max", "pi rad/s"),
         ("tau_max", f"{_PUSH:g} rad/s^2 times the largest inertia"),
-        ("a_max", "tau_max over the largest inertia"),
+        ("a_max", f"tau_max over the largest inertia, at most {_PACE:g}/s times v_max"),
     ):
         missing = [joint.name for joint in joints if not getattr(joint, field_name)]
         if missing:
