@@ -143,7 +143,8 @@ def estimate_noise(x: Array, quiet: float = _QUIET) -> SensorNoiseModel:
         Standard deviations and correlations of neighbouring samples, (c,) each.
     """
     d = x - np.linspace(0, 1, len(x))[:, None] * (x[-1] - x[0])  # ends meet: no leakage
-    power = np.abs(np.fft.rfft(d - d.mean(axis=0), axis=0)) ** 2 / len(x)
+    taper = scipy.signal.windows.hann(len(x))[:, None]  # nor what a sudden start sets off
+    power = np.abs(np.fft.rfft((d - d.mean(axis=0)) * taper, axis=0)) ** 2 / (taper**2).sum()
     f = np.fft.rfftfreq(len(x))
     take = f > quiet
     power, f = power[take][:-1], f[take][:-1]

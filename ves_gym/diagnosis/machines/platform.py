@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
 from ves_gym.diagnosis.data.measured_run import Run
@@ -16,7 +17,7 @@ from ves_gym.diagnosis.machines.platform_response import (
     platform_response,
     within_reach,
 )
-from ves_gym.hardware.force_sensor import low_pass
+from ves_gym.simulation.blocks.platform import EngineInput
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
 
@@ -50,8 +51,8 @@ def ridden(run: Run, described: System) -> tuple[Array, Array] | None:
         described: the system.
 
     Returns:
-        Pose (T, 6) at the samples, acceleration (T, k + 1, 6) at the nodes of the period that
-        ends at each.
+        Pose (T, 6) at the samples, and acceleration (T, k + 1, 6) at the nodes of the period
+        that ends at each, such that lines between them lead from pose to pose.
     """
     if not on_its_clock(run, described):
         return None
@@ -68,12 +69,14 @@ def ridden(run: Run, described: System) -> tuple[Array, Array] | None:
     y, command, begin = _start(first, p, described, 1)
     command = within_reach(described, p, command, y[:, 0], begin)
     platforms = Platforms(described, p, y[:, 0], begin)
-    pose = np.repeat(y[0, :1], run.length, axis=0)
-    shaken = np.zeros((run.length, described.substeps + 1, 6))
+    at_rest = np.zeros((described.substeps + 1, 6))
+    parts = [{"y": at_rest + y[0, 0], "yd": at_rest, "ydd": at_rest}]
     for t in range(1, run.length):
-        path = platforms.advance(command[:, t])
-        pose[t], shaken[t] = path["y"][0, -1], path["ydd"][0]
-    return pose, shaken
+        parts.append({k: v[0] for k, v in platforms.advance(command[:, t]).items()})
+    path = {k: np.stack([part[k] for part in parts]) for k in ("y", "yd", "ydd")}
+    begin_of = {f"{k}_engine": path[k][:, 0] for k in ("y", "yd")}
+    moved = EngineInput(platforms.shape).step(NUMPY, {}, {}, {**path, **begin_of})[1]
+    return path["y"][:, -1], moved["acceleration"]
 
 
 def _start(run: Run, p: LoopParameters, system: System, m: int) -> tuple[Array, Array, Array]:
@@ -104,24 +107,3 @@ def _knows_rates(run: Run, system: System) -> bool:
     if settings.operation == "position" or not settings.payload_compensation:
         return False
     return all(k in run for k in ("w", "weight", "q", "controller"))
-
-
-def shown(system: System, shaken: Array, mass: Array) -> Array:
-    """Return what the sensor's filter as described makes of the inertia of what it carries.
-
-    Args:
-        system: emulated.
-        shaken: (N, k + 1, 6) acceleration at the nodes of each period [m/s^2, rad/s^2].
-        mass: (N, 6, 6).
-
-    Returns:
-        (N, 6) at the ends of the periods, from rest [N, N m].
-    """
-    nodes = np.arange(system.substeps + 1) * np.float64(system.physics_dt)
-    hold, weights = low_pass(np.array([system.emulator_settings.sensor.cutoff]), nodes)
-    driven = mass @ np.swapaxes(weights[0] @ shaken, -1, -2)  # (N, 6, 2)
-    state, out = np.zeros((6, 2)), np.empty((len(shaken), 6))
-    for k, part in enumerate(driven):
-        state = state @ hold[0].T + part
-        out[k] = state[:, 0]
-    return out

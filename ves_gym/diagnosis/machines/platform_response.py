@@ -12,6 +12,8 @@ from ves_gym._util.params import Array
 from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.simulation.blocks.block import Block, LoopShape
+from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
+from ves_gym.simulation.blocks.memory import NamedArrays
 from ves_gym.simulation.blocks.platform import CommandLine, LegSensors, LegServos, PosePlatform
 from ves_gym.simulation.blocks.wiring import Wiring
 from ves_gym.system.deviations import LoopParameters
@@ -47,27 +49,30 @@ def platform_response(
 
 
 class Platforms:
-    """The platform's blocks with n memories, from poses and rates (n, 6) on."""
+    """The platform's blocks, compiled, with n memories, from poses and rates (n, 6) on."""
 
     def __init__(self, system: System, p: LoopParameters, y: Array, yd: Array) -> None:
-        settings = system.emulator_settings
-        shape = LoopShape(
-            system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt
-        )
+        settings, n = system.emulator_settings, system.arm.n
+        clock = system.control_dt, system.physics_dt
         blocks: list[Block]
         if isinstance(settings.platform, PoseServo):
+            shape = LoopShape(system.substeps + 1, n, *clock)
             first: PosePlatform | LegServos = PosePlatform(settings.platform, shape)
             blocks = [first]
         else:
-            clock = shape.control_dt, shape.physics_dt
             legs = Legs(settings.platform, settings.stewart, *clock)
+            shape = LoopShape(system.substeps + 1, n, *clock, legs.leg.size)
             first = LegServos(legs)
             blocks = [first, LegSensors(legs)]
-        self._wiring = Wiring(blocks, [], ["command_received"])
-        nothing: Any = None  # of arms and vehicles: these blocks ask for none
-        self._p = {k.name: k.parameters(p, nothing) for k in blocks}
+        self.shape = shape
+        wiring = Wiring(blocks, [], ["command_received"])
+        self._x = NamedArrays(wiring.everything(shape), len(y), lanes=True)
         memory, _ = first.start({}, {"X": np.concatenate([y, yd], axis=-1)})
-        self._x = {f"{first.name}.{k}": v for k, v in memory.items()}
+        for name, values in memory.items():
+            self._x[f"{first.name}.{name}"] = values
+        nothing: Any = None  # of arms and vehicles: these blocks ask for none
+        self._code = CompiledLoop(wiring, self._x)
+        self._code.load({k.name: k.parameters(p, nothing) for k in blocks})
 
     def advance(self, command: Array) -> dict[str, Array]:
         """Return the signals of a control period (y, yd, ydd at its nodes, y_measured).
@@ -75,10 +80,8 @@ class Platforms:
         Args:
             command: (n, 12) received.
         """
-        external = {"command_received": command}
-        run = self._wiring.run(self._wiring.before, NUMPY, self._p, self._x, external)
-        self._x, signals = run
-        return signals
+        self._code("before", {"command_received": command})
+        return {name: self._code.signal(name) for name in ("y", "yd", "ydd", "y_measured")}
 
 
 def within_reach(

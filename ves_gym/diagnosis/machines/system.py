@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,17 +16,22 @@ import scipy
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
-from ves_gym.diagnosis.data.measured_run import Kinematics, Run
+from ves_gym.diagnosis.data.measured_run import NEAR, Kinematics, Run
 from ves_gym.diagnosis.machines.admittance import force_gap
 from ves_gym.diagnosis.machines.base import WRENCH, Nuisance, Port
+from ves_gym.diagnosis.machines.between_samples import (
+    BetweenSamples,
+    between_samples,
+    butterworth,
+)
 from ves_gym.diagnosis.machines.drift import SlowPath
 from ves_gym.diagnosis.machines.nuisance_priors import system_nuisances
-from ves_gym.diagnosis.machines.platform import platform_gap, ridden, shown
+from ves_gym.diagnosis.machines.platform import platform_gap
 from ves_gym.diagnosis.machines.presliding import Presliding
 from ves_gym.diagnosis.machines.ringing import loop_rings
 from ves_gym.diagnosis.machines.torque_balance import torque_residual
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import inertia, inverse_dynamics, newton_euler
+from ves_gym.mechanics.dynamics import inverse_dynamics, newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import AXES, body_wrench, matvec, rate_matrix, twist, twist_rate
 from ves_gym.mechanics.vehicle import InternalModes
@@ -211,37 +216,24 @@ class SystemMachine:
             return out
 
         every = (*effects, *(p.effect for p in model.presliding))
-        return torque_residual(run["tau"], self._load(run, model.system)[0], every, laws)
+        needed = self._load(run, model.system)[0] + self._between(run).torque
+        return torque_residual(run["tau"], needed, every, laws)
 
     def _wrench(self, run: Run, system: System) -> Array:
         """Sensor reading less the arm's wrench (..., T, 6)."""
         wrench = self._load(run, system)[1]
         if system.mode == "ideal":
             return np.asarray(run["w"] - wrench)
-        between = _memoized(run, "between samples", lambda: self._between_samples(run))
-        return np.asarray(run["w"] - self._sensed(system, wrench, between, run.dt))
+        return np.asarray(run["w"] - self._sensed(system, wrench, self._between(run), run.dt))
 
-    def _between_samples(self, run: Run) -> Array:
-        """Wrench (T, 6) behind the filter that samples of the pose say nothing of.
-
-        A platform that answers the steps of its command swings within each period, in time with
-        the samples, so that neither pose nor reading shows it as what it is. What the arm makes
-        of it follows from the platform as described.
-        """
-        path = ridden(run, self.system) if "y_cmd" in run else None
-        if path is None:
-            return np.zeros(6)
-        pose, shaken = path
-        system, q = self.system, run["q"].reshape(-1, run.length, self.system.arm.n)[0]
-        H = inertia(system.arm, q)
-        mass = H[:, :6, :6]
-        if system.drive == "motor":  # joints give way to what is that fast
-            mass = mass - H[:, :6, 6:] @ np.linalg.solve(H[:, 6:, 6:], H[:, 6:, :6])
-        mass = mass @ rate_matrix(pose)
-        true = shown(system, shaken, mass)
-        cutoff = system.emulator_settings.sensor.cutoff
-        smooth = differentiated(pose, run.dt, run.band)[2]
-        return np.asarray(_butterworth(matvec(mass, smooth), cutoff, run.dt) - true)
+    def _between(self, run: Run) -> BetweenSamples:
+        """What the swing of the platform as described does between the samples of a log."""
+        near = run.memory.get(NEAR, {})  # noise hardly moves it
+        memory = near if "between" in near else run.memory
+        if "between" not in memory:
+            memory["between"] = between_samples(run, self.system)
+        out: BetweenSamples = memory["between"]
+        return out
 
     def _load(self, run: Run, system: System) -> tuple[Array, Array]:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
@@ -286,22 +278,22 @@ class SystemMachine:
             run["q_cmd"], run.dt, run.band, ahead=-float(delays.command[0])
         )
         q, v, _ = run.joints
-        v = _lagged(v, delays.lag[0], run.dt)
+        v = _lagged(v + self._between(run).rate, delays.lag[0], run.dt)
         demand = (command[0] - q) * gains["kp"] + (command[1] - v) * gains["kd"]
         if gains.get("feedforward", False):
             demand = demand + inverse_dynamics(arm, *command)[0]
         most = arm.column("tau_max")
         return np.asarray(run["tau"] - np.clip(demand, -most, most))
 
-    def _sensed(self, system: System, wrench: Array, beside: Array, dt: float) -> Array:
-        """Return the sensor's reading of a wrench (..., T, 6), `beside` behind its filter."""
+    def _sensed(self, system: System, wrench: Array, more: BetweenSamples, dt: float) -> Array:
+        """Return the sensor's reading of a wrench (..., T, 6)."""
         spec = system.emulator_settings.sensor
         p = (
             LoopParameters.nominal(system.arm, system.emulator_settings, 1)
             .edited(system)
             .sensor
         )
-        filtered = _butterworth(wrench, float(p.cutoff[0]), dt) + beside
+        filtered = butterworth(wrench, float(p.cutoff[0]), dt) + more.reading
         to_signal = (np.eye(6) + p.matrix[0]) @ spec.frame
         signal = filtered @ to_signal.T + p.bias[0] - np.array(spec.zero)
         return np.asarray(signal @ self._to_wrench.T)
@@ -452,39 +444,3 @@ def _deflections(arm: Arm, torque: Array, dt: float) -> Array:
                 torque[..., i], 1 / gear.compliance, gear.damping, gear.gap / 2, dt
             )
     return out
-
-
-def _butterworth(x: Array, cutoff: float, dt: float) -> Array:
-    """Second-order low-pass along time of signals in the band (..., T, c), from rest."""
-    b, a, zi = _coefficients(cutoff, dt)
-    x = _between_lines(x)
-    start = np.moveaxis(x[..., :1, :], -2, -1)  # at rest under the first value
-    shape = (*x.shape[:-2], 2, x.shape[-1])
-    initial = np.broadcast_to(zi[:, None] * np.swapaxes(start, -1, -2), shape)
-    return np.asarray(scipy.signal.lfilter(b, a, x, axis=-2, zi=initial)[0])
-
-
-def _between_lines(x: Array) -> Array:
-    """Signals (..., T, c) whose straight lines from sample to sample are them, inside the band.
-
-    Lines take away a part of what swings: with u = 2 sin(w dt / 2) they leave u^2 / (w dt)^2 of
-    it. The inverse is 1 + u^2 / 12 + u^4 / 90 + u^6 / 560 + ...; -u^2 is a second difference.
-    """
-    out, bend = x, x
-    for share in (1 / 12, 1 / 90, 1 / 560, 1 / 3150):
-        ends = (
-            2 * bend[..., :1, :] - bend[..., 1:2, :],
-            2 * bend[..., -1:, :] - bend[..., -2:-1, :],
-        )
-        bend = -np.diff(np.concatenate([ends[0], bend, ends[1]], axis=-2), 2, axis=-2)
-        out = out + share * bend
-    return out
-
-
-@lru_cache(maxsize=64)
-def _coefficients(cutoff: float, dt: float) -> tuple[Array, Array, Array]:
-    w = 2 * np.pi * cutoff
-    system = ([w**2], [1.0, np.sqrt(2) * w, w**2])
-    b, a, _ = scipy.signal.cont2discrete(system, dt, method="foh")
-    b, a = np.ravel(b), np.ravel(a)
-    return b, a, scipy.signal.lfilter_zi(b, a)

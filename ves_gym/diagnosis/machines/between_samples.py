@@ -1,0 +1,166 @@
+"""What happens between two samples of a log, and leaves its mark on them.
+
+A platform that answers the steps of its command swings within each period, in time with the
+samples, so that neither pose nor angles nor reading show it as what it is: aliased, it looks
+like a slow motion. What the arm makes of it follows from the platform as described.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy
+
+from ves_gym._util.params import Array
+from ves_gym._util.signals import differentiated
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.machines.platform import ridden
+from ves_gym.hardware.force_sensor import low_pass
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.spatial import matvec, rate_matrix
+from ves_gym.system.deviations import LoopParameters
+from ves_gym.system.system import System
+
+
+@dataclass(frozen=True)
+class BetweenSamples:
+    """True values at the samples less those of the smooth motion that leads through them."""
+
+    torque: Array  # (T, n) that motors give [N m]
+    rate: Array  # (T, n) of the joints [rad/s]
+    reading: Array  # (T, 6) of the wrench on the base, behind the sensor's filter [N, N m]
+
+
+@dataclass(frozen=True)
+class _Joints:
+    """Joints that a servo holds, driven by the platform."""
+
+    angle: Array  # (N, n) at the ends of the periods [rad]
+    rate: Array  # (N, n)
+    acceleration: Array  # (N, k + 1, n) at the nodes
+
+
+def between_samples(run: Run, described: System) -> BetweenSamples:
+    """Return what the platform's swing does between the samples of a log; zeros if unknown.
+
+    Args:
+        run: with q, y; known where it has y_cmd, too, and one row per control period.
+        described: the system.
+    """
+    n = described.arm.n
+    path = ridden(run, described) if described.mode == "emulated" and "y_cmd" in run else None
+    if path is None:
+        return BetweenSamples(np.zeros(n), np.zeros(n), np.zeros(6))
+    pose, shaken = path
+    H = inertia(described.arm, run["q"].reshape(-1, run.length, n)[0])
+    turn = rate_matrix(pose)
+    mass, across, inner = H[:, :6, :6] @ turn, H[:, :6, 6:], H[:, 6:, 6:]
+    coupling = np.swapaxes(across, -1, -2) @ turn
+    kp, kd = (np.zeros(n) for _ in range(2))
+    if "controller" in run:
+        kp, kd = (np.array(run.meta["controller"][k], float) for k in ("kp", "kd"))
+    seen = differentiated(pose, run.dt, run.band)[2]
+    if described.drive == "motor":
+        joints = _driven(inner, kp, kd, matvec(coupling[:, None], shaken), described.physics_dt)
+        _, seen_rate, seen_joints = differentiated(joints.angle, run.dt, run.band)
+        torque = -kp * joints.angle - kd * joints.rate
+        torque = torque - matvec(inner, seen_joints) - matvec(coupling, seen)
+        rate = joints.rate - seen_rate
+        force = matvec(mass[:, None], shaken) + matvec(across[:, None], joints.acceleration)
+        seen_force = matvec(mass, seen) + matvec(across, seen_joints)
+    else:
+        torque, rate = np.zeros(n), np.zeros(n)
+        force, seen_force = matvec(mass[:, None], shaken), matvec(mass, seen)
+    settings = described.emulator_settings
+    p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
+    cutoff = float(p.sensor.cutoff[0])
+    reading = butterworth(seen_force, cutoff, run.dt) - _filtered(
+        force, cutoff, described.physics_dt
+    )
+    return BetweenSamples(torque, rate, reading)
+
+
+def _driven(inner: Array, kp: Array, kd: Array, push: Array, h: float) -> _Joints:
+    """Return how joints move that start from rest: inner r'' + kd r' + kp r = -push.
+
+    Args:
+        inner: (N, n, n) inertia of the joints, one per period [kg m^2].
+        kp, kd: (n,) [N m/rad, N m s/rad].
+        push: (N, k + 1, n) torque at the nodes of the periods, linear between [N m].
+        h: s between nodes.
+    """
+    N, nodes, n = push.shape
+    inverse = np.asarray(np.linalg.inv(inner), dtype=np.float64)
+    drive = -matvec(inverse[:, None], push)
+    generator = np.zeros((N, 4 * n, 4 * n))  # of r, r', drive, its slope
+    a, b, c, d = (slice(k * n, (k + 1) * n) for k in range(4))
+    generator[:, a, b] = generator[:, b, c] = generator[:, c, d] = np.eye(n)
+    generator[:, b, a], generator[:, b, b] = -inverse * kp, -inverse * kd
+    step = scipy.linalg.expm(generator * h)[:, : 2 * n]
+    state, out = np.zeros(2 * n), np.empty((N, nodes, 2 * n))
+    slope = np.diff(drive, axis=1) / h
+    for k in range(N):
+        forced = drive[k, :-1] @ step[k, :, c].T + slope[k] @ step[k, :, d].T
+        hold = step[k, :, : 2 * n]
+        out[k, 0] = state
+        for j in range(nodes - 1):
+            out[k, j + 1] = state = hold @ state + forced[j]
+    angle, rate = out[..., :n], out[..., n:]
+    acceleration: Array = drive - matvec(inverse[:, None], kp * angle + kd * rate)
+    return _Joints(angle[:, -1], rate[:, -1], acceleration)
+
+
+def _filtered(wrench: Array, cutoff: float, h: float) -> Array:
+    """Return what the sensor's filter makes of a wrench (N, 6), from rest.
+
+    Args:
+        wrench: (N, k + 1, 6) at the nodes of each period, linear between [N, N m].
+        cutoff: Hz.
+        h: s between nodes.
+    """
+    nodes = np.arange(wrench.shape[1]) * np.float64(h)
+    hold, weights = low_pass(np.array([cutoff]), nodes)
+    driven = np.swapaxes(weights[0] @ wrench, -1, -2)  # (N, 6, 2)
+    state, out = np.zeros((6, 2)), np.empty((len(wrench), 6))
+    for k, part in enumerate(driven):
+        state = state @ hold[0].T + part
+        out[k] = state[:, 0]
+    return out
+
+
+def butterworth(x: Array, cutoff: float, dt: float) -> Array:
+    """Second-order low-pass along time of signals in the band (..., T, c), from rest."""
+    b, a, zi = _coefficients(cutoff, dt)
+    x = _between_lines(x)
+    start = np.moveaxis(x[..., :1, :], -2, -1)  # at rest under the first value
+    shape = (*x.shape[:-2], 2, x.shape[-1])
+    initial = np.broadcast_to(zi[:, None] * np.swapaxes(start, -1, -2), shape)
+    return np.asarray(scipy.signal.lfilter(b, a, x, axis=-2, zi=initial)[0])
+
+
+def _between_lines(x: Array) -> Array:
+    """Signals (..., T, c) whose straight lines from sample to sample are them, inside the band.
+
+    Lines take away a part of what swings: with u = 2 sin(w dt / 2) they leave u^2 / (w dt)^2 of
+    it. The inverse is 1 + u^2 / 12 + u^4 / 90 + u^6 / 560 + ...; -u^2 is a second difference.
+    """
+    out, bend = x, x
+    for share in (1 / 12, 1 / 90, 1 / 560, 1 / 3150):
+        ends = (
+            2 * bend[..., :1, :] - bend[..., 1:2, :],
+            2 * bend[..., -1:, :] - bend[..., -2:-1, :],
+        )
+        bend = -np.diff(np.concatenate([ends[0], bend, ends[1]], axis=-2), 2, axis=-2)
+        out = out + share * bend
+    return out
+
+
+@lru_cache(maxsize=64)
+def _coefficients(cutoff: float, dt: float) -> tuple[Array, Array, Array]:
+    w = 2 * np.pi * cutoff
+    system = ([w**2], [1.0, np.sqrt(2) * w, w**2])
+    b, a, _ = scipy.signal.cont2discrete(system, dt, method="foh")
+    b, a = np.ravel(b), np.ravel(a)
+    return b, a, scipy.signal.lfilter_zi(b, a)
