@@ -259,12 +259,12 @@ def diagnose(
     after: tuple[Gap, ...] = ()
     if final:
         last = WhitenedResiduals(machine, final, seed + 1)
-        after = _gaps(last, chosen, chosen.nuisances, selection.null.nuisances)
+        after = _gaps(last, chosen, chosen.nuisances, selection.null.nuisances, False)
         much = verdict == MORE and remaining > limits.more  # not but a tone beside
         if much and _remaining_share(after) > limits.held_back:  # names that do not hold
             verdict, without = UNKNOWN, selection.null
             gaps = _gaps(residuals, without, without.nuisances, without.nuisances)
-            after = _gaps(last, without, without.nuisances, without.nuisances)
+            after = _gaps(last, without, without.nuisances, without.nuisances, False)
     lap("verify")
     return Diagnosis(
         verdict=verdict,
@@ -346,11 +346,16 @@ def _remaining_share(gaps: Sequence[Gap]) -> float:
     return after / before if before else 0.0
 
 
-def _gaps(residuals: WhitenedResiduals, fit: Fit, eta: Array, eta0: Array) -> tuple[Gap, ...]:
-    """Before and after per channel, effects and nuisances as they were found."""
+def _gaps(
+    residuals: WhitenedResiduals, fit: Fit, eta: Array, eta0: Array, fitted: bool = True
+) -> tuple[Gap, ...]:
+    """Before and after per channel, effects and nuisances as they were found.
+
+    `fitted` on these runs; else what single runs have of their own is found on them.
+    """
     z = evaluate_residuals(residuals, fit.candidates, [fit.values])[0]
-    before = residuals.null + residuals.slopes @ eta0
-    after = z + residuals.slopes @ eta
+    before = residuals.less_nuisances(residuals.null, eta0, fitted)
+    after = residuals.less_nuisances(z, eta, fitted)
     out = []
     for port in residuals.ports:
         for i, channel in enumerate(port.channels):

@@ -19,10 +19,11 @@ import scipy
 
 from ves_gym._util.params import Array, Index
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.machines.base import Machine, Port, testable
+from ves_gym.diagnosis.machines.base import Machine, Nuisance, Port, testable
 
 _DRAWS, _FEW = 12, 4  # of the noise, to learn what it becomes at a port
 QUIETEST = 0.05  # of the noise's mean square that a model may leave
+_FAINT = 0.3  # of noise: what a run may have had of its own that is not worth a number
 _POOL = 6  # neighbouring frequencies on either side that are taken together
 _EDGES = (0.0, 0.1, 0.3, 1.0)  # of the ranges of frequencies, in parts of the band
 
@@ -88,16 +89,45 @@ class WhitenedResiduals:
             [self._whitened(name, [r[name] for r in raw])[0] for name in names]
         )
         tested = set(names)
-        self.nuisances = [k for k in machine.nuisances if tested & set(k.ports)]
-        self.slopes = np.zeros((self.size, len(self.nuisances)))
-        for ports in dict.fromkeys(k.ports for k in self.nuisances):
-            alike = [j for j, k in enumerate(self.nuisances) if k.ports == ports]
-            moved = self.under([self.nuisances[j].model for j in alike], ports) - self.null
-            for j, change in zip(alike, moved, strict=True):
-                nuisance = self.nuisances[j]
-                self.slopes[:, j] = change * (nuisance.std / nuisance.step)
+        shared = [k for k in machine.nuisances if tested & set(k.ports)]
+        own = [k for run in runs for k in machine.unknowns(run) if tested & set(k.ports)]
+        own_slopes = self._slopes_of(own)
+        shows = np.linalg.norm(own_slopes, axis=0) > _FAINT
+        self.shared = len(shared)  # nuisances of the machine; the others are of single runs
+        self.nuisances = [*shared, *(k for k, seen in zip(own, shows, strict=True) if seen)]
+        self.slopes = np.concatenate([self._slopes_of(shared), own_slopes[:, shows]], axis=1)
         parts = [self.slopes[g.part] for g in self.groups]
         self.gram = np.stack([J.T @ J for J in parts])  # (G, p, p)
+
+    def _slopes_of(self, nuisances: Sequence[Nuisance]) -> Array:
+        """Return (N, p) whitened residuals per usual size of nuisances."""
+        out = np.zeros((self.size, len(nuisances)))
+        for ports in dict.fromkeys(k.ports for k in nuisances):
+            alike = [j for j, k in enumerate(nuisances) if k.ports == ports]
+            moved = self.under([nuisances[j].model for j in alike], ports) - self.null
+            for j, change in zip(alike, moved, strict=True):
+                out[:, j] = change * (nuisances[j].std / nuisances[j].step)
+        return out
+
+    def less_nuisances(self, z: Array, x: Array, fitted: bool) -> Array:
+        """Return a residual (N,) less what nuisances do.
+
+        Args:
+            z: (N,).
+            x: (p,) nuisances in units of their usual size.
+            fitted: they were found on these runs; else those of the machine are taken over,
+                and those of single runs found here.
+        """
+        if fitted:
+            return np.asarray(z + self.slopes @ x)
+        m = self.shared
+        z = z + self.slopes[:, :m] @ x[:m]
+        own, weight = self.slopes[:, m:], np.empty(self.size)
+        for g in self.groups:
+            weight[g.part] = 1 / max(float(np.mean(z[g.part] ** 2)), 1.0)
+        weighted = own.T * weight
+        found = np.linalg.solve(weighted @ own + np.eye(own.shape[1]), weighted @ z)
+        return np.asarray(z - own @ found)
 
     def _layout(
         self,

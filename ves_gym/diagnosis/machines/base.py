@@ -51,6 +51,13 @@ class Machine(Protocol):
     def nuisances(self) -> Sequence[Nuisance]:
         """Tolerances."""
 
+    def unknowns(self, run: Run) -> Sequence[Nuisance]:
+        """Return what a description says may be, but not how it was in a run: stated drift.
+
+        Args:
+            run: measured signals.
+        """
+
     def model(self, effects: Sequence[Effect]) -> Any:
         """The description with effects."""
 

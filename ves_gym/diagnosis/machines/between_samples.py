@@ -23,6 +23,8 @@ from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
 
+_TERMS, _NOTHING = 30, 1e-16  # of a series, at most; a term that adds nothing
+
 
 @dataclass(frozen=True)
 class BetweenSamples:
@@ -98,7 +100,7 @@ def _driven(inner: Array, kp: Array, kd: Array, push: Array, h: float) -> _Joint
     a, b, c, d = (slice(k * n, (k + 1) * n) for k in range(4))
     generator[:, a, b] = generator[:, b, c] = generator[:, c, d] = np.eye(n)
     generator[:, b, a], generator[:, b, b] = -inverse * kp, -inverse * kd
-    step = scipy.linalg.expm(generator * h)[:, : 2 * n]
+    step = _exponential(generator * h)[:, : 2 * n]
     state, out = np.zeros(2 * n), np.empty((N, nodes, 2 * n))
     slope = np.diff(drive, axis=1) / h
     for k in range(N):
@@ -110,6 +112,18 @@ def _driven(inner: Array, kp: Array, kd: Array, push: Array, h: float) -> _Joint
     angle, rate = out[..., :n], out[..., n:]
     acceleration: Array = drive - matvec(inverse[:, None], kp * angle + kd * rate)
     return _Joints(angle[:, -1], rate[:, -1], acceleration)
+
+
+def _exponential(A: Array) -> Array:
+    """Return exponentials (N, s, s) by their series: steps are short beside what moves."""
+    term = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
+    out = term.copy()
+    for k in range(1, _TERMS):
+        term = term @ A / k
+        out += term
+        if np.abs(term).max() < _NOTHING:
+            return out
+    return np.asarray(scipy.linalg.expm(A), dtype=np.float64)
 
 
 def _filtered(wrench: Array, cutoff: float, h: float) -> Array:

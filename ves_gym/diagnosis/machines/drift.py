@@ -12,6 +12,7 @@ from ves_gym.system.candidate import Scope
 from ves_gym.system.effect import EFFECTS, Effect
 
 WAVES = 8  # a level and slow cosines
+_INSTANTS = 256  # of a run, where the covariance of a drift is taken
 
 
 @dataclass(frozen=True)
@@ -43,3 +44,30 @@ class SlowPath:
         signals = list(EFFECTS[self.kind].candidates(Scope(joints=0)))
         drift: Effect = signals[self.channel].effect(np.array([self.size]))
         return drift
+
+
+def courses(run: Run, drift: Array, time: float) -> list[tuple[SlowPath, float]]:
+    """Return independent courses that a drift of known size may take in a run.
+
+    The axes of its covariance (Karhunen and Loeve): any course of the drift is a sum of them,
+    each by a normal number of its own. The sensor may be warm, so that the level is as unknown
+    as at any other time.
+
+    Args:
+        run: which takes its course.
+        drift: (6,) standard deviation of the sensor's signals [N, N m]; 0 without drift.
+        time: correlation time [s].
+
+    Returns:
+        Each course as one of unit size, and its standard deviation.
+    """
+    t = (np.arange(_INSTANTS) + 0.5) / _INSTANTS
+    waves = np.cos(np.pi * np.arange(WAVES) * t[:, None])
+    apart = run.length * run.dt * np.abs(t[:, None] - t)
+    back = np.linalg.pinv(waves)
+    variance, axes = np.linalg.eigh(back @ np.exp(-apart / time) @ back.T)
+    return [
+        (SlowPath(channel, ((run.name, tuple(axis)),)), float(drift[channel] * size))
+        for channel in np.flatnonzero(drift).tolist()
+        for axis, size in zip(axes.T.tolist(), np.sqrt(np.maximum(variance, 0.0)), strict=True)
+    ]

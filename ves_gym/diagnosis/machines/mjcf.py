@@ -189,6 +189,10 @@ class MjcfMachine:
         )
         return out
 
+    def unknowns(self, run: Run) -> Sequence[Nuisance]:
+        """Return nothing: no drift is described."""
+        return ()
+
     def rings(self, runs: Sequence[Run], frequency: float) -> bool:
         """Return False: nothing is known of a controller that could ring."""
         return False

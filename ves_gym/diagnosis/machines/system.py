@@ -24,7 +24,7 @@ from ves_gym.diagnosis.machines.between_samples import (
     between_samples,
     butterworth,
 )
-from ves_gym.diagnosis.machines.drift import SlowPath
+from ves_gym.diagnosis.machines.drift import SlowPath, courses
 from ves_gym.diagnosis.machines.nuisance_priors import system_nuisances
 from ves_gym.diagnosis.machines.platform import platform_gap
 from ves_gym.diagnosis.machines.presliding import Presliding
@@ -172,6 +172,24 @@ class SystemMachine:
         return tuple(
             dataclasses.replace(k, model=SystemVariant(k.model))
             for k in system_nuisances(self.system)
+        )
+
+    def unknowns(self, run: Run) -> tuple[Nuisance, ...]:
+        """Return the courses that a described drift of the force sensor may have taken."""
+        system = self.system
+        if system.mode != "emulated":
+            return ()
+        nominal = LoopParameters.nominal(system.arm, system.emulator_settings, 1)
+        sensor = nominal.edited(system).sensor
+        return tuple(
+            Nuisance(
+                f"drift of {WRENCH[path.channel]} in {run.name}",
+                ("wrench",),
+                SystemVariant(system, (path,)),
+                1.0,
+                size,
+            )
+            for path, size in courses(run, sensor.drift[0], float(sensor.drift_time[0]))
         )
 
     def residuals(
