@@ -63,25 +63,32 @@ def between_samples(run: Run, described: System) -> BetweenSamples:
     kp, kd = (np.zeros(n) for _ in range(2))
     if "controller" in run:
         kp, kd = (np.array(run.meta["controller"][k], float) for k in ("kp", "kd"))
-    seen = differentiated(pose, run.dt, run.band)[2]
+    swing = shaken - _at_nodes(differentiated(pose, run.dt, run.band)[2], shaken.shape[1])
+    force, seen_force = matvec(mass[:, None], swing), np.zeros_like(pose)
+    torque, rate = np.zeros(n), np.zeros(n)
     if described.drive == "motor":
-        joints = _driven(inner, kp, kd, matvec(coupling[:, None], shaken), described.physics_dt)
-        _, seen_rate, seen_joints = differentiated(joints.angle, run.dt, run.band)
-        torque = -kp * joints.angle - kd * joints.rate
-        torque = torque - matvec(inner, seen_joints) - matvec(coupling, seen)
+        push = matvec(coupling[:, None], swing)
+        joints = _driven(inner, kp, kd, push, described.physics_dt)
+        _, seen_rate, seen = differentiated(joints.angle, run.dt, run.band)
+        torque = -kp * joints.angle - kd * joints.rate - matvec(inner, seen)
         rate = joints.rate - seen_rate
-        force = matvec(mass[:, None], shaken) + matvec(across[:, None], joints.acceleration)
-        seen_force = matvec(mass, seen) + matvec(across, seen_joints)
-    else:
-        torque, rate = np.zeros(n), np.zeros(n)
-        force, seen_force = matvec(mass[:, None], shaken), matvec(mass, seen)
+        force = force + matvec(across[:, None], joints.acceleration)
+        seen_force = matvec(across, seen)
     settings = described.emulator_settings
     p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
     cutoff = float(p.sensor.cutoff[0])
-    reading = butterworth(seen_force, cutoff, run.dt) - _filtered(
-        force, cutoff, described.physics_dt
-    )
-    return BetweenSamples(torque, rate, reading)
+    true = _filtered(force, cutoff, described.physics_dt)
+    return BetweenSamples(torque, rate, butterworth(seen_force, cutoff, run.dt) - true)
+
+
+def _at_nodes(x: Array, nodes: int) -> Array:
+    """Return a smooth signal (N, c) of samples at the nodes of each period (N, nodes, c).
+
+    Each sample ends a period; the first one has none before it and holds.
+    """
+    instants = np.arange(len(x))[:, None] - 1 + np.linspace(0, 1, nodes)
+    spline = scipy.interpolate.CubicSpline(np.arange(len(x)), x)
+    return np.asarray(spline(np.maximum(instants, 0)), dtype=np.float64)
 
 
 def _driven(inner: Array, kp: Array, kd: Array, push: Array, h: float) -> _Joints:
