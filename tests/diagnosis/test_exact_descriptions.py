@@ -177,6 +177,6 @@ if __name__ == "__main__":
         print(f"{k} {in_words(one)}: {found.sentence}", flush=True)
     alarms = sum(v not in (NOTHING, WEAK) for v in verdicts)
     print(
-        f"{verdicts.count(NOTHING)} of {last - first} with nothing missing, {alarms} false alarms,"
+        f"{verdicts.count(NOTHING)} of {last - first} with nothing missing, {alarms} alarms,"
         f" {verdicts.count(WEAK)} too weak"
     )
