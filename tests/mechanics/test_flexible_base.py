@@ -1,6 +1,8 @@
 """A flexible base: files, what it reduces to, what is refused, and how it bends."""
 
 import dataclasses
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from ves_gym.mechanics.flexible_base import (
     Polyline,
     Reduced,
     Strut,
+    stress,
 )
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.section import Section, Tube
@@ -187,6 +190,60 @@ def test_a_structure_without_a_line_is_not_drawn():
     base = FlexibleBase(structure=reduced, modes=2)
     assert beam_line(base, np.zeros((1, 6))) is None
     assert base.nodes is None
+
+
+def test_stress_under_a_load_on_the_flange():
+    """100 N across the bent beam's upper half: F L c / I at the elbow and along the lower."""
+    force = np.array([100.0, 0, 0, 0, 0, 0])
+    y = np.linalg.solve(BENT.stiffness(), force)[None]
+    found = stress(FLEXIBLE, y, FLEXIBLE.base_model().attached(y))[0]
+    area, second, _ = BENT.section
+    bending = 100.0 * 8.0 * 0.09 / second
+    assert found[1] == pytest.approx([bending, 0.0], abs=1e-3 * bending)
+    assert found[0] == pytest.approx([bending + 100.0 / area] * 2, rel=1e-3)
+
+
+def test_stress_of_a_mode_is_that_of_its_inertia():
+    """eta_1 with the flange at rest: the clamp carries what its moving mass pushes."""
+    u = np.zeros((1, 6))
+    u[0, 0] = 1.0
+    found = stress(FLEXIBLE, np.zeros((1, 6)), u)[0]
+    few = stress(FlexibleBase.of(BENT, 1), np.zeros((1, 6)), np.ones((1, 1)))[0]
+    assert found == pytest.approx(few, rel=1e-6)
+    # the strain energy of the mode, 1/2 omega^2, is of the order of sigma^2 / 2E over the tube
+    volume = BENT.mass / 2.8e3
+    scale = FLEXIBLE.reduction().omega[0] * np.sqrt(72e9 / volume)
+    assert 0.5 * scale < found.max() < 5 * scale
+    with pytest.raises(ParameterError, match="needs a Polyline"):
+        stress(FlexibleBase(structure=drawn(), modes=2), np.zeros((1, 6)))
+
+
+def test_the_picture_bends_as_the_run_says(tmp_path):
+    """What `render` draws: the log's internal modes are in the clip, drawn as beam_line's."""
+    import ves_gym as vg
+    from ves_gym.rendering.render import View, _clip
+
+    system = System(vehicle=FLEXIBLE)
+    motion = vg.Motion.straight(np.zeros(3), np.array([1.0, 0.5, -0.5]), 0.3)
+    log = vg.simulate(motion, system, settle=0.1)
+    clip = _clip(log, View(magnify=10.0))
+    assert clip["u"].shape == (len(clip["t"]), 6)
+    np.savez(tmp_path / "clip.npz", y=clip["y"], u=clip["u"])
+    system.save(tmp_path / "system.json")
+    code = (
+        "import numpy as np\n"
+        "from ves_gym.rendering.drawing import Drawing\n"
+        "from ves_gym.system.system import System\n"
+        "clip = np.load('clip.npz')\n"
+        "drawing = Drawing(System.load('system.json'), 64, 48)\n"
+        "drawing.pose(clip['y'][0], np.zeros(3))\n"
+        "np.save('line.npy', drawing.beam(clip['y'], clip['u']))\n"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    found = np.load(tmp_path / "line.npy")
+    assert found == pytest.approx(beam_line(FLEXIBLE, clip["y"], clip["u"]), abs=1e-9)
+    static = beam_line(FLEXIBLE, clip["y"])
+    assert np.abs(found - static).max() > 1e-4
 
 
 REDUCED = Reduced.of(users(damped=False), 2)
