@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
+from tests.arms import six_joint_arm
 from ves_gym.engine.kernel import build, maps, modes
-from ves_gym.engine.kernel.maps import coupling_matrices
+from ves_gym.engine.kernel.maps import WeightMap, coupling_matrices
 from ves_gym.engine.kernel.modes import ModeMap
+from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model
 from ves_gym.mechanics.modes import natural_modes
+from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.system.system import System
@@ -53,6 +56,26 @@ def test_without_a_compiler_numpy_answers(monkeypatch, tmp_path):
     system, q = System(), np.zeros((2000, 3))
     assert coupling_matrices(system, q) is None
     assert coupling_matrix(system, q).shape == (2000, 3, 3)
+
+
+# ----------------------------------------------------------------------------- weight
+
+
+@pytest.mark.parametrize("arm", [PUMA_560, six_joint_arm()], ids=["three", "six"])
+def test_a_weight_is_that_of_numpy(arm, monkeypatch):
+    """Reference: `gravity_wrench`; whatever the number of questions and their neighbours."""
+    rng, size = np.random.default_rng(5), minimal_model(arm).size
+    weight = WeightMap(arm)
+    for count in (3, 40, 11):
+        q, y = rng.uniform(-2, 2, (count, arm.n)), rng.uniform(-0.3, 0.3, (count, 6))
+        mass, P = rng.uniform(50, 90, count), rng.normal(0, 5, (count, size))
+        found = weight(q, y, mass, P)
+        expected = gravity_wrench(arm, q, gravity_vector(y), mass, P)
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+        alone = weight(q[2:3], y[2:3], mass[2:3], P[2:3])
+        np.testing.assert_array_equal(alone[0], found[2])
+    monkeypatch.setattr(weight, "_library", None)
+    np.testing.assert_array_equal(weight(q, y, mass, P), expected)
 
 
 # ------------------------------------------------------------------------------ modes

@@ -8,6 +8,7 @@ bit_generator.pyx has it; the seeding of PCG64 as in its pcg64.h).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,6 @@ _START_B, _TIMES_B = 0x8B51F9DD, 0x58F38DED
 _LEFT, _RIGHT = np.uint32(0xCA01F9DD), np.uint32(0x4973F715)
 _SHIFT = np.uint32(16)
 _PCG = 0x2360ED051FC65DA44385DF649FCCF645
-_WHOLE = (1 << 128) - 1
 
 
 def reseed(
@@ -38,18 +38,45 @@ def reseed(
     if len(keys) < _FEW or (keys >> np.uint64(32)).any():
         sequences = map(np.random.SeedSequence, map(tuple, keys.tolist()))
         return [np.random.Generator(np.random.PCG64(s)) for s in sequences]
-    for generator, (high, low, inc_high, inc_low) in zip(
-        generators, _state(keys.astype(np.uint32)).tolist(), strict=True
+    high, low, inc_high, inc_low = _state(keys.astype(np.uint32)).T
+    one = np.uint64(1)
+    increment = _Wide(inc_high << one | inc_low >> np.uint64(63), inc_low << one | one)
+    states = (increment + _Wide(high, low)) * _PCG + increment
+    inner: dict[str, int] = {}
+    outer = {"bit_generator": "PCG64", "state": inner, "has_uint32": 0, "uinteger": 0}
+    for generator, state, step in zip(
+        generators, states.numbers(), increment.numbers(), strict=True
     ):
-        increment = ((inc_high << 65) | (inc_low << 1) | 1) & _WHOLE
-        state = ((increment + ((high << 64) | low)) * _PCG + increment) & _WHOLE
-        generator.bit_generator.state = {
-            "bit_generator": "PCG64",
-            "state": {"state": state, "inc": increment},
-            "has_uint32": 0,
-            "uinteger": 0,
-        }
+        inner["state"], inner["inc"] = state, step
+        generator.bit_generator.state = outer
     return list(generators)
+
+
+@dataclass(frozen=True)
+class _Wide:
+    """Whole numbers of 128 bits, modulo 2^128."""
+
+    high: npt.NDArray[np.uint64]
+    low: npt.NDArray[np.uint64]
+
+    def __add__(self, other: _Wide) -> _Wide:
+        low = self.low + other.low
+        return _Wide(self.high + other.high + (low < self.low), low)
+
+    def __mul__(self, factor: int) -> _Wide:
+        high, low = np.uint64(factor >> 64), np.uint64(factor & 0xFFFFFFFFFFFFFFFF)
+        half, mask = np.uint64(32), np.uint64(0xFFFFFFFF)
+        a, b, c, d = self.low >> half, self.low & mask, low >> half, low & mask
+        # the upper half of low times low, by halves of each
+        across = a * d + (b * d >> half)
+        carried = b * c + (across & mask)
+        upper = a * c + (across >> half) + (carried >> half)
+        return _Wide(upper + self.high * low + self.low * high, self.low * low)
+
+    def numbers(self) -> list[int]:
+        """As whole numbers of Python."""
+        pairs = zip(self.high.tolist(), self.low.tolist(), strict=True)
+        return [high << 64 | low for high, low in pairs]
 
 
 def _state(words: Words) -> npt.NDArray[np.uint64]:

@@ -17,10 +17,10 @@ import numpy as np
 from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array, Index, Mask, ParameterError, Rows
 from ves_gym.engine.batch_parameters import Bodies, ParameterRows, bodies_of
+from ves_gym.engine.kernel.maps import WeightMap
 from ves_gym.hardware.admittance import Nonlinear, admittance_matrices
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.base_model import BaseModel
-from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.simulation.blocks.block import Noted
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
 from ves_gym.simulation.blocks.memory import NamedArrays
@@ -87,6 +87,7 @@ class EmulationLoop:
         self._arm = system.replace(effects=())  # what the compensation goes by
         self._names = ParameterRows(self._arm) if self.compensating else None
         self._inertia = ArmInertia(self._arm, n) if self.compensating else None
+        self._weights = WeightMap(system.actual.arm)
         self._bodies = self._row(system, "own system").repeated(n)
         self._systems = [system] * n
         self._own_bases: set[int] = set()  # simulations with another than their system's
@@ -535,9 +536,7 @@ class EmulationLoop:
 
     def _true_weight(self, q: Array, y: Array, rows: Rows) -> Array:
         """True static wrench (m, 6) of the arm on the platform."""
-        bodies = self._bodies
-        g = gravity_vector(y)
-        return gravity_wrench(self.system.actual.arm, q, g, bodies.mass[rows], bodies.P[rows])
+        return self._weights(q, y, self._bodies.mass[rows], self._bodies.P[rows])
 
 
 def _all_bodies(system: System) -> tuple[int, ...]:

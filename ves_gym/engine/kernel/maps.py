@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -15,8 +16,17 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.kernel.blocks import aligned, fill, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_map
-from ves_gym.engine.kernel.trace import coupling, inertia_matrix, parameters, structure
+from ves_gym.engine.kernel.graph_arrays import column, symbols
+from ves_gym.engine.kernel.trace import (
+    coupling,
+    geometry,
+    inertia_matrix,
+    parameters,
+    structure,
+)
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
@@ -78,6 +88,56 @@ class InertiaMap:
         self._run()
         # in plain order: products of stacks round by the layout of their memory
         return unlane(self._H, len(q)).reshape(-1, self.size, self.size)
+
+
+class WeightMap:
+    """Weight of an arm at many configurations, over and over (`gravity.gravity_wrench`).
+
+    Compiled where that is possible, NumPy where it is not.
+
+    Args:
+        arm: its geometry; masses are given with every question.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm, self._room = arm, 0
+        self._library: Library | None = None
+        with contextlib.suppress(ImportError, RuntimeError, OSError):
+            self._library = _library(f"weight {geometry(arm)}", lambda: _weight(arm))
+
+    def __call__(self, q: Array, y: Array, mass: Array, P: Array) -> Array:
+        """Return the wrench (m, 6) on the platform, in its axes [N, N m].
+
+        Args:
+            q: (m, n joints) [rad].
+            y: (m, 6) pose of the platform [m, rad].
+            mass: (m,) of the arm [kg].
+            P: (m, size) minimal parameters [kg m].
+        """
+        if self._library is None:
+            return gravity_wrench(self.arm, q, gravity_vector(y), mass, P)
+        x = np.concatenate([q, y, mass[:, None], P], axis=1)
+        if len(x) > self._room:
+            blocks = -(-len(x) // LANES)
+            self._room = blocks * LANES
+            self._x, self._wrench = (aligned(blocks, k, LANES) for k in (x.shape[1], 6))
+            # no parameters, so that any address does for theirs
+            where = (k.ctypes.data for k in (self._x, self._x, self._wrench))
+            self._run = partial(self._library.map, *where, 0, blocks)
+        fill(self._x, x)
+        self._run()
+        return unlane(self._wrench, len(x))
+
+
+def _weight(arm: Arm) -> casadi.Function:
+    """(q, y, mass, P) -> wrench of the arm's weight."""
+    import casadi as ca
+
+    n, size = arm.n, minimal_model(arm).size
+    x = symbols("x", (1, n + 7 + size))
+    pose, mass, P = x[:, n : n + 6], x[:, n + 6], x[:, n + 7 :]
+    wrench = gravity_wrench(arm, x[:, :n], gravity_vector(pose), mass, P)
+    return ca.Function("weight", [column([x]), ca.SX(0, 1)], [ca.cse(column([wrench]))])
 
 
 def points(*parts: tuple[npt.ArrayLike, int, str]) -> Array:

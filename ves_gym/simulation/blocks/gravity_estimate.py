@@ -9,6 +9,7 @@ import numpy as np
 from ves_gym._util.array_functions import ArrayFunctions
 from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
+from ves_gym.engine.kernel.maps import WeightMap
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, Values
@@ -24,6 +25,7 @@ class GravityEstimate(Block):
     def __init__(self, arm: Arm, shape: LoopShape, oldest: int, tabulated: bool) -> None:
         """`oldest`: periods to look back over; `tabulated`: from a table, not the model."""
         self.arm, self.shape, self.oldest, self.tabulated = arm, shape, oldest, tabulated
+        self._weights = WeightMap(arm)
         self.inputs = ("table",) if tabulated else ("q", "y_measured")
 
     @property
@@ -47,9 +49,14 @@ class GravityEstimate(Block):
         """Present estimate (n, 6)."""
         if self.tabulated:
             return u["table"]
+        g = gravity_vector(self._pose(p, u))
+        return gravity_wrench(self.arm, u["q"], g, p["mass"], p["P"])
+
+    @staticmethod
+    def _pose(p: Values, u: Values) -> Array:
+        """Pose (n, 6) that the estimate is given [m, rad]."""
         y = u["y_measured"]
-        pose = np.concatenate([y[:, :3], y[:, 3:] + p["tilt"]], axis=-1)
-        return gravity_wrench(self.arm, u["q"], gravity_vector(pose), p["mass"], p["P"])
+        return np.concatenate([y[:, :3], y[:, 3:] + p["tilt"]], axis=-1)
 
     def step(
         self, xp: ArrayFunctions, p: Values, x: Values, u: Values
@@ -59,7 +66,10 @@ class GravityEstimate(Block):
         return {"history": history}, {"weight": mixed(p["shares"], history)}
 
     def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
-        fresh = self.estimate(p, u)
+        if self.tabulated:
+            fresh = u["table"]
+        else:  # what `estimate` gives, sooner
+            fresh = self._weights(u["q"], self._pose(p, u), p["mass"], p["P"])
         history = np.repeat(fresh[:, None], self.oldest + 1, axis=1)
         return {"history": history}, {"weight": fresh}
 
