@@ -246,7 +246,7 @@ def boxed(K):
     [
         (spoiled("stiffness", skewed), {}, r"K must be symmetric, got \[\d+,\d+\] = .* and"),
         (spoiled("mass", lighter), {}, "M must be positive semidefinite, got an eigenvalue -"),
-        (spoiled("stiffness", softer), {}, "must not move freely, got a pivot -"),
+        (spoiled("stiffness", softer), {}, "must not move freely, got an eigenvalue -"),
         (spoiled("stiffness", torn), {}, "must not move freely"),
         (spoiled("stiffness", boxed), {}, "stiffness must be finite"),
         (spoiled("mass", as_it_is), {"held": ()}, "must have 0 rigid motions .* got more"),

@@ -12,8 +12,10 @@ A mode that is left out follows the interface in statics.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -138,7 +140,8 @@ class Reduction:
         turn = np.kron(np.eye(2), axes)  # new components -> old
         damping = self.damping
         if damping is not None:
-            both = scipy.linalg.block_diag(turn, np.eye(self.m))
+            both = np.eye(6 + self.m)
+            both[:6, :6] = turn
             damping = both.T @ damping @ both
         return replace(
             self,
@@ -174,13 +177,13 @@ def reduce(
         ParameterError: freedoms that are not there or given twice, more modes than the
             structure has, or one that still moves freely with the interface held.
     """
-    M, K = (scipy.sparse.csc_array(k, dtype=np.float64) for k in (mass, stiffness))
+    M, K, D = (_held_as(k) for k in (mass, stiffness, damping))
     size = K.shape[0]
     b, fixed = np.asarray(interface, int), np.asarray(held, int)
     _check_freedoms(b, fixed, size)
     moving = np.setdiff1d(np.arange(size), np.r_[b, fixed])
     Kii, Mii = K[moving][:, moving], M[moving][:, moving]
-    Kib, Mib = K[moving][:, b].toarray(), M[moving][:, b].toarray()
+    Kib, Mib = (_array(k[moving][:, b]) for k in (K, M))
     if not 0 <= modes <= len(moving):
         raise ParameterError(f"modes must be 0 to {len(moving)}, got {modes}")
 
@@ -197,11 +200,28 @@ def reduce(
         phi, P = _own_axes(omega, phi, P)
     shapes[moving] = phi
     lost = None
-    if damping is not None:
+    if D is not None:
         both = np.hstack([static, shapes])
-        lost = both.T @ (scipy.sparse.csc_array(damping) @ both)
+        lost = both.T @ (D @ both)
         lost = (lost + lost.T) / 2
     return Reduction((K_b + K_b.T) / 2, (M_b + M_b.T) / 2, P, omega, static, shapes, lost)
+
+
+def _held_as(values: Any) -> Any:
+    """A matrix as an array where it is small: NumPy suffices, and SciPy is slow to load."""
+    if values is None:
+        return None
+    if not isinstance(values, np.ndarray):
+        values = scipy.sparse.csc_array(values, dtype=np.float64)
+        return values.toarray() if values.shape[0] <= _DENSE else values
+    if len(values) <= _DENSE:
+        return np.asarray(values, dtype=np.float64)
+    return scipy.sparse.csc_array(values, dtype=np.float64)
+
+
+def _array(values: Any) -> Array:
+    dense: Array = values if isinstance(values, np.ndarray) else values.toarray()
+    return dense
 
 
 def _check_freedoms(interface: Any, held: Any, size: int) -> None:
@@ -222,6 +242,21 @@ def _static_shapes(Kii: Any, Kib: Array) -> Array:
     """-K_ii^-1 K_ib (n, 6), refined: a slender frame is badly conditioned."""
     if not len(Kib):
         return np.zeros((0, 6))
+    solve = _solver(Kii)
+    psi: Array = -solve(Kib)
+    for _ in range(_REFINED):
+        psi -= solve(Kii @ psi + Kib)
+    return psi
+
+
+def _solver(Kii: Any) -> Callable[[Array], Array]:
+    """K_ii^-1 of a right-hand side; refused where K_ii is not positive definite."""
+    if isinstance(Kii, np.ndarray):
+        try:
+            np.linalg.cholesky(Kii)
+        except np.linalg.LinAlgError:
+            _refuse("an eigenvalue", float(np.linalg.eigvalsh(Kii)[0]))
+        return partial(np.linalg.solve, Kii)
     try:  # pivots on the diagonal alone: they are all positive where K_ii is definite
         factor = scipy.sparse.linalg.splu(
             Kii,
@@ -229,31 +264,33 @@ def _static_shapes(Kii: Any, Kib: Array) -> Array:
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
         )
-        lowest = float(factor.U.diagonal().min())
-        definite = lowest > 0 and np.array_equal(factor.perm_r, factor.perm_c)
     except RuntimeError:  # SuperLU: exactly singular
-        lowest, definite = 0.0, False
-    if not definite:
-        raise ParameterError(
-            "with its interface held the structure must not move freely, got a pivot"
-            f" {min(lowest, 0.0):.6g} of K_ii"
-        )
-    psi: Array = -factor.solve(Kib)
-    for _ in range(_REFINED):
-        psi -= factor.solve(Kii @ psi + Kib)
-    return psi
+        _refuse("a pivot", 0.0)
+    lowest = float(factor.U.diagonal().min())
+    if lowest <= 0 or not np.array_equal(factor.perm_r, factor.perm_c):
+        _refuse("a pivot", min(lowest, 0.0))
+    solve: Callable[[Array], Array] = factor.solve
+    return solve
+
+
+def _refuse(what: str, number: float) -> NoReturn:
+    raise ParameterError(
+        "with its interface held the structure must not move freely, got"
+        f" {what} {number:.6g} of K_ii"
+    )
 
 
 def _held_modes(Mii: Any, Kii: Any, modes: int) -> tuple[Array, Array]:
     """omega (m,) and mass-normalised shapes (n, m) of the slowest modes."""
-    n = Kii.shape[0]
-    if n <= _DENSE:
-        inverse, phi = scipy.linalg.eigh(
-            Mii.toarray(), Kii.toarray(), subset_by_index=[n - modes, n - 1]
-        )
-        inverse, phi = inverse[::-1], phi[:, ::-1]
+    if isinstance(Kii, np.ndarray):
+        # M x = omega^-2 K x: the slow ones come out best, and M may be singular
+        root = np.linalg.cholesky(Kii)
+        half = np.linalg.solve(root, Mii)
+        inverse, vectors = np.linalg.eigh(np.linalg.solve(root, half.T))
+        inverse = inverse[::-1][:modes]
+        phi = np.linalg.solve(root.T, vectors[:, ::-1][:, :modes])
     else:
-        start = np.random.default_rng(0).standard_normal(n)  # the same every time
+        start = np.random.default_rng(0).standard_normal(Kii.shape[0])  # the same every time
         squares, phi = scipy.sparse.linalg.eigsh(Kii, k=modes, M=Mii, sigma=0.0, v0=start)
         order = np.argsort(squares)
         inverse, phi = 1 / squares[order], phi[:, order]
@@ -277,7 +314,7 @@ def _own_axes(omega: Array, phi: Array, P: Array) -> tuple[Array, Array]:
         while last < len(omega) and omega[last] - omega[first] <= _ALIKE * omega[first]:
             last += 1
         if last - first > 1:
-            turn, _, _ = scipy.linalg.qr(P[:, first:last].T, pivoting=True)
+            turn = _axes_of(P[:, first:last])
             phi[:, first:last] = phi[:, first:last] @ turn
             P[:, first:last] = P[:, first:last] @ turn
         first = last
@@ -287,3 +324,19 @@ def _own_axes(omega: Array, phi: Array, P: Array) -> tuple[Array, Array]:
             phi[:, k] *= -1
             P[:, k] *= -1
     return phi, P
+
+
+def _axes_of(P: Array) -> Array:
+    """(c, c) rotation after which each of c modes carries the first axis that is left."""
+    left, size = P.T.copy(), float(np.abs(P).max())
+    turn = np.zeros((len(left), 0))
+    while turn.shape[1] < len(left):
+        norms = np.linalg.norm(left, axis=0)
+        if norms.max() <= 1e-9 * size:  # the rest carries nothing: any axes do
+            rest = np.linalg.qr(np.hstack([turn, np.eye(len(left))]))[0]
+            return np.hstack([turn, rest[:, turn.shape[1] :]])
+        axis = int(np.argmax(norms >= (1 - 1e-6) * norms.max()))  # the first of equal ones
+        direction = left[:, axis] / norms[axis]
+        turn = np.column_stack([turn, direction])
+        left -= np.outer(direction, direction @ left)
+    return turn

@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,11 +64,33 @@ class Frame:
 
     def matrices(self) -> tuple[Any, Any]:
         """Return mass and stiffness over all freedoms, two sparse (6k, 6k), SI units."""
+        where, *blocks = self._blocks()
         size = 6 * len(self.nodes)
+        rows = np.repeat(where, 12, axis=1).ravel()
+        columns = np.tile(where, (1, 12)).ravel()
+        out = []
+        for block in blocks:
+            total = scipy.sparse.coo_array(
+                (block.ravel(), (rows, columns)), shape=(size, size)
+            ).tocsc()
+            out.append((total + total.T) / 2)
+        return out[0], out[1]
+
+    def dense(self) -> tuple[Array, Array]:
+        """Return mass and stiffness over all freedoms, two (6k, 6k), SI units."""
+        where, *blocks = self._blocks()
+        out = np.zeros((2, 6 * len(self.nodes), 6 * len(self.nodes)))
+        for total, block in zip(out, blocks, strict=True):
+            np.add.at(total, (where[:, :, None], where[:, None, :]), block)
+        M, K = (out + out.swapaxes(-1, -2)) / 2
+        return M, K
+
+    def _blocks(self) -> tuple[Any, Array, Array]:
+        """Freedoms (e, 12), mass and stiffness (e, 12, 12) of members and bodies."""
         where, mass, stiffness = [], [], []
         for member in self.members:
             turn = np.kron(np.eye(4), self.axes(member).T)  # frame's axes -> local
-            m, k = element(self.length(member), member.section.of(member.material), member[3])
+            m, k = self._element(member)
             where.append(_freedoms(member.start, member.end))
             mass.append(turn.T @ m @ turn)
             stiffness.append(turn.T @ k @ turn)
@@ -75,15 +98,12 @@ class Frame:
             where.append(_freedoms(node, node))
             mass.append(_at_first(body.spatial()))
             stiffness.append(np.zeros((12, 12)))
-        rows = np.repeat(np.array(where), 12, axis=1).ravel()
-        columns = np.tile(np.array(where), (1, 12)).ravel()
-        out = []
-        for blocks in (mass, stiffness):
-            total = scipy.sparse.coo_array(
-                (np.array(blocks).ravel(), (rows, columns)), shape=(size, size)
-            ).tocsc()
-            out.append((total + total.T) / 2)
-        return out[0], out[1]
+        return np.array(where), np.array(mass), np.array(stiffness)
+
+    def _element(self, member: Member) -> tuple[Array, Array]:
+        # pieces of one member differ in length by rounding: they share one element
+        length = float(f"{self.length(member):.14g}")
+        return _shared(length, member.section, member.material)
 
     def length(self, member: Member) -> float:
         """Length of a member [m]."""
@@ -112,7 +132,7 @@ class Frame:
         """
         out = np.zeros((*displacement.shape[:-1], len(self.members), 12))
         for i, member in enumerate(self.members):
-            _, k = element(self.length(member), member.section.of(member.material), member[3])
+            _, k = self._element(member)
             turn = np.kron(np.eye(4), self.axes(member).T)
             at = _freedoms(member.start, member.end)
             out[..., i, :] = displacement[..., at] @ (k @ turn).T
@@ -140,6 +160,13 @@ class Frame:
             bent = s.fibre * np.hypot(my / s.second_y, mz / s.second_z)
             out[..., i, :] = np.abs(loads[..., i, :, 0]) / s.area + bent
         return out
+
+
+@lru_cache(maxsize=256)
+def _shared(length: float, section: Section | Tube, material: Material) -> tuple[Array, Array]:
+    m, k = element(length, section.of(material), material)
+    m.flags.writeable = k.flags.writeable = False
+    return m, k
 
 
 def element(length: float, section: Section, material: Material) -> tuple[Array, Array]:

@@ -33,6 +33,7 @@ from ves_gym.mechanics.section import ALUMINIUM, Material, Section, Tube
 from ves_gym.mechanics.structure import Structure
 
 ELEMENTS = 24  # of a member: eight modes to 1e-5 of their frequency (tests/mechanics)
+_ROUNDING = 1e-9
 REACH = 800.0  # rad/s: omega dt = 1 at a physics step of 1.25 ms
 
 
@@ -335,13 +336,24 @@ def _reduction(base: FlexibleBase) -> Reduction:
 
 def _polyline_reduction(line: Polyline, modes: int) -> Reduction:
     flange = np.arange(6) + 6 * len(line.members)
-    M, K = line.frame().matrices()
+    M, K = line.frame().dense()
     found = reduce(M, K, flange, modes, held=range(6))
     # one element a member is exact in statics, and better conditioned
-    coarse = line.frame(1).matrices()
+    coarse = line.frame(1).dense()
     stiffness = reduce(*coarse, flange, 0, held=range(6)).K
     stiffness[np.abs(stiffness) < 1e-14 * np.abs(stiffness).max()] = 0.0  # as `Beam` has it
-    return replace(found, K=stiffness)
+    # what symmetry makes zero is zero, not what rounding leaves of it
+    # (a mode carries at most the mass along an axis)
+    least = _ROUNDING * np.sqrt(np.diag(found.M))[:, None]
+    coupling = np.where(np.abs(found.coupling) < least, 0.0, found.coupling)
+    mass = _with_zeros(found.M, _ROUNDING)
+    return replace(found, K=stiffness, M=mass, coupling=coupling)
+
+
+def _with_zeros(values: Array, least: float) -> Array:
+    """A symmetric matrix without entries below a share of their two diagonal ones."""
+    size = np.sqrt(np.diag(values))
+    return np.where(np.abs(values) < least * np.outer(size, size), 0.0, values)
 
 
 @lru_cache(maxsize=32)
@@ -353,7 +365,7 @@ def _base_model(base: FlexibleBase) -> BaseModel:
         damping = found.modal_damping(np.array(base.damping_ratios[: 6 + found.m]))
     elif found.damping is not None:
         damping = found.damping
-    rest, damping = found.absolute(damping)
+    rest, damping = (_with_zeros(k, 1e-12) for k in found.absolute(damping))
     zero = np.zeros((6, 6))
     modes = InternalModes(found.coupling, found.omega, damping)
     for array in (rest, zero, found.K, modes.coupling, modes.omega, modes.damping):
