@@ -12,7 +12,7 @@ from typing import Any
 
 from ves_gym._util.params import ParameterError, from_plain
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.envs.control import Control, get_control
+from ves_gym.envs.control import Control, for_arm, get_control
 from ves_gym.envs.randomize import ranges_of
 from ves_gym.envs.task import TASKS, Task
 from ves_gym.mechanics.arm_library import arm_from
@@ -122,6 +122,9 @@ def build_task(
     values: dict[str, Any] = {"system": _system(start, system, mode, vehicle, arm, effects)}
     if control is not None:
         values["control"] = _control(control)
+    else:
+        own: Any = defaults.control if defaults is not None else fields["control"].default
+        values["control"] = for_arm(own, values["system"].arm)
     if ranges is not None:
         values["randomize"] = ranges
     typed = _typed(cls, settings)

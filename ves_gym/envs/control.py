@@ -7,7 +7,7 @@ linearly through a control period, so that commands are continuous.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
@@ -22,7 +22,7 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.servo import FREE, OWN_GAINS, PPED_GAINS, JointServo, own_gains
+from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo, own_gains
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
@@ -302,12 +302,9 @@ class Torque(Control):
         return JointServo(kp=(0.0,) * len(self.damping), kd=self.damping, feedforward=False)
 
     def servo_for(self, arm: Arm) -> JointServo:
-        """See `Control`; the thesis's damping of three joints is the arm's own on another."""
+        """See `Control`."""
         if self.damping is None:
             return JointServo(kp=(0.0,) * arm.n, kd=(0.0,) * arm.n, feedforward=False)
-        if self.damping == PPED_GAINS.kd and arm.n != len(self.damping):
-            kd = own_gains(arm).kd
-            return JointServo(kp=(0.0,) * arm.n, kd=kd, feedforward=False)
         return self.servo.for_arm(arm)
 
     def command(
@@ -383,3 +380,21 @@ def get_control(name: str) -> Control:
             f"{did_you_mean(name, CONTROLS)}"
         )
     return CONTROLS[name]()
+
+
+def for_arm(control: Control, arm: Arm) -> Control:
+    """Return a task's default control for an arm of another number of joints.
+
+    Accelerations are then the arm's own, and damping is that of its own gains.
+
+    Args:
+        control: the default.
+        arm: whose joints.
+    """
+    if isinstance(control, Acceleration) and control.a_max is not None:
+        return control if len(control.a_max) == arm.n else replace(control, a_max=None)
+    if not isinstance(control, Torque) or control.damping is None:
+        return control
+    if len(control.damping) == arm.n:
+        return control
+    return replace(control, damping=own_gains(arm).kd)

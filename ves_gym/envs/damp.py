@@ -12,6 +12,8 @@ import numpy as np
 from ves_gym._util.params import Array, Mask, ParameterError, Vector, require_positive, unit
 from ves_gym.envs.control import Control, Torque
 from ves_gym.envs.joints import (
+    drawn_joints,
+    home_of,
     joint_box,
     rate_fields,
     rates,
@@ -23,8 +25,6 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.servo import PPED_GAINS
 from ves_gym.mechanics.spatial import quadratic
-
-_JOINTS = 6  # that `draws` is enough for
 
 
 @register_task("damp")
@@ -58,7 +58,6 @@ class Damp(Task):
     policies: docs/training.md.
     """
 
-    draws: ClassVar[int] = 2 + _JOINTS
     ends: ClassVar[str] = "truncated"
     options: ClassVar[tuple[str, ...]] = ("q", "y")
     compiled: ClassVar[bool] = True
@@ -71,6 +70,11 @@ class Damp(Task):
     room: Vector = unit("rad", default=tuple(np.deg2rad([60.0, 60.0, 60.0]).tolist()))
     astray: float = unit("1/(rad s)", default=0.2)
     settled: float = unit("1", default=0.01)
+
+    @property
+    def draws(self) -> int:  # type: ignore[override]
+        """See `Task`."""
+        return 2 + drawn_joints(self.system.arm)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -99,7 +103,7 @@ class Damp(Task):
 
     @cached_property
     def _middle(self) -> Array:
-        return wide(self.home, self.system.arm)
+        return home_of(self.system.arm, self.home)
 
     @cached_property
     def _room(self) -> Array:

@@ -11,11 +11,12 @@ import numpy as np
 from ves_gym._util.params import Array, Mask, ParameterError, Vector, require_positive, unit
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.joints import (
+    drawn_joints,
+    home_of,
     joint_box,
     rate_fields,
     rates,
     require_control,
-    wide,
 )
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.dynamics import joint_positions
@@ -25,7 +26,6 @@ from ves_gym.mechanics.vehicle import FREE_FLOATING
 from ves_gym.system.system import System
 
 _TRIES = 6  # candidate targets per episode; the first that is far enough counts
-_JOINTS = 6  # that `draws` is enough for
 
 
 @register_task("free_flyer")
@@ -51,7 +51,6 @@ class FreeFlyerReach(Task):
     random actions -1.80. Learned policies: docs/training.md.
     """
 
-    draws: ClassVar[int] = _JOINTS * (1 + _TRIES)
     options: ClassVar[tuple[str, ...]] = ("q", "target")
     memory: ClassVar[int] = 2  # m from tool to target; s at rest on the target without a break
     compiled: ClassVar[bool] = True
@@ -70,6 +69,11 @@ class FreeFlyerReach(Task):
     energy: float = unit("1/J", default=2.0)
     turn: float = unit("1/rad", default=3.0)
 
+    @property
+    def draws(self) -> int:  # type: ignore[override]
+        """See `Task`."""
+        return drawn_joints(self.system.arm) * (1 + _TRIES)
+
     def __post_init__(self) -> None:
         super().__post_init__()
         require_control(self, "acceleration", "torque")
@@ -84,7 +88,7 @@ class FreeFlyerReach(Task):
         out = super().check_options(options, extra, rows)
         if "target" in out:
             points = np.atleast_2d(out["target"])
-            middle = np.tile(wide(self.home, self.system.arm), (len(points), 1))
+            middle = np.tile(home_of(self.system.arm, self.home), (len(points), 1))
             _, miss = joints_for(self.system.arm, points, middle)
             worst = int(miss.argmax())
             if miss[worst] > self.tolerance:
@@ -98,7 +102,7 @@ class FreeFlyerReach(Task):
         """See `Task`. Goal: the target."""
         n, k = self.system.arm.n, len(u)
         low, high = joint_box(self, self.home, self.span)
-        drawn = low + (high - low) * u.reshape(k, 1 + _TRIES, _JOINTS)[..., :n]
+        drawn = low + (high - low) * u.reshape(k, 1 + _TRIES, -1)[..., :n]
         q = options.get("q", drawn[:, 0])
         tool = joint_positions(self.system.arm, q)[:, -1]
         points = joint_positions(self.system.arm, drawn[:, 1:])[..., -1, :]

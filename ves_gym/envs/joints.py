@@ -18,11 +18,58 @@ def wide(values: Vector, arm: Arm) -> Array:
 def joint_box(task: Task, centre: Vector, span: Vector) -> tuple[Array, Array]:
     """Lower and upper ends (joints,) of centre +- span [rad].
 
+    Numbers that are not one per joint are meant for another arm: repeated, and cut to what
+    this one's limits leave.
+
     Raises:
         ParameterError: a negative span, or a box beyond the joint limits.
     """
-    arm = task.system.arm
+    middle, half = middle_and_half(task.system.arm, centre, span)
+    return _require_inside(task, middle, half)
+
+
+def middle_and_half(arm: Arm, centre: Vector, span: Vector) -> tuple[Array, Array]:
+    """Return the middle and half the width (joints,) of the box centre +- span [rad].
+
+    Args:
+        arm: whose joints; see `joint_box`.
+        centre: of the box.
+        span: to either side.
+    """
     middle, half = wide(centre, arm), wide(span, arm)
+    if arm.n in (len(span), 3):
+        return middle, half
+    least, most = arm.column("q_min"), arm.column("q_max")
+    half = np.minimum(half, _SHARE * (most - least) / 2)
+    spare = half + 1e-9  # rad, rounding
+    return np.clip(middle, least + spare, most - spare), half
+
+
+def home_of(arm: Arm, home: Vector) -> Array:
+    """Return the angles (joints,) where episodes are about [rad], see `joint_box`.
+
+    Args:
+        arm: whose joints.
+        home: as the task has it.
+    """
+    return middle_and_half(arm, home, home if arm.n == len(home) else (0.0,))[0]
+
+
+_SHARE = 0.9  # of a joint's range, the most that a box meant for another arm takes
+
+
+def drawn_joints(arm: Arm, least: int = 6) -> int:
+    """Return for how many joints an episode's numbers are drawn: `least`, or the arm's.
+
+    Args:
+        arm: whose joints.
+        least: so that arms with fewer joints have the same beginnings whatever the number.
+    """
+    return max(least, arm.n)
+
+
+def _require_inside(task: Task, middle: Array, half: Array) -> tuple[Array, Array]:
+    arm = task.system.arm
     low, high = middle - half, middle + half
     least, most = arm.column("q_min"), arm.column("q_max")
     if (half < 0).any() or (low < least).any() or (high > most).any():

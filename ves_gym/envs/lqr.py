@@ -11,13 +11,12 @@ import numpy as np
 from ves_gym._util.params import Array, Mask, ParameterError, Vector, require_positive, unit
 from ves_gym.engine.linear import linearise_ideal
 from ves_gym.envs.control import Control, Torque
-from ves_gym.envs.joints import joint_box, require_control, wide
+from ves_gym.envs.joints import drawn_joints, home_of, joint_box, require_control
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.servo import PPED_GAINS
 from ves_gym.mechanics.spatial import quadratic
 
-_JOINTS = 6  # that `draws` is enough for
 _BRISK = 5.0  # 1/s: rates over displacements, of what is met on the beam
 
 
@@ -57,7 +56,6 @@ class Lqr(Task):
     returns -1.08.
     """
 
-    draws: ClassVar[int] = 2 * (6 + _JOINTS)
     options: ClassVar[tuple[str, ...]] = ("q", "v", "y", "yd")
     compiled: ClassVar[bool] = True
     control: Control = Torque(fraction=0.25, damping=PPED_GAINS.kd)
@@ -71,6 +69,11 @@ class Lqr(Task):
     stray: float = unit("J/rad^2", default=20.0)  # cost of joints away from home, per second
     effort: float = unit("J/(N m)^2", default=2e-4)  # cost of torque, per second
     settled: float = unit("1", default=0.05)  # of the state's cost at the start
+
+    @property
+    def draws(self) -> int:  # type: ignore[override]
+        """See `Task`."""
+        return 2 * (6 + drawn_joints(self.system.arm))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -92,7 +95,7 @@ class Lqr(Task):
 
         Of the machine as described: its effects are what a controller does not know of.
         """
-        home = wide(self.home, self.system.arm)
+        home = home_of(self.system.arm, self.home)
         described = self.system.replace(effects=()).ideal()
         linear = linearise_ideal(described, home, servo=self.control.servo_for(described.arm))
         return linear.discretise(self.system.control_dt)
@@ -102,7 +105,7 @@ class Lqr(Task):
         """Q (2 s, 2 s) and R (joints, joints) [s times the cost per second]."""
         n, base = self.system.arm.n, self.system.ideal().base
         Q = np.zeros((2, 6 + n, 2, 6 + n))
-        body = inertia(self.system.arm, wide(self.home, self.system.arm))[:6, :6]
+        body = inertia(self.system.arm, home_of(self.system.arm, self.home))[:6, :6]
         Q[0, :6, 0, :6] = base.K / 2
         Q[1, :6, 1, :6] = (base.mass_matrix + body) / 2
         Q[0, 6:, 0, 6:] = self.stray * np.eye(n)
@@ -128,7 +131,9 @@ class Lqr(Task):
 
     def deviation(self, s: Scene) -> Array:
         """x (n, 2 s) of the true state."""
-        return np.concatenate([s.y, s.q - wide(self.home, self.system.arm), s.yd, s.v], axis=1)
+        return np.concatenate(
+            [s.y, s.q - home_of(self.system.arm, self.home), s.yd, s.v], axis=1
+        )
 
     @cached_property
     def _spread(self) -> Array:
@@ -143,7 +148,7 @@ class Lqr(Task):
         """See `Task`. Goal: cost of the state at the start."""
         n = self.system.arm.n
         x = self._spread * (2 * u[:, : 2 * (6 + n)] - 1)
-        home = wide(self.home, self.system.arm)
+        home = home_of(self.system.arm, self.home)
         y, yd = options.get("y", x[:, :6]), options.get("yd", x[:, 6 + n : 12 + n])
         q, v = options.get("q", home + x[:, 6 : 6 + n]), options.get("v", x[:, 12 + n :])
         x = np.concatenate([y, q - home, yd, v], axis=1)
@@ -164,7 +169,7 @@ class Lqr(Task):
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
         """See `Task`."""
-        away = s.q - wide(self.home, self.system.arm)
+        away = s.q - home_of(self.system.arm, self.home)
         return s.y_seen, away, s.yd_seen, s.v, (self.duration - s.time)[:, None]
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:

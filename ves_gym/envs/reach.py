@@ -18,7 +18,7 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym.envs.control import Acceleration, Control
-from ves_gym.envs.joints import joint_box, rate_fields, rates, require_control
+from ves_gym.envs.joints import drawn_joints, joint_box, rate_fields, rates, require_control
 from ves_gym.envs.scales import straight_energy
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.dynamics import joint_positions
@@ -26,7 +26,6 @@ from ves_gym.mechanics.kinematics import dexterity, joints_for
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 
 _TRIES = 16  # candidate targets per episode; the first that is near and dexterous counts
-_JOINTS = 6  # that `draws` is enough for
 _LEAST = 0.25  # of the median energy scale: targets close by are no reason to count more
 _SAMPLE = 256  # starts that the median is taken of
 _MISS = 1e-4  # m by which a chosen target may be out of reach
@@ -53,7 +52,6 @@ class Reach(Task):
     left is observed) or beyond a joint limit.
     """
 
-    draws: ClassVar[int] = _JOINTS * (1 + _TRIES)
     options: ClassVar[tuple[str, ...]] = ("q", "target")
     memory: ClassVar[int] = 2  # m from tool to target; s at the target without a break
     compiled: ClassVar[bool] = True
@@ -65,6 +63,11 @@ class Reach(Task):
     hold: float = unit("s", default=0.5)
     far: float = unit("m", default=1.0)  # distance that counts as one
     thrift: float = unit("1", default=0.2)
+
+    @property
+    def draws(self) -> int:  # type: ignore[override]
+        """See `Task`."""
+        return drawn_joints(self.system.arm) * (1 + _TRIES)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -122,7 +125,7 @@ class Reach(Task):
         """Joint angles (k, joints) at the start (q, if given) and at the target [rad]."""
         arm = self.system.arm
         low, high = joint_box(self, (0.0,), self.span)
-        share = u.reshape(len(u), 1 + _TRIES, _JOINTS)[..., : arm.n]
+        share = u.reshape(len(u), 1 + _TRIES, -1)[..., : arm.n]
         drawn = low + (high - low) * share
         q, ends = drawn[:, 0] if q is None else q, drawn[:, 1:]
         speed = np.abs(ends - q[:, None]) * (2 * QUINTIC_PEAK_SPEED / self.duration)

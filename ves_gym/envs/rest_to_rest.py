@@ -10,6 +10,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, Mask, Vector, require_positive, unit
 from ves_gym.envs.control import Control, Guided
+from ves_gym.envs.joints import drawn_joints, middle_and_half
 from ves_gym.envs.scales import straight_energy
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.dynamics import joint_positions
@@ -29,7 +30,6 @@ class RestToRest(Task):
     expected to leave (`scales.straight_energy`), so the straight line returns about -1.
     """
 
-    draws: ClassVar[int] = 6 * _TRIES
     options: ClassVar[tuple[str, ...]] = ("q", "goal")
     compiled: ClassVar[bool] = True
     control: Control = Guided()
@@ -38,6 +38,11 @@ class RestToRest(Task):
     tolerance: float = unit("rad", default=float(np.deg2rad(1.0)))  # of each joint at the end
     rest: float = unit("rad/s", default=float(np.deg2rad(3.0)))  # of each joint at the end
     miss: float = unit("1/rad", default=2.0)  # penalty of the distance left at the end
+
+    @property
+    def draws(self) -> int:  # type: ignore[override]
+        """See `Task`."""
+        return 2 * _TRIES * drawn_joints(self.system.arm, 3)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -51,8 +56,8 @@ class RestToRest(Task):
     def start(self, u: Array, **options: Array) -> Start:
         """See `Task`. Goal: joint angles (joints), then E_straight."""
         n, fast = self.system.arm.n, self.system.arm.column("v_max")
-        span = np.resize(np.asarray(self.span, float), n)
-        ends = (2 * u.reshape(len(u), _TRIES, 2, -1)[..., :n] - 1) * span
+        middle, span = middle_and_half(self.system.arm, (0.0,), self.span)
+        ends = middle + (2 * u.reshape(len(u), _TRIES, 2, -1)[..., :n] - 1) * span
         speed = np.abs(ends[:, :, 1] - ends[:, :, 0]) * (QUINTIC_PEAK_SPEED / self.duration)
         excess = speed[..., 0] / fast[0]  # of the fastest joint over its limit
         for i in range(1, n):

@@ -19,7 +19,7 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym.envs.control import Acceleration, Control
-from ves_gym.envs.joints import joint_box, rate_fields, rates, require_control
+from ves_gym.envs.joints import drawn_joints, joint_box, rate_fields, rates, require_control
 from ves_gym.envs.scales import BaseModes, motion_energy
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.dynamics import joint_positions
@@ -27,7 +27,6 @@ from ves_gym.mechanics.kinematics import dexterity
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED, quintic
 
 _TRIES = 6  # candidate paths per episode; the first that is dexterous all along counts
-_JOINTS = 6  # that `draws` is enough for
 _CHECKED = 16  # points per round at which that is looked at
 _SMALLEST = 0.3  # share of the largest swing that a joint may be drawn with
 _COARSE = 0.1  # s between the samples that the energy scale is computed from
@@ -56,7 +55,6 @@ class Track(Task):
     left is observed) or beyond a joint limit.
     """
 
-    draws: ClassVar[int] = 4 * _JOINTS * _TRIES
     options: ClassVar[tuple[str, ...]] = ("q",)
     memory: ClassVar[int] = 2  # m^2, squared distance; m^2 s, its integral
     compiled: ClassVar[bool] = True
@@ -70,6 +68,11 @@ class Track(Task):
     tolerance: float = unit("m", default=0.005)
     near: float = unit("m", default=0.03)  # distance up to which the cost is quadratic
     thrift: float = unit("1", default=0.1)
+
+    @property
+    def draws(self) -> int:  # type: ignore[override]
+        """See `Task`."""
+        return 4 * drawn_joints(self.system.arm) * _TRIES
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -107,9 +110,7 @@ class Track(Task):
     def start(self, u: Array, **options: Array) -> Start:
         """See `Task`. Goal: the energy that counts as one [J], then the path's points [m]."""
         arm, k = self.system.arm, len(u)
-        place, size, shift, twice = np.moveaxis(
-            u.reshape(k, _TRIES, 4, _JOINTS)[..., : arm.n], 2, 0
-        )
+        place, size, shift, twice = np.moveaxis(u.reshape(k, _TRIES, 4, -1)[..., : arm.n], 2, 0)
         low, high = joint_box(self, (0.0,), self.span)
         q = low + (high - low) * place
         if "q" in options:

@@ -1,0 +1,89 @@
+"""Every environment takes any arm: seven joints, limits that leave out zero, its own log."""
+
+import dataclasses
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import ves_gym  # noqa: F401 - registers the environments
+from tests.envs.test_divergence import derail
+from ves_gym._util.params import ParameterError
+from ves_gym.envs.build import build_task
+from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.servo import own_gains
+from ves_gym.system.runlog import RunLog
+
+IDS = ("RestToRest", "Reach", "ReachGoal", "Track", "Damp")
+IIWA = get_arm("iiwa14")
+
+
+def bent():
+    """The iiwa with an elbow that cannot stretch out."""
+    links = list(IIWA.links)
+    links[3] = dataclasses.replace(links[3], q_min=-2.0, q_max=-0.1)
+    return dataclasses.replace(IIWA, links=tuple(links), name="bent")
+
+
+@pytest.mark.parametrize("id", [*(f"Puma{k}-v0" for k in IDS), "FreeFlyerReach-v0"])
+def test_seven_joints_in_every_environment(id):
+    env = gym.make(f"ves/{id}", arm=bent())
+    assert env.action_space.shape == (7,)
+    for seed in range(3):
+        observation, _ = env.reset(seed=seed)
+        assert env.observation_space.contains(observation)
+        observation, reward, *_ = env.step(env.action_space.sample())
+        assert env.observation_space.contains(observation) and np.isfinite(reward)
+
+
+def test_seven_joints_in_the_lqr_environment():
+    env = gym.make("ves/BeamLQR-v0", arm="iiwa14")
+    env.reset(seed=0)
+    assert np.isfinite(env.step(env.action_space.sample())[1])
+
+
+def test_starts_are_inside_the_limits_and_spread():
+    arm = bent()
+    for task in ("rest_to_rest", "reach", "track", "damp", "free_flyer"):
+        built = build_task(task, arm=arm)
+        q = built.start(np.random.default_rng(0).random((200, built.draws))).q
+        assert (q >= arm.column("q_min")).all() and (q <= arm.column("q_max")).all()
+        assert (np.ptp(q, axis=0) > 0.1).all()
+
+
+def test_the_puma_draws_what_it_drew():
+    for task, draws in (("rest_to_rest", 72), ("reach", 102), ("track", 144), ("damp", 8)):
+        assert build_task(task).draws == draws
+
+
+def test_default_controls_are_the_arm_s_own():
+    damp = build_task("damp", arm="iiwa14").control
+    assert damp.damping == own_gains(IIWA).kd
+    assert build_task("free_flyer", arm="iiwa14").control.a_max is None
+    assert build_task("free_flyer").control.a_max == (6.0, 6.0, 12.0)
+    given = {"kind": "acceleration", "a_max": [6.0, 6.0, 12.0]}
+    with pytest.raises(ParameterError, match=r"a_max must have shape \(7,\)"):
+        build_task("free_flyer", arm="iiwa14", control=given)
+
+
+def test_an_arm_is_given_by_name_file_data_or_itself(tmp_path):
+    path = tmp_path / "arm.urdf"
+    IIWA.to_urdf(path)
+    assert (
+        build_task("reach", arm="iiwa14").system.arm is build_task("reach", arm=IIWA).system.arm
+    )
+    assert build_task("reach", arm=str(path)).system.arm.n == 7
+    assert build_task("reach").system.arm is PUMA_560
+    with pytest.raises(ParameterError, match="arm must be one of puma560, canadarm2"):
+        build_task("reach", arm="iiwa")
+
+
+def test_the_log_of_an_episode_has_seven_joints(tmp_path):
+    env = gym.make("ves/PumaDamp-v0", arm="iiwa14", dump=str(tmp_path)).unwrapped
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(env.action_space.sample())
+    derail(env.batch, 0)
+    log = RunLog.load(env.step(env.action_space.sample())[-1]["dump"])
+    assert log.n_joints == 7 and log.meta["controller"]["kd"] == list(own_gains(IIWA).kd)
