@@ -90,10 +90,11 @@ def test_the_target_is_marked(make):
     assert pixels(env.render()[: HEIGHT - STRIP, :390], TARGET, 40).sum() > 20
 
 
-@pytest.mark.parametrize("vehicle", ["decoupled", "free-floating"])
-def test_vehicles_without_a_beam_are_drawn(make, vehicle):
+@pytest.mark.parametrize("vehicle", ["decoupled", "free-floating", "bent-flexible"])
+def test_vehicles_of_every_kind_are_drawn(make, vehicle):
     env = make(vehicle=vehicle)
     env.reset(seed=1)
+    env.step(env.action_space.sample())
     assert len(np.unique(env.render().reshape(-1, 3), axis=0)) > 50
 
 

@@ -31,7 +31,8 @@ def wrench_on_base(batch: Batch, acceleration: Array | None = None) -> Array:
         return np.asarray(sim.readings.wrench - sim.readings.gravity, dtype=np.float64)
     if acceleration is None:
         acceleration = sim.evaluate(batch.scene.tau)[1]
-    return base_wrench(batch.system, sim.last_state, acceleration)
+    hidden = sim.internal_state if batch.system.actual.base.m else None
+    return base_wrench(batch.system, sim.last_state, acceleration, hidden)
 
 
 class Recorder:

@@ -106,10 +106,12 @@ class Renderer:
         marker = batch.task.marker(s)
         if marker is not None:
             marker = marker[0, :: -(-marker.shape[1] // _POINTS)].tolist()
+        modes = batch.sim.base_modes
         self._latest = {
             "episode": [int(k[0]) for k in (e.root, e.index, e.number)],
             "t": float(s.time[0]),
             "y": s.y[0].tolist(),
+            "u": None if modes is None else modes[0][0].tolist(),
             "q": s.q[0].tolist(),
             "E": float(s.energy[0]),
             "strain": float(s.strain[0]),

@@ -92,6 +92,7 @@ class Stage:
             self._fit(arm, overview)
             self.fitted = width, height
         sample, y = self.samples[-1], self._all("y")
+        u = None if sample["u"] is None else np.array(sample["u"])
         for rect, camera, extent, k in zip(
             (arm, overview), self.cameras, self.extents, (1.0, self._magnified(y)), strict=True
         ):
@@ -103,7 +104,8 @@ class Stage:
                 self.drawing.model, self.drawing.data, self.option, None, camera,
                 mujoco.mjtCatBit.mjCAT_ALL, self.scene,
             )  # fmt: skip
-            self.drawing.add_support(self.scene, k * y[-1], extent)
+            modes = None if u is None else k * u
+            self.drawing.add_support(self.scene, k * y[-1], extent, modes)
             if rect is arm:
                 self._wrench(sample, y[-1])
                 self._marker(sample, extent)
