@@ -39,7 +39,7 @@ def played(motion, query=QUERY):
     run = play_motions(
         query.system, [motion], y=query.base.y, yd=query.base.yd, settle=10.0, watch=True
     )
-    return run, base_energy(query.system, run.q[0], run.y[0], run.yd[0])
+    return run, base_energy(query.system, run.q[0], run.y[0], run.yd[0], run.internal(0))
 
 
 def test_it_takes_the_energy_out_and_keeps_the_limits(plan):

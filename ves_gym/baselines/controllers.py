@@ -125,7 +125,7 @@ class Hold:
         if isinstance(control, Torque):
             damping = np.array(control.servo_for(arm).kd)
             tau = kp * (self._place - s.q) - (kd - damping) * s.v
-            return _torque_action(env, control, tau)
+            return torque_action(env, control, tau)
         return np.zeros((env.num_envs, env.batch.width))  # the reference rests where it is
 
 
@@ -195,7 +195,7 @@ class Follow:
             tau = inverse_dynamics(arm, s.q, s.v, a)[0]
             if control.damping is not None:  # what the control takes off again
                 tau = tau + np.resize(control.damping, arm.n) * s.v
-            return _torque_action(env, control, tau)
+            return torque_action(env, control, tau)
         return reference_action(env, control, target)
 
 
@@ -248,7 +248,7 @@ class Optimal:
         task: Any = env.task
         gains = self._gains[np.minimum(env.batch.episodes.steps, len(self._gains) - 1)]
         tau = -(gains @ task.deviation(env.batch.scene)[:, :, None])[:, :, 0]
-        return _torque_action(env, task.control, tau)
+        return torque_action(env, task.control, tau)
 
 
 def gains_action(control: Gains, kp: Array, kd: Array) -> Array:
@@ -259,7 +259,8 @@ def gains_action(control: Gains, kp: Array, kd: Array) -> Array:
     return np.concatenate(parts)
 
 
-def _torque_action(env: VesVectorEnv, control: Torque, tau: Array) -> Array:
+def torque_action(env: VesVectorEnv, control: Torque, tau: Array) -> Array:
+    """Actions that ask for torques tau (n, joints) [N m], within their range."""
     full = control.torque(np.ones_like(tau), env.task.system.arm)
     return np.clip(tau / full, -1.0, 1.0)
 

@@ -7,8 +7,22 @@ from collections.abc import Callable
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.controllers import Controller, Follow, Hold, Optimal, Random, Zero
+from ves_gym.baselines.regulator import Regulator
 from ves_gym.baselines.resolved import Resolved
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
+
+
+def _tuned(seed: int) -> Controller:
+    from ves_gym.baselines.damping import Tuned
+
+    return Tuned(seed)
+
+
+def _receding(seed: int) -> Controller:
+    from ves_gym.baselines.damping import Receding  # loads the planners
+
+    return Receding(seed)
+
 
 CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "zero": lambda seed: Zero(),
@@ -20,6 +34,9 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "hotspot": lambda seed: Follow("hotspot", "hotspot-qt", seed),
     "direct": lambda seed: Follow("direct", "direct", seed),
     "lqr": lambda seed: Optimal(),
+    "lqi": lambda seed: Regulator(),
+    "tuned": _tuned,
+    "receding": _receding,
     "resolved": lambda seed: Resolved(),
 }
 

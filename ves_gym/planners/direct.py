@@ -24,12 +24,18 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots, leading_points
 from ves_gym.planners.momentum import BaseMomentum, momentum, torque
 from ves_gym.planners.obstacles import Collisions, collisions
-from ves_gym.planners.prediction import MeanEnergy, Response, respond, steps_of_joints
+from ves_gym.planners.prediction import (
+    NODES,
+    MeanEnergy,
+    Response,
+    respond,
+    steps_of_joints,
+)
 from ves_gym.planners.query import Query, require_time
 
 _FIXED = 3  # control points held at each end
 _SHARE = 1 - 1e-4  # of speed and acceleration limits: more than the optimiser's tolerance
-_MOVED_SHARE = 0.99  # of them where joints yield to a moving base: that is known to first order
+_MOVED_SHARE = 0.97  # where joints yield to a moving base, which is known to first order
 _TORQUE_SHARE = 0.97  # of the limit, at samples: leaves room between them and for the servo
 _SAMPLES = 4  # of torque per control point
 _CLOSER = 1.01  # of that share: a peak between samples that is sampled from then on
@@ -76,7 +82,14 @@ class MotionProblem:
     `energy` is that of another problem of the same query, which need not be made twice.
     """
 
-    def __init__(self, query: Query, free: int, energy: MeanEnergy | None = None) -> None:
+    def __init__(
+        self,
+        query: Query,
+        free: int,
+        energy: MeanEnergy | None = None,
+        nodes: int = NODES,
+    ) -> None:
+        self.nodes = nodes if energy is None else len(energy.t) - 1  # samples of the momentum
         self.query, self.arm = query, query.system.arm
         self.start, self.goal = query.ends
         self.n, self.m = self.arm.n, free + 2 * _FIXED
@@ -106,7 +119,13 @@ class MotionProblem:
         if query.is_moving:
             momentum = inertia(self.arm, self.start)[:6, 6:] @ query.start_motion[0]
         return MeanEnergy(
-            query.system, at, query.duration, query.servo, base=query.base, momentum=momentum
+            query.system,
+            at,
+            query.duration,
+            query.servo,
+            self.nodes,
+            base=query.base,
+            momentum=momentum,
         )
 
     def follow(self, motion: Motion) -> None:
@@ -140,7 +159,10 @@ class MotionProblem:
         """The decision nearest to a motion, of any duration."""
         if motion.n != self.n:
             raise ParameterError(f"motion must have {self.n} joints, got {motion.n}")
-        q = motion.at(np.linspace(0, motion.duration, 12 * self.m)).q
+        return self.near(motion.at(np.linspace(0, motion.duration, 12 * self.m)).q)
+
+    def near(self, q: Array) -> Array:
+        """The decision nearest to positions (N, n) at evenly spaced times [rad]."""
         first = self.first if self.query.is_moving else None
         fitted = Motion.fit(q, self.query.duration, controls=self.m, first=first)
         low, high = self.bounds

@@ -6,6 +6,7 @@ import math
 import os
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Protocol
@@ -261,7 +262,7 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
     begin = time.perf_counter()
     motion, predicted = None, None
     info: dict[str, Any] = {}
-    with _threads().limit(limits=1, user_api="blas"):
+    with on_one_thread():
         try:
             motion, info = planner.find(query, seed)
         except NoPlan as error:
@@ -271,6 +272,12 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
             failure = broken_limit(query, motion)
     seconds = time.perf_counter() - begin
     return Plan(planner.name, query, motion, predicted, seconds, failure, info)
+
+
+def on_one_thread() -> AbstractContextManager[Any]:
+    """Return a context in which linear algebra runs on one thread (see `solve`)."""
+    limited: AbstractContextManager[Any] = _threads().limit(limits=1, user_api="blas")
+    return limited
 
 
 @cache

@@ -1,0 +1,181 @@
+"""Controllers that damp a released base: tuned gains, and motions planned anew as it moves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+
+from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym.baselines.controllers import gains_action, reference_action
+from ves_gym.envs.control import Gains
+from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.spatial import matvec
+from ves_gym.planners.direct import MotionProblem, minimise
+from ves_gym.planners.observer import BaseObserver
+from ves_gym.planners.pped import WIDE, plant_at, tune
+from ves_gym.planners.query import Query, on_one_thread
+
+_NODES = 60  # of the momentum over a horizon
+_STARTS = 8  # of a search for gains: the best of 24 is 0.1 % better
+
+
+class Tuned:
+    """Holds the joints by the diagonal gains that are best for the displacement, by PPED.
+
+    The gains are those of `planners.pped.tune`: least time integral of the strain energy of the
+    nominal linear model after the release, found for every episode.
+    """
+
+    name = "tuned"
+    privileged = True
+
+    def __init__(self, seed: int = 0) -> None:
+        self.seed = seed
+        self._gains: Array = np.empty((0, 2, 0))  # (n, 2, joints)
+
+    def settings(self, spec: EnvSpec) -> dict[str, Any]:
+        """See `Controller`."""
+        if spec.kwargs.get("task") != "damp":
+            return {}
+        return {"control": {"kind": "pd_gains", "kp": list(WIDE.K), "kd": list(WIDE.B)}}
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        s, control = env.batch.scene, env.task.control
+        if not isinstance(control, Gains):
+            raise ParameterError(
+                f"controller tuned sets gains: it needs control pd_gains, got {control.kind}"
+            )
+        system = env.task.system.ideal()
+        if self._gains.shape != (env.num_envs, 2, s.q.shape[1]):
+            self._gains = np.ones((env.num_envs, 2, s.q.shape[1]))
+        for i in ids.tolist():
+            gains = tune(
+                plant_at(system, s.q[i]), y=s.y[i], starts=_STARTS, seed=self.seed
+            ).gains
+            self._gains[i] = np.diag(gains.K), np.diag(gains.B)
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        control = env.task.control
+        assert isinstance(control, Gains)
+        return np.stack([gains_action(control, k[0], k[1]) for k in self._gains])
+
+
+class Receding:
+    """Plans the best motion from the base as measured, and plans it anew while it moves.
+
+    Every `period` an observer's estimate of the base is led on over `delay`, in which the last
+    plan goes on and the new one is found; from there the plan of least E_mean over `horizon`,
+    which ends at rest where the episode began, is the one to follow. A plan starts from the
+    last one and takes `iterations` steps of the optimisation. The model is the nominal system,
+    whatever the episode draws; what is measured is the base's pose.
+    """
+
+    name = "receding"
+    privileged = True
+
+    def __init__(
+        self,
+        seed: int = 0,
+        *,
+        period: float = 0.25,
+        delay: float = 0.1,
+        horizon: float = 3.0,
+        free: int = 14,
+        iterations: int = 3,
+    ) -> None:
+        if not 0 < delay <= period <= horizon:
+            raise ParameterError(
+                "receding needs 0 < delay <= period <= horizon [s], got"
+                f" {delay:g}, {period:g} and {horizon:g}"
+            )
+        self.seed = seed
+        self.period, self.delay, self.horizon = period, delay, horizon
+        self.free, self.iterations = free, iterations
+        self._plan: Array = np.empty((0, 0, 3, 0))  # (n, steps + 2, 3, joints) of the reference
+        self._momentum: Array = np.empty((0, 0, 6))  # (n, steps + 2, 6) that it has
+        self._home: Array = np.empty((0, 0))  # (n, joints) where it is to end [rad]
+        self._observers: dict[int, BaseObserver] = {}
+
+    def settings(self, spec: EnvSpec) -> dict[str, Any]:
+        """See `Controller`."""
+        if spec.kwargs.get("task") != "damp":
+            return {}
+        return {"control": {"kind": "acceleration"}}
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        task, s = env.task, env.batch.scene
+        if task.kind != "damp" or task.control.level != "reference":
+            raise ParameterError(
+                "controller receding leads the reference of task damp, got task"
+                f" {task.kind} through control {task.control.kind}"
+            )
+        joints = s.q.shape[1]
+        if self._plan.shape[:2] != (env.num_envs, task.steps + 2):
+            self._plan = np.zeros((env.num_envs, task.steps + 2, 3, joints))
+            self._momentum = np.zeros((env.num_envs, task.steps + 2, 6))
+            self._home = np.zeros((env.num_envs, joints))
+            self._observers = {}
+        system = task.system.ideal()
+        for i in ids.tolist():
+            self._home[i] = s.q[i]
+            self._plan[i], self._momentum[i] = 0.0, 0.0
+            self._plan[i, :, 0] = s.q[i]
+            observer = BaseObserver(system, s.q[i : i + 1], env.batch.dt)
+            observer.begin(s.y_seen[i : i + 1], s.yd_seen[i : i + 1], np.zeros((1, 6)))
+            self._observers[i] = observer
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        s, steps, dt = env.batch.scene, env.batch.episodes.steps, env.batch.dt
+        every, late = round(self.period / dt), round(self.delay / dt)
+        with on_one_thread():
+            for i, k in enumerate(steps.tolist()):
+                if k:
+                    u = self._momentum[i, k - 1 : k + 1, None]
+                    self._observers[i].step(u[0], u[1], s.y_seen[i : i + 1])
+                if k % every == 0 and k + late <= env.task.steps:
+                    self._replan(env, i, k, k + late)
+        target = self._plan[np.arange(env.num_envs), np.minimum(steps + 1, env.task.steps + 1)]
+        return reference_action(env, env.task.control, target)
+
+    def _replan(self, env: VesVectorEnv, i: int, now: int, then: int) -> None:
+        """Plan simulation i from period `then` on, by what is known at period `now`."""
+        task, dt, observer = env.task, env.batch.dt, self._observers[i]
+        state = observer.s
+        for k in range(now, then):
+            u = self._momentum[i, k : k + 2, None]
+            state = observer.ahead(state, u[0], u[1])
+        base = observer.base_state(0, state[0], self._momentum[i, then])
+        q, v, a = self._plan[i, then]
+        arm = task.system.arm
+        query = Query(
+            system=observer.system,
+            start=tuple(np.clip(q, arm.column("q_min"), arm.column("q_max")).tolist()),
+            goal=tuple(self._home[i].tolist()),
+            duration=self.horizon,
+            v_max=tuple(arm.column("v_max").tolist()),
+            servo=task.control.servo_for(arm),
+            base=base,
+            start_rate=tuple(v.tolist()),
+            start_acceleration=tuple(a.tolist()),
+        )
+        problem = MotionProblem(query, self.free, nodes=_NODES)
+        length = round(self.horizon / dt)
+        ahead = self._plan[i, np.minimum(then + np.arange(length + 1), task.steps + 1), 0]
+        x = problem.near(np.vstack([ahead[:-1], self._home[i]]))
+        problem.follow(problem.motion(x))
+        motion = problem.motion(minimise(problem, x, self.iterations).x)
+        self._take(arm, i, motion, then, dt)
+
+    def _take(self, arm: Arm, i: int, motion: Motion, then: int, dt: float) -> None:
+        samples = motion.at(dt * np.arange(self._plan.shape[1] - then))
+        self._plan[i, then:] = np.stack([samples.q, samples.v, samples.a], axis=1)
+        self._momentum[i, then:] = matvec(inertia(arm, samples.q)[:, :6, 6:], samples.v)

@@ -1,0 +1,166 @@
+"""Linear-quadratic regulator of base and joints with an observer and integral action."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+
+from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym.baselines.controllers import torque_action
+from ves_gym.engine.linear import linearise_ideal
+from ves_gym.envs.control import Torque
+from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.servo import JointServo
+from ves_gym.system.system import System
+
+# Standard deviations, this project: what the plant leaves out against what sensors do.
+_ACCELERATION = 0.05, 0.5  # of base and joints, unknown, over root of a second [.. s^0.5]
+_MODE = 1.0  # kg^0.5 m/s^1.5, the same of internal modes
+_SEEN = 1e-4, 1e-4  # of pose and joint angles as measured [m, rad]
+
+
+class Regulator:
+    """Damps the base and holds the joints where the episode began, by linear state feedback.
+
+    The plant is the nominal system linearised at the start of the episode. Feedback: least time
+    integral of base energy + stray |q - q0|^2 + drift |integral of (q - q0)|^2 + effort
+    |tau|^2 (`envs.lqr.Lqr` is the same without drift, in closed form). State: a Kalman filter
+    that sees the pose of the base and the joint angles as measured, and knows the torque that
+    the motors give. The integral takes out what constant torques or forces that nobody knows of
+    would leave of joint error.
+    """
+
+    name = "lqi"
+    privileged = True
+
+    def __init__(
+        self,
+        *,
+        stray: float = 5.0,
+        drift: float = 2.0,
+        effort: float = 1e-4,
+    ) -> None:
+        for name, value in (("stray", stray), ("drift", drift), ("effort", effort)):
+            if not (np.isfinite(value) and value > 0):
+                raise ParameterError(f"{name} must be > 0 and finite, got {value!r}")
+        self.stray, self.drift, self.effort = stray, drift, effort
+        self._made = 0  # simulations that there is room for
+        self._home = self._state = self._summed = self._tau = np.empty((0, 0))
+        self._A = self._B = self._L = self._F = np.empty((0, 0, 0))
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        task, s = env.task, env.batch.scene
+        control = task.control
+        if task.kind not in ("damp", "lqr") or not isinstance(control, Torque):
+            raise ParameterError(
+                "controller lqi gives torques in tasks damp and lqr, got task"
+                f" {task.kind} through control {control.kind}"
+            )
+        system = task.system.replace(effects=()).ideal()
+        count, joints = s.q.shape
+        seen = 6 + joints
+        n = seen + system.base.m  # coordinates: Y, joints, internal modes
+        if self._made != count:
+            self._made = count
+            self._home, self._summed, self._tau = np.zeros((3, count, joints))
+            self._state = np.zeros((count, 2 * n))
+            self._A, self._B = np.zeros((count, 2 * n, 2 * n)), np.zeros((count, 2 * n, joints))
+            self._L = np.zeros((count, 2 * n, seen))
+            self._F = np.zeros((count, joints, 2 * n + joints))
+        for i in ids.tolist():
+            self._home[i] = s.q[i]
+            A, B = plant(system, s.q[i], control.servo_for(system.arm), env.batch.dt)
+            self._A[i], self._B[i] = A, B
+            self._L[i] = observer_gain(A, joints, env.batch.dt)
+            self._F[i] = self.feedback(system, s.q[i], A, B, env.batch.dt)
+        u, ud = system.base.attached(s.y_seen), system.base.attached(s.yd_seen)
+        x = np.concatenate([s.y_seen, s.q - self._home, u, s.yd_seen, s.v, ud], axis=1)
+        self._state[ids], self._summed[ids], self._tau[ids] = x[ids], 0.0, 0.0
+
+    def feedback(self, system: System, q: Array, A: Array, B: Array, dt: float) -> Array:
+        """Gains (joints, 2 s + joints) of torque per state (Y, q - q0, u, rates) and integral.
+
+        Args:
+            system: arm and vehicle.
+            q: (joints,) where it is linearised [rad].
+            A, B: (2 s, 2 s) and (2 s, joints), sampled.
+            dt: period [s].
+        """
+        size, joints = B.shape
+        n = size // 2
+        Q = np.zeros((size + joints, size + joints))
+        mass, _, K = system.base.full()
+        mass[:6, :6] += inertia(system.arm, q)[:6, :6]
+        at, held = np.r_[:6, 6 + joints : n], np.arange(6, 6 + joints)
+        Q[np.ix_(at, at)], Q[np.ix_(n + at, n + at)] = K / 2, mass / 2
+        Q[held, held] = self.stray
+        Q[size:, size:] = self.drift * np.eye(joints)
+        wide_A = np.eye(size + joints)
+        wide_A[:size, :size] = A
+        wide_A[size:, held] = dt * np.eye(joints)
+        wide_B = np.vstack([B, np.zeros((joints, joints))])
+        R = self.effort * np.eye(joints)
+        P = scipy.linalg.solve_discrete_are(wide_A, wide_B, dt * Q, dt * R)
+        out: Array = np.linalg.solve(dt * R + wide_B.T @ P @ wide_B, wide_B.T @ P @ wide_A)
+        return out
+
+    def act(self, env: VesVectorEnv, observation: object) -> Array:
+        """See `Controller`."""
+        s, control, dt = env.batch.scene, env.task.control, env.batch.dt
+        assert isinstance(control, Torque)
+        away = s.q - self._home
+        started = env.batch.episodes.steps > 0
+        # one period on by the plant, then what was seen of it
+        ahead = _times(self._A, self._state) + _times(self._B, self._tau)
+        seen = np.concatenate([s.y_seen, away], axis=1)
+        ahead += _times(self._L, seen - ahead[:, : seen.shape[1]])
+        self._state = np.where(started[:, None], ahead, self._state)
+        tau = -_times(self._F, np.concatenate([self._state, self._summed], axis=1))
+        action = torque_action(env, control, tau)
+        self._tau = control.torque(action, env.task.system.arm)
+        limited = np.abs(action) >= 1.0  # an integral that goes on there would wind up
+        self._summed += np.where(limited, 0.0, dt * away)
+        return action
+
+
+def plant(system: System, q: Array, servo: JointServo, dt: float) -> tuple[Array, Array]:
+    """Sample the system linearised at rest: A (2 s, 2 s) and B (2 s, joints).
+
+    Args:
+        system: arm and vehicle, mode ideal.
+        q: (joints,) [rad].
+        servo: joint damping that acts besides.
+        dt: period over which a torque is held [s].
+    """
+    return linearise_ideal(system, q, servo=servo).discretise(dt)
+
+
+def observer_gain(A: Array, joints: int, dt: float) -> Array:
+    """Steady gain (2 s, 6 + joints) of the Kalman filter that sees pose and joint angles.
+
+    Args:
+        A: (2 s, 2 s), sampled; s is 6 + joints + internal modes.
+        joints: number of them.
+        dt: period [s].
+    """
+    n, seen = len(A) // 2, 6 + joints
+    rates = np.r_[
+        np.full(6, _ACCELERATION[0]),
+        np.full(joints, _ACCELERATION[1]),
+        np.full(n - seen, _MODE),
+    ]
+    unknown = np.vstack([np.eye(n) * dt / 2, np.eye(n)]) * rates * np.sqrt(dt)
+    noise = np.diag(np.r_[np.full(6, _SEEN[0]), np.full(joints, _SEEN[1])] ** 2)
+    C = np.eye(seen, 2 * n)
+    floor = 1e-18 * np.eye(2 * n)  # keeps the Riccati equation regular
+    S = scipy.linalg.solve_discrete_are(A.T, C.T, unknown @ unknown.T + floor, noise)
+    out: Array = S @ C.T @ np.linalg.inv(C @ S @ C.T + noise)
+    return out
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    """Matrix times vector, simulation by simulation."""
+    out: Array = (matrix @ vector[..., None])[..., 0]
+    return out

@@ -1,0 +1,119 @@
+"""Estimate the motion of a base from its measured pose: a Kalman filter on the linear base.
+
+Between measurements the base moves as `prediction.LinearBase` says, driven by the momentum of
+the joints, which is known; what it does not know of is a wrench of white noise. So rates are
+found, and internal modes, which nothing measures.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.planners.prediction import BaseState, LinearBase
+from ves_gym.system.system import System
+
+# Standard deviations, this project: what is unknown of the motion against what is of a pose.
+_WRENCH = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)  # N s^0.5, N m s^0.5
+_MODE = 1.0  # kg^0.5 m/s^1.5, the same as of a wrench, on internal modes
+_POSE = (1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)  # m, rad
+
+
+class BaseObserver:
+    """Estimates (x, P) of the bases in n simulations, each with its inertia frozen.
+
+    x (b) are pose and internal coordinates, P (b) is the momentum of base and joints.
+
+    Args:
+        system: arm and vehicle.
+        at: (n, joints) configurations [rad].
+        dt: between measurements [s].
+        wrench: (6,) noise density of what moves the base unknown [N s^0.5, N m s^0.5].
+        pose: (6,) noise of a measured pose [m, rad].
+    """
+
+    def __init__(
+        self,
+        system: System,
+        at: npt.ArrayLike,
+        dt: float,
+        wrench: npt.ArrayLike = _WRENCH,
+        pose: npt.ArrayLike = _POSE,
+    ) -> None:
+        if not (np.isfinite(dt) and dt > 0):
+            raise ParameterError(f"dt must be > 0 s and finite, got {dt}")
+        angles = np.atleast_2d(np.asarray(at, float))
+        self.system, self._linear = system, LinearBase(system)
+        b = self.b = self._linear.b
+        self._M = self._linear.mass(inertia(system.arm, angles))
+        A, B = self._linear.plant(self._M)
+        n, size = len(angles), 2 * b
+        block = np.zeros((n, size + 12, size + 12))
+        block[:, :size, :size], block[:, :size, size : size + 6] = A * dt, B[..., :6] * dt
+        block[:, size : size + 6, size + 6 :] = np.eye(6)
+        step = np.asarray(scipy.linalg.expm(block), float)
+        self._Phi, late = step[:, :size, :size], step[:, :size, size + 6 :]
+        self._drive = np.stack([step[:, :size, size : size + 6] - late, late])
+        # a mode that nothing unknown ever moved would be believed for good
+        force = np.r_[np.asarray(wrench, float), np.full(b - 6, _MODE)]
+        unknown = np.vstack([np.zeros((b, b)), np.diag(force) * np.sqrt(dt)])
+        noise = np.diag(np.asarray(pose, float) ** 2)
+        seen = np.eye(6, size)
+        gains = []
+        for Phi in self._Phi:
+            floor = 1e-18 * np.eye(size)  # keeps the Riccati equation regular
+            S = scipy.linalg.solve_discrete_are(
+                Phi.T, seen.T, unknown @ unknown.T + floor, noise
+            )
+            gains.append(S @ seen.T @ np.linalg.inv(seen @ S @ seen.T + noise))
+        self._gain = np.stack(gains)
+        self.s = np.zeros((n, size))
+
+    def begin(self, y: Array, yd: Array, u: Array) -> None:
+        """Start from measured motion, internal modes carried along.
+
+        Args:
+            y, yd: (n, 6) pose [m, rad] and its rate.
+            u: (n, 6) momentum of the joints.
+        """
+        base = self.system.base
+        z = np.concatenate([y, base.attached(y)], axis=1)
+        zd = np.concatenate([yd, base.attached(yd)], axis=1)
+        self.s = np.concatenate([z, (self._M @ zd[..., None])[..., 0]], axis=1)
+        self.s[:, self.b : self.b + 6] += u
+
+    def ahead(self, s: Array, before: Array, after: Array) -> Array:
+        """States (n, 2 b) one step on.
+
+        Args:
+            s: (n, 2 b).
+            before, after: (n, 6) momentum of the joints at the step's ends, linear between.
+        """
+        moved = self._Phi @ s[..., None]
+        for drive, u in zip(self._drive, (before, after), strict=True):
+            moved += drive @ u[..., None]
+        out: Array = moved[..., 0]
+        return out
+
+    def step(self, before: Array, after: Array, y: Array) -> None:
+        """Go one step on (`ahead`) and take measured poses y (n, 6) into account."""
+        s = self.ahead(self.s, before, after)
+        self.s = s + (self._gain @ (y - s[:, :6])[..., None])[..., 0]
+
+    def base_state(self, i: int, s: Array, u: Array) -> BaseState:
+        """Return the motion of base i.
+
+        Args:
+            i: which.
+            s: (2 b,) its state.
+            u: (6,) momentum of its joints.
+        """
+        P = s[self.b :].copy()
+        P[:6] -= u
+        z, zd = s[: self.b], np.linalg.solve(self._M[i], P)
+        parts = (z[:6], zd[:6], z[6:], zd[6:])
+        y, yd, modes, rates = (tuple(part.tolist()) for part in parts)
+        return BaseState(y=y, yd=yd, u=modes, ud=rates)
