@@ -16,8 +16,11 @@ import numpy as np
 import pytest
 
 from ves_gym._util.optional import installed
+from ves_gym.planners.suites import get_suite
+from ves_gym.system.system import System
 
-SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "validate_structures.py"))
+SCRIPTS = Path(__file__).parents[2] / "scripts"
+SCRIPT = runpy.run_path(str(SCRIPTS / "validate_structures.py"))
 BEAMS, ours, arm_inertia = (SCRIPT[name] for name in ("BEAMS", "ours", "arm_inertia"))
 PROMISED = 1e-2
 
@@ -81,6 +84,22 @@ def test_masses_stand_for_the_arm():
         way = np.hstack([np.eye(3), -SCRIPT["skew"](at)])
         total += mass * way.T @ way
     assert total == pytest.approx(H, abs=1e-9 * np.abs(H).max())
+
+
+@pytest.mark.parametrize("name", BEAMS)
+def test_the_default_number_of_modes_suffices(name):
+    """Frequencies below 20 Hz in 60 poses against 40 modes; E_mean against twice as many."""
+    needed = runpy.run_path(str(SCRIPTS / "modes_needed.py"))
+    beam, base = BEAMS[name]
+    few, many = (needed["frequencies"](beam, m) for m in (base.modes, needed["FINE"]))
+    assert needed["apart"](few, many, needed["BAND"]) <= PROMISED
+    fewer = needed["frequencies"](beam, base.modes - 2)
+    assert needed["apart"](fewer, many, needed["BAND"]) > PROMISED
+
+    every = get_suite("reach100", system=System(vehicle=beam), vehicle=name, quick=True)
+    queries = [query for _, query in every.queries][5::10]  # one of each duration
+    means = [needed["energies"](beam, m, queries) for m in (base.modes, 2 * base.modes)]
+    assert means[0] == pytest.approx(means[1], rel=PROMISED)
 
 
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not installed")

@@ -117,6 +117,17 @@ def test_the_model_is_the_reduction_in_absolute_coordinates(base):
     assert has(base, "D") and has(base, "K")
 
 
+def test_what_a_vehicle_has_counts_its_modes():
+    """Stiffness of a free structure is that of its modes; without damping there is none."""
+    M, K = FLEXIBLE.structure.frame(4).matrices()
+    free = Structure(M, K, None, tuple(range(12, 18)), rigid_modes=6)
+    floating = FlexibleBase(structure=Reduced.of(free, 3), modes=3, damping_ratio=0.01)
+    assert not floating.base_model().K.any()
+    assert has(floating, "K") and has(floating, "D")
+    assert not has(dataclasses.replace(floating, damping_ratio=0.0), "D")
+    assert not has(dataclasses.replace(floating, modes=0), "K")
+
+
 def test_condensed_it_is_the_consistent_beam():
     """Modes that follow the flange: the mass is Guyan's, as `mass_model` consistent has it."""
     M, _, K = FLEXIBLE.base_model().condensed()

@@ -292,13 +292,6 @@ class FlexibleBase(Saved):
         )
 
     @property
-    def damped(self) -> bool:
-        """Return True if it loses energy."""
-        if self.damping_ratios is not None:
-            return any(k > 0 for k in self.damping_ratios)
-        return self.damping_ratio is None or self.damping_ratio > 0
-
-    @property
     def nodes(self) -> Array | None:
         """(k, 3) corners from clamp to flange, or the drawn points of a user's model [m]."""
         if isinstance(self.structure, Polyline):

@@ -163,7 +163,7 @@ VEHICLES: dict[str, Vehicle] = {
 
 
 def has(vehicle: Vehicle, name: str) -> bool:
-    """Return True if a vehicle's D or K is other than zero.
+    """Return True if a vehicle's D or K, internal modes included, is other than zero.
 
     Args:
         vehicle: what carries the arm.
@@ -171,11 +171,12 @@ def has(vehicle: Vehicle, name: str) -> bool:
     """
     if isinstance(vehicle, Beam):
         return name != "D" or vehicle.damping_ratio > 0
-    if isinstance(vehicle, FlexibleBase):
-        return vehicle.damped if name == "D" else bool(vehicle.reduction().K.any())
-    if not isinstance(vehicle, MatrixVehicle):
+    if isinstance(vehicle, Satellite):
         return False
-    return bool(np.any(vehicle.base_model().full()["MDK".index(name)]))
+    base = vehicle.base_model()
+    modes = base.internal
+    within = modes is not None and bool(np.any(modes.damping if name == "D" else modes.omega))
+    return within or bool(np.any(getattr(base, name)))
 
 
 def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
