@@ -1,0 +1,213 @@
+"""Free-floating robots against SPARTpy: recorded figures, and SPARTpy where it is installed."""
+
+import dataclasses
+from importlib import metadata
+
+import numpy as np
+import pytest
+
+from tests.space_robots import (
+    CHASER,
+    GOAL,
+    PLANAR,
+    PLANAR_Q,
+    RATE,
+    STEPS,
+    TURN,
+    Q,
+    Robot,
+    Spart,
+    planar_motion,
+)
+from ves_gym.mechanics.arm import Arm, Inertial, diagonal
+from ves_gym.mechanics.dynamics import frames, inertia, newton_euler
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.spatial import rotation
+from ves_gym.mechanics.vehicle import Satellite
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.system import System
+
+# SPARTpy 1.1.3: python -m tests.space_robots
+INERTIA = [
+    *(7.429081628569051e02, 3.041287124658934e03, 3.008993516453086e03),
+    *(1.661200000000000e03, 1.661200000000000e03, 1.661200000000000e03),
+    *(4.292882393755068e01, 5.562129484692445e02, 1.575947084550985e01),
+    *(1.128879506681599e02, 6.498602123964324e-01, 1.428125937487634e00, 1.709999999999998e-02),
+]  # diagonal, kg m^2 and kg
+RESPONSE = [
+    *(0.006732153028648, 0.036991155424638, -0.005179530647591),
+    *(0.007356800436377, 0.000216471173472, -0.006273414357572),
+]  # rad/s, m/s at RATE
+FORCES = [
+    *(-1.686450371818194e00, -1.490680971503401e02, 1.020842011278787e02),
+    *(2.002282288542384e01, 8.971074012999114e01, 1.207835833714813e02),
+    *(-8.687125228267586e00, 8.907548323769392e01, 2.070082968132373e01),
+    *(
+        -1.049591407261452e01,
+        8.130391896523282e-01,
+        1.918538359694137e00,
+        9.979139464114787e-04,
+    ),
+]  # N m, N, N m
+ACCELERATIONS = [
+    *(-3.847271228703620e-08, 2.132281308664882e-02, -1.950043489844183e-02),
+    *(2.087988599141810e-02, -2.020882166430854e-03, 2.230136461926499e-03),
+    *(-1.365644016154737e00, -1.332229688318522e-01, -2.715519144076515e00),
+    *(-1.364073927353825e00, 9.385613699183137e-02, 6.987727232505704e00, 4.128728128876489e02),
+]  # rad/s^2, m/s^2, rad/s^2
+JACOBIAN = [
+    [-0.229719519579091, -0.14005685154302, -0.425066092363827, -0.151731627691832],
+    [0.510663331893984, 0.538571705297025, 0.416520204553726, 0.323137392358959],
+    [0.395288741039012, 0.629714244131548, 0.799188319329349, 0.929699739098921],
+]  # m/rad, m/rad, 1
+RESOLVED = [
+    *(1.192437353563027, -0.513051945942599, 1.171610260013284, -0.710133703615197),
+    *(0.009585915791239, -0.010581677534099, -0.540861963518515),
+]  # joints, then base: x, y, angle
+
+U = np.concatenate([RATE[:6], RATE])
+
+
+@pytest.fixture
+def arm(tmp_path):
+    """Read a robot as an Arm whose base link is the satellite."""
+
+    def read(robot: Robot) -> Arm:
+        path = tmp_path / "robot.urdf"
+        path.write_text(robot.urdf())
+        return Arm.from_urdf(path)
+
+    return read
+
+
+@pytest.fixture(scope="module")
+def spart():
+    """Make SPARTpy's account of a robot."""
+    pytest.importorskip("SPARTpy", reason="spartpy is not installed")
+    try:
+        Spart(PLANAR.urdf())
+    except OSError as error:  # without OpenMP, or a compiler to do without Intel's
+        pytest.skip(f"spartpy does not load: {error}")
+    return Spart
+
+
+def order(n, R):
+    """(6 + n, 6 + n): our base twist (linear first, base axes) and rates to SPARTpy's."""
+    T = np.eye(6 + n)
+    T[:6, :6] = 0.0
+    T[:3, 3:6], T[3:6, :3] = np.eye(3), R
+    return T
+
+
+def generalised_inertia(arm, q, R):
+    T = order(arm.n, R)
+    return T @ inertia(arm, q) @ T.T
+
+
+def forces(arm, R, q, u, udot):
+    tau, force, moment = newton_euler(
+        arm,
+        list(q),
+        list(u[6:]),
+        list(udot[6:]),
+        spin=tuple(u[:3]),
+        turn=tuple(udot[:3]),
+        accel=tuple(R.T @ udot[3:6]),
+    )
+    return np.concatenate([moment, R @ np.array(force), tau])
+
+
+def accelerations(arm, R, q, u, tau):
+    bias = forces(arm, R, q, u, np.zeros_like(u))
+    return np.linalg.solve(generalised_inertia(arm, q, R), tau - bias)
+
+
+def response(arm, q, R):
+    H = generalised_inertia(arm, q, R)
+    return -np.linalg.solve(H[:6, :6], H[:6, 6:])
+
+
+def jacobian(arm, q, R):
+    """(6, n) generalised Jacobian of the tool: angular first, inertial axes."""
+    chain = frames(arm, list(q))
+    tip = np.array(chain[-1].position, float)
+    axes = np.array([frame.axis for frame in chain], float)
+    levers = tip - np.array([frame.origin for frame in chain], float)
+    base = response(arm, q, R)
+    turning = R @ base[:3]
+    linear = base[3:] + np.cross(turning.T, R @ tip).T + R @ np.cross(axes, levers).T
+    return np.concatenate([turning + R @ axes.T, linear])
+
+
+def close(ours, theirs, digits):
+    assert np.abs(ours - theirs).max() <= 10.0**-digits * np.abs(theirs).max()
+
+
+def test_dynamics_as_recorded(arm):
+    chaser = arm(CHASER)
+    close(np.diag(generalised_inertia(chaser, Q, np.eye(3))), INERTIA, 11)
+    close(response(chaser, Q, np.eye(3)) @ RATE, RESPONSE, 11)
+    close(forces(chaser, TURN, Q, U, U / 10), FORCES, 11)
+    close(accelerations(chaser, TURN, Q, U, 10 * U), ACCELERATIONS, 9)
+
+
+def test_generalised_jacobian_as_recorded(arm):
+    planar = arm(PLANAR)
+    close(jacobian(planar, PLANAR_Q, np.eye(3))[[3, 4, 2]], JACOBIAN, 12)
+
+
+def test_resolved_motion_in_simulation(arm):
+    """The tool goes along the line in space, and the base ends where SPARTpy puts it."""
+    planar = arm(PLANAR)
+    path = planar_motion(lambda *at: jacobian(planar, *at), lambda *at: response(planar, *at))
+    close(path[-1], np.array(RESOLVED), 7)
+    nothing = Inertial(mass=0.0, com=(0.0, 0.0, 0.0), inertia=diagonal(0.0, 0.0, 0.0))
+    system = System(
+        arm=dataclasses.replace(planar, base=nothing),
+        vehicle=Satellite(body=planar.base, source="SPART"),
+        drive="prescribed",
+    )
+    run = play_motions(system, [Motion.fit(path[:, :4], 5.0)], settle=0.0)
+    y, q = run.y[0], run.q[0]
+    tool = np.array(
+        [
+            rotation(yk) @ np.array(frames(planar, list(qk))[-1].position) + yk[:3]
+            for yk, qk in zip(y, q, strict=True)
+        ]
+    )
+    angle = y[:, 5] + q.sum(axis=1)
+    moved = np.column_stack([tool[:, :2], angle])
+    moved -= moved[0]
+    share = moved @ GOAL / (GOAL @ GOAL)
+    assert np.abs(moved - share[:, None] * GOAL).max() < 1e-6  # m, rad off the line
+    assert np.abs(moved[-1] - GOAL).max() < 1e-6
+    assert np.abs(y[-1, [0, 1, 5]] - RESOLVED[4:]).max() < 1e-6
+    assert np.abs(y[:, 5]).max() > 0.5  # the base did turn: 31 deg
+
+
+def test_spartpy(spart, arm):
+    """Everything again, entry by entry and in other configurations, from SPARTpy itself."""
+    rng = np.random.default_rng(0)
+    for robot in (CHASER, PLANAR):
+        ours, theirs = arm(robot), spart(robot.merged().urdf())
+        whole = spart(robot.urdf())  # the end body on its fixed joint
+        without = arm(dataclasses.replace(robot, end=None))
+        for _ in range(5):
+            q = rng.uniform(-np.pi, np.pi, robot.n)
+            R = rotation(np.concatenate([np.zeros(3), rng.uniform(-1, 1, 3)]))
+            u, udot = rng.normal(size=(2, 6 + robot.n))
+            close(generalised_inertia(ours, q, np.eye(3)), theirs.inertia(q), 9)
+            close(generalised_inertia(ours, q, np.eye(3)), whole.inertia(q), 9)
+            close(response(ours, q, R), whole.response(q, R), 9)
+            close(jacobian(ours, q, R), whole.jacobian(q, R), 9)
+            close(forces(ours, R, q, u, udot), theirs.forces(R, q, u, udot), 11)
+            if metadata.version("spartpy") == "1.1.3":
+                close(forces(without, R, q, u, udot), whole.forces(R, q, u, udot), 11)
+            close(accelerations(ours, R, q, u, udot), theirs.accelerations(R, q, u, udot), 8)
+    theirs = spart(CHASER.merged().urdf())
+    close(np.diag(theirs.inertia(Q)), INERTIA, 11)
+    close(theirs.forces(TURN, Q, U, U / 10), FORCES, 11)
+    close(theirs.accelerations(TURN, Q, U, 10 * U), ACCELERATIONS, 9)
+    planar = spart(PLANAR.urdf())
+    close(planar.jacobian(PLANAR_Q)[[3, 4, 2]], JACOBIAN, 12)
+    close(planar_motion(planar.jacobian, planar.response)[STEPS], RESOLVED, 9)
