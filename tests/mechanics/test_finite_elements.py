@@ -14,7 +14,7 @@ import scipy.optimize
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, diagonal
-from ves_gym.mechanics.finite_elements import Frame, Member, element, polyline
+from ves_gym.mechanics.finite_elements import BeamFrame, Member, element, polyline
 from ves_gym.mechanics.section import ALUMINIUM, Material, Section, Tube, cowper
 from ves_gym.mechanics.vehicle import BENT, STRAIGHT_VERTICAL, Beam
 
@@ -220,14 +220,20 @@ def test_an_unsymmetrical_section_bends_about_its_own_axes():
             lambda: Tube(outer_diameter=0.1, wall=0.05),
             "half the outer diameter 0.1 m, got 0.05",
         ),
-        (lambda: Frame(np.zeros((1, 3)), (Member(0, 1, HAIR, ALUMINIUM),)), "0 to 0, got 1"),
-        (lambda: Frame(np.zeros((2, 3)), (Member(0, 1, HAIR, ALUMINIUM),)), "has no length"),
+        (
+            lambda: BeamFrame(np.zeros((1, 3)), (Member(0, 1, HAIR, ALUMINIUM),)),
+            "0 to 0, got 1",
+        ),
+        (
+            lambda: BeamFrame(np.zeros((2, 3)), (Member(0, 1, HAIR, ALUMINIUM),)),
+            "has no length",
+        ),
         (
             lambda: Section(area=1.0, second_y=1.0, second_z=1.0, torsion=1.0, shear_y=0.5),
             "both shear_y and shear_z or neither",
         ),
         (
-            lambda: Frame(np.zeros((2, 2)), ()),
+            lambda: BeamFrame(np.zeros((2, 2)), ()),
             r"nodes must have shape \(2, 3\)",
         ),
     ],

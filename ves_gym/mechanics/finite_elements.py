@@ -34,7 +34,7 @@ class Member(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Frame:
+class BeamFrame:
     """Nodes, straight members between them and rigid bodies at nodes."""
 
     nodes: Array  # (k, 3) [m]
@@ -43,16 +43,16 @@ class Frame:
 
     def __post_init__(self) -> None:
         count = len(self.nodes)
-        finite(self.nodes, (count, 3), "Frame.nodes")
+        finite(self.nodes, (count, 3), "BeamFrame.nodes")
         ends = [node for member in self.members for node in member[:2]]
         for node in ends + [node for node, _ in self.bodies]:
             if not 0 <= node < count:
-                raise ParameterError(f"Frame has nodes 0 to {count - 1}, got {node}")
+                raise ParameterError(f"BeamFrame has nodes 0 to {count - 1}, got {node}")
         for i, member in enumerate(self.members):
             if np.array_equal(self.nodes[member.start], self.nodes[member.end]):
-                raise ParameterError(f"Frame.members[{i}] has no length")
+                raise ParameterError(f"BeamFrame.members[{i}] has no length")
 
-    def divided(self, pieces: int) -> Frame:
+    def divided(self, pieces: int) -> BeamFrame:
         """Return the frame with each member cut into equal pieces; old nodes come first."""
         nodes, members = list(self.nodes), []
         for start, end, section, material in self.members:
@@ -60,7 +60,7 @@ class Frame:
             chain = [start, *range(len(nodes), len(nodes) + len(cuts)), end]
             nodes += list(cuts)
             members += [Member(a, b, section, material) for a, b in itertools.pairwise(chain)]
-        return Frame(np.array(nodes), tuple(members), self.bodies)
+        return BeamFrame(np.array(nodes), tuple(members), self.bodies)
 
     def matrices(self) -> tuple[Any, Any]:
         """Return mass and stiffness over all freedoms, two sparse (6k, 6k), SI units."""
@@ -245,7 +245,7 @@ def polyline(
     segments: Sequence[Sequence[float]],
     sections: Sequence[Section | Tube],
     material: Material,
-) -> Frame:
+) -> BeamFrame:
     """Return a chain of members, its last end at the origin.
 
     Args:
@@ -255,4 +255,4 @@ def polyline(
     """
     corners = np.vstack([np.zeros(3), np.cumsum(np.array(segments, float), axis=0)])
     members = tuple(Member(i, i + 1, k, material) for i, k in enumerate(sections))
-    return Frame(corners - corners[-1], members)
+    return BeamFrame(corners - corners[-1], members)

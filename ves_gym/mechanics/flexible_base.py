@@ -28,7 +28,7 @@ from ves_gym.mechanics.arm import Inertial, matrix
 from ves_gym.mechanics.base_model import BaseModel, InternalModes, Saved
 from ves_gym.mechanics.beam import Beam
 from ves_gym.mechanics.craig_bampton import Reduction, reduce
-from ves_gym.mechanics.finite_elements import Frame, Member
+from ves_gym.mechanics.finite_elements import BeamFrame, Member
 from ves_gym.mechanics.section import ALUMINIUM, Material, Section, Tube
 from ves_gym.mechanics.structure import Structure
 
@@ -95,7 +95,7 @@ class Polyline:
         out: Array = np.vstack([np.zeros(3), ends]) - ends[-1]
         return out
 
-    def frame(self, elements: int = ELEMENTS) -> Frame:
+    def frame(self, elements: int = ELEMENTS) -> BeamFrame:
         """Return the finite-element model; corners are its first nodes.
 
         Args:
@@ -105,7 +105,7 @@ class Polyline:
             Member(i, i + 1, k.section, k.material) for i, k in enumerate(self.members)
         )
         bodies = tuple((k.corner, k.inertial) for k in self.bodies)
-        return Frame(self.corners, members, bodies).divided(elements)
+        return BeamFrame(self.corners, members, bodies).divided(elements)
 
     def path(self, elements: int = ELEMENTS) -> list[int]:
         """Nodes of `frame` from clamp to flange."""
