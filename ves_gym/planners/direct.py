@@ -341,6 +341,7 @@ _LEAST_STEP = 1e-6  # rad
 _NEAREST = 0.1  # of a limit: what is nearer to it a step minds from the start
 _MISSED = 1e-8  # of a limit by which a step may break what it did not mind
 _RIDGE = 1e-7  # of the mean curvature, on flat directions
+_BARELY = 1e-4  # of a limit: less is nothing to tell optimisations apart by
 _ACCEPTED = 1e-6  # of a limit by which an answer may break it; `_SHARE` is for that
 
 
@@ -362,6 +363,13 @@ class Minimum:
             "iterations": self.iterations,
             "message": self.message,
         }
+
+
+def rank(minimum: Minimum) -> tuple[float, float]:
+    """Sort key: motions that keep the limits first, by energy; then by what they break."""
+    if minimum.excess <= _BARELY:
+        return 0.0, minimum.energy
+    return minimum.excess, minimum.energy
 
 
 class _Point(NamedTuple):

@@ -7,6 +7,7 @@ sqrt(dq^T Q dq) along it by Gauss's rule, one node per lane, so one compiled cal
 
 from __future__ import annotations
 
+import math
 from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
@@ -51,10 +52,12 @@ class Metric:
         if kind == "qt" and not (duration is not None and 0 < duration < np.inf):
             raise ParameterError(f"metric qt needs a duration > 0 s, got {duration!r}")
         self.kind, self.system, self.n = kind, system.ideal(), system.arm.n
+        self.duration = duration
         base = self.system.base
         if kind != "disturbance" and not base.K.any():
             kind = "kinetic"
         self._graph = partial(_form, self.system, kind)
+        self._slope_graph = partial(_with_slopes, self._graph)
         self._key = f"metric {kind} {_SWEEPS} {structure(self.system)}"
         # internal modes follow the interface here: what guides a search need not swing
         condensed = base.condensed()
@@ -62,6 +65,7 @@ class Metric:
         robot = parameters(self.system)[1]
         self._p = np.concatenate([robot, *fixed, [duration or 0.0, 0.0]])
         self._p[-1] = self._least()
+        self.floor = math.sqrt(self._p[-1])  # length that no step of 1 rad is below
 
     @property
     def least(self) -> float:
@@ -105,6 +109,27 @@ class Metric:
         squares = self.squares(at, np.broadcast_to(step[..., None, :], at.shape))
         out: Array = np.sqrt(np.maximum(squares, 0.0)) @ _WEIGHTS
         return out
+
+    def slopes(self, a: npt.ArrayLike, b: npt.ArrayLike) -> tuple[Array, Array]:
+        """Lengths of straight edges and their exact derivatives.
+
+        Args:
+            a, b: (..., n) ends [rad].
+
+        Returns:
+            Lengths (...), as `lengths` has them, and their derivatives (..., 2, n) by a and b.
+        """
+        start, step = np.asarray(a, float), np.asarray(b, float) - np.asarray(a, float)
+        at = start[..., None, :] + _NODES[:, None] * step[..., None, :]
+        x = np.concatenate([at, np.broadcast_to(step[..., None, :], at.shape)], axis=-1)
+        out = evaluate(f"slopes {self._key}", self._slope_graph, x, self._p, 1 + 2 * self.n)
+        roots = np.sqrt(np.maximum(out[..., 0], 0.0))
+        by = out[..., 1:] / (2 * np.maximum(roots, 1e-150))[..., None]
+        by_q, by_step = by[..., : self.n], by[..., self.n :]
+        back = np.einsum("...gi,g->...i", by_q, _WEIGHTS * (1 - _NODES))
+        ahead = np.einsum("...gi,g->...i", by_q, _WEIGHTS * _NODES)
+        turn = np.einsum("...gi,g->...i", by_step, _WEIGHTS)
+        return roots @ _WEIGHTS, np.stack([back - turn, ahead + turn], axis=-2)
 
     def length(self, path: npt.ArrayLike) -> float:
         """Length of a polyline (N, n)."""
@@ -176,6 +201,17 @@ def _form(system: System, kind: str) -> casadi.Function:
         }[kind]()
     out = value + numbers[-1] * ca.sumsqr(step)
     return ca.Function("form", [x, numbers], [ca.cse(ca.densify(out))])
+
+
+def _with_slopes(graph: partial[casadi.Function]) -> casadi.Function:
+    """The form and its derivatives by q and dq, by reverse differentiation."""
+    import casadi as ca
+
+    form = graph()
+    x, p = ca.SX.sym("x", form.size1_in(0)), ca.SX.sym("p", form.size1_in(1))
+    value = form(x, p)
+    out = ca.vertcat(value, ca.gradient(value, x))
+    return ca.Function("slopes", [x, p], [ca.cse(ca.densify(out))])
 
 
 def _rows(matrix: casadi.SX) -> list[list[Any]]:

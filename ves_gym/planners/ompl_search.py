@@ -24,8 +24,9 @@ from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError, require_choice
 from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.hotspot import feasible_part, resample
-from ves_gym.planners.ompl_worker import ALGORITHMS, PathSearchResult, Request, speed_limits
+from ves_gym.planners.ompl_worker import ALGORITHMS, PathSearchResult, Request
 from ves_gym.planners.query import NoPlan, Query, broken_limit, require_possible
+from ves_gym.planners.search_costs import speed_limits
 
 OBJECTIVES = {
     "q": "coupling length on raw Q (thesis 4.2)",
@@ -48,6 +49,7 @@ class Ompl:
     algorithm: str = "bitstar"
     evaluations: int = 5000  # budget of edge costs; repeatable, unlike seconds
     seconds: float = 30.0
+    relax: bool = True  # half of the budget takes what was found to a minimum near it
 
     def __post_init__(self) -> None:
         require_choice(self, "objective", tuple(OBJECTIVES))
@@ -81,7 +83,9 @@ class Ompl:
         require_possible(query)
         result = self.search(query, seed)
         assert result.path is not None
-        motion, share = time_path(query, result.path)
+        motion, share = result.motion, 1.0
+        if motion is None:
+            motion, share = time_path(query, result.path)
         hurried = broken_limit(query, motion) is not None and self.objective != "time"
         if hurried:  # no time for this path: the fastest is the next best
             fast = replace(self, objective="time").search(query, seed)
@@ -91,6 +95,8 @@ class Ompl:
             "objective": self.objective,
             "algorithm": self.algorithm,
             "cost": result.cost,
+            "searched": result.searched,  # cost before relaxation
+            "bound": result.bound,  # no path costs less
             "evaluations": result.evaluations,
             "checks": result.checks,
             "curve": [list(point) for point in result.curve],
@@ -120,6 +126,7 @@ class Ompl:
             seed=seed,
             evaluations=self.evaluations,
             seconds=self.seconds,
+            relax=self.relax,
         )
         result = SEARCH_PROCESS.request(request, self.seconds + _GRACE)
         if result.path is None:

@@ -11,7 +11,7 @@ import math
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
@@ -20,13 +20,15 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.metric import Metric
 from ves_gym.planners.obstacles import RESOLUTION, collisions
-from ves_gym.planners.prediction import MeanEnergy
 from ves_gym.planners.query import Query
+from ves_gym.planners.search_costs import cost_of
 
 CHECKPOINTS = 20  # of the anytime curve
 _CHECKS = 5  # validity checks allowed per cost evaluation of the budget
+_GUESSES = 20  # lower bounds likewise
+_SEARCHED = 0.5  # of the budget, where the rest goes to relaxing what the search found
+_PROVEN = 1 + 1e-9  # times the lower bound: a cost that cannot be improved
 _SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from the straight line that are judged
 _ORPHAN = 60.0  # s beyond its time after which a search that nobody kills ends by itself
 _OVERRUN = 1.5  # of the budget, after which a planner that does not stop is stopped
@@ -52,6 +54,7 @@ class Request:
     seed: int
     evaluations: int  # of edge costs
     seconds: float
+    relax: bool = True  # what the search finds, in the same budget; never objective time
 
 
 class Point(NamedTuple):
@@ -71,6 +74,9 @@ class PathSearchResult:
     curve: tuple[Point, ...]  # anytime
     evaluations: int
     checks: int  # of validity
+    bound: float = 0.0  # no path costs less; E_mean has no such bound
+    searched: float = math.nan  # cost before relaxation
+    motion: Motion | None = None  # along the path, where its timing was relaxed as well
 
 
 class BadCost(Exception):
@@ -127,17 +133,18 @@ def search(request: Request) -> PathSearchResult:
     planner.setProblemDefinition(problem)
     planner.setup()
     for k in range(CHECKPOINTS):
-        run.share = (k + 1) / CHECKPOINTS
+        run.share = run.searched * (k + 1) / CHECKPOINTS
         try:
             planner.solve(ob.PlannerTerminationCondition(run.enough))
         except _BudgetSpent:
-            run.share = 1.0
+            run.share = run.searched
         if problem.hasExactSolution():
             path = problem.getSolutionPath()
             states = (path.getState(i) for i in range(path.getStateCount()))
             run.consider(np.array([[s[j] for j in range(run.n)] for s in states]))
         if run.over:
             break
+    run.relax()
     return run.result()
 
 
@@ -147,25 +154,39 @@ class _Search:
     def __init__(self, request: Request) -> None:
         query = request.query
         self.request, self.n = request, query.system.arm.n
-        self.edge, self.price = _costs(query, request.objective)
+        self.cost = cost_of(query, request.objective)
         self.shares = _SHARES if request.objective == "energy" else (1.0,)
         self.begin = time.perf_counter()
         self.share = 0.0  # of the budget that may be used now
-        self.evaluations = self.checks = 0
-        self.best: tuple[float, Array] | None = None
+        self.evaluations = self.checks = self.guesses = 0
+        # breaks limits, cost, path, motion if that was relaxed as well
+        self.best: tuple[bool, float, Array, Motion | None] | None = None
+        self.paths: list[Array] = []  # as the search found them, latest last
         self.curve: list[Point] = []
+        relaxes = request.relax and self.cost.relaxes
+        self.searched = _SEARCHED if relaxes else 1.0
+        self.cost_searched = math.nan
+        self.bound = self.cost.floor()
 
     @property
     def used(self) -> float:
         """Share of the budget used up; alike on every machine until the time is up."""
         request = self.request
-        work = max(self.evaluations, self.checks / _CHECKS) / request.evaluations
         late = time.perf_counter() - self.begin > request.seconds
-        return math.inf if late else work
+        return math.inf if late else self._work / request.evaluations
+
+    @property
+    def _work(self) -> float:
+        """Effort in cost evaluations."""
+        return max(self.evaluations, self.checks / _CHECKS, self.guesses / _GUESSES)
 
     @property
     def over(self) -> bool:
-        return self.share >= 1.0 or self.used >= 1.0
+        return self.share >= self.searched or self.used >= self.searched or self._proven
+
+    @property
+    def _proven(self) -> bool:
+        return self.best is not None and self.best[1] <= _PROVEN * self.bound
 
     def enough(self) -> bool:
         return self.used >= self.share
@@ -193,8 +214,11 @@ class _Search:
         return Validity(information)
 
     def objective(self, ob: Any, information: Any) -> Any:
-        search, n, edge = self, self.n, self.edge
-        identity = ob.Cost(0.0)
+        search, n, cost = self, self.n, self.cost
+        identity, joints = ob.Cost(0.0), range(n)
+
+        def configuration(state: Any) -> Array:
+            return np.array([state[i] for i in joints])
 
         # of the class itself: costs of a subclass of StateCostIntegralObjective are ignored
         class Coupling(ob.OptimizationObjective):
@@ -204,37 +228,66 @@ class _Search:
             def motionCost(self, a: Any, b: Any) -> Any:
                 search.evaluations += 1
                 search.stop_if_overrun()
-                start = np.array([a[i] for i in range(n)])
-                return ob.Cost(require_cost(edge(start, np.array([b[i] for i in range(n)]))))
+                return ob.Cost(require_cost(cost.edge(configuration(a), configuration(b))))
 
             def motionCostHeuristic(self, a: Any, b: Any) -> Any:
-                return identity
+                search.guesses += 1
+                return ob.Cost(cost.bound([a[i] for i in joints], [b[i] for i in joints]))
 
         return Coupling(information)
 
     def stop_if_overrun(self) -> None:
         """Leave a planner that looks at its termination condition too seldom."""
-        work = max(self.evaluations, self.checks / _CHECKS)
-        if work > _OVERRUN * self.request.evaluations + 1000:
+        if self._work > _OVERRUN * self.searched * self.request.evaluations + 1000:
             raise _BudgetSpent
 
     def consider(self, path: Array) -> None:
         """Keep the better path, and a point of the curve.
 
         For a cost that is not a sum over edges, also what lies between the path and the
-        straight line, where that is clear.
+        straight line, where that is clear; and a motion that keeps the limits is better than
+        one that breaks them.
+
+        Args:
+            path: (k, n) way-points [rad].
         """
+        self.paths.append(path)
         straight = straight_counterpart(path)
         for share in self.shares:
             candidate = straight + share * (path - straight)
             candidate[[0, -1]] = path[[0, -1]]  # not to rounding only
-            if share < 1.0 and not self._clear(candidate):
-                continue
-            cost = require_cost(self.price(candidate))
-            if self.best is None or cost < self.best[0]:
-                self.best = cost, candidate
-        spent, least = time.perf_counter() - self.begin, self.best[0] if self.best else math.inf
+            self._judge(candidate, clear=share == 1.0)
+        self._note()
+
+    def _note(self) -> None:
+        spent, least = time.perf_counter() - self.begin, self.best[1] if self.best else math.inf
         self.curve.append(Point(spent, self.evaluations, least))
+
+    def _judge(self, path: Array, motion: Motion | None = None, *, clear: bool) -> None:
+        value = require_cost(self.cost.value(path, motion))
+        if self.best is not None and not self.best[0] and value >= self.best[1]:
+            return  # no better, whether or not it keeps the limits
+        if not (clear or self._clear(path)):
+            return
+        broken = self.cost.breaks(path, motion)
+        if self.best is None or (broken, value) < self.best[:2]:
+            self.best = broken, value, path, motion
+
+    def relax(self) -> None:
+        """Take the paths found and the straight line down to minima near them."""
+        if self.best is None or self.evaluations == 0 or self.searched == 1.0 or self._proven:
+            return
+        request, self.cost_searched = self.request, self.best[1]
+        starts = [self.best[2], np.array(request.query.ends), *self.paths[::-1]]
+        left = request.evaluations - math.ceil(self._work)
+        self.share = 1.0
+        for relaxed in self.cost.relax(_different(starts), request.seed, left):
+            self.evaluations += relaxed.evaluations
+            self.checks += relaxed.checks
+            self._judge(relaxed.path, relaxed.motion, clear=False)
+            self._note()
+            if self.used >= 1.0:
+                return
 
     def _clear(self, path: Array) -> bool:
         query = self.request.query
@@ -245,15 +298,27 @@ class _Search:
             np.linspace(a, b, 2 + int(gap))
             for a, b, gap in zip(path[:-1], path[1:], gaps, strict=True)
         ]
-        return (
-            collisions(query.system, query.surroundings).first_contact(np.vstack(fine)) is None
-        )
+        checker = collisions(query.system.ideal(), query.surroundings)
+        return checker.first_contact(np.vstack(fine)) is None
 
     def result(self) -> PathSearchResult:
-        cost, path = self.best or (math.nan, None)
+        _, cost, path, motion = self.best or (True, math.nan, None, None)
         if path is not None and len(path) > 2 and self.evaluations == 0:
             raise BadCost(f"{self.request.algorithm} never asked for the cost")
-        return PathSearchResult(path, cost, tuple(self.curve), self.evaluations, self.checks)
+        effort = self.evaluations, self.checks
+        searched = cost if math.isnan(self.cost_searched) else self.cost_searched
+        return PathSearchResult(
+            path, cost, tuple(self.curve), *effort, self.bound, searched, motion
+        )
+
+
+def _different(paths: Sequence[Array]) -> list[Array]:
+    """Each path once, in order."""
+    out: list[Array] = []
+    for path in paths:
+        if not any(np.array_equal(path, known) for known in out):
+            out.append(path)
+    return out
 
 
 def require_cost(cost: float) -> float:
@@ -269,46 +334,3 @@ def straight_counterpart(path: Array) -> Array:
     u = (length / max(length[-1], 1e-300))[:, None]
     out: Array = path[0] + u * (path[-1] - path[0])
     return out
-
-
-def _costs(
-    query: Query, objective: str
-) -> tuple[Callable[[Array, Array], float], Callable[[Array], float]]:
-    """Cost of an edge, which the search adds up, and of a whole path, which decides."""
-    if objective == "time":
-        speed = speed_limits(query)
-
-        def edge(a: Array, b: Array) -> float:
-            return float(np.max(np.abs(b - a) / speed))
-
-        return edge, lambda path: fastest(path, speed)
-    if objective == "q":
-        metric = Metric(query.system, "q")
-    else:
-        metric = Metric(query.system, "qt", query.duration)
-    return metric.edge, _timed_energy(query) if objective == "energy" else metric.length
-
-
-def speed_limits(query: Query) -> Array:
-    """(n,) of the query, or of the arm where it has none [rad/s]."""
-    return query.system.arm.column("v_max") if query.v_max is None else np.array(query.v_max)
-
-
-def fastest(path: Array, speed: Array) -> float:
-    """Time a path takes with one joint at its speed limit throughout.
-
-    Args:
-        path: (k, n) way-points [rad].
-        speed: (n,) limits [rad/s].
-
-    Returns:
-        The time [s].
-    """
-    return float(np.sum(np.max(np.abs(np.diff(path, axis=0)) / speed, axis=1)))
-
-
-def _timed_energy(query: Query) -> Callable[[Array], float]:
-    """Predicted E_mean [J] of way-points (k, n) passed in the query's time."""
-    start, goal = query.ends
-    form = MeanEnergy(query.system, (start + goal) / 2, query.duration, query.servo)
-    return lambda path: form.of(Motion.through(path, query.duration))

@@ -18,7 +18,7 @@ import scipy.optimize
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.direct import Minimum, MotionProblem, minimise
+from ves_gym.planners.direct import Minimum, MotionProblem, minimise, rank
 from ves_gym.planners.ompl_search import Ompl, time_path
 from ves_gym.planners.query import NoPlan, Query, broken_limit, require_possible
 
@@ -67,7 +67,7 @@ class Refined:
         starts, why = [problem.straight], None
         for objective in ("time", "qt"):
             try:
-                result = Ompl(objective=objective).search(query, seed)
+                result = Ompl(objective=objective, relax=False).search(query, seed)
             except NoPlan as error:
                 why = error
             else:
@@ -140,7 +140,7 @@ def refine_duration(
         timed_query = replace(query, duration=float(duration))
         problem = MotionProblem(timed_query, free)
         starts = [problem.straight, problem.of(start)]
-        best = min((minimise(problem, x, 40, _COARSE) for x in starts), key=_rank)
+        best = min((minimise(problem, x, 40, _COARSE) for x in starts), key=rank)
         value = best.energy + price * duration if _is_feasible(best) else math.inf
         results[float(duration)] = value, problem.motion(best.x)
         return value
@@ -206,7 +206,7 @@ def _best(
     """
     first = problem if compared is None else compared
     looks = [minimise(first, x, _FIRST_LOOK, _COARSE) for x in starts]
-    order = sorted(range(len(looks)), key=lambda i: _rank(looks[i]))
+    order = sorted(range(len(looks)), key=lambda i: rank(looks[i]))
     best: tuple[Motion, Minimum, int] | None = None
     stands = False
     for k in order[: max(1, sum(map(_is_feasible, looks)))]:
@@ -237,9 +237,4 @@ def _best(
 
 
 def _is_feasible(minimum: Minimum) -> bool:
-    return minimum.excess <= 1e-4
-
-
-def _rank(minimum: Minimum) -> tuple[float, float]:
-    """Motions that keep the limits first, by energy; then by what they break."""
-    return (0.0, minimum.energy) if _is_feasible(minimum) else (minimum.excess, minimum.energy)
+    return rank(minimum)[0] == 0.0
