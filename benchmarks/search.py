@@ -12,6 +12,7 @@ import argparse
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.optimize
@@ -36,7 +37,7 @@ BENDS = 0.7, 0.35  # rad: random half and full sine waves on every joint
 def referee(
     query: Query,
     inner: int,
-    cost: Callable[[np.ndarray], object],
+    cost: Callable[[np.ndarray], Any],
     exact: bool,
     budget: int,
     seed: int,
@@ -66,7 +67,7 @@ def referee(
         first = cost(x0)
         scale = first[0] if exact else first
 
-        def scaled(x: np.ndarray, scale: float = scale) -> object:
+        def scaled(x: np.ndarray, scale: float = scale) -> Any:
             value = cost(x)
             return (value[0] / scale, value[1] / scale) if exact else value / scale
 

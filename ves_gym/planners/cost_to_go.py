@@ -26,8 +26,8 @@ from scipy.stats import qmc
 
 from ves_gym._util.params import Array
 from ves_gym.engine.kernel.maps import InertiaMap
+from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import natural_modes
-from ves_gym.planners.coupling import blocks
 from ves_gym.planners.metric import Metric
 from ves_gym.system.system import System
 
@@ -135,14 +135,14 @@ def least_weight(system: System, duration: float | None) -> Array:
 
 def _weights(system: System, q: Array, duration: float | None) -> Array:
     """G (..., b, b): the square of a step's length is (H dq)^T G (H dq), or for Q_T more."""
-    base = system.base
-    Mt = blocks(system, q, base).Mt
-    if not base.K.any():
+    M, _, K = system.base.condensed()  # as the metric has it
+    Mt = inertia(system.arm, q)[..., : len(M), : len(M)] + M
+    if not K.any():
         return np.asarray(np.linalg.inv(Mt), float)
     if duration is None:
         inverse = np.linalg.inv(Mt)
-        return np.asarray(inverse @ base.K @ inverse, float)
-    m = natural_modes(base.K, Mt)
+        return np.asarray(inverse @ K @ inverse, float)
+    m = natural_modes(K, Mt)
     weight = m.omega * _least_spectrum(m.omega * duration)
     rows = weight[..., :, None] * np.swapaxes(m.shapes, -1, -2)
     return np.asarray(np.swapaxes(rows, -1, -2) @ rows, float)
