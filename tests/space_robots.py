@@ -27,11 +27,12 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Body:
-    """Mass [kg], centre of mass in the link's frame [m], principal moments there [kg m^2]."""
+    """Mass [kg], centre of mass in the link's frame [m], inertia there [kg m^2]."""
 
     mass: float
     com: Triple
     moments: Triple
+    products: Triple = (0.0, 0.0, 0.0)  # xy, xz, yz: off the matrix's diagonal, with its sign
 
 
 @dataclass(frozen=True)
@@ -87,10 +88,11 @@ def _text(values: Triple) -> str:
 
 def _link(name: str, body: Body) -> str:
     xx, yy, zz = body.moments
+    xy, xz, yz = body.products
     return (
         f'<link name="{name}"><inertial><origin xyz="{_text(body.com)}"/>'
         f'<mass value="{body.mass!r}"/><inertia ixx="{xx!r}" iyy="{yy!r}" izz="{zz!r}"'
-        ' ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        f' ixy="{xy!r}" ixz="{xz!r}" iyz="{yz!r}"/></inertial></link>'
     )
 
 
@@ -143,6 +145,43 @@ PLANAR = Robot(
 PLANAR_Q = np.array([0.5, -0.9, 1.2, -0.4])  # rad
 GOAL = np.array([-0.30, 0.40, 0.20])  # of the tool, in inertial axes: m, m, rad
 STEPS = 100  # of the fourth-order Runge-Kutta method, over the whole motion
+
+# ETS-VII: geometry of Yoshida, Int. J. Robotics Research 22 (2003), masses and inertias of
+# Yoshida and Abiko (AIAA Guidance, Navigation and Control 2002), as transcribed in
+# github.com/vyas-shubham/TraceableRobotModels, whose author chose the centres of mass.
+ETS_VII = Robot(
+    base=Body(2550.0, (0.0, 0.0, 0.0), (6200.0, 3540.0, 7090.0), (48.2, 78.5, -29.2)),
+    places=(
+        ((-0.79, -0.29, 1.0), (0.0, 0.0, 3.1416)),
+        ((0.0, -0.275, 0.35), (-1.570796, 0.0, 0.0)),
+        ((0.0, -0.87, 0.0), (0.0, 0.0, 0.0)),
+        ((-0.63, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ((0.0, 0.0, 0.26), (1.5708, 0.0, 0.0)),
+        ((0.0, 0.0, 0.28), (0.0, -1.5708, 0.0)),
+    ),
+    links=(
+        Body(35.0, (0.0, 0.0, 0.175), (0.25, 0.25, 1.69)),
+        Body(22.5, (0.0, -0.435, 0.0), (0.1, 1.31, 3.75)),
+        Body(21.9, (-0.275, 0.0, 0.0), (0.1, 0.71, 2.53)),
+        Body(16.5, (0.0, 0.0, 0.1335), (0.15, 0.15, 0.073)),
+        Body(26.0, (0.0, 0.0, 0.1385), (0.15, 0.15, 0.13)),
+        Body(18.5, (0.0, 0.0, 0.133), (0.97, 0.97, 0.26)),
+    ),
+    tip=(0.0, 0.0, 0.53),
+    end=None,
+)
+ETS_VII_Q = np.array([0.5, 0.9, -1.2, 0.4, 0.8, 0.3])  # rad
+
+
+def possible(robot: Robot) -> Robot:
+    """The robot with each link's largest moment no larger than the sum of the others."""
+
+    def cut(body: Body) -> Body:
+        small, middle, _ = sorted(body.moments)
+        x, y, z = (min(k, small + middle) for k in body.moments)
+        return replace(body, moments=(x, y, z))
+
+    return replace(robot, links=tuple(cut(body) for body in robot.links))
 
 
 class Spart:
@@ -250,6 +289,8 @@ def main() -> None:
     print("forces", repr(chaser.forces(TURN, Q, u, u / 10)))
     print("accelerations", repr(chaser.accelerations(TURN, Q, u, 10 * u)))
     print("generalised Jacobian", repr(planar.jacobian(PLANAR_Q)[[3, 4, 2]]))
+    ets = Spart(possible(ETS_VII).urdf())
+    print("ETS-VII, attitude per joint rates", repr(ets.response(ETS_VII_Q)[:3]))
     print("resolved motion", repr(planar_motion(planar.jacobian, planar.response)[-1]))
 
 

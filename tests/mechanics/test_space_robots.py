@@ -8,6 +8,8 @@ import pytest
 
 from tests.space_robots import (
     CHASER,
+    ETS_VII,
+    ETS_VII_Q,
     GOAL,
     PLANAR,
     PLANAR_Q,
@@ -18,12 +20,15 @@ from tests.space_robots import (
     Robot,
     Spart,
     planar_motion,
+    possible,
 )
+from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Arm, Inertial, diagonal
 from ves_gym.mechanics.dynamics import frames, inertia, newton_euler
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Satellite
+from ves_gym.planners.reaction_null import reaction_null_path
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
@@ -64,6 +69,14 @@ RESOLVED = [
     *(1.192437353563027, -0.513051945942599, 1.171610260013284, -0.710133703615197),
     *(0.009585915791239, -0.010581677534099, -0.540861963518515),
 ]  # joints, then base: x, y, angle
+ATTITUDE = [
+    *(-6.422455936524974e-03, -6.903215547732604e-03, 1.898682214524075e-03),
+    *(-1.288316028180026e-03, 2.002417601632193e-04, -1.022507597594331e-05),
+    *(2.146601778167543e-03, 2.416391330554270e-02, -1.063895915578136e-02),
+    *(3.549954556973543e-03, 1.161745749140149e-03, -6.178635333437594e-05),
+    *(-4.151820303575435e-03, -1.465007923499175e-03, 1.222605068560298e-04),
+    *(-1.909866437995525e-04, -2.866135669905545e-05, -1.865221682968969e-06),
+]  # ETS-VII: rad/s of the base per rad/s, axis by axis
 
 U = np.concatenate([RATE[:6], RATE])
 
@@ -139,6 +152,16 @@ def jacobian(arm, q, R):
     return np.concatenate([turning + R @ axes.T, linear])
 
 
+def free(arm):
+    """The robot as this package simulates it: the base link is the vehicle."""
+    nothing = Inertial(mass=0.0, com=(0.0, 0.0, 0.0), inertia=diagonal(0.0, 0.0, 0.0))
+    return System(
+        arm=dataclasses.replace(arm, base=nothing),
+        vehicle=Satellite(body=arm.base, source="elsewhere"),
+        drive="prescribed",
+    )
+
+
 def close(ours, theirs, digits):
     assert np.abs(ours - theirs).max() <= 10.0**-digits * np.abs(theirs).max()
 
@@ -161,13 +184,7 @@ def test_resolved_motion_in_simulation(arm):
     planar = arm(PLANAR)
     path = planar_motion(lambda *at: jacobian(planar, *at), lambda *at: response(planar, *at))
     close(path[-1], np.array(RESOLVED), 7)
-    nothing = Inertial(mass=0.0, com=(0.0, 0.0, 0.0), inertia=diagonal(0.0, 0.0, 0.0))
-    system = System(
-        arm=dataclasses.replace(planar, base=nothing),
-        vehicle=Satellite(body=planar.base, source="SPART"),
-        drive="prescribed",
-    )
-    run = play_motions(system, [Motion.fit(path[:, :4], 5.0)], settle=0.0)
+    run = play_motions(free(planar), [Motion.fit(path[:, :4], 5.0)], settle=0.0)
     y, q = run.y[0], run.q[0]
     tool = np.array(
         [
@@ -185,10 +202,29 @@ def test_resolved_motion_in_simulation(arm):
     assert np.abs(y[:, 5]).max() > 0.5  # the base did turn: 31 deg
 
 
+def test_zero_reaction_manoeuvre_of_ets_vii(arm):
+    """The satellite keeps its attitude; straight between the same ends it does not."""
+    ets = arm(possible(ETS_VII))
+    close(response(ets, ETS_VII_Q, np.eye(3))[:3].ravel(), ATTITUDE, 11)
+    system = free(ets)
+    path = reaction_null_path(system, ETS_VII_Q, np.eye(6)[2], length=2.0, attitude=True)
+    assert np.abs(path[-1] - path[0]).max() > 1.0
+    motions = [Motion.through(path, 20.0), Motion.straight(path[0], path[-1], 20.0)]
+    run = play_motions(system, motions, settle=0.0, record_dt=0.1)
+    along, straight = np.rad2deg(np.abs(run.y[:, :, 3:]).max(axis=(1, 2)))
+    assert along < 1e-5
+    assert straight > 0.2
+
+
+def test_inertias_of_ets_vii_as_transcribed_are_refused(arm):
+    with pytest.raises(ParameterError, match=r"'body1'.*rigid body.*1\.69"):
+        arm(ETS_VII)
+
+
 def test_spartpy(spart, arm):
     """Everything again, entry by entry and in other configurations, from SPARTpy itself."""
     rng = np.random.default_rng(0)
-    for robot in (CHASER, PLANAR):
+    for robot in (CHASER, PLANAR, possible(ETS_VII)):
         ours, theirs = arm(robot), spart(robot.merged().urdf())
         whole = spart(robot.urdf())  # the end body on its fixed joint
         without = arm(dataclasses.replace(robot, end=None))
