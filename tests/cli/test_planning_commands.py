@@ -48,6 +48,15 @@ def test_the_search_is_as_asked(call):
     assert 350 <= result["info"]["evaluations"] < 1200  # half of them search
 
 
+def test_benchmark_asks_any_arm(call):
+    options = ("--planners", "straight", "--first", "1", "--durations", "2", "--workers", "1")
+    status, _, _, result = call("benchmark", "--arm", "iiwa14", *options, "--no-figures")
+    assert status == 0
+    (row,) = result["rows"]
+    assert row["success"] and row["query"] == "reach-2s-000"
+    assert "iiwa" in result["systems"]["bent"]["description"]
+
+
 def test_benchmark_shows_why_a_planner_refuses(call):
     words = ("benchmark", "--vehicle", "free-floating", "--first", "1", "--durations", "2")
     words += (

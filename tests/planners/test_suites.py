@@ -9,6 +9,7 @@ from tests.arms import planar_arm, seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError, content_hash, write_table
 from ves_gym.effects import GravityScale, SensorLag
 from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT, DECOUPLED, STRAIGHT_HORIZONTAL
@@ -119,6 +120,17 @@ def test_reach100_asks_any_arm(make):
         assert (np.abs([start - middle, goal - middle]) <= reach_range(arm)).all()
         peak = np.abs(goal - start) * QUINTIC_PEAK_SPEED / q.duration
         assert (peak <= arm.column("v_max")).all()
+
+
+@pytest.mark.parametrize("name", arm_names())
+def test_reach100_asks_every_arm_that_comes_with_the_package(name):
+    """With its own servo gains; nearly every straight line is feasible."""
+    arm = get_arm(name)
+    suite = reach100(System(arm=arm), "bent", 3)
+    assert [q.duration for _, q in suite.queries[::3]] == list(reach_durations(arm))
+    assert all(len(q.servo.kp) == arm.n for _, q in suite.queries)
+    slow = [q for _, q in suite.queries if q.duration >= 2 * reach_durations(arm)[0]]
+    assert np.mean([is_feasible(q, q.straight) for q in slow]) > 0.7
 
 
 def test_the_box_of_reach100_is_cut_to_whole_multiples_of_60_degrees():
