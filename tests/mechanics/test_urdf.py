@@ -412,3 +412,14 @@ def test_the_file_is_left_alone(write):
     before = path.read_text()
     Arm.from_urdf(path)
     assert path.read_text() == before and ET.fromstring(before).tag == "robot"
+
+
+def test_friction_that_no_step_resolves_is_left_out_and_said(write):
+    light = inertial(0.01, (1e-6, 1e-6, 1e-6))
+    rub = '<dynamics damping="10" friction="1"/>'
+    arm = Arm.from_urdf(write(two(second=light, extra=rub)))
+    assert arm.links[1].damping is None and arm.links[1].friction is None
+    assert "damping and friction left out of elbow" in arm.source
+    rotor = rub.replace("/>", ' armature="2"/>')
+    kept = Arm.from_urdf(write(two(second=light, extra=rotor)))
+    assert (kept.links[1].damping, kept.links[1].friction) == (10.0, 1.0)

@@ -48,6 +48,12 @@ def require_alike(template: System, other: System, which: str) -> None:
     kinds = tuple([e.kind for e in s.effects] for s in (template, other))
     if kinds[0] != kinds[1]:
         refuse("the kinds of effects", *(", ".join(k) or "none" for k in kinds))
+    rubs = tuple(
+        tuple(any(getattr(k, name) for k in s.arm.links) for name in ("damping", "friction"))
+        for s in (template, other)
+    )
+    if rubs[0] != rubs[1]:
+        refuse("damping and friction of the arm", *rubs)
     if other.arm is not template.arm:
         if other.arm.n != template.arm.n:
             refuse("number of joints", template.arm.n, other.arm.n)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -324,6 +324,18 @@ class Arm:
         """(3, 3) of the tool in the last link's frame."""
         c, s = math.cos(self.tool_angle or 0.0), math.sin(self.tool_angle or 0.0)
         return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).round(15)
+
+    @property
+    def rubs(self) -> bool:
+        """True if a link has damping or friction."""
+        return any(link.damping or link.friction for link in self.links)
+
+    def without_friction(self) -> Arm:
+        """Return the arm without damping and friction of its links (itself, if it has none)."""
+        if not self.rubs:
+            return self
+        links = tuple(replace(link, damping=None, friction=None) for link in self.links)
+        return replace(self, links=links)
 
     @property
     def geared(self) -> tuple[int, ...]:

@@ -17,6 +17,8 @@ ENDLESS = 2 * math.pi  # rad either way, the range taken for a joint without lim
 _ZERO = 1e-13  # m, rad: rounding of a file's angles
 _SPEED = math.pi  # rad/s, v_max where a file gives none
 _PACE = 20.0  # 1/s, a_max over v_max at most, where a file gives none; the PUMA has 7 to 19
+_CREEP = 0.01  # rad/s over which Coulomb friction builds up (`joint/coulomb`)
+_DECAY = 400.0  # 1/s, the fastest that a joint's friction may be: rk4 at 1.25 ms takes 2200
 _PUSH = 10.0  # rad/s^2 that tau_max gives the largest inertia, where a file gives none
 # Numbers beyond these look like mm, g and kg mm^2 (this project).
 _REACH = 100.0  # m
@@ -329,8 +331,25 @@ def _with_limits(arm: Arm, joints: list[Joint]) -> Arm:
         if missing:
             where = "" if len(missing) == len(joints) else f" of {', '.join(missing)}"
             notes.append(f"{field_name}{where} not given, taken: {text}")
+    too_fast = _too_fast(arm)
+    for i in too_fast:
+        links[i] = replace(links[i], damping=None, friction=None)
+    if too_fast:
+        names = ", ".join(joints[i].name for i in too_fast)
+        notes.append(f"damping and friction left out of {names}: on links so light, without a"
+                     " rotor, they act faster than a physics step")  # fmt: skip
     source = "; ".join([arm.source, *notes])
     return replace(arm, links=tuple(links), source=source)
+
+
+def _too_fast(arm: Arm) -> list[int]:
+    """Joints whose friction brakes what they move faster than a physics step resolves."""
+    rubbing = [(k.damping or 0.0) + (k.friction or 0.0) / _CREEP for k in arm.links]
+    if not any(rubbing):
+        return []
+    H = inertia(arm, drawn_configurations(arm))[:, 6:, 6:]
+    felt = 1 / np.diagonal(np.linalg.inv(H), axis1=1, axis2=2).max(axis=0)
+    return [i for i, (c, J) in enumerate(zip(rubbing, felt, strict=True)) if c > _DECAY * J]
 
 
 def _down(value: float) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
@@ -27,7 +28,8 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.arm import Arm, Capsule
+from ves_gym.mechanics.dynamics import drawn_configurations
 from ves_gym.mechanics.vehicle import Beam, FlexibleBase
 from ves_gym.system.system import System
 
@@ -217,6 +219,8 @@ def _model(system: System, surroundings: Surroundings) -> Any:
     platform, plate = spec.body("platform"), (0, 0, -_PLATFORM[1])
     under = _AROUND + 1  # meets every link but the first, which stands on it
     _rod(platform, "platform", "CYLINDER", plate, (0, 0, 0), _PLATFORM[0] * r, under)
+    for k, capsule in enumerate(arm.base_shape or (), start=1):
+        _add_capsule(platform, f"base {k}", capsule, np.eye(3), np.zeros(3), under)
     if system.base.body is not None:
         _add_satellite(spec, system.base.body, under)
     if isinstance(system.vehicle, (Beam, FlexibleBase)):
@@ -235,7 +239,29 @@ def _model(system: System, surroundings: Surroundings) -> Any:
                  quat=_quaternion(obstacle.angles))  # fmt: skip
     for a, b in _too_close(arm):
         spec.add_exclude(bodyname1=f"link_{a + 1}", bodyname2=f"link_{b + 1}")
+    if any(link.shape is not None for link in arm.links):
+        for one, other in _mostly_overlapping(spec.compile(), arm):
+            spec.add_exclude(bodyname1=one, bodyname2=other)
     return spec.compile()
+
+
+def _mostly_overlapping(model: Any, arm: Arm) -> list[tuple[str, str]]:
+    """Bodies of the arm that overlap in most configurations: capsules hold shapes loosely."""
+    from ves_gym._util.mujoco_loader import mujoco
+
+    data, counts = mujoco.MjData(model), Counter[tuple[str, str]]()
+    own = {"platform", *(f"link_{i + 1}" for i in range(arm.n))}
+    drawn = drawn_configurations(arm)
+    for q in drawn:
+        data.qpos[:] = 0.0
+        data.qpos[6 : 6 + arm.n] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        bodies = model.geom_bodyid[data.contact.geom[data.contact.dist < 0]]
+        pairs = {tuple(sorted(pair)) for pair in bodies.tolist()}
+        names = [tuple(model.body(k).name for k in pair) for pair in pairs]
+        counts.update((a, b) for a, b in names if a in own and b in own)
+    return [pair for pair, count in counts.items() if 2 * count > len(drawn)]
 
 
 def _add_arm(spec: Any, arm: Arm) -> None:
@@ -244,16 +270,33 @@ def _add_arm(spec: Any, arm: Arm) -> None:
         raise ParameterError(f"collisions know {_AROUND - 1} links, got {arm.n}")
     for i, link in enumerate(arm.links):
         body, r = spec.body(f"link_{i + 1}"), link_radius(arm, i)
-        knee, end = (0.0, 0.0, link.d), (link.a, 0.0, link.d)
-        parts = [((0.0, 0.0, 0.0), knee)] if abs(link.d) > 1e-6 else []
-        parts += [(knee, end)] if abs(link.a) > 1e-6 else []
         # meets what surrounds it and every link before it but its neighbour
         affinity = (1 << _AROUND) | ((1 << (_AROUND + 1)) if i else 0)
         affinity |= sum(1 << j for j in range(i - 1))
+        if link.shape is not None:
+            R, p = link.far_end
+            for k, capsule in enumerate(link.shape):
+                name = f"link {i + 1}" + "'" * k
+                _add_capsule(body, name, capsule, R, p, i, affinity)
+            continue
+        knee, end = (0.0, 0.0, link.d), (link.a, 0.0, link.d)
+        parts = [((0.0, 0.0, 0.0), knee)] if abs(link.d) > 1e-6 else []
+        parts += [(knee, end)] if abs(link.a) > 1e-6 else []
         for k, (a, b) in enumerate(parts):
             _rod(body, f"link {i + 1}" + "'" * k, "CAPSULE", a, b, r, i, affinity)
         if i == arm.n - 1:
             _add(body, "tool", "SPHERE", i, affinity, pos=end, size=[1.1 * r, 0, 0])
+
+
+def _add_capsule(
+    body: Any, name: str, capsule: Capsule, R: Array, p: Array, bit: int, affinity: int = 0
+) -> None:
+    """A capsule whose frame is turned by R (3, 3) and moved by p (3,) in the body's."""
+    a, b = (p + R @ np.array(k) for k in (capsule.start, capsule.end))
+    if np.array_equal(a, b):
+        _add(body, name, "SPHERE", bit, affinity, pos=a, size=[capsule.radius, 0, 0])
+    else:
+        _rod(body, name, "CAPSULE", a, b, capsule.radius, bit, affinity)
 
 
 def _too_close(arm: Arm) -> list[tuple[int, int]]:
@@ -262,6 +305,8 @@ def _too_close(arm: Arm) -> list[tuple[int, int]]:
     for i in range(arm.n):
         for j in range(i + 2, arm.n):
             between = sum(math.hypot(k.a, k.d) for k in arm.links[i + 1 : j])
+            if any(arm.links[k].shape is not None for k in (i, j)):
+                continue  # see _mostly_overlapping
             if between <= link_radius(arm, i) + link_radius(arm, j):
                 out.append((i, j))
     return out

@@ -6,6 +6,7 @@ Everything that reproduces a result is in it; `content_hash` names it.
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,7 +27,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT, VEHICLES, BaseModel, Vehicle, altered, get_vehicle
-from ves_gym.system.effect import ArmEffect, BaseEffect, Effect
+from ves_gym.system.effect import EFFECTS, ArmEffect, BaseEffect, Effect
 from ves_gym.system.emulator_settings import NOMINAL, EmulatorSettings
 
 MODES = ("ideal", "emulated")
@@ -115,6 +116,7 @@ class System:
         the remaining effects. A system without such effects is its own.
         """
         differs = any(isinstance(e, (ArmEffect, BaseEffect)) for e in self.effects)
+        differs = differs or self.arm.rubs
         return self._actual if differs else self
 
     @cached_property
@@ -126,6 +128,8 @@ class System:
             elif isinstance(effect, BaseEffect):
                 base = effect.base(base)
         others = tuple(e for e in self.effects if not isinstance(e, (ArmEffect, BaseEffect)))
+        others += _friction(arm)
+        arm = arm.without_friction()
         if base is self.base:
             return self.replace(arm=arm, effects=others)
         return self.replace(arm=arm, vehicle=altered(self.vehicle, base), effects=others)
@@ -184,3 +188,18 @@ class System:
     def load(path: str | os.PathLike[str]) -> System:
         """Read a .toml or .json file; unknown keys are an error."""
         return System.from_dict(read_table(path), str(path))
+
+
+def _friction(arm: Arm) -> tuple[Effect, ...]:
+    """The laws of the friction that an arm's links have."""
+    out: list[Effect] = []
+    for kind, name, values in (
+        ("joint/viscous", "damping", [link.damping for link in arm.links]),
+        ("joint/coulomb", "torque", [link.friction for link in arm.links]),
+    ):
+        if any(values):
+            make: Any = EFFECTS[kind]
+            _, most = make.__dataclass_fields__[name].metadata["bounds"]
+            laws = math.ceil(max(k or 0.0 for k in values) / most)  # each within its bounds
+            out += [make(**{name: tuple((k or 0.0) / laws for k in values)})] * laws
+    return tuple(out)
