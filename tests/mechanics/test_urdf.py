@@ -147,6 +147,17 @@ def test_a_chain_is_what_pinocchio_reads(write, n):
     assert with_pinocchio(path, arm, "tcp").max() < 1e-12
 
 
+@pytest.mark.parametrize("tilt", [0.0, 1e-9, 1e-6, 3.7e-6, 1e-3])
+def test_a_first_axis_that_points_all_but_down(write, tilt):
+    """Tolerance: 1e-12, rounding, also where a half turn is written as 3.1416."""
+    rng = np.random.default_rng(0)
+    hang = joint("first", "base", "upper", rpy=(math.pi - tilt, tilt, 0.1), axis=(0, 0, 1))
+    then = joint("second", "upper", "fore", rpy=(0, math.pi - tilt, 0), axis=(0, 0, 1))
+    bodies = "".join(body(rng, k) for k in ("base", "upper", "fore"))
+    path = write(f'<robot name="r">{bodies}{hang}{then}</robot>')
+    assert with_pinocchio(path, Arm.from_urdf(path), "fore").max() < 1e-12
+
+
 def test_the_weight_s_minimal_parameters_hold_for_any_axes(write):
     arm = Arm.from_urdf(write(chain(7, seed=3)))
     q = np.random.default_rng(0).normal(size=(5, 7))

@@ -210,10 +210,12 @@ def require_plausible(joints: list[Joint], tool: Array, pieces: list[Piece]) -> 
 
 
 def _upright(axis: Array) -> Array:
-    """(3, 3) smallest rotation that brings z to the axis."""
+    """(3, 3) a rotation that brings z to the axis; the smallest, where the axis points up."""
+    if axis[2] < 0:  # 1 + z would cancel
+        turned = np.diag([1.0, -1.0, -1.0])
+        out: Array = turned @ _upright(turned @ axis)
+        return out
     x, y, z = axis
-    if z < -1 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
     k = 1 / (1 + z)
     return np.array(
         [[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]]
