@@ -37,7 +37,7 @@ def test_tuned_gains_are_better_than_those_of_the_thesis(tuned):
 
 
 def test_replanning_damps_better_than_the_best_gains(tuned, replanned):
-    """Claimed: the median of forty (tests/claims); of these two each."""
+    """Claimed: the median of 24 (tests/claims); of these two each."""
     assert (replanned < 0.75 * tuned).all()
 
 

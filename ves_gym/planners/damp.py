@@ -16,12 +16,13 @@ import numpy as np
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.direct import MotionProblem, minimise
-from ves_gym.planners.query import Query, require_time
+from ves_gym.planners.query import Query, broken_limit, require_time
 
 _POINTS = 6.0  # free control points per second
 _LEAST, _MOST = 12, 60  # of them
 _COARSE, _FINE = 1e-2, 1e-3  # relative decrease of E_mean that ends an optimisation
 _ITERATIONS = 40
+_MORE = 2  # rounds after the last, while what the servo gives is still changing at a limit
 
 
 class Damp:
@@ -58,13 +59,15 @@ class Damp:
         problem = MotionProblem(query, free)
         x, motion = problem.straight, query.straight
         energies, iterations, evaluations = [], 0, 0
-        for k in range(self.rounds):
+        for k in range(self.rounds + _MORE):
             problem.follow(motion)
-            last = k + 1 == self.rounds
+            last = k + 1 >= self.rounds
             minimum = minimise(problem, x, _ITERATIONS, _FINE if last else _COARSE)
             x, motion = minimum.x, problem.motion(minimum.x)
             energies.append(minimum.energy)
             iterations += minimum.iterations
             evaluations += minimum.evaluations
+            if last and broken_limit(query, motion) is None:
+                break
         info = minimum.info() | {"iterations": iterations, "evaluations": evaluations}
         return motion, info | {"rounds": energies}
