@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,6 @@ from ves_gym.system.system import System
 
 _CLOSE, _SETTLED = 1e-12, 1e-9  # m, rad; N, N m: a trajectory that is its own linearisation
 _PASSES = 30  # at most, until it is
-_NO_BODIES: Any = None  # of arms and vehicles: the compensation asks for none
 _STIFF = 4.0  # of w^2 dt lag: from there on a command says nothing about its own wrench
 
 
@@ -265,7 +265,8 @@ def _loaded(
     stated = LoopParameters.nominal(described.arm, settings, m * copies)
     ride = _ride(run, described, start, commands)
     block = PayloadCompensation(shape, _moving(described), settings.sensor.cutoff, False)
-    numbers = block.parameters(stated, _NO_BODIES)
+    arms: Any = SimpleNamespace(mass=stated.gravity_mass)  # the block counts them
+    numbers = block.parameters(stated, arms)
     x = {k: np.zeros((m * copies, *v.shape)) for k, v in block.memory.items()}
     known = [_signals(run, taken, system, described) for system in systems]
     H = np.repeat(np.stack([k["inertia"] for k in known]), copies, axis=0)
