@@ -17,9 +17,9 @@ import pytest
 
 from ves_gym.baselines.damping import Receding, Tuned
 from ves_gym.baselines.evaluate import evaluate
-from ves_gym.envs.damp import Damp as Task
+from ves_gym.envs.damp import DampRelease as Task
 from ves_gym.mechanics.vehicle import get_vehicle
-from ves_gym.planners.damp import Damp
+from ves_gym.planners.damp import DampRelease
 from ves_gym.planners.free_vibration import simulate_free_vibration
 from ves_gym.planners.pped import plant_at, tune
 from ves_gym.planners.prediction import BaseState
@@ -50,7 +50,7 @@ def ratio_and_limits(system, q, y):
         base=BaseState(y=tuple(y.tolist())),
         v_max=tuple(system.arm.column("v_max").tolist()),
     )
-    plan = solve(Damp(), query)
+    plan = solve(DampRelease(), query)
     run = play_motions(system, [plan.motion], y=y, settle=SECONDS - MOTION, watch=True)
     strain = base_energy(system, run.q[0], run.y[0], run.yd[0], run.internal(0)).strain
     ratio = np.trapezoid(strain, run.t) / held.E_int[0]

@@ -7,7 +7,7 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.servo import HIGH_GAINS
-from ves_gym.planners.damp import Damp
+from ves_gym.planners.damp import DampRelease
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.free_vibration import simulate_free_vibration
 from ves_gym.planners.pped import GainMatrices
@@ -32,7 +32,7 @@ QUERY = Query(
 
 @pytest.fixture(scope="module")
 def plan():
-    return solve(Damp(), QUERY)
+    return solve(DampRelease(), QUERY)
 
 
 def played(motion, query=QUERY):
@@ -70,7 +70,7 @@ def test_about_a_base_at_rest_limits_are_broken_on_one_that_moves():
 
 def test_it_goes_on_from_moving_joints():
     query = replace(QUERY, start_rate=(0.2, -0.1, 0.3), goal=(0.9, 0.0, -0.2))
-    plan = solve(Damp(), query)
+    plan = solve(DampRelease(), query)
     assert plan.feasible, plan.failure
     straight = predict(SYSTEM, query.straight, HIGH_GAINS, base=RELEASED)
     assert plan.predicted.E_mean < 0.7 * straight.E_mean
@@ -78,7 +78,7 @@ def test_it_goes_on_from_moving_joints():
 
 def test_without_a_moving_base_it_is_one_more_planner():
     query = Query(system=SYSTEM, start=(0.4, -0.6, 0.9), goal=(0.9, 0.2, 0.1), duration=2.0)
-    plan = solve(Damp(), query)
+    plan = solve(DampRelease(), query)
     assert plan.feasible
     straight = predict(SYSTEM, query.straight, HIGH_GAINS)
     assert plan.predicted.E_mean < 0.5 * straight.E_mean
@@ -86,9 +86,9 @@ def test_without_a_moving_base_it_is_one_more_planner():
 
 def test_what_cannot_be_asked():
     with pytest.raises(ParameterError, match="free must be >= 1 or None, got 0"):
-        Damp(free=0)
+        DampRelease(free=0)
     with pytest.raises(ParameterError, match="rounds must be >= 1, got 0"):
-        Damp(rounds=0)
+        DampRelease(rounds=0)
     far = replace(QUERY, goal=(-2.0, 0.0, 0.0), duration=0.2)
     with pytest.raises(NoPlan, match="joint 1 needs"):
-        Damp().find(far, 0)
+        DampRelease().find(far, 0)

@@ -25,7 +25,7 @@ _ITERATIONS = 40
 _MORE = 2  # rounds after the last, while what the servo gives is still changing at a limit
 
 
-class Damp:
+class DampRelease:
     """Least E_mean of a moving base over smooth motions that end at rest."""
 
     name = "damp"

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.planners.bad_path import BadPath
-from ves_gym.planners.damp import Damp
+from ves_gym.planners.damp import DampRelease
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.hotspot import HotSpot
 from ves_gym.planners.ompl_search import OBJECTIVES, Ompl
@@ -28,7 +28,7 @@ _ALL: list[Planner] = [
     ReactionNull(),
     *(Ompl(objective=objective) for objective in OBJECTIVES),
     Direct(),
-    Damp(),
+    DampRelease(),
     Refined(),
     Refined(free=32, starts=24, name="refined-long"),  # what is best known comes from it
     Robust(),
