@@ -80,6 +80,20 @@ def _blocks(args: argparse.Namespace) -> dict[str, Rows]:
     }
 
 
+def _arms() -> Rows:
+    from ves_gym.mechanics.arm_library import arm_names, get_arm
+    from ves_gym.mechanics.servo import own_gains
+
+    out = []
+    for name in arm_names():
+        arm = get_arm(name)
+        reach = float(sum(np.hypot(link.a, link.d) for link in arm.links))
+        row = {"name": name, "joints": arm.n, "mass": f"{arm.mass:.4g} kg"}
+        row |= {"length": f"{reach:.3g} m", "servo": own_gains(arm).source}
+        out.append({**row, "source": arm.source})
+    return out
+
+
 def _vehicles() -> Rows:
     from ves_gym.mechanics.vehicle import VEHICLES
     from ves_gym.planners.coupling import modes
@@ -219,6 +233,7 @@ def _commands() -> Rows:
 
 
 KINDS: dict[str, Callable[[], Rows]] = {
+    "arms": _arms,
     "vehicles": _vehicles,
     "planners": _planners,
     "suites": _suites,

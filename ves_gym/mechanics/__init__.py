@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 from ves_gym._util.lazy import lazily as _lazily
 
 if TYPE_CHECKING:
+    from ves_gym.mechanics.arm_library import arm_names as arm_names
+    from ves_gym.mechanics.arm_library import get_arm as get_arm
     from ves_gym.mechanics.flexible_base import CornerBody as CornerBody
     from ves_gym.mechanics.flexible_base import FlexibleBase as FlexibleBase
     from ves_gym.mechanics.flexible_base import Polyline as Polyline
@@ -29,11 +31,15 @@ __all__ = [
     "Section",
     "Strut",
     "Tube",
+    "arm_names",
+    "get_arm",
     "minimal_model",
     "read_structure",
 ]
 
 _HOMES = {
+    "arm_names": "arm_library",
+    "get_arm": "arm_library",
     "BENT": "vehicle",
     "CornerBody": "flexible_base",
     "FlexibleBase": "flexible_base",
