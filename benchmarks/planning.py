@@ -1,25 +1,21 @@
 """Planning time by the number of joints: processor time of each planner on reach100.
 
-The arm is the PUMA 560 with as many of its links again as it takes, on the bent beam, motor
-drive. `python -m benchmarks.planning` prints the table of docs/planners.md.
+On the arms that come with the package, bent beam, motor drive, the third of the durations that
+the suite asks of each. `python -m benchmarks.planning` prints the table of docs/planners.md.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import itertools
 import statistics
 import time
 
-from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner
-from ves_gym.planners.suites import reach100
+from ves_gym.planners.suites import reach100, reach_durations
 from ves_gym.system.system import System
 
-JOINTS = (3, 5, 6, 7, 9)
 PLANNERS = (
     "straight",
     "shaped-zv",
@@ -30,26 +26,20 @@ PLANNERS = (
     "direct",
     "refined",
 )
-DURATION = 2.0  # s
 COUNT = 5  # queries, and one before them that compiles
 
 
-def stacked_puma(n: int) -> Arm:
-    """The PUMA 560 with n joints: its links over and over."""
-    links = tuple(itertools.islice(itertools.cycle(PUMA_560.links), n))
-    return dataclasses.replace(PUMA_560, name=f"puma560-{n}", links=links)
-
-
-def planning_seconds(name: str, n: int, count: int = COUNT) -> float:
-    """Median processor time of a planner on an arm of n joints [s].
+def planning_seconds(name: str, arm: str, count: int = COUNT) -> float:
+    """Median processor time of a planner on an arm [s].
 
     Args:
         name: of the planner.
-        n: joints.
+        arm: its name.
         count: queries timed.
     """
-    system = System(arm=stacked_puma(n))
-    suite = reach100(system, "bent", count + 1, durations=(DURATION,))
+    system = System(arm=get_arm(arm))
+    duration = reach_durations(system.arm)[2]
+    suite = reach100(system, "bent", count + 1, durations=(duration,))
     planner, seconds = get_planner(name), []
     for _, query in suite.queries:
         begin = time.process_time()
@@ -61,15 +51,15 @@ def planning_seconds(name: str, n: int, count: int = COUNT) -> float:
 def main() -> None:
     """Print a row per planner."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--joints", default=",".join(map(str, JOINTS)), help="like 3,7")
+    parser.add_argument("--arms", default=",".join(arm_names()), help="like ur5e,iiwa14")
     parser.add_argument("--planners", default=",".join(PLANNERS), help="like direct,refined")
     parser.add_argument("--count", type=int, default=COUNT, help="queries timed")
     args = parser.parse_args()
-    joints = [int(k) for k in args.joints.split(",")]
-    print("| planner | " + " | ".join(f"{n} joints" for n in joints) + " |")
-    print("|---|" + "---|" * len(joints))
+    arms = args.arms.split(",")
+    print("| planner | " + " | ".join(f"{k}, {get_arm(k).n}" for k in arms) + " |")
+    print("|---|" + "---|" * len(arms))
     for name in args.planners.split(","):
-        row = [planning_seconds(name, n, args.count) for n in joints]
+        row = [planning_seconds(name, arm, args.count) for arm in arms]
         print(f"| `{name}` | " + " | ".join(f"{s:.2f}" for s in row) + " |", flush=True)
 
 
