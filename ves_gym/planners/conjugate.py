@@ -155,7 +155,7 @@ def is_convex(cost: MomentumCost) -> bool:
     then J_R = 1/2 int |(C - R)^1/2 (u + (C - R)^-1 (B^T S + N^T) z)|^2 dt. Over a step of h,
     S = V U^-1 with (U, V)' = G (U, V), exact by the exponential of G; it exists where U is
     regular, and |U - 1| <= (exp(|G| h) - 1) |(1, S)| < 1 within every step makes it so. The
-    norms are taken with z scaled to the root of energy and S to its own size.
+    norms are taken with z scaled so that F's diagonal is 1, and S to its own size.
     """
     if np.linalg.eigvalsh(cost.rest)[0] <= 1e-9 * np.abs(cost.C).max():
         return False
@@ -186,10 +186,10 @@ def is_convex(cost: MomentumCost) -> bool:
 
 
 def _scales(cost: MomentumCost) -> Array:
-    """(2b,) sizes of Q's entries; a mode without stiffness gets a rate of 1 / duration."""
-    size = np.diag(cost.Q).copy()
+    """(2b,) sizes of S's entries; a mode without stiffness gets a tenth per duration."""
+    size = np.diag(cost.F).copy()
     half = len(size) // 2
-    size[:half] = np.maximum(size[:half], size[half:] / cost.duration**2)
+    size[:half] = np.maximum(size[:half], size[half:] * (0.1 / cost.duration) ** 2)
     return size
 
 
