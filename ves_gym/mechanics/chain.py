@@ -35,7 +35,7 @@ class Lump:
     second: Array = field(default_factory=lambda: np.zeros((3, 3)))  # about the root's origin
     capsules: list[tuple[Array, Array, float]] = field(default_factory=list)  # ends, radius
 
-    def add(self, piece: Piece) -> None:
+    def add(self, piece: LinkMass) -> None:
         """Add a link."""
         mass, c = piece.mass, piece.com
         self.mass += mass
@@ -68,7 +68,7 @@ class Lump:
         )
 
 
-class Piece(NamedTuple):
+class LinkMass(NamedTuple):
     """A link's mass properties, in the root's axes."""
 
     link: str
@@ -151,7 +151,7 @@ def arm_of(
     return _with_limits(arm, joints)
 
 
-def require_body(piece: Piece) -> None:
+def require_body(piece: LinkMass) -> None:
     """Refuse mass properties that no rigid body has.
 
     Args:
@@ -168,7 +168,7 @@ def require_body(piece: Piece) -> None:
         raise ParameterError(f"link {piece.link!r} has an inertia, but no mass")
 
 
-def require_plausible(joints: list[Joint], tool: Array, pieces: list[Piece]) -> None:
+def require_plausible(joints: list[Joint], tool: Array, pieces: list[LinkMass]) -> None:
     """Refuse lengths, masses and inertias that look like mm, g and kg mm^2.
 
     Args:

@@ -14,8 +14,8 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.chain import (
     ENDLESS,
     Joint,
+    LinkMass,
     Lump,
-    Piece,
     arm_of,
     require_body,
     require_plausible,
@@ -252,12 +252,12 @@ class _Reader:
                         " is an open chain"
                     )
 
-    def _piece(self, body: int, frame: tuple[Array, Array]) -> Piece:
+    def _piece(self, body: int, frame: tuple[Array, Array]) -> LinkMass:
         m, d = self.model, self.data
         R, p = frame
         axes = R.T @ d.ximat[body].reshape(3, 3)
         moments = (axes * m.body_inertia[body]) @ axes.T
-        return Piece(
+        return LinkMass(
             self._name("body", body),
             float(m.body_mass[body]),
             R.T @ (d.xipos[body] - p),

@@ -19,8 +19,8 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.chain import (
     ENDLESS,
     Joint,
+    LinkMass,
     Lump,
-    Piece,
     arm_of,
     require_body,
     require_plausible,
@@ -349,7 +349,7 @@ def _joint(joint: _Joint, poses: Mapping[str, Pose]) -> Joint:
 # ------------------------------------------------------------------ masses and shapes
 
 
-def _piece(tree: _Tree, name: str, pose: Pose, mover: str | None) -> Piece | None:
+def _piece(tree: _Tree, name: str, pose: Pose, mover: str | None) -> LinkMass | None:
     """A link's mass properties; None of a frame."""
     link, where = tree.links[name], f"link {name!r}"
     inertial = link.find("inertial")
@@ -365,5 +365,5 @@ def _piece(tree: _Tree, name: str, pose: Pose, mover: str | None) -> Piece | Non
     I = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
     at = pose @ origin_of(inertial.find("origin"), where)
     mass = number(inertial.find("mass"), "value", f"{where}: its mass", least=0.0)
-    require_body(Piece(name, mass, at.p, I))
-    return Piece(name, mass, at.p, at.R @ I @ at.R.T)
+    require_body(LinkMass(name, mass, at.p, I))
+    return LinkMass(name, mass, at.p, at.R @ I @ at.R.T)

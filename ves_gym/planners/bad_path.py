@@ -48,7 +48,7 @@ class BadPath:
                 f"no bad path: {_MOST} joints have {2**_MOST} sets whose coupling lengths are"
                 f" compared, more would take too long; {len(moving)} move here"
             )
-        route = np.array([start, goal])
+        route = np.tile(start, (3 * _STEPS + 1, 1))
         if len(moving):
             turn = np.zeros(len(start))  # when each joint moves
             turn[worst_order(query.system, start, goal)] = np.arange(len(moving))

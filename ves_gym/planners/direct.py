@@ -32,6 +32,7 @@ from ves_gym.planners.prediction import (
     steps_of_joints,
 )
 from ves_gym.planners.query import Query, require_time
+from ves_gym.system.system import System
 
 _FIXED = 3  # control points held at each end
 _SHARE = 1 - 1e-4  # of speed and acceleration limits: more than the optimiser's tolerance
@@ -108,18 +109,19 @@ class MotionProblem:
         if query.surroundings is not None:
             self._checker = collisions(query.system.ideal(), query.surroundings)
 
-    def form_at(self, at: Array | Motion) -> MeanEnergy:
+    def form_at(self, at: Array | Motion, system: System | None = None) -> MeanEnergy:
         """E_mean as a function of the momentum, the inertia frozen or that along a motion.
 
         Args:
             at: (n,) [rad], or a motion of the query's duration.
+            system: another one than the query's.
         """
-        query = self.query
+        query, system = self.query, system or self.query.system
         momentum = None
         if query.is_moving:
-            momentum = inertia(self.arm, self.start)[:6, 6:] @ query.start_motion[0]
+            momentum = inertia(system.arm, self.start)[:6, 6:] @ query.start_motion[0]
         return MeanEnergy(
-            query.system,
+            system,
             at,
             query.duration,
             query.servo,

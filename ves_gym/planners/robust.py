@@ -188,7 +188,7 @@ class ScenarioProblem(MotionProblem):
             self._arms.append(own)
         middle = (self.start + self.goal) / 2
         for system in others:
-            self._forms.append(MotionProblem.form_at(_of(query, system, self), middle))
+            self._forms.append(self.form_at(middle, system))
         self.weigh(np.r_[1.0, np.zeros(len(others))])
 
     def weigh(self, weights: Array) -> None:
@@ -226,15 +226,6 @@ class ScenarioProblem(MotionProblem):
         """Sample each arm's torque also at its peaks; True if any passes its share."""
         found = [MotionProblem.add_torque_samples(own, x) for own in self._arms]  # all of them
         return any(found)
-
-
-def _of(query: Query, system: System, like: ScenarioProblem) -> Any:
-    """What `MotionProblem.form_at` needs of a problem on another machine."""
-    from types import SimpleNamespace
-
-    return SimpleNamespace(
-        query=replace(query, system=system), arm=system.arm, start=like.start
-    )
 
 
 class _Mixture:
