@@ -17,7 +17,7 @@ import pytest
 
 from ves_gym.baselines.damping import Receding, Tuned
 from ves_gym.baselines.evaluate import evaluate
-from ves_gym.envs.damp import DampRelease as Task
+from ves_gym.envs.damp import Damp as Task
 from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.damp import DampRelease
 from ves_gym.planners.free_vibration import simulate_free_vibration

@@ -126,7 +126,7 @@ def printed_plant() -> LinearPlant:
         drive=drive,
         port=eye[6:],
         displacement_map=eye[:, :6],
-        stiffness=base.K,
+        K=base.K,
         mass=M[:6, :6],
     )
 

@@ -82,7 +82,7 @@ def reactionless(system, attitude):
         start=tuple(HOME[: system.arm.n]),
         goal=tuple(q),
         duration=2.0,
-        servo=servo,
+        servo=servo(system.arm.n),
     )
 
 
