@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.baselines.damping import Receding, Tuned
+from ves_gym.baselines.damping import Receding, TunedGains
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
 from ves_gym.baselines.regulator import Regulator, observer_gain, plant
@@ -23,7 +23,7 @@ def integrals(controller, id=ID, episodes=2):
 
 @pytest.fixture(scope="module")
 def tuned():
-    return integrals(Tuned())
+    return integrals(TunedGains())
 
 
 @pytest.fixture(scope="module")
@@ -96,5 +96,5 @@ def test_settings_that_are_none():
 
 @pytest.mark.slow
 def test_replanning_damps_under_the_errors_of_the_laboratory():
-    ratio = integrals(Receding(), LAB, 8) / integrals(Tuned(), LAB, 8)
+    ratio = integrals(Receding(), LAB, 8) / integrals(TunedGains(), LAB, 8)
     assert np.median(ratio) <= 0.85

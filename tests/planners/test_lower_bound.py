@@ -17,7 +17,7 @@ from ves_gym.planners.direct import Direct, MotionProblem
 from ves_gym.planners.lower_bound import bound_energy
 from ves_gym.planners.potential import (
     Potential,
-    Reach,
+    ReachableSet,
     Setting,
     Shapes,
     bends_of,
@@ -60,7 +60,7 @@ def setting(asked, cost, slabs):
     arm, (start, goal) = asked.system.arm, asked.ends
     speed = np.minimum(arm.column("v_max"), asked.v_max)
     low, high = arm.column("q_min"), arm.column("q_max")
-    reach = Reach(start, goal, low, high, speed, asked.duration)
+    reach = ReachableSet(start, goal, low, high, speed, asked.duration)
     values, vectors = np.linalg.eigh(cost.R)
     root = (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
     return Setting(reach, Shapes(arm, (start + goal) / 2, np.full(arm.n, 0.8)), root, slabs)

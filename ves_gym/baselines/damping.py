@@ -24,7 +24,7 @@ _NODES = 60  # of the momentum over a horizon
 _STARTS = 8  # of a search for gains: the best of 24 is 0.1 % better
 
 
-class Tuned:
+class TunedGains:
     """Holds the joints by the diagonal gains that are best for the displacement, by PPED.
 
     The gains are those of `planners.pped.tune`: least time integral of the strain energy of the

@@ -13,9 +13,9 @@ from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 
 
 def _tuned(seed: int) -> Controller:
-    from ves_gym.baselines.damping import Tuned
+    from ves_gym.baselines.damping import TunedGains
 
-    return Tuned(seed)
+    return TunedGains(seed)
 
 
 def _receding(seed: int) -> Controller:

@@ -29,7 +29,7 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.planners.barrier import Barrier
 from ves_gym.planners.conjugate import MomentumCost, conjugate, local_part, momentum_cost
 from ves_gym.planners.direct import MotionProblem, minimise
-from ves_gym.planners.potential import Potential, Reach, Setting, Shapes, residual_floor
+from ves_gym.planners.potential import Potential, ReachableSet, Setting, Shapes, residual_floor
 from ves_gym.planners.prediction import LinearBase, MeanEnergy
 from ves_gym.planners.query import Query, require_time
 
@@ -103,7 +103,7 @@ def bound_energy(
     speed = arm.column("v_max")
     if query.v_max is not None:
         speed = np.minimum(speed, query.v_max)
-    reach = Reach(start, goal, arm.column("q_min"), arm.column("q_max"), speed, T)
+    reach = ReachableSet(start, goal, arm.column("q_min"), arm.column("q_max"), speed, T)
     sides = [reach.box(k * T / N, (k + 1) * T / N) for k in range(N)]
     low, high = np.min([b[0] for b in sides], axis=0), np.max([b[1] for b in sides], axis=0)
     setting = Setting(reach, Shapes(arm, (low + high) / 2, (high - low) / 2), _root(cost.R), N)

@@ -32,7 +32,7 @@ _ROWS = 6  # of H
 
 
 @dataclass(frozen=True, eq=False)
-class Reach:
+class ReachableSet:
     """Where and how fast joints can be between two instants of rest."""
 
     start: Array  # (n,) rad
@@ -124,7 +124,7 @@ class Shapes:
         return out
 
 
-class Coupling:
+class CouplingBounds:
     """H (6, n) and the first moment m c (3,) of an arm as trigonometric polynomials.
 
     Their entries are of degree 2 at most in every joint, so a 5^n table holds them exactly, and
@@ -185,9 +185,9 @@ _LINEAR, _ANGULAR = slice(0, 3), slice(3, 6)
 
 
 class Bends:
-    """Derivatives of `Coupling` and their bounds, for remainders."""
+    """Derivatives of `CouplingBounds` and their bounds, for remainders."""
 
-    def __init__(self, coupling: Coupling) -> None:
+    def __init__(self, coupling: CouplingBounds) -> None:
         n = coupling.n
         self.coupling = coupling
         self.first = [coupling.derived(k) for k in range(n)]
@@ -197,9 +197,9 @@ class Bends:
 
 
 @lru_cache(maxsize=4)
-def coupling_of(arm: Arm) -> Coupling:
-    """`Coupling` of an arm."""
-    return Coupling(arm)
+def coupling_of(arm: Arm) -> CouplingBounds:
+    """`CouplingBounds` of an arm."""
+    return CouplingBounds(arm)
 
 
 @lru_cache(maxsize=4)
@@ -221,7 +221,7 @@ class Potential:
 class Setting:
     """What a potential is judged by."""
 
-    reach: Reach
+    reach: ReachableSet
     shapes: Shapes
     root: Array  # (6, 6) R^1/2
     slabs: int
