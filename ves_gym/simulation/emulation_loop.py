@@ -155,7 +155,8 @@ class EmulationLoop:
             sources = self._sources[block.name] = set()
             noted: Any = [Noted(k, sources) for k in (self.parameters, self._bodies)]
             values = block.parameters(*noted)
-            self.p[block.name] = {k: np.array(v) for k, v in values.items()}  # of its own
+            # of its own, in plain order: products of stacks round by the layout of memory
+            self.p[block.name] = {k: np.array(v, order="C") for k, v in values.items()}
         if self._code is not None:
             self._code.load(self.p)
 
