@@ -149,6 +149,10 @@ def test_nothing_is_missing_in_an_exact_description(name):
     assert found.verdict == NOTHING, found.sentence
 
 
+@pytest.mark.xfail(
+    strict=True,
+    reason="the start, which rings for half a second, is taken for noise (docs/claims.md)",
+)
 def test_an_error_below_the_swing_between_samples_is_named():
     """2e-3 of F_x at F_z, 0.03 N, where the legs' swing alone adds 0.5 N to the reading."""
     system, error = QUICK["legs"], np.zeros((6, 6))
@@ -161,7 +165,7 @@ def test_an_error_below_the_swing_between_samples_is_named():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="miss: two alarms in 77 drawn (170, 183), docs/claims.md")
+@pytest.mark.xfail(reason="miss: some logs are called too weak, docs/claims.md")
 def test_nothing_is_missing_in_199_of_200():
     verdicts = [told(*case(k)).verdict for k in range(200)]
     assert verdicts.count(NOTHING) >= 199

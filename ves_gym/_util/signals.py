@@ -16,7 +16,6 @@ _POWER = 6  # of the cosine that is the filter's window: its spectrum falls off 
 _LOBE = 7.5  # width of its transition times its length
 _DIFFERENCES = 3  # that leave noise and take away motion
 _QUIET = 0.12  # of the sampling rate: above it nothing moves
-_STANDS_OUT = 8.0  # times the mean power of noise: by chance at one frequency in 3000
 _TAPER = 0.1  # share of a run that the window brings to zero
 
 
@@ -133,8 +132,8 @@ class SensorNoiseModel:
 def estimate_noise(x: Array, quiet: float = _QUIET) -> SensorNoiseModel:
     """Estimate the noise of a sampled signal, separated from its motion by frequency.
 
-    Above `quiet` nothing moves but what rings: first-order noise is fitted to the spectrum
-    there by Whittle's likelihood, less the frequencies that stand out.
+    Above `quiet` there is no motion: first-order noise is fitted to the spectrum there by
+    Whittle's likelihood.
 
     Args:
         x: (T, c) samples.
@@ -144,26 +143,17 @@ def estimate_noise(x: Array, quiet: float = _QUIET) -> SensorNoiseModel:
         Standard deviations and correlations of neighbouring samples, (c,) each.
     """
     d = x - np.linspace(0, 1, len(x))[:, None] * (x[-1] - x[0])  # ends meet: no leakage
-    taper = scipy.signal.windows.hann(len(x))[:, None]  # nor what a sudden start sets off
-    power = np.abs(np.fft.rfft((d - d.mean(axis=0)) * taper, axis=0)) ** 2 / (taper**2).sum()
+    power = np.abs(np.fft.rfft(d - d.mean(axis=0), axis=0)) ** 2 / len(x)
     f = np.fft.rfftfreq(len(x))
     take = f > quiet
     power, f = power[take][:-1], f[take][:-1]
     grid = np.linspace(0.0, 0.95, 96)
     shape = (1 - grid**2) / (1 - 2 * grid * np.cos(2 * np.pi * f[:, None]) + grid**2)
-    ratio = np.maximum(power[:, None, :], 1e-300) / shape[:, :, None]  # (f, grid, c)
-    # what rings stands out of noise: a fit to the logarithms by absolute values passes it over
-    spread = np.log(ratio)
-    middle = np.median(spread, axis=0)
-    best = np.argmin(np.abs(spread - middle).mean(axis=0), axis=0)
-    every = np.arange(x.shape[1])
-    level = np.exp(middle[best, every]) / np.log(2)  # median of an exponential distribution
-    noise = ratio[:, best, every] < _STANDS_OUT * level  # (f, c)
-    count = noise.sum(axis=0)
-    variance = np.maximum((ratio * noise[:, None]).sum(axis=0) / count, 1e-300)
-    misfit = np.log(variance) + np.einsum("fc,fg->gc", noise, np.log(shape)) / count
+    ratio = power[:, None, :] / shape[:, :, None]  # (f, grid, c)
+    variance = np.maximum(ratio.mean(axis=0), 1e-300)
+    misfit = np.log(variance) + np.log(shape).mean(axis=0)[:, None]
     best = np.argmin(misfit, axis=0)
-    return SensorNoiseModel(np.sqrt(variance[best, every]), grid[best])
+    return SensorNoiseModel(np.sqrt(variance[best, np.arange(x.shape[1])]), grid[best])
 
 
 def repeats(signals: Mapping[str, Array]) -> dict[str, float]:
