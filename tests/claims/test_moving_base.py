@@ -15,7 +15,7 @@ episodes of the controller).
 import numpy as np
 import pytest
 
-from ves_gym.baselines.damping import Receding, Tuned
+from ves_gym.baselines.damping import Receding, TunedGains
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.envs.damp import Damp as Task
 from ves_gym.mechanics.vehicle import get_vehicle
@@ -80,7 +80,7 @@ def test_a_planned_motion_damps_better_than_the_best_gains(vehicle, count):
 @pytest.mark.parametrize(("id", "most"), [("PumaDamp-v0", 0.75), ("PumaDampEmulated-v1", 0.85)])
 def test_replanning_damps_better_than_the_best_gains(id, most):
     found = []
-    for controller in (Receding(), Tuned()):
+    for controller in (Receding(), TunedGains()):
         rows = evaluate(controller, f"ves/{id}", episodes=24).rows
         assert not any(row["failed"] for row in rows)
         found.append(np.array([row["E_int"] for row in rows]))
