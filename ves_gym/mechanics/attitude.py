@@ -1,0 +1,269 @@
+"""Attitude as a unit quaternion, with the torque-free motion of a rigid body.
+
+A quaternion is (w, x, y, z), scalar first, Hamilton's product (i j = k). It turns vectors from
+the body's axes to the inertial ones: v_inertial = q v q*. So attitudes chain from left to
+right, q_AC = q_AB q_BC; the angular velocity w is in the body's axes; and q' = 1/2 q (0, w).
+q and -q are one attitude; results of `log`, `from_matrix` and `from_angles` have w >= 0.
+
+Leading axes are batches. Angles phi = (phi_x, phi_y, phi_z) are those of `spatial`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array
+from ves_gym.mechanics.spatial import matvec, numbers
+
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+_SMALL = 1e-4  # rad: below it two terms of a sine's series are exact to rounding
+
+
+def product(p: npt.ArrayLike, q: npt.ArrayLike) -> Array:
+    """Return Hamilton's product p q: the attitude q, seen from where p is seen from.
+
+    Args:
+        p, q: (..., 4).
+    """
+    a, b = numbers(p), numbers(q)
+    pw, px, py, pz = (a[..., k] for k in range(4))
+    qw, qx, qy, qz = (b[..., k] for k in range(4))
+    return np.stack(
+        [
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: npt.ArrayLike) -> Array:
+    """Return the inverse of a unit quaternion, inertial axes to body axes (..., 4)."""
+    out: Array = numbers(q) * np.array([1.0, -1.0, -1.0, -1.0])
+    return out
+
+
+def normalised(q: npt.ArrayLike) -> Array:
+    """Return the quaternion of unit length that points the same way (..., 4)."""
+    value = np.asarray(q, float)
+    out: Array = value / np.sqrt(np.sum(value * value, axis=-1, keepdims=True))
+    return out
+
+
+def to_matrix(q: npt.ArrayLike) -> Array:
+    """(..., 4) unit quaternion -> (..., 3, 3) rotation, body axes to inertial axes."""
+    value = numbers(q)
+    w, x, y, z = (value[..., k] for k in range(4))
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def from_matrix(matrix: npt.ArrayLike) -> Array:
+    """(..., 3, 3) rotation -> (..., 4) unit quaternion with w >= 0 (Bar-Itzhack's way).
+
+    The quaternion belongs to the largest eigenvalue of a symmetric matrix, exact at every
+    angle; a matrix that is orthogonal only to rounding yields the nearest attitude.
+    """
+    R = np.asarray(matrix, float)
+    K = np.empty((*R.shape[:-2], 4, 4))
+    K[..., 0, 0] = np.trace(R, axis1=-2, axis2=-1)
+    K[..., 1:, 1:] = R + np.swapaxes(R, -1, -2) - K[..., :1, :1] * np.eye(3)
+    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0)), start=1):
+        K[..., 0, k] = K[..., k, 0] = R[..., i, j] - R[..., j, i]
+    return _positive(np.linalg.eigh(K)[1][..., -1])
+
+
+def rotate(q: npt.ArrayLike, vector: npt.ArrayLike) -> Array:
+    """Return a vector of body axes in inertial axes.
+
+    Args:
+        q: (..., 4) attitude.
+        vector: (..., 3).
+    """
+    return matvec(to_matrix(q), numbers(vector))
+
+
+def exp(turn: npt.ArrayLike) -> Array:
+    """(..., 3) rotation vector, axis times angle [rad] -> (..., 4) unit quaternion."""
+    value = np.asarray(turn, float)
+    angle = np.sqrt(np.sum(value * value, axis=-1, keepdims=True))
+    small = angle < _SMALL
+    safe = np.where(small, 1.0, angle)
+    share = np.where(small, 0.5 - angle**2 / 48, np.sin(safe / 2) / safe)
+    return np.concatenate([np.cos(angle / 2), share * value], axis=-1)
+
+
+def log(q: npt.ArrayLike) -> Array:
+    """(..., 4) unit quaternion -> (..., 3) shortest rotation vector [rad], angle <= pi."""
+    value = _positive(np.asarray(q, float))
+    w, vector = value[..., :1], value[..., 1:]
+    sine = np.sqrt(np.sum(vector * vector, axis=-1, keepdims=True))
+    small = sine < _SMALL / 2
+    safe = np.where(small, 1.0, sine)
+    share = np.where(small, 2 + sine**2 / 3, 2 * np.arctan2(sine, w) / safe)
+    out: Array = share * vector
+    return out
+
+
+def difference(target: npt.ArrayLike, q: npt.ArrayLike) -> Array:
+    """Return the rotation vector, in the body's axes, that turns an attitude into another.
+
+    Args:
+        target, q: (..., 4) attitudes: target = q exp(difference).
+
+    Returns:
+        (..., 3) [rad], the shorter way round.
+    """
+    return log(product(conjugate(q), target))
+
+
+def from_angles(phi: npt.ArrayLike) -> Array:
+    """(..., 3) Z-Y-X angles (phi_x, phi_y, phi_z) [rad] -> (..., 4) unit quaternion."""
+    half = np.asarray(phi, float) / 2
+    parts = []
+    for k in (2, 1, 0):
+        part = np.zeros((*half.shape[:-1], 4))
+        part[..., 0], part[..., 1 + k] = np.cos(half[..., k]), np.sin(half[..., k])
+        parts.append(part)
+    return _positive(product(product(parts[0], parts[1]), parts[2]))
+
+
+def to_angles(q: npt.ArrayLike) -> Array:
+    """(..., 4) unit quaternion -> (..., 3) Z-Y-X angles [rad], phi_y within +-pi/2.
+
+    At phi_y = +-pi/2 only one of phi_x and phi_z is determined: the other is any.
+    """
+    R = to_matrix(np.asarray(q, float))
+    phi_z = np.arctan2(R[..., 1, 0], R[..., 0, 0])
+    s, c = np.sin(phi_z), np.cos(phi_z)  # phi_x from what is left after turning phi_z back
+    phi_x = np.arctan2(s * R[..., 0, 2] - c * R[..., 1, 2], c * R[..., 1, 1] - s * R[..., 0, 1])
+    phi_y = np.arctan2(-R[..., 2, 0], np.hypot(R[..., 0, 0], R[..., 1, 0]))
+    return np.stack([phi_x, phi_y, phi_z], axis=-1)
+
+
+def rate(q: npt.ArrayLike, w: npt.ArrayLike) -> Array:
+    """Return the rate of change of an attitude, q' = 1/2 q (0, w).
+
+    Args:
+        q: (..., 4).
+        w: (..., 3) angular velocity in the body's axes [rad/s].
+
+    Returns:
+        (..., 4) [1/s].
+    """
+    spin = numbers(w)
+    return 0.5 * product(q, np.concatenate([np.zeros_like(spin[..., :1]), spin], axis=-1))
+
+
+def from_rate(q: npt.ArrayLike, qd: npt.ArrayLike) -> Array:
+    """Return the angular velocity of a changing attitude, w = 2 q* q'.
+
+    Args:
+        q, qd: (..., 4) unit quaternion and its rate [1/s].
+
+    Returns:
+        (..., 3) in the body's axes [rad/s].
+    """
+    return 2 * product(conjugate(q), qd)[..., 1:]
+
+
+def angular_velocity(phi: npt.ArrayLike, phi_rate: npt.ArrayLike) -> Array:
+    """Return the angular velocity in the body's axes of Z-Y-X angles and their rates.
+
+    Args:
+        phi, phi_rate: (..., 3) [rad], [rad/s].
+
+    Returns:
+        (..., 3) [rad/s].
+    """
+    return matvec(_angle_rates(phi), numbers(phi_rate))
+
+
+def angle_rates(phi: npt.ArrayLike, w: npt.ArrayLike) -> Array:
+    """Return the rates of Z-Y-X angles of a body that turns; infinite at phi_y = +-pi/2.
+
+    Args:
+        phi: (..., 3) [rad].
+        w: (..., 3) angular velocity in the body's axes [rad/s].
+
+    Returns:
+        (..., 3) [rad/s].
+    """
+    angles, spin = np.asarray(phi, float), np.asarray(w, float)
+    sx, cx = np.sin(angles[..., 0]), np.cos(angles[..., 0])
+    about_z = (sx * spin[..., 1] + cx * spin[..., 2]) / np.cos(angles[..., 1])
+    about_x = spin[..., 0] + np.sin(angles[..., 1]) * about_z
+    return np.stack([about_x, cx * spin[..., 1] - sx * spin[..., 2], about_z], axis=-1)
+
+
+def turned(q: npt.ArrayLike, w: npt.ArrayLike, time: npt.ArrayLike) -> Array:
+    """Return the attitude after turning at a constant angular velocity.
+
+    Args:
+        q: (..., 4).
+        w: (..., 3) in the body's axes [rad/s].
+        time: (...) [s].
+    """
+    return product(q, exp(np.asarray(w, float) * np.asarray(time, float)[..., None]))
+
+
+def torque_free_step(
+    q: npt.ArrayLike, w: npt.ArrayLike, inertia: npt.ArrayLike, time: float
+) -> tuple[Array, Array]:
+    """Advance a rigid body that nothing acts on by one step, fourth order.
+
+    The angular momentum in inertial axes is taken as the constant that it is, so only the
+    attitude is integrated (a Runge-Kutta step in rotation vectors, after Munthe-Kaas): the
+    momentum stays to rounding and the quaternion stays of unit length.
+
+    Args:
+        q: (..., 4) attitude.
+        w: (..., 3) angular velocity in the body's axes [rad/s].
+        inertia: (..., 3, 3) at the centre of mass, in the body's axes [kg m^2].
+        time: step [s]; the error grows as (|w| time)^5.
+
+    Returns:
+        Attitude (..., 4) and angular velocity (..., 3) at the end.
+    """
+    start, spin, J = np.asarray(q, float), np.asarray(w, float), np.asarray(inertia, float)
+    momentum = matvec(J, spin)  # in the axes at the start, where it stays
+    inverse = np.linalg.inv(J)
+
+    def spin_at(turn: Array) -> Array:
+        return matvec(inverse, rotate(conjugate(exp(turn)), momentum))
+
+    def slope(turn: Array) -> Array:
+        """Rate of the rotation vector: w plus commutators, enough of them for order four."""
+        now = spin_at(turn)
+        once = np.cross(turn, now)
+        return now + once / 2 + np.cross(turn, once) / 12
+
+    first = spin
+    second = slope(time / 2 * first)
+    third = slope(time / 2 * second)
+    fourth = slope(time * third)
+    turn = time / 6 * (first + 2 * second + 2 * third + fourth)
+    return normalised(product(start, exp(turn))), spin_at(turn)
+
+
+def _angle_rates(phi: npt.ArrayLike) -> Array:
+    """(..., 3) angles -> (..., 3, 3) matrix from their rates to the angular velocity."""
+    angles = numbers(phi)
+    cx, cy = np.cos(angles[..., 0]), np.cos(angles[..., 1])
+    sx, sy = np.sin(angles[..., 0]), np.sin(angles[..., 1])
+    one, zero = np.ones_like(cx), np.zeros_like(cx)
+    rows = [[one, zero, -sy], [zero, cx, cy * sx], [zero, -sx, cy * cx]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _positive(q: Array) -> Array:
+    """The one of q and -q whose first component is not negative."""
+    out: Array = np.where(q[..., :1] < 0, -q, q)
+    return out
