@@ -24,7 +24,6 @@ from ves_gym.baselines.evaluate import evaluate, spec_of
 from ves_gym.baselines.policy import load_policy, released
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.envs.build import build_task
-from ves_gym.envs.registration import IDS
 from ves_gym.simulation.loop_linearisation import EmulationWarning
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -50,7 +49,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=100)
     episodes: int = parser.parse_args().episodes
     cells: dict[str, Any] = json.loads(DATA.read_text("utf-8")) if DATA.exists() else {}
-    for name in IDS:
+    for name in SHIPPED:
         for vehicle in vehicles(name):
             for controller in SHIPPED[name]:
                 for where in (SPACE, *LABORATORIES):
@@ -150,7 +149,7 @@ def page(cells: dict[str, Any], episodes: int) -> str:
         " nominal | lab | hard |",
         "|---|---|---|---|---|---|---|",
     ]
-    for name in IDS:
+    for name in SHIPPED:
         for vehicle in vehicles(name):
             for controller in SHIPPED[name]:
                 key = f"{name} {vehicle} {controller}"

@@ -27,14 +27,19 @@ from ves_gym._util.process_pool import Workers
 from ves_gym.baselines.policy import released
 from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.diagnosis.benchmark.score import METHODS
-from ves_gym.envs.registration import IDS
 from ves_gym.leaderboard.board import make_board
 from ves_gym.leaderboard.entry import Entry
 from ves_gym.leaderboard.errors import BundleError
 from ves_gym.leaderboard.evaluators import history_reason, resolve, version_of
 from ves_gym.leaderboard.journal import append, read
 from ves_gym.leaderboard.page import write_page
-from ves_gym.leaderboard.protocol import DURATIONS, MODES, QUICK, get_problem
+from ves_gym.leaderboard.protocol import (
+    DURATIONS,
+    ENVIRONMENTS,
+    MODES,
+    QUICK,
+    get_problem,
+)
 from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.tracks.damping import TUNERS
 from ves_gym.leaderboard.verify import bundle_manifest, verify
@@ -84,7 +89,7 @@ def table(blind: bool) -> list[Wanted]:
     acting = {
         mode: [
             (f"ves/{task}{mode}-v0", name)
-            for task in IDS
+            for task in ENVIRONMENTS
             for name in (*BESIDE[task], *released(f"ves/{task}-v0"))
         ]
         for mode in ("", "Emulated")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ves_gym.envs.registration import IDS
+from ves_gym.leaderboard.protocol import ENVIRONMENTS
 
 ROOT = Path(__file__).parents[2]
 
@@ -24,7 +24,7 @@ def test_the_page_is_up_to_date_and_holds_every_environment():
     cost = script()
     cells = json.loads(cost.DATA.read_text("utf-8"))
     assert cost.PAGE.read_text("utf-8") == cost.page(cells, 100)
-    assert set(cost.SHIPPED) == set(IDS)
+    assert set(cost.SHIPPED) == set(ENVIRONMENTS)
 
 
 def test_a_cell_is_the_episodes_of_its_environment():

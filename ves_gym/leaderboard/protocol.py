@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.envs.registration import IDS
 from ves_gym.planners.suites import REACH_SEED
 
 PROTOCOL = {"paths": 1, "policies": 1, "damping": 1, "discrepancy": 1}
@@ -26,6 +25,16 @@ VERSIONS: dict[tuple[str, str], int] = {}
 QUICK = "-quick"  # after a problem's name: a part of it, for a first try
 DURATIONS = {"1s": 1.0, "2s": 2.0, "4s": 4.0}
 MODES = ("", "-obstacles")
+# Environments that the board asks about; those registered later have none of its problems.
+ENVIRONMENTS = (
+    "PumaRestToRest",
+    "PumaReach",
+    "PumaReachGoal",
+    "PumaTrack",
+    "PumaDamp",
+    "FreeFlyerReach",
+    "BeamLQR",
+)
 PPED_VEHICLE = "bent"
 PPED_SECONDS = 20.0  # of every release
 MOST_GROUPS = 16  # policies or planner seeds in one bundle
@@ -112,7 +121,7 @@ class Problem:
 
 def problems(track: str) -> tuple[str, ...]:
     """Names of a track's problems, the quick ones included."""
-    ids = [f"ves/{name}{suffix}-v0" for name in IDS for suffix in ("", "Emulated")]
+    ids = [f"ves/{name}{suffix}-v0" for name in ENVIRONMENTS for suffix in ("", "Emulated")]
     named = {
         "paths": [f"reach100-{d}{mode}" for d in DURATIONS for mode in MODES],
         "policies": ids,
