@@ -45,7 +45,8 @@ def test_the_search_is_as_asked(call):
     words = ("--algorithm", "rrtstar", "--evaluations", "700", "--seconds", "20")
     _, _, _, result = call("plan", "--goal", "40,20,-20", "--planner", "ompl-q", *words)
     assert result["info"]["algorithm"] == "rrtstar"
-    assert 350 <= result["info"]["evaluations"] < 1200  # half of them search
+    # half of them search; relaxing what was found ends at its minimum: 566 in all
+    assert 350 <= result["info"]["evaluations"] < 1200
 
 
 def test_benchmark_asks_any_arm(call):

@@ -104,8 +104,8 @@ def test_a_fit_follows_the_noise_that_a_gear_passes_on(hidden):
     before, softer = np.array([2e-5, 30.0]), np.array([2.4e-5, 30.0])
     fresh = np.sqrt(residuals.noise(machine.model([gear.effect(softer)]), gear.ports))
     assert fresh.min() < 0.8
-    misses = [np.square(noise.scale(x) - fresh).mean() for x in (softer, before)]
-    assert misses[0] < 0.25 * misses[1]
+    misses = [np.abs(noise.scale(x) - fresh).max() for x in (softer, before)]
+    assert misses[0] < 0.5 * misses[1]
     left, step = 3.0 * np.ones(residuals.size), np.array([1e-9, 0.0])
     change = np.log(noise.scale(softer + step) / noise.scale(softer)) / step[0]
     slopes = noise.slopes(softer, left)

@@ -76,8 +76,8 @@ def test_an_effect_shows_at_its_own_ports(healthy, ports):
     for port, share in found.items():
         if port in ports:
             assert share > 10 * healthy["emulated"][port], port
-        else:  # what a wrong platform does between samples shows at wrench: half the floor
-            assert share < 3 * healthy["emulated"][port] + 5e-4, port
+        else:  # a platform 30 % slower moves otherwise between samples too: 2.1e-4 at wrench
+            assert share < 3 * healthy["emulated"][port] + 2e-4, port
 
 
 @pytest.mark.parametrize("ports", SHOWN, ids=["+".join(p) for p in SHOWN])
