@@ -11,8 +11,8 @@ import numpy as np
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm import Arm, Capsule, Inertial
 from ves_gym.mechanics.chain import angles_of
+from ves_gym.mechanics.serial_chain import Capsule, Inertial, SerialChain
 
 if TYPE_CHECKING:
     import pinocchio
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 _LEAST = 1e-13  # kg, kg m^2: what MuJoCo takes of a body that moves
 
 
-def joint_names(arm: Arm) -> list[str]:
+def joint_names(arm: SerialChain) -> list[str]:
     """Return the joints' names, numbers where they have none."""
     return [link.name or f"q_{i}" for i, link in enumerate(arm.links, start=1)]
 
 
-def placements(arm: Arm) -> list[tuple[Array, Array]]:
+def placements(arm: SerialChain) -> list[tuple[Array, Array]]:
     """Return each joint's frame at zero in the one before, and last the tool's.
 
     Args:
@@ -44,7 +44,7 @@ def placements(arm: Arm) -> list[tuple[Array, Array]]:
     return [*out, (R @ arm.tool_rotation, p)]
 
 
-def _require_rigid(arm: Arm, what: str) -> None:
+def _require_rigid(arm: SerialChain, what: str) -> None:
     if arm.geared:
         names = ", ".join(joint_names(arm)[i] for i in arm.geared)
         raise ParameterError(f"{what} has no words for the gears of {names}, which give way")
@@ -59,7 +59,7 @@ def _written(top: Element) -> str:
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(top, encoding="unicode") + "\n"
 
 
-def _bodies(arm: Arm) -> list[tuple[Inertial, tuple[Capsule, ...]]]:
+def _bodies(arm: SerialChain) -> list[tuple[Inertial, tuple[Capsule, ...]]]:
     """Mass and shape of the base link and of each link, in the frame at its joint."""
     out = [(arm.base, arm.base_shape or ())]
     for link in arm.links:
@@ -79,7 +79,7 @@ def _bodies(arm: Arm) -> list[tuple[Inertial, tuple[Capsule, ...]]]:
 # ------------------------------------------------------------------------------- URDF
 
 
-def urdf_text(arm: Arm) -> str:
+def urdf_text(arm: SerialChain) -> str:
     """Return an arm as URDF.
 
     Rotor inertias are written as <dynamics armature=>, accelerations as <limit acceleration=>;
@@ -166,7 +166,7 @@ def _along(axis: Array) -> Array:
 # ------------------------------------------------------------------------------- MJCF
 
 
-def mjcf_text(arm: Arm) -> str:
+def mjcf_text(arm: SerialChain) -> str:
     """Return an arm as MJCF: a motor per joint, the tool a site, speeds as <numeric>.
 
     Args:
@@ -261,7 +261,7 @@ def quaternion(R: Array) -> Array:
 # -------------------------------------------------------------------------- Pinocchio
 
 
-def pinocchio_arm(arm: Arm) -> pinocchio.Model:
+def pinocchio_arm(arm: SerialChain) -> pinocchio.Model:
     """Return the arm on a base that stands still, its rotors as armature, no gravity set.
 
     Args:

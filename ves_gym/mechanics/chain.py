@@ -1,4 +1,4 @@
-"""From joint axes and bodies at one configuration to an `Arm`: what URDF and MJCF lead to."""
+"""From joint axes and bodies at one configuration to an arm: what URDF and MJCF lead to."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm import Arm, Capsule, Inertial, Link, Mount, matrix
 from ves_gym.mechanics.dynamics import drawn_configurations, inertia
+from ves_gym.mechanics.serial_chain import Capsule, Inertial, Link, Mount, SerialChain, matrix
 from ves_gym.mechanics.servo import BANDWIDTH
 
 ENDLESS = 2 * math.pi  # rad either way, the range taken for a joint without limits
@@ -24,6 +24,16 @@ _PUSH = 10.0  # rad/s^2 that tau_max gives the largest inertia, where a file giv
 _REACH = 100.0  # m
 _DENSITY = 1e4  # kg/m^3: moving mass over the cube of the reach; a PUMA has 60
 _GYRATION = 10.0  # radius of gyration over the reach
+
+
+class ChainChoice(NamedTuple):
+    """The chain of a file that is taken, and how it is read; see `Arm.from_urdf`."""
+
+    tip: str | None
+    root: str | None
+    locked: dict[str, float]  # name -> angle [rad]
+    collision: bool
+    check: bool
 
 
 @dataclass
@@ -104,7 +114,7 @@ def arm_of(
     source: str,
     collision: bool = True,
     bandwidth: float = BANDWIDTH,
-) -> Arm:
+) -> SerialChain:
     """Return the arm of joint axes and bodies at zero.
 
     Args:
@@ -138,7 +148,7 @@ def arm_of(
         links.append(replace(link, inertial=inertial, shape=capsules))
     rest = R.T @ tool[0]
     angle = math.atan2(rest[1, 0], rest[0, 0])
-    arm = Arm(
+    arm = SerialChain(
         name=name,
         base=root.inertial(np.eye(3), np.zeros(3)),
         base_shape=root.shape(np.eye(3), np.zeros(3)) if collision else None,
@@ -291,7 +301,7 @@ def _link(joint: Joint, shape: dict[str, float]) -> Link:
     )
 
 
-def largest_inertia(arm: Arm) -> Array:
+def largest_inertia(arm: SerialChain) -> Array:
     """(n,) largest inertia about each joint, the others at rest [kg m^2].
 
     Of configurations drawn within the limits, among them zero or what is nearest to it.
@@ -304,7 +314,7 @@ def largest_inertia(arm: Arm) -> Array:
     return out
 
 
-def _with_limits(arm: Arm, joints: list[Joint]) -> Arm:
+def _with_limits(arm: SerialChain, joints: list[Joint]) -> SerialChain:
     """The arm with limits derived where none are given, which its source then says."""
     most = largest_inertia(arm)
     for joint, value in zip(joints, most, strict=True):
@@ -344,7 +354,7 @@ def _with_limits(arm: Arm, joints: list[Joint]) -> Arm:
     return replace(arm, links=tuple(links), source=source)
 
 
-def _too_fast(arm: Arm) -> list[int]:
+def _too_fast(arm: SerialChain) -> list[int]:
     """Joints whose friction brakes what they move faster than a physics step resolves."""
     rubbing = [(k.damping or 0.0) + (k.friction or 0.0) / _CREEP for k in arm.links]
     if not any(rubbing):

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.serial_chain import SerialChain
 
 Scalar = Any  # float, array over configurations, or symbol
 Vec = tuple[Scalar, Scalar, Scalar]
@@ -103,7 +103,7 @@ class Frame(NamedTuple):
     origin: Vec  # a point on the joint axis [m]
 
 
-def start(arm: Arm) -> tuple[Rotation, Vec]:
+def start(arm: SerialChain) -> tuple[Rotation, Vec]:
     """Return the pose of the first joint's frame, before it turns, in the platform-top frame.
 
     Args:
@@ -116,7 +116,7 @@ def start(arm: Arm) -> tuple[Rotation, Vec]:
     return Rotation(x, y, z), (px, py, pz)
 
 
-def frames(arm: Arm, q: list[Scalar], xp: Any = np) -> list[Frame]:
+def frames(arm: SerialChain, q: list[Scalar], xp: Any = np) -> list[Frame]:
     """Return the pose of every link frame in the platform-top frame (thesis B.3).
 
     Args:
@@ -147,7 +147,7 @@ def frames(arm: Arm, q: list[Scalar], xp: Any = np) -> list[Frame]:
     return out
 
 
-def joint_positions(arm: Arm, q: npt.ArrayLike) -> Array:
+def joint_positions(arm: SerialChain, q: npt.ArrayLike) -> Array:
     """Return the origins of the platform frame and of every link frame.
 
     Args:
@@ -166,7 +166,7 @@ def joint_positions(arm: Arm, q: npt.ArrayLike) -> Array:
     return out
 
 
-def _columns(arm: Arm, q: npt.ArrayLike, name: str = "q") -> list[Array]:
+def _columns(arm: SerialChain, q: npt.ArrayLike, name: str = "q") -> list[Array]:
     array = np.asarray(q, float)
     if array.ndim == 0 or array.shape[-1] != arm.n:
         raise ParameterError(f"{name} must have shape (..., {arm.n}), got {array.shape}")
@@ -223,7 +223,7 @@ def _body(
     )
 
 
-def _base_body(arm: Arm) -> _Composite:
+def _base_body(arm: SerialChain) -> _Composite:
     x, y, z = arm.base.com
     return _body(arm.base.mass, (x, y, z), IDENTITY, arm.base.inertia)
 
@@ -236,7 +236,7 @@ class InertiaEntries(NamedTuple):
     joints: list[list[Scalar]]  # (n, n) rotors included
 
 
-def inertia_entries(arm: Arm, q: list[Scalar], xp: Any = np) -> InertiaEntries:
+def inertia_entries(arm: SerialChain, q: list[Scalar], xp: Any = np) -> InertiaEntries:
     """Return the parts of `inertia` for one configuration of scalars.
 
     Args:
@@ -268,7 +268,7 @@ def inertia_entries(arm: Arm, q: list[Scalar], xp: Any = np) -> InertiaEntries:
     return InertiaEntries(_spatial(composite.plus(_base_body(arm))), across, joints)
 
 
-def inertia(arm: Arm, q: npt.ArrayLike) -> Array:
+def inertia(arm: SerialChain, q: npt.ArrayLike) -> Array:
     """Inertia matrix of the arm and its base link, base at the origin.
 
     Args:
@@ -293,7 +293,7 @@ def inertia(arm: Arm, q: npt.ArrayLike) -> Array:
     return out
 
 
-def drawn_configurations(arm: Arm) -> Array:
+def drawn_configurations(arm: SerialChain) -> Array:
     """(257, n) zero, or what is nearest to it, and angles drawn within the limits [rad].
 
     Args:
@@ -330,7 +330,7 @@ def _spatial(c: _Composite) -> list[list[Scalar]]:
 
 
 def newton_euler(
-    arm: Arm,
+    arm: SerialChain,
     q: list[Scalar],
     v: list[Scalar],
     a: list[Scalar],
@@ -388,7 +388,7 @@ def newton_euler(
 
 
 def inverse_dynamics(
-    arm: Arm,
+    arm: SerialChain,
     q: npt.ArrayLike,
     v: npt.ArrayLike,
     a: npt.ArrayLike,

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.chain import (
     ENDLESS,
+    ChainChoice,
     Joint,
     LinkMass,
     Lump,
@@ -21,25 +20,26 @@ from ves_gym.mechanics.chain import (
     require_plausible,
 )
 from ves_gym.mechanics.meshes import capsule_around
+from ves_gym.mechanics.serial_chain import SerialChain
 from ves_gym.mechanics.servo import BANDWIDTH
 
 _TOOL = "tool"  # site that is the tool where none is named
 NUMBERS = "ves_v_max", "ves_a_max", "ves_bandwidth"  # <numeric> of what MJCF has no place for
 
 
-def read_mjcf(
-    path: str | os.PathLike[str],
-    *,
-    tip: str | None = None,
-    root: str | None = None,
-    locked: Mapping[str, float] | None = None,
-    collision: bool = True,
-    check: bool = True,
-) -> Arm:
-    """Read an arm from an MJCF file, see `Arm.from_mjcf`."""
+def read_mjcf(path: str | os.PathLike[str], choice: ChainChoice) -> SerialChain:
+    """Read an arm from an MJCF file, see `Arm.from_mjcf`.
+
+    Args:
+        path: the file.
+        choice: the chain in it.
+
+    Raises:
+        ParameterError: names the body or the joint, and what is wrong with it.
+    """
     path = Path(path)
     try:
-        return _Reader(path, root).arm(tip, dict(locked or {}), collision, check)
+        return _Reader(path, choice.root).arm(choice)
     except ParameterError as error:
         raise ParameterError(f"{path.name}: {error}") from None
 
@@ -58,11 +58,10 @@ class _Reader:
         self.data = mujoco.MjData(self.model)
         self.root = 0 if root is None else self._id("body", root, "root")
 
-    def arm(
-        self, tip: str | None, locked: dict[str, float], collision: bool, check: bool
-    ) -> Arm:
+    def arm(self, choice: ChainChoice) -> SerialChain:
         """Return the chain to the tip."""
         m, d = self.model, self.data
+        tip, _, locked, collision, check = choice
         end, site = self._tip(tip)
         chain = self._chain(end)
         on_chain = [j for body in chain for j in self._joints(body)]

@@ -27,7 +27,7 @@ from ves_gym._util.params import (
     unit,
     write_table,
 )
-from ves_gym.mechanics.arm import matrix
+from ves_gym.mechanics.serial_chain import matrix
 
 FORMAT = "ves-motion/1"  # of a file
 DEGREE = 5

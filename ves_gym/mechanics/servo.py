@@ -9,9 +9,9 @@ from functools import lru_cache
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector, unit
-from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import drawn_configurations, inertia, inverse_dynamics
 from ves_gym.mechanics.motion import Samples
+from ves_gym.mechanics.serial_chain import SerialChain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class JointServo:
                 f"JointServo needs as many kp as kd, got {len(self.kp)} and {len(self.kd)}"
             )
 
-    def for_arm(self, arm: Arm) -> JointServo:
+    def for_arm(self, arm: SerialChain) -> JointServo:
         """Return the servo with gains for every joint: `OWN_GAINS` with the arm's own.
 
         Args:
@@ -61,7 +61,7 @@ class JointServo:
             )
         return self
 
-    def torque_feedforward(self, arm: Arm, command: Samples) -> Array:
+    def torque_feedforward(self, arm: SerialChain, command: Samples) -> Array:
         """Return the feed-forward torque of a commanded motion; zero without it.
 
         Args:
@@ -93,7 +93,7 @@ _FASTEST = 600.0  # 1/s of a decaying joint: rk4 at 1.25 ms is stable up to 2200
 
 
 @lru_cache(maxsize=64)
-def own_gains(arm: Arm) -> JointServo:
+def own_gains(arm: SerialChain) -> JointServo:
     """Return the gains of a joint servo that nothing is said of.
 
     The thesis's high gains for three joints of an arm without a bandwidth. Else kp = J w^2 and

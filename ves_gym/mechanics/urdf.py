@@ -15,9 +15,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.chain import (
     ENDLESS,
+    ChainChoice,
     Joint,
     LinkMass,
     Lump,
@@ -25,6 +25,7 @@ from ves_gym.mechanics.chain import (
     require_body,
     require_plausible,
 )
+from ves_gym.mechanics.serial_chain import SerialChain
 from ves_gym.mechanics.urdf_numbers import HERE, Pose, about, number, origin_of, vector
 from ves_gym.mechanics.urdf_shapes import capsules_of
 
@@ -59,34 +60,28 @@ class _Tree:
     parent: dict[str, _Joint] = field(default_factory=dict)  # by child link
 
 
-def read_urdf(
-    path: str | os.PathLike[str],
-    *,
-    tip: str | None = None,
-    root: str | None = None,
-    locked: Mapping[str, float] | None = None,
-    collision: bool = True,
-    check: bool = True,
-) -> Arm:
-    """Read an arm from a URDF file, see `Arm.from_urdf`."""
+def read_urdf(path: str | os.PathLike[str], choice: ChainChoice) -> SerialChain:
+    """Read an arm from a URDF file, see `Arm.from_urdf`.
+
+    Args:
+        path: the file.
+        choice: the chain in it.
+
+    Raises:
+        ParameterError: names the link or the joint, and what is wrong with it.
+    """
     path = Path(path)
     try:
-        return _read(path, tip, root, dict(locked or {}), collision, check)
+        return _read(path, choice)
     except ParameterError as error:
         raise ParameterError(f"{path.name}: {error}") from None
 
 
-def _read(
-    path: Path,
-    tip: str | None,
-    root: str | None,
-    locked: dict[str, float],
-    collision: bool,
-    check: bool,
-) -> Arm:
+def _read(path: Path, choice: ChainChoice) -> SerialChain:
+    locked = choice.locked
     tree = _parsed(path)
-    root = _root(tree, root)
-    tip = _tip(tree, root, tip)
+    root = _root(tree, choice.root)
+    tip = _tip(tree, root, choice.tip)
     chain = _chain(tree, root, tip)
     unknown = [name for name in locked if name not in tree.joints]
     if unknown:
@@ -107,14 +102,14 @@ def _read(
     lumps |= {name: joint.body for name, joint in joints.items()}
     tool = poses[tip]
     pieces = {link: _piece(tree, link, poses[link], bodies[link]) for link in bodies}
-    if check:
+    if choice.check:
         moving = [k for link, k in pieces.items() if k is not None and bodies[link] is not None]
         require_plausible(list(joints.values()), tool.p, moving)
     for link, mover in bodies.items():
         piece = pieces[link]
         if piece is not None:
             lumps[mover].add(piece)
-        if collision:
+        if choice.collision:
             lumps[mover].capsules += capsules_of(tree.links[link], poses[link], path)
     notes = [f"read from {path.name}, {root} to {tip}"]
     if still:
@@ -125,7 +120,7 @@ def _read(
         list(joints.values()),
         (tool.R, tool.p),
         source="; ".join(notes),
-        collision=collision,
+        collision=choice.collision,
     )
 
 

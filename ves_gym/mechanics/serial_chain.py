@@ -1,0 +1,276 @@
+"""A chain of revolute joints as data: Denavit-Hartenberg links with mass properties."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from ves_gym._util.params import (
+    Array,
+    Matrix,
+    ParameterError,
+    Vector,
+    finite,
+    require_positive,
+    unit,
+)
+
+_ROUNDING = 1e-12  # relative slack of the inertia tests, kg m^2 per kg m^2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inertial:
+    """Mass properties of a rigid body in its own frame."""
+
+    mass: float = unit("kg")
+    com: Vector = unit("m")  # (3,) centre of mass
+    inertia: Matrix = unit("kg m^2")  # (3, 3) about the centre of mass
+
+    def __post_init__(self) -> None:
+        require_positive(self, "mass", zero=True)
+        finite(self.com, (3,), "Inertial.com")
+        moments = finite(self.inertia, (3, 3), "Inertial.inertia")
+        size = max(float(np.abs(moments).max()), 1e-300)
+        if np.abs(moments - moments.T).max() > _ROUNDING * size:
+            raise ParameterError(f"Inertial.inertia must be symmetric, got {self.inertia}")
+        a, b, c = np.linalg.eigvalsh(moments)
+        if a < -_ROUNDING * size or c > a + b + _ROUNDING * size:
+            raise ParameterError(
+                "Inertial.inertia must be that of a rigid body (principal moments >= 0, none"
+                f" larger than the sum of the others), got {a:.6g}, {b:.6g}, {c:.6g} kg m^2"
+            )
+
+    def spatial(self) -> Array:
+        """(6, 6) inertia at the frame's origin, linear part first [kg, kg m, kg m^2]."""
+        c = skew(np.array(self.com))
+        out = np.zeros((6, 6))
+        out[:3, :3] = self.mass * np.eye(3)
+        out[:3, 3:] = -self.mass * c
+        out[3:, :3] = self.mass * c
+        out[3:, 3:] = np.array(self.inertia) - self.mass * c @ c
+        return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gear:
+    """Spring with play between a rotor and its link, a damper beside it.
+
+    Torque at a deflection d of the link against the rotor: -(d less the play) / compliance
+    - damping d', the play being what of d lies within half the gap on either side.
+    """
+
+    compliance: float = unit("rad/(N m)")
+    damping: float = unit("N m s/rad", default=0.0)
+    gap: float = unit("rad", default=0.0)
+
+    def __post_init__(self) -> None:
+        require_positive(self, "compliance")
+        require_positive(self, "damping", "gap", zero=True)
+
+    @property
+    def stiffness(self) -> float:
+        """1 / compliance [N m/rad]."""
+        return 1 / self.compliance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capsule:
+    """All points within a radius of a line, in a body's own frame: its shape in collisions."""
+
+    start: Vector = unit("m")
+    end: Vector = unit("m")
+    radius: float = unit("m")
+
+    def __post_init__(self) -> None:
+        finite(self.start, (3,), "Capsule.start")
+        finite(self.end, (3,), "Capsule.end")
+        require_positive(self, "radius")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mount:
+    """Place of an arm's first joint: its frame before it turns, z along the axis."""
+
+    position: Vector = unit("m", default=(0.0, 0.0, 0.0))  # in the platform-top frame
+    angles: Vector = unit("rad", default=(0.0, 0.0, 0.0))  # about its x, then y, then z
+
+    def __post_init__(self) -> None:
+        finite(self.position, (3,), "Mount.position")
+        finite(self.angles, (3,), "Mount.angles")
+
+    @cached_property
+    def rotation(self) -> Array:
+        """(3, 3) from the first joint's frame to the platform-top frame."""
+        (cx, cy, cz), (sx, sy, sz) = np.cos(self.angles), np.sin(self.angles)
+        turn = np.array(
+            [
+                [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+                [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+                [-sy, cy * sx, cy * cx],
+            ]
+        )
+        return turn.round(15) + 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """One revolute joint and the link it moves; the frame sits at the link's far end.
+
+    DH: frame i-1 -> i is Rot_z(q + offset) Trans_z(d) Trans_x(a) Rot_x(alpha), and Rot_y(beta)
+    where one is given: the frame may then sit at any point of the next joint's axis, also
+    where two axes are all but parallel (Hayati, CDC 1983). With a `gear` that gives way q is
+    the rotor's angle and the link turns further by the gear's deflection, a coordinate of its
+    own (Spong, J. Dyn. Sys. 109, 1987); without one rotor and link are rigidly one.
+    """
+
+    d: float = unit("m")
+    a: float = unit("m")
+    alpha: float = unit("rad")
+    beta: float | None = unit("rad", default=None)
+    offset: float = unit("rad", default=0.0)
+    inertial: Inertial
+    rotor_inertia: float = unit("kg m^2", default=0.0)  # reflected through the gear
+    q_min: float = unit("rad")
+    q_max: float = unit("rad")
+    v_max: float = unit("rad/s")
+    a_max: float = unit("rad/s^2")
+    tau_max: float = unit("N m")
+    gear: Gear | None = None
+    damping: float | None = unit("N m s/rad", default=None)  # viscous friction of the joint
+    friction: float | None = unit("N m", default=None)  # Coulomb friction of the joint
+    shape: tuple[Capsule, ...] | None = None  # None: capsules along d and a
+    name: str | None = None  # of the joint, where it has another than its number
+
+    def __post_init__(self) -> None:
+        finite((self.d, self.a, self.alpha, self.offset, self.q_min, self.q_max), (6,), "Link")
+        finite(self.beta or 0.0, (), "Link.beta")
+        require_positive(self, "v_max", "a_max", "tau_max")
+        for name in ("damping", "friction"):
+            if getattr(self, name) is not None:
+                require_positive(self, name, zero=True)
+        require_positive(self, "rotor_inertia", zero=True)
+        if self.gear is not None and self.rotor_inertia == 0:
+            raise ParameterError(
+                "a Link with a gear needs rotor_inertia > 0 kg m^2: the gear turns against it"
+            )
+        if not self.q_min < self.q_max:
+            raise ParameterError(f"Link needs q_min < q_max, got {self.q_min} and {self.q_max}")
+
+    @property
+    def far_end(self) -> tuple[Array, Array]:
+        """Rotation (3, 3) and position (3,) of the link frame in the frame at its joint."""
+        c, s = round(math.cos(self.alpha), 15), round(math.sin(self.alpha), 15)
+        rotation = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
+        if self.beta:
+            c, s = round(math.cos(self.beta), 15), round(math.sin(self.beta), 15)
+            rotation = rotation @ np.array([[c, 0, s], [0, 1.0, 0], [-s, 0, c]])
+        return rotation, np.array([self.a, 0.0, self.d])
+
+    @property
+    def inertial_at_joint(self) -> Inertial:
+        """The same mass properties in the frame at the joint (z along its axis)."""
+        R, p = self.far_end
+        return Inertial(
+            mass=self.inertial.mass,
+            com=tuple((p + R @ np.array(self.inertial.com)).tolist()),
+            inertia=matrix(R @ np.array(self.inertial.inertia) @ R.T),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SerialChain:
+    """Joints and links one after the other, on a base link fixed to the platform top.
+
+    The tool is the last link's frame, turned by `tool_angle` about its z.
+    """
+
+    name: str
+    base: Inertial  # base link, in the platform-top frame
+    base_shape: tuple[Capsule, ...] | None = None  # of the base link, in the same frame
+    mount: Mount | None = None  # of the first joint; None: at the platform-top frame
+    links: tuple[Link, ...]
+    tool_angle: float | None = unit("rad", default=None)
+    bandwidth: float | None = unit("Hz", default=None)  # of the joint servos, see own_gains
+    source: str  # where this whole set comes from
+
+    def __post_init__(self) -> None:
+        if not self.links:
+            raise ParameterError("Arm.links must hold at least one link, got none")
+        finite(self.tool_angle or 0.0, (), "Arm.tool_angle")
+        if self.bandwidth is not None:
+            require_positive(self, "bandwidth")
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.links)
+
+    @property
+    def tool_rotation(self) -> Array:
+        """(3, 3) of the tool in the last link's frame."""
+        c, s = math.cos(self.tool_angle or 0.0), math.sin(self.tool_angle or 0.0)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).round(15)
+
+    @property
+    def rubs(self) -> bool:
+        """True if a link has damping or friction."""
+        return any(link.damping or link.friction for link in self.links)
+
+    def without_friction(self) -> Self:
+        """Return the arm without damping and friction of its links (itself, if it has none)."""
+        if not self.rubs:
+            return self
+        links = tuple(replace(link, damping=None, friction=None) for link in self.links)
+        return replace(self, links=links)
+
+    @property
+    def geared(self) -> tuple[int, ...]:
+        """Joints (from 0) whose gears give way."""
+        return tuple(i for i, link in enumerate(self.links) if link.gear is not None)
+
+    def column(self, name: str) -> Array:
+        """One number of every link, e.g. `column("tau_max")`: (n,)."""
+        return np.array([getattr(link, name) for link in self.links])
+
+    @property
+    def mass(self) -> float:
+        """Total mass [kg]."""
+        return self.base.mass + sum(link.inertial.mass for link in self.links)
+
+    def require_within_limits(self, q: object, name: str = "q") -> Array:
+        """Return joint angles as an array inside the joint limits.
+
+        Args:
+            q: (n,) angles [rad].
+            name: of the angles, for the message.
+
+        Raises:
+            ParameterError: names the joint, its angle and its limits.
+        """
+        array = finite(q, (self.n,), name)
+        for i, link in enumerate(self.links):
+            if not link.q_min - 1e-9 <= array[i] <= link.q_max + 1e-9:
+                raise ParameterError(
+                    f"{name}: joint {i + 1} must be within {math.degrees(link.q_min):.1f} to"
+                    f" {math.degrees(link.q_max):.1f} deg, got {math.degrees(array[i]):.1f} deg"
+                )
+        return array
+
+
+def diagonal(*moments: float) -> Matrix:
+    """A diagonal matrix as nested tuples."""
+    return matrix(np.diag(moments))
+
+
+def matrix(values: Array) -> Matrix:
+    """A 2-D array as nested tuples of float."""
+    return tuple(tuple(row) for row in np.asarray(values, float).tolist())
+
+
+def skew(v: Array) -> Array:
+    """Cross-product matrix: skew(v) @ w = v x w."""
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0.0]])
