@@ -16,7 +16,8 @@ import pytest
 from ves_gym.engine.mjcf import TO_Y, pinocchio_model
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING, FREE_FLYING
-from ves_gym.simulation.playback import Recording, play_motions
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.recording import Recording
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 

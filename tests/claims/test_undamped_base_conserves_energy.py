@@ -19,7 +19,8 @@ import pytest
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT
 from ves_gym.planners.coupling import blocks, modes
-from ves_gym.simulation.playback import Recording, play_motions
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.recording import Recording
 from ves_gym.system.energy import base_energy
 from ves_gym.system.system import System
 

@@ -31,7 +31,8 @@ from ves_gym.mechanics.limits import check_reference, limits_of
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.simulation.gravity_learning import learn_gravity
-from ves_gym.simulation.playback import Recording, play_motions, weigh_poses
+from ves_gym.simulation.playback import play_motions, weigh_poses
+from ves_gym.simulation.recording import Recording
 from ves_gym.system.energy import TAIL, Energies, EnergyBalance, base_energy, log_base_energy
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System

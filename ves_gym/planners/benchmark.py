@@ -34,7 +34,8 @@ from ves_gym.planners.query import Plan, Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.scenes import PlayedPlan, coupling_maps, scene, trace
 from ves_gym.planners.suites import Suite, is_compensated, uncompensated
-from ves_gym.simulation.playback import Recording, play_motions
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.recording import Recording
 from ves_gym.system.energy import TAIL, Energies
 from ves_gym.system.system import System
 

@@ -18,7 +18,8 @@ from ves_gym._util.params import (
 from ves_gym._util.views import Viewable
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.query import Plan, Planner, Query, solve
-from ves_gym.simulation.playback import Recording, play_motions
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.recording import Recording
 from ves_gym.system.energy import TAIL, Energies, base_energy
 
 SCHEMA = "ves-compare/1"

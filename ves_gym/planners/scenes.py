@@ -13,7 +13,7 @@ from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import beam_line
 from ves_gym.planners.coupling_map import CouplingMap, coupling_map
 from ves_gym.planners.query import Plan
-from ves_gym.simulation.playback import Recording
+from ves_gym.simulation.recording import Recording
 from ves_gym.system.energy import base_energy
 
 

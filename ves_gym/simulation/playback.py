@@ -4,186 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.limits import LimitCheck, check_limits, limits_of, middle_of_range
+from ves_gym.mechanics.limits import middle_of_range
 from ves_gym.mechanics.motion import Motion, Samples
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix
-from ves_gym.simulation.emulation_loop import Event
+from ves_gym.simulation.recording import Extremes, Recording
 from ves_gym.simulation.simulator import Simulator, State
-from ves_gym.system.energy import TAIL, Energies, energies
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
 _OVERSHOOT = 0.2  # s after a motion in which joints are still watched at every step
-WATCHED = ("position", "velocity", "torque")
-
-
-@dataclass(frozen=True)
-class Extremes:
-    """Nearest approach of each joint to its limits, between the records as well.
-
-    Axes: kind (`WATCHED`), run, joint. Positions are from the middle of the range.
-    """
-
-    time: Array  # (3, n, joints) s
-    value: Array  # (3, n, joints) rad, rad/s, N m
-
-    @staticmethod
-    def none(n: int, joints: int) -> Extremes:
-        """Return arrays to be filled by `watch`."""
-        return Extremes(np.zeros((3, n, joints)), np.zeros((3, n, joints)))
-
-    def watch(self, t: float, position: Array, v: Array, tau: Array) -> None:
-        """Take the joints of all runs (n, joints) at time t [s] into account."""
-        value = np.stack([position, v, tau])
-        larger = np.abs(value) > np.abs(self.value)
-        self.value[larger] = value[larger]
-        self.time[larger] = t
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A stack of runs on one clock. Leading axis = run."""
-
-    system: System
-    servo: JointServo
-    duration: float  # of the motions [s]
-    t: Array  # (N,) s
-    q_cmd: Array  # (n, N, joints)
-    v_cmd: Array
-    q: Array
-    v: Array
-    tau: Array  # (n, N, joints) drive torque [N m]
-    y: Array  # (n, N, 6)
-    yd: Array
-    w: Array  # (n, N, 6) wrench of the arm on the base, platform frame [N, N m]; in the
-    #           laboratory what the force sensor reports, weight included
-    wg: Array | None = None  # (n, N, 6) w less the estimated weight; laboratory only
-    y_cmd: Array | None = None  # (n, N, 6) pose the platform is told; laboratory only
-    u: Array | None = None  # (n, N, m) internal modes of the base, None where it has none
-    ud: Array | None = None
-    events: tuple[Event, ...] = ()  # safety stops; a run is meaningful up to its own
-    backend: str = ""  # the engine that ran
-    extremes: Extremes | None = None  # of the joints, where they were watched
-
-    def internal(self, i: Any, part: Any = slice(None)) -> tuple[Array, Array] | None:
-        """Return u and u' of the internal modes in run i, None of a base without.
-
-        Args:
-            i: which run, or runs.
-            part: of the records.
-        """
-        if self.u is None or self.ud is None:
-            return None
-        return self.u[i][..., part, :], self.ud[i][..., part, :]
-
-    def energies(
-        self,
-        which: Sequence[int] | None = None,
-        *,
-        tail: float = TAIL,
-        as_it_is: bool = False,
-    ) -> list[Energies]:
-        """Return the energy measures of runs.
-
-        Args:
-            which: numbers of the runs; None for all.
-            tail: how long after the motion E_mean reaches [s].
-            as_it_is: of arm and base with their effects; else of the described ones.
-        """
-        system = self.system.actual if as_it_is else self.system
-        rows: Any = slice(None) if which is None else list(which)
-        motion = self.t, self.q[rows], self.y[rows], self.yd[rows]
-        modes = self.internal(rows)
-        if modes is not None and modes[0].shape[-1] != system.base.m:
-            modes = None  # effects have added modes, which are not recorded
-        return energies(system, *motion, duration=self.duration, tail=tail, internal=modes)
-
-    def records(self, i: int) -> int:
-        """Records of run i up to its safety stop (that included), all N without one."""
-        stops = [e.time for e in self.events if e.simulation == i]
-        if not stops:
-            return len(self.t)
-        return max(2, int(np.searchsorted(self.t, stops[0] + 1e-9)) + 1)
-
-    def limit_check(
-        self,
-        i: int,
-        *,
-        v_max: Sequence[float] | None = None,
-    ) -> LimitCheck:
-        """Check the joints of run i as they moved, up to its safety stop if it had one.
-
-        A torque is what the drives are told, which the simulator keeps within their limits.
-
-        Args:
-            i: number of the run.
-            v_max: (joints,) speed limits besides the arm's own [rad/s].
-        """
-        arm = self.system.arm
-        limits = limits_of(arm, v_max=v_max, motor=self.system.drive == "motor")
-        if self.extremes is not None:
-            times, parts = self.extremes.time[:, i], self.extremes.value[:, i]
-            found = [
-                check_limits({k: limits[k]}, t[None], {k: x[None]}).extremes
-                for k, t, x in zip(WATCHED, times, parts, strict=True)
-                if k in limits
-            ]
-            return LimitCheck(tuple(e for part in found for e in part))
-        end = self.records(i)
-        q, v, tau = (part[i, :end] for part in (self.q, self.v, self.tau))
-        values = dict(zip(WATCHED, (q - middle_of_range(arm), v, tau), strict=True))
-        return check_limits(limits, self.t[:end], values)
-
-    def log(self, i: int, note: str = "") -> RunLog:
-        """Return a run as a log that can be saved: up to its safety stop, if it had one.
-
-        Args:
-            i: which run.
-            note: of the log's metadata.
-        """
-        end = self.records(i)
-        initial = {k: getattr(self, k)[i, 0].tolist() for k in ("q", "v", "y", "yd")}
-        stops = [{"time": e.time, "reason": e.reason} for e in self.events if e.simulation == i]
-        meta: dict[str, Any] = {
-            "format": "ves-run/1",
-            "system": self.system.to_dict(),
-            "controller": {
-                "kp": list(self.servo.kp),
-                "kd": list(self.servo.kd),
-                "feedforward": self.servo.feedforward,
-            },
-            "initial": initial,
-            "noise_std": {},
-            "backend": self.backend,
-            "duration": self.duration,
-            "note": note,
-        }
-        if self.system.mode == "emulated":
-            meta["events"] = stops
-        return RunLog(
-            t=self.t[:end],
-            q_cmd=self.q_cmd[i, :end],
-            v_cmd=self.v_cmd[i, :end],
-            q=self.q[i, :end],
-            v=self.v[i, :end],
-            tau=self.tau[i, :end],
-            y=self.y[i, :end],
-            yd=self.yd[i, :end],
-            w=self.w[i, :end],
-            wg=None if self.wg is None else self.wg[i, :end],
-            y_cmd=None if self.y_cmd is None else self.y_cmd[i, :end],
-            u=None if self.u is None else self.u[i, :end],
-            ud=None if self.ud is None else self.ud[i, :end],
-            meta=meta,
-        )
 
 
 def play_motions(
@@ -217,8 +53,9 @@ def play_motions(
             that takes the place of the estimate (Learning Method).
         seed: of sensor noise and drift.
         backend: engine, as `Simulator` takes it.
-        watch: look at the joints between the records, too, until shortly after the motion: at
-            every physics step, in mode emulated every control period. Changes no record.
+        watch: look at joints and base between the records, too, until shortly after the
+            motion: at every physics step, in mode emulated every control period. Changes no
+            record.
         progress: called with the fraction done.
 
     Raises:
@@ -249,7 +86,7 @@ def play_motions(
     table = None if gravity is None else _tabulated(gravity, clock, n)
 
     rows: list[tuple[Array, ...]] = []
-    extremes = Extremes.none(n, sim.joints) if watch else None
+    extremes = Extremes.none(n, sim.joints, duration + _OVERSHOOT) if watch else None
     middle = middle_of_range(system.arm)
     fine = system.substeps if emulated else 1  # steps between looks at the joints
     if table is not None:
@@ -259,10 +96,11 @@ def play_motions(
     for k in range(records):
         state = sim.state
         tau, ydd = sim.evaluate(commands[:, k * stride])
-        row = (*sim.measured, tau, state.y, state.yd)
+        row = (*sim.measured, tau, state.y, state.yd, ydd)
         row = (*row, *(sim.base_modes or ()))
         if extremes is not None:
             extremes.watch(edges[k * stride], row[0] - middle, row[1], tau)
+            extremes.watch_base(edges[k * stride], system.arm, state.y, state.yd, ydd)
         if emulated:
             readings = sim.readings
             rows.append(
@@ -285,12 +123,14 @@ def play_motions(
                     platform=None if follow is None else follow[:, part],
                 )
                 if extremes is not None and end < last:
-                    q, v = sim.measured
-                    extremes.watch(edges[end], q - middle, v, sim.evaluate(commands[:, end])[0])
+                    (q, v), state = sim.measured, sim.state
+                    tau, ydd = sim.evaluate(commands[:, end])
+                    extremes.watch(edges[end], q - middle, v, tau)
+                    extremes.watch_base(edges[end], system.arm, state.y, state.yd, ydd)
         if progress is not None and k % 32 == 0:
             progress(k / records)
     modes = () if sim.base_modes is None else ("u", "ud")
-    names = ("q", "v", "tau", "y", "yd", *modes, "w", "wg", "y_cmd")
+    names = ("q", "v", "tau", "y", "yd", "ydd", *modes, "w", "wg", "y_cmd")
     stacked = (np.stack(column, axis=1) for column in zip(*rows, strict=True))
     end = (len(rows) - 1) * stride + 1
     return Recording(

@@ -253,11 +253,11 @@ def log_energies(log: RunLog, *, duration: float | None = None, tail: float = TA
         duration: of the motion [s]; default the log's own.
         tail: time after it that E_mean covers [s].
     """
-    system = _system(log)
+    system = system_of(log)
     if duration is None:
         duration = motion_end(log)
     yd = base_rate(log)
-    found = _internal_of(system, log)
+    found = internal_of(system, log)
     internal = None if found is None else (found[0][None], found[1][None])
     motion = log.t, log.q[None], log.y[None], yd[None]
     return energies(system, *motion, duration=duration, tail=tail, internal=internal)[0]
@@ -272,11 +272,17 @@ def log_base_energy(log: RunLog, system: System | None = None) -> BaseEnergy:
         log: the run.
         system: that it is of; None: as its metadata say.
     """
-    system = system or _system(log)
-    return base_energy(system, log.q, log.y, base_rate(log), _internal_of(system, log))
+    system = system or system_of(log)
+    return base_energy(system, log.q, log.y, base_rate(log), internal_of(system, log))
 
 
-def _internal_of(system: System, log: RunLog) -> Internal | None:
+def internal_of(system: System, log: RunLog) -> Internal | None:
+    """Motion of internal modes as a log holds it, else estimated; None of a base without.
+
+    Args:
+        system: that the log is of.
+        log: the run.
+    """
     if system.base.internal is None:
         return None
     if log.u is not None and log.ud is not None:
@@ -284,7 +290,8 @@ def _internal_of(system: System, log: RunLog) -> Internal | None:
     return internal_motion(system.base, log.t, log.y, base_rate(log))
 
 
-def _system(log: RunLog) -> System:
+def system_of(log: RunLog) -> System:
+    """The system that a log's metadata name."""
     if "system" not in log.meta:
         raise ParameterError("the energy of a log needs the entry `system` in its metadata")
     return System.from_dict(log.meta["system"], "log metadata: system")
@@ -353,10 +360,10 @@ class EnergyBalance(Viewable):
         if log.tau is None or log.v is None or log.yd is None:
             missing = [k for k in ("tau", "v", "yd") if getattr(log, k) is None]
             raise ParameterError(f"the energy balance needs the columns {', '.join(missing)}")
-        system = _system(log).actual
+        system = system_of(log).actual
         if system.arm.geared:
             raise ParameterError("the energy balance knows no gears that give way")
-        internal = _internal_of(system, log)
+        internal = internal_of(system, log)
         laws = joint_torque(system.effects, log.q, log.v, log.tau, system.arm.column("tau_max"))
         power = -np.sum(laws * log.v, axis=-1)
         in_joints = scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0)
