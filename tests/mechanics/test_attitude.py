@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from scipy.special import ellipj, ellipkinc
 
+from tests.free_bodies import free_body
 from ves_gym.mechanics import attitude
 from ves_gym.mechanics.spatial import rotation, twist
 
@@ -18,29 +18,6 @@ ROUNDING = {"rtol": 0, "atol": 1e-12}
 
 def scipy_of(q):
     return Rotation.from_quat(np.roll(q, -1, axis=-1))  # scalar last there
-
-
-def free_body(inertia, w, time):
-    """Angular velocity of a free body with principal moments A > B > C (Landau-Lifshitz 37).
-
-    Args:
-        inertia: (3,) A > B > C, with L^2 > 2 E B: it circles about the axis of A.
-        w: (3,) at time 0, w_A > 0.
-        time: (k,) [s].
-    """
-    A, B, C = inertia
-    energy, momentum = np.sum(inertia * w**2), np.sum((inertia * w) ** 2)  # 2 E, L^2
-    top = [
-        np.sqrt((momentum - energy * C) / (A * (A - C))),
-        np.sqrt((energy * A - momentum) / (B * (A - B))),
-        np.sqrt((energy * A - momentum) / (C * (A - C))),
-    ]
-    speed = np.sqrt((A - B) * (momentum - energy * C) / (A * B * C))
-    m = (B - C) * (energy * A - momentum) / ((A - B) * (momentum - energy * C))
-    # moments fall from the first axis to the third: w_C is minus cn where theirs rise
-    phase = ellipkinc(np.arctan2(w[1] / top[1], -w[2] / top[2]), m)
-    sn, cn, dn, _ = ellipj(phase + speed * time, m)
-    return np.stack([top[0] * dn, top[1] * sn, -top[2] * cn], axis=-1)
 
 
 @settings(max_examples=50, deadline=None)

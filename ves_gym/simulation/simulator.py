@@ -16,9 +16,11 @@ from ves_gym.engine.backends.compiled import CompiledBackend
 from ves_gym.engine.backends.registry import make_backend
 from ves_gym.engine.batch_parameters import bodies_of, require_alike, share_base
 from ves_gym.hardware.admittance import Nonlinear, require_admittances
+from ves_gym.mechanics.attitude import angular_velocity, from_angles
 from ves_gym.mechanics.base_model import BaseModel, semidefinite
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import AXES, SINGULAR, matvec, rate_matrix
+from ves_gym.simulation.charts import Charts, is_free
 from ves_gym.simulation.emulation_loop import EmulationLoop, Event, Readings
 from ves_gym.simulation.joint_delays import joint_delays_of
 from ves_gym.simulation.loop_linearisation import warn_if_unstable
@@ -46,6 +48,16 @@ class State(NamedTuple):
     q: Array  # (n, joints) rad
     v: Array  # (n, joints) rad/s
 
+    @property
+    def attitude(self) -> Array:
+        """(n, 4) unit quaternions of the base, scalar first, its axes to inertial ones."""
+        return from_angles(self.y[:, 3:])
+
+    @property
+    def spin(self) -> Array:
+        """(n, 3) angular velocity of the base in its own axes [rad/s]."""
+        return angular_velocity(self.y[:, 3:], self.yd[:, 3:])
+
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -60,6 +72,7 @@ class Snapshot:
     emulation_loop: Any = None
     assigned: Mapping[int, System] = field(default_factory=dict)
     joint_delays: Any = None
+    charts: Any = None
 
 
 class Simulator:
@@ -116,6 +129,8 @@ class Simulator:
         # simulations with a system of their own; (rows, row) before it is asked for
         self._assigned: dict[int, Given] = {}
         self.joint_delays = joint_delays_of(system, self.n)  # None where there can be none
+        free = system.mode == "ideal" and is_free(system.actual.base)
+        self._charts = Charts(self.n) if free else None
         self.on_divergence = on_divergence
         self.generators: list[np.random.Generator] = []
         self.seed(seed)
@@ -179,7 +194,10 @@ class Simulator:
     def state(self) -> State:
         """A copy of the present state."""
         time, z, zd = self.backend.read()
-        return State(time, z[:, :6], zd[:, :6], z[:, 6:], zd[:, 6:])
+        y, yd = z[:, :6], zd[:, :6]
+        if self._charts is not None:
+            y, yd = self._charts.outside(y, yd)
+        return State(time, y, yd, z[:, 6:], zd[:, 6:])
 
     def seed(self, seed: int) -> None:
         """Restart the random generators."""
@@ -227,6 +245,8 @@ class Simulator:
             np.hstack([full["y"], full["q"]]),
             np.hstack([full["yd"], full["v"]]),
         )
+        if self._charts is not None:
+            self._charts.reset(index)
         if self.joint_delays is not None:
             self.joint_delays.reset(index, full["q"], full["v"])
         if self.emulation_loop is not None:
@@ -248,6 +268,7 @@ class Simulator:
             None if self.emulation_loop is None else self.emulation_loop.get_state(),
             self._own_systems(),
             None if self.joint_delays is None else self.joint_delays.get_state(),
+            None if self._charts is None else self._charts.get_state(),
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -276,6 +297,8 @@ class Simulator:
             self.emulation_loop.set_state(snapshot.emulation_loop)
         if self.joint_delays is not None:
             self.joint_delays.set_state(snapshot.joint_delays)
+        if self._charts is not None:
+            self._charts.set_state(snapshot.charts)
         self.diverged = snapshot.diverged.copy()
         self.last_state = self.state
 
@@ -453,6 +476,7 @@ class Simulator:
         else:
             if platform is not None:
                 raise ParameterError("platform needs mode emulated, got mode ideal")
+            self._recentre()
             push = self._base_force(base_wrench)
             if self.joint_delays is not None and self.joint_delays.busy:
                 self._drive(self._nodes(torque, end), push)
@@ -510,11 +534,25 @@ class Simulator:
                     f" {self.system.substeps} physics steps, got {nodes.shape[1] - 1} steps"
                 )
             self._ride(nodes, self._platform(platform, periods))
-        elif self.joint_delays is not None and self.joint_delays.busy:
+        elif self._charts is None:
+            self._play(nodes)
+        else:  # looked at every control period, as in `step`
+            for first in range(0, nodes.shape[1] - 1, self.system.substeps):
+                self._recentre()
+                self._play(nodes[:, first : first + self.system.substeps + 1])
+        self._watch()
+
+    def _play(self, nodes: Array) -> None:
+        """In space, through commands linear over each step."""
+        if self.joint_delays is not None and self.joint_delays.busy:
             self._drive(nodes, None)
         else:
             self.backend.step_sequence(nodes, self._running())
-        self._watch()
+
+    def _recentre(self) -> None:
+        """Keep the engine's angles of free bodies away from where they end."""
+        if self._charts is not None:
+            self._charts.recentre(self.backend, np.flatnonzero(self.diverged))
 
     def _drive(self, nodes: Array, push: Array | None) -> None:
         """In space, with delays between joint controller and drives."""
@@ -684,7 +722,11 @@ class Simulator:
                     at_drives + self.joint_delays.correction(q, v, self._kp, self._kd)[0]
                 )
         torque, acceleration = self.backend.evaluate(at_drives)
-        return torque, acceleration[:, :6]
+        ydd = acceleration[:, :6]
+        if self._charts is not None:
+            _, z, zd = self.backend.read()
+            ydd = self._charts.acceleration(z[:, :6], zd[:, :6], ydd)
+        return torque, ydd
 
     # ----------------------------------------------------------------- helpers
 
@@ -710,7 +752,8 @@ class Simulator:
         """Satellites whose attitude reached the end of the Z-Y-X angles (phi_y = 90 deg)."""
         if self.system.base.body is None:
             return np.zeros(self.n, bool)
-        tilt: Mask = np.cos(self.state.y[:, 4]) < SINGULAR  # or beyond: a step may jump over it
+        _, z, _ = self.backend.read()  # in its chart, where it has one
+        tilt: Mask = np.cos(z[:, 4]) < SINGULAR  # or beyond: a step may jump over it
         return tilt
 
     def describe_divergence(self, i: int) -> str:

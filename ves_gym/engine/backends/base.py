@@ -46,6 +46,14 @@ class Backend(Protocol):
             d, rate: (n, g) [rad], [rad/s].
         """
 
+    def set_base(self, ids: Index, y: Array, yd: Array) -> None:
+        """Set the base's pose and rate, and nothing else.
+
+        Args:
+            ids: (k,) which simulations.
+            y, yd: (k, 6) [m, rad] and their rates.
+        """
+
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
         """Set servo gains, active at every physics step.
 

@@ -74,6 +74,9 @@ class DeviceBackend(Remembering):
         self._q[np.ix_(ids, self._order)], self._v[np.ix_(ids, self._order)] = z, zd
         self._act[ids], self._time[ids], self._fault[ids] = 0.0, time, False
 
+    def set_base(self, ids: Index, y: Array, yd: Array) -> None:
+        self._q[np.ix_(ids, TO_Y)], self._v[np.ix_(ids, TO_Y)] = y, yd
+
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
         self._bias[ids, self._drives :, 1], self._bias[ids, self._drives :, 2] = -kp, -kd
 

@@ -163,6 +163,11 @@ class GpuKernelBackend(CompiledBackend):
         x[:, order + first : order + first + self._gears] = rate
         self._put(x)
 
+    def set_base(self, ids: Index, y: Array, yd: Array) -> None:
+        x, order = self._states_now, self._order
+        x[ids, :6], x[ids, order : order + 6] = y, yd
+        self._put(x)
+
     def internal_state(self) -> tuple[Array, Array]:
         x, first, order = self._states_now, 6 + self.joints, self._order
         return x[:, first:order], x[:, order + first :]

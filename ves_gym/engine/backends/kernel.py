@@ -242,6 +242,10 @@ class KernelBackend(CompiledBackend):
         fill(self._x[:, first : first + self._gears], d)
         fill(self._x[:, order + first : order + first + self._gears], rate)
 
+    def set_base(self, ids: Index, y: Array, yd: Array) -> None:
+        at, lane, order = ids // LANES, ids % LANES, self._order
+        self._x[at, :6, lane], self._x[at, order : order + 6, lane] = y, yd
+
     def internal_state(self) -> tuple[Array, Array]:
         x, first, order = unlane(self._x, self.n), 6 + self.joints, self._order
         return x[:, first:order], x[:, order + first :]

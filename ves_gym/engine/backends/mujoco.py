@@ -212,6 +212,9 @@ class MujocoBackend:
     def assign_laws(self, ids: Index, rows: EffectRows) -> None:
         self.assign(ids, [rows.system(row).actual for row in range(len(rows))])
 
+    def set_base(self, ids: Index, y: Array, yd: Array) -> None:
+        self._qpos[np.ix_(ids, TO_Y)], self._qvel[np.ix_(ids, TO_Y)] = y, yd
+
     def set_gear_state(self, d: Array, rate: Array) -> None:
         gears = self._internal[: d.shape[1]]
         self._qpos[:, gears], self._qvel[:, gears] = d, rate

@@ -1,0 +1,73 @@
+"""Bodies in free space: Jacobi's closed form, and an arm that weighs nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.special import ellipj, ellipkinc
+
+from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal
+
+_NOTHING = Inertial(mass=1e-12, com=(0.0, 0.0, 0.0), inertia=diagonal(1e-12, 1e-12, 1e-12))
+
+# a joint that turns a rotor and carries nothing: the satellite under it is all there is
+NO_ARM = Arm(
+    name="no arm",
+    base=_NOTHING,
+    links=(
+        Link(
+            d=0.0,
+            a=0.1,
+            alpha=0.0,
+            inertial=_NOTHING,
+            rotor_inertia=1.0,
+            q_min=-3.0,
+            q_max=3.0,
+            v_max=1.0,
+            a_max=1.0,
+            tau_max=1.0,
+        ),
+    ),
+    source="test: nothing on the satellite",
+)
+
+
+def free_body(inertia, w, time):
+    """Angular velocity of a free body with principal moments A > B > C (Landau-Lifshitz 37).
+
+    Args:
+        inertia: (3,) A > B > C, with L^2 > 2 E B: it circles about the axis of A.
+        w: (3,) at time 0, w_A > 0.
+        time: (k,) [s].
+    """
+    A, B, C = inertia
+    energy, momentum = np.sum(inertia * w**2), np.sum((inertia * w) ** 2)  # 2 E, L^2
+    top = [
+        np.sqrt((momentum - energy * C) / (A * (A - C))),
+        np.sqrt((energy * A - momentum) / (B * (A - B))),
+        np.sqrt((energy * A - momentum) / (C * (A - C))),
+    ]
+    speed = np.sqrt((A - B) * (momentum - energy * C) / (A * B * C))
+    m = (B - C) * (energy * A - momentum) / ((A - B) * (momentum - energy * C))
+    # moments fall from the first axis to the third: w_C is minus cn where theirs rise
+    phase = ellipkinc(np.arctan2(w[1] / top[1], -w[2] / top[2]), m)
+    sn, cn, dn, _ = ellipj(phase + speed * time, m)
+    return np.stack([top[0] * dn, top[1] * sn, -top[2] * cn], axis=-1)
+
+
+def free_attitude(inertia, w, q, time):
+    """Attitude of a free body: q' = 1/2 q (0, w(t)) with w in closed form, by SciPy's DOP853.
+
+    Args:
+        inertia, w: as in `free_body`.
+        q: (4,) at time 0, scalar first.
+        time: (k,) rising [s].
+    """
+
+    def slope(t, q):
+        a, b, c = free_body(inertia, w, np.array([t]))[0]
+        turn = np.array([[0, -a, -b, -c], [a, 0, c, -b], [b, -c, 0, a], [c, b, -a, 0]])
+        return 0.5 * turn @ q
+
+    run = solve_ivp(slope, (0, time[-1]), q, "DOP853", t_eval=time, rtol=1e-13, atol=1e-13)
+    return run.y.T
