@@ -8,7 +8,8 @@ from functools import partial
 import numpy as np
 
 from ves_gym._util.params import Vector
-from ves_gym.mechanics.arm import Arm, matrix
+from ves_gym.mechanics.arm import Arm, Inertial
+from ves_gym.mechanics.payload import carrying
 from ves_gym.system.effect import ArmEffect, parameter, register
 
 REACH = 0.03  # m along an axis, about which a payload sits otherwise than thought
@@ -41,15 +42,6 @@ class PayloadMass(ArmEffect):
         """The last link with the mass on it."""
         if not self.mass:
             return arm
-        last = arm.links[-1]
-        old, extra = last.inertial, self.mass
-        com, place = np.array(old.com), np.array(self.position)
-        total, d = old.mass + extra, place - com
-        spread = np.eye(3) * (d @ d) - np.outer(d, d)
-        inertial = replace(
-            old,
-            mass=total,
-            com=tuple(((old.mass * com + extra * place) / total).tolist()),
-            inertia=matrix(np.array(old.inertia) + old.mass * extra / total * spread),
-        )
-        return replace(arm, links=(*arm.links[:-1], replace(last, inertial=inertial)))
+        zero = (0.0, 0.0, 0.0)
+        point = Inertial(mass=self.mass, com=self.position, inertia=(zero,) * 3)
+        return carrying(arm, point, zero, np.eye(3))

@@ -78,6 +78,9 @@ def require_alike(template: System, other: System, which: str) -> None:
         jets = tuple(getattr(s.vehicle, "thrusters", False) for s in (template, other))
         if jets[0] != jets[1]:
             refuse("thrusters", *jets)
+    held = tuple("none" if s.payload is None else "one" for s in (template, other))
+    if held[0] != held[1]:
+        refuse("the payload", *held)
     if other.emulator is not template.emulator:
         for field in dataclasses.fields(template.emulator_settings):
             a, b = (getattr(s.emulator_settings, field.name) for s in (template, other))

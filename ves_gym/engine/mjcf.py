@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 BASE_JOINTS = ("x", "y", "z", "phi_z", "phi_y", "phi_x")
 TO_Y = np.array([0, 1, 2, 5, 4, 3])
 
-_LEAST = 1e-13  # kg, kg m^2: what MuJoCo takes of a body that moves
+LEAST = 1e-13  # kg, kg m^2: what MuJoCo takes of a body that moves
 
 _INTEGRATORS = {
     "rk4": mujoco.mjtIntegrator.mjINT_RK4,
@@ -285,10 +285,10 @@ def _of_some_mass(inertial: Inertial) -> Inertial:
     A joint next to another, without a link between them, has neither.
     """
     I = np.array(inertial.inertia)
-    if inertial.mass >= _LEAST and np.linalg.eigvalsh(I)[0] >= _LEAST:
+    if inertial.mass >= LEAST and np.linalg.eigvalsh(I)[0] >= LEAST:
         return inertial
-    mass = max(inertial.mass, _LEAST)
-    return replace(inertial, mass=mass, inertia=matrix(I + _LEAST * np.eye(3)))
+    mass = max(inertial.mass, LEAST)
+    return replace(inertial, mass=mass, inertia=matrix(I + LEAST * np.eye(3)))
 
 
 def _set_inertial(body: Any, inertial: Inertial) -> None:

@@ -20,6 +20,7 @@ from ves_gym.mechanics.attitude import angular_velocity, from_angles
 from ves_gym.mechanics.base_model import BaseModel, semidefinite
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import AXES, SINGULAR, matvec, rate_matrix
+from ves_gym.simulation.capture import Capture, Cargo
 from ves_gym.simulation.charts import Charts, is_free
 from ves_gym.simulation.emulation_loop import EmulationLoop, Event, Readings
 from ves_gym.simulation.joint_delays import joint_delays_of
@@ -73,6 +74,7 @@ class Snapshot:
     assigned: Mapping[int, System] = field(default_factory=dict)
     joint_delays: Any = None
     charts: Any = None
+    payload: Any = None
 
 
 class Simulator:
@@ -151,6 +153,7 @@ class Simulator:
             warn_if_unstable(type(self), system, warn_at, servo)
         self.diverged = np.zeros(n, bool)
         self._last_state: State | None = None
+        self.payload = None if system.payload is None else Cargo(self)
         self.reset()
 
     # ------------------------------------------------------------------ state
@@ -252,6 +255,8 @@ class Simulator:
         if self.emulation_loop is not None:
             gains = self._kp[index], self._kd[index]
             self.emulation_loop.reset(index, full["q"], full["y"], full["yd"], *gains)
+        if self.payload is not None:
+            self.payload.reset(index)
         self.diverged[index] = False
         self.last_state = self.state
         return self.last_state
@@ -269,6 +274,7 @@ class Simulator:
             self._own_systems(),
             None if self.joint_delays is None else self.joint_delays.get_state(),
             None if self._charts is None else self._charts.get_state(),
+            None if self.payload is None else self.payload.get_state(),
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -299,6 +305,8 @@ class Simulator:
             self.joint_delays.set_state(snapshot.joint_delays)
         if self._charts is not None:
             self._charts.set_state(snapshot.charts)
+        if self.payload is not None:
+            self.payload.set_state(snapshot.payload)
         self.diverged = snapshot.diverged.copy()
         self.last_state = self.state
 
@@ -370,6 +378,8 @@ class Simulator:
             self._assigned[i] = system
             if system is self.system:
                 del self._assigned[i]
+        if self.payload is not None:
+            self.payload.assigned(index)
 
     def assign_effects(self, rows: EffectRows, ids: npt.ArrayLike | None = None) -> None:
         """Give simulations effects with parameters of their own, as `assign` does, but at once.
@@ -444,6 +454,32 @@ class Simulator:
         self._kd[index] = self._broadcast(kd, "kd", shape)
         self.backend.set_gains(index, self._kp[index], self._kd[index])
 
+    # ----------------------------------------------------------------- payload
+
+    def grasp(
+        self, ids: npt.ArrayLike | None = None, *, directions: object = None
+    ) -> list[Capture]:
+        """Close the latch on the payload, see `Cargo.grasp`.
+
+        Args:
+            ids: which simulations, or None for all.
+            directions: of the relative twist that close, None for all.
+        """
+        return self._cargo().grasp(ids, directions=directions)
+
+    def release(self, ids: npt.ArrayLike | None = None) -> list[Capture]:
+        """Open the latch, see `Cargo.release`.
+
+        Args:
+            ids: which simulations, or None for all.
+        """
+        return self._cargo().release(ids)
+
+    def _cargo(self) -> Cargo:
+        if self.payload is None:
+            raise ParameterError("the system has no payload: give System(payload=...)")
+        return self.payload
+
     # ---------------------------------------------------------------- stepping
 
     def step(
@@ -482,6 +518,8 @@ class Simulator:
                 self._drive(self._nodes(torque, end), push)
             else:
                 self.backend.step(torque, end, push, self.system.substeps, self._running())
+        if self.payload is not None:
+            self.payload.advance(1, self.system.control_dt, self._running())
         self._watch()
         self.last_state = self.state
         return self.last_state
@@ -548,6 +586,10 @@ class Simulator:
             self._drive(nodes, None)
         else:
             self.backend.step_sequence(nodes, self._running())
+        if self.payload is not None:
+            steps = nodes.shape[1] - 1
+            periods = -(-steps // self.system.substeps)
+            self.payload.advance(periods, steps * self.system.physics_dt, self._running())
 
     def _recentre(self) -> None:
         """Keep the engine's angles of free bodies away from where they end."""

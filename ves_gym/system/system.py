@@ -25,6 +25,7 @@ from ves_gym._util.params import (
 )
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT, VEHICLES, BaseModel, Vehicle, altered, get_vehicle
 from ves_gym.system.effect import EFFECTS, ArmEffect, BaseEffect, Effect
@@ -43,7 +44,8 @@ class System:
     `mode` ideal is the space system itself: zero gravity, arm and vehicle coupled.
     Emulated is the laboratory: full gravity, and a platform that moves as the vehicle
     would by what its force sensor feels (`emulator`; the nominal machine by default).
-    `effects` are deviations from what is described here.
+    `effects` are deviations from what is described here. `payload` is a body that the tool
+    can grasp, carry and release (`Simulator.grasp`); in the laboratory a stand holds it.
     `drive` motor gives the joints torque-limited motors with servo gains; prescribed
     makes them follow their command exactly, whatever the base does (a perfect servo).
     The control period must be a whole number of physics steps.
@@ -58,6 +60,7 @@ class System:
     integrator: str = "rk4"
     physics_dt: float = unit("s", default=1.25e-3)
     control_dt: float = unit("s", default=12.5e-3)  # 80 Hz, thesis 2.4.2
+    payload: Payload | None = None
 
     def __post_init__(self) -> None:
         require_choice(self, "mode", MODES)
@@ -92,7 +95,8 @@ class System:
         names = [name for name, vehicle in VEHICLES.items() if vehicle == self.vehicle]
         vehicle = f"{names[0]} ({self.vehicle.kind})" if names else self.vehicle.kind
         effects = "".join(f", {effect}" for effect in self.effects)
-        return f"<System: {self.arm.name} on {vehicle}, {self.mode}{effects}>"
+        payload = "" if self.payload is None else f", payload {self.payload.inertial.mass:g} kg"
+        return f"<System: {self.arm.name} on {vehicle}, {self.mode}{payload}{effects}>"
 
     @cached_property
     def substeps(self) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 from ves_gym._util.params import Array, Index, Mask
 
@@ -133,6 +133,30 @@ class Backend(Protocol):
 
     def set_state(self, state: object) -> None:
         """Return to a state handed out by `get_state`."""
+
+
+@runtime_checkable
+class Carrier(Protocol):
+    """What an engine can do besides whose simulations grasp and carry payloads."""
+
+    def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
+        """Let the rates of some simulations jump, nothing else (`mechanics/latch.py`).
+
+        Args:
+            ids: (k,) which.
+            zd: (k, 6 + joints).
+            gears: (k, g) rates of the gears' deflections [rad/s].
+        """
+
+    def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
+        """Change the last link of some simulations: it carries something, or no longer.
+
+        Args:
+            ids: (k,) which.
+            mass: (k,) [kg].
+            com: (k, 3) in the link's frame [m].
+            inertia: (k, 3, 3) about it [kg m^2].
+        """
 
 
 MEANINGLESS = 1e10  # m, rad and their rates; where MuJoCo, too, gives a state up

@@ -77,6 +77,16 @@ class CompiledBackend(Remembering):
             for i in range(self.joints):
                 self._set_parameter(self.names.index(f"{name}{i + 1}"), ids, values[:, i])
 
+    def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
+        """See `Carrier`."""
+        link = f"link{self.joints}"
+        numbers = {f"{link}.mass": mass}
+        numbers |= {f"{link}.com{k + 1}": com[:, k] for k in range(3)}
+        for i, j in zip(*np.triu_indices(3), strict=True):
+            numbers[f"{link}.I{i + 1}{j + 1}"] = inertia[:, i, j]
+        for name, values in numbers.items():
+            self._set_parameter(self.names.index(name), ids, values)
+
     def assign(self, ids: Index, systems: Sequence[System]) -> None:
         """See `Backend`."""
         pairs = list(zip(ids.tolist(), systems, strict=True))

@@ -255,6 +255,14 @@ class KernelBackend(CompiledBackend):
         self._u[ids // LANES, :, ids % LANES] = 0.0  # no acceleration of a platform either
         self._start[ids], self._ticks[ids], self._fault[ids] = time, 0, False
 
+    def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
+        first, order = 6 + self.joints, self._order
+        at = (ids // LANES, slice(None), ids % LANES)
+        x = self._x[at]
+        x[:, order : order + first] = zd
+        x[:, order + first : order + first + self._gears] = gears
+        self._x[at] = x
+
     def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
         self._p[ids // LANES, at, ids % LANES] = values
 

@@ -16,11 +16,13 @@ from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.engine.batch_parameters import Laws, bodies_of
 from ves_gym.engine.mjcf import (
     BASE_JOINTS,
+    LEAST,
     TO_Y,
     add_hidden,
     build_laboratory_spec,
     build_spec,
 )
+from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.vehicle import BaseModel
 from ves_gym.system.effect import TorqueEffect
@@ -173,6 +175,30 @@ class MujocoBackend:
             base, m = self._systems[i].base, self._carried  # at rest on the vehicle
             self._qpos[i, -m:] = base.attached(z[row, :6])
             self._qvel[i, -m:] = base.attached(zd[row, :6])
+
+    def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
+        self._qvel[np.ix_(ids, self._order)] = zd
+        self._qvel[np.ix_(ids, self._internal[: gears.shape[1]])] = gears
+
+    def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
+        last = self.model.body(f"link_{self.joints}").id
+        turn, place = self.system.arm.links[-1].far_end  # the engine's frame is at the joint
+        moments, axes = np.linalg.eigh(turn @ inertia @ turn.T)
+        axes = axes * np.where(np.linalg.det(axes) < 0, -1.0, 1.0)[:, None, None]
+        more = mass - self.batch.expand("body_mass")[ids, last]
+        values = {
+            "body_mass": mass,
+            "body_ipos": place + com @ turn.T,
+            "body_iquat": from_matrix(axes),
+            "body_inertia": np.maximum(moments, LEAST),
+            "body_sameframe": np.zeros(len(ids)),  # its axes are no longer the body's
+        }
+        for name, numbers in values.items():
+            self.batch.expand(name)[ids, last] = numbers
+        above = last
+        while above:  # and what stands on the bodies below it
+            self.batch.expand("body_subtreemass")[ids, above] += more
+            above = int(self.model.body_parentid[above])
 
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
         if self._bias is None:

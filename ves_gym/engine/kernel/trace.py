@@ -70,11 +70,12 @@ class Equations:
 class _Numbers:
     """Reads a system's numbers in a fixed order, as values or as symbols."""
 
-    def __init__(self, make: Callable[[str, float], Expression]) -> None:
-        self.make = make
+    def __init__(self, make: Callable[[str, float], Expression], zeros: bool = False) -> None:
+        self.make, self.zeros = make, zeros  # zeros: they may become other numbers
 
     def __call__(self, name: str, value: float) -> Expression:
-        return float(value) if value == 0 else self.make(name, float(value))
+        left_out = value == 0 and not self.zeros
+        return float(value) if left_out else self.make(name, float(value))
 
     def matrix(self, name: str, values: Array) -> list[list[Expression]]:
         size = len(values)
@@ -114,11 +115,13 @@ class _Numbers:
             damping=self.matrix("internal_damping.", internal.damping),
         )
 
-    def inertial(self, name: str, body: Any) -> Any:
+    def inertial(self, name: str, body: Any, changing: bool = False) -> Any:
+        """Mass properties; of a body that changes in a run no number is left out."""
+        read = _Numbers(self.make, zeros=True) if changing else self
         return SimpleNamespace(
-            mass=self(f"{name}.mass", body.mass),
-            com=tuple(self(f"{name}.com{k + 1}", body.com[k]) for k in range(3)),
-            inertia=self.matrix(f"{name}.I", np.array(body.inertia)),
+            mass=read(f"{name}.mass", body.mass),
+            com=tuple(read(f"{name}.com{k + 1}", body.com[k]) for k in range(3)),
+            inertia=read.matrix(f"{name}.I", np.array(body.inertia)),
         )
 
 
@@ -129,7 +132,11 @@ def _model(system: System, read: _Numbers) -> Model:
     links = [
         _link(
             link,
-            read.inertial(f"link{i + 1}", link.inertial),
+            read.inertial(
+                f"link{i + 1}",
+                link.inertial,
+                changing=system.payload is not None and i == arm.n - 1,
+            ),
             read(
                 f"link{i + 1}.rotor",
                 link.rotor_inertia + (PRESCRIBED_INERTIA if prescribed else 0.0),

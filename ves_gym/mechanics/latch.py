@@ -1,0 +1,234 @@
+"""The latch: an exact inelastic impulse between tool and grapple fixture.
+
+Forces between two bodies that meet are large and short. In the limit the positions stand
+still, every finite force (springs, dampers, motors) drops out, and what is left is linear:
+M (z'+ - z'-) = -J^T p for the arm with its base, M_t (v+ - v-) = X^T p for the target, and
+S^T (J z'+ - X v+) = 0 along the directions S that close (docs/physics.md).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.base_model import BaseModel
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.spatial import matvec, quadratic, rate_matrix, rotation
+from ves_gym.mechanics.tool_pose import tool_frame, tool_twists
+
+DIRECTIONS = ("x", "y", "z", "about_x", "about_y", "about_z")  # of a relative twist
+
+
+class Impulse(NamedTuple):
+    """What a latch does. Leading axes = simulation."""
+
+    rates: Array  # (..., N) of the arm with its base after it
+    twist: Array  # (..., 6) of the target's centre of mass after it, inertial axes
+    impulse: Array  # (..., 6) on the target at the fixture, inertial axes [N s, N m s]
+    lost: Array  # (...,) energy lost, in closed form [J]
+    relative: Array  # (..., 6) twist of the tool against the fixture before it
+
+
+def inelastic(
+    mass: Array,
+    rates: Array,
+    J: Array,
+    body_mass: Array,
+    twist: Array,
+    X: Array,
+    closed: npt.ArrayLike | None = None,
+    driven: int = 0,
+) -> Impulse:
+    """Close a latch.
+
+    The impulse p = L S^T dV, L = (S^T (J M^-1 J^T + X M_t^-1 X^T) S)^-1, takes the relative
+    twist dV along S away and with it the energy 1/2 (S^T dV)^T L (S^T dV).
+
+    Args:
+        mass: (..., N, N) of the arm with its base.
+        rates: (..., N) before.
+        J: (..., 6, N) twist of the tool, inertial axes, linear part first.
+        body_mass: (..., 6, 6) of the target about its centre of mass, inertial axes.
+        twist: (..., 6) of that point before [m/s, rad/s].
+        X: (..., 6, 6) from it to the twist at the fixture.
+        closed: (6, k) or (..., 6, k) directions S, None for all six.
+        driven: leading coordinates whose motion is prescribed: no impulse changes their rates.
+    """
+    S = np.eye(6) if closed is None else np.asarray(closed, float)
+    relative = matvec(J, rates) - matvec(X, twist)
+    Jt, Xt, St = (np.swapaxes(part, -1, -2) for part in (J, X, S))
+    arm: Array = np.zeros(Jt.shape)
+    body: Array = np.asarray(np.linalg.solve(body_mass, Xt), np.float64)
+    arm[..., driven:, :] = np.linalg.solve(mass[..., driven:, driven:], Jt[..., driven:, :])
+    compliance = St @ (J @ arm + X @ body) @ S
+    gap = matvec(np.broadcast_to(St, (*relative.shape[:-1], *St.shape[-2:])), relative)
+    force = np.linalg.solve(compliance, gap[..., None])[..., 0]
+    impulse: Array = np.asarray((S @ force[..., None])[..., 0], np.float64)
+    return Impulse(
+        rates - matvec(arm, impulse),
+        twist + matvec(body, impulse),
+        impulse,
+        0.5 * np.sum(gap * force, axis=-1),
+        relative,
+    )
+
+
+def directions_of(names: object) -> Array | None:
+    """Return directions by name as (6, k) columns; None stands for all six.
+
+    Args:
+        names: some of `DIRECTIONS`, or (6, k) numbers.
+
+    Raises:
+        ParameterError: unknown or repeated names, no direction, dependent columns.
+    """
+    if names is None:
+        return None
+    if isinstance(names, (list, tuple)) and all(isinstance(k, str) for k in names):
+        if not names or len(set(names)) < len(names) or not set(names) <= set(DIRECTIONS):
+            raise ParameterError(
+                f"directions must be some of {', '.join(DIRECTIONS)}, each once, got {names!r}"
+            )
+        return np.eye(6)[:, [DIRECTIONS.index(str(k)) for k in names]]
+    columns = np.asarray(names)
+    numeric = columns.dtype.kind in "fiu" and columns.ndim == 2 and columns.shape[0] == 6
+    if not numeric or not 1 <= np.linalg.matrix_rank(columns) == columns.shape[1]:
+        raise ParameterError(
+            f"directions must be names or independent columns (6, k), got {names!r}"
+        )
+    return columns.astype(np.float64)
+
+
+class ToolMotion(NamedTuple):
+    """Tool and mass matrix of an arm with its base, by the rates (base twist, q', gears')."""
+
+    place: Array  # (..., 3) of the tool in space [m]
+    turn: Array  # (..., 3, 3) from the last link's axes to the inertial ones
+    J: Array  # (..., 6, N) twist of the tool, inertial axes
+    mass: Array  # (..., N, N)
+
+
+def tool_motion(
+    arm: Arm, base: BaseModel, y: Array, q: Array, gears: Array, prescribed: float = 0.0
+) -> ToolMotion:
+    """Return tool, Jacobian and mass matrix, the gears' deflections as coordinates.
+
+    The base's rate is its twist in its own axes, which has no singular attitude. Internal
+    modes of the base are masses of their own that springs hold (`InternalModes`): no impulse
+    reaches them.
+
+    Args:
+        arm: the arm; where gears give way, q turns the rotors and the links turn further.
+        base: what carries it.
+        y: (..., 6) base pose [m, rad].
+        q: (..., n) joint angles [rad].
+        gears: (..., g) deflections [rad].
+        prescribed: inertia added to joints that follow their command [kg m^2].
+    """
+    n, g = arm.n, len(arm.geared)
+    angles = q.copy()
+    angles[..., list(arm.geared)] += gears
+    R = rotation(y)
+    place, turn = tool_frame(arm, angles)
+    # rates of the rotors and gears to those of the links
+    P = np.eye(6 + n, 6 + n + g)
+    for k, i in enumerate(arm.geared):
+        P[6 + i, 6 + n + k] = 1.0
+    driven = np.zeros(6 + n + g)
+    driven[6 : 6 + n] = arm.column("rotor_inertia")
+    H = inertia(arm, angles) - np.diag(driven[: 6 + n])
+    if base.body is not None:
+        H[..., :6, :6] += base.body.spatial()
+    if base.M.any():
+        T = np.linalg.inv(rate_matrix(y))
+        H[..., :6, :6] += np.swapaxes(T, -1, -2) @ base.M @ T
+    driven[6 : 6 + n] += prescribed
+    mass = P.T @ H @ P + np.diag(driven)
+
+    local = np.zeros((*y.shape[:-1], 6, 6 + n))
+    local[..., :3, :3] = local[..., 3:, 3:6] = np.eye(3)
+    local[..., :3, 3:6] = -cross_matrix(place)
+    local[..., 6:] = tool_twists(arm, angles)
+    world = np.zeros((*y.shape[:-1], 6, 6))
+    world[..., :3, :3] = world[..., 3:, 3:] = R
+    link = R @ turn @ arm.tool_rotation.T
+    return ToolMotion(y[..., :3] + matvec(R, place), link, world @ local @ P, mass)
+
+
+def cross_matrix(v: Array) -> Array:
+    """(..., 3) -> (..., 3, 3) with cross_matrix(v) w = v x w."""
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    return out - np.swapaxes(out, -1, -2)
+
+
+def free_mass(mass: Array, inertia: Array, turn: Array) -> Array:
+    """Return a free body's mass matrix about its centre of mass, inertial axes (..., 6, 6).
+
+    Args:
+        mass: (...,) [kg].
+        inertia: (..., 3, 3) about its centre of mass, own axes [kg m^2].
+        turn: (..., 3, 3) from its own axes to the inertial ones.
+    """
+    M = np.zeros((*np.shape(mass), 6, 6))
+    M[..., :3, :3] = np.asarray(mass)[..., None, None] * np.eye(3)
+    M[..., 3:, 3:] = turn @ inertia @ np.swapaxes(turn, -1, -2)
+    return M
+
+
+def to_point(com: Array, at: Array) -> Array:
+    """Return X (..., 6, 6) from a rigid body's twist at one point to that at another.
+
+    Args:
+        com, at: (..., 3) the points in space [m].
+    """
+    X = np.zeros((*com.shape[:-1], 6, 6))
+    X[..., :3, :3] = X[..., 3:, 3:] = np.eye(3)
+    X[..., :3, 3:] = -cross_matrix(at - com)
+    return X
+
+
+def momentum_of(mass: Array, rates: Array, y: Array) -> Array:
+    """Return linear and angular momentum of an arm with its base about the inertial origin.
+
+    Conjugate to the base's twist, so with a vehicle of constant M that too counts; of a
+    satellite it is the momentum of all bodies, rotors' own turning excepted.
+
+    Args:
+        mass: (..., N, N) of `tool_motion`.
+        rates: (..., N) base twist in its own axes, joints and gears.
+        y: (..., 6) base pose [m, rad].
+
+    Returns:
+        (..., 6) [kg m/s, kg m^2/s], inertial axes.
+    """
+    at_base, R = matvec(mass[..., :6, :], rates), rotation(y)
+    linear, angular = matvec(R, at_base[..., :3]), matvec(R, at_base[..., 3:])
+    return np.concatenate([linear, angular + np.cross(y[..., :3], linear)], axis=-1)
+
+
+def body_momentum(mass: Array, twist: Array, com: Array) -> Array:
+    """Return linear and angular momentum of a free body about the inertial origin.
+
+    Args:
+        mass: (..., 6, 6) about its centre of mass, inertial axes.
+        twist: (..., 6) of that point.
+        com: (..., 3) its place [m].
+    """
+    out = matvec(mass, twist)
+    out[..., 3:] += np.cross(com, out[..., :3])
+    return out
+
+
+def kinetic_energy(mass: Array, rates: Array) -> Array:
+    """Return 1/2 v^T M v [J].
+
+    Args:
+        mass: (..., N, N).
+        rates: (..., N).
+    """
+    return quadratic(mass, rates)

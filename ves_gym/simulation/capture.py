@@ -1,0 +1,455 @@
+"""Payloads of n simulations: free in space, or carried by the tool since its latch closed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym.engine.backends.base import Carrier
+from ves_gym.mechanics.attitude import (
+    conjugate,
+    from_angles,
+    from_matrix,
+    rotate,
+    to_matrix,
+    torque_free_step,
+)
+from ves_gym.mechanics.latch import (
+    Impulse,
+    ToolMotion,
+    body_momentum,
+    directions_of,
+    free_mass,
+    inelastic,
+    kinetic_energy,
+    momentum_of,
+    to_point,
+    tool_motion,
+)
+from ves_gym.mechanics.payload import Payload, angle_between, numbers_of, with_body
+from ves_gym.mechanics.spatial import matvec, rate_matrix, twist
+from ves_gym.system.effect import ArmEffect, BaseEffect
+from ves_gym.system.system import PRESCRIBED_INERTIA, System
+
+if TYPE_CHECKING:
+    from ves_gym.simulation.simulator import Simulator
+
+_STEPS = 4  # of a free body's attitude per control period: 1e-13 rad each at 1 rad/s
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Closing or opening of a latch. Vectors in inertial axes, linear part first."""
+
+    simulation: int
+    time: float  # s
+    kind: str  # "grasp", "touch" (only some directions closed) or "release"
+    impulse: tuple[float, ...] = (0.0,) * 6  # on the payload at the tool [N s, N m s]
+    lost: float = 0.0  # energy [J]
+    twist: tuple[float, ...] = (0.0,) * 6  # of the tool against the fixture before
+    before: tuple[tuple[float, ...], ...] = ()  # Y', q' and the payload's twist before
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as a run log's metadata hold it."""
+        yd, v, payload = self.before or ((), (), ())
+        return {
+            "time": self.time,
+            "kind": self.kind,
+            "impulse": list(self.impulse),
+            "lost": self.lost,
+            "twist": list(self.twist),
+            "before": {"yd": list(yd), "v": list(v), "payload": list(payload)},
+        }
+
+
+class PayloadState(NamedTuple):
+    """Pose and motion of the payloads' origins. Leading axis = simulation."""
+
+    position: Array  # (n, 3) in space [m]
+    attitude: Array  # (n, 4) unit quaternion, own axes to inertial axes
+    velocity: Array  # (n, 3) of the centre of mass [m/s]
+    spin: Array  # (n, 3) in its own axes [rad/s]
+
+
+class Cargo:
+    """The payload of every simulation of a `Simulator`, as `Simulator.payload`.
+
+    Arrays (n, ...): `mass`, `com` and `inertia` in the payload's own axes, which an episode may
+    change (`change`); `carried`; the pose in the last link's frame while it is carried.
+    """
+
+    _ARRAYS = (
+        "carried", "mass", "com", "inertia", "position", "attitude", "velocity", "spin",
+        "place", "turn",
+    )  # fmt: skip
+
+    def __init__(self, sim: Simulator) -> None:
+        if not isinstance(sim.backend, Carrier):
+            raise ParameterError(
+                f"backend {sim.backend.name} carries no payload: use kernel or mujoco"
+            )
+        self.sim, self.engine, n = sim, sim.backend, sim.n
+        self.events: list[Capture] = []
+        self._still = sim.system.mode == "emulated"  # a stand holds it
+        self.carried = np.zeros(n, bool)
+        self.mass, self.com = np.zeros(n), np.zeros((n, 3))
+        self.inertia, self.spin = np.zeros((n, 3, 3)), np.zeros((n, 3))
+        self.position, self.velocity = np.zeros((n, 3)), np.zeros((n, 3))
+        self.attitude = np.zeros((n, 4))
+        self.place, self.turn = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
+        self.described: list[Payload] = []
+        self.assigned(np.arange(n))
+
+    # ------------------------------------------------------------------ state
+
+    def assigned(self, ids: Index) -> None:
+        """Take over the payloads of systems just assigned; what is carried stays carried."""
+        systems = self.sim.systems
+        self.described = [_payload(system) for system in systems]
+        for i in ids.tolist():
+            self.mass[i], self.com[i], self.inertia[i] = numbers_of(self.described[i].inertial)
+        self._refit(ids[self.carried[ids]])
+
+    def reset(self, ids: Index) -> None:
+        """Put payloads free at their described starts, with their described numbers."""
+        held = ids[self.carried[ids]]
+        self.carried[ids] = False
+        self._refit(held)
+        for i in ids.tolist():
+            payload = self.described[i]
+            self.mass[i], self.com[i], self.inertia[i] = numbers_of(payload.inertial)
+            self.position[i], self.velocity[i] = payload.position, payload.velocity
+            self.attitude[i], self.spin[i] = from_angles(payload.angles), payload.spin
+        gone = set(ids.tolist())
+        self.events = [event for event in self.events if event.simulation not in gone]
+
+    def change(self, ids: Index, **values: npt.ArrayLike) -> None:
+        """Set numbers of free payloads: an episode's mass, say, or where they start.
+
+        Args:
+            ids: (k,) which.
+            values: any of mass (k,), com, inertia, position, attitude, velocity, spin as the
+                attributes have them; inertia is about the centre of mass.
+
+        Raises:
+            ParameterError: a payload that is carried, an unknown name, a wrong shape, or
+                numbers that no body has.
+        """
+        if self.carried[ids].any():
+            i = int(ids[self.carried[ids]][0])
+            raise ParameterError(f"payload of simulation {i} is carried: release it first")
+        new = {}
+        for name, value in values.items():
+            if name not in self._ARRAYS[1:8]:
+                known = ", ".join(self._ARRAYS[1:8])
+                raise ParameterError(f"a payload has {known}, got {name!r}")
+            shape = (len(ids), *getattr(self, name).shape[1:])
+            array = np.asarray(value, float)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise ParameterError(
+                    f"payload {name} must be finite numbers of shape {shape}, got"
+                    f" {array.shape}: {value!r}"
+                )
+            new[name] = array
+        if "mass" in new and not (new["mass"] > 0).all():
+            raise ParameterError(f"payload mass must be > 0 kg, got {new['mass'].min():g}")
+        if "inertia" in new and not (np.linalg.eigvalsh(new["inertia"])[:, 0] > 0).all():
+            raise ParameterError("payload inertia must be positive definite")
+        for name, array in new.items():
+            getattr(self, name)[ids] = array
+
+    @property
+    def state(self) -> PayloadState:
+        """Where the payloads are, and how they move, free or carried."""
+        held = np.flatnonzero(self.carried)
+        if not len(held):
+            parts = self.position, self.attitude, self.velocity, self.spin
+            return PayloadState(*(part.copy() for part in parts))
+        position, attitude = self.position.copy(), self.attitude.copy()
+        velocity, spin = self.velocity.copy(), self.spin.copy()
+        motion, rates = self._motion(held)
+        turn, origin, twist = self._carried(held, motion, rates)
+        position[held], attitude[held] = origin, from_matrix(turn)
+        velocity[held] = twist[:, :3]
+        spin[held] = matvec(np.swapaxes(turn, -1, -2), twist[:, 3:])
+        return PayloadState(position, attitude, velocity, spin)
+
+    def get_state(self) -> Any:
+        """Everything needed to continue from here."""
+        return {k: getattr(self, k).copy() for k in self._ARRAYS}, list(self.events)
+
+    def set_state(self, state: Any) -> None:
+        """Return to what `get_state` gave."""
+        arrays, events = state
+        changed = np.flatnonzero(self.carried | arrays["carried"])
+        for name, array in arrays.items():
+            getattr(self, name)[:] = array
+        self.events = list(events)
+        self._refit(changed)
+
+    def advance(self, periods: int, time: float, ids: Index | None) -> None:
+        """Let free payloads fly on: straight, and turning as torque-free bodies do.
+
+        Args:
+            periods: control periods, or parts of them, that `time` covers.
+            time: [s].
+            ids: which simulations run, None for all.
+        """
+        if self._still:
+            return
+        free = ~self.carried
+        if ids is not None:
+            running = np.zeros(len(free), bool)
+            running[ids] = True
+            free = free & running
+        rows = np.flatnonzero(free)
+        if not len(rows):
+            return
+        com = self.position[rows] + rotate(self.attitude[rows], self.com[rows])
+        com += time * self.velocity[rows]
+        q, w, steps = self.attitude[rows], self.spin[rows], _STEPS * periods
+        if w.any():
+            for _ in range(steps):
+                q, w = torque_free_step(q, w, self.inertia[rows], time / steps)
+        turning = self.spin[rows].any(axis=1)
+        self.attitude[rows[turning]], self.spin[rows[turning]] = q[turning], w[turning]
+        self.position[rows] = com - rotate(self.attitude[rows], self.com[rows])
+
+    # ------------------------------------------------------------------ latch
+
+    def gap(self, ids: npt.ArrayLike | None = None) -> tuple[Array, Array]:
+        """Return how far the tool is from the fixture (k,) [m], and the turn missing [rad]."""
+        index = self.sim._ids(ids)
+        motion, _ = self._motion(index)
+        _, distance, angle = self._gap(index, motion)
+        return distance, angle
+
+    def relative(self, ids: npt.ArrayLike | None = None) -> Array:
+        """Return the twist (k, 6) of the tool against the fixture, inertial axes."""
+        index = self.sim._ids(ids)
+        motion, rates = self._motion(index)
+        return self._impulse(index, motion, rates, None).relative
+
+    def grasp(
+        self, ids: npt.ArrayLike | None = None, *, directions: object = None
+    ) -> list[Capture]:
+        """Close the latch: an exact inelastic impulse (`mechanics/latch.py`).
+
+        With all directions the payload is carried from now on, as it sits. With some of them
+        (names of `latch.DIRECTIONS` or columns (6, k), inertial axes) only the relative motion
+        along these is taken away, and the payload stays free. A stand in the laboratory gives
+        way: there the joints alone take the impulse.
+
+        Raises:
+            ParameterError: one is carried already, or out of the latch's reach; none is
+                grasped then.
+        """
+        sim, index = self.sim, self.sim._ids(ids)
+        if not len(index):
+            return []
+        self._require(index, carried=False)
+        closed = directions_of(directions)
+        motion, rates = self._motion(index)
+        turn, distance, angle = self._gap(index, motion)
+        for i, d, a in zip(index.tolist(), distance, angle, strict=True):
+            payload = self.described[i]
+            if d > payload.latch_distance or a > (payload.latch_angle or np.inf):
+                raise ParameterError(
+                    f"simulation {i}: the latch closes within {payload.latch_distance:g} m"
+                    f"{_degrees(payload.latch_angle)} of the fixture, the tool is"
+                    f" {d:.4g} m{_degrees(float(a))} away"
+                )
+        out = self._impulse(index, motion, rates, closed)
+        state = sim.state
+        kind = "grasp" if closed is None else "touch"
+        time, v, yd = state.time[index], state.v[index], state.yd[index]
+        _, twist, _ = self._bodies(index)
+        events = [
+            Capture(
+                i, float(time[k]), kind,
+                tuple(out.impulse[k].tolist()), float(out.lost[k]),
+                tuple(out.relative[k].tolist()),
+                tuple(tuple(part[k].tolist()) for part in (yd, v, twist)),
+            )
+            for k, i in enumerate(index.tolist())
+        ]  # fmt: skip
+        _, z, _ = sim.backend.read()  # whose angles may be in a frame of their own
+        turned = np.linalg.solve(rate_matrix(z[index, :6]), out.rates[:, :6, None])[..., 0]
+        size = 6 + sim.joints
+        zd = np.concatenate([turned, out.rates[:, 6:size]], axis=1)
+        self.engine.set_rates(index, zd, out.rates[:, size:])
+        if closed is None:
+            link = motion.turn
+            self.turn[index] = np.swapaxes(link, -1, -2) @ turn
+            tool = motion.place
+            self.place[index] = matvec(np.swapaxes(link, -1, -2), self.position[index] - tool)
+            self.carried[index] = True
+            self._refit(index)
+        elif not self._still:
+            self.velocity[index] = out.twist[:, :3]
+            self.spin[index] = rotate(conjugate(self.attitude[index]), out.twist[:, 3:])
+        sim.last_state = sim.state
+        self.events += events
+        return events
+
+    def release(self, ids: npt.ArrayLike | None = None) -> list[Capture]:
+        """Open the latch: no impulse; the payload flies on as it moves.
+
+        Raises:
+            ParameterError: a payload that is not carried; none is released then.
+        """
+        index = self.sim._ids(ids)
+        if not len(index):
+            return []
+        self._require(index, carried=True)
+        state, time = self.state, self.sim.state.time
+        for name in ("position", "attitude", "velocity", "spin"):
+            getattr(self, name)[index] = getattr(state, name)[index]
+        if self._still:
+            self.velocity[index], self.spin[index] = 0.0, 0.0
+        self.carried[index] = False
+        self._refit(index)
+        events = [Capture(i, float(time[i]), "release") for i in index.tolist()]
+        self.events += events
+        return events
+
+    # ----------------------------------------------------------------- ledger
+
+    @property
+    def momentum(self) -> Array:
+        """(n, 6) of arm, base and payload about the inertial origin [kg m/s, kg m^2/s]."""
+        motion, rates = self._motion(np.arange(self.sim.n))
+        M, twist, com = self._bodies(np.arange(self.sim.n))
+        own = momentum_of(motion.mass, rates, self.sim.state.y)
+        return own + body_momentum(M, twist, com)
+
+    @property
+    def energy(self) -> tuple[Array, Array]:
+        """Kinetic energy (n,) of arm with base, and of the payload [J]."""
+        motion, rates = self._motion(np.arange(self.sim.n))
+        M, twist, _ = self._bodies(np.arange(self.sim.n))
+        return kinetic_energy(motion.mass, rates), kinetic_energy(M, twist)
+
+    def _bodies(self, ids: Index) -> tuple[Array, Array, Array]:
+        """Mass matrix (k, 6, 6), twist and centre of mass of payloads in space."""
+        state = self._rows(ids)
+        turn = to_matrix(state.attitude)
+        com = state.position + matvec(turn, self.com[ids])
+        M = free_mass(self.mass[ids], self.inertia[ids], turn)
+        twist = np.concatenate([state.velocity, matvec(turn, state.spin)], axis=1)
+        return M, twist, com
+
+    # ---------------------------------------------------------------- helpers
+
+    def _require(self, index: Index, carried: bool) -> None:
+        wrong = index[self.carried[index] != carried]
+        if len(wrong):
+            what = "carries no payload" if carried else "carries its payload already"
+            raise ParameterError(f"simulation {int(wrong[0])} {what}")
+
+    def _rows(self, ids: Index) -> PayloadState:
+        """State of some payloads."""
+        return PayloadState(*(part[ids] for part in self.state))
+
+    def _motion(self, ids: Index) -> tuple[ToolMotion, Array]:
+        """Tool and rates (k, N) of some simulations, of arm and base as they really are."""
+        sim, state = self.sim, self.sim.state
+        at, rate = sim.internal_state
+        _, z, zd = sim.backend.read()
+        base = twist(z[:, :6], zd[:, :6])  # in its own axes: whatever frame the angles are in
+        parts: list[Any] = [None] * len(ids)
+        for system, rows in self._alike(ids):
+            arm, which = system.arm, ids[rows]
+            gears = slice(0, len(arm.geared))
+            inertia = PRESCRIBED_INERTIA if system.drive == "prescribed" else 0.0
+            motion = tool_motion(
+                arm, system.base, state.y[which], state.q[which], at[which, gears], inertia
+            )
+            joined = (base[which], state.v[which], rate[which, gears])
+            rates = np.concatenate(joined, axis=1)
+            if len(rows) == len(ids):
+                return motion, rates
+            for k, row in enumerate(rows.tolist()):
+                parts[row] = (*(part[k] for part in motion), rates[k])
+        place, turn, J, mass, rates = (np.stack(k) for k in zip(*parts, strict=True))
+        return ToolMotion(place, turn, J, mass), rates
+
+    def _alike(self, ids: Index) -> list[tuple[System, Index]]:
+        """Systems as they really are, with the rows of ids that share arm and vehicle."""
+        template = self.sim.system
+        groups: dict[tuple[int, int], tuple[System, list[int]]] = {}
+        for row, i in enumerate(ids.tolist()):
+            given = self.sim._assigned.get(i)
+            system = template if given is None else None
+            if isinstance(given, System):
+                system = given
+            elif given is not None:
+                rows, at = given
+                varied = rows.varied((ArmEffect, BaseEffect))
+                system = rows.system(at) if varied else template
+            assert system is not None
+            actual = system.actual
+            key = id(actual.arm), id(actual.vehicle)
+            groups.setdefault(key, (actual, []))[1].append(row)
+        return [(system, np.array(rows)) for system, rows in groups.values()]
+
+    def _gap(self, ids: Index, motion: ToolMotion) -> tuple[Array, Array, Array]:
+        """Payloads' axes in space (k, 3, 3), distance of the tool (k,), and angle (k,)."""
+        grips = [self.described[i].grip for i in ids.tolist()]
+        place = np.array([grip.position for grip in grips])
+        state = self._rows(ids)
+        turn = to_matrix(state.attitude)
+        fixture = state.position + matvec(turn, place)
+        axes = turn @ np.array([grip.rotation for grip in grips])
+        tool = motion.turn @ self.sim.system.arm.tool_rotation
+        distance: Array = np.linalg.norm(fixture - motion.place, axis=1)
+        return turn, distance, angle_between(axes, tool)
+
+    def _impulse(
+        self, ids: Index, motion: ToolMotion, rates: Array, closed: Array | None
+    ) -> Impulse:
+        M, twist, com = self._bodies(ids)
+        X = to_point(com, motion.place)
+        driven = 6 if self._still else 0  # the platform moves as it is told
+        return inelastic(motion.mass, rates, motion.J, M, twist, X, closed, driven)
+
+    def _carried(
+        self, ids: Index, motion: ToolMotion, rates: Array
+    ) -> tuple[Array, Array, Array]:
+        """Axes (k, 3, 3), origins (k, 3) and twists of the centres of mass (k, 6) in space."""
+        turn = motion.turn @ self.turn[ids]
+        origin = motion.place + matvec(motion.turn, self.place[ids])
+        com = origin + matvec(turn, self.com[ids])
+        twist = matvec(motion.J, rates)
+        twist[:, :3] += np.cross(twist[:, 3:], com - motion.place)
+        return turn, origin, twist
+
+    def _refit(self, ids: Index) -> None:
+        """Make the engine's last links what they are with what they carry, or without."""
+        if not len(ids):
+            return
+        k = len(ids)
+        mass, com, inertia = np.zeros(k), np.zeros((k, 3)), np.zeros((k, 3, 3))
+        for system, rows in self._alike(ids):
+            numbers = numbers_of(system.arm.links[-1].inertial)
+            mass[rows], com[rows], inertia[rows] = numbers
+        held = self.carried[ids]
+        which = ids[held]
+        body = self.mass[which], self.com[which], self.inertia[which]
+        mass[held], com[held], inertia[held] = with_body(
+            mass[held], com[held], inertia[held], *body, self.place[which], self.turn[which]
+        )
+        self.engine.set_last_link(ids, mass, com, inertia)
+
+
+def _payload(system: System) -> Payload:
+    assert system.payload is not None
+    return system.payload
+
+
+def _degrees(angle: float | None) -> str:
+    return "" if angle is None else f" and {np.rad2deg(angle):.3g} deg"
