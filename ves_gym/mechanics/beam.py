@@ -20,6 +20,7 @@ from ves_gym.mechanics.arm import skew
 from ves_gym.mechanics.base_model import BaseModel, Saved, elementwise_damping, modal_damping
 from ves_gym.mechanics.section import ALUMINIUM, Material
 
+_CLOSED = 0.01  # of a beam's length: a tip nearer to the clamp has no m L^2 about it
 _GAUSS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; the beam needs 6
 
 
@@ -59,6 +60,12 @@ class Beam(Saved):
                 f"Beam.wall must be < half the outer diameter {self.outer_diameter} m,"
                 f" got {self.wall} m"
             )
+        reach = float(np.linalg.norm(self.nodes[0]))
+        if self.mass_model == "thesis" and reach < _CLOSED * self.length:
+            raise ParameterError(
+                f"Beam.mass_model thesis needs a tip apart from the clamp, got {reach:.3g} m on"
+                f" {self.length:.3g} m of beam: its m L^2 would vanish; consistent takes any"
+            )
 
     @property
     def section(self) -> tuple[float, float, float]:
@@ -68,10 +75,14 @@ class Beam(Saved):
         return np.pi / 4 * (outer**2 - inner**2), second, 2 * second
 
     @property
+    def length(self) -> float:
+        """Sum of the tubes' lengths [m]."""
+        return sum(float(np.linalg.norm(s)) for s in self.segments)
+
+    @property
     def mass(self) -> float:
         """Mass of the whole beam [kg]."""
-        length = sum(float(np.linalg.norm(s)) for s in self.segments)
-        return self.section[0] * length * self.material.density
+        return self.section[0] * self.length * self.material.density
 
     @property
     def nodes(self) -> Array:
@@ -136,7 +147,7 @@ class Beam(Saved):
             length = float(np.linalg.norm(segment))
             axial = (np.array(segment) / length) ** 2
             floor += self.material.density * polar * length / 3 * axial
-        return np.diag([half] * 3 + np.where(lever > 0, half * lever, floor).tolist())
+        return np.diag([half] * 3 + np.maximum(half * lever, floor).tolist())
 
     def consistent_mass(self) -> Array:
         """(6, 6) M of the beam moving in its static shapes under tip wrenches."""
