@@ -85,12 +85,12 @@ def explain(error: ImportError) -> str | None:
     name = error.name or ""
     if name == "fcntl":  # of the standard library, but not on Windows
         return "this command locks files as POSIX systems do: it does not run on Windows"
-    known = next((m for m in PACKAGES if f"{name}.".startswith(f"{m}.")), None)
-    if known is None:
+    distribution = next((m for m in PACKAGES if f"{name}.".startswith(f"{m}.")), None)
+    if distribution is None:
         return None
-    source = PACKAGES[known]
-    if not installed(known):
-        return lacking("this command", known)
+    source = PACKAGES[distribution]
+    if not installed(distribution):
+        return lacking("this command", distribution)
     return f"the package {source.package} does not load here ({error}): {_how([source])}"
 
 

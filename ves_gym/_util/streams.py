@@ -39,8 +39,8 @@ def reseed(
         sequences = map(np.random.SeedSequence, map(tuple, keys.tolist()))
         return [np.random.Generator(np.random.PCG64(s)) for s in sequences]
     high, low, inc_high, inc_low = _state(keys.astype(np.uint32)).T
-    one = np.uint64(1)
-    increment = _Wide(inc_high << one | inc_low >> np.uint64(63), inc_low << one | one)
+    unit = np.uint64(1)
+    increment = _Wide(inc_high << unit | inc_low >> np.uint64(63), inc_low << unit | unit)
     states = (increment + _Wide(high, low)) * _PCG + increment
     inner: dict[str, int] = {}
     outer = {"bit_generator": "PCG64", "state": inner, "has_uint32": 0, "uinteger": 0}

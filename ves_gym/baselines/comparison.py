@@ -41,10 +41,10 @@ class ControllerComparison(Viewable):
         for evaluation in self.evaluations:
             if evaluation.name == name:
                 return evaluation
-        known = [evaluation.name for evaluation in self.evaluations]
+        names = [evaluation.name for evaluation in self.evaluations]
         raise ParameterError(
-            f"controller must be one of {', '.join(known)}, got {name!r}"
-            f"{did_you_mean(name, known)}"
+            f"controller must be one of {', '.join(names)}, got {name!r}"
+            f"{did_you_mean(name, names)}"
         )
 
     def ratio(self, controller: str, reference: str, measure: str = "E_mean") -> Estimate:
@@ -219,11 +219,11 @@ def policy_files(text: str, id: str) -> list[Path]:
             )
         return files
     if not path.suffix and not path.exists():
-        known = released(id)
-        if text not in known:
+        policies = released(id)
+        if text not in policies:
             raise ParameterError(
                 f"policy {text!r} is no file, and none released for {id}: known are"
-                f" {', '.join(known) or 'none'}{did_you_mean(text, known)}"
+                f" {', '.join(policies) or 'none'}{did_you_mean(text, policies)}"
             )
-        return [known[text]]
+        return [policies[text]]
     return [path]

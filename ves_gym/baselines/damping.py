@@ -146,15 +146,15 @@ class Receding:
         target = self._plan[np.arange(env.num_envs), np.minimum(steps + 1, env.task.steps + 1)]
         return reference_action(env, env.task.control, target)
 
-    def _replan(self, env: VesVectorEnv, i: int, now: int, then: int) -> None:
-        """Plan simulation i from period `then` on, by what is known at period `now`."""
+    def _replan(self, env: VesVectorEnv, i: int, measured: int, begin: int) -> None:
+        """Plan simulation i from period `begin` on, by what period `measured` shows."""
         task, dt, observer = env.task, env.batch.dt, self._observers[i]
         state = observer.s
-        for k in range(now, then):
+        for k in range(measured, begin):
             u = self._momentum[i, k : k + 2, None]
             state = observer.ahead(state, u[0], u[1])
-        base = observer.base_state(0, state[0], self._momentum[i, then])
-        q, v, a = self._plan[i, then]
+        base = observer.base_state(0, state[0], self._momentum[i, begin])
+        q, v, a = self._plan[i, begin]
         arm = task.system.arm
         query = Query(
             system=observer.system,
@@ -169,13 +169,13 @@ class Receding:
         )
         problem = MotionProblem(query, self.free, nodes=_NODES)
         length = round(self.horizon / dt)
-        ahead = self._plan[i, np.minimum(then + np.arange(length + 1), task.steps + 1), 0]
+        ahead = self._plan[i, np.minimum(begin + np.arange(length + 1), task.steps + 1), 0]
         x = problem.near(np.vstack([ahead[:-1], self._home[i]]))
         problem.follow(problem.motion(x))
         motion = problem.motion(minimise(problem, x, self.iterations).x)
-        self._take(arm, i, motion, then, dt)
+        self._take(arm, i, motion, begin, dt)
 
-    def _take(self, arm: Arm, i: int, motion: Motion, then: int, dt: float) -> None:
-        samples = motion.at(dt * np.arange(self._plan.shape[1] - then))
-        self._plan[i, then:] = np.stack([samples.q, samples.v, samples.a], axis=1)
-        self._momentum[i, then:] = matvec(inertia(arm, samples.q)[:, :6, 6:], samples.v)
+    def _take(self, arm: Arm, i: int, motion: Motion, begin: int, dt: float) -> None:
+        samples = motion.at(dt * np.arange(self._plan.shape[1] - begin))
+        self._plan[i, begin:] = np.stack([samples.q, samples.v, samples.a], axis=1)
+        self._momentum[i, begin:] = matvec(inertia(arm, samples.q)[:, :6, 6:], samples.v)

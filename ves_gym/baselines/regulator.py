@@ -45,7 +45,7 @@ class Regulator:
             if not (np.isfinite(value) and value > 0):
                 raise ParameterError(f"{name} must be > 0 and finite, got {value!r}")
         self.stray, self.drift, self.effort = stray, drift, effort
-        self._made = 0  # simulations that there is room for
+        self._count = 0  # simulations that there is room for
         self._home = self._state = self._summed = self._tau = np.empty((0, 0))
         self._A = self._B = self._L = self._F = np.empty((0, 0, 0))
 
@@ -60,14 +60,14 @@ class Regulator:
             )
         system = task.system.replace(effects=()).ideal()
         count, joints = s.q.shape
-        seen = 6 + joints
-        n = seen + system.base.m  # coordinates: Y, joints, internal modes
-        if self._made != count:
-            self._made = count
+        outputs = 6 + joints
+        n = outputs + system.base.m  # coordinates: Y, joints, internal modes
+        if self._count != count:
+            self._count = count
             self._home, self._summed, self._tau = np.zeros((3, count, joints))
             self._state = np.zeros((count, 2 * n))
             self._A, self._B = np.zeros((count, 2 * n, 2 * n)), np.zeros((count, 2 * n, joints))
-            self._L = np.zeros((count, 2 * n, seen))
+            self._L = np.zeros((count, 2 * n, outputs))
             self._F = np.zeros((count, joints, 2 * n + joints))
         for i in ids.tolist():
             self._home[i] = s.q[i]
@@ -93,13 +93,13 @@ class Regulator:
         Q = np.zeros((size + joints, size + joints))
         mass, _, K = system.base.full()
         mass[:6, :6] += inertia(system.arm, q)[:6, :6]
-        at, held = np.r_[:6, 6 + joints : n], np.arange(6, 6 + joints)
+        at, joint = np.r_[:6, 6 + joints : n], np.arange(6, 6 + joints)
         Q[np.ix_(at, at)], Q[np.ix_(n + at, n + at)] = K / 2, mass / 2
-        Q[held, held] = self.stray
+        Q[joint, joint] = self.stray
         Q[size:, size:] = self.drift * np.eye(joints)
         wide_A = np.eye(size + joints)
         wide_A[:size, :size] = A
-        wide_A[size:, held] = dt * np.eye(joints)
+        wide_A[size:, joint] = dt * np.eye(joints)
         wide_B = np.vstack([B, np.zeros((joints, joints))])
         R = self.effort * np.eye(joints)
         P = scipy.linalg.solve_discrete_are(wide_A, wide_B, dt * Q, dt * R)
@@ -114,8 +114,8 @@ class Regulator:
         started = env.batch.episodes.steps > 0
         # one period on by the plant, then what was seen of it
         ahead = _times(self._A, self._state) + _times(self._B, self._tau)
-        seen = np.concatenate([s.y_seen, away], axis=1)
-        ahead += _times(self._L, seen - ahead[:, : seen.shape[1]])
+        measured = np.concatenate([s.y_seen, away], axis=1)
+        ahead += _times(self._L, measured - ahead[:, : measured.shape[1]])
         self._state = np.where(started[:, None], ahead, self._state)
         tau = -_times(self._F, np.concatenate([self._state, self._summed], axis=1))
         action = torque_action(env, control, tau)
@@ -145,15 +145,15 @@ def observer_gain(A: Array, joints: int, dt: float) -> Array:
         joints: number of them.
         dt: period [s].
     """
-    n, seen = len(A) // 2, 6 + joints
+    n, outputs = len(A) // 2, 6 + joints
     rates = np.r_[
         np.full(6, _ACCELERATION[0]),
         np.full(joints, _ACCELERATION[1]),
-        np.full(n - seen, _MODE),
+        np.full(n - outputs, _MODE),
     ]
     unknown = np.vstack([np.eye(n) * dt / 2, np.eye(n)]) * rates * np.sqrt(dt)
     noise = np.diag(np.r_[np.full(6, _SEEN[0]), np.full(joints, _SEEN[1])] ** 2)
-    C = np.eye(seen, 2 * n)
+    C = np.eye(outputs, 2 * n)
     floor = 1e-18 * np.eye(2 * n)  # keeps the Riccati equation regular
     S = scipy.linalg.solve_discrete_are(A.T, C.T, unknown @ unknown.T + floor, noise)
     out: Array = S @ C.T @ np.linalg.inv(C @ S @ C.T + noise)

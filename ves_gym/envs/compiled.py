@@ -150,10 +150,10 @@ def library(shape: Shape, probe: Callable[[], bytes]) -> Library:
         if key not in _LIBRARIES:
             _LIBRARIES[key] = cached(key, lambda: emit_pieces(graphs(shape)))
         return _LIBRARIES[key]
-    made = emit_pieces(graphs(shape))  # text that may change under the same name
-    key = f"period {hashlib.sha256(made.encode()).hexdigest()}"
+    source_text = emit_pieces(graphs(shape))  # text that may change under the same name
+    key = f"period {hashlib.sha256(source_text.encode()).hexdigest()}"
     if key not in _LIBRARIES:
-        _LIBRARIES[key] = cached(key, lambda: made)
+        _LIBRARIES[key] = cached(key, lambda: source_text)
     return _LIBRARIES[key]
 
 
@@ -170,9 +170,9 @@ def digest(shape: Shape, graphs: Mapping[str, casadi.Function]) -> str:
 
 def _text() -> str:
     """Digest of the text that the graphs come from."""
-    here = Path(__file__).parent
-    files = sorted(here.glob("*.py"))
-    kernel = here.parent / "engine" / "kernel"
+    folder = Path(__file__).parent
+    files = sorted(folder.glob("*.py"))
+    kernel = folder.parent / "engine" / "kernel"
     files += [kernel / name for name in ("symbolic.py", "pieces.py", "emit.py")]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 

@@ -146,8 +146,8 @@ def _checked(data: bytes, head: str | None) -> Journal:
     records: list[Record] = []
     problems: list[str] = []
     previous, index = FIRST, 0
-    for number, line in enumerate(lines, 1):
-        record = _parse(line)
+    for number, raw in enumerate(lines, 1):
+        record = _parse(raw)
         if isinstance(record, str):
             problems.append(f"line {number}: {record}")
             previous, index = "", index + 1
@@ -166,10 +166,10 @@ def _checked(data: bytes, head: str | None) -> Journal:
     return Journal(tuple(records), tuple(problems), torn)
 
 
-def _parse(line: bytes) -> Record | str:
+def _parse(raw: bytes) -> Record | str:
     """The record of a line, or what is wrong with it."""
     try:
-        plain = json.loads(line)
+        plain = json.loads(raw)
     except (ValueError, RecursionError):
         return "not JSON"
     if not isinstance(plain, dict) or plain.keys() != _KEYS:
@@ -185,7 +185,7 @@ def _parse(line: bytes) -> Record | str:
     except ParameterError as error:
         return str(error)
     try:
-        if record.to_line() != line + b"\n":
+        if record.to_line() != raw + b"\n":
             return "changed: not in the form it was written in"
     except ValueError:  # NaN, or a lone surrogate
         return "changed: holds what JSON has not"

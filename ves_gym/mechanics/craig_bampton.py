@@ -99,10 +99,10 @@ class Reduction:
         Returns:
             M - P P^T (6, 6), and the damping over (Y', u') (6 + m, 6 + m).
         """
-        rest = self.M - self.coupling @ self.coupling.T
+        mass = self.M - self.coupling @ self.coupling.T
         change = np.eye(6 + self.m)
         change[6:, :6] = -self.coupling.T
-        return (rest + rest.T) / 2, change.T @ damping @ change
+        return (mass + mass.T) / 2, change.T @ damping @ change
 
     def rescaled(self, length: float, mass: float, time: float) -> Reduction:
         """Return the reduction of a structure in other units in SI.
@@ -114,9 +114,9 @@ class Reduction:
         """
         m = self.m
         way = np.r_[np.full(3, length), np.ones(3)]  # of Y
-        own = np.full(m, length * np.sqrt(mass))  # of eta
+        modal = np.full(m, length * np.sqrt(mass))  # of eta
         energy = mass * length**2 / time**2
-        both = np.r_[way, own]
+        both = np.r_[way, modal]
         damping = self.damping
         if damping is not None:
             damping = damping * energy * time / np.outer(both, both)
@@ -124,10 +124,10 @@ class Reduction:
             self,
             K=self.K * energy / np.outer(way, way),
             M=self.M * energy * time**2 / np.outer(way, way),
-            coupling=self.coupling * energy * time**2 / np.outer(way, own),
+            coupling=self.coupling * energy * time**2 / np.outer(way, modal),
             omega=self.omega / time,
             static=self.static * length / way,
-            shapes=self.shapes * length / own,
+            shapes=self.shapes * length / modal,
             damping=damping,
         )
 
@@ -328,15 +328,15 @@ def _own_axes(omega: Array, phi: Array, P: Array) -> tuple[Array, Array]:
 
 def _axes_of(P: Array) -> Array:
     """(c, c) rotation after which each of c modes carries the first axis that is left."""
-    left, size = P.T.copy(), float(np.abs(P).max())
-    turn = np.zeros((len(left), 0))
-    while turn.shape[1] < len(left):
-        norms = np.linalg.norm(left, axis=0)
+    remaining, size = P.T.copy(), float(np.abs(P).max())
+    turn = np.zeros((len(remaining), 0))
+    while turn.shape[1] < len(remaining):
+        norms = np.linalg.norm(remaining, axis=0)
         if norms.max() <= 1e-9 * size:  # the rest carries nothing: any axes do
-            rest = np.linalg.qr(np.hstack([turn, np.eye(len(left))]))[0]
-            return np.hstack([turn, rest[:, turn.shape[1] :]])
+            basis = np.linalg.qr(np.hstack([turn, np.eye(len(remaining))]))[0]
+            return np.hstack([turn, basis[:, turn.shape[1] :]])
         axis = int(np.argmax(norms >= (1 - 1e-6) * norms.max()))  # the first of equal ones
-        direction = left[:, axis] / norms[axis]
+        direction = remaining[:, axis] / norms[axis]
         turn = np.column_stack([turn, direction])
-        left -= np.outer(direction, direction @ left)
+        remaining -= np.outer(direction, direction @ remaining)
     return turn

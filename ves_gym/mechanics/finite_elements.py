@@ -206,11 +206,11 @@ def _bending(length: float, shear: float, linear: float, rotary: float) -> tuple
     `shear` is Phi = 12 E I / (kappa G A length^2), `linear` the mass and `rotary` the
     rotary inertia per length; freedoms: way and slope at either end.
     """
-    L, one = length, 1 + shear
+    L, stiffer = length, 1 + shear
     a, b = 4 + shear, 2 - shear
     rows = [[12, 6 * L, -12, 6 * L], [6 * L, a * L**2, -6 * L, b * L**2]]
     rows += [[-12, -6 * L, 12, -6 * L], [6 * L, b * L**2, -6 * L, a * L**2]]
-    stiffness = np.array(rows) / (one * L**3)
+    stiffness = np.array(rows) / (stiffer * L**3)
     mass = np.zeros((4, 4))
     for point, weight in zip(*_GAUSS, strict=True):
         s = (1 + point) / 2
@@ -222,11 +222,11 @@ def _bending(length: float, shear: float, linear: float, rotary: float) -> tuple
         ])  # fmt: skip
         slope = np.array([
             6 * (s**2 - s) / L,
-            3 * s**2 - (4 + shear) * s + one,
+            3 * s**2 - (4 + shear) * s + stiffer,
             -6 * (s**2 - s) / L,
             3 * s**2 - (2 - shear) * s,
         ])  # fmt: skip
-        share = weight * L / 2 / one**2
+        share = weight * L / 2 / stiffer**2
         mass += share * (linear * np.outer(way, way) + rotary * np.outer(slope, slope))
     return mass, stiffness
 

@@ -130,9 +130,9 @@ class Reduced:
     coupling: Matrix = unit("kg^(1/2), kg^(1/2) m")  # (6, m) P
     omega: Vector = unit("rad/s")  # (m,) with the interface held
     damping: Matrix | None = unit("N s/m", default=None)  # (6 + m, 6 + m) over (Y', eta')
-    line: Matrix | None = unit("m", default=None)  # (k, 3) points at rest
-    line_static: Matrix | None = unit("m, 1", default=None)  # (3 k, 6) per Y
-    line_shapes: Matrix | None = unit("kg^(-1/2)", default=None)  # (3 k, m) per eta
+    centreline: Matrix | None = unit("m", default=None)  # (k, 3) points at rest
+    static: Matrix | None = unit("m, 1", default=None)  # (3 k, 6) per Y
+    shapes: Matrix | None = unit("kg^(-1/2)", default=None)  # (3 k, m) per eta
     diameter: float | None = unit("m", default=None)  # to draw it with
 
     def __post_init__(self) -> None:
@@ -145,31 +145,31 @@ class Reduced:
             raise ParameterError(
                 f"Reduced.omega must be > 0 rad/s and ascend, got {list(self.omega)}"
             )
-        rest = np.linalg.eigvalsh(self._rest())
-        if rest[0] <= 0:
+        condensed = np.linalg.eigvalsh(self._condensed())
+        if condensed[0] <= 0:
             raise ParameterError(
                 "Reduced.M - coupling coupling^T must be positive definite, got an eigenvalue"
-                f" {rest[0]:.6g}"
+                f" {condensed[0]:.6g}"
             )
         if self.damping is not None:
             symmetric(self.damping, "Reduced.damping", 6 + m)
-        if self.line is not None:
-            count = len(self.line)
-            finite(self.line, (count, 3), "Reduced.line")
-            finite(self.line_static, (3 * count, 6), "Reduced.line_static")
-            finite(self.line_shapes, (3 * count, m), "Reduced.line_shapes")
+        if self.centreline is not None:
+            count = len(self.centreline)
+            finite(self.centreline, (count, 3), "Reduced.centreline")
+            finite(self.static, (3 * count, 6), "Reduced.static")
+            finite(self.shapes, (3 * count, m), "Reduced.shapes")
 
-    def _rest(self) -> Array:
+    def _condensed(self) -> Array:
         P = np.array(self.coupling).reshape(6, -1)
-        rest: Array = np.array(self.M) - P @ P.T
-        return rest
+        condensed: Array = np.array(self.M) - P @ P.T
+        return condensed
 
     @staticmethod
     def of(
         structure: Structure,
         modes: int,
         axes: Array | None = None,
-        line: Array | None = None,
+        centreline: Array | None = None,
         nodes: tuple[int, ...] = (),
         diameter: float | None = None,
     ) -> Reduced:
@@ -183,35 +183,35 @@ class Reduced:
             nodes: (k,) their numbers in the files.
             diameter: to draw it with [m].
         """
-        found = structure.reduce(modes)
+        reduced = structure.reduce(modes)
         turn = np.eye(3) if axes is None else finite(axes, (3, 3), "axes")
         if np.abs(turn.T @ turn - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0:
             raise ParameterError(f"axes must be a rotation, got {turn.tolist()}")
-        found = found.turned(turn)
+        reduced = reduced.turned(turn)
         parts: dict[str, Matrix] = {}
-        if line is not None:
-            at = finite(line, (len(nodes), 3), "line")
+        if centreline is not None:
+            at = finite(centreline, (len(nodes), 3), "centreline")
             rows = np.array(structure.rows(nodes), int)  # (k, 3), in the structure's axes
             parts = {
-                "line": matrix(at),
-                "line_static": matrix(_turned(found.static, rows, turn)),
-                "line_shapes": matrix(_turned(found.shapes, rows, turn)),
+                "centreline": matrix(at),
+                "static": matrix(_turned(reduced.static, rows, turn)),
+                "shapes": matrix(_turned(reduced.shapes, rows, turn)),
             }
         return Reduced(
-            K=matrix(found.K),
-            M=matrix(found.M),
-            coupling=matrix(found.coupling),
-            omega=tuple(found.omega.tolist()),
-            damping=None if found.damping is None else matrix(found.damping),
+            K=matrix(reduced.K),
+            M=matrix(reduced.M),
+            coupling=matrix(reduced.coupling),
+            omega=tuple(reduced.omega.tolist()),
+            damping=None if reduced.damping is None else matrix(reduced.damping),
             diameter=diameter,
             **parts,
         )
 
     def reduction(self) -> Reduction:
         """Return the matrices as a reduction; its freedoms are those of the line."""
-        m, count = len(self.omega), 0 if self.line is None else len(self.line)
-        static = np.zeros((0, 6)) if self.line_static is None else np.array(self.line_static)
-        shapes = np.zeros((0, m)) if self.line_shapes is None else np.array(self.line_shapes)
+        m, count = len(self.omega), 0 if self.centreline is None else len(self.centreline)
+        static = np.zeros((0, 6)) if self.static is None else np.array(self.static)
+        shapes = np.zeros((0, m)) if self.shapes is None else np.array(self.shapes)
         return Reduction(
             K=symmetric(self.K, "Reduced.K"),
             M=symmetric(self.M, "Reduced.M"),
@@ -229,10 +229,10 @@ def _turned(shapes: Array, rows: Array, axes: Array) -> Array:
     return out
 
 
-class Line(NamedTuple):
+class Centreline(NamedTuple):
     """A structure's centreline and its ways."""
 
-    rest: Array  # (k, 3) [m]
+    at_rest: Array  # (k, 3) [m]
     static: Array  # (k, 3, 6) per Y
     shapes: Array  # (k, 3, m) per eta
 
@@ -259,9 +259,9 @@ class FlexibleBase(Saved):
         most = 120 if isinstance(self.structure, Polyline) else len(self.structure.omega)
         if isinstance(self.modes, bool) or not 0 <= self.modes <= most:
             raise ParameterError(f"FlexibleBase.modes must be 0 to {most}, got {self.modes!r}")
-        own = isinstance(self.structure, Reduced) and self.structure.damping is not None
-        given = (self.damping_ratio is not None) + (self.damping_ratios is not None)
-        if given != (0 if own and not given else 1):
+        has_damping = isinstance(self.structure, Reduced) and self.structure.damping is not None
+        count = (self.damping_ratio is not None) + (self.damping_ratios is not None)
+        if count != (0 if has_damping and not count else 1):
             raise ParameterError(
                 "FlexibleBase needs damping_ratio or damping_ratios, or a structure with its"
                 f" own damping, got {self.damping_ratio} and {self.damping_ratios}"
@@ -296,7 +296,8 @@ class FlexibleBase(Saved):
         """(k, 3) corners from clamp to flange, or the drawn points of a user's model [m]."""
         if isinstance(self.structure, Polyline):
             return self.structure.corners
-        return None if self.structure.line is None else np.array(self.structure.line)
+        points = self.structure.centreline
+        return None if points is None else np.array(points)
 
     @property
     def outer_diameter(self) -> float:
@@ -314,33 +315,33 @@ class FlexibleBase(Saved):
         """M, K at the flange, and the internal modes with all the damping."""
         return _base_model(self)
 
-    def line(self) -> Line | None:
+    def centreline(self) -> Centreline | None:
         """Return the centreline and its ways, None of a model without one."""
-        return _line(self)
+        return _centreline(self)
 
 
 @lru_cache(maxsize=32)
 def _reduction(base: FlexibleBase) -> Reduction:
     if isinstance(base.structure, Reduced):
         return base.structure.reduction().truncated(base.modes).within(base.fastest)
-    found = _polyline_reduction(base.structure, base.modes)
-    return found.within(base.fastest)
+    reduced = _polyline_reduction(base.structure, base.modes)
+    return reduced.within(base.fastest)
 
 
-def _polyline_reduction(line: Polyline, modes: int) -> Reduction:
-    flange = np.arange(6) + 6 * len(line.members)
-    M, K = line.frame().dense()
-    found = reduce(M, K, flange, modes, held=range(6))
+def _polyline_reduction(polyline: Polyline, modes: int) -> Reduction:
+    flange = np.arange(6) + 6 * len(polyline.members)
+    M, K = polyline.frame().dense()
+    reduced = reduce(M, K, flange, modes, held=range(6))
     # one element a member is exact in statics, and better conditioned
-    coarse = line.frame(1).dense()
+    coarse = polyline.frame(1).dense()
     stiffness = reduce(*coarse, flange, 0, held=range(6)).K
     stiffness[np.abs(stiffness) < 1e-14 * np.abs(stiffness).max()] = 0.0  # as `Beam` has it
     # what symmetry makes zero is zero, not what rounding leaves of it
     # (a mode carries at most the mass along an axis)
-    least = _ROUNDING * np.sqrt(np.diag(found.M))[:, None]
-    coupling = np.where(np.abs(found.coupling) < least, 0.0, found.coupling)
-    mass = _with_zeros(found.M, _ROUNDING)
-    return replace(found, K=stiffness, M=mass, coupling=coupling)
+    least = _ROUNDING * np.sqrt(np.diag(reduced.M))[:, None]
+    coupling = np.where(np.abs(reduced.coupling) < least, 0.0, reduced.coupling)
+    mass = _with_zeros(reduced.M, _ROUNDING)
+    return replace(reduced, K=stiffness, M=mass, coupling=coupling)
 
 
 def _with_zeros(values: Array, least: float) -> Array:
@@ -351,34 +352,34 @@ def _with_zeros(values: Array, least: float) -> Array:
 
 @lru_cache(maxsize=32)
 def _base_model(base: FlexibleBase) -> BaseModel:
-    found = base.reduction()
+    reduced = base.reduction()
     if base.damping_ratio is not None:
-        damping = found.modal_damping(base.damping_ratio)
+        damping = reduced.modal_damping(base.damping_ratio)
     elif base.damping_ratios is not None:
-        damping = found.modal_damping(np.array(base.damping_ratios[: 6 + found.m]))
-    elif found.damping is not None:
-        damping = found.damping
-    rest, damping = (_with_zeros(k, 1e-12) for k in found.absolute(damping))
+        damping = reduced.modal_damping(np.array(base.damping_ratios[: 6 + reduced.m]))
+    elif reduced.damping is not None:
+        damping = reduced.damping
+    condensed, damping = (_with_zeros(k, 1e-12) for k in reduced.absolute(damping))
     zero = np.zeros((6, 6))
-    modes = InternalModes(found.coupling, found.omega, damping)
-    for array in (rest, zero, found.K, modes.coupling, modes.omega, modes.damping):
+    modes = InternalModes(reduced.coupling, reduced.omega, damping)
+    for array in (condensed, zero, reduced.K, modes.coupling, modes.omega, modes.damping):
         array.flags.writeable = False  # shared by every system with this base
-    return BaseModel(rest, zero, found.K, internal=modes)
+    return BaseModel(condensed, zero, reduced.K, internal=modes)
 
 
 @lru_cache(maxsize=32)
-def _line(base: FlexibleBase) -> Line | None:
-    found = base.reduction()
+def _centreline(base: FlexibleBase) -> Centreline | None:
+    reduced = base.reduction()
     if isinstance(base.structure, Reduced):
-        if base.structure.line is None:
+        if base.structure.centreline is None:
             return None
-        rest = np.array(base.structure.line)
-        rows = np.arange(3 * len(rest)).reshape(-1, 3)
+        at_rest = np.array(base.structure.centreline)
+        rows = np.arange(3 * len(at_rest)).reshape(-1, 3)
     else:
         path = base.structure.path()
-        rest = base.structure.frame().nodes[path]
+        at_rest = base.structure.frame().nodes[path]
         rows = 6 * np.array(path)[:, None] + np.arange(3)
-    return Line(rest, found.static[rows], found.shapes[rows])
+    return Centreline(at_rest, reduced.static[rows], reduced.shapes[rows])
 
 
 def bent_line(
@@ -395,16 +396,16 @@ def bent_line(
     Returns:
         (N, k, 3) points [m], None of a model without a line to draw.
     """
-    line = base.line()
-    if line is None:
+    centreline = base.centreline()
+    if centreline is None:
         return None
-    rest, static, shapes = line
+    at_rest, static, shapes = centreline
     if isinstance(base.structure, Polyline):
         cuts = np.unique(np.round(np.linspace(0, ELEMENTS, points)).astype(int))
         starts = [ELEMENTS * i for i in range(len(base.structure.members))]
-        keep = np.unique([a + b for a, b in itertools.product(starts, cuts)])
-        rest, static, shapes = rest[keep], static[keep], shapes[keep]
-    out = rest + np.einsum("kic,nc->nki", static, y)
+        chosen = np.unique([a + b for a, b in itertools.product(starts, cuts)])
+        at_rest, static, shapes = at_rest[chosen], static[chosen], shapes[chosen]
+    out = at_rest + np.einsum("kic,nc->nki", static, y)
     if u is not None:
         eta = u - y @ base.reduction().coupling
         out = out + np.einsum("kic,nc->nki", shapes, eta)
@@ -429,10 +430,10 @@ def stress(base: FlexibleBase, y: Array, u: Array | None = None) -> Array:
     """
     if isinstance(base.structure, Reduced):
         raise ParameterError("stress needs a Polyline, got reduced matrices")
-    found, frame = base.reduction(), base.structure.frame()
-    moved = y @ found.static.T
+    reduced, frame = base.reduction(), base.structure.frame()
+    moved = y @ reduced.static.T
     if u is not None:
-        moved = moved + (u - y @ found.coupling) @ found.shapes.T
+        moved = moved + (u - y @ reduced.coupling) @ reduced.shapes.T
     ends = frame.stress(moved)  # (N, elements, 2), member by member
     first = np.arange(len(base.structure.members)) * ELEMENTS
     return np.stack([ends[:, first, 0], ends[:, first + ELEMENTS - 1, 1]], axis=-1)

@@ -176,13 +176,13 @@ def minimal_model(arm: Arm) -> MinimalModel:
         far = link.far_end[0]
         axis = far[2].tolist()  # z' in body i
         lost = max((2, 1, 0), key=lambda k: abs(axis[k]))
-        kept = [k for k in range(3) if k != lost]
-        number = {k: len(chosen) + j for j, k in enumerate(kept)}
-        chosen += [(i, k) for k in kept]
+        others = [k for k in range(3) if k != lost]
+        number = {k: len(chosen) + j for j, k in enumerate(others)}
+        chosen += [(i, k) for k in others]
         rows += [np.zeros(width), np.zeros(width)]
         terms += [[], []]
         remainder = {j: part / axis[lost] for j, part in z.items()}
-        remainder |= {number[k]: -axis[k] / axis[lost] for k in kept if axis[k]}
+        remainder |= {number[k]: -axis[k] / axis[lost] for k in others if axis[k]}
         along = [remainder if k == lost else {number[k]: 1.0} for k in range(3)]
         for k in range(3):
             lump(along[k], 3 * i + k, 1.0, f"m{i} r{i}{'xyz'[k]}")

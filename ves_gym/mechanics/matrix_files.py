@@ -53,16 +53,16 @@ def read_matrices(path: str | os.PathLike[str]) -> dict[str, NamedMatrix]:
     if suffix not in readers:
         raise ParameterError(f"{path}: expected one of {', '.join(SUFFIXES)}, got {suffix!r}")
     try:
-        found: list[NamedMatrix] = readers[suffix](path)
+        matrices: list[NamedMatrix] = readers[suffix](path)
     except ParameterError:
         raise
     except (OSError, ValueError, EOFError, IndexError, KeyError) as error:
         raise ParameterError(f"{path}: cannot be read as {suffix}: {error}") from None
-    if not found:
+    if not matrices:
         raise ParameterError(f"{path}: expected at least one matrix, got none")
-    for matrix in found:
+    for matrix in matrices:
         _check(matrix, path)
-    return {matrix.name: matrix for matrix in found}
+    return {matrix.name: matrix for matrix in matrices}
 
 
 def _check(matrix: NamedMatrix, path: Path) -> None:
@@ -118,11 +118,11 @@ def _calculix(path: Path) -> list[NamedMatrix]:
 
 def _filled(rows: Any, columns: Any, values: Any, size: int) -> Any:
     """A matrix of which one triangle may be given alone."""
-    given = scipy.sparse.coo_array((values, (rows, columns)), shape=(size, size)).tocsc()
-    lower, upper = (scipy.sparse.tril(given, -1), scipy.sparse.triu(given, 1))
+    half = scipy.sparse.coo_array((values, (rows, columns)), shape=(size, size)).tocsc()
+    lower, upper = (scipy.sparse.tril(half, -1), scipy.sparse.triu(half, 1))
     if lower.count_nonzero() and upper.count_nonzero():
-        return given
-    return scipy.sparse.csc_array(given + lower.T + upper.T)
+        return half
+    return scipy.sparse.csc_array(half + lower.T + upper.T)
 
 
 # ------------------------------------------------------------------------- NASTRAN DMIG
@@ -169,27 +169,27 @@ def _entries(path: Path) -> list[list[str]]:
     entries: list[list[str]] = []
     open_entry = False
     for raw in path.read_text("ascii", errors="replace").splitlines():
-        line = raw.split("$")[0].rstrip()
-        if not line:
+        text = raw.split("$")[0].rstrip()
+        if not text:
             continue
-        head = line[:8].split(",")[0].strip().upper()
+        head = text[:8].split(",")[0].strip().upper()
         begins = head in ("DMIG", "DMIG*")
         if begins:
             entries.append([])
         open_entry = begins or (open_entry and (head == "" or head[0] in "+*"))
         if open_entry:
-            entries[-1] += _fields(line, wide=head.endswith("*") or head.startswith("*"))
+            entries[-1] += _fields(text, wide=head.endswith("*") or head.startswith("*"))
     return entries
 
 
-def _fields(line: str, wide: bool) -> list[str]:
+def _fields(text: str, wide: bool) -> list[str]:
     count = 4 if wide else 8
-    if "," in line:
-        fields = line.split(",")[1 : 1 + count]
+    if "," in text:
+        fields = text.split(",")[1 : 1 + count]
     else:
         width = 16 if wide else 8
-        line = line.expandtabs(8)
-        fields = [line[8 + width * k : 8 + width * (k + 1)] for k in range(count)]
+        text = text.expandtabs(8)
+        fields = [text[8 + width * k : 8 + width * (k + 1)] for k in range(count)]
     return [k.strip() for k in fields] + [""] * (count - len(fields))
 
 
@@ -224,8 +224,8 @@ def _op4_matrix(lines: list[str], at: int) -> tuple[NamedMatrix, int]:
     name, layout = head[32:40].strip(), head[40:].strip()
     if kind not in (1, 2):
         raise ValueError(f"OP4 {name} must be real (type 1 or 2), got {kind}")
-    found = re.search(r"(\d+)[EDGF](\d+)\.", layout.upper().removeprefix("1P").strip(", "))
-    width = int(found.group(2)) if found else 16
+    match = re.search(r"(\d+)[EDGF](\d+)\.", layout.upper().removeprefix("1P").strip(", "))
+    width = int(match.group(2)) if match else 16
     big = rows < 0  # strings of a sparse matrix are headed by two numbers instead of one
     entries: list[tuple[int, int, float]] = []
     at += 1
@@ -253,9 +253,9 @@ def _op4_whole(
     return NamedMatrix(name, scipy.sparse.coo_array((v, (i, j)), size).tocsc())
 
 
-def _op4_string(line: str, big: bool) -> int:
+def _op4_string(record: str, big: bool) -> int:
     """First row of a string of a sparse column."""
-    return int(line[8:16]) if big else int(line) % 65536  # row + 65536 (length + 1)
+    return int(record[8:16]) if big else int(record) % 65536  # row + 65536 (length + 1)
 
 
 def _run(lines: list[str], at: int) -> int:
@@ -268,5 +268,5 @@ def _run(lines: list[str], at: int) -> int:
 
 def _op4_values(lines: list[str], width: int) -> list[float]:
     """Numbers of a fixed width."""
-    texts = (line.rstrip() for line in lines)
+    texts = (text.rstrip() for text in lines)
     return [_number(t[k : k + width].strip()) for t in texts for k in range(0, len(t), width)]

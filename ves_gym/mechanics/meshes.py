@@ -55,24 +55,24 @@ def capsule_around(points: Array) -> tuple[Array, Array, float]:
     """
     points = _hull(points)
     main = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)[2]
-    best, found = np.inf, None
+    best, capsule = np.inf, None
     for axis in (*np.eye(3), *main):
         across = np.linalg.svd(axis[None])[2][1:]
         flat, along = points @ across.T, points @ axis
         centre = _centre(flat)
-        apart = np.linalg.norm(flat - centre, axis=1)
+        distance = np.linalg.norm(flat - centre, axis=1)
         for factor in _SWELL:
-            radius = factor * max(float(apart.max()), 1e-6)
-            cap = np.sqrt(np.maximum(radius**2 - apart**2, 0.0))
+            radius = factor * max(float(distance.max()), 1e-6)
+            cap = np.sqrt(np.maximum(radius**2 - distance**2, 0.0))
             low, high = float((along + cap).min()), float((along - cap).max())
             if low > high:
                 low = high = (low + high) / 2
             volume = radius**2 * (high - low) + 4 / 3 * radius**3
             if volume < best * (1 - 1e-9):
                 middle = centre @ across
-                best, found = volume, (middle + low * axis, middle + high * axis, radius)
-    assert found is not None  # points are finite
-    return found
+                best, capsule = volume, (middle + low * axis, middle + high * axis, radius)
+    assert capsule is not None  # points are finite
+    return capsule
 
 
 def _hull(points: Array) -> Array:
@@ -92,10 +92,10 @@ def _centre(points: Array) -> Array:
     centre: Array = (points.min(axis=0) + points.max(axis=0)) / 2
     best, least = centre, np.inf
     for k in range(1, _ROUNDS):
-        apart = np.linalg.norm(points - centre, axis=1)
-        far = int(apart.argmax())
-        if apart[far] < least:
-            best, least = centre, apart[far]
+        distance = np.linalg.norm(points - centre, axis=1)
+        far = int(distance.argmax())
+        if distance[far] < least:
+            best, least = centre, distance[far]
         centre = centre + (points[far] - centre) / (k + 1)
     return best
 
@@ -161,7 +161,7 @@ def _collada_points(geometry: ElementTree.Element) -> Array:
     mesh = geometry.find("mesh")
     if mesh is None:
         return np.zeros((0, 3))
-    wanted = {
+    names = {
         (k.get("source") or "#")[1:]
         for k in mesh.iter("input")
         if k.get("semantic") == "POSITION"
@@ -169,7 +169,7 @@ def _collada_points(geometry: ElementTree.Element) -> Array:
     rows = [
         np.array((array.text or "").split(), float).reshape(-1, 3)
         for source in mesh.iter("source")
-        if source.get("id") in wanted
+        if source.get("id") in names
         for array in source.iter("float_array")
     ]
     return np.concatenate(rows) if rows else np.zeros((0, 3))

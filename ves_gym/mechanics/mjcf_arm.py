@@ -160,8 +160,8 @@ class _Reader:
     def _tip(self, tip: str | None) -> tuple[int, int]:
         """Body and site (-1: none) of the tool."""
         m, find = self.model, self.mj.mj_name2id
-        wanted = _TOOL if tip is None else tip
-        site = int(find(m, self.mj.mjtObj.mjOBJ_SITE, wanted))
+        target = _TOOL if tip is None else tip
+        site = int(find(m, self.mj.mjtObj.mjOBJ_SITE, target))
         if site >= 0:
             return int(m.site_bodyid[site]), site
         if tip is not None:
@@ -202,9 +202,9 @@ class _Reader:
     def _mover(self, body: int, hinges: set[int]) -> int:
         """The last hinge that moves a body, -1: none."""
         for k in self._above(body):
-            own = [j for j in self._joints(k) if j in hinges]
-            if own:
-                return own[-1]
+            hinged = [j for j in self._joints(k) if j in hinges]
+            if hinged:
+                return hinged[-1]
         return -1
 
     # -------------------------------------------------------------------- what it has
@@ -229,12 +229,12 @@ class _Reader:
         for k in range(m.neq):
             if not m.eq_active0[k]:
                 continue
-            one, two = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
+            first_id, second_id = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
             kind = kinds(int(m.eq_type[k]))
             if kind == kinds.mjEQ_JOINT:
-                for j in (one, two):
+                for j in (first_id, second_id):
                     if j in hinges:
-                        other = two if j == one else one
+                        other = second_id if j == first_id else first_id
                         tied = self._name("joint", other) if other >= 0 else "a constant"
                         raise ParameterError(
                             f"joint {self._name('joint', j)!r} is tied to {tied!r} by"
@@ -243,8 +243,8 @@ class _Reader:
             elif kind in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
                 if int(m.eq_objtype[k]) != int(self.mj.mjtObj.mjOBJ_BODY):
                     continue
-                moved = [b for b in (one, two) if b in chain]
-                mocap = [b for b in (one, two) if m.body_mocapid[b] >= 0]
+                moved = [b for b in (first_id, second_id) if b in chain]
+                mocap = [b for b in (first_id, second_id) if m.body_mocapid[b] >= 0]
                 if moved and not mocap:
                     raise ParameterError(
                         f"body {self._name('body', moved[0])!r} is held by <equality>: an arm"

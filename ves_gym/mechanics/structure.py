@@ -77,8 +77,8 @@ class Structure:
             damping=self.damping,
             held=self.held,
         )
-        found = with_one.rescaled(*UNITS[self.units])
-        return _without_rigid_stiffness(found, self.rigid_modes).truncated(modes)
+        reduction = with_one.rescaled(*UNITS[self.units])
+        return _without_rigid_stiffness(reduction, self.rigid_modes).truncated(modes)
 
     def rows(self, nodes: Sequence[int]) -> tuple[tuple[int, ...], ...]:
         """Return the freedoms x, y, z of nodes by their numbers.
@@ -123,8 +123,8 @@ def read_structure(
         )
     if rigid_modes not in range(7):
         raise ParameterError(f"rigid_modes must be 0 to 6, got {rigid_modes!r}")
-    found, source = _find(files, names or {})
-    parts, labels = _aligned(found)
+    matrices, source = _find(files, names or {})
+    parts, labels = _aligned(matrices)
     checked = {name: _symmetric(values, name) for name, values in parts.items()}
     size = checked["K"].shape[0]
     for name in checked:
@@ -165,24 +165,26 @@ def _find(
             raise ParameterError(f"files must be named M, K, D, got {unknown[0]!r}")
         out = {}
         for key, path in files.items():
-            held = read_matrices(path)
-            if len(held) == 1:
-                out[key] = next(iter(held.values()))
+            matrices = read_matrices(path)
+            if len(matrices) == 1:
+                out[key] = next(iter(matrices.values()))
             else:
-                one = _named(held, key, names)
-                if one is None:
-                    raise ParameterError(f"{path}: which one is {key}? Got {', '.join(held)}")
-                out[key] = one
+                matrix = _named(matrices, key, names)
+                if matrix is None:
+                    raise ParameterError(
+                        f"{path}: which one is {key}? Got {', '.join(matrices)}"
+                    )
+                out[key] = matrix
         source = ", ".join(os.path.basename(os.fspath(path)) for path in files.values())
     else:
-        held = read_matrices(files)
-        every = {key: _named(held, key, names) for key in NAMES}
-        out = {key: one for key, one in every.items() if one is not None}
+        matrices = read_matrices(files)
+        every = {key: _named(matrices, key, names) for key in NAMES}
+        out = {key: matrix for key, matrix in every.items() if matrix is not None}
         source = os.path.basename(os.fspath(files))
         if "M" not in out or "K" not in out:
             raise ParameterError(
                 f"{source}: expected a mass and a stiffness matrix (names={{'M': ...,"
-                f" 'K': ...}} says which), got {', '.join(held)}"
+                f" 'K': ...}} says which), got {', '.join(matrices)}"
             )
     for key in "MK":
         if key not in out:
@@ -191,28 +193,32 @@ def _find(
 
 
 def _named(
-    held: dict[str, NamedMatrix], key: str, names: Mapping[str, str]
+    matrices: dict[str, NamedMatrix], key: str, names: Mapping[str, str]
 ) -> NamedMatrix | None:
     if key in names:
-        if names[key] not in held:
-            raise ParameterError(f"names: no matrix {names[key]!r}; known: {', '.join(held)}")
-        return held[names[key]]
-    known = [name for name in held if name.lower() in NAMES[key]]
-    return held[known[0]] if len(known) == 1 else None
+        if names[key] not in matrices:
+            raise ParameterError(
+                f"names: no matrix {names[key]!r}; known: {', '.join(matrices)}"
+            )
+        return matrices[names[key]]
+    alike = [name for name in matrices if name.lower() in NAMES[key]]
+    return matrices[alike[0]] if len(alike) == 1 else None
 
 
-def _aligned(found: dict[str, NamedMatrix]) -> tuple[dict[str, Any], tuple[Label, ...] | None]:
+def _aligned(
+    matrices: dict[str, NamedMatrix],
+) -> tuple[dict[str, Any], tuple[Label, ...] | None]:
     """Matrices over the same freedoms: files may leave out those without mass or damping."""
-    if any(matrix.labels is None for matrix in found.values()):
-        return {name: matrix.values for name, matrix in found.items()}, None
-    labels = sorted({k for matrix in found.values() for k in matrix.labels or ()})
+    if any(matrix.labels is None for matrix in matrices.values()):
+        return {name: matrix.values for name, matrix in matrices.items()}, None
+    labels = sorted({k for matrix in matrices.values() for k in matrix.labels or ()})
     index = {label: i for i, label in enumerate(labels)}
     out = {}
-    for name, matrix in found.items():
+    for name, matrix in matrices.items():
         at = np.array([index[k] for k in matrix.labels or ()])
-        given = matrix.values.tocoo()
+        entries = matrix.values.tocoo()
         out[name] = scipy.sparse.coo_array(
-            (given.data, (at[given.row], at[given.col])), shape=(len(labels),) * 2
+            (entries.data, (at[entries.row], at[entries.col])), shape=(len(labels),) * 2
         ).tocsc()
     return out, tuple(labels)
 
@@ -252,24 +258,24 @@ def _lowest(values: Any) -> float:
     if values.shape[0] <= _DENSE:
         return float(np.linalg.eigvalsh(values.toarray())[0])
     start = np.random.default_rng(0).standard_normal(values.shape[0])
-    found = scipy.sparse.linalg.eigsh(
+    values = scipy.sparse.linalg.eigsh(
         values, k=1, which="SA", v0=start, tol=1e-3, return_eigenvectors=False
     )
-    return float(found[0])
+    return float(values[0])
 
 
-def _without_rigid_stiffness(found: Reduction, expected: int) -> Reduction:
+def _without_rigid_stiffness(reduction: Reduction, expected: int) -> Reduction:
     """The reduction with K exactly zero along its rigid motions, which must be as expected."""
     try:
-        squares, shapes = scipy.linalg.eigh(found.K, found.M)
-        np.linalg.cholesky(found.matrices()[0])
+        squares, shapes = scipy.linalg.eigh(reduction.K, reduction.M)
+        np.linalg.cholesky(reduction.matrices()[0])
     except np.linalg.LinAlgError:
-        lowest = float(np.linalg.eigvalsh(found.matrices()[0])[0])
+        lowest = float(np.linalg.eigvalsh(reduction.matrices()[0])[0])
         raise ParameterError(
             "the mass at the interface must be positive definite (a massless rotation there?),"
             f" got an eigenvalue {lowest:.6g}"
         ) from None
-    ratio = squares / found.omega[0] ** 2
+    ratio = squares / reduction.omega[0] ** 2
     text = ", ".join(_hertz(k) for k in squares)
     if np.abs(ratio[:expected]).max(initial=0.0) > _RIGID or ratio[0] < -_RIGID:
         raise ParameterError(
@@ -282,10 +288,10 @@ def _without_rigid_stiffness(found: Reduction, expected: int) -> Reduction:
             f" frequencies {text} Hz at the interface"
         )
     if expected == 6:
-        _require_rigid_body(found.M)
-    half = found.M @ shapes
+        _require_rigid_body(reduction.M)
+    half = reduction.M @ shapes
     squares[:expected] = 0.0
-    return replace(found, K=_rounded((half * squares) @ half.T)) if expected else found
+    return replace(reduction, K=_rounded((half * squares) @ half.T)) if expected else reduction
 
 
 def _rounded(K: Array) -> Array:

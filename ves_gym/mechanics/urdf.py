@@ -187,14 +187,14 @@ def _name(element: ElementTree.Element, what: str) -> str:
 
 def _root(tree: _Tree, root: str | None) -> str:
     if root is not None:
-        return _known(tree, root, "root")
+        return _require_link(tree, root, "root")
     tops = [name for name in tree.links if name not in tree.parent]
     if len(tops) != 1:
         raise ParameterError(f"must have one root link, got {', '.join(tops) or 'none'}")
     return tops[0]
 
 
-def _known(tree: _Tree, link: str, what: str) -> str:
+def _require_link(tree: _Tree, link: str, what: str) -> str:
     if link not in tree.links:
         raise ParameterError(f"{what}: no link {link!r}; there are {', '.join(tree.links)}")
     return link
@@ -203,7 +203,7 @@ def _known(tree: _Tree, link: str, what: str) -> str:
 def _tip(tree: _Tree, root: str, tip: str | None) -> str:
     """The tool's link: the one asked for, or the only end that a joint moves."""
     if tip is not None:
-        return _known(tree, tip, "tip")
+        return _require_link(tree, tip, "tip")
     ends = []
     stack = [(root, False)]
     while stack:
@@ -280,7 +280,7 @@ def _place(
                     f"joint {joint.name!r} to link {joint.child!r} is {joint.kind}: it says not"
                     " where that link is; an arm has revolute and fixed joints"
                 )
-            value = _held(tree, joint, locked)
+            value = _position(tree, joint, locked)
             still.append(f"{joint.name} at {value:g}")
             at = at @ (
                 Pose(np.eye(3), value * joint.axis)
@@ -298,7 +298,7 @@ def _place(
         )
 
 
-def _held(tree: _Tree, joint: _Joint, locked: Mapping[str, float], depth: int = 0) -> float:
+def _position(tree: _Tree, joint: _Joint, locked: Mapping[str, float], depth: int = 0) -> float:
     """Position at which a joint stands still: the one asked for, its leader's, or zero."""
     if joint.name in locked:
         return float(locked[joint.name])
@@ -309,7 +309,7 @@ def _held(tree: _Tree, joint: _Joint, locked: Mapping[str, float], depth: int = 
     if leader is None:
         raise ParameterError(f"{where} mimics {joint.mimic.get('joint')!r}, which is not there")
     factor = number(joint.mimic, "multiplier", where, 1.0)
-    return factor * _held(tree, leader, locked, depth + 1) + number(
+    return factor * _position(tree, leader, locked, depth + 1) + number(
         joint.mimic, "offset", where, 0.0
     )
 

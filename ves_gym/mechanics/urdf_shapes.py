@@ -81,14 +81,14 @@ def _mesh_file(path: Path, name: str, where: str) -> Path:
     tried: list[Path] = []
     folder = path.resolve().parent
     if name.startswith("package://"):
-        package, _, rest = name.removeprefix("package://").partition("/")
+        package, _, inner = name.removeprefix("package://").partition("/")
         for place in (folder, *folder.parents):
-            tried += [place / rest] if place.name == package else []
-            tried.append(place / package / rest)
+            tried += [place / inner] if place.name == package else []
+            tried.append(place / package / inner)
         for variable, inside in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
             for entry in filter(None, os.environ.get(variable, "").split(os.pathsep)):
-                tried.append(Path(entry) / inside / package / rest)
-        tried += [place / rest for place in (folder, *folder.parents)]
+                tried.append(Path(entry) / inside / package / inner)
+        tried += [place / inner for place in (folder, *folder.parents)]
     else:
         tried.append(folder / name.removeprefix("file://"))
     for file in tried:

@@ -105,11 +105,11 @@ def _parts(system: System, start: Array, goal: Array, moving: list[int]) -> Arra
         way = goal[j] - start[j]
         steps = np.diff(u) * abs(way)
         for first in range(0, len(sets), at_once):
-            some = sets[first : first + at_once]
-            q = np.repeat(start[None], len(some), axis=0)
-            q[:, moving] += bits[some] * (goal - start)[moving]
+            chunk = sets[first : first + at_once]
+            q = np.repeat(start[None], len(chunk), axis=0)
+            q[:, moving] += bits[chunk] * (goal - start)[moving]
             q = np.repeat(q[:, None], _STEPS, axis=1)
             q[..., j] = start[j] + (u[1:] + u[:-1]) / 2 * way
             Q = coupling_matrix(system, q)[..., j, j]
-            out[k, some] = np.sqrt(np.maximum(Q, 0.0)) @ steps
+            out[k, chunk] = np.sqrt(np.maximum(Q, 0.0)) @ steps
     return out

@@ -33,16 +33,16 @@ class Barrier:
         self.root = setting.root / np.sqrt(unit)
         self.W = conjugate * unit
         n, d = len(setting.reach.speed), setting.shapes.count
-        self.n, self.d, self.own = n, d, d + 6 + 6 * (n + 1)
+        self.n, self.d, self.width = n, d, d + 6 + 6 * (n + 1)
         self.nodes = setting.slabs + 1
-        self.size = self.own * self.nodes + setting.slabs
+        self.size = self.width * self.nodes + setting.slabs
         values = setting.shapes.at(np.stack([setting.reach.start, setting.reach.goal]))[0]
         self.gain = np.zeros(self.size)  # minimised
         self.gain[:d] -= values[0]
-        self.gain[self.own * setting.slabs :][:d] += values[1]
-        self.gain[self.own * self.nodes :] = setting.step
+        self.gain[self.width * setting.slabs :][:d] += values[1]
+        self.gain[self.width * self.nodes :] = setting.step
         self.multipliers = np.concatenate(
-            [np.arange(k * self.own + d, k * self.own + d + 6) for k in range(self.nodes)]
+            [np.arange(k * self.width + d, k * self.width + d + 6) for k in range(self.nodes)]
         )
         grid = np.array(list(itertools.product(np.linspace(0, 1, _FIRST), repeat=n)))
         self.points: list[Array] = []
@@ -53,7 +53,7 @@ class Barrier:
             self.tables.append(self._table(self.points[k]))
 
     def _table(self, q: Array) -> tuple[Array, Array, Array]:
-        """Functions (P, d), g's rows (P, n, own) and y's affine functions (P, n + 1)."""
+        """Functions (P, d), g's rows (P, n, width) and y's affine functions (P, n + 1)."""
         value, slope, across, affine = self.s.shapes.at(q)
         turned = across @ self.root  # (P, n, 6)
         field = (turned[:, :, :, None] * affine[:, None, None, :]).reshape(len(q), self.n, -1)
@@ -62,8 +62,8 @@ class Barrier:
     def _state(self, x: Array, k: int) -> tuple[Array, Array, Array]:
         """Of slab k: rate + e (P,), g (2, P, n), y (2, P, 6)."""
         value, rows, affine = self.tables[k]
-        w, d = x[: self.own * self.nodes].reshape(self.nodes, self.own), self.d
-        rate = value @ (w[k + 1, :d] - w[k, :d]) / self.s.step + x[self.own * self.nodes + k]
+        w, d = x[: self.width * self.nodes].reshape(self.nodes, self.width), self.d
+        rate = value @ (w[k + 1, :d] - w[k, :d]) / self.s.step + x[self.width * self.nodes + k]
         g = np.stack([rows @ w[e] for e in (k, k + 1)])
         y = np.stack([affine @ w[e, d + 6 :].reshape(6, -1).T for e in (k, k + 1)])
         return rate, g, y
@@ -91,7 +91,7 @@ class Barrier:
 
     def _newton(self, x: Array, mu: float, delta: float) -> tuple[Array, float]:
         """Newton's step of the merit, and the decrease it promises."""
-        v, h, d, own = self.s.reach.speed, self.s.step, self.d, self.own
+        v, h, d, width = self.s.reach.speed, self.s.step, self.d, self.width
         hess = np.zeros((self.size, self.size))
         grad = self.gain.copy()
         at = self.multipliers
@@ -104,23 +104,23 @@ class Barrier:
             for e in (0, 1):
                 r = np.sqrt(g[e] ** 2 + delta**2)
                 c = rate - 0.5 * (y[e] ** 2).sum(axis=1) - r @ v
-                J = np.zeros((P, 2 * own + 1))
-                J[:, :d], J[:, own : own + d] = -value / h, value / h
-                mine = slice(e * own, (e + 1) * own)
+                J = np.zeros((P, 2 * width + 1))
+                J[:, :d], J[:, width : width + d] = -value / h, value / h
+                mine = slice(e * width, (e + 1) * width)
                 J[:, mine] -= np.einsum("pi,pij->pj", v * g[e] / r, rows)
                 field = (y[e][:, :, None] * affine[:, None, :]).reshape(P, -1)
-                J[:, e * own + d + 6 : (e + 1) * own] -= field
+                J[:, e * width + d + 6 : (e + 1) * width] -= field
                 J[:, -1] = 1.0
                 weight = mu / c
-                place = np.r_[k * own : (k + 2) * own, own * self.nodes + k]
+                place = np.r_[k * width : (k + 2) * width, width * self.nodes + k]
                 grad[place] -= J.T @ weight
                 scaled = J * (np.sqrt(mu) / c)[:, None]
                 hess[np.ix_(place, place)] += scaled.T @ scaled
                 bend = np.sqrt(weight[:, None] * v * delta**2 / r**3)
-                bent = (rows * bend[:, :, None]).reshape(-1, own)
-                here = slice((k + e) * own, (k + e + 1) * own)
-                hess[here, here] += bent.T @ bent
-                start = (k + e) * own + d + 6
+                bent = (rows * bend[:, :, None]).reshape(-1, width)
+                diagonal = slice((k + e) * width, (k + e + 1) * width)
+                hess[diagonal, diagonal] += bent.T @ bent
+                start = (k + e) * width + d + 6
                 block = slice(start, start + 6 * (self.n + 1))
                 hess[block, block] += np.kron(np.eye(6), affine.T @ (affine * weight[:, None]))
         hess[np.diag_indices(self.size)] += 1e-8
@@ -149,7 +149,7 @@ class Barrier:
     def solve(self) -> Potential:
         """Return the best potential that was found."""
         x = np.zeros(self.size)
-        errors = slice(self.own * self.nodes, self.size)
+        errors = slice(self.width * self.nodes, self.size)
         mu, delta = 3e-3, 0.3
         x[errors] = 1.0 + 2 * delta * self.s.reach.speed.sum()
         for turn in range(_ROUNDS):
@@ -176,7 +176,7 @@ class Barrier:
         for k in range(self.s.slabs):
             low, high = self.s.box(k)
             q = low + (high - low) * axes
-            value = self.s.residual(p, k, q)[0] / self.unit + x[self.own * self.nodes + k]
+            value = self.s.residual(p, k, q)[0] / self.unit + x[self.width * self.nodes + k]
             value = value.min(axis=0)
             worst[k] = max(0.0, -float(value.min()))
             cube = value.reshape((_LOOK,) * self.n)
@@ -190,6 +190,6 @@ class Barrier:
 
     def potential(self, x: Array) -> Potential:
         """In SI units."""
-        w, d = x[: self.own * self.nodes].reshape(self.nodes, self.own), self.d
+        w, d = x[: self.width * self.nodes].reshape(self.nodes, self.width), self.d
         y = w[:, d + 6 :].reshape(self.nodes, 6, -1) * np.sqrt(self.unit)
         return Potential(f=w[:, :d] * self.unit, y=y, l=w[:, d : d + 6] * self.unit)

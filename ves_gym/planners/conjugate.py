@@ -46,7 +46,7 @@ class MomentumCost:
     duration: float
 
     @property
-    def rest(self) -> Array:
+    def remainder(self) -> Array:
         """C - R (6, 6)."""
         return self.C - self.R
 
@@ -80,8 +80,8 @@ def momentum_cost(M: Array, D: Array, K: Array, duration: float) -> MomentumCost
 def _cost(squares: Array, damping: Array, pushed: Array, duration: float) -> MomentumCost:
     """J of unit-mass oscillators: angular frequencies^2 (b,), damping (b, b), input (b, m)."""
     b, share = len(squares), 1 / (duration + TAIL)
-    zero, one = np.zeros((b, b)), np.eye(b)
-    A = np.block([[zero, one], [-np.diag(squares), -damping]])
+    zero, identity = np.zeros((b, b)), np.eye(b)
+    A = np.block([[zero, identity], [-np.diag(squares), -damping]])
     B = np.vstack([-pushed, damping @ pushed])
     Q = share * np.diag(np.r_[squares, np.ones(b)])
     N = share * np.vstack([np.zeros_like(pushed), -pushed])
@@ -157,22 +157,22 @@ def is_convex(cost: MomentumCost) -> bool:
     regular, and |U - 1| <= (exp(|G| h) - 1) |(1, S)| < 1 within every step makes it so. The
     norms are taken with z scaled so that F's diagonal is 1, and S to its own size.
     """
-    if np.linalg.eigvalsh(cost.rest)[0] <= 1e-9 * np.abs(cost.C).max():
+    if np.linalg.eigvalsh(cost.remainder)[0] <= 1e-9 * np.abs(cost.C).max():
         return False
     size, root = len(cost.A), np.sqrt(_scales(cost))
-    inverse = np.linalg.inv(cost.rest)
-    own = (cost.A - cost.B @ inverse @ cost.N.T) * root[:, None] / root
+    inverse = np.linalg.inv(cost.remainder)
+    within = (cost.A - cost.B @ inverse @ cost.N.T) * root[:, None] / root
     across = -(cost.B @ inverse @ cost.B.T) * root[:, None] * root
     back = -(cost.Q - cost.N @ inverse @ cost.N.T) / root[:, None] / root
-    G = -np.block([[own, across], [back, -own.T]])  # time runs backwards
-    norms = [float(np.linalg.norm(k, 2)) for k in (own, across, back)]
-    S, left, steps = cost.F / root[:, None] / root, 1.0, 0
+    G = -np.block([[within, across], [back, -within.T]])  # time runs backwards
+    norms = [float(np.linalg.norm(k, 2)) for k in (within, across, back)]
+    S, remaining, steps = cost.F / root[:, None] / root, 1.0, 0
     flows: dict[int, Array] = {}
-    while left > 0:
+    while remaining > 0:
         scale = max(float(np.linalg.norm(S, 2)), norms[2] / (norms[0] + 1.0))
         rate = cost.duration * (norms[0] + norms[1] * scale + norms[2] / scale)
         halvings = max(0, math.ceil(math.log2(rate / _WITHIN)))
-        while left % 0.5**halvings:  # steps end on the dyadic grid that they start on
+        while remaining % 0.5**halvings:  # steps end on the dyadic grid that they start on
             halvings += 1
         steps += 1
         if halvings > _FINEST or steps > _MOST:
@@ -181,7 +181,7 @@ def is_convex(cost: MomentumCost) -> bool:
             flows[halvings] = scipy.linalg.expm(G * cost.duration / 2**halvings)
         U, V = np.split(flows[halvings] @ np.vstack([np.eye(size), S]), 2)
         S = np.asarray(np.linalg.solve(U.T, V.T).T, float)
-        S, left = (S + S.T) / 2, left - 0.5**halvings
+        S, remaining = (S + S.T) / 2, remaining - 0.5**halvings
     return True
 
 
@@ -218,10 +218,10 @@ def conjugate(cost: MomentumCost, slabs: int) -> Array:
     l = np.kron(_prolonged(slabs, parts), np.eye(m)).reshape(nodes, m, -1)
     E = scipy.linalg.expm(A * h)
     step, level, slope = E[:width, :width], E[:width, width:-m], E[:width, -m:] / h
-    right = np.zeros((width * nodes, l.shape[2]))
-    right[size:-size] = ((level - slope) @ l[:-1] + slope @ l[1:]).reshape(steps * width, -1)
+    rhs = np.zeros((width * nodes, l.shape[2]))
+    rhs[size:-size] = ((level - slope) @ l[:-1] + slope @ l[1:]).reshape(steps * width, -1)
     eye = scipy.sparse.eye_array
-    left = scipy.sparse.vstack(
+    matrix = scipy.sparse.vstack(
         [
             eye(size, width * nodes),
             scipy.sparse.kron(eye(steps, nodes, k=1), np.eye(width))
@@ -230,10 +230,10 @@ def conjugate(cost: MomentumCost, slabs: int) -> Array:
         ]
     )
     columns = np.tile(np.r_[np.ones(size), np.full(size, np.abs(cost.C).max())], nodes)
-    left = left @ scipy.sparse.diags_array(columns)
-    rows = 1 / abs(left).max(axis=1).toarray().ravel()
-    solver = scipy.sparse.linalg.splu((scipy.sparse.diags_array(rows) @ left).tocsc())
-    x = columns[:, None] * solver.solve(right * rows[:, None])
+    matrix = matrix @ scipy.sparse.diags_array(columns)
+    rows = 1 / abs(matrix).max(axis=1).toarray().ravel()
+    solver = scipy.sparse.linalg.splu((scipy.sparse.diags_array(rows) @ matrix).tocsc())
+    x = columns[:, None] * solver.solve(rhs * rows[:, None])
     # J* = 1/2 int l^T u dt over (z, p, l, l')
     form = np.zeros_like(A)
     form[width:-m, :] = _optimum(cost)
@@ -254,7 +254,7 @@ def _prolonged(slabs: int, parts: int) -> Array:
 
 def _optimum(cost: MomentumCost) -> Array:
     """u of (z, p, l, l'): (6, 4b + 12)."""
-    inverse = np.linalg.inv(cost.rest)
+    inverse = np.linalg.inv(cost.remainder)
     zero = np.zeros_like(inverse)
     return np.hstack([-inverse @ cost.N.T, inverse @ cost.B.T, inverse, zero])
 

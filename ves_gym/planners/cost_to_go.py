@@ -50,7 +50,7 @@ class LeastLength:
 
     def __init__(self, metric: Metric) -> None:
         self.floor = metric.floor
-        self._known: dict[tuple[float, ...], list[float]] = {}
+        self._moments: dict[tuple[float, ...], list[float]] = {}
         self._root: Array | None = None
         if metric.kind == "disturbance":
             return  # it counts rotation alone, of which no part depends on the ends only
@@ -70,23 +70,23 @@ class LeastLength:
         Returns:
             A length, in the metric's unit.
         """
-        apart = self.floor * math.dist(a, b)
+        distance = self.floor * math.dist(a, b)
         if self._root is None:
-            return apart
-        return math.hypot(apart, math.dist(self._moment(a), self._moment(b)))
+            return distance
+        return math.hypot(distance, math.dist(self._moment(a), self._moment(b)))
 
     def _moment(self, q: Sequence[float]) -> list[float]:
         """Root of S times mass times centre of mass, of a configuration."""
         key = tuple(q)
-        known = self._known.get(key)
-        if known is None:
+        moment = self._moments.get(key)
+        if moment is None:
             assert self._root is not None
-            if len(self._known) >= _FEW:
-                self._known.clear()
+            if len(self._moments) >= _FEW:
+                self._moments.clear()
             H = self._inertia(np.array(key)[None])[0]
-            known = [float(k) for k in self._root @ first_moment(H)]
-            self._known[key] = known
-        return known
+            moment = [float(k) for k in self._root @ first_moment(H)]
+            self._moments[key] = moment
+        return moment
 
 
 def first_moment(H: Array) -> Array:

@@ -37,7 +37,7 @@ def trace_lines(
     cell = np.array([axes[0][1] - axes[0][0], axes[1][1] - axes[1][0]])
     tracer = _Tracer(field / cell, max(2, round(1 / spacing)), step)
     least = 1.5 / spacing / tracer.bins
-    curves = [c for c in map(tracer.line, tracer.seeds()) if len(c) * step > least]
+    curves = [c for c in map(tracer.trace, tracer.seeds()) if len(c) * step > least]
     return [origin + np.array(curve) * cell for curve in curves]
 
 
@@ -60,7 +60,7 @@ class _Tracer:
         width, height = self.size
         return [((a + 0.5) / self.bins * width, (b + 0.5) / self.bins * height) for a, b in at]
 
-    def line(self, seed: Point) -> list[Point]:
+    def trace(self, seed: Point) -> list[Point]:
         """The curve through a seed both ways; none where a line runs already."""
         if self.bin_of(seed) in self.taken:
             return []

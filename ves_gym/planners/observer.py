@@ -61,14 +61,12 @@ class BaseObserver:
         force = np.r_[np.asarray(wrench, float), np.full(b - 6, _MODE)]
         unknown = np.vstack([np.zeros((b, b)), np.diag(force) * np.sqrt(dt)])
         noise = np.diag(np.asarray(pose, float) ** 2)
-        seen = np.eye(6, size)
+        C = np.eye(6, size)
         gains = []
         for Phi in self._Phi:
             floor = 1e-18 * np.eye(size)  # keeps the Riccati equation regular
-            S = scipy.linalg.solve_discrete_are(
-                Phi.T, seen.T, unknown @ unknown.T + floor, noise
-            )
-            gains.append(S @ seen.T @ np.linalg.inv(seen @ S @ seen.T + noise))
+            S = scipy.linalg.solve_discrete_are(Phi.T, C.T, unknown @ unknown.T + floor, noise)
+            gains.append(S @ C.T @ np.linalg.inv(C @ S @ C.T + noise))
         self._gain = np.stack(gains)
         self.s = np.zeros((n, size))
 

@@ -240,8 +240,8 @@ def _model(system: System, surroundings: Surroundings) -> Any:
     for a, b in _too_close(arm):
         spec.add_exclude(bodyname1=f"link_{a + 1}", bodyname2=f"link_{b + 1}")
     if any(link.shape is not None for link in arm.links):
-        for one, other in _mostly_overlapping(spec.compile(), arm):
-            spec.add_exclude(bodyname1=one, bodyname2=other)
+        for body, other in _mostly_overlapping(spec.compile(), arm):
+            spec.add_exclude(bodyname1=body, bodyname2=other)
     return spec.compile()
 
 
@@ -250,7 +250,7 @@ def _mostly_overlapping(model: Any, arm: Arm) -> list[tuple[str, str]]:
     from ves_gym._util.mujoco_loader import mujoco
 
     data, counts = mujoco.MjData(model), Counter[tuple[str, str]]()
-    own = {"platform", *(f"link_{i + 1}" for i in range(arm.n))}
+    robot = {"platform", *(f"link_{i + 1}" for i in range(arm.n))}
     drawn = drawn_configurations(arm)
     for q in drawn:
         data.qpos[:] = 0.0
@@ -260,7 +260,7 @@ def _mostly_overlapping(model: Any, arm: Arm) -> list[tuple[str, str]]:
         bodies = model.geom_bodyid[data.contact.geom[data.contact.dist < 0]]
         pairs = {tuple(sorted(pair)) for pair in bodies.tolist()}
         names = [tuple(model.body(k).name for k in pair) for pair in pairs]
-        counts.update((a, b) for a, b in names if a in own and b in own)
+        counts.update((a, b) for a, b in names if a in robot and b in robot)
     return [pair for pair, count in counts.items() if 2 * count > len(drawn)]
 
 

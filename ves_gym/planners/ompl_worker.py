@@ -279,9 +279,9 @@ class _Search:
             return
         request, self.cost_searched = self.request, self.best[1]
         starts = [self.best[2], np.array(request.query.ends), *self.paths[::-1]]
-        left = request.evaluations - math.ceil(self._work)
+        remaining = request.evaluations - math.ceil(self._work)
         self.share = 1.0
-        for relaxed in self.cost.relax(_different(starts), request.seed, left):
+        for relaxed in self.cost.relax(_different(starts), request.seed, remaining):
             self.evaluations += relaxed.evaluations
             self.checks += relaxed.checks
             self._judge(relaxed.path, relaxed.motion, clear=False)
@@ -316,7 +316,7 @@ def _different(paths: Sequence[Array]) -> list[Array]:
     """Each path once, in order."""
     out: list[Array] = []
     for path in paths:
-        if not any(np.array_equal(path, known) for known in out):
+        if not any(np.array_equal(path, other) for other in out):
             out.append(path)
     return out
 

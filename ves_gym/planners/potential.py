@@ -106,9 +106,9 @@ class Shapes:
     def second(self, q: Array, k: int) -> Array:
         """Second derivatives of the monomials by q_k at q (P, n): (P, monomials), affine."""
         once, factor = self._derived(k)
-        twice, again = self._derived(k, once)
+        twice, second_derivative = self._derived(k, once)
         x = (q - self.centre) / self.half
-        return self._monomials(x, twice, factor * again / self.half[k] ** 2)
+        return self._monomials(x, twice, factor * second_derivative / self.half[k] ** 2)
 
     @cached_property
     def third(self) -> Array:
@@ -151,8 +151,8 @@ class CouplingBounds:
         out = np.ones((len(q), 1))
         for x in q.T:
             c, s = np.cos(x), np.sin(x)
-            own = np.stack([np.ones_like(x), c, s, c * c - s * s, 2 * c * s], axis=1)
-            out = (out[:, :, None] * own[:, None, :]).reshape(len(q), -1)
+            basis = np.stack([np.ones_like(x), c, s, c * c - s * s, 2 * c * s], axis=1)
+            out = (out[:, :, None] * basis[:, None, :]).reshape(len(q), -1)
         return out
 
     def derived(self, *joints: int) -> Array:
@@ -292,8 +292,8 @@ def residual_floor(
     least, floor = np.inf, np.inf
     while True:
         q = lows[:, None, :] + h * corners
-        bound, seen, errors = _cells(setting, p, k, q.reshape(-1, n), h, len(lows))
-        least = min(least, seen)
+        bound, sampled, errors = _cells(setting, p, k, q.reshape(-1, n), h, len(lows))
+        least = min(least, sampled)
         active = bound < least - tolerance
         if (~active).any():
             floor = min(floor, float(bound[~active].min()))
@@ -346,9 +346,9 @@ def _cells(
             turned = _parts(turns[e])  # (n, 2)
             for m in range(n):
                 second, third = bends.most_second[j][m][0], bends.most_third[j][m][0]
-                own = bends.most_second[j][j][0]
-                more = spreads[e] @ third.T + own @ turned[m] + 2 * second @ turned[j]
-                bent = bent + h[m] / 2 * more
+                basis = bends.most_second[j][j][0]
+                shift = spreads[e] @ third.T + basis @ turned[m] + 2 * second @ turned[j]
+                bent = bent + h[m] / 2 * shift
             error[e, j] = h[j] ** 2 / 8 * (rate + bent @ v)
     return (
         (value.reshape(2, cells, -1).min(axis=2) - error.sum(axis=1)).min(axis=0),

@@ -129,10 +129,10 @@ def reaction_null_path(
 
 
 def _none_for(n: int, free: bool) -> str:
-    rest = "keeps a free base from turning" if free else "spares it"
+    effect = "keeps a free base from turning" if free else "spares it"
     return (
         f"no reactionless motion: every motion of {n} joints moves this base; in general it"
-        f" takes {4 if free else 7} joints for one that {rest}"
+        f" takes {4 if free else 7} joints for one that {effect}"
     )
 
 
@@ -196,13 +196,13 @@ class ReactionNull:
         minima = [minimise(problem, x, _ITERATIONS) for x in starts]
         best = min(minima, key=lambda m: (m.excess > _MISSED, m.energy))
         motion = problem.motion(best.x)
-        left = problem.reaction(best.x) / max(problem.reaction(problem.straight), 1e-300)
+        remaining = problem.reaction(best.x) / max(problem.reaction(problem.straight), 1e-300)
         if not free:
-            self._require_less_energy(query, motion, left)
-        info = {"null_share": _null_share(query.system, motion, free), "reaction": left}
+            self._require_less_energy(query, motion, remaining)
+        info = {"null_share": _null_share(query.system, motion, free), "reaction": remaining}
         return motion, info | best.info()
 
-    def _require_less_energy(self, query: Query, motion: Motion, left: float) -> None:
+    def _require_less_energy(self, query: Query, motion: Motion, remaining: float) -> None:
         """Raise NoPlan where the least reaction costs more than the straight line."""
         ours, straight = (
             predict(query.system, m, query.servo, base=query.base).E_mean
@@ -210,8 +210,9 @@ class ReactionNull:
         )
         if ours > straight:
             raise NoPlan(
-                f"no reactionless motion joins these ends: {100 * left:.3g} % of the straight"
-                f" line's reaction is left at least, at {ours / straight:.3g} x its energy"
+                f"no reactionless motion joins these ends: {100 * remaining:.3g} % of the"
+                f" straight line's reaction is left at least, at {ours / straight:.3g} x its"
+                " energy"
             )
 
     def _require_less(self, query: Query, motion: Motion, moved: bool) -> None:

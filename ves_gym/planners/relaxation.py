@@ -67,8 +67,8 @@ def shorten(
     """
     spent = checks = 0
     for level, edges in enumerate(_LEVELS):
-        left = (budget - spent) // (len(_LEVELS) - level)
-        calls = left // (SLOPE * edges)
+        remaining = (budget - spent) // (len(_LEVELS) - level)
+        calls = remaining // (SLOPE * edges)
         if calls < 2:
             break
         descent = _Descent(metric, resample(path, edges + 1), checker)
@@ -154,10 +154,10 @@ def bends(query: Query, count: int, seed: int) -> list[Array]:
     (start, goal), arm = query.ends, query.system.arm
     u = np.linspace(0, 1, POINTS)[:, None]
     waves = np.hstack([np.sin(np.pi * u), 0.5 * np.sin(2 * np.pi * u)])
-    line, low, high = start + u * (goal - start), arm.column("q_min"), arm.column("q_max")
+    straight, low, high = start + u * (goal - start), arm.column("q_min"), arm.column("q_max")
     sizes = (_BENDS[k % len(_BENDS)] * rng.normal(size=(2, arm.n)) for k in range(count))
     return [
-        np.vstack([start, np.clip(line + waves @ size, low, high)[1:-1], goal])
+        np.vstack([start, np.clip(straight + waves @ size, low, high)[1:-1], goal])
         for size in sizes
     ]
 
@@ -177,20 +177,20 @@ def settle(problem: MotionProblem, starts: Sequence[Motion], budget: int) -> lis
         A motion from every start that the budget reaches, best first as far as was looked.
     """
     price = SLOPE * -(-len(problem.energy.t) // INSTANTS)
-    left = budget // price
-    looks = []
+    remaining = budget // price
+    trials = []
     for start in starts:
-        if left < 2:
+        if remaining < 2:
             break
-        look = minimise(problem, problem.of(start), min(_LOOK, left), _COARSE)
-        left -= look.evaluations
-        looks.append(look)
+        trial = minimise(problem, problem.of(start), min(_LOOK, remaining), _COARSE)
+        remaining -= trial.evaluations
+        trials.append(trial)
     out = []
-    for look in sorted(looks, key=rank):
-        spent, minimum = look.evaluations, look
-        if left >= 2:
-            minimum = minimise(problem, look.x, min(_MOST, left), _FINE)
-            left -= minimum.evaluations
+    for trial in sorted(trials, key=rank):
+        spent, minimum = trial.evaluations, trial
+        if remaining >= 2:
+            minimum = minimise(problem, trial.x, min(_MOST, remaining), _FINE)
+            remaining -= minimum.evaluations
             spent += minimum.evaluations
         motion = problem.motion(minimum.x)
         path = motion.at(np.linspace(0, motion.duration, POINTS)).q

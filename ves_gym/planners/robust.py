@@ -98,19 +98,19 @@ class Robust:
         problem = ScenarioProblem(query, self.free, scenarios(query.system, self.uncertain))
         x0 = problem.of(nominal)
         before = problem.energies(x0)
-        found, x, lean = x0, x0, 1.0
+        answer, x, lean = x0, x0, 1.0
         for _ in range(_HALVINGS):
             x = self._towards(problem, x, lean)
             motion = problem.motion(x)
             within = problem.energies(x)[0] <= self.price * before[0]
             if within and broken_limit(query, motion) is None:
-                found = x
+                answer = x
                 break
             lean /= 2
-        after = problem.energies(found)
-        return (nominal if found is x0 else problem.motion(found)), {
+        after = problem.energies(answer)
+        return (nominal if answer is x0 else problem.motion(answer)), {
             "scenarios": len(after) - 1,
-            "lean": 0.0 if found is x0 else lean,
+            "lean": 0.0 if answer is x0 else lean,
             "price": float(after[0] / before[0]) if before[0] > 0 else 1.0,
             "nominal": {"energies": before.tolist()},
             "energies": after.tolist(),
@@ -184,8 +184,8 @@ class ScenarioProblem(MotionProblem):
         self._arms: list[MotionProblem] = [self]
         for arm in arms[1:]:
             other = query.system.replace(arm=arm)
-            own = MotionProblem(replace(query, system=other), free, self.energy)
-            self._arms.append(own)
+            problem = MotionProblem(replace(query, system=other), free, self.energy)
+            self._arms.append(problem)
         middle = (self.start + self.goal) / 2
         for system in others:
             self._forms.append(self.form_at(middle, system))
@@ -211,7 +211,7 @@ class ScenarioProblem(MotionProblem):
         return np.array([form.value(samples[g][0]) for form, g in pairs])
 
     def _samples(self, x: Array) -> list[tuple[Array, Array]]:
-        return [MotionProblem.momentum(own, x) for own in self._arms]
+        return [MotionProblem.momentum(arm, x) for arm in self._arms]
 
     def momentum(self, x: Array) -> tuple[Array, Array]:
         """Samples of every arm's momentum, one after another, and their derivative."""
@@ -219,13 +219,13 @@ class ScenarioProblem(MotionProblem):
         return np.concatenate([u for u, _ in samples]), np.vstack([s for _, s in samples])
 
     def _torque(self, x: Array) -> tuple[Array, Array]:
-        parts = [MotionProblem._torque(own, x) for own in self._arms]
+        parts = [MotionProblem._torque(arm, x) for arm in self._arms]
         return np.concatenate([v for v, _ in parts]), np.vstack([s for _, s in parts])
 
     def add_torque_samples(self, x: Array) -> bool:
         """Sample each arm's torque also at its peaks; True if any passes its share."""
-        found = [MotionProblem.add_torque_samples(own, x) for own in self._arms]  # all of them
-        return any(found)
+        added = [MotionProblem.add_torque_samples(arm, x) for arm in self._arms]  # all of them
+        return any(added)
 
 
 class _Mixture:

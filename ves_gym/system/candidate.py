@@ -249,9 +249,9 @@ def _at_joints(cls: type[Effect], free: Shapes, scope: Scope) -> Iterator[Candid
         def fields(x: Array, joint: int = joint) -> dict[str, Any]:
             out: dict[str, Any] = {}
             for (name, shape), value, number in zip(free.items(), x, numbers, strict=True):
-                rest = number.starts[0] if null[name] is None else null[name]
-                here = float(value) + (null[name] or 0.0)
-                out[name] = at_joint(joint, scope.joints, here, rest) if shape else here
+                start = number.starts[0] if null[name] is None else null[name]
+                total = float(value) + (null[name] or 0.0)
+                out[name] = at_joint(joint, scope.joints, total, start) if shape else total
             return out
 
         yield placed(cls, f"joint {joint + 1}", numbers, fields)
@@ -260,8 +260,8 @@ def _at_joints(cls: type[Effect], free: Shapes, scope: Scope) -> Iterator[Candid
 def _along_axes(cls: type[Effect], free: Shapes, scope: Scope) -> Iterator[Candidate]:
     """One candidate per axis, one number each: of (k,), or of a force and a moment (3,)."""
     sizes = [shape[0] or 0 for shape in free.values() if len(shape) == 1]
-    one, both = len(free) == 1 and len(sizes) == 1, len(free) == 2 and sizes == [3, 3]
-    if not (one or both):
+    single, both = len(free) == 1 and len(sizes) == 1, len(free) == 2 and sizes == [3, 3]
+    if not (single or both):
         raise ParameterError(
             f"effect {cls.kind}: parameters of places `axis` must be one of k numbers or two"
             f" of 3, got shapes {', '.join(map(str, free.values()))}"

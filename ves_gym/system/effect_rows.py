@@ -146,10 +146,10 @@ class EffectRows:
         Raises:
             TypeError: a satellite, internal modes.
         """
-        one = self.template.base
-        drag = np.zeros(6) if one.drag is None else one.drag
-        M, D, K = (part[..., None] for part in (one.M, one.D, one.K))
-        base = BaseModel(M, D, K, one.body, drag[:, None], one.internal)
+        nominal = self.template.base
+        drag = np.zeros(6) if nominal.drag is None else nominal.drag
+        M, D, K = (part[..., None] for part in (nominal.M, nominal.D, nominal.K))
+        base = BaseModel(M, D, K, nominal.body, drag[:, None], nominal.internal)
         for i in range(len(self.template.effects)):
             effect = self._turned(i)
             if isinstance(effect, BaseEffect):

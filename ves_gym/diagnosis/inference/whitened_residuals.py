@@ -90,11 +90,14 @@ class WhitenedResiduals:
         )
         tested = set(names)
         shared = [k for k in machine.nuisances if tested & set(k.ports)]
-        own = [k for run in runs for k in machine.unknowns(run) if tested & set(k.ports)]
-        own_slopes = self._slopes_of(own)
+        per_run = [k for run in runs for k in machine.unknowns(run) if tested & set(k.ports)]
+        own_slopes = self._slopes_of(per_run)
         shows = np.linalg.norm(own_slopes, axis=0) > _FAINT
         self.shared = len(shared)  # nuisances of the machine; the others are of single runs
-        self.nuisances = [*shared, *(k for k, seen in zip(own, shows, strict=True) if seen)]
+        self.nuisances = [
+            *shared,
+            *(k for k, shown in zip(per_run, shows, strict=True) if shown),
+        ]
         self.slopes = np.concatenate([self._slopes_of(shared), own_slopes[:, shows]], axis=1)
         parts = [self.slopes[g.part] for g in self.groups]
         self.gram = np.stack([J.T @ J for J in parts])  # (G, p, p)
@@ -122,12 +125,12 @@ class WhitenedResiduals:
             return np.asarray(z + self.slopes @ x)
         m = self.shared
         z = z + self.slopes[:, :m] @ x[:m]
-        own, weight = self.slopes[:, m:], np.empty(self.size)
+        per_run, weight = self.slopes[:, m:], np.empty(self.size)
         for g in self.groups:
             weight[g.part] = 1 / max(float(np.mean(z[g.part] ** 2)), 1.0)
-        weighted = own.T * weight
-        found = np.linalg.solve(weighted @ own + np.eye(own.shape[1]), weighted @ z)
-        return np.asarray(z - own @ found)
+        weighted = per_run.T * weight
+        x_run = np.linalg.solve(weighted @ per_run + np.eye(per_run.shape[1]), weighted @ z)
+        return np.asarray(z - per_run @ x_run)
 
     def _layout(
         self,

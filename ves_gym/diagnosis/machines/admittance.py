@@ -81,30 +81,30 @@ def _linear_gap(base: BaseModel, y: Array, force: Array, system: System) -> Arra
     )
     half = len(phi) // 2
     pose, rate = np.arange(6), np.arange(half, half + 6)
-    rest = np.setdiff1d(np.arange(2 * half), np.r_[pose, rate])  # oscillators
+    inner = np.setdiff1d(np.arange(2 * half), np.r_[pose, rate])  # oscillators
 
     def block(rows: Index, columns: Index) -> Array:
         return phi[np.ix_(rows, columns)]
 
     back = np.linalg.inv(block(pose, rate))  # rate that leads from pose to pose
-    known = y[:, 1:] - y[:, :-1] @ block(pose, pose).T
-    z = np.zeros((*known.shape[:2], len(rest)))
-    held, v = force[:, :-1], np.zeros_like(known)
+    free = y[:, 1:] - y[:, :-1] @ block(pose, pose).T
+    z = np.zeros((*free.shape[:2], len(inner)))
+    applied, v = force[:, :-1], np.zeros_like(free)
     start = np.concatenate([base.attached(y[:, 0]), np.zeros((len(y), base.m))], 1)
     for _ in range(_ROUNDS if base.drag is not None else 1):
         if base.drag is not None:
-            held = force[:, :-1] - base.drag * np.abs(v) * v
-        moved = known - held @ gamma[:6].T
-        if len(rest):
-            onto = block(rest, rate) @ back
-            A = block(rest, rest) - onto @ block(pose, rest)
-            push = y[:, :-1] @ block(rest, pose).T + held @ gamma[rest].T + moved @ onto.T
+            applied = force[:, :-1] - base.drag * np.abs(v) * v
+        moved = free - applied @ gamma[:6].T
+        if len(inner):
+            onto = block(inner, rate) @ back
+            A = block(inner, inner) - onto @ block(pose, inner)
+            push = y[:, :-1] @ block(inner, pose).T + applied @ gamma[inner].T + moved @ onto.T
             z = _recursion(A, push, start)[:, :-1]
-        v = (moved - z @ block(pose, rest).T) @ back.T
-    end_rate = y[:, :-1] @ block(rate, pose).T + z @ block(rate, rest).T
-    end_rate += v @ block(rate, rate).T + held @ gamma[rate].T
+        v = (moved - z @ block(pose, inner).T) @ back.T
+    end_rate = y[:, :-1] @ block(rate, pose).T + z @ block(rate, inner).T
+    end_rate += v @ block(rate, rate).T + applied @ gamma[rate].T
     foreseen = y[:, 1:-1] @ block(pose, pose).T + end_rate[:, :-1] @ block(pose, rate).T
-    foreseen += z[:, 1:] @ block(pose, rest).T + held[:, 1:] @ gamma[:6].T
+    foreseen += z[:, 1:] @ block(pose, inner).T + applied[:, 1:] @ gamma[:6].T
     across = block(pose, rate)
     share = gamma[:6] + across @ (gamma[rate] - block(rate, rate) @ back @ gamma[:6])
     return np.asarray(-(y[:, 2:] - foreseen) @ np.linalg.inv(share).T)

@@ -64,21 +64,21 @@ def between_samples(run: Run, described: System) -> BetweenSamples:
     if "controller" in run:
         kp, kd = (np.array(run.meta["controller"][k], float) for k in ("kp", "kd"))
     swing = shaken - _at_nodes(differentiated(pose, run.dt, run.band)[2], shaken.shape[1])
-    force, seen_force = matvec(mass[:, None], swing), np.zeros_like(pose)
+    force, reaction = matvec(mass[:, None], swing), np.zeros_like(pose)
     torque, rate = np.zeros(n), np.zeros(n)
     if described.drive == "motor":
         push = matvec(coupling[:, None], swing)
         joints = _driven(inner, kp, kd, push, described.physics_dt)
-        _, seen_rate, seen = differentiated(joints.angle, run.dt, run.band)
-        torque = -kp * joints.angle - kd * joints.rate - matvec(inner, seen)
-        rate = joints.rate - seen_rate
+        _, measured_rate, measured = differentiated(joints.angle, run.dt, run.band)
+        torque = -kp * joints.angle - kd * joints.rate - matvec(inner, measured)
+        rate = joints.rate - measured_rate
         force = force + matvec(across[:, None], joints.acceleration)
-        seen_force = matvec(across, seen)
+        reaction = matvec(across, measured)
     settings = described.emulator_settings
     p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
     cutoff = float(p.sensor.cutoff[0])
     true = _filtered(force, cutoff, described.physics_dt)
-    return BetweenSamples(torque, rate, butterworth(seen_force, cutoff, run.dt) - true)
+    return BetweenSamples(torque, rate, butterworth(reaction, cutoff, run.dt) - true)
 
 
 def _at_nodes(x: Array, nodes: int) -> Array:

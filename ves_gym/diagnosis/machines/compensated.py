@@ -52,7 +52,7 @@ class _Ways:
     """Forces that a command tells, and those of modes too stiff for it."""
 
     soft: Array  # (6, n) forces to be found
-    seen: Array  # (n, 6) what they move
+    output: Array  # (n, 6) what they move
     stiff: Array  # (6, 6) part of a force that is taken as it was read
     steady: Array  # (6, 6) force per pose that is missed there
     back: Array  # (12, 6) correction of pose and rate per pose that is missed there
@@ -75,15 +75,15 @@ class _Ways:
         steady, back = np.zeros((6, 6)), np.zeros((12, 6))
         for k in np.flatnonzero(~soft):
             w = float(np.sqrt(squared[k]))
-            once, more = (2 * np.arctan(w * t / 2) for t in (dt, lag))
+            once, extra = (2 * np.arctan(w * t / 2) for t in (dt, lag))
             step = np.array([[np.cos(once), np.sin(once)], [-np.sin(once), np.cos(once)]])
-            seen = np.array([np.cos(once + more), np.sin(once + more)])
-            ends = np.linalg.inv(np.stack([seen, seen @ step]))
+            output = np.array([np.cos(once + extra), np.sin(once + extra)])
+            ends = np.linalg.inv(np.stack([output, output @ step]))
             gain = step @ step @ ends[:, 1]  # Ackermann: both poles at 0
-            direct, eye = 1 - seen[0], np.eye(2)
+            direct, eye = 1 - output[0], np.eye(2)
             push_once = eye[0] - step[:, 0] - gain * direct
-            rest = np.linalg.solve(eye - step + np.outer(gain, seen), push_once)
-            reply = seen @ rest + direct  # miss per steady displacement
+            settled = np.linalg.solve(eye - step + np.outer(gain, output), push_once)
+            reply = output @ settled + direct  # miss per steady displacement
             steady += squared[k] / reply * np.outer(push[:, k], push[:, k])
             back += np.outer(
                 np.r_[shape[:, k] * gain[0], shape[:, k] * gain[1] * w], push[:, k]
@@ -109,8 +109,8 @@ def compensated_gap(
     stated = reference(run, taken, described)
     paths = []
     for system in systems:
-        known = system is described and len(taken.pose) == 1
-        path = stated if known else _inverse(run, taken, system, described, stated)
+        is_nominal = system is described and len(taken.pose) == 1
+        path = stated if is_nominal else _inverse(run, taken, system, described, stated)
         paths.append(path)
     late, gaps = described.emulator_settings.delay, []
     for path in _loaded(run, taken, paths, systems, described):
@@ -213,10 +213,10 @@ def _inverse(
     ways: _Ways = memory["ways"]
     turned = np.swapaxes(rate_matrix(X[:, :6]), -1, -2)
     read = matvec(ways.stiff @ turned, taken.force + near.payload)
-    state, sent, found, missed = wrenches(
-        M, D, K, offset, read, ways.soft, ways.seen, ways.back, target, begin, dt, lag
+    state, sent, amounts, missed = wrenches(
+        M, D, K, offset, read, ways.soft, ways.output, ways.back, target, begin, dt, lag
     )
-    needed = read + found @ ways.soft.T + missed @ ways.steady.T
+    needed = read + amounts @ ways.soft.T + missed @ ways.steady.T
     return Trajectory(state, sent, needed, near.payload)
 
 
@@ -238,8 +238,8 @@ def _ride(
         return lambda k: platforms.advance(commands[:, k])
     memory = _memory(run)
     if "legs" not in memory:  # legs are sent lengths only: one path serves all
-        one = LoopParameters.nominal(described.arm, settings, 1)
-        legs = Platforms(described, one, start[:1, :6], start[:1, 6:])
+        nominal = LoopParameters.nominal(described.arm, settings, 1)
+        legs = Platforms(described, nominal, start[:1, :6], start[:1, 6:])
         memory["legs"] = [legs.advance(part[None]) for part in commands[0]]
     paths: list[dict[str, Array]] = memory["legs"]
     return lambda k: {
@@ -268,9 +268,9 @@ def _loaded(
     arms: Any = SimpleNamespace(mass=stated.gravity_mass)  # the block counts them
     numbers = block.parameters(stated, arms)
     x = {k: np.zeros((m * copies, *v.shape)) for k, v in block.memory.items()}
-    known = [_signals(run, taken, system, described) for system in systems]
-    H = np.repeat(np.stack([k["inertia"] for k in known]), copies, axis=0)
-    gains = {k: np.repeat(known[0][k], m * copies, axis=0) for k in ("kp", "kd")}
+    signals = [_signals(run, taken, system, described) for system in systems]
+    H = np.repeat(np.stack([k["inertia"] for k in signals]), copies, axis=0)
+    gains = {k: np.repeat(signals[0][k], m * copies, axis=0) for k in ("kp", "kd")}
     payload = np.zeros((m * copies, N, 6))
     for k in range(N - 1):
         path = ride(k)

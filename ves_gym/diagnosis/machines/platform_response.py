@@ -96,21 +96,21 @@ def within_reach(
         (n, T, 12).
     """
     shape = LoopShape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
-    line = CommandLine(system.emulator_settings.stewart, shape, 0, True)
+    queue = CommandLine(system.emulator_settings.stewart, shape, 0, True)
     travel, speed = p.platform_travel, p.platform_speed
     if not (travel.any() or speed.any()):
         return command
-    command, dt = command.copy(), line.shape.control_dt
+    command, dt = command.copy(), queue.shape.control_dt
     for i in np.flatnonzero((travel > 0) & (speed == 0)):  # each sample for itself
         wished = command[i, :, :6].copy()
-        command[i, :, :6] = line.shortened(NUMPY, wished, np.full(len(wished), travel[i]))
+        command[i, :, :6] = queue.shortened(NUMPY, wished, np.full(len(wished), travel[i]))
         late = np.flatnonzero((command[i, 1:, :6] != wished[1:]).any(axis=1)) + 1
         command[i, late, 6:] = (command[i, late, :6] - command[i, late - 1, :6]) / dt
     slow = np.flatnonzero(speed > 0)
     numbers = {"travel": travel[slow], "speed": speed[slow]}
     last = np.concatenate([y, yd], axis=-1)[slow]
     for t in range(command.shape[1]) if len(slow) else ():
-        last = line.within_reach(NUMPY, numbers, command[slow, t], last)
+        last = queue.within_reach(NUMPY, numbers, command[slow, t], last)
         command[slow, t] = last
     return command
 

@@ -75,9 +75,9 @@ def wrenches(
     D: Array,
     K: Array,
     offset: Array,
-    known: Array,
+    applied: Array,
     ways: Array,
-    seen: Array,
+    output: Array,
     back: Array,
     target: Array,
     start: Array,
@@ -91,9 +91,9 @@ def wrenches(
 
     Args:
         M, D, K: (N, s, s) of each period.
-        offset: (N, s) force, and known: (r, N, 6), on the first six coordinates.
+        offset: (N, s) force, and applied: (r, N, 6), on the first six coordinates.
         ways: (6, n) forces on them.
-        seen: (n, 6) measures of a pose that are brought to the target's.
+        output: (n, 6) measures of a pose that are brought to the target's.
         back: (12, 6) correction of the state by what is missed all the same.
         target: (r, N, 6) poses at the end of the step ahead [m, rad].
         start: (r, 2 s) coordinates and rates.
@@ -107,7 +107,7 @@ def wrenches(
     s, n = M.shape[1], ways.shape[1]
     states = np.empty((rows, length, 2 * s))
     sent, missed = np.empty((rows, length, 12)), np.empty((rows, length, 6))
-    found = np.empty((rows, length, n))
+    amounts = np.empty((rows, length, n))
     y, v, W = np.zeros((s, 1 + n)), np.zeros((s, 1 + n)), np.zeros((s, 1 + n))
     W[:6, 1:] = ways
     share = np.ones(1 + n)
@@ -116,22 +116,22 @@ def wrenches(
         for t in range(length):
             states[row, t] = x
             y[:, 0], v[:, 0], W[:, 0] = x[:s], x[s:], offset[t]
-            W[:6, 0] += known[row, t]
+            W[:6, 0] += applied[row, t]
             y1, v1 = _implicit(M[t], D[t], K[t], y, v, W, dt)
             y2, v2 = _implicit(M[t], D[t], K[t], y1, v1, W, ahead)
-            reply = np.dot(seen, np.ascontiguousarray(y2[:6]))
+            reply = np.dot(output, np.ascontiguousarray(y2[:6]))
             share[1:] = np.linalg.solve(
-                np.ascontiguousarray(reply[:, 1:]), np.dot(seen, target[row, t]) - reply[:, 0]
+                np.ascontiguousarray(reply[:, 1:]), np.dot(output, target[row, t]) - reply[:, 0]
             )
             x[:s], x[s:] = np.dot(y1, share), np.dot(v1, share)
-            found[row, t] = share[1:]
+            amounts[row, t] = share[1:]
             sent[row, t, :6] = target[row, t]
             sent[row, t, 6:] = np.dot(v2, share)[:6]
             missed[row, t] = target[row, t] - np.dot(y2, share)[:6]
-            right = np.dot(back, missed[row, t])
-            x[:6] += right[:6]
-            x[s : s + 6] += right[6:]
-    return states, sent, found, missed
+            correction = np.dot(back, missed[row, t])
+            x[:6] += correction[:6]
+            x[s : s + 6] += correction[6:]
+    return states, sent, amounts, missed
 
 
 @njit(cache=True)

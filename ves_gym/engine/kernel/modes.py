@@ -57,14 +57,16 @@ class ModeMap:
             return
         self._blocks = -(-n // LANES)
         sizes = (entries, k * columns, entries + k * columns, entries + k * columns)
-        self._M, self._b, here, there = (aligned(self._blocks, size, LANES) for size in sizes)
+        self._M, self._b, source, target = (
+            aligned(self._blocks, size, LANES) for size in sizes
+        )
         stiffness = aligned(1, entries, LANES)
         stiffness[:] = K[self._lower][:, None]
-        pieces = [Piece(library, "reduce", [self._M, stiffness, self._b, here])]
+        pieces = [Piece(library, "reduce", [self._M, stiffness, self._b, source])]
         for _ in range(next(n for most, n in _SWEEPS.items() if k <= most)):
-            pieces.append(Piece(library, "sweep", [here, there]))
-            here, there = there, here
-        self._out, self._run = here, Program(library, pieces)
+            pieces.append(Piece(library, "sweep", [source, target]))
+            source, target = target, source
+        self._out, self._run = source, Program(library, pieces)
 
     def __call__(self, M: Array, b: Array) -> tuple[Array, Array]:
         """Return frequencies and pushes of m systems, m at most the number given.

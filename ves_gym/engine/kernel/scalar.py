@@ -103,8 +103,8 @@ def statements(
             else:
                 text = table[op].format(a=a, b=b)
         else:
-            known = ", ".join(name[3:].lower() for name in _OPERATIONS)
-            raise ParameterError(f"the kernel cannot compile operation {op}; it knows {known}")
+            names = ", ".join(name[3:].lower() for name in _OPERATIONS)
+            raise ParameterError(f"the kernel cannot compile operation {op}; it knows {names}")
         registers[into[0]] = f"{prefix}{k}"
         lines.append(f"const real {prefix}{k} = {text};")
     return lines, outputs
@@ -117,13 +117,13 @@ def _divisors(graph: casadi.Function) -> dict[int, tuple[int, int]]:
     """
     import casadi as ca
 
-    made: dict[int, int] = {}  # register -> instruction that wrote it
+    written: dict[int, int] = {}  # register -> instruction that wrote it
     by: dict[int, list[int]] = {}
     for k in range(graph.n_instructions()):
         if graph.instruction_id(k) == ca.OP_DIV:
-            by.setdefault(made[graph.instruction_input(k)[1]], []).append(k)
+            by.setdefault(written[graph.instruction_input(k)[1]], []).append(k)
         if graph.instruction_id(k) != ca.OP_OUTPUT:
-            made[graph.instruction_output(k)[0]] = k
+            written[graph.instruction_output(k)[0]] = k
     return {k: (group[0], len(group)) for group in by.values() for k in group}
 
 
@@ -194,14 +194,14 @@ def advance_text(
     moving, slopes = statements(motion, read, "m")
     watch = ""
     if observe is not None:
-        seeing, seen = statements(observe, read, "o")
+        observing, observed = statements(observe, read, "o")
         ny = observe.size1_out(1)
         stores = [
             f"out.data[((long long)s * {ny} + {row}) * n + i] = {value};"
-            for (which, row), value in seen.items()
+            for (which, row), value in observed.items()
             if which == 1
         ]
-        watch = "\n".join(["if (stage == 0) {", *seeing, *stores, "}"])
+        watch = "\n".join(["if (stage == 0) {", *observing, *stores, "}"])
     return _ADVANCE.format(
         real=REALS[real],
         nx=nx,
