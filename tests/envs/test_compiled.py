@@ -29,6 +29,7 @@ TASKS = [
     ("lqr", "torque", 60),
     ("free_flyer", "acceleration", 60),
     ("free_flyer", "torque", 120),
+    ("pose_reach", "acceleration", 60),
 ]
 LABORATORY = {"mode": "emulated", "effects": "laboratory"}
 

@@ -23,6 +23,7 @@ CASES = {
     "damp": {"duration": 1.0},
     "free_flyer": {"duration": 1.0},
     "lqr": {"duration": 1.0},
+    "pose_reach": {"duration": 1.0},
 }
 
 

@@ -9,6 +9,7 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.controllers import Controller, Follow, Hold, Optimal, Random, Zero
 from ves_gym.baselines.regulator import Regulator
 from ves_gym.baselines.resolved import Resolved
+from ves_gym.baselines.resolved_pose import ResolvedPose
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 
 
@@ -38,6 +39,7 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "tuned": _tuned,
     "receding": _receding,
     "resolved": lambda seed: Resolved(),
+    "resolved-pose": lambda seed: ResolvedPose(),
 }
 
 

@@ -27,6 +27,7 @@ _FILES = (
     "track",
     "damp",
     "free_flyer",
+    "pose_reach",
     "lqr",
 )  # of `ves_gym.envs`
 

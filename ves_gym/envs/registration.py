@@ -32,6 +32,7 @@ IDS: dict[str, tuple[str, dict[str, Any]]] = {
     "PumaDamp": ("damp", {}),
     "FreeFlyerReach": ("free_flyer", {}),
     "BeamLQR": ("lqr", {}),
+    "PoseReach": ("pose_reach", {}),
 }
 
 
@@ -44,6 +45,7 @@ STEPS = {
     "PumaDamp": 640,
     "FreeFlyerReach": 400,
     "BeamLQR": 320,
+    "PoseReach": 400,
 }
 
 

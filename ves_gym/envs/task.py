@@ -32,6 +32,7 @@ from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
 
 TASKS: dict[str, type[Task]] = {}
+_WIDTHS = {"y": 6, "yd": 6, "pose": 6, "target": 3}  # of options that are not joint angles
 
 
 @dataclass(frozen=True)
@@ -236,7 +237,7 @@ class Task(ABC):
                     f"reset: unknown option {name!r}; known: {', '.join(keys)}"
                     f"{did_you_mean(name, keys)}"
                 )
-            width = 6 if name in ("y", "yd") else 3 if name == "target" else self.system.arm.n
+            width = _WIDTHS.get(name, self.system.arm.n)
             shape = (width,) if rows is None else (rows, width)
             out[name] = finite(value, shape, f"options[{name!r}]")
             if name in ("q", "goal"):

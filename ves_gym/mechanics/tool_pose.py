@@ -11,9 +11,9 @@ from scipy.stats import qmc
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import frames
+from ves_gym.mechanics.dynamics import Vec, add, cross, dot, frames, scale
 from ves_gym.mechanics.kinematics import tool_jacobian
-from ves_gym.mechanics.spatial import matvec, rotation
+from ves_gym.mechanics.spatial import matvec, numbers, rotation
 
 CLOSE = 1e-6  # m and rad from the pose: there
 _ROUNDS = 60
@@ -63,10 +63,10 @@ def tool_frame(arm: Arm, q: npt.ArrayLike) -> tuple[Array, Array]:
     Returns:
         (..., 3) [m] and (..., 3, 3) from the tool's axes to the platform's.
     """
-    angles = np.asarray(q, float)
+    angles = numbers(q)
     last = frames(arm, list(np.moveaxis(angles, -1, 0)))[-1]
     shape = angles.shape[:-1]
-    place, turn = np.empty((*shape, 3)), np.empty((*shape, 3, 3))
+    place, turn = (np.empty_like(angles, shape=(*shape, *k)) for k in ((3,), (3, 3)))
     for i in range(3):
         place[..., i] = last.position[i]
         for j, axis in enumerate(last.rotation):
@@ -92,6 +92,51 @@ def tool_twists(arm: Arm, q: npt.ArrayLike) -> Array:
         for i in range(3):
             out[..., 3 + i, j] = frame.axis[i]
     return out
+
+
+def tool_speeds(arm: Arm, q: Array, v: Array, base: Array) -> Array:
+    """Return the squared speed and squared rate of turning of the tool in space.
+
+    Args:
+        arm: the arm.
+        q: (..., n) joint angles [rad].
+        v: (..., n) joint rates [rad/s].
+        base: (..., 6) twist of the base in its own axes [m/s, rad/s] (`spatial.twist`).
+
+    Returns:
+        (..., 2) [m^2/s^2, rad^2/s^2].
+    """
+    parts = [base[..., i] for i in range(6)]
+    chain = frames(arm, list(np.moveaxis(q, -1, 0)))
+    turning: Vec = (parts[3], parts[4], parts[5])
+    moving = add((parts[0], parts[1], parts[2]), cross(turning, chain[-1].position))
+    for j, frame in enumerate(chain):
+        lever = add(chain[-1].position, scale(-1.0, frame.origin))
+        moving = add(moving, scale(v[..., j], cross(frame.axis, lever)))
+        turning = add(turning, scale(v[..., j], frame.axis))
+    return np.stack([dot(moving, moving), dot(turning, turning)], axis=-1)
+
+
+def pose_dexterity(arm: Arm, q: npt.ArrayLike, lever: float) -> Array:
+    """Return how far a configuration is from losing a direction of place or turn [m/rad].
+
+    1 / |J^+| in the Frobenius norm, as `kinematics.dexterity`, of place and turn together.
+
+    Args:
+        arm: the arm.
+        q: (..., n) joint angles [rad].
+        lever: place that a turn counts as [m/rad].
+
+    Returns:
+        (...,) 0 at a singularity, and with fewer than six joints.
+    """
+    J = tool_twists(arm, q)
+    J[..., 3:, :] *= lever
+    values = np.linalg.svd(J, compute_uv=False)
+    if values.shape[-1] < J.shape[-2]:
+        return np.zeros(values.shape[:-1])
+    worst = 1 / np.maximum(values, 1e-150) ** 2
+    return np.asarray(worst.sum(axis=-1) ** -0.5, dtype=np.float64)
 
 
 def pose_error(arm: Arm, pose: ToolPose, q: npt.ArrayLike) -> Array:

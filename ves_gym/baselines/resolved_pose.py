@@ -1,0 +1,170 @@
+"""Resolved-rate control of the tool's place and orientation, redundancy spent on the base."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym.baselines.controllers import reference_action
+from ves_gym.envs.pose_reach import PoseReach, goal_pose
+from ves_gym.envs.scales import straight_energy
+from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED, quintic
+from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.tool_pose import (
+    ToolPose,
+    configurations_at,
+    pose_dexterity,
+    tool_frame,
+    tool_twists,
+)
+
+_MOVE = 0.8  # share of an episode that the way to the pose takes
+_STARTS = 32  # of the inverse kinematics
+_DAMPING = 0.03  # m/rad, of the least squares near singular configurations
+_LEVER = 0.3  # m per radian, of turn beside place
+_ROUNDS = 2  # of Newton's method per period
+_FIRM = 2.0  # what is asked of the servos beyond their gains, as a multiple of them
+_DEXTEROUS = 0.03  # m/rad, `pose_dexterity` below which a configuration counts as dearer
+_REACTION = 10.0  # how much a joint motion that pushes the base counts beside one that does not
+
+
+class ResolvedPose:
+    """Leads the tool to a pose in space by joint rates that take back the base's motion.
+
+    Of the configurations that bring the tool to the pose, base at rest, and that a straight
+    quintic reaches within the speed limits, the one whose motion is expected to leave the base
+    the least energy (`scales.straight_energy`) is planned for. In every period the plan is
+    corrected by what the tool's six-row Jacobian says, by damped least squares, of the place
+    and turn that are missing on the base as measured, and of the rate at which the base
+    carries the tool along (resolved motion rate control: Whitney, IEEE Trans. Man-Machine
+    Systems 10(2), 1969). Where joints are left over, of all corrections the one that reacts
+    least on the base is taken: the least squares are weighted by the momentum that joint
+    rates give the base. Servos are soft (a few Hz) beside a base that sways, so what the joints
+    lag behind is asked for again, `_FIRM` times.
+    """
+
+    name = "resolved-pose"
+    privileged = True
+
+    def __init__(self) -> None:
+        self._plan = np.empty(0)  # (n, steps + 2, joints) rad
+        self._rate = np.empty(0)  # (n, 6) twist of the base a period ago
+        self._asked = np.empty(0)  # (n, 2, joints) angles and rates for now, as of then
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        task, s = env.task, env.batch.scene
+        if not isinstance(task, PoseReach) or task.control.level != "reference":
+            raise ParameterError(
+                "controller resolved-pose leads the reference of task pose_reach, got task"
+                f" {task.kind} through control {task.control.kind}"
+            )
+        arm, steps = task.system.arm, task.steps
+        if self._plan.shape[:2] != (env.num_envs, steps + 2):
+            self._plan = np.zeros((env.num_envs, steps + 2, arm.n))
+            self._rate = np.zeros((env.num_envs, 6))
+            self._asked = np.zeros((env.num_envs, 2, arm.n))
+        self._rate[ids] = twist(s.y_seen[ids], s.yd_seen[ids])
+        way = _MOVE * task.duration
+        energy = straight_energy(task.system.ideal(), way, task.duration - way + task.tail)
+        share = quintic(np.arange(steps + 2) / (_MOVE * steps))[:, None]
+        places, turns = goal_pose(s)
+        for i in ids.tolist():
+            end = _configuration(arm, s.q[i], places[i], turns[i], way, energy)
+            self._plan[i] = s.q[i] + share * (end - s.q[i])
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
+        rows, step = np.arange(env.num_envs), env.batch.episodes.steps
+        before, present, then = (
+            self._plan[rows, np.minimum(step + k, env.task.steps + 1)] for k in (0, 1, 2)
+        )
+        y = s.y_seen + dt * s.yd_seen  # of the base at the period's end
+        back = np.swapaxes(rotation(y), -1, -2)
+        place, turn = tool_frame(arm, present)
+        place, turn = matvec(back, place - y[:, :3]), back @ turn  # as the base sees it
+        q = present
+        for _ in range(_ROUNDS):
+            at, turned = tool_frame(arm, q)
+            missing = Rotation.from_matrix(turn @ np.swapaxes(turned, -1, -2)).as_rotvec()
+            inverse = _inverse(arm, q)
+            q = q + matvec(inverse, np.concatenate([place - at, missing], axis=1))
+        rate = twist(y, s.yd_seen)
+        gain, self._rate = (rate - self._rate) / dt, rate
+        drift, gaining = (_carried(k, tool_frame(arm, q)[0]) for k in (rate, gain))
+        wanted = (then - before) / (2 * dt) - matvec(inverse, drift)
+        first = (step == 0)[:, None]
+        behind = np.where(first, 0.0, self._asked[:, 0] - s.q)
+        slower = np.where(first, 0.0, self._asked[:, 1] - s.v)
+        self._asked = np.stack([q, wanted], axis=1)
+        reference = [
+            q + _FIRM * behind,
+            wanted + _FIRM * slower,
+            (then - 2 * present + before) / dt**2 - matvec(inverse, gaining),
+        ]
+        return reference_action(env, env.task.control, np.stack(reference, axis=1))
+
+
+def _configuration(
+    arm: Arm, q: Array, place: Array, turn: Array, seconds: float, energy: straight_energy
+) -> Array:
+    """Joint angles (joints,) at the pose: of the nearest ones the kindest to the base [rad].
+
+    Args:
+        arm: whose joints.
+        q: (joints,) where it is.
+        place: (3,) of the tool [m].
+        turn: (3, 3) of the tool.
+        seconds: that the motion may take.
+        energy: that a straight motion is expected to leave.
+    """
+    z, y, x = Rotation.from_matrix(turn).as_euler("ZYX")
+    pose = ToolPose(position=tuple(place.tolist()), angles=(float(x), float(y), float(z)))
+    ends = configurations_at(arm, pose, near=q, starts=_STARTS)
+    if not len(ends):
+        ends = q[None]  # nothing better is known than to stay
+    speed = np.abs(ends - q) * (QUINTIC_PEAK_SPEED / seconds) / arm.column("v_max")
+    excess = np.maximum(speed.max(axis=1) - 1, 0.0)
+    near = np.flatnonzero(excess <= excess.min())
+    stiff = np.maximum(_DEXTEROUS / pose_dexterity(arm, ends[near], _LEVER), 1.0)
+    costs = energy(np.tile(q, (len(near), 1)), ends[near]) * stiff**2
+    chosen: Array = ends[near[costs.argmin()]]
+    return chosen
+
+
+def _carried(base: Array, place: Array) -> Array:
+    """Return the velocity that a base gives a place, or the rate of it, turn included.
+
+    Args:
+        base: (n, 6) in its own axes [m/s, rad/s].
+        place: (n, 3) [m].
+
+    Returns:
+        (n, 6).
+    """
+    out = base.copy()
+    out[:, :3] += np.cross(base[:, 3:], place)
+    return out
+
+
+def _inverse(arm: Arm, q: Array) -> Array:
+    """(n, joints, 6) damped inverse of the tool's Jacobian that spares the base."""
+    J = tool_twists(arm, q)
+    J[:, 3:] *= _LEVER
+    across = np.swapaxes(J, -1, -2)
+    if arm.n > J.shape[1]:
+        H = inertia(arm, q)
+        whole, pushed = H[:, :6, :6], H[:, :6, 6:]
+        pushing = np.swapaxes(pushed, -1, -2) @ np.linalg.solve(whole, pushed)
+        own = np.trace(H[:, 6:, 6:], axis1=-2, axis2=-1)[:, None, None] / arm.n
+        across = np.linalg.solve(np.eye(arm.n) + _REACTION * pushing / own, across)
+    out: Array = across @ np.linalg.inv(J @ across + _DAMPING**2 * np.eye(6))
+    out[..., 3:] *= _LEVER
+    return out
