@@ -76,12 +76,15 @@ class Resolved:
         y = s.y_seen + dt * s.yd_seen  # of the base at the period's end
         reach = joint_positions(arm, present)[:, -1]
         offset = self._path[rows, np.minimum(step + 1, env.task.steps)] - y[:, :3]
-        gap = matvec(np.swapaxes(rotation(y), -1, -2), offset) - reach
+        wanted = matvec(np.swapaxes(rotation(y), -1, -2), offset)  # in the base's axes
         base = twist(y, s.yd_seen)
         drift = base[:, :3] + np.cross(base[:, 3:], reach)  # of the tool with the base
         inverse = _inverse(tool_jacobian(arm, present))
+        angles = present + matvec(inverse, wanted - reach)
+        # once more, for damping leaves up to a fifth of the gap where the arm is least dexterous
+        angles += matvec(inverse, wanted - joint_positions(arm, angles)[:, -1])
         reference = [
-            present + matvec(inverse, gap),
+            angles,
             (then - before) / (2 * dt) - matvec(inverse, drift),
             (then - 2 * present + before) / dt**2,
         ]

@@ -46,7 +46,8 @@ class Reach(Task):
     Reward, summed over an episode: minus the mean distance in `far`, and minus `thrift` times
     E_mean in that expected of a straight motion to the target in half the time
     (`scales.straight_energy`), at least a quarter of what it is in the median. Resting at the
-    start returns -0.6 in the median.
+    start returns -0.6 in the median. `arrival` adds its weight times the mean of
+    1 / (1 + (distance/near)^2): without it, to close the last 11 cm gains 0.04 and costs 0.05.
 
     An episode is terminated at the deadline (the horizon is part of the task, and the time
     left is observed) or beyond a joint limit.
@@ -63,6 +64,8 @@ class Reach(Task):
     hold: float = unit("s", default=0.5)
     far: float = unit("m", default=1.0)  # distance that counts as one
     thrift: float = unit("1", default=0.2)
+    arrival: float | None = unit("1", default=None)  # weight of being at the target
+    near: float = unit("m", default=0.02)  # distance at which that is worth half
 
     @property
     def draws(self) -> int:  # type: ignore[override]
@@ -72,14 +75,16 @@ class Reach(Task):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_control(self, "acceleration", "pd_target", "torque")
-        require_positive(self, "dexterous", "tolerance", "hold", "far")
+        require_positive(self, "dexterous", "tolerance", "hold", "far", "near")
+        if self.arrival is not None:
+            require_positive(self, "arrival", zero=True)
         require_positive(self, "thrift", zero=True)
         joint_box(self, (0.0,), self.span)
 
     @cached_property
     def _straight(self) -> straight_energy:
         half = self.duration / 2
-        return straight_energy(self.system.ideal(), half, half + self.tail)
+        return straight_energy(self.system.ideal(), half, half + self.tail, bool(self.damped))
 
     @cached_property
     def _least(self) -> float:
@@ -178,11 +183,15 @@ class Reach(Task):
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         """See `Task`."""
         scale = s.goal[:, 3] * (self.duration + self.tail) / self.thrift
-        return {
+        terms = {
             "distance": -s.memory[:, 0] * (dt / self.duration / self.far),
             "energy": -s.energy * dt / scale,
             "tail": -s.tail / scale,
         }
+        if self.arrival is not None:
+            close = 1 / (1 + (s.memory[:, 0] / self.near) ** 2)
+            terms["arrival"] = close * (self.arrival * dt / self.duration)
+        return terms
 
     def marker(self, s: Scene) -> Array:
         """The target."""

@@ -28,9 +28,14 @@ class RestToRest(Task):
     box of joint angles, kept when the straight quintic respects the speed limits. The
     reward adds up to -E_mean / E_straight, E_straight the energy that a straight motion is
     expected to leave (`scales.straight_energy`), so the straight line returns about -1.
+
+    Solved: at the goal and at rest there; with `saving`, only where E_mean is at most that
+    share of E_straight. Control `guided` arrives whatever the action: without `saving` a
+    policy that does nothing solves every episode.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "goal")
+    memory: ClassVar[int] = 1  # J s, integral of the base's energy
     compiled: ClassVar[bool] = True
     control: Control = Guided()
     duration: float = unit("s", default=2.0)
@@ -38,6 +43,7 @@ class RestToRest(Task):
     tolerance: float = unit("rad", default=float(np.deg2rad(1.0)))  # of each joint at the end
     rest: float = unit("rad/s", default=float(np.deg2rad(3.0)))  # of each joint at the end
     miss: float = unit("1/rad", default=2.0)  # penalty of the distance left at the end
+    saving: float | None = unit("1", default=None)  # most of E_straight that counts as solved
 
     @property
     def draws(self) -> int:  # type: ignore[override]
@@ -48,10 +54,14 @@ class RestToRest(Task):
         super().__post_init__()
         require_positive(self, "tolerance", "rest")
         require_positive(self, "miss", zero=True)
+        if self.saving is not None:
+            require_positive(self, "saving")
 
     @cached_property
     def _straight(self) -> straight_energy:
-        return straight_energy(self.system.ideal(), self.duration, self.tail)
+        return straight_energy(
+            self.system.ideal(), self.duration, self.tail, bool(self.damped)
+        )
 
     def start(self, u: Array, **options: Array) -> Start:
         """See `Task`. Goal: joint angles (joints), then E_straight."""
@@ -71,6 +81,10 @@ class RestToRest(Task):
         goal = options.get("goal", q + (chosen[:, 1] - q) / shrink)
         q = options.get("q", q)
         return Start(q, np.column_stack([goal, self._straight(q, goal)]))
+
+    def remember(self, s: Scene, dt: float) -> None:
+        """See `Task`."""
+        s.memory[:, 0] += dt * s.energy
 
     def fields(self) -> tuple[Field, ...]:
         """See `Task`."""
@@ -121,8 +135,11 @@ class RestToRest(Task):
         return joint_positions(self.system.arm, s.goal[:, :n])[:, ::-1]
 
     def success(self, s: Scene) -> Mask:
-        """At the goal, and at rest there."""
+        """At the goal, at rest there, and with as little energy as `saving` asks."""
         n = self.system.arm.n
         near: Mask = np.all(np.abs(s.goal[:, :n] - s.q) <= self.tolerance, axis=1)
         calm: Mask = np.all(np.abs(s.v) <= self.rest, axis=1)
-        return near & calm
+        if self.saving is None:
+            return near & calm
+        most = self.saving * s.goal[:, n] * (self.duration + self.tail)
+        return near & calm & (s.memory[:, 0] + s.tail <= most)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.kernel.maps import InertiaMap
 from ves_gym.engine.kernel.modes import ModeMap
-from ves_gym.mechanics.modes import blocks_of
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.modes import blocks_of, natural_modes
 from ves_gym.mechanics.motion import quintic
 from ves_gym.system.system import System
 
@@ -17,6 +20,15 @@ _FLOOR = 1e-4  # J: a motion that hardly moves is not divided by nothing
 _RIGID = 1.0  # rad/s: a base without stiffness counts as one of this frequency
 _STIFF = 300.0  # rad/s: as does one that is stiffer
 _DAMPING = 0.05  # ratio of the modes, that of the thesis's beams
+_DAMPINGS = np.array([0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128])  # of the tables
+
+
+class Modes(NamedTuple):
+    """Modes of k bases, b of each."""
+
+    g: Array  # (k, b, joints) couplings to the joints
+    omega: Array  # (k, b) rad/s
+    damping: Array | float  # (k, b) ratios, or one for all
 
 
 class BaseModes:
@@ -24,28 +36,44 @@ class BaseModes:
 
     Args:
         system: arm and vehicle.
+        damped: True takes the damping ratios of the vehicle with the arm on it, False 0.05
+            for every mode, by which the ids of version 0 scale their rewards.
     """
 
-    def __init__(self, system: System) -> None:
-        self.system, self._room = system, 0
+    def __init__(self, system: System, damped: bool = False) -> None:
+        self.system, self.damped, self._room = system, damped, 0
 
-    def __call__(self, q: Array) -> tuple[Array, Array]:
-        """Couplings (k, b, joints) of the b modes to the joints, their frequencies (k, b).
+    def __call__(self, q: Array) -> Modes:
+        """Return the modes at k configurations.
 
         Args:
             q: (k, joints) [rad].
         """
+        n = self.system.arm.n
         if len(q) > self._room:
             self._room = len(q)
             self._inertia = InertiaMap(self.system, self._room)
-            self._mass, _, K = self.system.base.full()
-            self._modes = ModeMap(K, self.system.arm.n, self._room)
+            self._mass, D, K = self.system.base.full()
+            # columns r of a root of D: the sum of (shape . r)^2 is shape . D shape
+            self._root = _root(D) if self.damped else np.empty((len(D), 0))
+            self._modes = ModeMap(K, n + self._root.shape[1], self._room)
         blocks = blocks_of(self._inertia(q), self._mass)
-        omega, g = self._modes(blocks.Mt, blocks.Hbm)
-        return g, np.clip(omega, _RIGID, _STIFF)
+        root = np.broadcast_to(self._root, (len(q), *self._root.shape))
+        omega, pushes = self._modes(blocks.Mt, np.concatenate([blocks.Hbm, root], axis=2))
+        omega = np.clip(omega, _RIGID, _STIFF)
+        if not self.damped:
+            return Modes(pushes, omega, _DAMPING)
+        ratio = (pushes[..., n:] ** 2).sum(axis=-1) / (2 * omega)
+        return Modes(pushes[..., :n], omega, np.clip(ratio, _DAMPINGS[0], _DAMPINGS[-1]))
 
-    def __reduce__(self) -> tuple[type[BaseModes], tuple[System]]:
-        return BaseModes, (self.system,)  # machine code is no part of a copy
+    def __reduce__(self) -> tuple[type[BaseModes], tuple[System, bool]]:
+        return BaseModes, (self.system, self.damped)  # machine code is no part of a copy
+
+
+def _root(D: Array) -> Array:
+    """R (k, k) with R R^T = D, D symmetric positive semidefinite."""
+    values, vectors = np.linalg.eigh(D)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), dtype=np.float64)
 
 
 class straight_energy:  # a function with a table
@@ -54,17 +82,33 @@ class straight_energy:  # a function with a table
     A mode of frequency w takes the energy f(w) (g . dq)^2 from a straight motion dq, g its
     coupling to the joints; f is tabulated once per duration. Within a factor of about two of
     the simulated value (tests/envs/test_scales.py), which is what a scale needs.
+
+    Args:
+        system: arm and vehicle.
+        duration: of the motion [s].
+        tail: free vibration afterwards that counts [s].
+        damped: see `BaseModes`.
     """
 
-    def __init__(self, system: System, duration: float, tail: float) -> None:
-        self._modes = BaseModes(system)
-        self._table = _response(duration, tail)
+    def __init__(
+        self, system: System, duration: float, tail: float, damped: bool = False
+    ) -> None:
+        self._modes = BaseModes(system, damped)
+        ratios = _DAMPINGS.tolist() if damped else [_DAMPING]
+        self._tables = [_response(duration, tail, ratio) for ratio in ratios]
 
     def __call__(self, start: Array, goal: Array) -> Array:
         """(k, joints) ends -> (k,) [J]."""
-        g, omega = self._modes((start + goal) / 2)
+        g, omega, damping = self._modes((start + goal) / 2)
         push = (g @ (goal - start)[..., None])[..., 0]
-        share = np.interp(np.log(omega), np.log(_FREQUENCIES), self._table)
+        shares = [np.interp(np.log(omega), np.log(_FREQUENCIES), f) for f in self._tables]
+        share = shares[0]
+        if len(shares) > 1:  # linear in the logarithm of the damping
+            at = np.log(damping / _DAMPINGS[0]) / np.log(_DAMPINGS[1] / _DAMPINGS[0])
+            low = np.minimum(at.astype(int), len(shares) - 2)
+            table = np.stack(shares)
+            below = np.take_along_axis(table, low[None], 0)[0]
+            share = below + (at - low) * (np.take_along_axis(table, low[None] + 1, 0)[0] - below)
         return np.asarray(_FLOOR + (share * push**2).sum(axis=1), dtype=np.float64)
 
 
@@ -76,9 +120,9 @@ def motion_energy(modes: BaseModes, q: Array, dt: float, tail: float) -> Array:
         q: (k, m, joints) angles along the motions, dt apart.
         tail: s of free vibration afterwards that count.
     """
-    g, omega = modes((q.min(axis=1) + q.max(axis=1)) / 2)
+    g, omega, damping = modes((q.min(axis=1) + q.max(axis=1)) / 2)
     push = np.einsum("kij,kmj->kmi", g, np.diff(q, n=2, axis=1)) / dt**2
-    pole = omega * (-_DAMPING + 1j * np.sqrt(1 - _DAMPING**2))
+    pole = omega * (-damping + 1j * np.sqrt(1 - damping**2))
     time = dt * np.arange(1, push.shape[1] + 1)[:, None]
     # x' - conj(pole) x = sum over the past of exp(pole (t - t')) push
     fading = np.exp(pole[:, None] * time)
@@ -86,19 +130,46 @@ def motion_energy(modes: BaseModes, q: Array, dt: float, tail: float) -> Array:
     state = -gain[:, None] * fading * np.cumsum(push / fading, axis=1)
     x = state.imag / pole.imag[:, None]
     energy = ((state.real + pole.real[:, None] * x) ** 2 + (omega[:, None] * x) ** 2) / 2
-    decay = 2 * _DAMPING * omega
+    decay = 2 * damping * omega
     remainder = energy[:, -1] * -np.expm1(-decay * tail) / decay
     mean = (energy.sum(axis=1) * dt + remainder) / (dt * push.shape[1] + tail)
     return np.asarray(_FLOOR + mean.sum(axis=1), dtype=np.float64)
 
 
-def _response(duration: float, tail: float) -> Array:
+def released_energy(system: System, q: Array, y: Array, duration: float) -> Array:
+    """Return the integral of the strain energy of released bases, joints locked [J s].
+
+    Linear and in closed form: a mode of frequency w and damping ratio z, from rest at x_0, is
+    x_0 Re(c exp(p t)) with p = w (-z + i r), c = 1 - i z / r, r = sqrt(1 - z^2); its strain
+    energy is w^2 x^2 / 2. What damping couples of two modes is left out.
+
+    Args:
+        system: arm and vehicle.
+        q: (k, joints) angles [rad].
+        y: (k, 6) pose of the base at the release [m, rad]; internal modes follow it at rest.
+        duration: of the integral [s].
+    """
+    base = system.base
+    M, D, K = base.full()
+    Mt = blocks_of(inertia(system.arm, q), M).Mt
+    omega, shapes = natural_modes(K, Mt)
+    shift = np.concatenate([y, base.attached(y)], axis=1)
+    x = ((Mt @ shift[..., None]).swapaxes(-1, -2) @ shapes)[..., 0, :]
+    z = np.clip((shapes * (D @ shapes)).sum(axis=-2) / (2 * omega), 1e-6, 0.99)
+    r = np.sqrt(1 - z * z)
+    pole, c = omega * (-z + 1j * r), 1 - 1j * z / r
+    swing = (c * c * np.expm1(2 * pole * duration) / (2 * pole)).real
+    fall = np.abs(c) ** 2 * np.expm1(2 * pole.real * duration) / (2 * pole.real)
+    return np.asarray(((omega * x) ** 2 * (swing + fall) / 4).sum(axis=1), dtype=np.float64)
+
+
+def _response(duration: float, tail: float, z: float) -> Array:
     """Mean energy of oscillators x'' + 2 z w x' + w^2 x = -s''(t), s the quintic law."""
     t = np.linspace(0.0, duration + tail, _SAMPLES)
     dt = t[1] - t[0]
     rate = np.gradient(quintic(t / duration), dt)
     a = np.gradient(rate, dt)
-    w, z = _FREQUENCIES, _DAMPING
+    w = _FREQUENCIES
     pole = w * (-z + 1j * np.sqrt(1 - z * z))
     carry = np.exp(pole * dt)
     gain = (carry - 1) / pole

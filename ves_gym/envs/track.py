@@ -103,7 +103,7 @@ class Track(Task):
 
     @cached_property
     def _modes(self) -> BaseModes:
-        return BaseModes(self.system.ideal())
+        return BaseModes(self.system.ideal(), bool(self.damped))
 
     # ------------------------------------------------------------------ episodes
 
