@@ -9,9 +9,21 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ves_gym._util.params import ParameterError
+from ves_gym.baselines.resolved import Resolved
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
-from ves_gym.envs.control import Acceleration, Gains, Guided, Target, Torque, get_control
+from ves_gym.envs.control import (
+    Acceleration,
+    Gains,
+    Guided,
+    JointVelocity,
+    Target,
+    ToolVelocity,
+    Torque,
+    get_control,
+)
+from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
@@ -246,3 +258,56 @@ def test_motors_follow_the_reference():
         *_, info = batch.step(np.zeros((4, 3)))
     assert np.abs(batch.scene.q - batch.scene.ref[:, 0]).max() < np.deg2rad(1)
     assert info["success"].all()
+
+
+# ------------------------------------------------------------------------ velocities
+
+
+@pytest.mark.parametrize("control", [JointVelocity(), ToolVelocity()], ids=lambda c: c.kind)
+def test_velocity_controls_keep_every_limit(control):
+    """Angles, rates and accelerations of the reference, for random actions."""
+    rng = np.random.default_rng(0)
+    s = at_rest(rng.uniform(Q_MIN + 0.2, Q_MAX - 0.2, (40, 3)))
+    for _ in range(400):
+        action = rng.uniform(-1, 1, (40, 3)) if _ % 40 else np.sign(rng.uniform(-1, 1, (40, 3)))
+        control.advance(s, action, PUMA_560, DT, np.full(40, 9.0))
+        q, v, a = s.ref.swapaxes(0, 1)
+        assert (q >= Q_MIN - 1e-9).all() and (q <= Q_MAX + 1e-9).all()
+        assert (np.abs(v) <= V_MAX + 1e-9).all() and (np.abs(a) <= A_MAX * (1 + 1e-9)).all()
+
+
+def test_joint_velocity_is_what_the_action_says():
+    s = at_rest(np.zeros((1, 3)))
+    action = np.array([[0.2, -0.1, 0.3]])
+    for _ in range(60):
+        JointVelocity(speed=0.5).advance(s, action, PUMA_560, DT, np.full(1, 9.0))
+    np.testing.assert_allclose(s.ref[:, 1], 0.5 * action * V_MAX, rtol=1e-9)
+
+
+def test_tool_velocity_moves_the_tool_that_way():
+    """By differences of the forward kinematics; 1 % for the damping of the least squares."""
+    s = at_rest(np.deg2rad([[20.0, 30.0, -80.0]]))
+    control = ToolVelocity(speed=0.2, damping=0.01)
+    action = np.array([[0.6, -0.3, 0.5]])
+    for _ in range(30):
+        before = joint_positions(PUMA_560, s.ref[:, 0])[:, -1]
+        control.advance(s, action, PUMA_560, DT, np.full(1, 9.0))
+    after = joint_positions(PUMA_560, s.ref[:, 0])[:, -1]
+    np.testing.assert_allclose((after - before) / DT, 0.2 * action, rtol=2e-2)
+
+
+def test_a_plan_of_joints_is_not_followed_by_the_tool():
+    with pytest.raises(ParameterError, match="a number per joint, got control tool_velocity"):
+        env = VesVectorEnv(1, "reach", control="tool_velocity")
+        env.reset(seed=0)
+        controller = Resolved()
+        controller.reset(env, np.arange(1))
+        controller.act(env, None)
+
+
+@pytest.mark.parametrize("control", [JointVelocity, ToolVelocity])
+def test_velocity_controls_name_bad_settings(control):
+    with pytest.raises(ParameterError, match="speed must be > 0"):
+        control(speed=0.0)
+    with pytest.raises(ParameterError, match=f"{control.__name__}.a_max must be > 0"):
+        build_task("reach", control=control(a_max=(1.0, -1.0, 1.0)))

@@ -110,7 +110,10 @@ def test_options_choose_start_and_target():
 
 def test_what_does_not_fit_is_refused():
     for settings, why in (
-        ({"control": "pd_gains"}, "control must be acceleration or torque"),
+        (
+            {"control": "pd_gains"},
+            "control must be acceleration or joint_velocity or tool_velocity or",
+        ),
         ({"span": [3.0, 0, 0]}, "must start within the joint limits"),
         ({"tolerance": 0.0}, "tolerance"),
     ):

@@ -113,7 +113,7 @@ def test_resolved_motion_solves_it_in_the_laboratory(task):
 
 
 def test_resolved_motion_leads_the_reference_only():
-    with pytest.raises(ParameterError, match="reach and track, got task reach through"):
+    with pytest.raises(ParameterError, match="free_flyer, got task reach through"):
         controlled(Resolved(), 1, "reach", control="torque")
     assert controlled(Resolved(), 8, "reach", control="pd_target")[3]["success"].all()
 
@@ -184,7 +184,10 @@ def test_bad_options_are_refused_and_change_nothing(options, message):
     [
         ({"tolerance": 0.0}, "tolerance"),
         ({"thrift": -1.0}, "thrift"),
-        ({"control": "pd_gains"}, "control must be acceleration or pd_target or torque"),
+        (
+            {"control": "pd_gains"},
+            "control must be acceleration or joint_velocity or tool_velocity or",
+        ),
         ({"span": [4.0]}, "joint limits"),
     ],
 )
@@ -235,7 +238,9 @@ def test_goal_variant_ends_at_the_deadline_only():
     outcomes = [env.step([1.0, 1.0, -1.0]) for _ in range(env.task.steps)]
     assert [o[2] for o in outcomes] == [False] * (len(outcomes) - 1) + [True]
     assert outcomes[-1][4]["energy/E_mean"] > 0
-    with pytest.raises(ParameterError, match="reach_goal: control must be acceleration or pd"):
+    with pytest.raises(
+        ParameterError, match=r"reach_goal: control must be acceleration or .* or pd"
+    ):
         build_task("reach_goal", control="torque")
     with pytest.raises(ParameterError, match="no goal-conditioned variant"):
         gym.make("ves/PumaReach-v0", goal=True)

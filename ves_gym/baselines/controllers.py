@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from ves_gym._util.params import Array, Index, ParameterError
-from ves_gym.envs.control import Control, Gains, Torque
+from ves_gym.envs.control import Control, Gains, ToolVelocity, Torque
 from ves_gym.envs.rest_to_rest import RestToRest
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.dynamics import inverse_dynamics
@@ -207,11 +207,16 @@ def reference_action(env: VesVectorEnv, control: Control, target: Array) -> Arra
     of all three dies away like exp(-c t).
     """
     s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
+    if isinstance(control, ToolVelocity):
+        raise ParameterError(
+            f"a plan of {arm.n} joints is followed by a control with a number per joint, got"
+            f" control {control.kind}"
+        )
     remaining = np.asarray(env.task.duration - env.batch.episodes.steps * dt, dtype=np.float64)
-    ends = []
+    ends, middle = [], control.coasting(s, arm, dt)
     for small in (-_SMALL, _SMALL):  # at a speed limit only one of them does anything
         moving = SimpleNamespace(time=s.time, q=s.q, v=s.v, ref=s.ref.copy(), goal=s.goal)
-        control.advance(moving, np.full_like(s.q, small), arm, dt, remaining)
+        control.advance(moving, middle + small, arm, dt, remaining)
         ends.append(moving.ref)
     c = _FOLLOW
     mix = np.array([c * c, 2 * c, 1.0])
@@ -220,7 +225,7 @@ def reference_action(env: VesVectorEnv, control: Control, target: Array) -> Arra
     still, slope = mix @ (ends[0] + ends[1]) / 2, mix @ (ends[1] - ends[0]) / (2 * _SMALL)
     free = np.abs(slope) > 0  # the last periods of guided are not
     action = np.where(free, (mix @ target - still) / np.where(free, slope, 1.0), 0.0)
-    return np.clip(action, -1.0, 1.0)
+    return np.clip(middle + action, -1.0, 1.0)
 
 
 _SMALL = 1e-3  # an action far from every limit

@@ -8,6 +8,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.baselines.controllers import reference_action
+from ves_gym.envs.free_flyer import FreeFlyerReach
 from ves_gym.envs.reach import Reach
 from ves_gym.envs.track import Track
 from ves_gym.envs.vector import VesVectorEnv
@@ -16,7 +17,7 @@ from ves_gym.mechanics.kinematics import joints_for, tool_jacobian
 from ves_gym.mechanics.motion import quintic
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 
-_MOVE = 0.7  # share of an episode of reach that the way to the target takes
+_MOVE = 0.7  # share of an episode that the way to a target takes
 _DAMPING = 0.05  # m/rad, of the least squares near singular configurations
 
 
@@ -24,11 +25,11 @@ class Resolved:
     """Leads the tool along a path in space, by joint rates that take back the base's motion.
 
     The joints follow a plan for a base at rest: for task track the one that the Jacobian
-    gives along the path, for task reach the straight quintic to the nearest joint angles that
-    bring the tool to the target. In every period the plan is corrected by what the Jacobian
-    says of the distance between path and tool, on the base as measured, and of the rate at
-    which the base carries the tool along (resolved motion rate control: Whitney, IEEE Trans.
-    Man-Machine Systems 10(2), 1969).
+    gives along the path, for reach and free_flyer the straight quintic to the nearest joint
+    angles that bring the tool to the target. In every period the plan is corrected by what
+    the Jacobian says of the distance between path and tool, on the base as measured, and of
+    the rate at which the base carries the tool along (resolved motion rate control: Whitney,
+    IEEE Trans. Man-Machine Systems 10(2), 1969).
     """
 
     name = "resolved"
@@ -41,10 +42,13 @@ class Resolved:
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
         task, s = env.task, env.batch.scene
-        if not isinstance(task, (Reach, Track)) or task.control.level != "reference":
+        if (
+            not isinstance(task, (FreeFlyerReach, Reach, Track))
+            or task.control.level != "reference"
+        ):
             raise ParameterError(
-                "controller resolved leads the reference of tasks reach and track, got task"
-                f" {task.kind} through control {task.control.kind}"
+                "controller resolved leads the reference of tasks reach, track and free_flyer,"
+                f" got task {task.kind} through control {task.control.kind}"
             )
         arm, steps = task.system.arm, task.steps
         if self._plan.shape[:2] != (env.num_envs, steps + 2):
@@ -81,7 +85,7 @@ class Resolved:
         drift = base[:, :3] + np.cross(base[:, 3:], reach)  # of the tool with the base
         inverse = _inverse(tool_jacobian(arm, present))
         angles = present + matvec(inverse, wanted - reach)
-        # once more, for damping leaves up to a fifth of the gap where the arm is least dexterous
+        # once more: damping leaves up to a fifth of the gap where the arm is least dexterous
         angles += matvec(inverse, wanted - joint_positions(arm, angles)[:, -1])
         reference = [
             angles,

@@ -22,6 +22,7 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.kinematics import tool_jacobian
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo, own_gains
 from ves_gym.system.system import System
 
@@ -141,6 +142,16 @@ class Control:
     def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
         """Move the reference on by one period."""
 
+    def coasting(self, s: Moving, arm: Arm, dt: float) -> Array:
+        """Return the action (n, width) that leaves the reference to itself: zero, mostly.
+
+        Args:
+            s: reference state.
+            arm: whose joints.
+            dt: control period [s].
+        """
+        return np.zeros((len(s.q), self.width(arm)))
+
 
 def _file(cls: type[Control]) -> type[Control]:
     CONTROLS[cls.kind] = cls
@@ -216,15 +227,16 @@ def _pushed(dt: float) -> Array:
     return np.array([[dt**3 / 6], [dt * dt / 2], [dt]])
 
 
-@_file
 @dataclass(frozen=True, kw_only=True)
-class Acceleration(Control):
-    """Acceleration of the reference, a fraction of `a_max`; it brakes before joint limits."""
+class SmoothReference(Control):
+    """Base of controls that move a reference of bounded rate and acceleration.
 
-    kind: ClassVar[str] = "acceleration"
+    The reference brakes before joint limits. What an action asks for is a joint rate at the
+    period's end, see `asked`.
+    """
+
     level: ClassVar[str] = "reference"
     drives: ClassVar[tuple[str, ...]] = ("motor", "prescribed")
-    compiled: ClassVar[bool] = True
     a_max: Vector | None = unit("rad/s^2", default=None)  # None: the arm's own
 
     def check(self, system: System, duration: float) -> None:
@@ -232,11 +244,33 @@ class Acceleration(Control):
         super().check(system, duration)
         if self.a_max is None:
             return
-        if not (finite(self.a_max, (system.arm.n,), "Acceleration.a_max") > 0).all():
-            raise ParameterError(f"Acceleration.a_max must be > 0 rad/s^2, got {self.a_max}")
+        name = f"{type(self).__name__}.a_max"
+        if not (finite(self.a_max, (system.arm.n,), name) > 0).all():
+            raise ParameterError(f"{name} must be > 0 rad/s^2, got {self.a_max}")
+
+    def limits(self, arm: Arm) -> Array:
+        """Return the largest acceleration of every joint (joints,) [rad/s^2].
+
+        Args:
+            arm: whose joints.
+        """
+        return arm.column("a_max") if self.a_max is None else np.asarray(self.a_max, float)
+
+    def asked(self, s: Moving, action: Array, arm: Arm, dt: float, rate: Array) -> Array:
+        """Return the joint rates (n, joints) that an action asks for [rad/s].
+
+        Args:
+            s: reference state.
+            action: (n, width) in [-1, 1].
+            arm: whose joints.
+            dt: control period [s].
+            rate: (n, joints) at the period's end if the acceleration ran to zero [rad/s].
+        """
+        raise NotImplementedError
 
     def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
-        most = arm.column("a_max") if self.a_max is None else np.asarray(self.a_max, float)
+        """See `Control`."""
+        most = self.limits(arm)
         q, v, a = s.ref.swapaxes(0, 1)
         # Angle and rate if the acceleration ran to zero within this period. Whatever the
         # acceleration b at its end: angle' = angle + rate dt, rate' = rate + b dt.
@@ -247,8 +281,79 @@ class Acceleration(Control):
         down = _stoppable(ahead - arm.column("q_min") - spare, most, dt)
         fast = arm.column("v_max")
         low, high = -np.minimum(down, fast), np.minimum(up, fast)
-        speed = np.clip(rate + action * most * dt, low, high)
+        speed = np.clip(self.asked(s, action, arm, dt, rate), low, high)
         _ramp(s, np.clip((speed - rate) / dt, -most, most), dt)
+
+
+@_file
+@dataclass(frozen=True, kw_only=True)
+class Acceleration(SmoothReference):
+    """Acceleration of the reference, a fraction of `a_max`; it brakes before joint limits."""
+
+    kind: ClassVar[str] = "acceleration"
+    compiled: ClassVar[bool] = True
+
+    def asked(self, s: Moving, action: Array, arm: Arm, dt: float, rate: Array) -> Array:
+        """See `SmoothReference`."""
+        out: Array = rate + action * self.limits(arm) * dt
+        return out
+
+
+@_file
+@dataclass(frozen=True, kw_only=True)
+class JointVelocity(SmoothReference):
+    """Rates of the reference, a fraction `speed` of the joints' own; `a_max` bounds changes."""
+
+    kind: ClassVar[str] = "joint_velocity"
+    compiled: ClassVar[bool] = True
+    speed: float = unit("1", default=1.0)
+
+    def __post_init__(self) -> None:
+        require_positive(self, "speed")
+
+    def asked(self, s: Moving, action: Array, arm: Arm, dt: float, rate: Array) -> Array:
+        """See `SmoothReference`."""
+        out: Array = action * (self.speed * arm.column("v_max"))
+        return out
+
+    def coasting(self, s: Moving, arm: Arm, dt: float) -> Array:
+        """See `Control`: the rate that there will be."""
+        _, v, a = s.ref.swapaxes(0, 1)
+        out: Array = (v + a * (dt / 2)) / (self.speed * arm.column("v_max"))
+        return out
+
+
+@_file
+@dataclass(frozen=True, kw_only=True)
+class ToolVelocity(SmoothReference):
+    """Velocity of the tool along the base's axes, +-1 = `speed`, by damped least squares.
+
+    Joint rates J^T (J J^T + damping^2 I)^-1 v of the reference's Jacobian J (Wampler, IEEE
+    Trans. Systems, Man, and Cybernetics 16(1), 1986), all slowed alike where one would pass
+    its limit, so that the direction stays. It does not take back what the base does.
+    """
+
+    kind: ClassVar[str] = "tool_velocity"
+    speed: float = unit("m/s", default=0.5)
+    damping: float = unit("m/rad", default=0.05)
+
+    def __post_init__(self) -> None:
+        require_positive(self, "speed", "damping")
+
+    def width(self, arm: Arm) -> int:
+        """Three, along x, y and z."""
+        return 3
+
+    def asked(self, s: Moving, action: Array, arm: Arm, dt: float, rate: Array) -> Array:
+        """See `SmoothReference`."""
+        J = tool_jacobian(arm, s.ref[:, 0])
+        across = np.swapaxes(J, -1, -2)
+        load = np.linalg.solve(
+            J @ across + self.damping**2 * np.eye(3), self.speed * action[..., None]
+        )
+        rates = (across @ load)[..., 0]
+        most = (np.abs(rates) / arm.column("v_max")).max(axis=1, keepdims=True)
+        return np.asarray(rates / np.maximum(most, 1.0), dtype=np.float64)
 
 
 def _stoppable(room: Array, most: Array, dt: float) -> Array:
@@ -391,7 +496,7 @@ def for_arm(control: Control, arm: Arm) -> Control:
         control: the default.
         arm: whose joints.
     """
-    if isinstance(control, Acceleration) and control.a_max is not None:
+    if isinstance(control, SmoothReference) and control.a_max is not None:
         return control if len(control.a_max) == arm.n else replace(control, a_max=None)
     if not isinstance(control, Torque) or control.damping is None:
         return control

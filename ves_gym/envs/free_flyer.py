@@ -11,6 +11,7 @@ import numpy as np
 from ves_gym._util.params import Array, Mask, ParameterError, Vector, require_positive, unit
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.joints import (
+    REFERENCES,
     drawn_joints,
     home_of,
     joint_box,
@@ -76,7 +77,7 @@ class FreeFlyerReach(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_control(self, "acceleration", "torque")
+        require_control(self, *REFERENCES, "torque")
         require_positive(self, "tolerance", "rest", "hold", "tumble", "far")
         require_positive(self, "away", "energy", "turn", zero=True)
         joint_box(self, self.home, self.span)

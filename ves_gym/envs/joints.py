@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector
-from ves_gym.envs.control import Acceleration, Control
+from ves_gym.envs.control import Control, SmoothReference
 from ves_gym.envs.task import Field, Scene, Task
 from ves_gym.mechanics.arm import Arm
+
+# controls that move a reference smoothly, by acceleration or by velocity
+REFERENCES = ("acceleration", "joint_velocity", "tool_velocity")
 
 
 def wide(values: Vector, arm: Arm) -> Array:
@@ -97,9 +100,9 @@ def rate_fields(control: Control, arm: Arm) -> tuple[Field, ...]:
         arm: whose joints.
     """
     fast = arm.column("v_max")
-    if not isinstance(control, Acceleration):
+    if not isinstance(control, SmoothReference):
         return (Field("joint_rate", "rad/s", fast, "joint rates"),)
-    most = arm.column("a_max") if control.a_max is None else wide(control.a_max, arm)
+    most = np.resize(control.limits(arm), arm.n)
     return (
         Field("reference_rate", "rad/s", fast, "rate of the reference"),
         Field("reference_acceleration", "rad/s^2", most, "acceleration of the reference"),
@@ -108,6 +111,6 @@ def rate_fields(control: Control, arm: Arm) -> tuple[Field, ...]:
 
 def rates(control: Control, s: Scene) -> tuple[Array, ...]:
     """Values of `rate_fields`."""
-    if isinstance(control, Acceleration):
+    if isinstance(control, SmoothReference):
         return s.ref[:, 1], s.ref[:, 2]
     return (s.v,)

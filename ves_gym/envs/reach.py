@@ -18,7 +18,14 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym.envs.control import Acceleration, Control
-from ves_gym.envs.joints import drawn_joints, joint_box, rate_fields, rates, require_control
+from ves_gym.envs.joints import (
+    REFERENCES,
+    drawn_joints,
+    joint_box,
+    rate_fields,
+    rates,
+    require_control,
+)
 from ves_gym.envs.scales import straight_energy
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.dynamics import joint_positions
@@ -74,7 +81,7 @@ class Reach(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_control(self, "acceleration", "pd_target", "torque")
+        require_control(self, *REFERENCES, "pd_target", "torque")
         require_positive(self, "dexterous", "tolerance", "hold", "far", "near")
         if self.arrival is not None:
             require_positive(self, "arrival", zero=True)

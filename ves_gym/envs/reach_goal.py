@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from ves_gym._util.params import Array, Mask
-from ves_gym.envs.joints import require_control
+from ves_gym.envs.joints import REFERENCES, require_control
 from ves_gym.envs.reach import Reach
 from ves_gym.envs.task import Field, Scene, register_task
 
@@ -31,7 +31,7 @@ class ReachGoal(Reach):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_control(self, "acceleration", "pd_target")
+        require_control(self, *REFERENCES, "pd_target")
 
     def fields(self) -> tuple[Field, ...]:
         """See `Task`."""

@@ -59,9 +59,7 @@ class RestToRest(Task):
 
     @cached_property
     def _straight(self) -> straight_energy:
-        return straight_energy(
-            self.system.ideal(), self.duration, self.tail, bool(self.damped)
-        )
+        return straight_energy(self.system.ideal(), self.duration, self.tail, bool(self.damped))
 
     def start(self, u: Array, **options: Array) -> Start:
         """See `Task`. Goal: joint angles (joints), then E_straight."""

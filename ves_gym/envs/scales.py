@@ -108,7 +108,9 @@ class straight_energy:  # a function with a table
             low = np.minimum(at.astype(int), len(shares) - 2)
             table = np.stack(shares)
             below = np.take_along_axis(table, low[None], 0)[0]
-            share = below + (at - low) * (np.take_along_axis(table, low[None] + 1, 0)[0] - below)
+            share = below + (at - low) * (
+                np.take_along_axis(table, low[None] + 1, 0)[0] - below
+            )
         return np.asarray(_FLOOR + (share * push**2).sum(axis=1), dtype=np.float64)
 
 

@@ -19,7 +19,14 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym.envs.control import Acceleration, Control
-from ves_gym.envs.joints import drawn_joints, joint_box, rate_fields, rates, require_control
+from ves_gym.envs.joints import (
+    REFERENCES,
+    drawn_joints,
+    joint_box,
+    rate_fields,
+    rates,
+    require_control,
+)
 from ves_gym.envs.scales import BaseModes, motion_energy
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.dynamics import joint_positions
@@ -76,7 +83,7 @@ class Track(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_control(self, "acceleration", "pd_target", "torque")
+        require_control(self, *REFERENCES, "pd_target", "torque")
         require_positive(self, "pace", "dexterous", "tolerance", "near")
         require_positive(self, "thrift", zero=True)
         joint_box(self, (0.0,), self.span)
