@@ -46,6 +46,7 @@ INFO = {
 }
 COMMON = {
     "context": "appends to the observation what was drawn for the episode",
+    "damped": "energy scales by the vehicle's own damping, not by 5 % of every mode",
     "duration": "of an episode",
     "tail": "after it, the joints held: counts into E_mean and E_int",
 }
