@@ -113,7 +113,7 @@ def test_resolved_motion_solves_it_in_the_laboratory(task):
 
 
 def test_resolved_motion_leads_the_reference_only():
-    with pytest.raises(ParameterError, match="free_flyer, got task reach through"):
+    with pytest.raises(ParameterError, match="payload_transfer, got task reach through"):
         controlled(Resolved(), 1, "reach", control="torque")
     assert controlled(Resolved(), 8, "reach", control="pd_target")[3]["success"].all()
 

@@ -9,6 +9,7 @@ import numpy as np
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.baselines.controllers import reference_action
 from ves_gym.envs.free_flyer import FreeFlyerReach
+from ves_gym.envs.payload_transfer import PayloadTransfer
 from ves_gym.envs.reach import Reach
 from ves_gym.envs.track import Track
 from ves_gym.envs.vector import VesVectorEnv
@@ -18,6 +19,7 @@ from ves_gym.mechanics.motion import quintic
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 
 _MOVE = 0.7  # share of an episode that the way to a target takes
+_LEGS = ((0.0, 0.37), (0.45, 0.8))  # the same of the two legs of payload_transfer
 _DAMPING = 0.05  # m/rad, of the least squares near singular configurations
 
 
@@ -26,10 +28,11 @@ class Resolved:
 
     The joints follow a plan for a base at rest: for task track the one that the Jacobian
     gives along the path, for reach and free_flyer the straight quintic to the nearest joint
-    angles that bring the tool to the target. In every period the plan is corrected by what
-    the Jacobian says of the distance between path and tool, on the base as measured, and of
-    the rate at which the base carries the tool along (resolved motion rate control: Whitney,
-    IEEE Trans. Man-Machine Systems 10(2), 1969).
+    angles that bring the tool to the target, for payload_transfer two of them, to the payload
+    and to the berth. In every period the plan is corrected by what the Jacobian says of the
+    distance between path and tool, on the base as measured, and of the rate at which the base
+    carries the tool along (resolved motion rate control: Whitney, IEEE Trans. Man-Machine
+    Systems 10(2), 1969).
     """
 
     name = "resolved"
@@ -42,13 +45,11 @@ class Resolved:
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
         task, s = env.task, env.batch.scene
-        if (
-            not isinstance(task, (FreeFlyerReach, Reach, Track))
-            or task.control.level != "reference"
-        ):
+        known = isinstance(task, (FreeFlyerReach, PayloadTransfer, Reach, Track))
+        if not known or task.control.level != "reference":
             raise ParameterError(
-                "controller resolved leads the reference of tasks reach, track and free_flyer,"
-                f" got task {task.kind} through control {task.control.kind}"
+                "controller resolved leads the reference of tasks reach, track, free_flyer and"
+                f" payload_transfer, got task {task.kind} through control {task.control.kind}"
             )
         arm, steps = task.system.arm, task.steps
         if self._plan.shape[:2] != (env.num_envs, steps + 2):
@@ -62,6 +63,17 @@ class Resolved:
                 gap = point - joint_positions(arm, plan[-1])[:, -1]
                 plan.append(plan[-1] + matvec(_inverse(tool_jacobian(arm, plan[-1])), gap))
             along = np.stack(plan, axis=1)
+        elif isinstance(task, PayloadTransfer):
+            along = q[:, None]
+            clock = np.arange(steps + 1) / steps
+            for goal, (leaves, arrives) in zip(
+                (s.goal[ids, :3], s.goal[ids, 3:6]), _LEGS, strict=True
+            ):
+                before = along[:, -1]
+                there, _ = joints_for(arm, goal, before)
+                share = quintic((clock - leaves) / (arrives - leaves))[:, None]
+                along = along + share * (there - before)[:, None]
+            path = joint_positions(arm, along)[..., -1, :]
         else:
             end, _ = joints_for(arm, s.goal[ids, :3], q)
             share = quintic(np.arange(steps + 1) / (_MOVE * steps))[:, None]
@@ -77,7 +89,7 @@ class Resolved:
         before, present, then = (
             self._plan[rows, np.minimum(step + k, env.task.steps + 1)] for k in (0, 1, 2)
         )
-        y = s.y_seen + dt * s.yd_seen  # of the base at the period's end
+        y: Array = s.y_seen + dt * s.yd_seen  # of the base at the period's end
         reach = joint_positions(arm, present)[:, -1]
         offset = self._path[rows, np.minimum(step + 1, env.task.steps)] - y[:, :3]
         wanted = matvec(np.swapaxes(rotation(y), -1, -2), offset)  # in the base's axes

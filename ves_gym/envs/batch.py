@@ -201,7 +201,11 @@ class Batch:
         s.goal[ids], s.memory[ids], s.tail[ids] = begin.goal, 0.0, 0.0
         for k in (e.steps, e.clipped, e.once, e.total, e.sums):
             k[ids] = 0
+        if task.interacts:
+            task.set_up(sim, ids, begin.goal)
         self._update_scene()
+        if task.interacts and task.interact(sim, s, ids):
+            self._update_scene()
         s.tau[ids] = self._command()[ids]
         e.peaks[ids] = s.energies[ids]
         if self._period is not None:
@@ -253,6 +257,8 @@ class Batch:
         remaining = np.subtract(task.duration, e.steps * self.dt, dtype=np.float64)
         task.control.drive(self.sim, s, actions, remaining, self._command)
         self._update_scene()
+        if task.interacts and task.interact(self.sim, s, np.arange(self.n)):
+            self._update_scene()
         count(task, s, e, before, self.dt)
         diverged = self.sim.diverged
         waiting = np.zeros(self.n, bool) if over is None else over

@@ -29,6 +29,7 @@ _FILES = (
     "free_flyer",
     "pose_reach",
     "lqr",
+    "payload_transfer",
 )  # of `ves_gym.envs`
 
 # What the v0 ids draw: a gravity estimate that is wrong by up to half a percent (thesis 3.2.2).

@@ -28,6 +28,7 @@ from ves_gym.envs.joints import (
 )
 from ves_gym.envs.scales import straight_energy
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.kinematics import dexterity, joints_for
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
@@ -36,6 +37,37 @@ _TRIES = 16  # candidate targets per episode; the first that is near and dextero
 _LEAST = 0.25  # of the median energy scale: targets close by are no reason to count more
 _SAMPLE = 256  # starts that the median is taken of
 _MISS = 1e-4  # m by which a chosen target may be out of reach
+
+
+def reachable(
+    arm: Arm, q: Array, ends: Array, seconds: float, dexterous: float, away: float = 0.0
+) -> Array:
+    """Return of several configurations the first that a straight motion may end in.
+
+    A straight quintic gets there in time within the speed limits, the arm is dexterous there,
+    and the tool has gone some way; of none that does, the one that lacks least.
+
+    Args:
+        arm: the arm.
+        q: (k, joints) where the motion starts [rad].
+        ends: (k, m, joints) candidates [rad].
+        seconds: that the motion takes [s].
+        dexterous: least `kinematics.dexterity` [m/rad].
+        away: least distance of the tool from where it starts [m].
+
+    Returns:
+        (k, joints).
+    """
+    speed = np.abs(ends - q[:, None]) * (QUINTIC_PEAK_SPEED / seconds)
+    excess = np.maximum((speed / arm.column("v_max")).max(axis=2) - 1, 0.0)
+    excess += np.maximum(1 - dexterity(arm, ends) / dexterous, 0.0)
+    if away:
+        tools = [joint_positions(arm, k)[..., -1, :] for k in (q[:, None], ends)]
+        gone = np.linalg.norm(tools[1] - tools[0], axis=-1)
+        excess += np.maximum(1 - gone / away, 0.0)
+    best = excess.argmin(axis=1)  # the first without any, or the one with the least
+    chosen: Array = ends[np.arange(len(q)), best]
+    return chosen
 
 
 @register_task("reach")
@@ -139,12 +171,8 @@ class Reach(Task):
         low, high = joint_box(self, (0.0,), self.span)
         share = u.reshape(len(u), 1 + _TRIES, -1)[..., : arm.n]
         drawn = low + (high - low) * share
-        q, ends = drawn[:, 0] if q is None else q, drawn[:, 1:]
-        speed = np.abs(ends - q[:, None]) * (2 * QUINTIC_PEAK_SPEED / self.duration)
-        excess = np.maximum((speed / arm.column("v_max")).max(axis=2) - 1, 0.0)
-        excess += np.maximum(1 - dexterity(arm, ends) / self.dexterous, 0.0)
-        best = excess.argmin(axis=1)  # the first without any, or the one with the least
-        return q, ends[np.arange(len(u)), best]
+        q = drawn[:, 0] if q is None else q
+        return q, reachable(arm, q, drawn[:, 1:], self.duration / 2, self.dexterous)
 
     def remember(self, s: Scene, dt: float) -> None:
         """See `Task`."""

@@ -33,6 +33,7 @@ IDS: dict[str, tuple[str, dict[str, Any]]] = {
     "FreeFlyerReach": ("free_flyer", {}),
     "BeamLQR": ("lqr", {}),
     "PoseReach": ("pose_reach", {}),
+    "PayloadTransfer": ("payload_transfer", {}),
 }
 
 
@@ -46,6 +47,7 @@ STEPS = {
     "FreeFlyerReach": 400,
     "BeamLQR": 320,
     "PoseReach": 400,
+    "PayloadTransfer": 800,
 }
 
 

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from ves_gym.envs.control import Control
 from ves_gym.envs.randomize import Range
 from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
+
+if TYPE_CHECKING:
+    from ves_gym.simulation.simulator import Simulator
 
 TASKS: dict[str, type[Task]] = {}
 _WIDTHS = {"y": 6, "yd": 6, "pose": 6, "target": 3}  # of options that are not joint angles
@@ -121,6 +124,8 @@ class Task(ABC):
     # of the scene alone, a simulation per row: the kernel then compiles them from their NumPy
     # text. It holds for the class that says so, not for those derived from it.
     compiled: ClassVar[bool] = False
+    # Set where `set_up` and `interact` do something; such tasks step in NumPy.
+    interacts: ClassVar[bool] = False
 
     system: System = System(physics_dt=2.5e-3)
     control: Control
@@ -189,6 +194,30 @@ class Task(ABC):
             (n, k); nothing by default.
         """
         return np.empty((len(goal), 0))
+
+    def set_up(self, sim: Simulator, ids: Index, goal: Array) -> None:  # noqa: B027
+        """Prepare simulations whose episodes begin, beyond the states of their `Start`.
+
+        Args:
+            sim: just reset.
+            ids: (k,) which.
+            goal: (k, g) theirs.
+        """
+
+    def interact(self, sim: Simulator, s: Scene, ids: Index) -> bool:
+        """Do what happens at the end of a period beside the motion of the joints.
+
+        Asked once after a reset too, before anything is observed.
+
+        Args:
+            sim: the simulations.
+            s: as the period left them; `s.memory` may be written.
+            ids: (k,) which.
+
+        Returns:
+            True if a state has jumped.
+        """
+        return False
 
     def remember(self, s: Scene, dt: float) -> None:  # noqa: B027
         """Bring `s.memory` up to date, once per period and before `reward` is asked."""

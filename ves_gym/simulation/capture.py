@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.engine.backends.base import Carrier
 from ves_gym.mechanics.attitude import (
     conjugate,
@@ -228,6 +228,25 @@ class Cargo:
         _, distance, angle = self._gap(index, motion)
         return distance, angle
 
+    def closes(self, ids: Index) -> Mask:
+        """Return (k,) whether the latches reach the fixtures."""
+        distance, angle = self.gap(ids)
+        payloads = [self.described[i] for i in ids.tolist()]
+        far = np.array([payload.latch_distance for payload in payloads])
+        turned = np.array([payload.latch_angle or np.inf for payload in payloads])
+        within: Mask = (distance <= far) & (angle <= turned)
+        return within
+
+    def fixture(self) -> tuple[Array, Array]:
+        """Return place [m] and velocity [m/s] (n, 3) of the grapple fixtures in space."""
+        state = self.state
+        turn = to_matrix(state.attitude)
+        grips = np.array([payload.grip.position for payload in self.described])
+        spin = matvec(turn, state.spin)
+        arm = matvec(turn, grips - self.com)
+        velocity: Array = state.velocity + np.cross(spin, arm)
+        return state.position + matvec(turn, grips), velocity
+
     def relative(self, ids: npt.ArrayLike | None = None) -> Array:
         """Return the twist (k, 6) of the tool against the fixture, inertial axes."""
         index = self.sim._ids(ids)
@@ -255,14 +274,13 @@ class Cargo:
         closed = directions_of(directions)
         motion, rates = self._motion(index)
         turn, distance, angle = self._gap(index, motion)
-        for i, d, a in zip(index.tolist(), distance, angle, strict=True):
-            payload = self.described[i]
-            if d > payload.latch_distance or a > (payload.latch_angle or np.inf):
-                raise ParameterError(
-                    f"simulation {i}: the latch closes within {payload.latch_distance:g} m"
-                    f"{_degrees(payload.latch_angle)} of the fixture, the tool is"
-                    f" {d:.4g} m{_degrees(float(a))} away"
-                )
+        for k in np.flatnonzero(~self.closes(index)).tolist():
+            i, payload = int(index[k]), self.described[index[k]]
+            raise ParameterError(
+                f"simulation {i}: the latch closes within {payload.latch_distance:g} m"
+                f"{_degrees(payload.latch_angle)} of the fixture, the tool is"
+                f" {distance[k]:.4g} m{_degrees(float(angle[k]))} away"
+            )
         out = self._impulse(index, motion, rates, closed)
         state = sim.state
         kind = "grasp" if closed is None else "touch"

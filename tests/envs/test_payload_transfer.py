@@ -1,0 +1,120 @@
+"""The task payload_transfer: fetch, carry and berth a payload of unknown mass."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from tests.envs.runs import controlled, unscaled
+from ves_gym._util.params import ParameterError
+from ves_gym.baselines.registry import get_controller
+from ves_gym.envs.build import build_task
+from ves_gym.envs.payload_transfer import BOX
+from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.system.system import System
+
+TASK = "payload_transfer"
+
+
+@pytest.mark.parametrize(
+    "n", [8, pytest.param(100, marks=pytest.mark.slow)], ids=["eight", "hundred"]
+)
+def test_the_reference_berths_it(n):
+    """99 of 100 starts of seed 0; return -1.07."""
+    env, total, terms, info = controlled(get_controller("resolved"), n, TASK)
+    print("solved", info["success"].mean(), "return", total.mean())
+    print({k: round(float(v.mean()), 3) for k, v in terms.items()})
+    assert info["success"].mean() >= 0.95
+    assert -1.3 < total.mean() < -0.7
+    cargo, s = env.batch.sim.payload, env.batch.scene
+    kinds = [[e.kind for e in cargo.events if e.simulation == i] for i in range(n)]
+    solved = np.flatnonzero(info["success"])
+    assert all(kinds[i] == ["grasp", "release"] for i in solved)
+    off = np.linalg.norm(cargo.fixture()[0] - s.goal[:, 3:6], axis=1)
+    assert off[solved].max() <= env.task.tolerance
+    assert not cargo.velocity[solved].any()
+    assert np.ptp(cargo.mass) > 5  # kg
+
+
+@pytest.mark.parametrize("name", ["zero", "random"])
+def test_doing_nothing_and_anything_berths_nothing(name):
+    *_, info = controlled(get_controller(name), 24, TASK)
+    assert not info["success"].any()
+
+
+def test_in_the_laboratory_the_weight_is_taken_for_a_force():
+    """Solved nearly as often, at five times the energy."""
+    _, _, terms, info = controlled(get_controller("resolved"), 4, TASK, mode="emulated")
+    assert info["success"].mean() >= 0.75
+    assert terms["energy"].mean() < -2.0
+
+
+def test_mass_and_places_are_as_stated():
+    env = VesVectorEnv(64, TASK, autoreset_mode="Disabled")
+    first, _ = env.reset(seed=3)
+    task, s, cargo = env.task, env.batch.scene, env.batch.sim.payload
+    assert (cargo.mass >= 2.0).all() and (cargo.mass <= 20.0).all()
+    assert np.abs(cargo.com).max() <= 0.03
+    assert np.median(cargo.mass) == pytest.approx(np.sqrt(40), rel=0.4)
+    moments = np.array(BOX.inertial.inertia) * (cargo.mass / 8.0)[:, None, None]
+    assert np.abs(cargo.inertia - moments).max() <= 1e-12
+    fixture, rate = cargo.fixture()
+    assert np.abs(fixture - s.goal[:, :3]).max() <= 1e-12
+    assert not rate.any()
+    assert np.linalg.norm(s.goal[:, 3:6] - s.goal[:, :3], axis=1).min() > 0.1
+    seen = unscaled(task, first)
+    assert np.abs(seen["to_payload"] - (fixture - s.tool)).max() <= 1e-6  # base at rest
+    assert np.abs(seen["to_berth"] - (s.goal[:, 3:6] - fixture)).max() <= 1e-6
+
+
+def test_an_episode_is_its_own_whatever_its_neighbours_carry():
+    settings = {"autoreset_mode": "Disabled"}
+    runs = []
+    for n in (3, 1):
+        env, controller = VesVectorEnv(n, TASK, **settings), get_controller("resolved")
+        observation, _ = env.reset(seed=0)
+        controller.reset(env, np.arange(n))
+        for _ in range(400):
+            observation, *_ = env.step(controller.act(env, observation))
+        runs.append((env.batch.sim.payload.carried[0], observation[0]))
+    assert runs[0][0] and runs[1][0]
+    assert np.abs(runs[0][1] - runs[1][1]).max() <= 1e-6
+
+
+def test_a_state_returned_to_continues_with_what_is_carried():
+    env, controller = VesVectorEnv(2, TASK, autoreset_mode="Disabled"), get_controller("zero")
+    env.reset(seed=0)
+    batch = env.batch
+    batch.sim.payload.change(np.arange(2), position=batch.scene.tool + np.array([0, 0, 0.15]))
+    env.step(controller.act(env, None))
+    assert batch.sim.payload.carried.all()  # at rest in the fixture: the latch closes
+    state = batch.get_state()
+    after = env.step(np.full((2, 3), 0.5))
+    env.reset(seed=1)
+    assert not batch.sim.payload.carried.any()
+    batch.set_state(state)
+    again = env.step(np.full((2, 3), 0.5))
+    assert np.array_equal(after[0], again[0]) and np.array_equal(after[1], again[1])
+
+
+@pytest.mark.parametrize("arm", ["puma560-wrist", "iiwa14"])
+def test_any_arm(arm):
+    env = gym.make("ves/PayloadTransfer-v0", arm=arm, duration=1.0)
+    env.reset(seed=0)
+    for _ in range(5):
+        observation, *_ = env.step(env.action_space.sample())
+    assert env.observation_space.contains(observation)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"mass": (0.0, 3.0)}, "mass must be 0 < from <= to"),
+        ({"mass": (3.0,)}, r"shape \(2,\)"),
+        ({"rest": 0.0}, "rest must be > 0"),
+        ({"control": "guided"}, "control must be acceleration"),
+        ({"system": System()}, "needs a system with a payload"),
+    ],
+)
+def test_refused(settings, message):
+    with pytest.raises(ParameterError, match=message):
+        build_task(TASK, **settings)

@@ -1,0 +1,275 @@
+"""Pick up a free-floating payload of unknown mass, carry it, and berth it at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from ves_gym._util.params import (
+    Array,
+    Index,
+    Mask,
+    ParameterError,
+    Vector,
+    finite,
+    require_positive,
+    unit,
+)
+from ves_gym.envs.control import Acceleration, Control
+from ves_gym.envs.joints import drawn_joints, joint_box, rate_fields, rates, require_control
+from ves_gym.envs.reach import reachable
+from ves_gym.envs.scales import straight_energy
+from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.mechanics.arm import Inertial, Mount, diagonal
+from ves_gym.mechanics.attitude import to_matrix
+from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.payload import Payload
+from ves_gym.mechanics.spatial import matvec, rotation
+from ves_gym.system.system import System
+
+if TYPE_CHECKING:
+    from ves_gym.simulation.simulator import Simulator
+
+_TRIES = (
+    16  # candidates for either place per episode; the first that is near and dexterous counts
+)
+_LEAST = 0.25  # of the median energy scale
+_SAMPLE = 256  # starts that the median is taken of
+_LEG = 0.35  # share of an episode that a straight motion of either leg takes
+
+# Columns of the memory
+_DISTANCE, _CARRIED, _BERTHED, _HELD = range(4)
+_FIXTURE = slice(4, 7)  # in space [m]
+
+BOX = Payload(
+    inertial=Inertial(mass=8.0, com=(0.0, 0.0, 0.0), inertia=diagonal(0.12, 0.12, 0.12)),
+    grip=Mount(position=(0.0, 0.0, -0.15)),
+    latch_distance=0.02,
+    size=(0.3, 0.3, 0.3),
+    source="this project: a cube of 0.3 m, its mass drawn for every episode",
+)
+
+
+@register_task("payload_transfer")
+@dataclass(frozen=True, kw_only=True)
+class PayloadTransfer(Task):
+    """Fetch a floating payload of unknown mass and berth it at rest, on a base that sways.
+
+    The payload floats at rest in space. The latch closes by itself once the tool is within
+    its reach of the grapple fixture (2 cm) and slower against it than `catch`: an exact
+    inelastic impulse, after which the last link carries it. Once the fixture has been within
+    `tolerance` of the berth, a point fixed in space, and slower than `rest` for `hold` seconds,
+    the berth takes the payload and the latch opens; solved are episodes in which it has.
+
+    Neither the mass, drawn between the ends of `mass` on a logarithmic scale, nor the centre of
+    mass, up to `off_centre` from the middle along each axis, is observed; servo, feed-forward,
+    energies E and gravity estimate know the arm alone. Angles of start, payload and berth are
+    drawn as those of task reach, both legs straight quintics of a third of the episode within
+    the speed limits and at least `away` long.
+
+    Reward, summed over an episode: minus the mean distance still to go in `far` (from tool to
+    payload and from there to the berth), and minus `thrift` times E_mean in that expected of
+    the two straight legs, at least a quarter of what it is in the median.
+
+    The default masses are the PUMA's; give arms with slender wrists lighter ones (`mass`).
+
+    In the laboratory a stand holds the payload until the latch closes and its weight, which
+    the gravity estimate does not know, is emulated as a force of the arm on the base.
+    """
+
+    options: ClassVar[tuple[str, ...]] = ("q",)
+    memory: ClassVar[int] = 7
+    interacts: ClassVar[bool] = True
+    system: System = System(physics_dt=2.5e-3, payload=BOX)
+    control: Control = Acceleration()
+    duration: float = unit("s", default=10.0)
+    tail: float = unit("s", default=0.0)
+    span: Vector = unit("rad", default=tuple(np.deg2rad([120.0, 60.0, 120.0]).tolist()))
+    dexterous: float = unit("m/rad", default=0.1)  # least `tool.dexterity` at both places
+    away: float = unit("m", default=0.3)  # least length of either leg
+    mass: Vector = unit("kg", default=(2.0, 20.0))  # from, to
+    off_centre: float = unit("m", default=0.03)  # of the centre of mass, along each axis
+    catch: float = unit("m/s", default=0.05)  # of the tool against the fixture, at most
+    tolerance: float = unit("m", default=0.03)  # of the fixture from the berth
+    rest: float = unit("m/s", default=0.05)  # of the fixture, at most
+    hold: float = unit("s", default=0.5)
+    far: float = unit("m", default=2.0)  # distance that counts as one
+    thrift: float = unit("1", default=0.2)
+
+    @property
+    def draws(self) -> int:  # type: ignore[override]
+        """See `Task`."""
+        return drawn_joints(self.system.arm) * (1 + 2 * _TRIES) + 4
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_control(self, "acceleration", "pd_target", "torque")
+        require_positive(
+            self, "dexterous", "catch", "tolerance", "rest", "hold", "far", "off_centre", "away"
+        )
+        require_positive(self, "thrift", zero=True)
+        joint_box(self, (0.0,), self.span)
+        low, high = finite(self.mass, (2,), "PayloadTransfer.mass")
+        if not 0 < low <= high:
+            raise ParameterError(f"{self.kind}.mass must be 0 < from <= to, got {self.mass} kg")
+        if self.system.payload is None:
+            raise ParameterError(
+                f"{self.kind} needs a system with a payload, such as system.replace(payload="
+                "ves_gym.envs.payload_transfer.BOX), got one without"
+            )
+
+    @cached_property
+    def _straight(self) -> straight_energy:
+        leg = _LEG * self.duration
+        return straight_energy(self.system.ideal(), leg, self.duration - leg + self.tail)
+
+    @cached_property
+    def _least(self) -> float:
+        """J, the smallest energy that counts as one."""
+        u = np.random.default_rng(0).random((_SAMPLE, self.draws))
+        ordered = np.sort(self._expected(*self._places(u)))
+        return _LEAST * float(ordered[(_SAMPLE - 1) // 2] + ordered[_SAMPLE // 2]) / 2
+
+    def _expected(self, q: Array, pick: Array, berth: Array) -> Array:
+        return self._straight(q, pick) + self._straight(pick, berth)
+
+    # ------------------------------------------------------------------ episodes
+
+    def start(self, u: Array, **options: Array) -> Start:
+        """See `Task`.
+
+        Goal: fixture and berth (3, 3) [m], mass [kg], centre of mass (3) [m], scale [J].
+        """
+        arm, drawn = self.system.arm, u[:, -4:]
+        q, pick, berth = self._places(u, options.get("q"))
+        low, high = self.mass
+        energy = np.maximum(self._expected(q, pick, berth), self._least)
+        return Start(
+            q,
+            np.column_stack(
+                [
+                    joint_positions(arm, pick)[:, -1],
+                    joint_positions(arm, berth)[:, -1],
+                    low * (high / low) ** drawn[:, 0],
+                    self.off_centre * (2 * drawn[:, 1:] - 1),
+                    energy,
+                ]
+            ),
+        )
+
+    def _places(self, u: Array, q: Array | None = None) -> tuple[Array, Array, Array]:
+        """Joint angles (k, joints) at the start, at the payload and at the berth [rad]."""
+        arm = self.system.arm
+        low, high = joint_box(self, (0.0,), self.span)
+        share = u[:, :-4].reshape(len(u), 1 + 2 * _TRIES, -1)[..., : arm.n]
+        angles = low + (high - low) * share
+        q = angles[:, 0] if q is None else q
+        leg = _LEG * self.duration
+        limits = self.dexterous, self.away
+        pick = reachable(arm, q, angles[:, 1 : 1 + _TRIES], leg, *limits)
+        berth = reachable(arm, pick, angles[:, 1 + _TRIES :], leg, *limits)
+        return q, pick, berth
+
+    def set_up(self, sim: Simulator, ids: Index, goal: Array) -> None:
+        """See `Task`. The payload floats with its fixture at the goal's first point."""
+        cargo, payload = sim.payload, self.system.payload
+        assert cargo is not None and payload is not None
+        described = payload.inertial
+        share = goal[:, 6] / described.mass
+        turn = to_matrix(cargo.attitude[ids])
+        grip = matvec(turn, np.tile(payload.grip.position, (len(ids), 1)))
+        cargo.change(
+            ids,
+            mass=goal[:, 6],
+            com=np.array(described.com) + goal[:, 7:10],
+            inertia=share[:, None, None] * np.array(described.inertia),
+            position=goal[:, :3] - grip,
+        )
+
+    def interact(self, sim: Simulator, s: Scene, ids: Index) -> bool:
+        """See `Task`. The latch closes, or the berth takes the payload."""
+        cargo, memory = sim.payload, s.memory
+        assert cargo is not None
+        ids = ids[~sim.diverged[ids]]
+        free = ids[~cargo.carried[ids] & (memory[ids, _BERTHED] == 0)]
+        gap = np.linalg.norm(s.tool[free] - cargo.fixture()[0][free], axis=1)
+        caught = free[gap <= 0.1]  # m: only then it is looked at more closely
+        if len(caught):
+            slow = np.linalg.norm(cargo.relative(caught)[:, :3], axis=1) <= self.catch
+            caught = caught[slow & cargo.closes(caught)]
+            sim.grasp(caught)
+        fixture, rate = (part[ids] for part in cargo.fixture())
+        off = np.linalg.norm(fixture - s.goal[ids, 3:6], axis=1)
+        there = cargo.carried[ids] & (off <= self.tolerance)
+        there &= np.linalg.norm(rate, axis=1) <= self.rest
+        held = np.where(there, memory[ids, _HELD] + sim.system.control_dt, 0.0)
+        done = ids[held >= self.hold - 1e-9]
+        if len(done):
+            sim.release(done)
+            still = np.zeros((len(done), 3))
+            cargo.change(done, velocity=still, spin=still)  # the berth holds it
+            memory[done, _BERTHED] = 1.0
+        memory[ids, _FIXTURE], memory[ids, _HELD] = fixture, held
+        memory[ids, _CARRIED] = cargo.carried[ids]
+        return bool(len(caught))
+
+    def remember(self, s: Scene, dt: float) -> None:
+        """See `Task`."""
+        memory = s.memory
+        tool = np.linalg.norm(memory[:, _FIXTURE] - s.tool, axis=1)
+        berth = np.linalg.norm(s.goal[:, 3:6] - memory[:, _FIXTURE], axis=1)
+        to_go = np.where(memory[:, _CARRIED] > 0, berth, tool + berth)
+        memory[:, _DISTANCE] = np.where(memory[:, _BERTHED] > 0, 0.0, to_go)
+
+    def success(self, s: Scene) -> Mask:
+        """The payload is in its berth."""
+        berthed: Mask = s.memory[:, _BERTHED] > 0
+        return berthed
+
+    # --------------------------------------------------------------- observation
+
+    def fields(self) -> tuple[Field, ...]:
+        """See `Task`."""
+        arm, (sway, swaying) = self.system.arm, self.sway
+        reach = np.full(3, self.far / 2)
+        return (
+            Field("joint_angle", "rad", np.full(arm.n, np.pi), "joint angles"),
+            *rate_fields(self.control, arm),
+            Field("base_pose", "m, rad", sway, "pose of the base as measured"),
+            Field("base_rate", "m/s, rad/s", swaying, "rate of the base as measured"),
+            Field("to_payload", "m", reach, "fixture less tool, in the base's axes"),
+            Field("to_berth", "m", reach, "berth less fixture, in space"),
+            Field("time_left", "s", np.array([self.duration]), "until the deadline"),
+        )
+
+    def observe(self, s: Scene) -> tuple[Array, ...]:
+        """See `Task`."""
+        to_base = np.swapaxes(rotation(s.y_seen), -1, -2)
+        fixture = s.memory[:, _FIXTURE]
+        return (
+            s.q,
+            *rates(self.control, s),
+            s.y_seen,
+            s.yd_seen,
+            matvec(to_base, fixture - s.tool_seen),
+            s.goal[:, 3:6] - fixture,
+            (self.duration - s.time)[:, None],
+        )
+
+    # -------------------------------------------------------------------- reward
+
+    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        """See `Task`."""
+        scale = s.goal[:, 10] * (self.duration + self.tail) / self.thrift
+        return {
+            "distance": -s.memory[:, _DISTANCE] * (dt / self.duration / self.far),
+            "energy": -s.energy * dt / scale,
+            "tail": -s.tail / scale,
+        }
+
+    def marker(self, s: Scene) -> Array:
+        """The fixture, then the berth."""
+        return np.stack([s.memory[:, _FIXTURE], s.goal[:, 3:6]], axis=1)
