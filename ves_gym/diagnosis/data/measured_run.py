@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from ves_gym._util.signals import (
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
+T = TypeVar("T")
 BAND = 12.0  # Hz: motion above it is below the noise of differentiated encoders
 MEASURED = ("q", "v", "tau", "y", "yd", "w")  # signals of the log that a sensor gives
 NEAR = "near"  # in the memory of noisy copies: that of the run itself
@@ -44,6 +45,13 @@ class Kinematics(NamedTuple):
     x: Array
     v: Array
     a: Array
+
+
+class Derived(NamedTuple):
+    """Key of what is derived from some signals of a run and from no others."""
+
+    name: str
+    signals: frozenset[str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +95,33 @@ class Run:
     def base(self) -> Kinematics:
         """Measured base or platform pose with its rates and accelerations."""
         return Kinematics(*differentiated(self["y"], self.dt, self.band))
+
+    def derived(self, name: str, signals: Iterable[str], make: Callable[[], T]) -> T:
+        """Return what follows from some signals alone, computed once.
+
+        Args:
+            name: of the quantity.
+            signals: names.
+            make: computes it.
+        """
+        key = Derived(name, frozenset(signals))
+        if key not in self.memory:
+            self.memory[key] = make()
+        out: T = self.memory[key]
+        return out
+
+    def with_signals(self, changes: Mapping[str, Array]) -> Run:
+        """Return the run with other values of some signals; what others lead to is kept.
+
+        Args:
+            changes: (..., T, c) by name.
+        """
+        memory = {
+            key: value
+            for key, value in self.memory.items()
+            if isinstance(key, Derived) and key.signals.isdisjoint(changes)
+        }
+        return replace(self, signals={**self.signals, **changes}, memory=memory)
 
     def with_noise(self, rng: np.random.Generator, n: int, exact: Sequence[str] = ()) -> Run:
         """Return the run n times, each with another draw of its noise on top: (n, T, c).

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -134,8 +134,7 @@ def suspected_mistake(
             continue
         changed = run
         if mistake.change is not None:
-            signals = {**run.signals, **mistake.change(run)}
-            changed = replace(run, signals=signals, memory={})
+            changed = run.with_signals(mistake.change(run))
         revised = _sizes(mistake.machine or machine, changed, names)
         before, after = (
             np.concatenate([x[name] for name in names]) for x in (current, revised)

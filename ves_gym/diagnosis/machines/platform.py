@@ -43,6 +43,18 @@ def platform_gap(run: Run, systems: Sequence[System], described: System) -> Arra
     return out.reshape(m, *copies, length, 6)
 
 
+def followed(run: Run, described: System) -> set[str]:
+    """Return the names of the signals that say how the platform moves.
+
+    Args:
+        run: the log.
+        described: the system.
+    """
+    if described.mode == "ideal":
+        return set()
+    return {"y", "y_cmd", *(("w", "weight", "q") if _knows_rates(run, described) else ())}
+
+
 def ridden(run: Run, described: System) -> tuple[Array, Array] | None:
     """Return how the platform as described follows a log's commands; None on another clock.
 
@@ -56,6 +68,10 @@ def ridden(run: Run, described: System) -> tuple[Array, Array] | None:
     """
     if not on_its_clock(run, described):
         return None
+    return run.derived("ridden", followed(run, described), lambda: _ridden(run, described))
+
+
+def _ridden(run: Run, described: System) -> tuple[Array, Array]:
     settings = described.emulator_settings
     p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
     first = Run(

@@ -16,7 +16,7 @@ import scipy
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
-from ves_gym.diagnosis.data.measured_run import NEAR, Kinematics, Run
+from ves_gym.diagnosis.data.measured_run import NEAR, Derived, Kinematics, Run
 from ves_gym.diagnosis.machines.admittance import force_gap
 from ves_gym.diagnosis.machines.base import WRENCH, Nuisance, Port
 from ves_gym.diagnosis.machines.between_samples import (
@@ -26,7 +26,7 @@ from ves_gym.diagnosis.machines.between_samples import (
 )
 from ves_gym.diagnosis.machines.drift import SlowPath, courses
 from ves_gym.diagnosis.machines.nuisance_priors import system_nuisances
-from ves_gym.diagnosis.machines.platform import platform_gap
+from ves_gym.diagnosis.machines.platform import followed, platform_gap
 from ves_gym.diagnosis.machines.presliding import Presliding
 from ves_gym.diagnosis.machines.ringing import loop_rings
 from ves_gym.diagnosis.machines.torque_balance import torque_residual
@@ -246,12 +246,11 @@ class SystemMachine:
 
     def _between(self, run: Run) -> BetweenSamples:
         """What the swing of the platform as described does between the samples of a log."""
+        key = Derived("between samples", frozenset({*followed(run, self.system), "q"}))
         near = run.memory.get(NEAR, {})  # noise hardly moves it
-        memory = near if "between" in near else run.memory
-        if "between" not in memory:
-            memory["between"] = between_samples(run, self.system)
-        out: BetweenSamples = memory["between"]
-        return out
+        if key in near:
+            return near[key]  # type: ignore[no-any-return]
+        return run.derived(*key, lambda: between_samples(run, self.system))
 
     def _load(self, run: Run, system: System) -> tuple[Array, Array]:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
