@@ -15,7 +15,8 @@ import pytest
 import scipy.linalg
 import scipy.signal
 
-from ves_gym.mechanics.arm import Arm, Inertial, ParameterError, diagonal
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.arm import Arm, Inertial, diagonal
 from ves_gym.mechanics.dynamics import frames, inertia, inverse_dynamics
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT, STRAIGHT_VERTICAL, Beam
