@@ -19,7 +19,7 @@ from ves_gym.planners.direct import MotionProblem, minimise
 from ves_gym.planners.query import Query, broken_limit, require_time
 
 _POINTS = 6.0  # free control points per second
-_LEAST, _MOST = 12, 60  # of them
+_LEAST, _MOST = 12, 180  # of them; of all joints' together
 _COARSE, _FINE = 1e-2, 1e-3  # relative decrease of E_mean that ends an optimisation
 _ITERATIONS = 40
 _MORE = 2  # rounds after the last, while what the servo gives is still changing at a limit
@@ -55,7 +55,8 @@ class DampRelease:
         require_time(query)
         free = self.free
         if free is None:
-            free = int(np.clip(_POINTS * query.duration, _LEAST, _MOST))
+            most = max(_LEAST, _MOST // query.system.arm.n)
+            free = int(np.clip(_POINTS * query.duration, _LEAST, most))
         problem = MotionProblem(query, free)
         x, motion = problem.straight, query.straight
         energies, iterations, evaluations = [], 0, 0

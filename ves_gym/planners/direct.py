@@ -133,15 +133,16 @@ class MotionProblem:
     def follow(self, motion: Motion) -> None:
         """Linearise about a motion: inertia along it, limits less what the servo adds there.
 
-        A base that moves pushes the joints; what their servo gives against it, and how fast
-        they yield, is that of the linear base under the motion.
+        A base that moves at the start pushes the joints; what their servo gives against it, and
+        how fast they yield, is that of the linear base under the motion. A base at rest is
+        taken to stand still, as where the answer is checked (`query.check_motion`).
 
         Args:
             motion: of the query's duration.
         """
         self.energy = self.form_at(motion)
         linear = self.energy.linear
-        if linear.size > linear.b:
+        if self.query.base is not None and linear.size > linear.b:
             nodes = steps_of_joints(self.query.duration)
             self._given = respond(linear, motion, nodes, self.query.base)
             self.__dict__.pop("_linear", None)

@@ -320,15 +320,36 @@ def broken_limit(query: Query, motion: Motion) -> str | None:
         begin = motion.at([0.0])
         if not all(map(np.allclose, (begin.v[0], begin.a[0]), query.start_motion)):
             return "the joints do not move at the start as the query says"
+    broken = check_motion(query, motion, _limits_of_answers(query)).broken
+    if broken:
+        return broken[0].short
+    return _touched(query, motion)
+
+
+def shortest_like(query: Query, motion: Motion) -> float:
+    """Return how long a motion's way and timing must take to keep speed and torque limits [s].
+
+    From rest to rest on a base at rest nothing weighs on the joints: played k times slower,
+    rates are a k-th, accelerations and torques a k^2-th.
+
+    Args:
+        query: arm and limits.
+        motion: of the joints.
+    """
+    limits = _limits_of_answers(query)
+    orders = {"velocity": 1.0, "acceleration": 0.5, "torque": 0.5}
+    extremes = check_motion(query, motion, limits).extremes
+    slower = [e.ratio ** orders[e.kind] for e in extremes if e.kind in orders]
+    return motion.duration * max(slower, default=0.0)
+
+
+def _limits_of_answers(query: Query) -> dict[str, Array]:
     limits = limits_of_query(query)
     if query.v_max is None:
         del limits["velocity"]  # an answer may be faster than the arm: the question says so
     else:
         limits["velocity"] = np.array(query.v_max)
-    broken = check_motion(query, motion, limits).broken
-    if broken:
-        return broken[0].short
-    return _touched(query, motion)
+    return limits
 
 
 def check_motion(query: Query, motion: Motion, limits: Mapping[str, Array]) -> LimitCheck:

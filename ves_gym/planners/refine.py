@@ -20,13 +20,22 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.direct import Minimum, MotionProblem, minimise, rank
 from ves_gym.planners.ompl_search import Ompl, time_path
-from ves_gym.planners.query import NoPlan, Query, broken_limit, require_possible
+from ves_gym.planners.query import (
+    NoPlan,
+    Query,
+    broken_limit,
+    require_possible,
+    shortest_like,
+)
 
 _FREE = 24  # control points: at 2 s, 12 leave 3 % more energy, 32 take 0.5 % off
 _DETOURS = (0.3, 0.7)  # rad, by turns: sizes of the random detours started from
 _TOO_MUCH = 0.5  # of a limit that a start may break it by
 _FIRST_LOOK = 15  # iterations after which starts are compared
 _COARSE, _FINE = 1e-3, 1e-5  # relative decrease of E_mean that ends an optimisation
+# Times the duration: what takes more after a first look does not fit in the end; of some
+# starts, of all.
+_SURE, _LIKELY = 1.5, 1.1
 _LARGE = 100  # variables: of larger problems starts are compared with half the control points
 
 
@@ -205,7 +214,10 @@ def _best(
         compared: the problem with fewer control points on which starts are compared.
     """
     first = problem if compared is None else compared
-    looks = [minimise(first, x, _FIRST_LOOK, _COARSE) for x in starts]
+    looks = []
+    for x in starts:
+        looks.append(minimise(first, x, _FIRST_LOOK, _COARSE))
+        _require_duration(first, looks, _SURE if len(looks) < len(starts) else _LIKELY)
     order = sorted(range(len(looks)), key=lambda i: rank(looks[i]))
     best: tuple[Motion, Minimum, int] | None = None
     stands = False
@@ -234,6 +246,36 @@ def _best(
         return best[0], info
     least = min(feasible, key=problem.energy.of)
     return least, info | {"message": f"not refined: {best[1].message}"}
+
+
+def _require_duration(problem: MotionProblem, looks: Sequence[Minimum], share: float) -> None:
+    """Raise NoPlan where motions found so far say that there is too little time for any.
+
+    Args:
+        problem: from rest on a base at rest, without obstacles; of others nothing is said.
+        looks: what the first starts have come to.
+        share: of the duration that the shortest motion found must take for that.
+    """
+    query = problem.query
+    if query.is_moving or query.base is not None or query.surroundings is not None:
+        return
+    if any(map(_is_feasible, looks)):
+        return
+    like = [shortest_like(query, problem.motion(look.x)) for look in looks]
+    straight = shortest_like(query, query.straight)
+    shortest = min(*like, straight)
+    if shortest > share * query.duration:
+        raise NoPlan(
+            f"no motion: {query.duration:g} s are too short for speeds and torques of"
+            f" {query.system.arm.name}, the shortest motion found that keeps its limits takes"
+            f" {_up(shortest):.3g} s"
+        )
+
+
+def _up(seconds: float) -> float:
+    """Three digits, rounded up."""
+    digit = 10.0 ** (math.floor(math.log10(seconds)) - 2)
+    return math.ceil(seconds / digit) * digit
 
 
 def _is_feasible(minimum: Minimum) -> bool:
