@@ -63,7 +63,13 @@ def test_energy_judges_every_path_by_its_motion():
     assert solve(planner, quicker).predicted.E_mean < 0.9 * straight
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+VARIANTS = ("informed-rrtstar", "sorrtstar")  # of rrtstar, by the same code of ours
+
+
+@pytest.mark.parametrize(
+    "algorithm",
+    [pytest.param(a, marks=pytest.mark.slow) if a in VARIANTS else a for a in ALGORITHMS],
+)
 def test_the_same_seed_gives_the_same_path(algorithm):
     """In a child that has searched before, and in a new one."""
     planner = Ompl(algorithm=algorithm, evaluations=10_000)
@@ -179,7 +185,10 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+# what is said of a cost below zero is checked without a child as well
+@pytest.mark.parametrize(
+    "fault", [pytest.param(k, marks=pytest.mark.slow) if k == "negative" else k for k in FAULTS]
+)
 def test_a_failure_in_the_child_is_reported(monkeypatch, fault):
     """As that of one query: the next one gets a new child."""
     code, message = FAULTS[fault]

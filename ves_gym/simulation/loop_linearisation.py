@@ -106,8 +106,11 @@ def linearise(
     # far from every safety limit
     smooth = replace(lab, sensor=sensor, platform=platform, force_max=1e12, moment_max=1e12)
     quiet = system.replace(emulator=smooth)
-    size = _Loop(simulator(quiet, 1, servo=servo, warn_at=None), angles).size
-    loop = _Loop(simulator(quiet, 2 * size, servo=servo, warn_at=None), angles)
+    options: dict[str, Any] = {"servo": servo, "warn_at": None}
+    if isinstance(platform, LegServo):
+        options["compiled"] = False  # each of their gains is code of its own, for one period
+    size = _Loop(simulator(quiet, 1, **options), angles).size
+    loop = _Loop(simulator(quiet, 2 * size, **options), angles)
     after = loop.step(_STEP * np.vstack([np.eye(size), -np.eye(size)]))
     slope = (after[:size] - after[size:]).T / (2 * _STEP)
     return Linearised(

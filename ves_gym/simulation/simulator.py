@@ -96,6 +96,8 @@ class Simulator:
             the linear one, X (n, 12) = (Y, Y'), W (n, 6) conjugate to Y (thesis eq. 2.2).
         warn_at: mode emulated: joint angles at which the loop's stability is judged; an
             unstable one is an `EmulationWarning`. None: not judged.
+        compiled: mode emulated: the kernel runs the loop's blocks as compiled code; False: in
+            NumPy, quicker for a few periods of a loop whose code there is not yet.
     """
 
     def __init__(
@@ -110,6 +112,7 @@ class Simulator:
         on_divergence: str = "raise",
         admittance: Nonlinear | None = None,
         warn_at: npt.ArrayLike | None = 0.0,
+        compiled: bool = True,
     ) -> None:
         if not isinstance(n, (int, np.integer)) or isinstance(n, bool) or n < 1:
             raise ParameterError(f"n must be a whole number >= 1, got {n!r}")
@@ -138,7 +141,7 @@ class Simulator:
         self.seed(seed)
         self.emulation_loop: EmulationLoop | None = None
         if system.mode == "emulated":
-            compiled = self.backend.name == "kernel"
+            compiled = compiled and self.backend.name == "kernel"
             self.emulation_loop = EmulationLoop(
                 system, self.n, self.generators, admittance, compiled=compiled
             )
