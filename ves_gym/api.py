@@ -120,6 +120,7 @@ def plan(
     a_max: npt.ArrayLike | None = None,
     surroundings: Surroundings | str | os.PathLike[str] | None = None,
     servo: JointServo = OWN_GAINS,
+    weights: Mapping[str, float] | None = None,
     seed: int = 0,
 ) -> Plan:
     """Find one path with one planner, as `ves-gym plan` does.
@@ -134,6 +135,8 @@ def plan(
         a_max: limits of joint acceleration (n,) [rad/s^2]; default none.
         surroundings: what not to touch, or the file that says it.
         servo: what will move the joints.
+        weights: of disturbance measures that count beside the energy (`direct`, `refined`), as
+            in {"acceleration_peak": 0.03}; 1 is the straight line's energy at its measure.
         seed: of planners that search.
 
     Returns:
@@ -147,6 +150,7 @@ def plan(
     from ves_gym.mechanics.tool_pose import ToolPose
     from ves_gym.planners.obstacles import read_surroundings
     from ves_gym.planners.query import Query, solve, speed_limits
+    from ves_gym.planners.registry import weighted
     from ves_gym.planners.tool_goal import solve_to_tool
 
     system = _system(system)
@@ -163,9 +167,10 @@ def plan(
         surroundings=surroundings,
         servo=servo,
     )
+    method = _planner(planner) if weights is None else weighted(_planner(planner), weights)
     if isinstance(goal, ToolPose):
-        return solve_to_tool(_planner(planner), query, goal, seed)
-    return solve(_planner(planner), query, seed)
+        return solve_to_tool(method, query, goal, seed)
+    return solve(method, query, seed)
 
 
 def compare(

@@ -14,7 +14,7 @@ from ves_gym._util.params import ParameterError, content_hash
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
 from ves_gym.planners.direct import Direct
-from ves_gym.planners.prediction import BaseState, predict
+from ves_gym.planners.prediction import FINE, BaseState, predict
 from ves_gym.planners.query import Plan, Query, broken_limit, is_feasible, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import SPEED_LIMITS
@@ -104,7 +104,8 @@ def test_a_plan_against_a_moving_base_is_kept_with_it(tmp_path):
     kept = Plan.load(tmp_path / "plan.json")
     assert kept.query == plan.query
     assert kept.motion == plan.motion
-    assert kept.predicted == predict(System(), kept.motion, kept.query.servo, base=base)
+    servo = kept.query.servo
+    assert kept.predicted == predict(System(), kept.motion, servo, base=base, parts=FINE)
 
 
 def test_a_seed_that_is_none():

@@ -12,12 +12,24 @@ from typing import Any
 
 from ves_gym._util.optional import lacking
 from ves_gym._util.params import ParameterError
-from ves_gym.cli.common import add_system_arguments, out_dir, progress, system_from, write_json
+from ves_gym.cli.common import (
+    add_frequency_weight,
+    add_system_arguments,
+    frequency_weight_from,
+    out_dir,
+    progress,
+    system_from,
+    write_json,
+)
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.best_known import merge_best
-from ves_gym.planners.registry import PLANNERS, get_planner
+from ves_gym.planners.gap import NOT_ASKED
+from ves_gym.planners.objective import parse_weights
+from ves_gym.planners.registry import PLANNERS, get_planner, weighted
 from ves_gym.planners.suites import OBSTACLES, SUITES, Suite, get_suite
+from ves_gym.system.disturbance import MEASURES
 
+_NAME = 24  # characters of a planner's name in a line: its weights may take more
 _STOPS = 10  # stopped runs named on the terminal
 
 
@@ -41,6 +53,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--first", type=int, metavar="N", help="only N queries per duration")
     parser.add_argument("--skip", type=int, metavar="N", help="leave out N of each first (0)")
     parser.add_argument("--quick", action="store_true", help="ten queries per duration")
+    parser.add_argument(
+        "--weights",
+        metavar="NAME=W,W,...",
+        help="also `refined` with each of these weights of a disturbance measure (pareto.png):"
+        f" {', '.join(MEASURES)}",
+    )
+    add_frequency_weight(parser)
+    parser.add_argument(
+        "--bound",
+        action="store_true",
+        help="certify how little energy any motion can have, for the column gap = E_mean over"
+        " that bound (three joints, no internal modes; 2 to 15 s of a processor a query)",
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="planning processes")
     parser.add_argument(
         "--keep-best", metavar="FILE", help="merge the least energies into FILE (best known)"
@@ -58,6 +83,8 @@ def run(args: argparse.Namespace) -> int:
         names = list(PLANNERS)
     elif args.planners is not None:
         names = [get_planner(name.strip()).name for name in args.planners.split(",")]
+    if args.weights is not None:
+        names = list(dict.fromkeys([*(names or ()), *_weighted_names(args.weights)]))
     base = argparse.Namespace(**{**vars(args), "vehicle": None})
     suite = _part_of(
         get_suite(
@@ -69,12 +96,18 @@ def run(args: argparse.Namespace) -> int:
         ),
         args,
     )
+    if args.weights is not None and args.planners is None:
+        names = list(dict.fromkeys([*suite.planners, *(names or ())]))
+    weight = frequency_weight_from(args)
+    queries = tuple((v, replace(q, weight=weight)) for v, q in suite.queries)
+    suite = replace(suite, queries=queries)
     with progress() as on_progress:
         result = run_benchmark(
             suite,
             planners=names,
             seed=args.seed,
             workers=args.workers,
+            bound=args.bound,
             command=shlex.join(["ves-gym", *sys.argv[1:]]),
             progress=on_progress,
         )
@@ -93,6 +126,17 @@ def run(args: argparse.Namespace) -> int:
     for path in written:
         print(f"  {path}")
     return 0
+
+
+def _weighted_names(text: str) -> list[str]:
+    """Names of `refined` without weights and with each that --weights asks for."""
+    name, equals, values = text.partition("=")
+    if not equals:
+        raise ParameterError(
+            f"--weights must be like acceleration_peak=0.003,0.03,0.3, got {text!r}"
+        )
+    weights = [parse_weights(f"{name}={value}") for value in values.split(",")]
+    return ["refined", *(weighted(get_planner("refined"), w).name for w in weights)]
 
 
 def _part_of(suite: Suite, args: argparse.Namespace) -> Suite:
@@ -151,18 +195,21 @@ def _print_tables(result: dict[str, Any]) -> None:
 
     emulated = result["mode"] == "emulated"
     scores = any(row["score_median"] is not None for row in result["summary"])
-    width = 158 if emulated else 120
+    gaps = any(row["gap_median"] is not None for row in result["summary"])
+    width = 164 if emulated else 136
     console = Console(width=None if sys.stdout.isatty() else width, markup=False)
     for vehicle in result["systems"]:
         table = Table(title=f"Energy in the base: suite {result['suite']}, {vehicle}")
-        for name in ("T [s]", "planner"):
-            table.add_column(name, no_wrap=True)
+        table.add_column("T [s]", no_wrap=True)
+        table.add_column("planner", overflow="fold", max_width=_NAME)
         for name in (
             "E_mean [J]",
             "ratio",
             *(("score",) if scores else ()),
             "E_res",
             "E_peak",
+            "acc.\npeak",
+            *(("gap",) if gaps else ()),
             *(("emulation\nerror", "base\nerror") if emulated else ()),
             "off",
             "success",
@@ -182,6 +229,8 @@ def _print_tables(result: dict[str, Any]) -> None:
                 *((_number(row["score_median"], ".3f"),) if scores else ()),
                 _number(row["E_res_ratio_median"], ".3f"),
                 _number(row["E_peak_ratio_median"], ".3f"),
+                _number(row["acceleration_peak_ratio_median"], ".2f"),
+                *((_number(row["gap_median"], ".2f"),) if gaps else ()),
                 *_errors(row),
                 _number(row["prediction_error_median"], ".2%"),
                 f"{100 * row['success_rate']:.0f} %",
@@ -190,11 +239,14 @@ def _print_tables(result: dict[str, Any]) -> None:
         console.print(table)
     console.print(
         "Medians over queries. ratio: E_mean over the straight line's on the same query, with\n"
-        "the 95 % interval of the median; E_res, E_peak: likewise; score: 0 the straight\n"
-        "line, 1 the best known; off: predicted E_mean against the simulated one; success: of\n"
+        "the 95 % interval of the median; E_res, E_peak and the base's largest acceleration:\n"
+        "likewise; gap: E_mean over what no motion goes below; score: 0 the straight line,\n"
+        "1 the best known; off: predicted E_mean against the simulated one; success: of\n"
         "all queries; plan: median and longest planning time.",
         style="dim",
     )
+    _print_disturbances(result, console)
+    _print_gaps(result, console)
     _print_failures(result, console)
     _print_limits(result, console)
     if emulated:
@@ -206,6 +258,50 @@ def _print_tables(result: dict[str, Any]) -> None:
             style="dim",
         )
         _print_machine(result, console)
+
+
+_SHOWN = {  # measure -> heading
+    "acceleration": "acc.\nm/s^2",
+    "acceleration_peak": "peak\nm/s^2",
+    "angular_peak": "angular\nrad/s^2",
+    "tip_peak": "tip\nm",
+    "tip_end": "at end\nm",
+    "displacement_peak": "moved\nm",
+    "attitude_end": "turned\nrad",
+    "E_weighted": "weighted\nJ",
+}
+
+
+def _print_disturbances(result: dict[str, Any], console: Any) -> None:
+    """Print what base and tool do, medians."""
+    from rich.table import Table
+
+    for vehicle in result["systems"]:
+        table = Table(title=f"Motion of base and tool: suite {result['suite']}, {vehicle}")
+        table.add_column("T [s]", no_wrap=True)
+        table.add_column("planner", overflow="fold", max_width=_NAME)
+        for name in _SHOWN.values():
+            table.add_column(name, justify="right", no_wrap=True)
+        for row in (r for r in result["summary"] if r["vehicle"] == vehicle):
+            cells = (_number(row[f"{name}_median"], ".3g") for name in _SHOWN)
+            table.add_row(f"{row['duration']:g}", row["planner"], *cells)
+        console.print(table)
+    console.print(
+        "Medians. acc., angular: acceleration of the arm's mount (root mean square over the\n"
+        "motion and 10 s after it, and peak) and of the base's rotation (peak); tip: largest\n"
+        "error of the tool, and at the end; moved: the mount at most; turned: the base at the\n"
+        "end; "
+        f"weighted: mean energy after a filter of gain {result['frequency_weight']}.",
+        style="dim",
+    )
+
+
+def _print_gaps(result: dict[str, Any], console: Any) -> None:
+    """Say why rows have no gap, where bounds were asked for."""
+    reasons = Counter(row["no_gap"] for row in result["rows"] if row["no_gap"])
+    for why, count in reasons.most_common():
+        if why != NOT_ASKED:
+            console.print(f"no gap {count} x: {why}", soft_wrap=True)
 
 
 def _print_failures(result: dict[str, Any], console: Any) -> None:

@@ -26,6 +26,7 @@ from ves_gym.mechanics.vehicle import VEHICLES, get_vehicle
 from ves_gym.simulation.gravity_calibration import read_calibration
 from ves_gym.system.effect import EFFECTS, Effect
 from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
+from ves_gym.system.frequency_weight import FAST, FrequencyWeight
 from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
 
 
@@ -118,6 +119,21 @@ def _laboratory_from(args: argparse.Namespace, system: System) -> System:
     if args.calibration:
         lab = _calibrated(lab, args.calibration)
     return system.replace(emulator=lab, effects=effects, **clock)
+
+
+def add_frequency_weight(parser: argparse._ActionsContainer) -> None:
+    """--frequency-weight HZ:GAIN,..."""
+    parser.add_argument(
+        "--frequency-weight",
+        metavar="HZ:GAIN,...",
+        help=f"filter of E_weighted: gains at frequencies, like 0.5:0,2:1 (default {FAST})",
+    )
+
+
+def frequency_weight_from(args: argparse.Namespace) -> FrequencyWeight:
+    """The filter of `E_weighted` that is asked for."""
+    text = args.frequency_weight
+    return FAST if text is None else FrequencyWeight.parse(text)
 
 
 def _platform(text: str) -> PoseServo | LegServo:

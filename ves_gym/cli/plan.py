@@ -4,27 +4,36 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import ParameterError, Vector
-from ves_gym.cli.common import add_system_arguments, degrees, out_dir, system_from, write_json
+from ves_gym.cli.common import (
+    add_frequency_weight,
+    add_system_arguments,
+    degrees,
+    frequency_weight_from,
+    out_dir,
+    system_from,
+    write_json,
+)
 from ves_gym.cli.motions import duration_from, joint_angles
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.limits import LimitCheck
-from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.tool_pose import ToolPose
 from ves_gym.planners.comparison import simulate_motions
+from ves_gym.planners.objective import WEIGHTS, parse_weights
 from ves_gym.planners.obstacles import read_surroundings
 from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.ompl_worker import ALGORITHMS
+from ves_gym.planners.predicted_disturbance import predict_disturbance
 from ves_gym.planners.prediction import Prediction
 from ves_gym.planners.query import Plan, Planner, Query, solve, speed_limits
-from ves_gym.planners.registry import PLANNERS, get_planner
+from ves_gym.planners.registry import PLANNERS, get_planner, weighted
 from ves_gym.planners.tool_goal import solve_to_tool
-from ves_gym.system.energy import Energies
+from ves_gym.system.disturbance import UNITS, Disturbance
+from ves_gym.system.energy import TAIL, Energies
 
 SCHEMA = "ves-plan/1"
 _SAMPLES = 101  # of the path in the result
@@ -60,6 +69,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="surroundings in TOML or JSON: clearance [m], obstacles (spheres, boxes); the"
         " arm's own links, platform and beam then count too",
     )
+    parser.add_argument(
+        "--weight",
+        metavar="NAME=W",
+        action="append",
+        default=[],
+        help="minimise a disturbance measure as well (direct, refined; repeatable), W times the"
+        f" straight line's energy at the straight line's value: {', '.join(WEIGHTS)}",
+    )
+    add_frequency_weight(parser)
     search = parser.add_argument_group("search (planners ompl-...)")
     search.add_argument("--algorithm", metavar="A", help=f"{', '.join(ALGORITHMS)} (bitstar)")
     search.add_argument("--evaluations", type=int, metavar="N", help="budget of edge costs")
@@ -82,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
         v_max=_v_max(args.v_max, arm),
         a_max=None if args.a_max is None else degrees(args.a_max, arm.n, "--a-max"),
         surroundings=None if args.obstacles is None else read_surroundings(args.obstacles),
+        weight=frequency_weight_from(args),
     )
     if pose is None:
         plan = solve(planner, query, args.seed)
@@ -93,7 +112,13 @@ def run(args: argparse.Namespace) -> int:
         return _without_motion(args, plan)
     reference = plan.reference
     assert reference is not None
-    simulated, straight, played = _simulated(query, plan.motion)
+    run = simulate_motions(query, [plan.motion])
+    simulated, straight = run.energies()
+    played = run.limit_check(0, v_max=query.v_max)
+    predicted = predict_disturbance(query, plan.motion)
+    moved = [run.disturbance(i, weight=query.weight) for i in range(2)]
+    names = ("predicted", "simulated", "straight")
+    disturbances = dict(zip(names, (predicted, *moved), strict=True))
     times = np.linspace(0, query.duration, _SAMPLES)
     result = {
         "schema": SCHEMA,
@@ -107,6 +132,8 @@ def run(args: argparse.Namespace) -> int:
         "predicted": plan.predicted.to_dict(),
         "simulated": simulated.to_dict(),
         "straight": straight.to_dict(),
+        "disturbance": {name: one.to_dict() for name, one in disturbances.items()},
+        "frequency_weight": str(query.weight),
         "plan_seconds": plan.seconds,
         "feasible": plan.feasible,
         "failure": plan.failure,
@@ -116,7 +143,7 @@ def run(args: argparse.Namespace) -> int:
     file = out_dir(args, "out/plan") / "motion.json"
     plan.motion.save(file)
     write_json(args.json, result)
-    _print_table(plan, plan.predicted, simulated, straight)
+    _print_table(plan, plan.predicted, simulated, straight, disturbances)
     print(reference.verdict("reference"))
     print(played.verdict("simulated arm"))
     print(f"written: {file}   (play it: ves-gym simulate --motion {file})")
@@ -126,6 +153,8 @@ def run(args: argparse.Namespace) -> int:
 def _planner_from(args: argparse.Namespace) -> Planner:
     """The planner by name, a search with the budget that is asked for."""
     planner = get_planner(args.planner)
+    if args.weight:
+        planner = weighted(planner, parse_weights("+".join(args.weight)))
     names = ("algorithm", "evaluations", "seconds")
     options = {k: getattr(args, k) for k in names if getattr(args, k) is not None}
     if not options:
@@ -186,19 +215,12 @@ def _v_max(text: str | None, arm: Arm) -> Vector | None:
     return speed_limits(arm, value)
 
 
-def _simulated(query: Query, motion: Motion) -> tuple[Energies, Energies, LimitCheck]:
-    """Simulate a motion and the straight line on the full nonlinear system.
-
-    Returns:
-        Energies of both, and whether the arm keeps its limits on the former.
-    """
-    run = simulate_motions(query, [motion])
-    first, second = run.energies()
-    return first, second, run.limit_check(0, v_max=query.v_max)
-
-
 def _print_table(
-    plan: Plan, prediction: Prediction, simulated: Energies, straight: Energies
+    plan: Plan,
+    prediction: Prediction,
+    simulated: Energies,
+    straight: Energies,
+    disturbances: Mapping[str, Disturbance],
 ) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -208,13 +230,19 @@ def _print_table(
     )
     for name in ("measure", "predicted", "simulated", "straight line", "ratio"):
         table.add_column(name, justify="left" if name == "measure" else "right")
-    predicted: dict[str, Any] = prediction.to_dict()
-    for name in predicted:
-        planned, reference = getattr(simulated, name), getattr(straight, name)
+    rows: list[tuple[str, list[float]]] = []
+    for name, value in prediction.to_dict().items():
+        rows.append((f"{name} [J]", [value, getattr(simulated, name), getattr(straight, name)]))
+    for name, unit in UNITS.items():
+        values = [getattr(one, name) for one in disturbances.values()]
+        rows.append((f"{name} [{unit}]", values))
+    for name, (predicted, planned, reference) in rows:
         ratio = f"{planned / reference:.3f}" if reference > 0 else "-"
-        table.add_row(
-            f"{name} [J]", f"{predicted[name]:.4g}", f"{planned:.4g}", f"{reference:.4g}", ratio
-        )
+        cells = (f"{value:.4g}" for value in (predicted, planned, reference))
+        table.add_row(name, *cells, ratio)
     Console(width=None if sys.stdout.isatty() else 120, markup=False).print(table)
     verdict = "feasible" if plan.feasible else f"NOT feasible: {plan.failure}"
+    print(
+        f"E_weighted: gain {plan.query.weight}; means over the motion and {TAIL:g} s after it"
+    )
     print(f"planned in {plan.seconds:.2f} s; {verdict}")

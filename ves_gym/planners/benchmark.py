@@ -12,23 +12,23 @@ import os
 import platform
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-import scipy.stats
 
 from ves_gym._util.optional import require
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import ParameterError
 from ves_gym._util.process_pool import WorkerDied, Workers
-from ves_gym._util.statistics import STATISTICS, bootstrap
 from ves_gym._util.version import __version__
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
 from ves_gym.mechanics.limits import LimitCheck
-from ves_gym.planners.best_known import add_scores, near_best
+from ves_gym.planners.benchmark_summary import BASELINE, anytime, rank_correlation, summarise
+from ves_gym.planners.best_known import add_scores
+from ves_gym.planners.gap import add_gaps
 from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.query import Plan, Query, solve
 from ves_gym.planners.registry import get_planner
@@ -36,14 +36,13 @@ from ves_gym.planners.scenes import PlayedPlan, coupling_maps, scene, trace
 from ves_gym.planners.suites import Suite, is_compensated, uncompensated
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.recording import Recording
+from ves_gym.system.disturbance import MEASURES, Disturbance, disturbance_to_plain
 from ves_gym.system.energy import TAIL, Energies
 from ves_gym.system.system import System
 
 SCHEMA = "ves-benchmark/1"
-BASELINE = "straight"
 _RECORD = 12.5e-3  # s between records, or near it
 _BATCH = 250  # motions played at once: bounds the memory of their records
-_NO_RATIO = 1e-4  # of the run's own peak energy: below it there is no ratio to speak of
 
 Progress = Callable[[str, float], None]
 
@@ -54,6 +53,7 @@ def run_benchmark(
     planners: Sequence[str] | None = None,
     seed: int = 0,
     workers: int | None = None,
+    bound: bool = False,
     command: str = "",
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -65,6 +65,8 @@ def run_benchmark(
             since every energy is also given relative to it.
         seed: of every planner and of the laboratory's noise, >= 0.
         workers: planning processes; default one per processor, 1 plans in this process.
+        bound: find the least energy that any motion can have, where that can be certified,
+            for the column `gap` (2 to 15 s of a processor a query).
         command: the command line that the result names.
         progress: called with a stage name and the fraction done.
 
@@ -99,6 +101,7 @@ def run_benchmark(
         if (query.name, name) in suite.uncompensated_runs:
             runs.append(_Run(name + _UNCOMPENSATED, vehicle, plan, uncompensated(query.system)))
     rows, groups = _simulate_all(runs, seed, report)
+    add_gaps(rows, suite.queries, bound, workers, report)
     add_scores(rows, {v: q.system.ideal().hash for v, q in suite.queries}, BASELINE)
     first = suite.queries[0][1].system
     listed = [{"name": n, "summary": get_planner(n).summary} for n in names]
@@ -116,6 +119,7 @@ def run_benchmark(
         "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "versions": _versions(),
         "systems": _systems(suite),
+        "frequency_weight": str(suite.queries[0][1].weight),
         **({"machine": _machine(first)} if first.mode == "emulated" else {}),
         "planners": listed,
         "rows": rows,
@@ -233,13 +237,14 @@ def _simulate_all(
             plans = [r.plan for r in batch]
             recording = _play(system, plans, _record_dt(system), seed)
             measured = _measure(recording)
+            moved = _disturbances(recording, [r.plan.query for r in batch])
             ideal, in_space = None, measured
             if system.mode == "emulated":
                 ideal = _play(system.ideal(), plans, _record_dt(system), seed)
                 in_space = _measure(ideal)
             for k, (i, run) in enumerate(zip(part, batch, strict=True)):
                 check = recording.limit_check(k, v_max=run.plan.query.v_max)
-                rows[i] = _row(run, measured[k], in_space[k], check)
+                rows[i] = _row(run, measured[k], in_space[k], check, moved[k])
                 if ideal is not None:
                     rows[i] |= _emulation(recording, ideal, k, rows[i], in_space[k])
                 name = run.plan.query.name
@@ -280,6 +285,15 @@ def _measure(run: Recording) -> list[Energies | None]:
     return out
 
 
+def _disturbances(run: Recording, queries: Sequence[Query]) -> list[Disturbance | None]:
+    """Disturbance measures of each run, None for one that was stopped."""
+    stopped = {e.simulation for e in run.events}
+    return [
+        None if i in stopped else run.disturbance(i, as_it_is=True, weight=query.weight)
+        for i, query in enumerate(queries)
+    ]
+
+
 def _showcase_queries(queries: list[Query]) -> set[str]:
     """Queries of a batch whose traces are kept: the first, or all when there are few."""
     names = list(dict.fromkeys(q.name for q in queries))
@@ -303,7 +317,11 @@ def _showcase(groups: list[Group]) -> list[Group]:
 
 
 def _row(
-    run: _Run, measured: Energies | None, in_space: Energies | None, arm: LimitCheck
+    run: _Run,
+    measured: Energies | None,
+    in_space: Energies | None,
+    arm: LimitCheck,
+    moved: Disturbance | None,
 ) -> dict[str, Any]:
     """The row of a motion that was played; `arm`: the limits of the joints as they moved."""
     plan = run.plan
@@ -312,6 +330,7 @@ def _row(
     return {
         **_labels(run),
         **(dict.fromkeys(_MEASURES) if measured is None else measured.to_dict()),
+        **disturbance_to_plain(moved),
         "predicted": plan.predicted.E_mean,
         "prediction_error": _excess(plan.predicted.E_mean, in_space.E_mean),
         "plan_seconds": plan.seconds,
@@ -331,7 +350,7 @@ def _row_without_motion(run: _Run) -> dict[str, Any]:
         emulated["compensated"] = is_compensated(run.system)
     return {
         **_labels(run),
-        **dict.fromkeys((*_MEASURES, "predicted", "prediction_error")),
+        **dict.fromkeys((*_MEASURES, *MEASURES, "predicted", "prediction_error")),
         "plan_seconds": run.plan.seconds,
         "success": False,
         "failure": run.plan.failure,
@@ -389,178 +408,6 @@ def _emulation(
 def _excess(value: float | None, reference: float) -> float | None:
     """value / reference - 1, where there is such a thing."""
     return value / reference - 1 if value is not None and reference > 0 else None
-
-
-# -------------------------------------------------------------------------- summary
-
-
-def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Medians per vehicle, duration and planner; ratios are to the straight line's.
-
-    A ratio is taken query by query; `ratio_low` and `ratio_high` are the 95 % bootstrap
-    interval of its median. A failed plan stays in the medians: the straight line's own
-    energy and its own are both simulated facts; `success_rate` says how many failed.
-    Errors of the prediction are those of motions that keep their limits. A stopped run and
-    a query without an answer have no energy and are in none. A query is solvable if any
-    planner of the run solved it.
-    """
-    baseline = {(r["vehicle"], r["query"]): r for r in rows if r["planner"] == BASELINE}
-    solvable = {(r["vehicle"], r["query"]) for r in rows if r["success"]}
-    groups: dict[tuple[str, float, str], list[dict[str, Any]]] = defaultdict(list)
-    for row in rows:
-        groups[row["vehicle"], row["duration"], row["planner"]].append(row)
-    out = []
-    for (vehicle, duration, planner), members in groups.items():
-        ratios = {key: _ratios(members, baseline, key) for key in ("E_mean", "E_res", "E_peak")}
-        low, high = _interval(ratios["E_mean"])
-        emulated = {}
-        if "stopped" in members[0]:
-            emulated = {
-                "compensated": members[0]["compensated"],
-                "stopped": sum(r["stopped"] is not None for r in members),
-                "emulation_error_median": _median(_numbers(members, "emulation_error")),
-                "base_error_median": _median(_numbers(members, "base_error")),
-            }
-        feasible = [r for r in members if r["failure"] is None]
-        errors = [abs(e) for e in _numbers(feasible, "prediction_error")]
-        possible = [r["success"] for r in members if (vehicle, r["query"]) in solvable]
-        seconds = [r["plan_seconds"] for r in members]
-        out.append(
-            {
-                "vehicle": vehicle,
-                "duration": duration,
-                "planner": planner,
-                "n": len(members),
-                "success_rate": float(np.mean([r["success"] for r in members])),
-                "reference_breaks": sum(_outside(r, "reference_breaks") for r in members),
-                "arm_breaks": sum(_outside(r, "arm_breaks") for r in members),
-                "E_mean_median": _median(_numbers(members, "E_mean")),
-                "ratio_median": _median(ratios["E_mean"]),
-                "ratio_low": low,
-                "ratio_high": high,
-                "E_res_ratio_median": _median(ratios["E_res"]),
-                "E_peak_ratio_median": _median(ratios["E_peak"]),
-                "solvable": len(possible),
-                "solvable_rate": float(np.mean(possible)) if possible else None,
-                "prediction_error_median": _median(errors),
-                "prediction_error_max": max(errors, default=None),
-                "plan_seconds_median": _median(seconds),
-                "plan_seconds_p95": float(np.percentile(seconds, 95)),
-                "plan_seconds_max": max(seconds),
-                "score_median": _median(_numbers(members, "score")),
-                "near_best": near_best(members),
-                **emulated,
-            }
-        )
-    return out
-
-
-def anytime(rows: Sequence[dict[str, Any]], points: int = 41) -> list[dict[str, Any]]:
-    """Return how the best cost of each search came down, medians over a duration's queries.
-
-    For planners that list a `curve` of (seconds, evaluations, cost) in their `info`: cost over
-    the final cost at times spaced geometrically, from when half the queries have a solution,
-    and the time to come within 5 % of it.
-
-    Args:
-        rows: of `run_benchmark`.
-        points: times per curve.
-
-    Returns:
-        A table per vehicle, duration and planner: `seconds` [s], `ratio` [1], both (points,)
-        at most, and the times to 5 % [s].
-    """
-    groups: dict[tuple[str, float, str], list[Array]] = defaultdict(list)
-    for row in rows:
-        if row["info"].get("curve"):
-            curve = np.array(row["info"]["curve"], float)
-            groups[row["vehicle"], row["duration"], row["planner"]].append(curve)
-    out = []
-    for (vehicle, duration, planner), curves in groups.items():
-        last = max(c[-1, 0] for c in curves)
-        first = float(np.median([c[0, 0] for c in curves]))
-        at = np.geomspace(min(first, last), last, points)
-        ratios = np.full((len(curves), points), np.inf)
-        for i, c in enumerate(curves):
-            k = np.searchsorted(c[:, 0], at, side="right") - 1
-            ratios[i, k >= 0] = c[k[k >= 0], 2] / max(c[-1, 2], 1e-300)
-        median = np.median(ratios, axis=0)
-        there = np.isfinite(median)
-        within = [float(c[np.argmax(c[:, 2] <= 1.05 * c[-1, 2]), 0]) for c in curves]
-        out.append(
-            {
-                "vehicle": vehicle,
-                "duration": duration,
-                "planner": planner,
-                "n": len(curves),
-                "seconds": [float(f"{k:.4g}") for k in at[there]],
-                "ratio": [float(f"{k:.5g}") for k in median[there]],
-                "to_5_percent_median": _median(within),
-                "to_5_percent_max": max(within),
-            }
-        )
-    return out
-
-
-def rank_correlation(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Spearman's rho of the planners' order in the laboratory and in space, by query.
-
-    Per vehicle and duration the median of rho over queries with three planners or more that
-    have an energy in both.
-    """
-    queries: dict[tuple[str, float, str], list[tuple[float, float]]] = defaultdict(list)
-    for row in rows:
-        if row["compensated"] and row["E_mean"] is not None:
-            pair = (row["E_mean"], row["E_mean_ideal"])
-            queries[row["vehicle"], row["duration"], row["query"]].append(pair)
-    groups: dict[tuple[str, float], list[float]] = defaultdict(list)
-    for (vehicle, duration, _), pairs in queries.items():
-        emulated, ideal = np.array(pairs).T
-        if len(pairs) >= 3 and np.ptp(emulated) > 0 and np.ptp(ideal) > 0:
-            rho_query = scipy.stats.spearmanr(emulated, ideal).statistic
-            groups[vehicle, duration].append(float(rho_query))
-    return [
-        {"vehicle": v, "duration": d, "n": len(rho), "rho_median": _median(rho)}
-        for (v, d), rho in groups.items()
-    ]
-
-
-def _ratios(
-    rows: Sequence[dict[str, Any]], baseline: dict[tuple[str, str], dict[str, Any]], key: str
-) -> list[float]:
-    """Energy over the straight line's, where that is not nothing.
-
-    A free base is at rest after any motion: its E_res has no ratio.
-    """
-    out = []
-    for row in rows:
-        reference = baseline[row["vehicle"], row["query"]]
-        if None in (row[key], reference[key]):
-            continue
-        if reference[key] > _NO_RATIO * reference["E_peak"]:
-            out.append(row[key] / reference[key])
-    return out
-
-
-def _outside(row: dict[str, Any], key: str) -> bool:
-    """True for a success that a check of limits, which does not count yet, would refuse."""
-    return bool(row["success"] and row.get(key))  # results of before 0.2.0 have no such key
-
-
-def _numbers(rows: Iterable[dict[str, Any]], key: str) -> list[float]:
-    return [row[key] for row in rows if row[key] is not None]
-
-
-def _median(values: Sequence[float]) -> float | None:
-    return float(np.median(values)) if len(values) else None
-
-
-def _interval(values: Sequence[float]) -> tuple[float | None, float | None]:
-    """95 % percentile bootstrap interval of the median."""
-    if not values:
-        return None, None
-    interval = bootstrap([np.array(values)], STATISTICS["median"])
-    return interval.low, interval.high
 
 
 def _versions() -> dict[str, str]:

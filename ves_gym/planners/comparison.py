@@ -20,6 +20,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.query import Plan, Planner, Query, solve
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.recording import Recording
+from ves_gym.system.disturbance import Disturbance
 from ves_gym.system.energy import TAIL, Energies, base_energy
 
 SCHEMA = "ves-compare/1"
@@ -39,6 +40,7 @@ class ComparisonRow:
     energy: Array | None  # (N,) E of the base [J]
     reference_breaks: str | None = None  # limits that the motion breaks, asked for or not
     arm_breaks: str | None = None  # limits that the simulated arm breaks
+    disturbance: Disturbance | None = None  # simulated
 
     @property
     def feasible(self) -> bool:
@@ -62,6 +64,7 @@ class ComparisonRow:
             "energy": None if self.energy is None else self.energy.tolist(),
             "reference_breaks": self.reference_breaks,
             "arm_breaks": self.arm_breaks,
+            "disturbance": None if self.disturbance is None else self.disturbance.to_dict(),
         }
 
 
@@ -98,16 +101,22 @@ class Comparison(Viewable):
 
     @property
     def table(self) -> str:
-        """Rows as aligned text: predicted and simulated `E_mean` [J], ratio, time, verdict."""
-        head = ("planner", "predicted", "simulated", "ratio", "planned in", "")
+        """Rows as aligned text: `E_mean` predicted and simulated, ratio, base and tool, time.
+
+        peak: largest acceleration of the arm's mount; tip: largest error of the tool.
+        """
+        head = ("planner", "predicted", "simulated", "ratio", "peak", "tip", "planned in", "")
         lines = [head]
         for row in self.rows:
+            moved = row.disturbance
             lines.append(
                 (
                     row.planner,
                     "-" if row.predicted is None else f"{row.predicted['E_mean']:.4g} J",
                     "-" if row.simulated is None else f"{row.simulated.E_mean:.4g} J",
                     "-" if row.ratio is None else f"{row.ratio:.3f}",
+                    "-" if moved is None else f"{moved.acceleration_peak:.3g} m/s^2",
+                    "-" if moved is None else f"{1e3 * moved.tip_peak:.3g} mm",
                     f"{row.seconds:.2f} s",
                     row.failure or row.arm_verdict,
                 )
@@ -115,7 +124,7 @@ class Comparison(Viewable):
         widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
         return "\n".join(
             "  ".join(
-                text.ljust(width) if k in (0, 5) else text.rjust(width)
+                text.ljust(width) if k in (0, len(head) - 1) else text.rjust(width)
                 for k, (text, width) in enumerate(zip(line, widths, strict=True))
             ).rstrip()
             for line in lines
@@ -158,7 +167,9 @@ class Comparison(Viewable):
         for row in plain["rows"]:
             trace = None if row["energy"] is None else np.array(row["energy"])
             measured = row["simulated"] and Energies.from_dict(row["simulated"])
-            rows.append(ComparisonRow(**{**row, "simulated": measured, "energy": trace}))
+            moved = row.get("disturbance") and Disturbance.from_dict(row["disturbance"])
+            changes = {"simulated": measured, "energy": trace, "disturbance": moved}
+            rows.append(ComparisonRow(**{**row, **changes}))
         straight = plain["straight"] and Energies.from_dict(plain["straight"])
         times = np.array(plain["t"])
         return Comparison(plain["name"], plain["duration"], times, tuple(rows), straight)
@@ -196,8 +207,9 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
         ratio = None
         if simulated is not None and straight is not None and straight.E_mean > 0:
             ratio = simulated.E_mean / straight.E_mean
-        trace = None
+        trace = moved = None
         if simulated is not None:
+            moved = run.disturbance(i, weight=query.weight)
             motion = run.q[i], run.y[i], run.yd[i]
             trace = base_energy(query.system, *motion, run.internal(i)).total
         rows.append(
@@ -213,6 +225,7 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
                 arm_breaks=None
                 if plan.motion is None
                 else run.limit_check(i, v_max=query.v_max).reasons,
+                disturbance=moved,
             )
         )
     name = query.name or query.ends_in_words

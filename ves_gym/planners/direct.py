@@ -6,12 +6,13 @@ The decision is the inner control points of a B-spline: way-points and their tim
 Position, speed and acceleration limits are linear in them, on the control polygon, so they
 hold at every instant; motor torque and the distance from obstacles are kept at sampled times.
 Sequential quadratic programming with the exact derivative of u and Gauss and Newton's second
-derivative J^T W J.
+derivative J^T W J. With weights, disturbance measures are added (`objective`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots, leading_points
 from ves_gym.planners.momentum import BaseMomentum, momentum, torque
+from ves_gym.planners.objective import ENERGY, Objective, checked_weights, weighted_name
 from ves_gym.planners.obstacles import Collisions, collisions
 from ves_gym.planners.prediction import (
     NODES,
@@ -48,15 +50,25 @@ _STEP = 0.06  # rad in joint space between samples of the distance, about
 class Direct:
     """Minimise the predicted E_mean over B-spline motions by sequential programming."""
 
-    name = "direct"
     summary = "minimise predicted E_mean over a smooth motion inside all joint limits"
 
-    def __init__(self, free: int = 12, iterations: int = 60) -> None:
+    def __init__(
+        self,
+        free: int = 12,
+        iterations: int = 60,
+        weights: Mapping[str, float] | None = None,
+    ) -> None:
         if free < 1 or iterations < 1:
             raise ParameterError(
                 f"free and iterations must be >= 1, got {free} and {iterations}"
             )
         self.free, self.iterations = free, iterations
+        self.weights = checked_weights(weights)
+        self.name = weighted_name("direct", self.weights)
+
+    def weighted(self, weights: Mapping[str, float]) -> Direct:
+        """Return the planner with weights of the energy and of disturbance measures."""
+        return Direct(self.free, self.iterations, weights)
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Minimise from one start, the straight line; deterministic.
@@ -72,23 +84,26 @@ class Direct:
             NoPlan: a joint cannot cover its way in time.
         """
         require_time(query)
-        problem = MotionProblem(query, self.free)
+        problem = MotionProblem(query, self.free, weights=self.weights)
         minimum = minimise(problem, problem.straight, self.iterations)
+        minimum = about_itself(problem, minimum, self.iterations)
         return problem.motion(minimum.x), minimum.info()
 
 
 class MotionProblem:
     """E_mean of a query's motions, and their limits, by the free control points x.
 
-    `energy` is that of another problem of the same query, which need not be made twice.
+    `energy` is that of another problem of the same query, which need not be made twice. With
+    `weights` of disturbance measures it is the `Objective`.
     """
 
     def __init__(
         self,
         query: Query,
         free: int,
-        energy: MeanEnergy | None = None,
+        energy: MeanEnergy | Objective | None = None,
         nodes: int = NODES,
+        weights: Mapping[str, float] | None = None,
     ) -> None:
         self.nodes = nodes if energy is None else len(energy.t) - 1  # samples of the momentum
         self.query, self.arm = query, query.system.arm
@@ -97,7 +112,7 @@ class MotionProblem:
         self.first = np.array([self.start] * _FIXED)  # control points
         if query.is_moving:
             self.first = leading_points(self.m, query.duration, self.start, *query.start_motion)
-        self.energy = energy or self.form_at((self.start + self.goal) / 2)
+        self.energy = energy or self._judged(weights)
         self._bases = self._sampled(self.energy.t / query.duration, 2)
         self._torque_times = graded(_SAMPLES * self.m + 1)
         self._torque_bases = self._sampled(self._torque_times, 3)
@@ -108,6 +123,14 @@ class MotionProblem:
         self._checker: Collisions | None = None
         if query.surroundings is not None:
             self._checker = collisions(query.system.ideal(), query.surroundings)
+
+    def _judged(self, weights: Mapping[str, float] | None) -> MeanEnergy | Objective:
+        """E_mean, with weights the objective that holds it."""
+        energy = self.form_at((self.start + self.goal) / 2)
+        if not weights or set(weights) == {ENERGY}:
+            return energy
+        query = self.query
+        return Objective(energy, weights, query.straight, query.weight, query.base)
 
     def form_at(self, at: Array | Motion, system: System | None = None) -> MeanEnergy:
         """E_mean as a function of the momentum, the inertia frozen or that along a motion.
@@ -338,6 +361,7 @@ class MotionProblem:
 # ------------------------------------------------------- sequential quadratic programming
 
 _ROUNDS = 4  # of looking for torque between samples
+_PATHS = 2  # that the tool's error is linearised about, after the straight line
 _NEARLY = 0.01  # of a limit: what breaks it by more is not looked at more closely
 _FIRST = 0.3  # rad: how far control points may move in the first step
 _LEAST_STEP = 1e-6  # rad
@@ -417,8 +441,27 @@ def minimise(
     return replace(minimum, iterations=done, evaluations=evaluations)
 
 
+def about_itself(problem: MotionProblem, minimum: Minimum, iterations: int = 60) -> Minimum:
+    """Minimise again with the tool on the path that was found, where its error counts.
+
+    Args:
+        problem: its objective is replaced.
+        minimum: found with the tool on another path.
+        iterations: at most.
+    """
+    energy = problem.energy
+    if not (isinstance(energy, Objective) and energy.follows_path):
+        return minimum
+    done, evaluations = minimum.iterations, minimum.evaluations
+    for _ in range(_PATHS):
+        problem.energy = energy.about(problem.motion(minimum.x))
+        minimum = minimise(problem, minimum.x, iterations)
+        done, evaluations = done + minimum.iterations, evaluations + minimum.evaluations
+    return replace(minimum, iterations=done, evaluations=evaluations)
+
+
 def _minimise(problem: MotionProblem, x0: Array, iterations: int, tolerance: float) -> Minimum:
-    W, (low, high) = problem.energy.hessian, problem.bounds
+    low, high = problem.bounds
 
     def at(x: Array) -> _Point:
         u, slope = problem.momentum(x)
@@ -431,7 +474,7 @@ def _minimise(problem: MotionProblem, x0: Array, iterations: int, tolerance: flo
     message = "iteration limit reached"
     while done < iterations:
         done += 1
-        hessian = point.slope.T @ (W @ point.slope) / scale
+        hessian = problem.energy.curvature(point.u, point.slope) / scale
         gradient = point.slope.T @ problem.energy.force(point.u) / scale
         step = None
         while radius > _LEAST_STEP:

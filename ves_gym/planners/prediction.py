@@ -34,6 +34,7 @@ from ves_gym.system.system import System
 
 _PER_SECOND = 60.0  # samples: six and more of a joint on its servo (10 Hz)
 NODES = 96  # samples of a motion; energies converge to about 1e-3 (docs/physics.md)
+FINE = 10  # parts of a sample for peaks, which may be as short as a joint's swing on its servo
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +173,7 @@ class LinearBase:
 
     def tail(self, M: Array) -> Array:
         """S with the integral of E over the tail = s^T S s, joints held."""
-        return _gramian(self.plant(M)[0], self.weight(M), TAIL)
+        return gramian(self.plant(M)[0], self.weight(M), TAIL)
 
     def begin(self, M: Array, base: BaseState | None, u: Array) -> Array:
         """State s = (x, P) (2 size,) at the start, the joints on their command.
@@ -224,7 +225,11 @@ def steps_of_joints(duration: float) -> int:
 
 
 def respond(
-    linear: LinearBase, motion: Motion, nodes: int, base: BaseState | None = None
+    linear: LinearBase,
+    motion: Motion,
+    nodes: int,
+    base: BaseState | None = None,
+    parts: int = 1,
 ) -> Response:
     """Simulate the linear base, its inertia as the arm moves.
 
@@ -236,31 +241,27 @@ def respond(
         motion: of the joints.
         nodes: steps.
         base: its motion at the start; None: at rest.
+        parts: of a step in which the momentum is linear and the inertia that of the step.
 
     Returns:
-        Its motion at nodes + 1 times.
+        Its motion at nodes x parts + 1 times.
     """
-    size = linear.size
-    t = np.linspace(0, motion.duration, 2 * nodes + 1)
+    size, count = linear.size, nodes * parts
+    t = np.linspace(0, motion.duration, 2 * count + 1)
     s = motion.at(t)
     H = inertia(linear.system.arm, s.q)
     M = linear.mass(H)
     u = np.zeros((len(t), size))
     u[:, :6] = matvec(H[:, :6, 6:], s.v)
 
-    A, B = linear.plant(M[1::2])
-    dt = motion.duration / nodes
-    start, end = u[:-2:2], u[2::2]
-    block = np.zeros((nodes, 2 * size + 2, 2 * size + 2))
-    block[:, :-2, :-2] = A * dt
-    block[:, :-2, -2] = matvec(B, end - start) * dt
-    block[:, :-2, -1] = matvec(B, start) * dt
-    block[:, -2, -1] = 1.0
-    steps = scipy.linalg.expm(block)
-    z = np.zeros((nodes + 1, 2 * size))
+    A, B = linear.plant(M[parts :: 2 * parts])
+    Phi, begin, end = hold(A, B[..., :6], motion.duration / count)
+    begin, end = (np.repeat(G, parts, axis=0) for G in (begin, end))
+    pushes = matvec(begin, u[:-2:2, :6]) + matvec(end, u[2::2, :6])
+    z = np.zeros((count + 1, 2 * size))
     z[0] = linear.begin(M[0], base, u[0, :6])
-    for k in range(nodes):
-        z[k + 1] = steps[k, :-2, :-2] @ z[k] + steps[k, :-2, -1]
+    for k, push in enumerate(pushes):
+        z[k + 1] = Phi[k // parts] @ z[k] + push
 
     M, x = M[::2], z[:, :size]
     rate = np.asarray(np.linalg.solve(M, (z[:, size:] - u[::2])[..., None])[..., 0], float)
@@ -274,6 +275,7 @@ def predict(
     nodes: int = NODES,
     *,
     base: BaseState | None = None,
+    parts: int = 1,
 ) -> Prediction:
     """Predict the energies of a motion on the linear base, its inertia as the arm moves.
 
@@ -281,7 +283,7 @@ def predict(
         system: arm and vehicle.
         motion: of the joints.
         servo: that moves them; None: they follow exactly.
-        nodes: steps (`respond`).
+        nodes, parts: steps and their parts (`respond`).
         base: its motion at the start; None: at rest.
 
     Returns:
@@ -289,7 +291,7 @@ def predict(
     """
     linear = LinearBase(system, servo)
     b = linear.b
-    t, x, rate, M = respond(linear, motion, nodes, base)
+    t, x, rate, M = respond(linear, motion, nodes, base, parts)
     E = quadratic(M[:, :b, :b], rate[:, :b]) + quadratic(linear.base_stiffness, x[:, :b])
     final = np.concatenate([x[-1], M[-1] @ rate[-1]])
     total = np.trapezoid(E, t) + final @ linear.tail(M[-1]) @ final
@@ -328,9 +330,11 @@ class MeanEnergy:
     ) -> None:
         self.linear = LinearBase(system, servo)
         self.t = np.linspace(0, duration, nodes + 1)
-        self.system = system
+        self.system, self.at = system, at
         u0 = np.zeros(6) if momentum is None else momentum
-        self._along(at)
+        self._M, middle = inertia_along(self.linear, at, self.t)
+        A, B = self.linear.plant(middle)
+        self._steps = list(zip(*hold(A, B[..., :6], self.t[1]), strict=True))
         self._start = None
         if base is not None or u0.any():
             self._start = self.linear.begin(self._mass_at(0), base, u0)
@@ -352,19 +356,10 @@ class MeanEnergy:
         out: Array = self.hessian @ u
         return out if self._start is None else out + self.gradient
 
-    def _along(self, at: npt.ArrayLike | Motion) -> None:
-        """Inertia at the nodes, and in the middle of every step."""
-        if isinstance(at, Motion):
-            half = np.linspace(0, self.t[-1], 2 * len(self.t) - 1)
-            M = self.linear.mass(inertia(self.system.arm, at.at(half).q))
-            self._M, middle = M[::2], M[1::2]
-        else:
-            self._M = self.linear.mass(inertia(self.system.arm, at))[None]
-            middle = self._M
-        A, B = self.linear.plant(middle)
-        self._steps = [
-            _hold(a, b[:, :6], self.t[1] - self.t[0]) for a, b in zip(A, B, strict=True)
-        ]
+    def curvature(self, u: Array, slope: Array) -> Array:
+        """slope^T W slope (k, k): the same for all u, for slopes (6 (N + 1), k)."""
+        out: Array = slope.T @ (self.hessian @ slope)
+        return out
 
     def _mass_at(self, k: int) -> Array:
         out: Array = self._M[k if len(self._M) > 1 else 0]
@@ -386,8 +381,8 @@ class MeanEnergy:
             states[k + 1, :, done - 6 : done] += first
             states[k + 1, :, done : done + 6] = second
         # E_k = 1/2 |R_K z|^2 + 1/2 |R_M z'|^2 with z' = (M^-1 (P - u))[:b]
-        pose = _root(linear.base_stiffness)
-        speed = np.stack([_root(M[:b, :b]) @ np.linalg.inv(M)[:b] for M in self._M])
+        pose = root(linear.base_stiffness)
+        speed = np.stack([root(M[:b, :b]) @ np.linalg.inv(M)[:b] for M in self._M])
         rows = np.empty((N, 2 * b, 6 * N + 1))
         rows[:, :b] = pose @ states[:, :b]
         rows[:, b:] = speed @ states[:, size:]
@@ -405,18 +400,41 @@ class MeanEnergy:
         self.constant = 0.5 * float(whole[-1, -1])
 
 
-def _hold(A: Array, B: Array, dt: float) -> tuple[Array, Array, Array]:
-    """Exact step of z' = A z + B u with u linear over the step: Phi, G0 (start), G1 (end)."""
-    n, m = B.shape
-    block = np.zeros((n + 2 * m, n + 2 * m))
-    block[:n, :n], block[:n, n : n + m] = A * dt, B * dt
-    block[n : n + m, n + m :] = np.eye(m)
+def inertia_along(
+    linear: LinearBase, at: npt.ArrayLike | Motion, t: Array
+) -> tuple[Array, Array]:
+    """Inertia of x at the nodes and in the middle of every step; one of each if it is constant.
+
+    Args:
+        linear: the base under the arm.
+        at: (n,) configuration [rad], or a motion.
+        t: (N,) nodes, even [s].
+    """
+    if not isinstance(at, Motion):
+        M = linear.mass(inertia(linear.system.arm, at))[None]
+        return M, M
+    half = np.linspace(0, t[-1], 2 * len(t) - 1)
+    M = linear.mass(inertia(linear.system.arm, at.at(half).q))
+    return M[::2], M[1::2]
+
+
+def hold(A: Array, B: Array, dt: float) -> tuple[Array, Array, Array]:
+    """Exact steps of z' = A z + B u with u linear over a step: Phi, G0 (start), G1 (end).
+
+    Args:
+        A: (..., n, n). B: (..., n, m).
+        dt: of the step [s].
+    """
+    n, m = B.shape[-2:]
+    block = np.zeros((*A.shape[:-2], n + 2 * m, n + 2 * m))
+    block[..., :n, :n], block[..., :n, n : n + m] = A * dt, B * dt
+    block[..., n : n + m, n + m :] = np.eye(m)
     E = scipy.linalg.expm(block)
-    slope = E[:n, n + m :]
-    return E[:n, :n], E[:n, n : n + m] - slope, slope
+    slope = E[..., :n, n + m :]
+    return E[..., :n, :n], E[..., :n, n : n + m] - slope, slope
 
 
-def _gramian(A: Array, C: Array, span: float, doublings: int = 24) -> Array:
+def gramian(A: Array, C: Array, span: float, doublings: int = 24) -> Array:
     """int_0^span exp(A^T t) C exp(A t) dt, by doubling from a short Simpson step."""
     h = span / 2**doublings
     half = scipy.linalg.expm(A * h / 2)
@@ -428,7 +446,7 @@ def _gramian(A: Array, C: Array, span: float, doublings: int = 24) -> Array:
     return out
 
 
-def _root(K: Array) -> Array:
+def root(K: Array) -> Array:
     """R with R^T R = K for a symmetric positive semidefinite K."""
     values, vectors = np.linalg.eigh(K)
     return np.sqrt(np.maximum(values, 0))[:, None] * vectors.T

@@ -41,6 +41,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.planners.obstacles import RESOLUTION, Surroundings, collisions
 from ves_gym.planners.prediction import (
+    FINE,
     BaseState,
     LinearBase,
     Prediction,
@@ -48,6 +49,7 @@ from ves_gym.planners.prediction import (
     respond,
     steps_of_joints,
 )
+from ves_gym.system.frequency_weight import FAST, FrequencyWeight
 from ves_gym.system.system import System
 
 SCHEMA = "ves-plan-file/1"  # of a saved plan
@@ -73,6 +75,7 @@ class Query:
     base: BaseState | None = None  # how the base moves at the start, None = at rest
     start_rate: Vector | None = unit("rad/s", default=None)  # of the joints, None = at rest
     start_acceleration: Vector | None = unit("rad/s^2", default=None)
+    weight: FrequencyWeight = FAST  # filter of the measure `E_weighted`
 
     def __post_init__(self) -> None:
         require_positive(self, "duration")
@@ -268,7 +271,7 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
         except NoPlan as error:
             failure: str | None = str(error)
         else:
-            predicted = predict(query.system, motion, query.servo, base=query.base)
+            predicted = predict(query.system, motion, query.servo, base=query.base, parts=FINE)
             failure = broken_limit(query, motion)
     seconds = time.perf_counter() - begin
     return Plan(planner.name, query, motion, predicted, seconds, failure, info)

@@ -8,7 +8,7 @@ the answer keeps speed, acceleration and torque, and the clearance, checked agai
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,8 @@ import scipy.optimize
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.direct import Minimum, MotionProblem, minimise, rank
+from ves_gym.planners.direct import Minimum, MotionProblem, about_itself, minimise, rank
+from ves_gym.planners.objective import checked_weights, weighted_name
 from ves_gym.planners.ompl_search import Ompl, time_path
 from ves_gym.planners.query import (
     NoPlan,
@@ -42,14 +43,25 @@ _LARGE = 100  # variables: of larger problems starts are compared with half the 
 class Refined:
     """The best of several refined starts."""
 
-    def __init__(self, free: int = _FREE, starts: int = 5, name: str = "refined") -> None:
+    def __init__(
+        self,
+        free: int = _FREE,
+        starts: int = 5,
+        name: str = "refined",
+        weights: Mapping[str, float] | None = None,
+    ) -> None:
         if free < 1 or starts < 1:
             raise ParameterError(f"free and starts must be >= 1, got {free} and {starts}")
-        self.free, self.starts, self.name = free, starts, name
+        self.free, self.starts, self.weights = free, starts, checked_weights(weights)
+        self._plain, self.name = name, weighted_name(name, self.weights)
         self.summary = (
             f"least predicted E_mean over smooth motions ({free} free points, {starts}"
             " starts), inside all limits, clear of obstacles"
         )
+
+    def weighted(self, weights: Mapping[str, float]) -> Refined:
+        """Return the planner with weights of the energy and of disturbance measures."""
+        return Refined(self.free, self.starts, self._plain, weights)
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Refine several starts; the seed chooses the detours, and the search among obstacles.
@@ -65,7 +77,7 @@ class Refined:
             NoPlan: no way was found, and the straight one could not be bent around.
         """
         require_possible(query)
-        problem = MotionProblem(query, self.free)
+        problem = MotionProblem(query, self.free, weights=self.weights)
         if query.surroundings is None or broken_limit(query, query.straight) is None:
             compared = problem
             if problem.straight.size > _LARGE and self.free > 1:
@@ -223,7 +235,7 @@ def _best(
     stands = False
     for k in order[: max(1, sum(map(_is_feasible, looks)))]:
         x = looks[k].x if first is problem else problem.of(first.motion(looks[k].x))
-        minimum = minimise(problem, x, tolerance=_FINE)
+        minimum = about_itself(problem, minimise(problem, x, tolerance=_FINE))
         motion = problem.motion(minimum.x)
         stands = broken_limit(problem.query, motion) is None
         if best is None or stands:

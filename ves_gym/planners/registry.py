@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from ves_gym._util.params import ParameterError
@@ -10,6 +11,7 @@ from ves_gym.planners.bad_path import BadPath
 from ves_gym.planners.damp import DampRelease
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.hotspot import HotSpot
+from ves_gym.planners.objective import parse_weights
 from ves_gym.planners.ompl_search import OBJECTIVES, Ompl
 from ves_gym.planners.query import Planner
 from ves_gym.planners.reaction_null import ReactionNull
@@ -69,10 +71,32 @@ def register_planner(planner: P) -> P:
 
 
 def get_planner(name: str) -> Planner:
-    """A planner by name; unknown names are an error that lists the known ones."""
-    if name not in PLANNERS:
+    """A planner by name; unknown names are an error that lists the known ones.
+
+    Args:
+        name: of the registry, with weights of disturbance measures after a colon where the
+            planner takes them: `refined:acceleration_peak=0.03+tip=0.1`.
+    """
+    plain, colon, text = name.partition(":")
+    if plain not in PLANNERS:
         raise ParameterError(
-            f"planner must be one of {', '.join(PLANNERS)}, got {name!r}"
-            f"{did_you_mean(name, PLANNERS)}"
+            f"planner must be one of {', '.join(PLANNERS)}, got {plain!r}"
+            f"{did_you_mean(plain, PLANNERS)}"
         )
-    return PLANNERS[name]
+    return weighted(PLANNERS[plain], parse_weights(text)) if colon else PLANNERS[plain]
+
+
+def weighted(planner: Planner, weights: Mapping[str, float]) -> Planner:
+    """Return a planner that also minimises disturbance measures.
+
+    Args:
+        planner: one that takes weights, such as `refined`.
+        weights: by the names of `planners.objective.WEIGHTS`.
+
+    Raises:
+        ParameterError: it takes none, or a weight that is none.
+    """
+    if not isinstance(planner, Direct | Refined):
+        able = ", ".join(k for k, p in PLANNERS.items() if isinstance(p, Direct | Refined))
+        raise ParameterError(f"weights are for planners {able}, got {planner.name}")
+    return planner.weighted(weights)

@@ -180,7 +180,8 @@ class ScenarioProblem(MotionProblem):
         self.systems = [query.system, *others]
         arms = list(dict.fromkeys(system.arm for system in self.systems))
         self._group = [arms.index(system.arm) for system in self.systems]
-        self._forms: list[MeanEnergy] = [self.energy]
+        assert isinstance(self.energy, MeanEnergy)
+        self._forms = [self.energy]
         self._arms: list[MotionProblem] = [self]
         for arm in arms[1:]:
             other = query.system.replace(arm=arm)
@@ -243,6 +244,11 @@ class _Mixture:
         """Weighted energy [J] of momenta."""
         pairs = zip(self._parts, self._slices, strict=True)
         return float(sum(w * form.value(u[at]) for part, at in pairs for w, form in part if w))
+
+    def curvature(self, u: Array, slope: Array) -> Array:
+        """slope^T W slope (k, k): the same for all u, for slopes of momenta."""
+        out: Array = slope.T @ (self.hessian @ slope)
+        return out
 
     def force(self, u: Array) -> Array:
         """Derivative of `value`."""

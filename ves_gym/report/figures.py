@@ -33,9 +33,9 @@ def write_figures(result: Result, directory: str | os.PathLike[str]) -> list[Pat
     """Write the figures a result has data for, as PNG.
 
     Returns:
-        What was written, of ratio.png, energy.png, coupling.png, prediction.png and, where
-        planners search, anytime.png; in mode emulated also base_motion_emulated.png and
-        strain_energy_emulated.png.
+        What was written, of ratio.png, energy.png, coupling.png, prediction.png, pareto.png
+        and, where planners search, anytime.png; in mode emulated also
+        base_motion_emulated.png and strain_energy_emulated.png.
 
     Raises:
         ParameterError: matplotlib is not installed.
@@ -48,6 +48,7 @@ def write_figures(result: Result, directory: str | os.PathLike[str]) -> list[Pat
         else None,
         "prediction": prediction_figure(result) if result.get("rows") else None,
         "anytime": anytime_figure(result) if result.get("anytime") else None,
+        "pareto": pareto_figure(result) if _has_tradeoff(result) else None,
     }
     if result.get("traces") and result.get("mode") == "emulated":
         figures["base_motion_emulated"] = time_figure(result, "distance")
@@ -242,6 +243,96 @@ def anytime_figure(result: Result) -> Figure:
     searched = {c["planner"] for c in result["anytime"]}
     _legend(figure, names, planners=[n for n in names if n in searched])
     return figure
+
+
+TRADED = {  # measure -> axis label
+    "acceleration_peak": "largest acceleration / straight line's",
+    "acceleration": "rms acceleration / straight line's",
+}
+
+
+def _has_tradeoff(result: Result) -> bool:
+    return any(
+        row.get(f"{k}_ratio_median") for row in result.get("summary", ()) for k in TRADED
+    )
+
+
+def pareto_figure(result: Result) -> Figure:
+    """Draw energy against acceleration of the base, medians by planner; a panel each.
+
+    Planners with weights of a disturbance measure are joined in the order of the weights, from
+    the planner without.
+    """
+    names = _planners(result)
+    cases = list(dict.fromkeys((r["vehicle"], r["duration"]) for r in result["summary"]))
+    figure, panels = _panels(len(TRADED) * len(cases), 5.0, 4.2, columns=len(TRADED))
+    for k, axes in enumerate(panels):
+        case, measure = cases[k // len(TRADED)], list(TRADED)[k % len(TRADED)]
+        key = f"{measure}_ratio_median"
+        points = {
+            row["planner"]: (row["ratio_median"], row[key])
+            for row in result["summary"]
+            if (row["vehicle"], row["duration"]) == case
+            and None not in (row["ratio_median"], row[key])
+        }
+        _tradeoff(axes, points, names)
+        axes.set(xlabel="E_mean / straight line's", ylabel=TRADED[measure])
+        axes.set_title(f"{case[0]}, T = {case[1]:g} s", fontsize="medium")
+    return figure
+
+
+def _tradeoff(axes: Axes, points: dict[str, tuple[float, float]], names: Sequence[str]) -> None:
+    """Draw planners as labelled points, those of one kind and measure joined by a line."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    families: dict[tuple[str, str], list[tuple[float, str]]] = {}
+    for name in points:
+        plain, _, weights = name.partition(":")
+        measure, _, weight = weights.rpartition("=")
+        if weights and "+" not in weights:
+            families.setdefault((plain, measure), []).append((float(weight), name))
+    joined: set[str] = set()
+    for k, ((plain, measure), members) in enumerate(families.items()):
+        ordered = [name for _, name in sorted(members)]
+        joined.update(ordered)
+        at = np.array([points[name] for name in [plain, *ordered] if name in points])
+        colour = COLOURS[1 + k % (len(COLOURS) - 1)]
+        axes.plot(
+            *at.T, "-o", color=colour, markersize=4, label=f"{plain}, weight of {measure}"
+        )
+        for value, name in members:
+            _label(axes, f"{value:g}", points[name], (5, 4), colour)
+    for name, point in points.items():
+        if name not in joined:
+            axes.plot(*point, "o", color=colour_of(name, names), markersize=7)
+            last = point[0] >= max(x for x, _ in points.values())  # there is room on its left
+            place: dict[str, Any] = (
+                {"offset": (-7, 6), "ha": "right"} if last else {"offset": (7, -9)}
+            )
+            _label(axes, name, point, colour=colour_of(name, names), **place)
+    axes.axhline(1.0, color="0.6", linewidth=0.8, zorder=0)
+    axes.axvline(1.0, color="0.6", linewidth=0.8, zorder=0)
+    axes.set(xscale="log", yscale="log")
+    axes.margins(0.15)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 5, 7)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+    axes.grid(alpha=0.25)
+    if families:
+        axes.legend(fontsize="small", frameon=False)
+
+
+def _label(
+    axes: Axes,
+    text: str,
+    point: tuple[float, float],
+    offset: tuple[int, int],
+    colour: str,
+    ha: str = "left",
+) -> None:
+    style: dict[str, Any] = {"textcoords": "offset points", "fontsize": "small", "ha": ha}
+    axes.annotate(text, point, offset, color=colour, **style)
 
 
 # ---------------------------------------------------------------------------- pieces

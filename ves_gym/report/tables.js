@@ -13,6 +13,8 @@ function ratioOf(row) {
 // ---------------------------------------------------------------------- summary
 
 const SCORES = (data.summary ?? []).some((row) => typeof row.score_median === "number");
+const MOVES = (data.summary ?? []).some((row) => typeof row.acceleration_peak_median === "number");
+const GAPS = (data.summary ?? []).some((row) => typeof row.gap_median === "number");
 const BAR = { w: 190, h: 22, pad: 5 };
 
 /** Median as a bar, its interval as a whisker, every query as a dot; 1 is the straight line. */
@@ -54,7 +56,8 @@ function summaryTable(groups) {
   const head = [
     ["case", ""], ["planner", ""], ["ratio to straight", `0 to ${number(top, 2)}`],
     ["E_mean", "ratio"], ["95 %", "interval"], ["E_mean", "J"], ["E_res", "ratio"],
-    ["E_peak", "ratio"], ...(SCORES ? [["score", "best = 1"]] : []),
+    ["E_peak", "ratio"], ...(MOVES ? [["acceleration", "peak, ratio"], ["tip", "peak, ratio"]] : []),
+    ...(GAPS ? [["gap", "E / bound"]] : []), ...(SCORES ? [["score", "best = 1"]] : []),
     ...(EMULATED ? [["emulation", "error"], ["base", "error"]] : []), ["predicted", "error"],
     ["planning", "s"], ["95 %", "below s"], ["success", ""], ["solvable", "solved"], ["queries", ""],
   ];
@@ -82,6 +85,10 @@ function summaryGroup(group, top) {
       cell(number(row.E_mean_median)),
       cell(number(row.E_res_ratio_median)),
       cell(number(row.E_peak_ratio_median)),
+      ...(MOVES ? [
+        cell(number(row.acceleration_peak_ratio_median)), cell(number(row.tip_peak_ratio_median)),
+      ] : []),
+      ...(GAPS ? [cell(number(row.gap_median))] : []),
       ...(SCORES ? [cell(number(row.score_median))] : []),
       ...(EMULATED ? [
         row.stopped === row.n ? cell("stopped", "bad") : cell(signed(row.emulation_error_median)),
@@ -111,6 +118,18 @@ const COLUMNS = [
   ["E_res", "E_res", "J", number], ["E_peak", "E_peak", "J", number],
   ["E_strain_peak", "E_strain peak", "J", number], ["E_int", "E_int", "J s", number],
   ["W_port", "W_port", "J", number], ["t_5", "t_5 %", "s", number],
+  ...(MOVES ? [
+    ["acceleration", "acceleration", "rms, m/s²", number],
+    ["acceleration_peak", "acceleration", "peak, m/s²", number],
+    ["angular", "angular acc.", "rms, rad/s²", number],
+    ["angular_peak", "angular acc.", "peak, rad/s²", number],
+    ["tip_peak", "tip error", "peak, m", number], ["tip_end", "tip error", "at the end, m", number],
+    ["displacement_peak", "displacement", "peak, m", number],
+    ["rotation_peak", "rotation", "peak, rad", number],
+    ["attitude_end", "attitude", "at the end, rad", number],
+    ["E_weighted", "E_weighted", "J", number],
+  ] : []),
+  ...(GAPS ? [["gap", "gap", "E / bound", number], ["no_gap", "no gap", ""]] : []),
   ...(EMULATED ? [
     ["E_mean_ideal", "E_mean", "J in space", number],
     ["emulation_error", "emulation", "error", signed], ["base_error", "base", "error", percent],

@@ -14,7 +14,7 @@ from ves_gym.mechanics.limits import middle_of_range
 from ves_gym.mechanics.motion import Motion, Samples
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix
-from ves_gym.simulation.recording import Extremes, Recording
+from ves_gym.simulation.recording import BaseWatch, Extremes, Recording
 from ves_gym.simulation.simulator import Simulator, State
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -86,7 +86,8 @@ def play_motions(
     table = None if gravity is None else _tabulated(gravity, clock, n)
 
     rows: list[tuple[Array, ...]] = []
-    extremes = Extremes.none(n, sim.joints, duration + _OVERSHOOT) if watch else None
+    extremes = Extremes.none(n, sim.joints) if watch else None
+    base_watch = BaseWatch(system.arm, n, duration + _OVERSHOOT) if watch else None
     middle = middle_of_range(system.arm)
     fine = system.substeps if emulated else 1  # steps between looks at the joints
     if table is not None:
@@ -100,7 +101,8 @@ def play_motions(
         row = (*row, *(sim.base_modes or ()))
         if extremes is not None:
             extremes.watch(edges[k * stride], row[0] - middle, row[1], tau)
-            extremes.watch_base(edges[k * stride], system.arm, state.y, state.yd, ydd)
+        if base_watch is not None:
+            base_watch.look(float(edges[k * stride]), state.y, state.yd, ydd)
         if emulated:
             readings = sim.readings
             rows.append(
@@ -122,11 +124,11 @@ def play_motions(
                     commands[:, step : end + 1],
                     platform=None if follow is None else follow[:, part],
                 )
-                if extremes is not None and end < last:
+                if extremes is not None and base_watch is not None and end < last:
                     (q, v), state = sim.measured, sim.state
                     tau, ydd = sim.evaluate(commands[:, end])
                     extremes.watch(edges[end], q - middle, v, tau)
-                    extremes.watch_base(edges[end], system.arm, state.y, state.yd, ydd)
+                    base_watch.look(float(edges[end]), state.y, state.yd, ydd)
         if progress is not None and k % 32 == 0:
             progress(k / records)
     modes = () if sim.base_modes is None else ("u", "ud")
@@ -144,6 +146,7 @@ def play_motions(
         events=tuple(sim.events),
         backend=sim.backend_name,
         extremes=extremes,
+        base_watch=base_watch,
     )
 
 

@@ -13,7 +13,12 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.limits import LimitCheck, check_limits, limits_of, middle_of_range
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.simulation.emulation_loop import Event
-from ves_gym.system.disturbance import Disturbance, disturbance, mount_acceleration
+from ves_gym.system.disturbance import (
+    Disturbance,
+    Watched,
+    disturbance,
+    mount_acceleration,
+)
 from ves_gym.system.energy import TAIL, Energies, energies
 from ves_gym.system.frequency_weight import FAST, FrequencyWeight
 from ves_gym.system.runlog import RunLog
@@ -24,22 +29,18 @@ WATCHED = ("position", "velocity", "torque")
 
 @dataclass(frozen=True)
 class Extremes:
-    """Nearest approach of each joint to its limits, and the base's largest acceleration.
+    """Nearest approach of each joint to its limits, between the records as well.
 
-    Between the records as well. Axes: kind (`WATCHED`), run, joint. Positions are from the
-    middle of the range.
+    Axes: kind (`WATCHED`), run, joint. Positions are from the middle of the range.
     """
 
     time: Array  # (3, n, joints) s
     value: Array  # (3, n, joints) rad, rad/s, N m
-    acceleration: Array  # (n, 2) of the arm's mount [m/s^2], of the base [rad/s^2]
-    until: float  # s, to which every step was looked at, then records
 
     @staticmethod
-    def none(n: int, joints: int, until: float) -> Extremes:
-        """Return arrays to be filled by `watch` and `watch_base`."""
-        zero = np.zeros((3, n, joints))
-        return Extremes(zero, zero.copy(), np.zeros((n, 2)), until)
+    def none(n: int, joints: int) -> Extremes:
+        """Return arrays to be filled by `watch`."""
+        return Extremes(np.zeros((3, n, joints)), np.zeros((3, n, joints)))
 
     def watch(self, t: float, position: Array, v: Array, tau: Array) -> None:
         """Take the joints of all runs (n, joints) at time t [s] into account."""
@@ -48,12 +49,35 @@ class Extremes:
         self.value[larger] = value[larger]
         self.time[larger] = t
 
-    def watch_base(self, t: float, arm: Arm, y: Array, yd: Array, ydd: Array) -> None:
-        """Take the base's motion (n, 6) at time t [s] into account."""
-        if t <= self.until:
-            parts = mount_acceleration(arm, y, yd, ydd)
-            sizes = np.stack([np.linalg.norm(k, axis=-1) for k in parts], axis=-1)
-            np.maximum(self.acceleration, sizes, out=self.acceleration)
+
+class BaseWatch:
+    """Accelerations of n bases between the records as well, until shortly after the motion.
+
+    Args:
+        arm: for its mount.
+        n: runs.
+        until: time up to which it looks [s].
+    """
+
+    def __init__(self, arm: Arm, n: int, until: float) -> None:
+        self.arm, self.until, self.time = arm, until, 0.0
+        self.peaks = np.zeros((n, 2))  # m/s^2, rad/s^2
+        self.squares = np.zeros((n, 2))  # their time integral
+        self._last = np.zeros((n, 2))
+
+    def look(self, t: float, y: Array, yd: Array, ydd: Array) -> None:
+        """Take the motion of all bases (n, 6) at time t [s] into account."""
+        if t > self.until + 1e-9:
+            return
+        parts = mount_acceleration(self.arm, y, yd, ydd)
+        now = np.stack([np.sum(part**2, axis=-1) for part in parts], axis=-1)
+        self.squares += (t - self.time) / 2 * (self._last + now)
+        np.maximum(self.peaks, np.sqrt(now), out=self.peaks)
+        self.time, self._last = t, now
+
+    def of(self, i: int) -> Watched:
+        """Return what was seen of run i."""
+        return Watched(self.time, *self.peaks[i], *self.squares[i])
 
 
 @dataclass(frozen=True)
@@ -81,6 +105,7 @@ class Recording:
     events: tuple[Event, ...] = ()  # safety stops; a run is meaningful up to its own
     backend: str = ""  # the engine that ran
     extremes: Extremes | None = None  # of the joints, where they were watched
+    base_watch: BaseWatch | None = None  # of the base, likewise
 
     def internal(self, i: Any, part: Any = slice(None)) -> tuple[Array, Array] | None:
         """Return u and u' of the internal modes in run i, None of a base without.
@@ -129,7 +154,7 @@ class Recording:
             as_it_is: of arm and base with their effects; else of the described ones.
             weight: filter of `E_weighted`.
         """
-        system, watched = self.system.actual if as_it_is else self.system, self.extremes
+        system = self.system.actual if as_it_is else self.system
         return disturbance(
             system,
             self.t,
@@ -142,7 +167,7 @@ class Recording:
             tail=tail,
             internal=self._recorded_modes(system, i),
             weight=weight,
-            peaks=None if watched is None else (watched.until, *watched.acceleration[i]),
+            watched=None if self.base_watch is None else self.base_watch.of(i),
         )
 
     def _recorded_modes(self, system: System, i: Any) -> tuple[Array, Array] | None:

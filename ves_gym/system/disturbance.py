@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.interpolate
@@ -62,6 +62,16 @@ class Disturbance:
     def from_dict(plain: Mapping[str, float]) -> Disturbance:
         """Rebuild from what `to_dict` returned."""
         return Disturbance(**plain)
+
+
+class Watched(NamedTuple):
+    """Accelerations that were watched more closely than the samples show them."""
+
+    until: float = -1.0  # s, later the samples count
+    acceleration_peak: float = 0.0  # m/s^2
+    angular_peak: float = 0.0  # rad/s^2
+    acceleration_square: float = 0.0  # its time integral until then [m^2/s^3]
+    angular_square: float = 0.0  # rad^2/s^3
 
 
 UNITS: dict[str, str] = {f.name: f.metadata["unit"] for f in fields(Disturbance)}
@@ -135,7 +145,7 @@ def disturbance(
     tail: float = TAIL,
     internal: Internal | None = None,
     weight: FrequencyWeight = FAST,
-    peaks: tuple[float, float, float] | None = None,
+    watched: Watched | None = None,
 ) -> Disturbance:
     """Disturbance measures of one run.
 
@@ -150,8 +160,7 @@ def disturbance(
         internal: u and u' (N, m) of a base with internal modes; estimated from y and yd where
             they are not given.
         weight: filter of `E_weighted`.
-        peaks: a time [s] and the largest accelerations of mount and base until then [m/s^2,
-            rad/s^2], where they were watched more closely than the samples show.
+        watched: what was seen of the accelerations between the samples.
 
     Raises:
         ParameterError: a run that is too short.
@@ -183,36 +192,33 @@ def disturbance(
     linear, angular = mount_acceleration(arm, y, yd, ydd)
     moved, turned = mount_displacement(arm, y)
     z, zd = weight.apply(fine[1], np.hstack([y, u]), np.hstack([yd, ud]))
-    until, *largest = (-1.0, 0.0, 0.0) if peaks is None else peaks
-    later = fine > until  # what the samples alone tell
+    seen = Watched() if watched is None else watched
+    later = fine > seen.until - 1e-9  # what the samples alone tell
     some = slice(None, None, parts)
     pose, rate, hidden = z[some, :6], zd[some, :6], (z[some, 6:], zd[some, 6:])
     energy = base_energy(
         system, angles[some], pose, rate, hidden if system.base.internal else None
     )
 
-    def mean(values: Array) -> float:
-        clock = fine if len(values) == len(fine) else fine[some]
-        return float(np.trapezoid(values, clock) / clock[-1])
+    def mean(values: Array, times: Array, more: float = 0.0) -> float:
+        return (more + float(np.trapezoid(values, times))) / float(fine[-1])
 
     def squares(values: Array) -> Array:
         return np.asarray(np.sum(values**2, axis=-1), np.float64)
 
-    def peak(values: Array, watched: float) -> float:
-        return float(max(watched**2, squares(values[later]).max(initial=0.0)) ** 0.5)
-
+    fast, turning = squares(linear[later]), squares(angular[later])
     return Disturbance(
-        acceleration=mean(squares(linear)) ** 0.5,
-        acceleration_peak=peak(linear, largest[0]),
-        angular=mean(squares(angular)) ** 0.5,
-        angular_peak=peak(angular, largest[1]),
-        tip=mean(squares(missed)) ** 0.5,
+        acceleration=mean(fast, fine[later], seen.acceleration_square) ** 0.5,
+        acceleration_peak=float(max(fast.max() ** 0.5, seen.acceleration_peak)),
+        angular=mean(turning, fine[later], seen.angular_square) ** 0.5,
+        angular_peak=float(max(turning.max() ** 0.5, seen.angular_peak)),
+        tip=mean(squares(missed), fine) ** 0.5,
         tip_peak=float(squares(missed).max()) ** 0.5,
         tip_end=float(np.linalg.norm(missed[end])),
         displacement_peak=float(squares(moved).max()) ** 0.5,
         rotation_peak=float(turned.max()),
         attitude_end=float(turned[end]),
-        E_weighted=mean(energy.total),
+        E_weighted=mean(energy.total, fine[some]),
     )
 
 

@@ -1,0 +1,284 @@
+"""What a motion is judged by: E_mean, and with weights the disturbance of base and tool.
+
+Every measure is a function of the joint momentum u on the linear base: mean squares, the
+weighted energy and values at the end are quadratic forms as E_mean is one; the square of a
+peak is replaced by the smooth, convex (mean |a|^p)^(2/p), which is a little below it. A
+measure counts as a share of the straight line's,
+
+    J = w_E E_mean + E_mean,0 sum_m w_m (m / m_0)^2     (E_weighted / E_weighted,0 not squared),
+
+so J is an energy, and a weight of 1 makes the straight line's measure as dear as its energy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.suggest import did_you_mean
+from ves_gym.mechanics.motion import Motion
+from ves_gym.planners.linear_response import LinearResponse
+from ves_gym.planners.prediction import BaseState, MeanEnergy, joint_momentum
+from ves_gym.system.disturbance import MEASURES
+from ves_gym.system.frequency_weight import FrequencyWeight
+
+ENERGY = "energy"  # the weight of E_mean
+WEIGHTS = (ENERGY, *MEASURES)
+_POWER = 12.0  # p of a peak
+_AFTER, _SAMPLES = 2.0, 64  # s after the motion in which peaks count, and samples of it
+_SMALL = 0.2  # of a peak: what is below it adds less than 1e-7 to its slope
+
+_MEANS = {
+    "acceleration": "acceleration",
+    "angular": "angular",
+    "tip": "tip",
+    "E_weighted": "filtered",
+}
+_ENDS = {"tip_end": "tip", "attitude_end": "rotation"}
+_PEAKS = {
+    "acceleration_peak": "acceleration",
+    "angular_peak": "angular",
+    "tip_peak": "tip",
+    "displacement_peak": "displacement",
+    "rotation_peak": "rotation",
+}
+
+
+def checked_weights(weights: Mapping[str, float] | None) -> dict[str, float]:
+    """Return the weights of all measures that count; that of the energy is 1 unless given.
+
+    Args:
+        weights: by the names in `WEIGHTS`, each >= 0; None: the energy alone.
+
+    Raises:
+        ParameterError: an unknown name, a negative weight, or none above zero.
+    """
+    out = {ENERGY: 1.0, **(weights or {})}
+    for name, value in out.items():
+        if name not in WEIGHTS:
+            raise ParameterError(
+                f"a weight must be of {', '.join(WEIGHTS)}, got {name!r}"
+                f"{did_you_mean(name, WEIGHTS)}"
+            )
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not (number and value >= 0 and math.isfinite(value)):
+            raise ParameterError(f"weight {name} must be a number >= 0, got {value!r}")
+    if not any(out.values()):
+        raise ParameterError("one weight must be > 0, got all zero")
+    return {name: float(value) for name, value in out.items() if value or name == ENERGY}
+
+
+def parse_weights(text: str) -> dict[str, float]:
+    """Read weights like acceleration_peak=0.03+tip=0.1."""
+    out = {}
+    for part in text.split("+"):
+        name, _, value = part.partition("=")
+        try:
+            out[name.strip()] = float(value)
+        except ValueError:
+            raise ParameterError(
+                f"a weight must be NAME=VALUE like acceleration_peak=0.03, got {part!r}"
+            ) from None
+    checked_weights(out)
+    return out
+
+
+def weighted_name(planner: str, weights: Mapping[str, float]) -> str:
+    """A planner's name with its weights, as `get_planner` reads it.
+
+    Args:
+        planner: its name without.
+        weights: as `checked_weights` returns them.
+    """
+    some = {name: w for name, w in weights.items() if (name, w) != (ENERGY, 1.0)}
+    listed = "+".join(f"{name}={w:g}" for name, w in some.items())
+    return f"{planner}:{listed}" if listed else planner
+
+
+class Objective:
+    """J of motions as a function of their momentum, where `MeanEnergy` is E_mean.
+
+    Args:
+        energy: E_mean of the query's motions, with the frozen inertia.
+        weights: as `checked_weights` returns them.
+        straight: what measures are shares of.
+        filter: of `E_weighted`.
+        base: its motion at the start; None: at rest.
+        path: of the tool while its error is linear in the base's motion; default straight.
+    """
+
+    def __init__(
+        self,
+        energy: MeanEnergy,
+        weights: Mapping[str, float],
+        straight: Motion,
+        filter: FrequencyWeight,
+        base: BaseState | None = None,
+        path: Motion | None = None,
+    ) -> None:
+        self.mean, self.weights, self.straight = energy, weights, straight
+        self.t, self.linear, self.system = energy.t, energy.linear, energy.system
+        self._filter, self._base = filter, base
+        self._start = joint_momentum(self.system, straight, self.t).ravel()
+        self._response = self._linearised(straight)
+        scale = energy.value(self._start)
+        self.shares: dict[str, float] = {}  # of J per unit of the squared measure
+        for name in self._measures:
+            there = self._form(name).value(self._start)
+            self.shares[name] = weights[name] * scale / there if there > 0 else 0.0
+        if path is not None and self.follows_path:
+            self._response = self._linearised(path)
+        self._collect()
+
+    @property
+    def _measures(self) -> list[str]:
+        return [name for name in self.weights if name != ENERGY]
+
+    @property
+    def follows_path(self) -> bool:
+        """True where J depends on where the tool is, which is that of one path."""
+        return any(name.startswith("tip") for name in self._measures)
+
+    def about(self, path: Motion) -> Objective:
+        """Return the same with the tool on another path."""
+        settings = self.mean, self.weights, self.straight, self._filter, self._base
+        return Objective(*settings, path=path)
+
+    def _linearised(self, path: Motion) -> LinearResponse:
+        """Response per sample of u, and in the last column to the base's motion."""
+        N = len(self.t)
+        inputs = np.zeros((N, 6, 6 * N + 1))
+        inputs[:, :, :-1] = np.eye(6 * N).reshape(N, 6, 6 * N)
+        at = self.mean.at
+        return LinearResponse(
+            self.linear, at, path, self.t, inputs, self._filter, base=self._base
+        )
+
+    def _form(self, name: str) -> _Square | _Peak:
+        if name in _MEANS:
+            return _Square.of(*self._response.mean_square(_MEANS[name]))
+        if name in _ENDS:
+            rows = self._response.quantity(_ENDS[name]).nodes[-1]
+            return _Square.of(rows, np.zeros((rows.shape[1],) * 2))
+        step = _AFTER / _SAMPLES
+        return _Peak(self._response.samples(_PEAKS[name], step, _AFTER))
+
+    def _collect(self) -> None:
+        """Add up the quadratic forms; peaks stay what they are."""
+        w = self.weights[ENERGY]
+        self.hessian = w * self.mean.hessian
+        self.gradient, self.constant = w * self.mean.gradient, w * self.mean.constant
+        self._peaks: list[tuple[float, _Peak]] = []
+        for name in self._measures:
+            form, share = self._form(name), self.shares[name]
+            if isinstance(form, _Peak):
+                self._peaks.append((share, form))
+                continue
+            self.hessian = self.hessian + share * form.hessian
+            self.gradient = self.gradient + share * form.gradient
+            self.constant += share * form.constant
+
+    def measure(self, name: str, u: Array) -> float:
+        """One disturbance measure of momenta u, a peak by its power mean.
+
+        Args:
+            name: of `MEASURES`.
+            u: (6 (N + 1),).
+        """
+        square = self._form(name).value(u)
+        return square if name == "E_weighted" else max(square, 0.0) ** 0.5
+
+    def of(self, motion: Motion) -> float:
+        """J of a motion [J]."""
+        return self.value(joint_momentum(self.system, motion, self.t).ravel())
+
+    def value(self, u: Array) -> float:
+        """J [J] of momenta u (6 (N + 1),)."""
+        out = 0.5 * float(u @ self.hessian @ u) + float(self.gradient @ u) + self.constant
+        return out + sum(share * peak.value(u) for share, peak in self._peaks)
+
+    def force(self, u: Array) -> Array:
+        """Derivative of `value` (6 (N + 1),)."""
+        out: Array = self.hessian @ u + self.gradient
+        for share, peak in self._peaks:
+            out = out + share * peak.force(u)
+        return out
+
+    def curvature(self, u: Array, slope: Array) -> Array:
+        """slope^T W slope (k, k), W the second derivative of `value` at u.
+
+        Args:
+            u: (6 (N + 1),) momenta. slope: (6 (N + 1), k).
+        """
+        out: Array = slope.T @ (self.hessian @ slope)
+        for share, peak in self._peaks:
+            out = out + share * peak.curvature(u, slope)
+        return out
+
+
+class _Square:
+    """1/2 u^T H u + g^T u + c."""
+
+    def __init__(self, whole: Array) -> None:
+        self.hessian: Array = np.ascontiguousarray(2 * whole[:-1, :-1])
+        self.gradient: Array = 2 * whole[:-1, -1]
+        self.constant = float(whole[-1, -1])
+
+    @classmethod
+    def of(cls, rows: Array, more: Array) -> _Square:
+        """|rows (u, 1)|^2 + (u, 1)^T more (u, 1).
+
+        Args:
+            rows: (k, C). more: (C, C).
+        """
+        return cls(rows.T @ rows + more)
+
+    def value(self, u: Array) -> float:
+        return float(0.5 * u @ self.hessian @ u + self.gradient @ u) + self.constant
+
+
+class _Peak:
+    """(mean_k |a_k|^p)^(2/p) of vectors a_k that are affine in u."""
+
+    def __init__(self, rows: Array) -> None:
+        self._rows, self._offset = rows[..., :-1], rows[..., -1]
+
+    def _parts(self, u: Array) -> tuple[float, Array, Array, float]:
+        """Largest |a|, which are not small, their |a| over it, and the mean of its powers."""
+        a = self._rows @ u + self._offset
+        sizes = np.linalg.norm(a, axis=-1)
+        largest = float(sizes.max())
+        if largest == 0:
+            return 0.0, a, sizes, 0.0
+        return largest, a, sizes / largest, float(np.mean((sizes / largest) ** _POWER))
+
+    def value(self, u: Array) -> float:
+        largest, _, _, mean = self._parts(u)
+        return largest**2 * mean ** (2 / _POWER)
+
+    def force(self, u: Array) -> Array:
+        _, a, x, mean = self._parts(u)
+        if not mean:
+            return np.zeros(len(u))
+        some = x > _SMALL
+        pull = x[some, None] ** (_POWER - 2) * a[some] / len(x)
+        out: Array = np.tensordot(pull, self._rows[some], 2)
+        return 2 * mean ** (2 / _POWER - 1) * out
+
+    def curvature(self, u: Array, slope: Array) -> Array:
+        largest, a, x, mean = self._parts(u)
+        if not mean:
+            return np.zeros((slope.shape[1],) * 2)
+        some = x > _SMALL
+        rows = self._rows[some] @ slope
+        weight, a = x[some] ** (_POWER - 2) / len(x), a[some]
+        along = np.einsum("kr,krc->kc", a / np.linalg.norm(a, axis=1)[:, None], rows)
+        flat = (np.sqrt(weight)[:, None, None] * rows).reshape(-1, slope.shape[1])
+        more = np.sqrt((_POWER - 2) * weight)[:, None] * along
+        pull = np.tensordot(weight[:, None] * a, rows, 2)
+        out: Array = flat.T @ flat + more.T @ more
+        out -= (_POWER - 2) / (mean * largest**2) * np.outer(pull, pull)
+        return 2 * mean ** (2 / _POWER - 1) * out
