@@ -23,9 +23,9 @@ from ves_gym.system.system import System
 class Linear:
     """x' = drift + A (x - x0) + B (u - u0), at one point or a batch (...) of them.
 
-    x stacks Y, q, the base's internal modes, and the rates of all: 2 s of them with s = 6 +
-    n + m. u (n) is the joint command: torque [N m], or acceleration [rad/s^2] where the drive
-    is prescribed.
+    x stacks Y, q, the arm's flexures, the base's internal modes, and the rates of all: 2 s of
+    them with s = 6 + n + p + m. u (n) is the joint command: torque [N m], or acceleration
+    [rad/s^2] where the drive is prescribed.
     """
 
     A: Array  # (..., 2 s, 2 s)
@@ -88,8 +88,8 @@ def linearise_ideal(
             " emulates, core.stability.linearise the laboratory's loop"
         )
     system = system.actual
-    n, m = system.arm.n, system.base.m
-    size = 6 + n + m
+    n, bends, m = system.arm.n, system.arm.bends, system.base.m
+    size = 6 + n + bends + m
     names, p = parameters(system)
     kp = np.zeros(n)
     if servo is not None:
@@ -100,7 +100,9 @@ def linearise_ideal(
     if command is None:
         command = kp * points((q, n, "q"))
     attached = system.base.attached(np.asarray(y, float) + np.zeros(6)) if m else 0.0
-    at = points((y, 6, "y"), (q, n, "q"), (attached, m, "u"), (command, n, "command"))
+    relaxed = np.zeros(bends)
+    parts = (y, 6, "y"), (q, n, "q"), (relaxed, bends, "d"), (attached, m, "u")
+    at = points(*parts, (command, n, "command"))
     jacobian = evaluate(
         f"linearisation {structure(system)}",
         lambda: linearisation(system),

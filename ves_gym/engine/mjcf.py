@@ -16,6 +16,8 @@ from ves_gym._util.mujoco_loader import mujoco
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm, Inertial, matrix
+from ves_gym.mechanics.flexure import unfold
+from ves_gym.mechanics.serial_chain import SerialChain
 from ves_gym.mechanics.vehicle import BaseModel, InternalModes
 
 if TYPE_CHECKING:
@@ -58,7 +60,7 @@ def build_spec(
         physics_dt: [s].
     """
     spec, platform = _empty_spec(arm.name, gravity, integrator, physics_dt)
-    _set_inertial(platform, arm.base)
+    _set_inertial(platform, _of_some_mass(unfold(arm).arm.base))
     if base.body is not None:
         _set_inertial(platform.add_body(name="satellite"), base.body)
     for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
@@ -68,11 +70,11 @@ def build_spec(
 
 
 def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
-    """Add springs of gears, drag and internal modes of a vehicle: last tendons and joints.
+    """Add springs of gears and flexures, drag and internal modes: last tendons and joints.
 
     Args:
         spec: written.
-        arm: with its gears.
+        arm: with its gears and flexures.
         base: the vehicle, None on a platform.
     """
     if base is not None:
@@ -86,6 +88,12 @@ def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
         tendon.wrap_joint(f"d_{i + 1}", 1.0)
         tendon.springlength = [-gear.gap / 2, gear.gap / 2]  # none within
         tendon.stiffness, tendon.damping = [gear.stiffness, 0, 0], [gear.damping, 0, 0]
+    chain = unfold(arm)
+    for k, (stiffness, loss) in enumerate(zip(chain.stiffness, chain.damping, strict=True), 1):
+        tendon = spec.add_tendon(name=f"flexure_{k}")
+        tendon.wrap_joint(f"f_{k}", 1.0)
+        tendon.springlength = [0.0, 0.0]
+        tendon.stiffness, tendon.damping = [float(stiffness), 0, 0], [float(loss), 0, 0]
 
 
 def _add_internal(spec: mujoco.MjSpec, internal: InternalModes) -> None:
@@ -159,7 +167,7 @@ def build_laboratory_spec(
         spec.joint(name).armature = PLATFORM_INERTIA
         _add_drive(spec, f"platform_{name}", name, PLATFORM_INERTIA)
     mount = platform.add_body(name="arm_base")
-    _set_inertial(mount, arm.base)
+    _set_inertial(mount, _of_some_mass(unfold(arm).arm.base))
     mount.add_site(name="mount")
     for name, kind in (
         ("force", mujoco.mjtSensor.mjSENS_FORCE),
@@ -199,8 +207,10 @@ def _empty_spec(
 
 def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
     """The arm's links, joints and drives on a body at the platform-top frame."""
-    body, (position, rotation) = root, _mount(arm)
-    for i, link in enumerate(arm.links, start=1):
+    chain = unfold(arm)
+    body, (position, rotation) = root, _mount(chain.arm)
+    bent = 0
+    for place, link in enumerate(chain.arm.links):
         turn = np.array(
             [
                 [np.cos(link.offset), -np.sin(link.offset), 0],
@@ -208,11 +218,16 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
                 [0, 0, 1],
             ]
         )
+        driven = place in chain.driven
+        bent += not driven
+        i = place + 1 - bent
         body = body.add_body(
-            name=f"link_{i}", pos=position.tolist(), quat=_quaternion(rotation @ turn)
+            name=f"link_{i}" if driven else f"part_{bent}",
+            pos=position.tolist(),
+            quat=_quaternion(rotation @ turn),
         )
         body.add_joint(
-            name=f"q_{i}",
+            name=f"q_{i}" if driven else f"f_{bent}",
             type=mujoco.mjtJoint.mjJNT_HINGE,
             axis=[0, 0, 1],
             armature=link.rotor_inertia,
@@ -221,12 +236,13 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
             body.add_joint(name=f"d_{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
         _set_inertial(body, _of_some_mass(link.inertial_at_joint))
         rotation, position = link.far_end
-        _add_drive(spec, f"drive_{i}", f"q_{i}", 1.0, link.tau_max)
+        if driven:
+            _add_drive(spec, f"drive_{i}", f"q_{i}", 1.0, link.tau_max)
     turn = arm.tool_rotation
     body.add_site(name="tool", pos=position.tolist(), quat=_quaternion(rotation @ turn))
 
 
-def _mount(arm: Arm) -> tuple[Array, Array]:
+def _mount(arm: SerialChain) -> tuple[Array, Array]:
     """Position (3,) and rotation (3, 3) of the first joint's frame."""
     if arm.mount is None:
         return np.zeros(3), np.eye(3)
@@ -335,17 +351,22 @@ def pinocchio_model(arm: Arm, base: BaseModel) -> pinocchio.Model:
     joint = 0
     for name in BASE_JOINTS:
         joint = model.addJoint(joint, kinds[name](), pin.SE3.Identity(), name)
-    model.appendBodyToJoint(joint, _pin_inertia(arm.base), pin.SE3.Identity())
+    chain = unfold(arm)
+    model.appendBodyToJoint(joint, _pin_inertia(chain.arm.base), pin.SE3.Identity())
     if base.body is not None:
         model.appendBodyToJoint(joint, _pin_inertia(base.body), pin.SE3.Identity())
-    position, rotation = _mount(arm)
+    position, rotation = _mount(chain.arm)
     placement = pin.SE3(rotation, position)
-    for i, link in enumerate(arm.links, start=1):
+    bent = 0
+    for place, link in enumerate(chain.arm.links):
         turn = pin.SE3(pin.utils.rotate("z", link.offset), np.zeros(3))
-        joint = model.addJoint(joint, pin.JointModelRZ(), placement * turn, f"q_{i}")
+        driven = place in chain.driven
+        bent += not driven
+        name = f"q_{place + 1 - bent}" if driven else f"f_{bent}"
+        joint = model.addJoint(joint, pin.JointModelRZ(), placement * turn, name)
         model.appendBodyToJoint(joint, _pin_inertia(link.inertial_at_joint), pin.SE3.Identity())
         placement = pin.SE3(*link.far_end)
-    model.armature[6:] = arm.column("rotor_inertia")
+    model.armature[6:] = chain.arm.column("rotor_inertia")
     placement = placement * pin.SE3(arm.tool_rotation, np.zeros(3))
     tool = pin.Frame("tool", joint, placement, pin.FrameType.OP_FRAME)
     model.addFrame(tool)

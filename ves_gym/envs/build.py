@@ -25,6 +25,7 @@ _FILES = (
     "reach",
     "reach_goal",
     "track",
+    "seam",
     "damp",
     "free_flyer",
     "pose_reach",

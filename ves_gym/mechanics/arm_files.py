@@ -45,6 +45,8 @@ def placements(arm: SerialChain) -> list[tuple[Array, Array]]:
 
 
 def _require_rigid(arm: SerialChain, what: str) -> None:
+    if arm.bends:
+        raise ParameterError(f"{what} has no words for the {arm.bends} flexures of {arm.name}")
     if arm.geared:
         names = ", ".join(joint_names(arm)[i] for i in arm.geared)
         raise ParameterError(f"{what} has no words for the gears of {names}, which give way")
@@ -268,6 +270,11 @@ def pinocchio_arm(arm: SerialChain) -> pinocchio.Model:
         arm: n links.
     """
     require("Arm.to_pinocchio", "pinocchio")
+    if arm.bends:
+        raise ParameterError(
+            f"Arm.to_pinocchio takes links for rigid, got {arm.name} with {arm.bends} flexures:"
+            " engine.mjcf.pinocchio_model has them as joints"
+        )
     import pinocchio as pin
 
     def inertia(inertial: Inertial) -> Any:

@@ -10,8 +10,15 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.dynamics import drawn_configurations, inertia
-from ves_gym.mechanics.serial_chain import Capsule, Inertial, Link, Mount, SerialChain, matrix
-from ves_gym.mechanics.servo import BANDWIDTH
+from ves_gym.mechanics.serial_chain import (
+    BANDWIDTH,
+    Capsule,
+    Inertial,
+    Link,
+    Mount,
+    SerialChain,
+    matrix,
+)
 
 ENDLESS = 2 * math.pi  # rad either way, the range taken for a joint without limits
 _ZERO = 1e-13  # m, rad: rounding of a file's angles
@@ -129,15 +136,15 @@ def arm_of(
     Raises:
         ParameterError: names the joint.
     """
-    mount = _upright(joints[0].axis)
+    mount = upright(joints[0].axis)
     R, p = mount, joints[0].origin
     links = []
     for i, joint in enumerate(joints):
         last = i == len(joints) - 1
         axis = tool[0][:, 2] if last else joints[i + 1].axis
         target = tool[1] if last else joints[i + 1].origin
-        shape = _far_end(R.T @ (target - p), R.T @ axis)
-        turned = _about_z(shape["offset"])
+        shape = far_end(R.T @ (target - p), R.T @ axis)
+        turned = about_z(shape["offset"])
         link = _link(joint, shape)
         R, p = R @ turned @ link.far_end[0], target
         try:
@@ -219,11 +226,11 @@ def require_plausible(joints: list[Joint], tool: Array, pieces: list[LinkMass]) 
         )
 
 
-def _upright(axis: Array) -> Array:
+def upright(axis: Array) -> Array:
     """(3, 3) a rotation that brings z to the axis; the smallest, where the axis points up."""
     if axis[2] < 0:  # 1 + z would cancel
         turned = np.diag([1.0, -1.0, -1.0])
-        out: Array = turned @ _upright(turned @ axis)
+        out: Array = turned @ upright(turned @ axis)
         return out
     x, y, z = axis
     k = 1 / (1 + z)
@@ -232,7 +239,7 @@ def _upright(axis: Array) -> Array:
     )
 
 
-def _about_z(angle: float) -> Array:
+def about_z(angle: float) -> Array:
     c, s = round(math.cos(angle), 15), round(math.sin(angle), 15)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -240,7 +247,7 @@ def _about_z(angle: float) -> Array:
 def angles_of(R: Array) -> tuple[float, float, float]:
     """Return roll, pitch and yaw of a rotation (3, 3): about x, then y, then z [rad]."""
     yaw = math.atan2(R[1, 0], R[0, 0])
-    rest = _about_z(yaw).T @ R  # without yaw: exact also where x points along z
+    rest = about_z(yaw).T @ R  # without yaw: exact also where x points along z
     return math.atan2(-rest[1, 2], rest[1, 1]), math.atan2(-rest[2, 0], rest[0, 0]), yaw
 
 
@@ -250,7 +257,7 @@ def _mount(R: Array, p: Array) -> Mount | None:
     return None if mount == Mount() else mount
 
 
-def _far_end(p: Array, axis: Array) -> dict[str, float]:
+def far_end(p: Array, axis: Array) -> dict[str, float]:
     """d, a, alpha, beta and offset of a link.
 
     Args:
@@ -266,7 +273,7 @@ def _far_end(p: Array, axis: Array) -> dict[str, float]:
         offset = math.atan2(p[1], p[0])
     if not -math.pi / 2 < offset <= math.pi / 2 + _ZERO:  # the other way round
         offset, a = offset - math.copysign(math.pi, offset), -a
-    x, y, z = _about_z(offset).T @ axis
+    x, y, z = about_z(offset).T @ axis
     if abs(x) < _ZERO:
         x = 0.0
     beta = math.atan2(x, math.hypot(y, z))

@@ -20,8 +20,7 @@ from ves_gym.mechanics.chain import (
     require_plausible,
 )
 from ves_gym.mechanics.meshes import capsule_around
-from ves_gym.mechanics.serial_chain import SerialChain
-from ves_gym.mechanics.servo import BANDWIDTH
+from ves_gym.mechanics.serial_chain import BANDWIDTH, SerialChain
 
 _TOOL = "tool"  # site that is the tool where none is named
 NUMBERS = "ves_v_max", "ves_a_max", "ves_bandwidth"  # <numeric> of what MJCF has no place for

@@ -30,6 +30,7 @@ def inertia_blocks(arm: Arm, mass: Array, q: npt.ArrayLike) -> InertiaBlocks:
             modes, if any, after the six coordinates of the pose.
         q: (..., n) joint angles [rad].
     """
+    arm.require_rigid("a model of base and joints")
     return blocks_of(inertia(arm, q), mass)
 
 

@@ -19,6 +19,8 @@ from ves_gym._util.params import (
     unit,
 )
 
+# Hz, of an arm that states none; the thesis's high gains: 2.2 to 3.4 (this project)
+BANDWIDTH = 2.0
 _ROUNDING = 1e-12  # relative slack of the inertia tests, kg m^2 per kg m^2
 
 
@@ -75,6 +77,29 @@ class Gear:
     def stiffness(self) -> float:
         """1 / compliance [N m/rad]."""
         return 1 / self.compliance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flexure:
+    """Passive joint within a link: a spring and a damper about an axis, no motor.
+
+    It divides the link: `beyond` is the part of the link's mass that lies between this
+    flexure and the next one, or the link's end. All of it at rest, in the link's own frame.
+    """
+
+    origin: Vector = unit("m")  # a point on the axis
+    axis: Vector = unit("1")  # (3,) unit vector
+    stiffness: float = unit("N m/rad")
+    damping: float = unit("N m s/rad", default=0.0)
+    beyond: Inertial
+
+    def __post_init__(self) -> None:
+        finite(self.origin, (3,), "Flexure.origin")
+        length = float(np.linalg.norm(finite(self.axis, (3,), "Flexure.axis")))
+        if abs(length - 1) > 1e-9:
+            raise ParameterError(f"Flexure.axis must have length 1, got {self.axis}")
+        require_positive(self, "stiffness")
+        require_positive(self, "damping", zero=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +168,7 @@ class Link:
     damping: float | None = unit("N m s/rad", default=None)  # viscous friction of the joint
     friction: float | None = unit("N m", default=None)  # Coulomb friction of the joint
     shape: tuple[Capsule, ...] | None = None  # None: capsules along d and a
+    flexures: tuple[Flexure, ...] | None = None  # where it bends, joint to far end
     name: str | None = None  # of the joint, where it has another than its number
 
     def __post_init__(self) -> None:
@@ -191,6 +217,7 @@ class SerialChain:
     name: str
     base: Inertial  # base link, in the platform-top frame
     base_shape: tuple[Capsule, ...] | None = None  # of the base link, in the same frame
+    base_flexures: tuple[Flexure, ...] | None = None  # where the base link bends
     mount: Mount | None = None  # of the first joint; None: at the platform-top frame
     links: tuple[Link, ...]
     tool_angle: float | None = unit("rad", default=None)
@@ -201,6 +228,11 @@ class SerialChain:
         if not self.links:
             raise ParameterError("Arm.links must hold at least one link, got none")
         finite(self.tool_angle or 0.0, (), "Arm.tool_angle")
+        if self.links[-1].flexures:
+            raise ParameterError(
+                "the last of Arm.links must not bend, for it carries the tool: got"
+                f" {len(self.links[-1].flexures)} flexures"
+            )
         if self.bandwidth is not None:
             require_positive(self, "bandwidth")
 
@@ -231,6 +263,27 @@ class SerialChain:
     def geared(self) -> tuple[int, ...]:
         """Joints (from 0) whose gears give way."""
         return tuple(i for i, link in enumerate(self.links) if link.gear is not None)
+
+    @property
+    def bends(self) -> int:
+        """Number of flexures: passive joints between the driven ones."""
+        parts = (self.base_flexures, *(link.flexures for link in self.links))
+        return sum(len(part or ()) for part in parts)
+
+    def require_rigid(self, what: str) -> None:
+        """Refuse links that bend.
+
+        Args:
+            what: it is that takes links for rigid.
+
+        Raises:
+            ParameterError: names the arm, and what to do.
+        """
+        if self.bends:
+            raise ParameterError(
+                f"{what} takes links for rigid, got {self.name} with {self.bends} flexures: put"
+                " the small arm on its braked boom as a vehicle (Boom.at), or simulate"
+            )
 
     def column(self, name: str) -> Array:
         """One number of every link, e.g. `column("tau_max")`: (n,)."""

@@ -10,8 +10,9 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector, unit
 from ves_gym.mechanics.dynamics import drawn_configurations, inertia, inverse_dynamics
+from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.motion import Samples
-from ves_gym.mechanics.serial_chain import SerialChain
+from ves_gym.mechanics.serial_chain import BANDWIDTH, SerialChain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,9 +86,6 @@ PPED_GAINS = JointServo(
 OWN_GAINS = JointServo(kp=(), kd=(), source="the arm's own")  # see `own_gains`
 FREE = JointServo(kp=(0.0,) * 3, kd=(0.0,) * 3, feedforward=False, source="no servo")
 
-BANDWIDTH = (
-    2.0  # Hz, of an arm that states none; the thesis's high gains: 2.2 to 3.4 (this project)
-)
 _RATIO = 0.7  # damping ratio of a joint alone
 _FASTEST = 600.0  # 1/s of a decaying joint: rk4 at 1.25 ms is stable up to 2200
 
@@ -100,7 +98,7 @@ def own_gains(arm: SerialChain) -> JointServo:
     kd = 2 zeta J w with w = 2 pi times the bandwidth and zeta = 0.7: J is the largest inertia
     about the joint, others at rest, over configurations within the limits. Where links far
     out are so light that one of these gains would move some other way of the arm faster than
-    600/s, J of the joints that take part is lowered until none does.
+    600/s, J of the joints that take part is lowered until none does; so where links bend.
 
     Args:
         arm: the arm.
@@ -109,9 +107,12 @@ def own_gains(arm: SerialChain) -> JointServo:
         return HIGH_GAINS
     bandwidth = BANDWIDTH if arm.bandwidth is None else arm.bandwidth
     w = 2 * math.pi * bandwidth
-    H = inertia(arm, drawn_configurations(arm))[:, 6:, 6:]
+    drawn = drawn_configurations(arm)
+    H = inertia(arm, drawn)[:, 6:, 6:]
     J = np.diagonal(H, axis1=1, axis2=2).max(axis=0).copy()
-    inverse = np.linalg.inv(H)
+    p = arm.bends  # a fast gain moves what is before a flexure, not what is beyond
+    loose = unfold(arm).inertia(drawn, np.zeros((len(drawn), p)))[:, 6:, 6:] if p else H
+    inverse = np.linalg.inv(loose)[:, p:, p:]
     most = _FASTEST / (2 * _RATIO * w)
     for _ in range(200):
         root = np.sqrt(J)

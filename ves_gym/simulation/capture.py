@@ -92,6 +92,7 @@ class Cargo:
             raise ParameterError(
                 f"backend {sim.backend.name} carries no payload: use kernel or mujoco"
             )
+        sim.system.arm.require_rigid("a latch at the tool")
         self.sim, self.engine, n = sim, sim.backend, sim.n
         self.events: list[Capture] = []
         self._still = sim.system.mode == "emulated"  # a stand holds it

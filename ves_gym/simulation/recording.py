@@ -172,8 +172,8 @@ class Recording:
 
     def _recorded_modes(self, system: System, i: Any) -> tuple[Array, Array] | None:
         """Internal modes of runs; None where effects have added some: not recorded."""
-        modes = self.internal(i)
-        return modes if modes is None or modes[0].shape[-1] == system.base.m else None
+        modes, size = self.internal(i), system.arm.bends + system.base.m
+        return modes if modes is None or modes[0].shape[-1] == size else None
 
     def records(self, i: int) -> int:
         """Records of run i up to its safety stop (that included), all N without one."""

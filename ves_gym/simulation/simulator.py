@@ -647,11 +647,12 @@ class Simulator:
 
     @property
     def base_modes(self) -> tuple[Array, Array] | None:
-        """u and u' (n, m) of the internal modes that the described base has, None of none.
+        """u and u' (n, p + m) of flexures and the described base's modes, None of none.
 
-        None as well in position control, where nothing moves them.
+        Deflections of the p flexures of an arm that bends come first. None as well in position
+        control, where nothing moves the modes.
         """
-        m = self.system.base.m
+        m = self.system.arm.bends + self.system.base.m
         at, rate = self.internal_state
         first = len(self.system.actual.arm.geared)  # effects add modes after the base's own
         if not m or at.shape[1] < first + m:
@@ -660,10 +661,10 @@ class Simulator:
 
     @property
     def internal_state(self) -> tuple[Array, Array]:
-        """Coordinates and rates (n, g + m) that no log shows.
+        """Coordinates and rates (n, g + p + m) beside (Y, q).
 
-        Deflections of the gears that give way [rad], then the oscillators that the vehicle
-        carries [m] (`arm.Gear`, `vehicle.Oscillator`).
+        Deflections of the gears that give way and of the flexures [rad], then the oscillators
+        that the vehicle carries [m] (`arm.Gear`, `vehicle.Oscillator`).
         """
         at, rate = self.backend.internal_state()
         if self.emulation_loop is None:

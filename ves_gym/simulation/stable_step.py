@@ -9,18 +9,28 @@ import numpy as np
 
 from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.mechanics.base_model import BaseModel
-from ves_gym.mechanics.dynamics import inertia_entries
+from ves_gym.mechanics.dynamics import drawn_configurations, inertia_entries
+from ves_gym.mechanics.flexure import unfold
 from ves_gym.system.system import System
 
+_JUDGED = 8  # further configurations of an arm that bends
 _SURE = 2.0  # |pole| times step: RK4 is stable in the left half of a disc of 2.6 around 0
 
 
 def require_stable_step(system: System) -> None:
     """Refuse a physics step the integrator cannot take, judged at q = 0.
 
-    Joints locked, or free behind gears that give way.
+    Joints locked, or free where gears give way or links bend. An arm that bends is judged at
+    other angles within its limits as well: what swings with a long link depends on them.
     """
-    M, damping, stiffness = _passive(system)
+    _require_stable_step(system, np.zeros(system.arm.n))
+    if system.arm.bends:
+        for q in drawn_configurations(system.arm)[1 : 1 + _JUDGED]:
+            _require_stable_step(system, q)
+
+
+def _require_stable_step(system: System, q: Array) -> None:
+    M, damping, stiffness = _passive(system, q)
     K, D = np.linalg.solve(M, stiffness), np.linalg.solve(M, damping)
     eye, none = np.eye(len(M)), np.zeros(M.shape)
     poles = np.linalg.eigvals(np.block([[none, eye], [-K, -D]]))
@@ -45,7 +55,8 @@ def require_stable_step(system: System) -> None:
     for _ in range(30):
         middle = (low + high) / 2
         low, high = (middle, high) if stable(middle) else (low, middle)
-    what = "arm's or vehicle's" if system.arm.geared else "vehicle's"
+    passive = system.arm.geared or system.arm.bends
+    what = "arm's or vehicle's" if passive else "vehicle's"
     raise ParameterError(
         f"physics_dt must be <= {low:.3g} s for the {what} fastest mode of"
         f" {np.abs(poles).max() / 2 / np.pi:.3g} Hz, got {system.physics_dt:g} s"
@@ -63,9 +74,10 @@ def steps_are_small(system: System, bases: BaseModel) -> Mask:
         bases: M, D, K (k, 6, 6), positive semidefinite.
     """
     unsure = np.zeros(len(bases.M), bool)
-    if system.integrator != "rk4" or system.arm.geared:
+    if system.integrator != "rk4" or system.arm.geared or system.arm.bends:
         return unsure
-    locked, _, _ = _passive(replace(system, vehicle=system.vehicle, effects=()))
+    alone = replace(system, vehicle=system.vehicle, effects=())
+    locked, _, _ = _passive(alone, np.zeros(system.arm.n))
     try:
         root = np.linalg.cholesky(locked - system.base.M + bases.M)
     except np.linalg.LinAlgError:
@@ -79,16 +91,17 @@ def steps_are_small(system: System, bases: BaseModel) -> Mask:
     return np.asarray(fastest * system.physics_dt <= _SURE)
 
 
-def _passive(system: System) -> tuple[Array, Array, Array]:
-    """M, D, K of what swings by itself, at q = 0."""
-    base, arm = system.base, system.arm
-    parts = inertia_entries(arm, [0.0] * arm.n, math)
+def _passive(system: System, q: Array) -> tuple[Array, Array, Array]:
+    """M, D, K of what swings by itself, with the joints at q (n,)."""
+    base, chain = system.base, unfold(system.arm)
+    arm = chain.arm  # every joint, driven or passive
+    parts = inertia_entries(arm, chain.angles(q).tolist(), math)
     across: Array = np.array(parts.across).T
     H = np.block([[np.array(parts.base), across], [across.T, np.array(parts.joints)]])
-    if not (arm.geared or base.m):
+    if not (arm.geared or base.m or chain.passive):
         return base.mass_matrix + H[:6, :6], base.D, base.K
     n, g, m = arm.n, len(arm.geared), base.m
-    # coordinates: Y, rotors, deflections of the gears, internal modes
+    # coordinates: Y, rotors and flexures, deflections of the gears, internal modes
     link = np.zeros((6 + n, 6 + n + g))  # velocities of base and links from theirs
     link[:, : 6 + n] = np.eye(6 + n)
     link[[6 + i for i in arm.geared], 6 + n + np.arange(g)] = 1.0
@@ -100,6 +113,8 @@ def _passive(system: System) -> tuple[Array, Array, Array]:
         gear = arm.links[i].gear
         assert gear is not None
         D[k, k], K[k, k] = gear.damping, gear.stiffness
+    bends = 6 + np.array(chain.passive, int)
+    D[bends, bends], K[bends, bends] = chain.damping, chain.stiffness
     free = np.arange(6, 6 + n + g)  # a platform goes where it is told
     if system.mode == "ideal":
         free = np.arange(len(M))

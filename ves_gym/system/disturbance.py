@@ -17,10 +17,11 @@ import scipy.interpolate
 from ves_gym._util.params import Array, ParameterError, unit
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.spatial import matvec, rotation, twist, twist_rate
+from ves_gym.system.bending import Internal
 from ves_gym.system.energy import (
     TAIL,
-    Internal,
     base_energy,
     base_rate,
     internal_motion,
@@ -116,18 +117,20 @@ def mount_displacement(arm: Arm, y: Array) -> tuple[Array, Array]:
     return y[..., :3] + matvec(turned, np.broadcast_to(mount_of(arm), y[..., :3].shape)), angle
 
 
-def tool_error(arm: Arm, q: Array, q_cmd: Array, y: Array) -> Array:
+def tool_error(arm: Arm, q: Array, q_cmd: Array, y: Array, d: Array | None = None) -> Array:
     """Way of the tool from where the command puts it on a base at rest.
 
     Args:
         arm: n joints.
         q, q_cmd: (..., n) joint angles as they are and as commanded [rad].
         y: (..., 6) pose of the base [m, rad].
+        d: (..., p) deflections of an arm that bends [rad]; None: none.
 
     Returns:
         (..., 3) [m].
     """
-    place = matvec(rotation(y), joint_positions(arm, q)[..., -1, :]) + y[..., :3]
+    reach = joint_positions(arm, q)[..., -1, :] if d is None else unfold(arm).tool(q, d)
+    place = matvec(rotation(y), reach) + y[..., :3]
     out: Array = place - joint_positions(arm, q_cmd)[..., -1, :]
     return out
 
@@ -178,11 +181,13 @@ def disturbance(
     end = int(np.searchsorted(fine, duration - 1e-9))
     if ydd is None:
         ydd = scipy.interpolate.CubicSpline(clock, yd)(clock, 1)
-    error = tool_error(arm, q, q_cmd, y)
-    if system.base.internal is None:
+    hides = bool(system.base.m + arm.bends)  # motion beside pose and joints
+    if not hides:
         internal = np.zeros((len(t), 0)), np.zeros((len(t), 0))
     elif internal is None:
+        arm.require_rigid("an estimate of internal modes")
         internal = internal_motion(system.base, t, y, yd)
+    error = tool_error(arm, q, q_cmd, y, internal[0][:, : arm.bends] if arm.bends else None)
     # one spline for all: between samples 12.5 ms apart a peak at 14 Hz may be 15 % higher
     columns = np.hstack([y, yd, ydd, error, q, *internal])
     at = scipy.interpolate.CubicSpline(clock, columns)(fine)
@@ -196,9 +201,7 @@ def disturbance(
     later = fine > seen.until - 1e-9  # what the samples alone tell
     some = slice(None, None, parts)
     pose, rate, hidden = z[some, :6], zd[some, :6], (z[some, 6:], zd[some, 6:])
-    energy = base_energy(
-        system, angles[some], pose, rate, hidden if system.base.internal else None
-    )
+    energy = base_energy(system, angles[some], pose, rate, hidden if hides else None)
 
     def mean(values: Array, times: Array, more: float = 0.0) -> float:
         return (more + float(np.trapezoid(values, times))) / float(fine[-1])

@@ -1,7 +1,8 @@
 """Energy transferred to the base: the suite's measure, and the balance that checks it.
 
 E(t) = 1/2 Y'^T M_t Y' + 1/2 Y^T K Y with M_t = M + H_b(q): what the base would keep if
-the joints were locked at that instant. `E_mean`, its mean over the motion and the ten
+the joints were locked at that instant. Links that bend count with the base, by their strain
+and in M_t by the rates of their deflections. `E_mean`, its mean over the motion and the ten
 seconds after it, is the primary score; docs/physics.md says why not the end value.
 """
 
@@ -18,9 +19,15 @@ import scipy
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.views import Viewable
-from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import quadratic, twist
 from ves_gym.mechanics.vehicle import BaseModel
+from ves_gym.system.bending import (
+    Internal,
+    in_flexures,
+    moving_inertia,
+    moving_rates,
+    own_modes,
+)
 from ves_gym.system.effect import joint_torque
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -68,9 +75,6 @@ class Energies:
         return Energies(**{k: math.inf if v is None else v for k, v in plain.items()})
 
 
-Internal = tuple[Array, Array]  # u and u' (..., m) of a base's internal modes
-
-
 def base_energy(
     system: System,
     q: npt.ArrayLike,
@@ -92,11 +96,15 @@ def base_energy(
     """
     base = system.base
     pose, rate = np.asarray(y, float), np.asarray(yd, float)
-    body = inertia(system.arm, q)[..., :6, :6]
+    modes = own_modes(system, internal)
+    size = 6 + system.arm.bends
+    body = moving_inertia(system, np.asarray(q, float), internal)[..., :size, :size]
     if base.body is not None:
-        body = body + base.body.spatial()
-    strain, moving, _ = _interface_energies(base, pose, rate, internal)
-    return BaseEnergy(strain, moving + quadratic(body, twist(pose, rate)))
+        body[..., :6, :6] += base.body.spatial()
+    strain, moving, _ = _interface_energies(base, pose, rate, modes)
+    bent, _ = in_flexures(system, internal)
+    rates = moving_rates(system, twist(pose, rate), internal)
+    return BaseEnergy(strain + bent, moving + quadratic(body, rates))
 
 
 def _interface_energies(
@@ -178,10 +186,11 @@ def element_table(system: System, y: npt.ArrayLike) -> Array:
 def _port_energy(
     system: System, y: Array, yd: Array, internal: Internal | None
 ) -> tuple[Array, Array]:
-    """Energy stored in the vehicle alone, and the power it dissipates."""
+    """Energy stored in the vehicle and in flexures, and the power that both dissipate."""
     base = system.base
-    strain, kinetic, power = _interface_energies(base, y, yd, internal)
-    stored = strain + kinetic
+    strain, kinetic, power = _interface_energies(base, y, yd, own_modes(system, internal))
+    bent, lost = in_flexures(system, internal)
+    stored, power = strain + kinetic + bent, power + lost
     if base.body is not None:
         stored = stored + quadratic(base.body.spatial(), twist(y, yd))
     if base.drag is not None:
@@ -215,7 +224,7 @@ def energies(
             f" run of {t[-1] - t[0]:g} s"
         )
     clock = t - t[0]
-    if internal is None and system.base.internal is not None:
+    if internal is None and system.base.internal is not None and not system.arm.bends:
         internal = internal_motion(system.base, t, y, yd)
     parts = base_energy(system, q, y, yd, internal)
     total = parts.total
@@ -283,10 +292,10 @@ def internal_of(system: System, log: RunLog) -> Internal | None:
         system: that the log is of.
         log: the run.
     """
-    if system.base.internal is None:
-        return None
     if log.u is not None and log.ud is not None:
         return log.u, log.ud
+    if system.base.internal is None or system.arm.bends:
+        return None
     return internal_motion(system.base, log.t, log.y, base_rate(log))
 
 
@@ -404,11 +413,14 @@ class EnergyBalance(Viewable):
         Returns:
             The account, its losses in the vehicle by Simpson's rule.
         """
-        rates = np.concatenate([twist(y, yd), v], axis=-1)
-        body = inertia(system.arm, q)
+        rates = moving_rates(system, twist(y, yd), internal)
+        rates = np.concatenate([rates, v], axis=-1)
+        body = moving_inertia(system, q, internal)
         if system.base.body is not None:
             body[..., :6, :6] += system.base.body.spatial()
-        strain, moving, _ = _interface_energies(system.base, y, yd, internal)
+        modes = own_modes(system, internal)
+        strain, moving, _ = _interface_energies(system.base, y, yd, modes)
+        strain = strain + in_flexures(system, internal)[0]
         kinetic = quadratic(body, rates) + moving
         stored, power = _port_energy(system, y, yd, internal)
         dissipated = scipy.integrate.cumulative_simpson(power, x=t, initial=0.0)

@@ -80,6 +80,11 @@ class System:
                 "System.emulator belongs to mode emulated, got one with mode ideal"
                 " (System.ideal() drops it)"
             )
+        if self.mode == "emulated" and self.arm.bends:
+            raise ParameterError(
+                f"mode emulated needs an arm of rigid links, got {self.arm.name} with"
+                f" {self.arm.bends} flexures: emulate its boom as the vehicle (Boom.at)"
+            )
         object.__setattr__(self, "effects", tuple(self.effects))  # a list has no hash
         for effect in self.effects:
             if not isinstance(effect, Effect):

@@ -69,6 +69,7 @@ class SystemMachine:
     """Ports of a system in either mode."""
 
     def __init__(self, system: System) -> None:
+        system.arm.require_rigid("a diagnosis")
         self.system = system
         self.nominal = SystemVariant(system)
         n = system.arm.n

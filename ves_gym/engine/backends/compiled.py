@@ -33,7 +33,7 @@ class CompiledBackend(Remembering):
         self._own_bases: set[int] = set()  # simulations with another than their system's
         size = 6 + self.joints
         self._extras = 0 if self.emulated else system.base.m
-        self._gears = len(system.arm.geared)
+        self._gears = len(system.arm.geared) + system.arm.bends  # passive joints
         self._order = size + self._gears + self._extras  # coordinates: (Y, q), what is hidden
         self._nx, self._nu = 2 * self._order, size
         self._ny = size + self.joints + (6 if self.emulated else 0)

@@ -30,10 +30,10 @@ class DeviceBackend(Remembering):
                 f"backend {self.name} has no torque laws of effects: use kernel or mujoco"
             )
         carried = system.base.m or system.base.drag is not None
-        if system.arm.geared or (carried and system.mode == "ideal"):
+        if system.arm.geared or system.arm.bends or (carried and system.mode == "ideal"):
             raise ParameterError(
-                f"backend {self.name} has no gears that give way, drag or internal modes"
-                " of the vehicle: use kernel or mujoco"
+                f"backend {self.name} has no gears that give way, links that bend, drag or"
+                " internal modes of the vehicle: use kernel or mujoco"
             )
         if system.integrator == "implicitfast":
             raise ParameterError(

@@ -22,7 +22,9 @@ from ves_gym.engine.mjcf import (
     build_laboratory_spec,
     build_spec,
 )
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.attitude import from_matrix
+from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.vehicle import BaseModel
 from ves_gym.system.effect import TorqueEffect
@@ -38,6 +40,22 @@ _BAD = [
         mujoco.mjtWarning.mjWARN_BADCTRL,
     )
 ]
+
+
+def _places(arm: Arm) -> tuple[Index, Index]:
+    """Coordinates of the motors, and of the gears and then the flexures, as bodies lie."""
+    chain = unfold(arm)
+    motors, gears, flexures, at = [], [], [], 6
+    for link in range(chain.arm.n):
+        if link not in chain.driven:
+            flexures.append(at)
+        else:
+            motors.append(at)
+            if chain.arm.links[link].gear is not None:
+                at += 1
+                gears.append(at)
+        at += 1
+    return np.array(motors, np.intp), np.array([*gears, *flexures], np.intp)
 
 
 def compile_model(system: System, full: bool = False) -> mujoco.MjModel:
@@ -128,16 +146,15 @@ class MujocoBackend:
         self.prescribed = system.drive == "prescribed"
         self.system, self._nthread = system, threads
         self._carried = system.base.m if system.mode == "ideal" else 0
-        # coordinates of the motors; those of gears lie between them
+        # coordinates of the motors; those of gears and flexures lie between them
         self._motors: Any = slice(6, 6 + self.joints)
-        geared = np.array(system.arm.geared, int)
-        if len(geared):
-            before = [int((geared < i).sum()) for i in range(self.joints)]
-            self._motors = 6 + np.arange(self.joints) + np.array(before)
-        where = np.arange(6 + self.joints + len(geared))
+        motors, passive = _places(system.arm)
+        if len(passive):
+            self._motors = motors
+        where = np.arange(6 + self.joints + len(passive))
         self._order = np.r_[TO_Y, where[self._motors]]
         carried = len(where) + np.arange(self._carried)
-        self._internal = np.r_[np.setdiff1d(where, self._order), carried]
+        self._internal = np.r_[passive, carried]
         # from the start as after `assign`: x**2.0 is a square, x**[2.0, 2.0] a power
         has_law = any(isinstance(e, TorqueEffect) for e in system.effects)
         self._laws = Laws(system, n) if has_law else None

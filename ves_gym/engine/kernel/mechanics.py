@@ -36,11 +36,38 @@ class Model:
     laws: list[tuple[TorqueEffect, dict[str, Any]]]  # with their numbers
     gears: dict[int, Any]  # of the joints that have one: stiffness, damping, gap
     internal: Any = None  # modes of the base: coupling (m, 6), stiffness (m,), damping
+    whole: Any = None  # the arm with its flexures as joints, where its links bend
+    driven: tuple[int, ...] = ()  # places of the n joints in it
+    flexures: tuple[Any, ...] = ()  # of each: stiffness, damping, gap 0
+
+    @property
+    def springs(self) -> list[Any]:
+        """Of the passive joints: gears, then flexures."""
+        return [*self.gears.values(), *self.flexures]
 
     @property
     def hidden(self) -> int:
-        """Coordinates beside (Y, q): deflections of the gears, then the internal modes."""
-        return len(self.gears) + (0 if self.internal is None else len(self.internal.stiffness))
+        """Coordinates beside (Y, q): deflections of gears and flexures, then internal modes."""
+        modes = 0 if self.internal is None else len(self.internal.stiffness)
+        return len(self.springs) + modes
+
+    @property
+    def slots(self) -> list[tuple[bool, int]]:
+        """All joints along the arm: (True, number of a passive one) or (False, of a driven)."""
+        out: list[tuple[bool, int]] = []
+        gears = {i: k for k, i in enumerate(self.gears)}
+        bends = len(gears)
+        driven = {place: i for i, place in enumerate(self.driven)}
+        for place in range(self.arm.n if self.whole is None else self.whole.n):
+            i = place if self.whole is None else driven.get(place)
+            if i is None:
+                out.append((True, bends))
+                bends += 1
+                continue
+            out.append((False, i))
+            if i in gears:
+                out.append((True, gears[i]))
+        return out
 
     def push(self, q: list[Any], v: list[Any], tau: list[Any], xp: Any) -> list[Any]:
         """Return the torque of the effects' laws at the joints [N m].
@@ -88,54 +115,60 @@ def drive_torque(
 
 
 def unfolded(model: Model) -> Model:
-    """The model with each gear as a joint of its own: rotor first, then the link."""
+    """The model with gears and flexures as joints of their own: rotor first, then the link."""
     links: list[Any] = []
     zero = [[0.0] * 3 for _ in range(3)]
-    for i, link in enumerate(model.arm.links):
-        if i in model.gears:
+    arm = model.arm if model.whole is None else model.whole
+    places = range(arm.n) if model.whole is None else model.driven
+    geared = {places[i] for i in model.gears}
+    for place, link in enumerate(arm.links):
+        if place in geared:
             nothing = SimpleNamespace(mass=0.0, com=(0.0, 0.0, 0.0), inertia=zero)
             shape = {"d": 0.0, "a": 0.0, "alpha": 0.0, "beta": None, "offset": 0.0}
             rotor = link.rotor_inertia
             links.append(SimpleNamespace(**shape, inertial=nothing, rotor_inertia=rotor))
             link = SimpleNamespace(**{**vars(link), "rotor_inertia": 0.0})
         links.append(link)
-    arm = SimpleNamespace(**{**vars(model.arm), "n": len(links), "links": links})
+    arm = SimpleNamespace(**{**vars(arm), "n": len(links), "links": links})
     return dataclasses.replace(model, arm=arm)
 
 
-def interleaved(model: Model, joints: list[Any], gears: list[Any]) -> list[Any]:
+def interleaved(model: Model, joints: list[Any], passive: list[Any]) -> list[Any]:
     """Return quantities in the order of the unfolded joints.
 
     Args:
-        model: which joints have gears.
+        model: which joints have gears, and where links bend.
         joints: n of them.
-        gears: one per gear.
+        passive: one per gear, then one per flexure.
     """
-    remaining, out = list(gears), []
-    for i, value in enumerate(joints):
-        out += [value, remaining.pop(0)] if i in model.gears else [value]
-    return out
+    return [passive[k] if is_passive else joints[k] for is_passive, k in model.slots]
 
 
 def separated(model: Model, values: list[Any]) -> tuple[list[Any], list[Any]]:
-    """Return quantities of joints and of gears, the inverse of `interleaved`.
+    """Return quantities of driven and of passive joints, the inverse of `interleaved`.
 
     Args:
-        model: which joints have gears.
+        model: which joints have gears, and where links bend.
         values: in the order of the unfolded joints.
     """
-    joints, gears, remaining = [], [], list(values)
-    for i in range(model.arm.n):
-        joints.append(remaining.pop(0))
-        if i in model.gears:
-            gears.append(remaining.pop(0))
-    return joints, gears
+    by_slot = dict(zip(model.slots, values, strict=True))
+    return (
+        [by_slot[False, i] for i in range(model.arm.n)],
+        [by_slot[True, k] for k in range(len(model.springs))],
+    )
 
 
 def gear_torque(model: Model, d: list[Any], rate: list[Any], xp: Any) -> list[Any]:
-    """Return the torque of the gears on their links at deflections d [N m]."""
+    """Return the torque of gears and flexures on what is beyond them [N m].
+
+    Args:
+        model: with their springs.
+        d: deflections [rad].
+        rate: of these [rad/s].
+        xp: namespace of the functions.
+    """
     out = []
-    for gear, bend, bending in zip(model.gears.values(), d, rate, strict=True):
+    for gear, bend, bending in zip(model.springs, d, rate, strict=True):
         if not is_zero(gear.gap):
             half = gear.gap / 2
             bend = bend - xp.fmin(xp.fmax(bend, -half), half)
@@ -287,13 +320,27 @@ def base_energy(
 
     Args:
         model, z, zd, xp: see `in_space`.
-        u, ud: coordinates and rates of the internal modes, empty without them.
+        u, ud: deflections and rates of the flexures, coordinates and rates of the internal
+            modes; empty without either.
     """
+    p = len(model.flexures)
+    d, dd, u, ud = u[:p], ud[:p], u[p:], ud[p:]
     twist = times(_rates(z[:6], xp)[0], zd[:6])
-    locked = inertia_entries(one_base(model.arm), z[6:], xp).base
-    forms = ((locked, twist), (model.M, zd[:6]))
-    kinetic = sum(a * b for A, x in forms for a, b in pairs(times(A, x), x))
+    if p:
+        chain = unfolded(model)
+        H = inertia_entries(one_base(chain.arm), interleaved(model, z[6:], d), xp)
+        bending = interleaved(model, [0.0] * model.arm.n, dd)
+        carried = [sum(k * r for k, r in pairs(row, bending)) for row in transposed(H.across)]
+        forms = [(H.base, twist), (model.M, zd[:6]), (H.joints, bending)]
+        kinetic = sum(a * b for A, x in forms for a, b in pairs(times(A, x), x))
+        kinetic = kinetic + 2 * sum(a * b for a, b in zip(carried, twist, strict=True))
+    else:
+        locked = inertia_entries(one_base(model.arm), z[6:], xp).base
+        forms = [(locked, twist), (model.M, zd[:6])]
+        kinetic = sum(a * b for A, x in forms for a, b in pairs(times(A, x), x))
     strain = sum(a * b for a, b in pairs(times(model.K, z[:6]), z[:6]))
+    for spring, bend in zip(model.flexures, d, strict=True):
+        strain = strain + spring.stiffness * bend * bend
     if model.internal is not None:
         kinetic = kinetic + sum(k * k for k in ud)
         springs = zip(model.internal.coupling, model.internal.stiffness, u, strict=True)

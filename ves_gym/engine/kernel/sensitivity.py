@@ -88,6 +88,7 @@ def rollout_gradients(
             f"along must have shape ({n}, {nodes}, c, {joints}), got {push.shape}"
         )
     c, m, size = push.shape[2], len(wrt) + push.shape[2], 6 + joints + system.base.m
+    size += system.arm.bends
     p = np.tile(nominal, (n, 1)) if values is None else np.array(values, float)
     if p.shape != (n, len(names)):
         raise ParameterError(f"values must have shape ({n}, {len(names)}), got {p.shape}")

@@ -41,6 +41,7 @@ from ves_gym.engine.kernel.mechanics import (
     unfolded,
 )
 from ves_gym.mechanics.dynamics import ZERO, inertia_entries, newton_euler
+from ves_gym.mechanics.flexure import unfold
 from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.system import PRESCRIBED_INERTIA
 
@@ -145,6 +146,7 @@ def _model(system: System, read: _Numbers) -> Model:
         for i, link in enumerate(arm.links)
     ]
     body = read.inertial("base", arm.base)
+    bending = _bending(system, read, links) if arm.bends else {}
     ideal = system.mode == "ideal"
     zero = np.zeros((6, 6))
     drag = base.drag if ideal and base.drag is not None else np.zeros(6)
@@ -174,7 +176,37 @@ def _model(system: System, read: _Numbers) -> Model:
         ],
         gears={i: read.gear(f"gear{i + 1}", arm.links[i].gear) for i in arm.geared},
         internal=read.modes(base.internal) if ideal and base.internal is not None else None,
+        **bending,
     )
+
+
+def _bending(system: System, read: _Numbers, rigid: list[Any]) -> dict[str, Any]:
+    """What a model has of an arm whose links bend: the whole chain, and its springs."""
+    chain = unfold(system.arm)
+    rotors = {
+        place: link.rotor_inertia for place, link in zip(chain.driven, rigid, strict=True)
+    }
+    links = [
+        _link(link, read.inertial(f"part{k + 1}", link.inertial), rotors.get(k, 0.0))
+        for k, link in enumerate(chain.arm.links)
+    ]
+    body = read.inertial("root", chain.arm.base)
+    satellite = system.base.body if system.mode == "ideal" else None
+    if satellite is not None:
+        body = (body, read.inertial("host", satellite))
+    springs = enumerate(zip(chain.stiffness, chain.damping, strict=True), start=1)
+    return {
+        "whole": SimpleNamespace(n=chain.arm.n, links=links, base=body, mount=chain.arm.mount),
+        "driven": chain.driven,
+        "flexures": tuple(
+            SimpleNamespace(
+                stiffness=read(f"flexure{k}.stiffness", float(stiffness)),
+                damping=read(f"flexure{k}.damping", float(damping)),
+                gap=0.0,
+            )
+            for k, (stiffness, damping) in springs
+        ),
+    }
 
 
 def _link(link: Any, inertial: Any, rotor_inertia: Expression) -> Any:
@@ -217,6 +249,10 @@ def structure(system: System) -> str:
 def geometry(arm: Arm) -> str:
     """Return a digest of an arm's lengths and angles: its code depends on no weight."""
     lengths = [(k.d, k.a, k.alpha, k.beta, k.offset) for k in arm.links]
+    if arm.bends:
+        chain = unfold(arm)
+        lengths += [(k.d, k.a, k.alpha, k.beta, k.offset) for k in chain.arm.links]
+        return f"{_source()} {arm.mount!r} {chain.arm.mount!r} {chain.driven!r} {lengths!r}"
     return f"{_source()} {arm.mount!r} {lengths!r}"
 
 
@@ -281,15 +317,15 @@ def equations(system: System) -> Equations:
 
 
 def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
-    """The same with gears that give way, and internal modes of the base."""
+    """The same with passive joints (gears, flexures) and internal modes of the base."""
     import casadi as ca
 
     if system.integrator == "implicitfast":
         raise ParameterError(
-            "backend kernel integrates gears and internal modes by rk4 or euler, got"
+            "backend kernel integrates gears, flexures and internal modes by rk4 or euler, got"
             " implicitfast: use backend mujoco"
         )
-    n, h, g = system.arm.n, model.hidden, len(model.gears)
+    n, h, g = system.arm.n, model.hidden, len(model.springs)
     size = 6 + n
     half = size + h
     x, u, p = ca.SX.sym("x", 2 * half), ca.SX.sym("u", size), ca.vertcat(*symbols)
@@ -365,7 +401,7 @@ class _Balance:
 
     @property
     def width(self) -> int:
-        """Number of coordinates: (Y, q) and the internal modes, whose mass is 1."""
+        """Number of coordinates: (Y, q), flexures, and the internal modes, whose mass is 1."""
         return len(self.solution)
 
     def response(self, change: Any) -> list[Any]:
@@ -389,20 +425,30 @@ def _balance(system: System) -> _Balance:
         raise ParameterError(
             "derivatives know no gears that give way: use differences of Simulator runs"
         )
-    size, m = 6 + system.arm.n, model.hidden
-    width = size + m  # coordinates: (Y, q), then the internal modes
+    size, p = 6 + system.arm.n, len(model.flexures)
+    width = size + model.hidden  # coordinates: (Y, q), then flexures and internal modes
     x, u, a = (ca.SX.sym(name, k) for name, k in (("x", 2 * width), ("u", size), ("a", width)))
     at, rate = list(ca.vertsplit(x))[:width], list(ca.vertsplit(x))[width:]
-    z, s, zd, sd = at[:size], at[size:], rate[:size], rate[size:]
+    z, zd, s, sd = at[:size], rate[:size], at[size + p :], rate[size + p :]
+    d, dd = at[size : size + p], rate[size : size + p]
     base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
     tau = drive_torque(model, z, zd, command, ca)[1]
     tau = [k + law for k, law in zip(tau, model.push(z[6:], zd[6:], tau, ca), strict=True)]
     push, sdd = internal_forces(model, z, zd, s, sd)
     base = [k + more for k, more in zip(base, push, strict=True)]
-    mass, loads = balance_of_forces(model, z, zd, base, tau, ca)
+    chain = unfolded(model)
+    tau = interleaved(model, tau, gear_torque(model, d, dd, ca))
+    pose, moving = ([*k[:6], *interleaved(model, k[6:], b)] for k, b in ((z, d), (zd, dd)))
+    # coordinates as they lie in the state, by their place along the chain
+    joints, bends = separated(model, list(range(6, len(pose))))
+    order = [*range(6), *joints, *bends]
+    mass, loads = balance_of_forces(chain, pose, moving, base, tau, ca)
+    mass, loads = [[mass[i][j] for j in order] for i in order], [loads[i] for i in order]
     tried = list(ca.vertsplit(a))
-    missing = residual(model, z, zd, tried[:size], base, tau, ca)
-    missing += [k - found for k, found in zip(tried[size:], sdd, strict=True)]
+    accelerated = [*tried[:6], *interleaved(model, tried[6:size], tried[size : size + p])]
+    balance = residual(chain, pose, moving, accelerated, base, tau, ca)
+    missing = [balance[i] for i in order]
+    missing += [k - found for k, found in zip(tried[size + p :], sdd, strict=True)]
     return _Balance(
         names=tuple(str(k) for k in symbols),
         x=x,
@@ -410,7 +456,7 @@ def _balance(system: System) -> _Balance:
         p=ca.vertcat(*symbols),
         a=a,
         missing=ca.vertcat(*missing),
-        energy=base_energy(model, z, zd, s, sd, ca)[0],
+        energy=base_energy(model, z, zd, at[size:], rate[size:], ca)[0],
         mass=mass,
         solution=[*solve(mass, loads), *sdd],
     )
@@ -471,7 +517,7 @@ def linearisation(system: System) -> casadi.Function:
     """((Y, q, u, command), p) -> z'' at rest, then its derivatives (mode ideal).
 
     (s,) of z'' and, column after column, (s, 2 s) by the state (Y, q, u and their rates) and
-    (s, n) by the command, s = 6 + n + m with m internal modes of the base.
+    (s, n) by the command, s = 6 + n + m with m flexures and internal modes of the base.
     """
     import casadi as ca
 

@@ -1,0 +1,90 @@
+"""The task seam: a line or an arc in space, on a boom that sways."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from tests.envs.runs import EMULATED, Blind, controlled
+from ves_gym._util.params import ParameterError
+from ves_gym.baselines.controllers import Random, Zero
+from ves_gym.baselines.resolved import Resolved
+from ves_gym.envs.build import build_task
+from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.kinematics import joints_for
+from ves_gym.mechanics.spatial import quadratic
+from ves_gym.mechanics.vehicle import VEHICLES
+
+
+@pytest.mark.parametrize("settings", [{}, EMULATED])
+def test_check_env_has_nothing_to_say(settings):
+    env = gym.make("ves/MacroMicro-v0", duration=1.0, pace=2.0, **settings)
+    check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.fixture(scope="module")
+def forty():
+    env = VesVectorEnv(40, "seam")
+    env.reset(seed=0)
+    return env
+
+
+def test_seams_are_lines_and_arcs_within_reach(forty):
+    """40 seams, at rest at both ends; every point reached with the boom at rest."""
+    task, scene = forty.task, forty.batch.scene
+    path, dt = task.path(scene), task.system.control_dt
+    np.testing.assert_allclose(path[:, 0], scene.tool, atol=1e-12)
+    steps = np.linalg.norm(np.diff(path, axis=1), axis=2)
+    assert steps[:, [0, -1]].max() / dt < 1e-3
+    middle, chord = path[:, task.steps // 2], path[:, -1] - path[:, 0]
+    length, straight = steps.sum(axis=1), np.linalg.norm(chord, axis=1)
+    lines = straight > (1 - 1e-9) * length
+    assert 0.25 < lines.mean() < 0.75
+    aside = np.linalg.norm(np.cross(middle - path[:, 0], chord), axis=1) / straight
+    assert aside[lines].max() < 1e-9 < aside[~lines].min()
+    print(f"length {length.min():.2f} to {length.max():.2f} m")
+    assert length.max() < 0.6
+    rest = path - scene.y[:, None, :3]  # about where the boom comes to
+    q = scene.q
+    for step in range(0, task.steps + 1, 96):
+        q, miss = joints_for(task.system.arm, rest[:, step], q)
+        assert miss.max() < 2e-3
+
+
+def test_the_boom_is_released_with_the_stated_energy(forty):
+    task, scene = forty.task, forty.batch.scene
+    held = quadratic(task.system.base.K, scene.y)
+    np.testing.assert_allclose(held, task.energy, rtol=1e-9)
+    np.testing.assert_allclose(scene.strain, task.energy, rtol=1e-9)
+    assert np.ptp(scene.y[:, :3], axis=0).min() > 5e-3
+
+
+def test_resolved_motion_solves_it_and_nothing_else_does():
+    """100 episodes: reference controller >= 95 %, doing nothing and anything 0 %."""
+    errors = {}
+    for controller in (Resolved(), Zero(), Random(0)):
+        env, *_, info = controlled(controller, 100, "seam")
+        errors[controller.name] = np.sqrt(env.batch.scene.memory[:, 1] / env.task.duration)
+        share = info["success"].mean()
+        assert share >= 0.95 if controller.name == "resolved" else share == 0
+    print({name: f"{1e3 * np.median(e):.1f} mm" for name, e in errors.items()})
+
+
+def test_the_plan_without_the_boom_is_not_enough():
+    """The same controller blind to the boom's motion: most seams are missed."""
+
+    assert controlled(Blind(), 40, "seam")[3]["success"].mean() < 0.2
+
+
+def test_it_is_solved_in_the_laboratory():
+    assert controlled(Resolved(), 6, "seam", **EMULATED)[3]["success"].all()
+
+
+def test_it_takes_the_wrist_and_any_base_that_holds():
+    assert controlled(Resolved(), 6, "seam", arm="puma560-wrist")[3]["success"].all()
+    task = build_task("seam", vehicle="bent")
+    assert task.system.vehicle == VEHICLES["bent"]
+    with pytest.raises(ParameterError, match="seam needs a base that holds its place"):
+        build_task("seam", vehicle="free-floating")
+    with pytest.raises(ParameterError, match=r"seam\.length must be 0 < low <= high"):
+        build_task("seam", length=(0.5, 0.1))
