@@ -8,50 +8,25 @@ commands there and the wrench back.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from ves_gym._util.array_functions import NUMPY
-from ves_gym._util.params import Array, Index, Mask, ParameterError, Rows
-from ves_gym.engine.batch_parameters import Bodies, ParameterRows, bodies_of
+from ves_gym._util.params import Array, Index, Mask, Rows
 from ves_gym.engine.kernel.maps import WeightMap
-from ves_gym.hardware.admittance import Nonlinear, admittance_matrices
+from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.base_model import BaseModel
-from ves_gym.simulation.blocks.block import Noted
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
 from ves_gym.simulation.blocks.memory import NamedArrays
-from ves_gym.simulation.blocks.payload_compensation import ArmInertia
 from ves_gym.simulation.blocks.platform import Safety
+from ves_gym.simulation.loop_numbers import BODIES, LoopNumbers
+from ves_gym.simulation.loop_reports import Event, Readings
 from ves_gym.simulation.loop_wiring import LoopParts, Needs
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import BaseEffect
 from ves_gym.system.system import System
-
-_BODIES = {field.name for field in fields(Bodies)}
-
-
-class Event(NamedTuple):
-    """A safety check that froze the platform (thesis 2.4.2)."""
-
-    simulation: int
-    time: float  # s
-    reason: str
-
-    def __str__(self) -> str:
-        return f"platform frozen at t = {self.time:.4f} s: {self.reason}"
-
-
-class Readings(NamedTuple):
-    """Signals of the controller at one instant. Leading axis n."""
-
-    wrench: Array  # (n, 6) sensor reading, platform frame [N, N m]
-    gravity: Array  # (n, 6) estimate of its static part
-    y: Array  # (n, 6) measured pose
-    y_cmd: Array  # (n, 6) commanded pose
 
 
 class EmulationLoop:
@@ -74,27 +49,15 @@ class EmulationLoop:
         *,
         compiled: bool = False,
     ) -> None:
-        emulator, arm = system.emulator_settings, system.arm
+        emulator = system.emulator_settings
         self.system, self.n, self.spec = system, n, emulator
         self.generators, self.custom = generators, admittance
-        self.parameters = LoopParameters.nominal(arm, emulator, n).edited(system)
         self.dt = system.control_dt
-        _require_vehicle(system, admittance)
         self.compensating = emulator.payload_compensation and emulator.operation != "position"
-        base = system.actual.base  # the arm's model, in what follows, is the description
-        self._linear = base.body is None and admittance is None
-        self._sampled = self._linear and not self.compensating  # a coupled one is not
-        self._arm = system.replace(effects=())  # what the compensation goes by
-        self._names = ParameterRows(self._arm) if self.compensating else None
-        self._inertia = ArmInertia(self._arm, n) if self.compensating else None
-        self._weights = WeightMap(system.actual.arm)
-        self._bodies = self._row(system, "own system").repeated(n)
-        self._systems = [system] * n
-        self._own_bases: set[int] = set()  # simulations with another than their system's
-        self._start: LoopParameters | None = (
-            None  # one row before effects, of the last arm asked
+        self.numbers = LoopNumbers(
+            system, n, given=admittance is not None, compensating=self.compensating
         )
-        self._noisy = self.parameters.sensor.random()
+        self._weights = WeightMap(system.actual.arm)
         self._compiled = compiled
         self.table: Array | None = None  # (n, m, 6): replaces the estimate, row by row
         self.events: list[Event] = []
@@ -107,7 +70,7 @@ class EmulationLoop:
 
     def _build(self) -> None:
         """Wire the blocks; what they remember goes on under its name."""
-        parts = LoopParts(self.system, self._needs, self._inertia, self.custom)
+        parts = LoopParts(self.system, self._needs, self.numbers.inertia, self.custom)
         self.shape, self.wiring = parts.shape, parts.wiring
         self.platform, self.sensor, self.estimate = parts.platform, parts.sensor, parts.estimate
         earlier = getattr(self, "memory", None)
@@ -120,7 +83,7 @@ class EmulationLoop:
         else:
             self.memory = NamedArrays(self._carried, self.n, lanes=False)
         if earlier is not None:
-            self._remember(earlier.copied(names))
+            self.memory.take_over(earlier.copied(names), self._carried)
 
     def _asked(self) -> Needs:
         """What parameters and table ask of the blocks."""
@@ -131,45 +94,23 @@ class EmulationLoop:
             tabulated=self.table is not None,
         )
 
-    def _remember(self, earlier: Mapping[str, Array]) -> None:
-        """Carry memory over from a wiring with other arrays, or shorter or longer ones."""
-        for name, shape in self._carried.items():
-            if name.startswith("platform_model.") and name not in earlier:
-                value = earlier[name.replace("platform_model", "platform")]
-            elif name in earlier:
-                value = earlier[name]
-            else:
-                continue
-            if value.shape[1:] != shape:  # another length of the past
-                missing = max(0, shape[0] - value.shape[1])  # as the oldest that is known
-                oldest = value[:, -1:] if value.shape[1] else earlier["command_sent"][:, None]
-                value = np.concatenate([value, np.repeat(oldest, missing, axis=1)], axis=1)
-                value = value[:, : shape[0]]
-            self.memory[name] = value
-
     def _load(self) -> None:
         """Take the parameters of all simulations to the blocks."""
-        self.p: dict[str, dict[str, Array]] = {}
-        self._sources: dict[str, set[str]] = {}  # block -> what its parameters follow from
-        for block in self.wiring.blocks:
-            sources = self._sources[block.name] = set()
-            noted: Any = [Noted(k, sources) for k in (self.parameters, self._bodies)]
-            values = block.parameters(*noted)
-            # of its own, in plain order: products of stacks round by the layout of memory
-            self.p[block.name] = {k: np.array(v, order="C") for k, v in values.items()}
+        self.numbers.load(self.wiring.blocks)
         if self._code is not None:
             self._code.load(self.p)
 
     # ------------------------------------------------------------- assignment
 
-    def _row(self, system: System, which: str) -> Bodies:
-        """Arm and vehicle of a system as one row."""
-        numbers = np.empty(0)
-        if self._names is not None and system.arm is self.system.arm:
-            numbers = self._names.values  # those of the arm: a vehicle is the loop's alone
-        elif self._names is not None:
-            numbers = self._names.of(system.replace(effects=()), which)
-        return Bodies.of(system, self._linear, self._sampled, numbers)
+    @property
+    def parameters(self) -> LoopParameters:
+        """Numbers of the loop that effects add to, a row per simulation."""
+        return self.numbers.parameters
+
+    @property
+    def p(self) -> dict[str, dict[str, Array]]:
+        """Parameters of every block, by name, a row per simulation."""
+        return self.numbers.p
 
     def prepare(self, ids: Index, systems: Sequence[System]) -> Callable[[], None]:
         """Check systems of their own for some simulations; the result installs them.
@@ -180,40 +121,14 @@ class EmulationLoop:
             ids: (k,) which.
             systems: k of them.
         """
-        pairs = list(zip(ids.tolist(), systems, strict=True))
-        p = LoopParameters.stacked([self._parameters_of(system) for system in systems])
-        others = [
-            (i, k)
-            for i, k in pairs
-            if i in self._own_bases or _all_bodies(k) != _all_bodies(self._systems[i])
-        ]
-        if self.custom is not None and any(
-            k.vehicle is not self.system.vehicle for _, k in pairs
-        ):
-            raise ParameterError(
-                "an `admittance` takes the place of every simulation's vehicle: assign systems"
-                " with the vehicle of the simulator's own"
-            )
-        rows_of: dict[tuple[int, ...], Bodies] = {}  # a row of each arm and vehicle seen
-        for i, k in others:
-            if _all_bodies(k) not in rows_of:
-                rows_of[_all_bodies(k)] = self._row(k, f"system of simulation {i}")
+        assignment = self.numbers.assignment(ids, systems)
 
         def install() -> None:
-            for i, system in others:
-                self._bodies.put(i, rows_of[_all_bodies(system)])
-                if self._inertia is not None:
-                    self._inertia.tell_apart().arms[i] = system.arm
-            for i, system in pairs:
-                self._systems[i] = system
-                self._own_bases.discard(i)
-            self._derive(self._rows(ids), self._put(ids, p) | (_BODIES if others else set()))
+            self.numbers.assign(assignment)
+            bodies = BODIES if assignment.bodies else set()
+            self._derive(self._rows(ids), self._put(ids, assignment.parameters) | bodies)
 
         return install
-
-    def _parameters_of(self, system: System) -> LoopParameters:
-        """One row."""
-        return self.described(system.arm).copy().edited(system)
 
     def described(self, arm: Arm) -> LoopParameters:
         """Return a row of parameters before any effect.
@@ -221,9 +136,7 @@ class EmulationLoop:
         Args:
             arm: the arm.
         """
-        if self._start is None or self._start.arm is not arm:
-            self._start = LoopParameters.nominal(arm, self.spec, 1)
-        return self._start
+        return self.numbers.described(arm)
 
     def install(
         self, ids: Index, p: LoopParameters | None, bases: BaseModel | None = None
@@ -238,21 +151,13 @@ class EmulationLoop:
         changed = set() if p is None else self._put(ids, p)
         rows = self._rows(ids)
         if bases is not None:
-            for name in ("M", "D", "K", "drag"):
-                getattr(self._bodies, name)[rows] = getattr(bases, name)
-            if self._sampled:
-                form = self.spec.admittance_form
-                for i, M, D, K in zip(ids.tolist(), bases.M, bases.D, bases.K, strict=True):
-                    sampled = admittance_matrices(BaseModel(M, D, K), self.dt, form)
-                    self._bodies.phi[i], self._bodies.gamma[i] = sampled
-            self._own_bases.update(ids.tolist())
-            changed |= _BODIES
+            self.numbers.put_bases(ids, rows, bases)
+            changed |= BODIES
         self._derive(rows, changed)
 
     def _put(self, ids: Index, p: LoopParameters) -> set[str]:
         """Replace parameters of some simulations; names of those that have changed."""
-        changed = self.parameters.put(self._rows(ids), p)
-        self._noisy = self.parameters.sensor.random()
+        changed = self.numbers.put(self._rows(ids), p)
         self._rewire()
         return changed
 
@@ -263,16 +168,7 @@ class EmulationLoop:
             rows: which simulations.
             changed: fields of `parameters` and bodies.
         """
-        p, bodies = self.parameters.rows(rows), self._bodies.rows(rows)
-        others: dict[str, list[str]] = {}
-        for block in self.wiring.blocks:
-            if not changed & self._sources[block.name]:
-                continue
-            mine = self.p[block.name]
-            for name, values in block.parameters(p, bodies).items():
-                if not np.array_equal(mine[name][rows], values):
-                    mine[name][rows] = values
-                    others.setdefault(block.name, []).append(name)
+        others = self.numbers.derive(self.wiring.blocks, rows, changed)
         if self._code is not None:
             self._code.change(rows, self.p, others)
 
@@ -301,10 +197,11 @@ class EmulationLoop:
         u["start_draws"] = self._drawn(ids, 6, 2)  # start as noisy as it goes on
         if self.table is not None:
             u["table"] = self.table[rows, 0]
-        if self._inertia is not None:
-            u["inertia"] = self._inertia.rows(self._of(self._inertia.name, rows), q, ids)
+        if self.numbers.inertia is not None:
+            inertia = self.numbers.inertia
+            u["inertia"] = inertia.rows(self._of(inertia.name, rows), q, ids)
         if self.system.actual.base.m:
-            bases = [self._systems[i].actual.base for i in ids.tolist()]
+            bases = [self.numbers.systems[i].actual.base for i in ids.tolist()]
             for name, part in (("attached", y), ("attached_rate", yd)):
                 u[name] = np.stack([b.attached(k) for b, k in zip(bases, part, strict=True)])
         if self.events:
@@ -333,7 +230,9 @@ class EmulationLoop:
     def _drawn(self, ids: Index, *shape: int) -> Array:
         """(m, *shape) standard normal numbers; zeros where nothing is noisy."""
         out = np.zeros((len(ids), *shape))
-        for i, row, noisy in zip(ids.tolist(), out, self._noisy[ids].tolist(), strict=True):
+        for i, row, noisy in zip(
+            ids.tolist(), out, self.numbers.noisy[ids].tolist(), strict=True
+        ):
             if noisy:  # the others draw no numbers
                 self.generators[i].standard_normal(out=row)
         return out
@@ -348,7 +247,7 @@ class EmulationLoop:
         memory, others = state
         self.time, self.events, self.table = copy.deepcopy(others)
         self._rewire()
-        self._remember(memory)
+        self.memory.take_over(memory, self._carried)
 
     # ------------------------------------------------------------------- tick
 
@@ -516,9 +415,7 @@ class EmulationLoop:
 
     def silence(self) -> None:
         """No more noise and drift, for good."""
-        errors = self.parameters.sensor
-        errors.noise[:], errors.drift[:] = 0.0, 0.0
-        self._noisy = errors.random()
+        self.numbers.silence()
         self._load()
 
     def freeze(self, ids: Index, reason: str) -> None:
@@ -537,18 +434,4 @@ class EmulationLoop:
 
     def _true_weight(self, q: Array, y: Array, rows: Rows) -> Array:
         """True static wrench (m, 6) of the arm on the platform."""
-        return self._weights(q, y, self._bodies.mass[rows], self._bodies.P[rows])
-
-
-def _all_bodies(system: System) -> tuple[int, ...]:
-    """Arm and vehicle as described and as they are."""
-    return bodies_of(system) + bodies_of(system.actual)
-
-
-def _require_vehicle(system: System, admittance: Nonlinear | None) -> None:
-    """Refuse effects on a vehicle whose place an `admittance` takes."""
-    on_base = [e.kind for e in system.effects if isinstance(e, BaseEffect)]
-    if admittance is not None and on_base:
-        raise ParameterError(
-            f"effect {on_base[0]} would do nothing: an `admittance` takes the vehicle's place"
-        )
+        return self._weights(q, y, self.numbers.bodies.mass[rows], self.numbers.bodies.P[rows])

@@ -12,7 +12,7 @@ from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.limits import LimitCheck, check_limits, limits_of, middle_of_range
 from ves_gym.mechanics.servo import JointServo
-from ves_gym.simulation.emulation_loop import Event
+from ves_gym.simulation.loop_reports import Event
 from ves_gym.system.disturbance import (
     Disturbance,
     Watched,

@@ -22,9 +22,10 @@ from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import AXES, SINGULAR, matvec, rate_matrix
 from ves_gym.simulation.capture import Capture, Cargo
 from ves_gym.simulation.charts import Charts, is_free
-from ves_gym.simulation.emulation_loop import EmulationLoop, Event, Readings
+from ves_gym.simulation.emulation_loop import EmulationLoop
 from ves_gym.simulation.joint_delays import joint_delays_of
 from ves_gym.simulation.loop_linearisation import warn_if_unstable
+from ves_gym.simulation.loop_reports import Event, Readings
 from ves_gym.simulation.stable_step import require_stable_step, steps_are_small
 from ves_gym.system.deviations import Delays
 from ves_gym.system.effect import BaseEffect, DelayEffect, LaboratoryEffect, TorqueEffect

@@ -44,7 +44,10 @@ def machine():
 
 def derived(loop):
     """Parameters of all blocks, from scratch."""
-    return {b.name: b.parameters(loop.parameters, loop._bodies) for b in loop.wiring.blocks}
+    return {
+        b.name: b.parameters(loop.numbers.parameters, loop.numbers.bodies)
+        for b in loop.wiring.blocks
+    }
 
 
 def require_derived(loop):
@@ -96,7 +99,7 @@ def test_other_blocks_are_left_alone(machine, monkeypatch):
 
 def test_every_block_says_what_it_follows_from(machine):
     """By what it reads; a block without parameters reads nothing."""
-    sources = machine.emulation_loop._sources
+    sources = machine.emulation_loop.numbers.sources
     for block in machine.emulation_loop.wiring.blocks:
         assert isinstance(block, Block)
         assert bool(sources[block.name]) == bool(machine.emulation_loop.p[block.name])

@@ -67,6 +67,29 @@ class NamedArrays:
             flat = values.reshape(len(values), int(np.prod(self.shapes[name])))
             put_rows(self.lanes[:, self.places[name]], rows, flat)
 
+    def take_over(
+        self, earlier: Mapping[str, Array], shapes: Mapping[str, tuple[int, ...]]
+    ) -> None:
+        """Carry on from the memory of a loop with other arrays, or shorter or longer ones.
+
+        Args:
+            earlier: (n, ...) by name.
+            shapes: of a simulation's arrays that are carried on, by name.
+        """
+        for name, shape in shapes.items():
+            if name.startswith("platform_model.") and name not in earlier:
+                value = earlier[name.replace("platform_model", "platform")]
+            elif name in earlier:
+                value = earlier[name]
+            else:
+                continue
+            if value.shape[1:] != shape:  # another length of the past
+                missing = max(0, shape[0] - value.shape[1])  # as the oldest that is known
+                oldest = value[:, -1:] if value.shape[1] else earlier["command_sent"][:, None]
+                value = np.concatenate([value, np.repeat(oldest, missing, axis=1)], axis=1)
+                value = value[:, : shape[0]]
+            self[name] = value
+
     def copied(self, names: Iterable[str]) -> dict[str, Array]:
         """Copies of some arrays."""
         return {name: np.array(self[name]) for name in names}

@@ -1,0 +1,212 @@
+"""Numbers that the blocks of the emulation loop compute with, a row per simulation.
+
+They follow from a system's laboratory (`LoopParameters`) and from its arm and vehicle
+(`Bodies`); every simulation may have a system of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, Index, ParameterError, Rows
+from ves_gym.engine.batch_parameters import Bodies, ParameterRows, bodies_of
+from ves_gym.hardware.admittance import admittance_matrices
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.base_model import BaseModel
+from ves_gym.simulation.blocks.block import Block, Noted
+from ves_gym.simulation.blocks.payload_compensation import ArmInertia
+from ves_gym.system.deviations import LoopParameters
+from ves_gym.system.effect import BaseEffect
+from ves_gym.system.system import System
+
+BODIES = {field.name for field in fields(Bodies)}
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """Systems of their own for some simulations, checked."""
+
+    systems: list[tuple[int, System]]  # of each simulation
+    bodies: list[tuple[int, System, Bodies]]  # where arm or vehicle is another than before
+    parameters: LoopParameters  # a row per simulation
+
+
+class LoopNumbers:
+    """Parameters of n emulators and of their blocks.
+
+    Args:
+        system: of all simulations at first.
+        n: simulations.
+        given: a function takes the place of the vehicle.
+        compensating: the loop takes the arm's inertia out of the reading.
+
+    Raises:
+        ParameterError: effects on a vehicle whose place a function takes.
+    """
+
+    def __init__(self, system: System, n: int, *, given: bool, compensating: bool) -> None:
+        on_base = [e.kind for e in system.effects if isinstance(e, BaseEffect)]
+        if given and on_base:
+            raise ParameterError(
+                f"effect {on_base[0]} would do nothing: an `admittance` takes the vehicle's"
+                " place"
+            )
+        self.system, self.spec, self.given = system, system.emulator_settings, given
+        self.parameters = LoopParameters.nominal(system.arm, self.spec, n).edited(system)
+        self.noisy = self.parameters.sensor.random()
+        base = system.actual.base  # the arm's model, in what follows, is the description
+        self._linear = base.body is None and not given
+        self._sampled = self._linear and not compensating  # a coupled one is not
+        described = system.replace(effects=())  # what the compensation goes by
+        self._names = ParameterRows(described) if compensating else None
+        self.inertia = ArmInertia(described, n) if compensating else None
+        self.bodies = self._row(system, "own system").repeated(n)
+        self.systems = [system] * n
+        self._other_bases: set[int] = set()  # simulations with another than their system's
+        self._start: LoopParameters | None = None  # before effects, of the last arm asked for
+        self.p: dict[str, dict[str, Array]] = {}  # block -> its parameters
+        self.sources: dict[str, set[str]] = {}  # block -> what its parameters follow from
+
+    def load(self, blocks: Sequence[Block]) -> None:
+        """Derive the parameters of blocks, and note what each block's follow from.
+
+        Args:
+            blocks: of the loop.
+        """
+        self.p, self.sources = {}, {}
+        for block in blocks:
+            sources = self.sources[block.name] = set()
+            noted: Any = [Noted(k, sources) for k in (self.parameters, self.bodies)]
+            values = block.parameters(*noted)
+            # of its own, in plain order: products of stacks round by the layout of memory
+            self.p[block.name] = {k: np.array(v, order="C") for k, v in values.items()}
+
+    def derive(
+        self, blocks: Sequence[Block], rows: Rows, changed: set[str]
+    ) -> dict[str, list[str]]:
+        """Bring the blocks' parameters of some simulations up to date.
+
+        Args:
+            blocks: of the loop.
+            rows: which simulations.
+            changed: fields of `parameters` and bodies.
+
+        Returns:
+            Block -> names of its parameters that are others than before.
+        """
+        p, bodies = self.parameters.rows(rows), self.bodies.rows(rows)
+        others: dict[str, list[str]] = {}
+        for block in blocks:
+            if not changed & self.sources[block.name]:
+                continue
+            mine = self.p[block.name]
+            for name, values in block.parameters(p, bodies).items():
+                if not np.array_equal(mine[name][rows], values):
+                    mine[name][rows] = values
+                    others.setdefault(block.name, []).append(name)
+        return others
+
+    def described(self, arm: Arm) -> LoopParameters:
+        """Return a row of parameters before any effect.
+
+        Args:
+            arm: the arm.
+        """
+        if self._start is None or self._start.arm is not arm:
+            self._start = LoopParameters.nominal(arm, self.spec, 1)
+        return self._start
+
+    def put(self, rows: Rows, p: LoopParameters) -> set[str]:
+        """Replace parameters of some simulations; names of those that have changed.
+
+        Args:
+            rows: which simulations.
+            p: as many rows.
+        """
+        changed = self.parameters.put(rows, p)
+        self.noisy = self.parameters.sensor.random()
+        return changed
+
+    def put_bases(self, ids: Index, rows: Rows, bases: BaseModel) -> None:
+        """Replace the vehicles of some simulations.
+
+        Args:
+            ids: (m,) which simulations.
+            rows: the same.
+            bases: M, D, K (m, 6, 6) and drag (m, 6).
+        """
+        for name in ("M", "D", "K", "drag"):
+            getattr(self.bodies, name)[rows] = getattr(bases, name)
+        if self._sampled:
+            dt, form = self.system.control_dt, self.spec.admittance_form
+            for i, M, D, K in zip(ids.tolist(), bases.M, bases.D, bases.K, strict=True):
+                sampled = admittance_matrices(BaseModel(M, D, K), dt, form)
+                self.bodies.phi[i], self.bodies.gamma[i] = sampled
+        self._other_bases.update(ids.tolist())
+
+    def assignment(self, ids: Index, systems: Sequence[System]) -> Assignment:
+        """Check systems for some simulations; nothing is changed.
+
+        Args:
+            ids: (k,) which.
+            systems: k of them.
+
+        Raises:
+            ParameterError: systems that the simulations of one loop cannot have.
+        """
+        pairs = list(zip(ids.tolist(), systems, strict=True))
+        each = [self.described(k.arm).copy().edited(k) for k in systems]
+        others = [
+            (i, k)
+            for i, k in pairs
+            if i in self._other_bases or _all_bodies(k) != _all_bodies(self.systems[i])
+        ]
+        if self.given and any(k.vehicle is not self.system.vehicle for _, k in pairs):
+            raise ParameterError(
+                "an `admittance` takes the place of every simulation's vehicle: assign systems"
+                " with the vehicle of the simulator's own"
+            )
+        row_of: dict[tuple[int, ...], Bodies] = {}  # of each arm and vehicle
+        for i, k in others:
+            if _all_bodies(k) not in row_of:
+                row_of[_all_bodies(k)] = self._row(k, f"system of simulation {i}")
+        bodies = [(i, k, row_of[_all_bodies(k)]) for i, k in others]
+        return Assignment(pairs, bodies, LoopParameters.stacked(each))
+
+    def assign(self, assignment: Assignment) -> None:
+        """Put arms and vehicles of an assignment in place; its parameters go through `put`.
+
+        Args:
+            assignment: of `assignment`.
+        """
+        for i, system, row in assignment.bodies:
+            self.bodies.put(i, row)
+            if self.inertia is not None:
+                self.inertia.tell_apart().arms[i] = system.arm
+        for i, system in assignment.systems:
+            self.systems[i] = system
+            self._other_bases.discard(i)
+
+    def silence(self) -> None:
+        """Take noise and drift out of every sensor."""
+        errors = self.parameters.sensor
+        errors.noise[:], errors.drift[:] = 0.0, 0.0
+        self.noisy = errors.random()
+
+    def _row(self, system: System, which: str) -> Bodies:
+        """Arm and vehicle of a system as one row."""
+        numbers = np.empty(0)
+        if self._names is not None and system.arm is self.system.arm:
+            numbers = self._names.values  # those of the arm: a vehicle is the loop's alone
+        elif self._names is not None:
+            numbers = self._names.of(system.replace(effects=()), which)
+        return Bodies.of(system, self._linear, self._sampled, numbers)
+
+
+def _all_bodies(system: System) -> tuple[int, ...]:
+    """Arm and vehicle as described and as they are."""
+    return bodies_of(system) + bodies_of(system.actual)
