@@ -77,7 +77,7 @@ def get_planner(name: str) -> Planner:
         name: of the registry, with weights of disturbance measures after a colon where the
             planner takes them: `refined:acceleration_peak=0.03+tip=0.1`.
     """
-    plain, colon, text = name.partition(":")
+    plain, colon, text = name.partition(":") if isinstance(name, str) else (name, "", "")
     if plain not in PLANNERS:
         raise ParameterError(
             f"planner must be one of {', '.join(PLANNERS)}, got {plain!r}"
