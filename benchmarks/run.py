@@ -10,7 +10,7 @@ import platform
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks import environments, kernel, startup, training
+from benchmarks import environments, kernel, resets, startup, training
 from benchmarks.coupling import COUNT, coupling_against_loop
 from benchmarks.laboratory import SYSTEMS, emulated_against_ideal
 from benchmarks.simulator import simulator_against_batch, steps_per_second
@@ -88,6 +88,7 @@ def main() -> None:
         f" ({pair.low:.1f}-{pair.high:.1f}), {COUNT / pair.ours:,.0f} Q/s"
     )
     results["environments"] = environments.report()
+    results["resets"] = resets.report(list(resets.ROWS))
     results["training"] = training.report()
     results["startup"] = startup.report()
     swept = overhead()

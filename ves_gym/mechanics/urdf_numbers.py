@@ -56,10 +56,7 @@ def vector(
     """Return three numbers of an element.
 
     Args:
-        element: that has them, or none.
-        key: the attribute.
-        where: what they belong to, for the message.
-        default: taken where the attribute is missing.
+        element, key, where, default: see `number`.
 
     Returns:
         (3,).

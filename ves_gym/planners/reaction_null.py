@@ -128,6 +128,15 @@ def reaction_null_path(
     return np.array(path)
 
 
+def _over_straight(query: Query, motion: Motion) -> float:
+    """Predicted E_mean over the straight line's."""
+    ours, straight = (
+        predict(query.system, m, query.servo, base=query.base).E_mean
+        for m in (motion, query.straight)
+    )
+    return ours / max(straight, 1e-300)
+
+
 def _none_for(n: int, free: bool) -> str:
     effect = "keeps a free base from turning" if free else "spares it"
     return (
@@ -204,14 +213,11 @@ class ReactionNull:
 
     def _require_less_energy(self, query: Query, motion: Motion, remaining: float) -> None:
         """Raise NoPlan where the least reaction costs more than the straight line."""
-        ours, straight = (
-            predict(query.system, m, query.servo, base=query.base).E_mean
-            for m in (motion, query.straight)
-        )
-        if ours > straight:
+        ratio = _over_straight(query, motion)
+        if ratio > 1:
             raise NoPlan(
                 f"no reactionless motion joins these ends: {100 * remaining:.3g} % of the"
-                f" straight line's reaction is left at least, at {ours / straight:.3g} x its"
+                f" straight line's reaction is left at least, at {ratio:.3g} x its"
                 " energy"
             )
 
@@ -228,14 +234,9 @@ class ReactionNull:
         why = _none_for(query.system.arm.n, free)
         if not moved:
             raise NoPlan(why)
-        ours, straight = (
-            predict(query.system, m, query.servo, base=query.base).E_mean
-            for m in (motion, query.straight)
-        )
-        if ours > straight:
-            raise NoPlan(
-                f"{why}; what comes nearest costs {ours / straight:.3g} x the straight line"
-            )
+        ratio = _over_straight(query, motion)
+        if ratio > 1:
+            raise NoPlan(f"{why}; what comes nearest costs {ratio:.3g} x the straight line")
 
     def _flow(self, system: System, start: Array, goal: Array) -> Array:
         """(k, n) configurations from start towards goal along null directions."""
