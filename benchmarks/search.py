@@ -19,10 +19,10 @@ import scipy.optimize
 from threadpoolctl import threadpool_limits
 
 from ves_gym.mechanics.motion import Motion, basis
+from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.metric import Metric
 from ves_gym.planners.momentum import momentum
 from ves_gym.planners.ompl_search import Ompl
-from ves_gym.planners.prediction import MeanEnergy
 from ves_gym.planners.query import Query
 from ves_gym.planners.suites import get_suite
 from ves_gym.system.system import System

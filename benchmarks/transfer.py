@@ -1,61 +1,112 @@
 """What plans are worth on machines other than described: suite transfer, by planner.
 
-    python -m benchmarks.transfer --vehicle bent-flexible --queries 10 --durations 1 2 4
+    python -m benchmarks.transfer --queries 10 --durations 1 2 4 --out out/transfer
 
-Over all machines and questions: median, worst decile and worst of E_mean over the straight
-line's on the same machine, and what each planner costs on the machine as described, over
-`refined` (median over the questions).
+Each question is answered once, written to --out, and not asked again. `known` is `refined` told
+every machine exactly, without a price: what no plan made before the machine is known can be
+expected to beat. Over all machines and questions:
+
+- ratio: E_mean over the straight line's on the same machine;
+- excess: E_mean less that of `known`, over the straight line's: the cost of not knowing;
+- regret: E_mean over that of `known`;
+- price: E_mean on the machine as described over that of `refined`.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from ves_gym._util.params import Array, write_text
 from ves_gym.planners.benchmark import run_benchmark
-from ves_gym.planners.suites import transfer
+from ves_gym.planners.suites import Suite, transfer
 from ves_gym.system.system import System
+
+KNOWN = "known"
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--vehicle", default="bent-flexible")
     parser.add_argument("--queries", type=int, default=10)
     parser.add_argument("--durations", type=float, nargs="+", default=[1.0, 2.0, 4.0])
     parser.add_argument("--planners", default="refined,robust,robust-worst")
-    parser.add_argument("--workers", type=int)
+    parser.add_argument("--out", type=Path, default=Path("out/transfer"))
+    parser.add_argument("--machines", action="store_true", help="a median for every machine")
     args = parser.parse_args()
+    planners = ["straight", *args.planners.split(","), KNOWN]
     suite = transfer(System(), args.vehicle, args.queries)
     for duration in args.durations:
-        part = replace(
-            suite, queries=tuple((v, q) for v, q in suite.queries if q.duration == duration)
-        )
-        rows = run_benchmark(part, planners=args.planners.split(","), workers=args.workers)[
+        names = dict.fromkeys(q.name for _, q in suite.queries if q.duration == duration)
+        table: dict[tuple[str, str, str], float] = {}
+        for name in names:
+            table |= _answered(suite, name, planners, args.out / args.vehicle)
+        machines = list(dict.fromkeys(v for v, _ in suite.queries))
+        energy = {
+            p: np.array([[table[p, m, q] for q in names] for m in machines]) for p in planners
+        }
+        _print(args.vehicle, duration, machines, energy, args.machines)
+
+
+def _answered(
+    suite: Suite, question: str, planners: list[str], folder: Path
+) -> dict[tuple[str, str, str], float]:
+    """E_mean by planner, machine and question [J], from a file of before where there is one."""
+    path = folder / f"{question}.json"
+    stored: dict[str, dict[str, float]] = {}
+    if path.exists():
+        stored = json.loads(path.read_text("utf-8"))
+    asked = tuple((v, q) for v, q in suite.queries if q.name == question)
+    missing = [p for p in planners if p not in stored and p != KNOWN]
+    rows: list[dict[str, Any]] = []
+    if missing:
+        rows += run_benchmark(replace(suite, queries=asked), planners=missing, workers=1)[
             "rows"
         ]
-        table = {(r["planner"], r["vehicle"], r["query"]): r["E_mean"] for r in rows}
-        machines, asked = (
-            list(dict.fromkeys(r[k] for r in rows)) for k in ("vehicle", "query")
-        )
+    if KNOWN not in stored:
+        told = {v: q.system.actual for v, q in asked}
+        part = replace(suite, queries=asked, described=told)
+        found = run_benchmark(part, planners=["refined"], workers=1)["rows"]
+        rows += [{**row, "planner": KNOWN} for row in found if row["planner"] == "refined"]
+    for row in rows:
+        stored.setdefault(row["planner"], {})[row["vehicle"]] = row["E_mean"]
+    if rows:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(path, json.dumps(stored, indent=1))
+    return {(p, m, question): e for p, by in stored.items() for m, e in by.items()}
+
+
+def _print(
+    vehicle: str, duration: float, machines: list[str], energy: dict[str, Array], each: bool
+) -> None:
+    straight, known, nominal = (energy[k] for k in ("straight", KNOWN, "refined"))
+    count = straight.shape[1]
+    print(f"{vehicle}, {duration:g} s, {len(machines)} machines, {count} questions")
+    print(
+        "planner        described   price (most)  | ratio: median  worst decile  worst"
+        "  | worst decile of excess  regret"
+    )
+    for name, E in energy.items():
+        if name == "straight":
+            continue
+        ratio, price = E / straight, E[0] / nominal[0]
         print(
-            f"{args.vehicle}, {duration:g} s, {len(machines)} machines, {len(asked)} questions"
+            f"{name:13s}  {np.median(ratio[0]):9.4f}"
+            f"  {np.median(price):6.3f} ({price.max():.3f})"
+            f"  | {np.median(ratio):13.4f}  {np.quantile(ratio, 0.9):12.4f}  {ratio.max():.3f}"
+            f"  | {np.quantile((E - known) / straight, 0.9):22.4f}"
+            f"  {np.quantile(E / known, 0.9):6.3f}",
+            flush=True,
         )
-        print("planner       as described   price  | all machines: median  worst decile  worst")
-        for name in args.planners.split(","):
-            energy, straight, known = (
-                np.array([[table[k, m, q] for q in asked] for m in machines])
-                for k in (name, "straight", "refined")
-            )
-            ratio, price = energy / straight, np.median(energy[0] / known[0])
-            print(
-                f"{name:13s} {np.median(ratio[0]):12.4f}  {price:6.3f}  |"
-                f" {np.median(ratio):20.4f}  {np.quantile(ratio, 0.9):12.4f}"
-                f"  {ratio.max():.4f}",
-                flush=True,
-            )
+    for k, machine in enumerate(machines) if each else ():
+        medians = (f"{p} {np.median((E / straight)[k]):.4f}" for p, E in energy.items())
+        print(f"  {machine:28s} {'  '.join(medians)}")
 
 
 if __name__ == "__main__":

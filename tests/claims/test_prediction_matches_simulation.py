@@ -19,7 +19,8 @@ from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT
 from ves_gym.planners.coupling import coupling_matrix
-from ves_gym.planners.prediction import MeanEnergy, joint_momentum, predict, spectral_energy
+from ves_gym.planners.mean_energy import MeanEnergy
+from ves_gym.planners.prediction import joint_momentum, predict, spectral_energy
 from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import REACH_DURATIONS, get_suite

@@ -15,6 +15,7 @@ from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.planners.conjugate import conjugate, is_convex, local_part, momentum_cost
 from ves_gym.planners.direct import Direct, MotionProblem
 from ves_gym.planners.lower_bound import bound_energy
+from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.potential import (
     Potential,
     ReachableSet,
@@ -24,7 +25,7 @@ from ves_gym.planners.potential import (
     coupling_of,
     residual_floor,
 )
-from ves_gym.planners.prediction import LinearBase, MeanEnergy, joint_momentum
+from ves_gym.planners.prediction import LinearBase, joint_momentum
 from ves_gym.planners.query import Query
 from ves_gym.planners.refine import Refined, detours
 from ves_gym.planners.suites import REACH_RANGE, SPEED_LIMITS, reach100

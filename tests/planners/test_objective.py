@@ -14,9 +14,10 @@ from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.direct import Direct, MotionProblem
+from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.objective import ENERGY, WEIGHTS, Objective, checked_weights
 from ves_gym.planners.predicted_disturbance import predict_disturbance
-from ves_gym.planners.prediction import BaseState, MeanEnergy, joint_momentum, predict
+from ves_gym.planners.prediction import BaseState, joint_momentum, predict
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.refine import Refined
 from ves_gym.system.disturbance import MEASURES

@@ -1,13 +1,19 @@
-"""The robust planner: its energy is the weighted sum of the machines', its price is kept."""
+"""The robust planner: what it minimises, by which machines, and that its price is kept."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.planners.direct import MotionProblem
+from ves_gym.effects.payload_mass import PayloadMass
+from ves_gym.planners.direct import Direct
+from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.query import Query, solve
-from ves_gym.planners.robust import OBJECTIVES, Robust, ScenarioProblem, _corners, scenarios
+from ves_gym.planners.robust import OBJECTIVES, Robust, _corners, scenarios
+from ves_gym.planners.scenarios import ScenarioProblem
 from ves_gym.simulation.playback import play_motions
+from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
 
 UNCERTAIN = {"base/stiffness": {"error": (-0.2, 0.2)}, "payload/mass": {"mass": (0.0, 5.0)}}
@@ -49,22 +55,56 @@ def _satellite():
     return FREE_FLOATING
 
 
-def test_the_energy_is_the_weighted_sum_of_the_machines(problem):
-    weights = np.array([0.4, 0.1, 0.2, 0.0, 0.3])
-    problem.weigh(weights)
+@pytest.mark.parametrize("sharpness", [0.0, 5.0])
+def test_risk_is_the_mean_or_the_soft_maximum_and_its_derivatives_are_exact(problem, sharpness):
+    """Reference: central differences of the value, and of the derivative with u held linear."""
+    risk = problem.risk
     x = problem.straight + 0.1 * np.random.default_rng(0).normal(size=problem.straight.size)
-    energies = []
-    for system in problem.systems:
-        own = MotionProblem(Query(**{**vars(QUERY), "system": system}), 8)
-        # the inertia is frozen where the query's machine freezes it
-        energies.append(own.value(x)[0])
-    np.testing.assert_allclose(problem.energies(x), energies, rtol=1e-9)
-    value, gradient = problem.value(x)
-    assert value == pytest.approx(weights @ energies, rel=1e-9)
+    u, slope = problem.momentum(x)
+    risk.scale, risk.sharpness, risk.price = problem.energies(problem.straight), sharpness, 0.3
+    r = problem.energies(x) / risk.scale
+    mean = r[1:].mean() if not sharpness else np.log(np.exp(5 * r[1:]).mean()) / 5
+    assert risk.value(u) == pytest.approx(0.3 * r[0] + mean, rel=1e-12)
     way = np.random.default_rng(1).normal(size=x.size)
     step = 1e-5
-    slope = (problem.value(x + step * way)[0] - problem.value(x - step * way)[0]) / (2 * step)
-    assert gradient @ way == pytest.approx(slope, rel=1e-6)
+    ends = problem.value(x + step * way)[0], problem.value(x - step * way)[0]
+    gradient = problem.value(x)[1]
+    assert gradient @ way == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-6)
+    along = slope @ way
+    forces = risk.force(u + step * along), risk.force(u - step * along)
+    second = along @ (forces[0] - forces[1]) / (2 * step)
+    assert way @ risk.curvature(u, slope) @ way == pytest.approx(second, rel=1e-6)
+    risk.sharpness = risk.price = 0.0
+
+
+def test_a_payload_that_the_servo_does_not_know_costs_what_the_simulation_says():
+    """Reference: the nonlinear simulation, whose servo is fed forward as described.
+
+    Without the torque that it lacks the form gives 0.7 of it (4 to 8 kg at 1 s).
+    """
+    query = replace(QUERY, duration=1.0, goal=(0.7, -0.1, -0.2), v_max=None)
+    heavy = query.system.replace(effects=(PayloadMass(mass=5.0),))
+    motion = solve(Direct(), query).motion
+    at = np.add(query.start, query.goal) / 2
+    form, blind = (
+        MeanEnergy(heavy.actual, at, 1.0, query.servo, described=arm)
+        for arm in (query.system.arm, None)
+    )
+    played = play_motions(heavy, [motion], servo=query.servo, settle=TAIL).energies()[0].E_mean
+    assert form.of(motion) == pytest.approx(played, rel=0.05)
+    assert blind.of(motion) < 0.9 * played
+
+
+def test_the_energies_are_those_of_the_machines(problem):
+    x = problem.straight + 0.1 * np.random.default_rng(0).normal(size=problem.straight.size)
+    middle = (problem.start + problem.goal) / 2
+    expected = [
+        MeanEnergy(s, middle, QUERY.duration, QUERY.servo, described=QUERY.system.arm).of(
+            problem.motion(x)
+        )
+        for s in problem.systems
+    ]
+    np.testing.assert_allclose(problem.energies(x), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
@@ -73,17 +113,14 @@ def test_the_answer_costs_less_when_the_machine_is_another_and_its_price_is_kept
     nominal = solve(Robust(UNCERTAIN, objective=objective, free=12, price=1.0), QUERY)
     assert robust.feasible
     assert nominal.feasible
-    before, after = (np.array(p.info["energies"]) for p in (nominal, robust))
+    before, after, known = (
+        np.array(e)
+        for e in (nominal.info["energies"], robust.info["energies"], robust.info["known"])
+    )
     assert after[0] <= 1.15 * robust.info["nominal"]["energies"][0] * (1 + 1e-9)
     measure = np.max if objective == "worst" else np.mean
-    assert measure(after[1:]) < 0.97 * measure(before[1:])
-    heavy = scenarios(QUERY.system, UNCERTAIN)[2]
-    motions = [nominal.motion, robust.motion]
-    energies = [
-        play_motions(heavy, [m], servo=QUERY.servo).energies()[0].E_mean for m in motions
-    ]
-    predicted = before[3], after[3]
-    np.testing.assert_allclose(energies, predicted, rtol=0.2)
+    assert measure((after / known)[1:]) < 0.97 * measure((before / known)[1:])
+    assert (after > 0.99 * known).all()  # what was made for one machine alone is least there
 
 
 def test_what_cannot_be_asked_is_refused():

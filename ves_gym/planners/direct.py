@@ -20,15 +20,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm import matrix
+from ves_gym.mechanics.arm import Arm, matrix
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots, leading_points
-from ves_gym.planners.momentum import BaseMomentum, momentum, torque
+from ves_gym.planners.mean_energy import MeanEnergy
+from ves_gym.planners.momentum import BaseMomentum, InverseDynamics, momentum, torque
 from ves_gym.planners.objective import ENERGY, Objective, checked_weights, weighted_name
 from ves_gym.planners.obstacles import Collisions, collisions
 from ves_gym.planners.prediction import (
     NODES,
-    MeanEnergy,
     Response,
     respond,
     steps_of_joints,
@@ -132,12 +132,18 @@ class MotionProblem:
         query = self.query
         return Objective(energy, weights, query.straight, query.weight, query.base)
 
-    def form_at(self, at: Array | Motion, system: System | None = None) -> MeanEnergy:
+    def form_at(
+        self,
+        at: Array | Motion,
+        system: System | None = None,
+        described: Arm | None = None,
+    ) -> MeanEnergy:
         """E_mean as a function of the momentum, the inertia frozen or that along a motion.
 
         Args:
             at: (n,) [rad], or a motion of the query's duration.
             system: another one than the query's.
+            described: arm by which its servo is fed forward; None: its own.
         """
         query, system = self.query, system or self.query.system
         momentum = None
@@ -151,6 +157,7 @@ class MotionProblem:
             self.nodes,
             base=query.base,
             momentum=momentum,
+            described=described,
         )
 
     def follow(self, motion: Motion) -> None:
@@ -307,17 +314,28 @@ class MotionProblem:
             out[:, i] = part.max(axis=0), part.min(axis=0)
         return out
 
-    def _torque(self, x: Array) -> tuple[Array, Array]:
-        """Joint torque over its limit at sampled times, on a base that stands still."""
+    def torque(self, x: Array, bases: list[Array], arm: Arm | None = None) -> InverseDynamics:
+        """Joint torque on a base that stands still (k, n) [N m], by (k, n, free, n).
+
+        Args:
+            x: (free n,) control points [rad].
+            bases: positions, rates and accelerations at k times (`_sampled`).
+            arm: another one than the query's.
+        """
         control = self.control(x)
-        dynamics = torque(self.arm, *(b @ control for b in self._torque_bases))
+        dynamics = torque(arm or self.arm, *(b @ control for b in bases))
         inner = slice(_FIXED, self.m - _FIXED)
         slope = sum(
             np.einsum("kij,km->kimj", dynamics.by[:, order], b[:, inner])
-            for order, b in enumerate(self._torque_bases)
+            for order, b in enumerate(bases)
         )
+        return InverseDynamics(dynamics.tau, np.asarray(slope))
+
+    def _torque(self, x: Array) -> tuple[Array, Array]:
+        """Joint torque over its limit at sampled times, on a base that stands still."""
+        dynamics = self.torque(x, self._torque_bases)
         size = dynamics.tau.size
-        scaled = slope / self._tau_max[:, None, None]
+        scaled = dynamics.by / self._tau_max[:, None, None]
         tau = dynamics.tau + self._pushed(self._torque_times * self.query.duration)[0]
         return (tau / self._tau_max).ravel(), scaled.reshape(size, -1)
 

@@ -14,8 +14,9 @@ from ves_gym.mechanics.arm import skew
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.planners.coupling import blocks
 from ves_gym.planners.direct import MotionProblem
+from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.momentum import BaseMomentum, momentum
-from ves_gym.planners.prediction import NODES, MeanEnergy
+from ves_gym.planners.prediction import NODES
 from ves_gym.planners.query import Query
 from ves_gym.system.system import System
 

@@ -29,8 +29,9 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.planners.barrier import Barrier
 from ves_gym.planners.conjugate import MomentumCost, conjugate, local_part, momentum_cost
 from ves_gym.planners.direct import MotionProblem, minimise
+from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.potential import Potential, ReachableSet, Setting, Shapes, residual_floor
-from ves_gym.planners.prediction import LinearBase, MeanEnergy
+from ves_gym.planners.prediction import LinearBase
 from ves_gym.planners.query import Query, require_time
 
 _JOINTS = 4  # at most, for a potential over all of joint space

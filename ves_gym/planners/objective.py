@@ -21,7 +21,8 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.linear_response import LinearResponse
-from ves_gym.planners.prediction import BaseState, MeanEnergy, joint_momentum
+from ves_gym.planners.mean_energy import MeanEnergy
+from ves_gym.planners.prediction import BaseState, joint_momentum
 from ves_gym.system.disturbance import MEASURES
 from ves_gym.system.frequency_weight import FrequencyWeight
 

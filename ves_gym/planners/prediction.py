@@ -7,7 +7,7 @@ with the joint momentum u(t) = H_bm(q) q' and P = M_t Y' + u,
 
 `spectral_energy` is its undamped closed form (THEORY eq. 1). `predict` keeps damping,
 servo compliance and the mean over the tail; with M_t frozen at one configuration, or along
-one motion, E_mean is a quadratic function of u (`MeanEnergy`), which is what `direct`
+one motion, E_mean is a quadratic function of u (`mean_energy`), which is what `direct`
 minimises. A base that moves at the start (`BaseState`) adds its free response: a linear term
 in u and a constant.
 """
@@ -145,13 +145,13 @@ class LinearBase:
             self.D = scipy.linalg.block_diag(self.D, np.diag(servo.kd))
             self.K = scipy.linalg.block_diag(self.K, np.diag(servo.kp))
         # of x, what the arm's inertia matrix (6 + n) acts on
-        self._seen = np.r_[np.arange(6), np.arange(self.b, self.size)]
+        self.seen = np.r_[np.arange(6), np.arange(self.b, self.size)]
 
     def mass(self, H: Array) -> Array:
         """Inertia of x (..., size, size) from the arm's inertia matrices."""
         M = np.zeros((*H.shape[:-2], self.size, self.size))
-        k = len(self._seen)
-        M[..., self._seen[:, None], self._seen] = H[..., :k, :k]
+        k = len(self.seen)
+        M[..., self.seen[:, None], self.seen] = H[..., :k, :k]
         M[..., : self.b, : self.b] += self.base_mass
         return M
 
@@ -297,107 +297,6 @@ def predict(
     total = np.trapezoid(E, t) + final @ linear.tail(M[-1]) @ final
     mean = total / (motion.duration + TAIL)
     return Prediction(E_mean=float(mean), E_res=float(E[-1]), E_peak=float(E.max()))
-
-
-class MeanEnergy:
-    """E_mean of a motion as a quadratic function, with the inertia frozen at `at`.
-
-    E_mean = 1/2 u^T W u + g^T u + c over the samples u (N + 1, 6) of the joint momentum
-    H_bm(q) q' at the times `t`; u is held linear between them. W is `hessian`, g `gradient`
-    and c `constant`; the latter are zero where base and joints start at rest.
-
-    Args:
-        system: arm and vehicle.
-        at: (n,) configuration of the frozen inertia [rad], or a motion of the duration: the
-            inertia is then that along it.
-        duration: of the motions [s].
-        servo: that moves them; None: they follow exactly.
-        nodes: steps.
-        base: its motion at the start; None: at rest.
-        momentum: (6,) of the joints at the start; None: at rest.
-    """
-
-    def __init__(
-        self,
-        system: System,
-        at: npt.ArrayLike | Motion,
-        duration: float,
-        servo: JointServo | None = None,
-        nodes: int = NODES,
-        *,
-        base: BaseState | None = None,
-        momentum: Array | None = None,
-    ) -> None:
-        self.linear = LinearBase(system, servo)
-        self.t = np.linspace(0, duration, nodes + 1)
-        self.system, self.at = system, at
-        u0 = np.zeros(6) if momentum is None else momentum
-        self._M, middle = inertia_along(self.linear, at, self.t)
-        A, B = self.linear.plant(middle)
-        self._steps = list(zip(*hold(A, B[..., :6], self.t[1]), strict=True))
-        self._start = None
-        if base is not None or u0.any():
-            self._start = self.linear.begin(self._mass_at(0), base, u0)
-        self._form()
-
-    def of(self, motion: Motion) -> float:
-        """E_mean of a motion [J]."""
-        return self.value(joint_momentum(self.system, motion, self.t).ravel())
-
-    def value(self, u: Array) -> float:
-        """E_mean [J] of momenta u (6 (N + 1),)."""
-        quadratic_part = 0.5 * float(u @ self.hessian @ u)
-        if self._start is None:
-            return quadratic_part
-        return quadratic_part + float(self.gradient @ u) + self.constant
-
-    def force(self, u: Array) -> Array:
-        """Derivative of `value` (6 (N + 1),)."""
-        out: Array = self.hessian @ u
-        return out if self._start is None else out + self.gradient
-
-    def curvature(self, u: Array, slope: Array) -> Array:
-        """slope^T W slope (k, k): the same for all u, for slopes (6 (N + 1), k)."""
-        out: Array = slope.T @ (self.hessian @ slope)
-        return out
-
-    def _mass_at(self, k: int) -> Array:
-        out: Array = self._M[k if len(self._M) > 1 else 0]
-        return out
-
-    def _form(self) -> None:
-        """W (6(N + 1), 6(N + 1)) [J / (kg m/s)^2], g [J / (kg m/s)] and c [J]."""
-        linear, N, duration = self.linear, len(self.t), float(self.t[-1])
-        size, b = linear.size, linear.b
-        # response of the state at node k to u at node j, and last of all to the start
-        states = np.zeros((N, 2 * size, N * 6 + 1))
-        if self._start is not None:
-            states[0, :, -1] = self._start
-        for k in range(N - 1):
-            Phi, first, second = self._steps[k if len(self._steps) > 1 else 0]
-            done = 6 * k + 6
-            states[k + 1, :, :done] = Phi @ states[k, :, :done]
-            states[k + 1, :, -1] = Phi @ states[k, :, -1]
-            states[k + 1, :, done - 6 : done] += first
-            states[k + 1, :, done : done + 6] = second
-        # E_k = 1/2 |R_K z|^2 + 1/2 |R_M z'|^2 with z' = (M^-1 (P - u))[:b]
-        pose = root(linear.base_stiffness)
-        speed = np.stack([root(M[:b, :b]) @ np.linalg.inv(M)[:b] for M in self._M])
-        rows = np.empty((N, 2 * b, 6 * N + 1))
-        rows[:, :b] = pose @ states[:, :b]
-        rows[:, b:] = speed @ states[:, size:]
-        for k in range(N):
-            rows[k, b:, 6 * k : 6 * k + 6] -= speed[k if len(speed) > 1 else 0, :, :6]
-        weight = np.full(N, self.t[1])
-        weight[[0, -1]] /= 2
-        rows *= np.sqrt(weight / (duration + TAIL))[:, None, None]
-        flat = rows.reshape(2 * b * N, -1)
-        tail = 2 / (duration + TAIL) * linear.tail(self._mass_at(-1))
-        last = states[-1]
-        whole = flat.T @ flat + last.T @ tail @ last
-        self.hessian: Array = np.ascontiguousarray(whole[:-1, :-1])
-        self.gradient: Array = whole[:-1, -1].copy()
-        self.constant = 0.5 * float(whole[-1, -1])
 
 
 def inertia_along(

@@ -1,16 +1,14 @@
 """Plans for a machine that is known within ranges: least mean or worst energy at a price.
 
-The energy of a motion is a quadratic form on every machine of the ranges, so their weighted
-sum is one (`MeanEnergy`), and `direct`'s optimiser minimises it as it is. Scenarios are the
-ends of the ranges; how far the answer leans towards them is limited by what it may cost on the
-machine as described.
+Scenarios are the ends of the ranges. The energy of a motion on each counts over the least that
+a motion made for that machine alone has there (`ScenarioProblem.known`), so that what is
+minimised is the cost of not knowing; what it may cost on the machine as described is limited.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -20,10 +18,10 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import has
-from ves_gym.planners.direct import MotionProblem, minimise
-from ves_gym.planners.prediction import MeanEnergy
+from ves_gym.planners.direct import minimise
 from ves_gym.planners.query import Query, broken_limit
 from ves_gym.planners.refine import _FREE, Refined
+from ves_gym.planners.scenarios import ScenarioProblem
 from ves_gym.system.system import System
 
 Ranges = Mapping[str, Mapping[str, Any]]  # effect -> parameter -> (low, high), as `randomize`
@@ -35,9 +33,11 @@ UNCERTAIN: Ranges = {
 }
 OBJECTIVES = ("mean", "worst")
 _FULL = 3  # uncertain numbers up to which every corner of their box is a scenario
-_ROUNDS = 4  # of weighing the worst scenarios more
-_SHARPNESS = 6.0  # of that weighing: exp(sharpness E / largest E)
-_HALVINGS = 5  # of the lean towards the scenarios, until the price is kept
+_SHARPNESS = 20.0  # of the soft maximum, over the largest ratio: within log(k) / 20 of it
+_ROUNDS = 6  # of finding the multiplier that keeps the price
+_SPAN = 3.0  # of its logarithm, searched at first
+_NEAR_PRICE = 0.01  # of the price that may be left
+_TOLERANCE = 1e-4  # relative decrease that ends an optimisation
 
 
 class Robust:
@@ -47,7 +47,8 @@ class Robust:
         uncertain: {effect: {parameter: (low, high)}}, as environments take it; those that a
             vehicle cannot have are left out.
         price: largest E_mean on the machine as described over that of the nominal optimum.
-        objective: "mean" over the scenarios, or "worst".
+        objective: "mean" over the scenarios of the energy over what knowing the machine would
+            give, or "worst" (a soft maximum).
         free: control points of the answer.
         name: of the planner.
     """
@@ -76,20 +77,21 @@ class Robust:
         )
         self.name = name
         self.summary = (
-            f"least {objective} predicted E_mean over an uncertain machine, at most"
-            f" {price:g} x the nominal optimum on the machine as described"
+            f"least {objective} predicted E_mean over an uncertain machine, each over what it"
+            f" could be, at most {price:g} x the nominal optimum on the machine as described"
         )
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Lean from the nominal optimum towards the scenarios as far as the price allows.
+        """Minimise the objective over the scenarios, the price on the described machine kept.
 
         Args:
             query: the ends, the duration and limits.
             seed: of the nominal search.
 
         Returns:
-            The motion; the energies [J] of the nominal optimum and of the answer, on the
-            machine as described and in every scenario.
+            The motion; the energies [J] of the nominal optimum, of the answer, and of motions
+            made for each machine alone (`known`), on the machine as described and in every
+            scenario.
 
         Raises:
             NoPlan: there is no nominal plan.
@@ -98,36 +100,93 @@ class Robust:
         problem = ScenarioProblem(query, self.free, scenarios(query.system, self.uncertain))
         x0 = problem.of(nominal)
         before = problem.energies(x0)
-        answer, x, lean = x0, x0, 1.0
-        for _ in range(_HALVINGS):
-            x = self._towards(problem, x, lean)
-            motion = problem.motion(x)
-            within = problem.energies(x)[0] <= self.price * before[0]
-            if within and broken_limit(query, motion) is None:
-                answer = x
-                break
-            lean /= 2
-        after = problem.energies(answer)
-        return (nominal if answer is x0 else problem.motion(answer)), {
+        known, found = problem.known(x0), x0
+        if (known > 0).all():
+            found = self._least(problem, x0, before, known)
+        after = problem.energies(found)
+        return (nominal if found is x0 else problem.motion(found)), {
             "scenarios": len(after) - 1,
-            "lean": 0.0 if answer is x0 else lean,
             "price": float(after[0] / before[0]) if before[0] > 0 else 1.0,
             "nominal": {"energies": before.tolist()},
             "energies": after.tolist(),
+            "known": known.tolist(),
             "message": info.get("message", ""),
         }
 
-    def _towards(self, problem: ScenarioProblem, x: Array, lean: float) -> Array:
-        """Minimise (1 - lean) E_nominal + lean times the objective over the scenarios."""
-        count = len(problem.systems) - 1
-        weights = np.full(count, 1 / count)
-        for _ in range(_ROUNDS if self.objective == "worst" else 1):
-            problem.weigh(np.r_[1 - lean, lean * weights])
-            x = minimise(problem, x, tolerance=1e-4).x
-            energy = problem.energies(x)[1:]
-            steep = np.exp(_SHARPNESS * (energy / energy.max() - 1))
-            weights = 0.5 * weights + 0.5 * steep / steep.sum()
-        return x
+    def _least(self, problem: ScenarioProblem, x0: Array, before: Array, known: Array) -> Array:
+        """Return the best decision whose price is kept, x0 where there is none better.
+
+        Where the torque of every arm cannot be kept at the price, that of the described one is.
+
+        Args:
+            problem: of all scenarios.
+            x0: the nominal optimum.
+            before: its energies [J].
+            known: least energies [J], the scales.
+        """
+        risk = problem.risk
+        risk.scale = np.r_[before[0], known[1:]]
+        if self.objective == "worst":
+            risk.sharpness = _SHARPNESS / float((before / risk.scale)[1:].max())
+        best, least = x0, self._objective(problem, x0)
+        for limited in (range(len(problem.arms)), range(1)):
+            problem.limited = limited
+            for x in self._tried(problem, x0):
+                if not self._stands(problem, x):
+                    continue
+                value = self._objective(problem, x)
+                if self._price(problem, x) <= self.price and value < least:
+                    best, least = x, value
+            if best is not x0:
+                break
+        return best
+
+    def _tried(self, problem: ScenarioProblem, x0: Array) -> Iterator[Array]:
+        """Optima with a multiplier on the price, until it is just kept.
+
+        Were the energies quadratic between x0 and the optimum without a price, then on the way,
+        by the share s of it, price - 1 would go with s^2 and the multiplier with (1 - s) / s:
+        the first guess. Then the secant in its logarithm, halving where that leads astray.
+        """
+        risk = problem.risk
+        most = self.price - 1
+        start = self._objective(problem, x0)
+        x = free = minimise(problem, x0, tolerance=_TOLERANCE).x
+        yield x
+        spent, gained = self._price(problem, x) - 1, start - self._objective(problem, x)
+        if spent <= most or most == 0 or gained <= 0:
+            return
+        s = math.sqrt(most / spent)
+        level = math.log(gained / spent * (1 - s) / s)
+        low, high = (level - _SPAN, spent), (math.inf, 0.0)  # too little, enough
+        for _ in range(_ROUNDS):
+            risk.price = math.exp(level)
+            x = minimise(problem, x0 + s * (free - x0), tolerance=_TOLERANCE).x
+            risk.price = 0.0
+            yield x
+            paid = self._price(problem, x) - 1
+            if most - _NEAR_PRICE <= paid <= most:
+                return
+            low, high = (low, (level, paid)) if paid <= most else ((level, paid), high)
+            if math.isinf(high[0]):
+                level += _SPAN / 2
+                continue
+            share = (low[1] - most + _NEAR_PRICE / 2) / (low[1] - high[1])
+            level = low[0] + min(max(share, 0.2), 0.8) * (high[0] - low[0])
+
+    @staticmethod
+    def _objective(problem: ScenarioProblem, x: Array) -> float:
+        """Risk of a decision; its price is added where the problem has one."""
+        return problem.risk.value(problem.momentum(x)[0])
+
+    @staticmethod
+    def _price(problem: ScenarioProblem, x: Array) -> float:
+        """Energy on the machine as described over that of the nominal optimum."""
+        return float(problem.energies(x)[0] / problem.risk.scale[0])
+
+    @staticmethod
+    def _stands(problem: ScenarioProblem, x: Array) -> bool:
+        return broken_limit(problem.query, problem.motion(x)) is None
 
 
 def scenarios(system: System, uncertain: Ranges) -> list[System]:
@@ -166,92 +225,3 @@ def _corners(size: int) -> Array:
     order = 2 ** math.ceil(math.log2(size + 1))
     signs = scipy.linalg.hadamard(order)[:, 1 : size + 1]
     return np.asarray((signs + 1) / 2, dtype=np.float64)
-
-
-class ScenarioProblem(MotionProblem):
-    """The problem of `direct` with the weighted energy of several machines.
-
-    The first is the query's own. Machines of one arm share its momentum; torque limits hold
-    with every arm.
-    """
-
-    def __init__(self, query: Query, free: int, others: Sequence[System]) -> None:
-        super().__init__(query, free)
-        self.systems = [query.system, *others]
-        arms = list(dict.fromkeys(system.arm for system in self.systems))
-        self._group = [arms.index(system.arm) for system in self.systems]
-        assert isinstance(self.energy, MeanEnergy)
-        self._forms = [self.energy]
-        self._arms: list[MotionProblem] = [self]
-        for arm in arms[1:]:
-            other = query.system.replace(arm=arm)
-            problem = MotionProblem(replace(query, system=other), free, self.energy)
-            self._arms.append(problem)
-        middle = (self.start + self.goal) / 2
-        for system in others:
-            self._forms.append(self.form_at(middle, system))
-        self.weigh(np.r_[1.0, np.zeros(len(others))])
-
-    def weigh(self, weights: Array) -> None:
-        """Set the weight of every machine's energy, the query's own first."""
-        groups = range(len(self._arms))
-        parts = [
-            [
-                (w, f)
-                for w, f, g in zip(weights, self._forms, self._group, strict=True)
-                if g == k
-            ]
-            for k in groups
-        ]
-        self.energy = _Mixture(parts)  # type: ignore[assignment]
-
-    def energies(self, x: Array) -> Array:
-        """E_mean of a decision on every machine [J]."""
-        samples = self._samples(x)
-        pairs = zip(self._forms, self._group, strict=True)
-        return np.array([form.value(samples[g][0]) for form, g in pairs])
-
-    def _samples(self, x: Array) -> list[tuple[Array, Array]]:
-        return [MotionProblem.momentum(arm, x) for arm in self._arms]
-
-    def momentum(self, x: Array) -> tuple[Array, Array]:
-        """Samples of every arm's momentum, one after another, and their derivative."""
-        samples = self._samples(x)
-        return np.concatenate([u for u, _ in samples]), np.vstack([s for _, s in samples])
-
-    def _torque(self, x: Array) -> tuple[Array, Array]:
-        parts = [MotionProblem._torque(arm, x) for arm in self._arms]
-        return np.concatenate([v for v, _ in parts]), np.vstack([s for _, s in parts])
-
-    def add_torque_samples(self, x: Array) -> bool:
-        """Sample each arm's torque also at its peaks; True if any passes its share."""
-        added = [MotionProblem.add_torque_samples(arm, x) for arm in self._arms]  # all of them
-        return any(added)
-
-
-class _Mixture:
-    """Weighted sum of quadratic forms in the momenta of several arms, one after another."""
-
-    def __init__(self, parts: list[list[tuple[float, MeanEnergy]]]) -> None:
-        first = parts[0][0][1]
-        self.t, self.linear, size = first.t, first.linear, len(first.hessian)
-        self._parts = parts
-        self._slices = [slice(k * size, (k + 1) * size) for k in range(len(parts))]
-        blocks = [sum(w * form.hessian for w, form in part) for part in parts]
-        self.hessian: Array = scipy.linalg.block_diag(*blocks)
-
-    def value(self, u: Array) -> float:
-        """Weighted energy [J] of momenta."""
-        pairs = zip(self._parts, self._slices, strict=True)
-        return float(sum(w * form.value(u[at]) for part, at in pairs for w, form in part if w))
-
-    def curvature(self, u: Array, slope: Array) -> Array:
-        """slope^T W slope (k, k): the same for all u, for slopes of momenta."""
-        out: Array = slope.T @ (self.hessian @ slope)
-        return out
-
-    def force(self, u: Array) -> Array:
-        """Derivative of `value`."""
-        pairs = zip(self._parts, self._slices, strict=True)
-        forces = [sum(w * form.force(u[at]) for w, form in part) for part, at in pairs]
-        return np.concatenate(forces)

@@ -175,7 +175,8 @@ def others_of(described: System) -> dict[str, tuple[System, System]]:
         out["damping x 2"] = of(strong), described
     out["payload 2.5 kg"] = of(PayloadMass(mass=2.5)), described
     out["payload 5 kg"] = of(heavy), described
-    out["payload 5 kg, known"] = of(heavy), described.replace(arm=of(heavy).actual.arm)
+    loaded = described.replace(arm=of(heavy).actual.arm)
+    out["payload 5 kg, known"] = loaded, loaded  # to the servo as well
     out["friction"] = of(*friction), described
     out["command 12.5 ms late"] = of(CommandDelay(delay=0.0125)), described
     if has(described.vehicle, "K") and has(described.vehicle, "D"):

@@ -24,8 +24,8 @@ from ves_gym.mechanics.tool_pose import (
     tool_twists,
     towards_pose,
 )
+from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.obstacles import collisions
-from ves_gym.planners.prediction import MeanEnergy
 from ves_gym.planners.query import Plan, Planner, Query, solve
 
 _NODES = 32  # of a prediction while goals are compared
