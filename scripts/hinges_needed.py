@@ -16,7 +16,8 @@ import scipy
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Inertial, diagonal
-from ves_gym.mechanics.boom import NOTHING, Boom, BoomJoint, BoomMember
+from ves_gym.mechanics.boom import NOTHING, Boom
+from ves_gym.mechanics.boom_member import BoomJoint, BoomMember
 from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.section import Material, Section
 

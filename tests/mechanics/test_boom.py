@@ -11,16 +11,19 @@ import scipy
 from ves_gym._util.params import ParameterError, from_plain, to_plain
 from ves_gym.mechanics.arm import Arm, Inertial, diagonal
 from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.boom import NOTHING, Boom, BoomMember
+from ves_gym.mechanics.boom import NOTHING, Boom
 from ves_gym.mechanics.boom_library import QUASI_ISOTROPIC, REACHING_OUT, SHUTTLE_LIKE
+from ves_gym.mechanics.boom_member import BoomMember
 from ves_gym.mechanics.dynamics import inertia, joint_positions
 from ves_gym.mechanics.flexible_base import FlexibleBase, Polyline, Strut, bent_line
 from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.section import Tube
+from ves_gym.mechanics.spatial import rotation
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.planners.query import Query
 from ves_gym.system.system import System
+from ves_gym.system.system_library import get_system
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 from hinges_needed import TIPS, by_hinges, closed_form
@@ -187,3 +190,24 @@ def test_bad_booms_are_refused():
         unfold(replace(arm, links=(arm.links[0], light, *arm.links[2:])))
     with pytest.raises(ParameterError, match=r"the last of Arm\.links must not bend"):
         replace(arm, links=arm.links[:2])
+
+
+@pytest.mark.parametrize("name", ["macro-micro", "macro-micro-braked"])
+def test_pictures_bend_as_the_boom_does(name):
+    """Place of the tool in a picture, base moved and links bent."""
+    from ves_gym.rendering.drawing import Drawing  # needs MuJoCo with its OpenGL
+
+    system = get_system(name)
+    drawing, p = Drawing(system, 64, 48), system.arm.bends
+    rng = np.random.default_rng(0)
+    y, q, d = (
+        rng.uniform(-0.2, 0.2, 6),
+        rng.uniform(-1, 1, system.arm.n),
+        rng.uniform(-0.1, 0.1, p),
+    )
+    drawing.pose(y, q, d)
+    expected = y[:3] + rotation(y) @ unfold(system.arm).tool(q, d)
+    assert drawing.data.site("tool").xpos == pytest.approx(expected, abs=1e-9)
+    drawing.pose(y, q)
+    straight = y[:3] + rotation(y) @ joint_positions(system.arm, q)[-1]
+    assert drawing.data.site("tool").xpos == pytest.approx(straight, abs=1e-9)

@@ -28,6 +28,7 @@ from ves_gym.system.effect import EFFECTS, Effect
 from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
 from ves_gym.system.frequency_weight import FAST, FrequencyWeight
 from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
+from ves_gym.system.system_library import SYSTEMS, get_system
 
 
 def add_system_arguments(
@@ -35,7 +36,9 @@ def add_system_arguments(
 ) -> None:
     """--system, --arm, --vehicle, --mode, --drive, --integrator, --physics-dt, --control-dt."""
     group = parser.add_argument_group("system")
-    group.add_argument("--system", metavar="FILE", help="a System in TOML or JSON")
+    group.add_argument(
+        "--system", metavar="S", help=f"{', '.join(SYSTEMS)}, or a System in TOML or JSON"
+    )
     group.add_argument(
         "--arm",
         metavar="A",
@@ -74,7 +77,7 @@ def add_system_arguments(
 
 def system_from(args: argparse.Namespace) -> System:
     """The system the arguments describe: a file or the default, then single changes."""
-    system = System.load(args.system) if args.system else System()
+    system = get_system(args.system) if args.system else System()
     changes: dict[str, Any] = {
         key: getattr(args, key)
         for key in ("mode", "drive", "integrator", "physics_dt", "control_dt")

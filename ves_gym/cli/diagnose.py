@@ -17,7 +17,7 @@ from ves_gym.cli.common import (
     progress,
     write_json,
 )
-from ves_gym.system.system import System
+from ves_gym.system.system_library import get_system
 
 if TYPE_CHECKING:
     from ves_gym.diagnosis.inputs import DiagnosisInputs
@@ -148,7 +148,7 @@ def _inputs(args: argparse.Namespace) -> DiagnosisInputs:
     how: dict[str, Any] = {"final": args.final, "leave_out": args.without, "band": args.band}
     effects = [parse_effect(text) for text in args.effect]
     if args.machine is None:
-        system = System.load(args.system) if args.system else None
+        system = get_system(args.system) if args.system else None
         return system_inputs(args.logs, system, effects=effects, **how)
     if effects:
         raise ParameterError(

@@ -14,7 +14,7 @@ import numpy as np
 
 from ves_gym._util.mujoco_loader import mujoco
 from ves_gym._util.optional import require
-from ves_gym._util.params import Array
+from ves_gym._util.params import Array, Index
 from ves_gym.mechanics.arm import Arm, Inertial, matrix
 from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.serial_chain import SerialChain
@@ -94,6 +94,22 @@ def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
         tendon.wrap_joint(f"f_{k}", 1.0)
         tendon.springlength = [0.0, 0.0]
         tendon.stiffness, tendon.damping = [float(stiffness), 0, 0], [float(loss), 0, 0]
+
+
+def places(arm: Arm) -> tuple[Index, Index]:
+    """Return the engine's coordinates of the motors, and of the gears and then the flexures."""
+    chain = unfold(arm)
+    motors, gears, flexures, at = [], [], [], 6
+    for link in range(chain.arm.n):
+        if link not in chain.driven:
+            flexures.append(at)
+        else:
+            motors.append(at)
+            if chain.arm.links[link].gear is not None:
+                at += 1
+                gears.append(at)
+        at += 1
+    return np.array(motors, np.intp), np.array([*gears, *flexures], np.intp)
 
 
 def _add_internal(spec: mujoco.MjSpec, internal: InternalModes) -> None:

@@ -19,6 +19,7 @@ from ves_gym.mechanics.arm_library import arm_from
 from ves_gym.mechanics.vehicle import get_vehicle, vehicle_from_plain
 from ves_gym.system.effect import Effect
 from ves_gym.system.system import System
+from ves_gym.system.system_library import get_system
 
 _FILES = (
     "rest_to_rest",
@@ -89,7 +90,7 @@ def build_task(
 
     Args:
         task: name, "package.module:Class", a class, or a task whose settings are the defaults.
-        system: what to simulate: a `System`, its plain data, or a .toml or .json file.
+        system: what to simulate: a `System`, its plain data, a name or a .toml or .json file.
         mode: ideal or emulated; changes the system's.
         vehicle: name, file, plain data or `Vehicle`; changes the system's.
         arm: name, file (URDF, MJCF, TOML), plain data or `Arm`; changes the system's.
@@ -174,7 +175,7 @@ def _system(
     elif isinstance(system, Mapping):
         start = System.from_dict(system)
     elif system is not None:
-        start = System.load(system)
+        start = get_system(system)
     changes: dict[str, Any] = {}
     if vehicle is not None:
         if isinstance(vehicle, (str, os.PathLike)):

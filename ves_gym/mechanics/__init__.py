@@ -7,6 +7,10 @@ from ves_gym._util.lazy import lazily as _lazily
 if TYPE_CHECKING:
     from ves_gym.mechanics.arm_library import arm_names as arm_names
     from ves_gym.mechanics.arm_library import get_arm as get_arm
+    from ves_gym.mechanics.boom import Boom as Boom
+    from ves_gym.mechanics.boom_library import get_boom as get_boom
+    from ves_gym.mechanics.boom_member import BoomJoint as BoomJoint
+    from ves_gym.mechanics.boom_member import BoomMember as BoomMember
     from ves_gym.mechanics.flexible_base import CornerBody as CornerBody
     from ves_gym.mechanics.flexible_base import FlexibleBase as FlexibleBase
     from ves_gym.mechanics.flexible_base import Polyline as Polyline
@@ -22,6 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BENT",
+    "Boom",
+    "BoomJoint",
+    "BoomMember",
     "CornerBody",
     "FlexibleBase",
     "GravityModel",
@@ -33,6 +40,7 @@ __all__ = [
     "Tube",
     "arm_names",
     "get_arm",
+    "get_boom",
     "minimal_model",
     "read_structure",
 ]
@@ -40,7 +48,11 @@ __all__ = [
 _HOMES = {
     "arm_names": "arm_library",
     "get_arm": "arm_library",
+    "get_boom": "boom_library",
     "BENT": "vehicle",
+    "Boom": "boom",
+    "BoomJoint": "boom_member",
+    "BoomMember": "boom_member",
     "CornerBody": "flexible_base",
     "FlexibleBase": "flexible_base",
     "GravityModel": "gravity",

@@ -4,128 +4,45 @@ A member bends in hinges with springs (rigid finite elements): k in either plane
 Gauss-Legendre points of its length L, compliance w_i L / EI each, and one in torsion in its
 middle, L / GJ. An end load's bending moment is linear along the member, so two hinges give a
 tip's statics exactly; what is approximate is how the member's own mass takes part
-(docs/physics.md, section 15; `hinges_needed` says how far).
+(docs/physics.md, section 15; scripts/hinges_needed.py says how far).
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
+from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.chain import Joint, LinkMass, Lump, about_z, angles_of, arm_of, upright
+from ves_gym.mechanics.boom_member import (
+    BoomJoint,
+    BoomMember,
+    Flange,
+    Hinge,
+    add_body,
+    diameter,
+    hinges_of,
+    join,
+    turned_lump,
+)
+from ves_gym.mechanics.chain import Joint, Lump, about_z, angles_of, arm_of, upright
 from ves_gym.mechanics.craig_bampton import reduce
 from ves_gym.mechanics.dynamics import frames
 from ves_gym.mechanics.flexible_base import REACH, FlexibleBase, Reduced
 from ves_gym.mechanics.flexure import unfold
-from ves_gym.mechanics.section import Material, Section, Tube
 from ves_gym.mechanics.serial_chain import Flexure, Inertial, Link, Mount, matrix
 
 _SOFTEST = 1e-9  # of the flange's ways, in compliance over the largest: below it none
 _EVENLY = 7  # points of a member that a picture shows
 
 
-@dataclass(frozen=True, kw_only=True)
-class BoomJoint:
-    """A revolute joint at a member's start: a motor, or its brake, and a housing beyond it."""
-
-    axis: Vector = unit("1")  # (3,) at zero, in the boom's axes
-    mass: float = unit("kg")  # of the housing, a homogeneous ball
-    radius: float = unit("m")  # of it
-    q_min: float = unit("rad")
-    q_max: float = unit("rad")
-    v_max: float = unit("rad/s")
-    a_max: float = unit("rad/s^2")
-    tau_max: float = unit("N m")
-    stiffness: float = unit("N m/rad")  # of the joint on its brake
-    damping: float = unit("N m s/rad", default=0.0)  # of the same
-    rotor_inertia: float = unit("kg m^2", default=0.0)  # of the motor, through its gear
-    name: str | None = None
-
-    def __post_init__(self) -> None:
-        require_positive(self, "radius", "v_max", "a_max", "tau_max", "stiffness")
-        require_positive(self, "mass", "damping", "rotor_inertia", zero=True)
-        if not np.linalg.norm(finite(self.axis, (3,), "BoomJoint.axis")) > 0:
-            raise ParameterError(f"BoomJoint.axis must not be zero, got {self.axis}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoomMember:
-    """A straight flexible member, with the joints at its start in their order.
-
-    `loss` is the time constant of its damping, damping over stiffness: 2 zeta / w damps a
-    mode of frequency w by the ratio zeta, faster ones more.
-    """
-
-    joints: tuple[BoomJoint, ...] = ()
-    vector: Vector = unit("m")  # (3,) from start to end at zero, in the boom's axes
-    section: Tube | Section
-    material: Material
-    hinges: int = 2  # in either plane
-    loss: float = unit("s", default=0.0)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "joints", tuple(self.joints))  # a list has no hash
-        if not np.linalg.norm(finite(self.vector, (3,), "BoomMember.vector")) > 0:
-            raise ParameterError("BoomMember.vector must not have zero length")
-        require_positive(self, "loss", zero=True)
-        if isinstance(self.hinges, bool) or not 1 <= self.hinges <= 12:
-            raise ParameterError(f"BoomMember.hinges must be 1 to 12, got {self.hinges!r}")
-
-    @property
-    def length(self) -> float:
-        """From start to end [m]."""
-        return float(np.linalg.norm(self.vector))
-
-    def axes(self) -> Array:
-        """(3, 3) columns: along the member, then the two that it bends about."""
-        along = np.array(self.vector) / self.length
-        section = self.section.of(self.material)
-        up = np.array(section.up if section.up is not None else (0.0, 0.0, 1.0))
-        if np.linalg.norm(np.cross(up, along)) < 1e-6:
-            up = np.array([1.0, 0.0, 0.0])
-        y = np.cross(up, along)
-        y /= np.linalg.norm(y)
-        return np.column_stack([along, y, np.cross(along, y)])
-
-
-@dataclass
-class _Event:
-    """A joint or a hinge of a boom in a pose, and the body beyond it."""
-
-    origin: Array  # (3,) [m]
-    axis: Array  # (3,)
-    stiffness: float
-    damping: float
-    joint: BoomJoint | None  # None: a hinge
-    body: Lump
-
-    def turned(self, R: Array, p: Array) -> _Event:
-        """The same, turned by R (3, 3) about p (3,)."""
-        return replace(
-            self,
-            origin=p + R @ (self.origin - p),
-            axis=R @ self.axis,
-            body=_turned(self.body, R, p),
-        )
-
-
-class Flange(NamedTuple):
-    """A flange: its rotation (3, 3) and position (3,) in the boom's axes."""
-
-    rotation: Array
-    position: Array
-
-
 class _Pose(NamedTuple):
     """A boom at rest."""
 
-    events: list[_Event]  # joints and hinges in their order
+    events: list[Hinge]  # joints and hinges in their order
     flange: Flange
     line: list[tuple[Array, int]]  # points along it (3,), and the events before each
 
@@ -170,15 +87,15 @@ class Boom:
             raise ParameterError(
                 f"boom {self.name} must begin with a joint to be driven, got a member without"
             )
-        _stand(events[-1].body, arm.base, flange)
+        add_body(events[-1].body, arm.base, flange)
         joints: list[Joint] = []
-        within: list[list[_Event]] = []
+        within: list[list[Hinge]] = []
         for event in events:
             if event.joint is not None:
                 joints.append(_joint(event, len(joints)))
                 within.append([])
             else:
-                _join(joints[-1].body, event.body)
+                join(joints[-1].body, event.body)
                 within[-1].append(event)
         R, p = _mounted(arm, flange)
         whole = arm_of(self.name, Lump(), joints, (R, p), source=self.source)
@@ -211,10 +128,10 @@ class Boom:
             arm: stands on the flange.
         """
         events, flange, _ = self._pose(q)
-        _stand(events[-1].body, arm.base, flange)
+        add_body(events[-1].body, arm.base, flange)
         total = Lump()
         for event in events:
-            _join(total, event.body)
+            join(total, event.body)
         R, p = _mounted(arm, flange)
         still = np.eye(3), np.zeros(3)
         return replace(
@@ -287,7 +204,7 @@ class Boom:
                 centreline=matrix(np.array([at - flange.position for at, _ in line]) @ back.T),
                 static=matrix(moved @ found.static),
                 shapes=matrix(moved @ found.shapes),
-                diameter=max(_diameter(member) for member in self.members),
+                diameter=max(diameter(member) for member in self.members),
             ),
             modes=found.m,
             fastest=fastest,
@@ -298,11 +215,11 @@ class Boom:
     def _pose(self, q: npt.ArrayLike) -> _Pose:
         """The boom at rest with its joints at q."""
         angles = finite(q, (len(self.joints),), "q")
-        events: list[_Event] = []
+        events: list[Hinge] = []
         line, at = [(np.zeros(3), 0)], np.zeros(3)
         for member in self.members:
             before = len(events)
-            events += _events(member, at, events)
+            events += hinges_of(member, at, events)
             way = np.array(member.vector)
             for share in np.arange(1, _EVENLY + 1) / _EVENLY:
                 inner = [
@@ -311,83 +228,20 @@ class Boom:
                 line.append((at + share * way, before + len(inner)))
             at = at + way
         if self.tip is not None:
-            _stand(events[-1].body, self.tip, Flange(np.eye(3), at))
+            add_body(events[-1].body, self.tip, Flange(np.eye(3), at))
         flange = Flange(Mount(angles=self.flange).rotation, at)
         places = [i for i, event in enumerate(events) if event.joint is not None]
         # outermost joint first, so that the inner axes are still where they are at zero
         for i, angle in reversed(list(zip(places, angles.tolist(), strict=True))):
             R, p = _about(events[i].axis, angle), events[i].origin
-            events[i] = replace(events[i], body=_turned(events[i].body, R, p))
+            events[i] = replace(events[i], body=turned_lump(events[i].body, R, p))
             events[i + 1 :] = [event.turned(R, p) for event in events[i + 1 :]]
             line = [(p + R @ (k - p), n) if n > i else (k, n) for k, n in line]
             flange = Flange(R @ flange.rotation, p + R @ (flange.position - p))
         return _Pose(events, flange, line)
 
 
-def _events(member: BoomMember, start: Array, inner: list[_Event]) -> list[_Event]:
-    """A member's joints and hinges at zero, each with the body up to the next.
-
-    Args:
-        member: the next one.
-        start: (3,) where it begins [m].
-        inner: of the members before; the last takes a body from a member without joints.
-    """
-    out = []
-    for joint in member.joints:
-        housing = Lump()
-        moment = 2 / 5 * joint.mass * joint.radius**2
-        housing.add(LinkMass("", joint.mass, start, moment * np.eye(3)))
-        axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-        out.append(_Event(start, axis, joint.stiffness, joint.damping, joint, housing))
-    section, length, axes = member.section.of(member.material), member.length, member.axes()
-    E, G = member.material.youngs_modulus, member.material.shear_modulus
-    x, w = np.polynomial.legendre.leggauss(member.hinges)
-    hinges = [(0.5, 0, G * section.torsion / length)]
-    for at, share in zip((1 + x) / 2, w / 2, strict=True):
-        # up is the third axis, along which second_y resists
-        hinges.append((float(at), 1, E * section.second_y / (share * length)))
-        hinges.append((float(at), 2, E * section.second_z / (share * length)))
-    hinges.sort(key=lambda hinge: hinge[:2])
-    before = [*inner, *out]  # nothing: the root itself, which does not move
-    if before:
-        _join(before[-1].body, _rod(member, start, 0.0, hinges[0][0]))
-    for k, (at, axis, stiffness) in enumerate(hinges):
-        end = hinges[k + 1][0] if k + 1 < len(hinges) else 1.0
-        origin = start + at * length * axes[:, 0]
-        loss = member.loss * stiffness
-        body = _rod(member, start, at, end)
-        out.append(_Event(origin, axes[:, axis], stiffness, loss, None, body))
-    return out
-
-
-def _rod(member: BoomMember, start: Array, first: float, last: float) -> Lump:
-    """A piece of a member, by shares of its length, as a rigid body."""
-    lump, length = Lump(), (last - first) * member.length
-    if length <= 0:
-        return lump
-    section, axes, density = (
-        member.section.of(member.material),
-        member.axes(),
-        member.material.density,
-    )
-    mass = density * section.area * length
-    bent = density * length * np.array([section.second_y, section.second_z])
-    moments = np.diag(
-        [bent.sum(), mass * length**2 / 12 + bent[0], mass * length**2 / 12 + bent[1]]
-    )
-    middle = start + (first + last) / 2 * member.length * axes[:, 0]
-    lump.add(LinkMass("", mass, middle, axes @ moments @ axes.T))
-    near, far = (start + share * member.length * axes[:, 0] for share in (first, last))
-    lump.capsules.append((near, far, _diameter(member) / 2))
-    return lump
-
-
-def _diameter(member: BoomMember) -> float:
-    section = member.section.of(member.material)
-    return 2 * (section.fibre or math.sqrt(section.area / math.pi))
-
-
-def _ways(events: list[_Event], point: Array, count: int | None = None) -> Array:
+def _ways(events: list[Hinge], point: Array, count: int | None = None) -> Array:
     """(3, p) ways of a point per angle of the joints and hinges, the first `count` of them."""
     out = np.zeros((3, len(events)))
     for k, event in enumerate(events[:count]):
@@ -395,7 +249,7 @@ def _ways(events: list[_Event], point: Array, count: int | None = None) -> Array
     return out
 
 
-def _flexure(event: _Event, R: Array, p: Array) -> Flexure:
+def _flexure(event: Hinge, R: Array, p: Array) -> Flexure:
     """A joint or hinge as a passive joint in a frame of rotation R and position p."""
     axis = R.T @ event.axis
     return Flexure(
@@ -407,12 +261,12 @@ def _flexure(event: _Event, R: Array, p: Array) -> Flexure:
     )
 
 
-def _joint(event: _Event, number: int) -> Joint:
+def _joint(event: Hinge, number: int) -> Joint:
     """A joint as it is driven."""
     joint = event.joint
     assert joint is not None
     body = Lump()
-    _join(body, event.body)
+    join(body, event.body)
     return Joint(
         name=joint.name or f"boom_{number + 1}",
         origin=event.origin,
@@ -433,30 +287,6 @@ def _mounted(arm: Arm, flange: Flange) -> tuple[Array, Array]:
     if arm.mount is None:
         return R, p
     return R @ arm.mount.rotation, p + R @ np.array(arm.mount.position)
-
-
-def _stand(lump: Lump, body: Inertial, frame: Flange) -> None:
-    """Add a body in a frame to a lump."""
-    R, p = frame
-    moments = R @ np.array(body.inertia) @ R.T
-    lump.add(LinkMass("", body.mass, p + R @ np.array(body.com), moments))
-
-
-def _join(lump: Lump, other: Lump) -> None:
-    lump.mass += other.mass
-    lump.moment = lump.moment + other.moment
-    lump.second = lump.second + other.second
-    lump.capsules += other.capsules
-
-
-def _turned(lump: Lump, R: Array, p: Array) -> Lump:
-    """A lump turned by R about p."""
-    out = Lump()
-    if lump.mass:
-        body = lump.inertial(np.eye(3), np.zeros(3))
-        _stand(out, body, Flange(R, p - R @ p))
-    out.capsules = [(p + R @ (a - p), p + R @ (b - p), r) for a, b, r in lump.capsules]
-    return out
 
 
 def _about(axis: Array, angle: float) -> Array:

@@ -7,7 +7,8 @@ import math
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Inertial, diagonal
-from ves_gym.mechanics.boom import Boom, BoomJoint, BoomMember
+from ves_gym.mechanics.boom import Boom
+from ves_gym.mechanics.boom_member import BoomJoint, BoomMember
 from ves_gym.mechanics.section import Material, Tube
 
 QUASI_ISOTROPIC = Material(

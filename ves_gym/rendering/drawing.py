@@ -15,8 +15,9 @@ import mujoco
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.engine.mjcf import TO_Y, build_spec
+from ves_gym.engine.mjcf import TO_Y, build_spec, places
 from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Beam, FlexibleBase, beam_line
 from ves_gym.system.system import System
@@ -130,10 +131,15 @@ class Drawing:
             _box(spec.worldbody, clamp - 0.12 * along, wall, _frame_along(along), _DARK)
 
     def _add_arm(self, spec: Any) -> None:
-        for i, link in enumerate(self.system.arm.links):
-            body, r = spec.body(f"link_{i + 1}"), self._radius(i)
+        chain = unfold(self.system.arm)
+        for place, link in enumerate(chain.arm.links):
             end, knee = np.array([link.a, 0.0, link.d]), np.array([0.0, 0.0, link.d])
-            _rod(body, "CYLINDER", (0, 0, -1.15 * r), (0, 0, 1.15 * r), 1.2 * r, JOINT)
+            if place in chain.passive:
+                body, r = spec.body(f"part_{chain.passive.index(place) + 1}"), self._boom_radius
+            else:
+                i = chain.driven.index(place)
+                body, r = spec.body(f"link_{i + 1}"), self._radius(i)
+                _rod(body, "CYLINDER", (0, 0, -1.15 * r), (0, 0, 1.15 * r), 1.2 * r, JOINT)
             if abs(link.d) > 1e-6:
                 _rod(body, "CAPSULE", (0, 0, 0), knee, r, _PALE)
             if abs(link.a) > 1e-6:
@@ -151,22 +157,39 @@ class Drawing:
         """The point (3,) of the plate's rim that cameras see [m]."""
         return 4.0 * self._radius(0) * np.array([0.64, -0.77, 0.0])
 
-    def _radius(self, i: int) -> float:
+    @property
+    def _boom_radius(self) -> float:
+        """Of the links that bend [m]."""
         arm = self.system.arm
-        size = float(sum(math.hypot(k.a, k.d) for k in arm.links))
-        return 0.045 * size * (1 - 0.45 * i / arm.n)
+        shapes = [arm.base_shape if arm.base_flexures else None]
+        shapes += [link.shape for link in arm.links if link.flexures]
+        return max((k.radius for shape in shapes for k in shape or ()), default=0.1)
+
+    def _radius(self, i: int) -> float:
+        links = self.system.arm.links
+        boom = max((k + 1 for k, link in enumerate(links) if link.flexures), default=0)
+        if i < boom:  # as thick as the members between its joints
+            return self._boom_radius
+        size = float(sum(math.hypot(k.a, k.d) for k in links[boom:]))
+        return 0.045 * size * (1 - 0.45 * (i - boom) / (len(links) - boom))
 
     # ------------------------------------------------------------------ frames
 
-    def pose(self, y: Array, q: Array) -> None:
+    def pose(self, y: Array, q: Array, u: Array | None = None) -> None:
         """Put the structure there.
 
         Args:
             y: (6,) base pose [m, rad].
             q: (n,) joint angles [rad].
+            u: (p + m,) deflections of the arm's flexures [rad], then internal modes of the
+                base; None: links are straight.
         """
+        motors, passive = places(self.system.arm)
+        bends = self.system.arm.bends
         self.data.qpos[TO_Y] = y
-        self.data.qpos[6:] = q
+        self.data.qpos[motors] = q
+        if bends:
+            self.data.qpos[passive[-bends:]] = 0.0 if u is None else u[:bends]
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
@@ -176,7 +199,8 @@ class Drawing:
 
         Args:
             y: (..., 6) base poses [m, rad].
-            u: (..., m) internal modes; None: they rest on the flange.
+            u: (..., p + m) deflections of the arm, then internal modes; None: these rest on
+                the flange.
 
         Returns:
             (..., k, 3) [m]; None of a system without a beam.
@@ -184,7 +208,8 @@ class Drawing:
         if self.rest_beam is None:
             return None
         line = self.rest_beam + np.tensordot(y, self.bend, 1)
-        if u is not None:
+        if u is not None and self.system.base.m:
+            u = u[..., self.system.arm.bends :]
             line = line + np.tensordot(u - self.system.base.attached(y), self.ripple, 1)
         return np.asarray(line, dtype=np.float64)
 
@@ -216,7 +241,7 @@ class Drawing:
             scene: MuJoCo's, of this frame.
             y: (6,) base pose [m, rad].
             extent: size of what the camera sees [m].
-            u: (m,) internal modes of the base; None: they rest on its flange.
+            u: see `pose`; None: internal modes rest on the base's flange.
         """
         legs, centreline = self.legs(y), self.beam(y, u)
         if legs is not None:

@@ -26,6 +26,11 @@ _TRAIL = 3.0  # s of the base's past path that is drawn
 Clip = dict[str, Array]
 
 
+def _modes(clip: Clip, k: int) -> Array | None:
+    """Flexures and internal modes at frame k, None where there are none."""
+    return clip["u"][k] if "u" in clip else None
+
+
 def _half(view: View) -> int:
     """Width of one of the two pictures."""
     return (view.width - _GAP) // 2
@@ -35,7 +40,7 @@ def _decorate(
     scene: Any, drawing: Drawing, clip: Clip, view: View, k: int, extent: float
 ) -> None:
     """Add to frame k what is not a rigid body."""
-    drawing.add_support(scene, clip["y"][k], extent, clip["u"][k] if "u" in clip else None)
+    drawing.add_support(scene, clip["y"][k], extent, _modes(clip, k))
     first = max(0, k - round(_TRAIL * view.fps / view.speed))
     drawing.add_path(scene, clip["y"][first : k + 1], extent)
     if "w" in clip:
@@ -57,7 +62,7 @@ def _frames(drawing: Drawing, clip: Clip, view: View) -> Iterator[Array]:
     with mujoco.Renderer(drawing.model, view.height, half, max_geom=2000) as renderer:
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         for k in range(count):
-            drawing.pose(clip["y"][k], clip["q"][k])
+            drawing.pose(clip["y"][k], clip["q"][k], _modes(clip, k))
             page = np.full((view.height, view.width, 3), 60, np.uint8)
             for side, (camera, extent) in enumerate(cameras):
                 renderer.update_scene(drawing.data, camera)
@@ -126,7 +131,7 @@ def _window(drawing: Drawing, clip: Clip, view: View) -> None:
         k, due = 0, time.monotonic()
         while viewer.is_running():
             with viewer.lock():
-                drawing.pose(clip["y"][k], clip["q"][k])
+                drawing.pose(clip["y"][k], clip["q"][k], _modes(clip, k))
                 viewer.user_scn.ngeom = 0
                 _decorate(viewer.user_scn, drawing, clip, view, k, extent)
             viewer.sync()

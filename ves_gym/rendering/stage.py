@@ -99,12 +99,12 @@ class Stage:
             if rect is arm:  # a base that leaves the picture takes it along
                 away = y[-1, :3] - np.clip(y[-1, :3], -_ROOM, _ROOM)
                 camera.lookat[:] = self.home + away
-            self.drawing.pose(k * y[-1], np.array(sample["q"]))
+            modes = None if u is None else k * u
+            self.drawing.pose(k * y[-1], np.array(sample["q"]), modes)
             mujoco.mjv_updateScene(
                 self.drawing.model, self.drawing.data, self.option, None, camera,
                 mujoco.mjtCatBit.mjCAT_ALL, self.scene,
             )  # fmt: skip
-            modes = None if u is None else k * u
             self.drawing.add_support(self.scene, k * y[-1], extent, modes)
             if rect is arm:
                 self._wrench(sample, y[-1])

@@ -21,10 +21,9 @@ from ves_gym.engine.mjcf import (
     add_hidden,
     build_laboratory_spec,
     build_spec,
+    places,
 )
-from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.attitude import from_matrix
-from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.vehicle import BaseModel
 from ves_gym.system.effect import TorqueEffect
@@ -40,22 +39,6 @@ _BAD = [
         mujoco.mjtWarning.mjWARN_BADCTRL,
     )
 ]
-
-
-def _places(arm: Arm) -> tuple[Index, Index]:
-    """Coordinates of the motors, and of the gears and then the flexures, as bodies lie."""
-    chain = unfold(arm)
-    motors, gears, flexures, at = [], [], [], 6
-    for link in range(chain.arm.n):
-        if link not in chain.driven:
-            flexures.append(at)
-        else:
-            motors.append(at)
-            if chain.arm.links[link].gear is not None:
-                at += 1
-                gears.append(at)
-        at += 1
-    return np.array(motors, np.intp), np.array([*gears, *flexures], np.intp)
 
 
 def compile_model(system: System, full: bool = False) -> mujoco.MjModel:
@@ -148,7 +131,7 @@ class MujocoBackend:
         self._carried = system.base.m if system.mode == "ideal" else 0
         # coordinates of the motors; those of gears and flexures lie between them
         self._motors: Any = slice(6, 6 + self.joints)
-        motors, passive = _places(system.arm)
+        motors, passive = places(system.arm)
         if len(passive):
             self._motors = motors
         where = np.arange(6 + self.joints + len(passive))
