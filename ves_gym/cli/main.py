@@ -30,6 +30,7 @@ COMMANDS = {  # name -> what it does; the module of the same name is loaded when
     "diagnose": "where logs and description disagree, and what is missing",
     "diagnose-benchmark": "blind benchmark of diagnose: machines with something hidden",
     "calibrate": "gravity parameters and sensor matrix from a log of poses",
+    "structure": "a vehicle file from M and K of a finite-element model",
     "emulation-check": "is an emulation stable, and how true, before it runs",
     "list": "what exists: vehicles, planners, suites, effects",
     "doctor": "what is broken on this machine",
