@@ -26,7 +26,7 @@ from ves_gym.mechanics.vehicle import VEHICLES, Beam, MatrixVehicle, Satellite, 
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.emulator_settings import EmulatorSettings
-from ves_gym.system.energy import base_energy, energies
+from ves_gym.system.energy import base_energy
 from ves_gym.system.system import System
 
 PER_STRUCTURE = 8  # systems that share geometry and structure, and so one compilation
@@ -353,7 +353,5 @@ def test_energies_of_a_motion(name):
     motion = Motion.straight(np.zeros(3), np.deg2rad([60.0, 40.0, -30.0]), 1.0)
     system = System(vehicle=VEHICLES[name])
     runs = [play_motions(system, [motion], settle=2.0, backend=k) for k in ("kernel", "mujoco")]
-    ours, theirs = (
-        energies(system, run.t, run.q, run.y, run.yd, duration=1.0, tail=2.0)[0] for run in runs
-    )
+    ours, theirs = (run.energies(tail=2.0)[0] for run in runs)
     assert dataclasses.asdict(ours) == pytest.approx(dataclasses.asdict(theirs), rel=ENERGY)

@@ -50,8 +50,13 @@ def lopsided_satellite() -> Satellite:
     return Satellite(body=Inertial(mass=321.0, com=(0.2, -0.3, -0.7), inertia=moments))
 
 
+ACTING = (
+    "free-flying",
+    "servicer",
+    "servicer-flexible",
+)  # tests/claims/test_satellites_that_act.py
 CASES = {
-    **{name: VEHICLES[name] for name in VEHICLES if name != "free-flying"},
+    **{name: VEHICLES[name] for name in VEHICLES if name not in ACTING},
     "bent-consistent": dataclasses.replace(VEHICLES["bent"], mass_model="consistent"),
     "full-matrices": full_matrices(),
     "lopsided-satellite": lopsided_satellite(),

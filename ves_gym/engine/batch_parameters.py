@@ -78,6 +78,10 @@ def require_alike(template: System, other: System, which: str) -> None:
         jets = tuple(getattr(s.vehicle, "thrusters", False) for s in (template, other))
         if jets[0] != jets[1]:
             refuse("thrusters", *jets)
+        for name in ("wheels", "jets", "appendages", "pointing"):
+            parts = tuple(getattr(s.vehicle, name, None) for s in (template, other))
+            if parts[0] != parts[1]:
+                refuse(name, *parts)
     held = tuple("none" if s.payload is None else "one" for s in (template, other))
     if held[0] != held[1]:
         refuse("the payload", *held)

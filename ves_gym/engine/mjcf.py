@@ -14,7 +14,7 @@ import numpy as np
 
 from ves_gym._util.mujoco_loader import mujoco
 from ves_gym._util.optional import require
-from ves_gym._util.params import Array, Index
+from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.mechanics.arm import Arm, Inertial, matrix
 from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.serial_chain import SerialChain
@@ -60,9 +60,9 @@ def build_spec(
         physics_dt: [s].
     """
     spec, platform = _empty_spec(arm.name, gravity, integrator, physics_dt)
-    _set_inertial(platform, _of_some_mass(unfold(arm).arm.base))
+    set_inertial(platform, of_some_mass(unfold(arm).arm.base))
     if base.body is not None:
-        _set_inertial(platform.add_body(name="satellite"), base.body)
+        set_inertial(platform.add_body(name="satellite"), base.body)
     for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
         _add_tendons(spec, what, values)
     _add_links(spec, platform, arm)
@@ -183,7 +183,7 @@ def build_laboratory_spec(
         spec.joint(name).armature = PLATFORM_INERTIA
         _add_drive(spec, f"platform_{name}", name, PLATFORM_INERTIA)
     mount = platform.add_body(name="arm_base")
-    _set_inertial(mount, _of_some_mass(unfold(arm).arm.base))
+    set_inertial(mount, of_some_mass(unfold(arm).arm.base))
     mount.add_site(name="mount")
     for name, kind in (
         ("force", mujoco.mjtSensor.mjSENS_FORCE),
@@ -250,7 +250,7 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
         )
         if link.gear is not None:  # the link turns on, the rotor does not
             body.add_joint(name=f"d_{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
-        _set_inertial(body, _of_some_mass(link.inertial_at_joint))
+        set_inertial(body, of_some_mass(link.inertial_at_joint))
         rotation, position = link.far_end
         if driven:
             _add_drive(spec, f"drive_{i}", f"q_{i}", 1.0, link.tau_max)
@@ -311,7 +311,7 @@ def _add_tendons(spec: mujoco.MjSpec, what: str, values: Array) -> None:
         setattr(tendon, what, value if what == "armature" else [value, 0.0, 0.0])
 
 
-def _of_some_mass(inertial: Inertial) -> Inertial:
+def of_some_mass(inertial: Inertial) -> Inertial:
     """The same where MuJoCo takes it for a body that moves: not without mass or inertia.
 
     A joint next to another, without a link between them, has neither.
@@ -323,7 +323,13 @@ def _of_some_mass(inertial: Inertial) -> Inertial:
     return replace(inertial, mass=mass, inertia=matrix(I + LEAST * np.eye(3)))
 
 
-def _set_inertial(body: Any, inertial: Inertial) -> None:
+def set_inertial(body: Any, inertial: Inertial) -> None:
+    """Give a body of the model mass properties.
+
+    Args:
+        body: written.
+        inertial: in the body's frame.
+    """
     body.mass = inertial.mass
     body.ipos = list(inertial.com)
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertial.inertia
@@ -351,6 +357,8 @@ def pinocchio_model(arm: Arm, base: BaseModel) -> pinocchio.Model:
         MissingPackageError: Pinocchio is not installed.
     """
     require("pinocchio_model", "pinocchio")
+    if base.carried:
+        raise ParameterError("a Pinocchio model has no wheels and appendages of the base")
     import pinocchio as pin
 
     model = pin.Model()

@@ -130,7 +130,7 @@ class Batch:
         )  # fmt: skip
         self.drawn: dict[str, Array] = {r.label: np.zeros((n, r.size)) for r in task.randomize}
 
-        if compiled:
+        if compiled and self.sim.base_actuators is None:  # they act period by period
             self._period = period_of(self, self._scenes, self._torques)
         self.recorder = None if dump is None else Recorder(self, dump)
 

@@ -109,7 +109,7 @@ class Period:
         rows_in = [before, self._moved, self._extra]
         first.append(Piece(library, "follow", [*rows_in, self._nodes, self._tau, gains]))
         rows_in = [z, zd, x, self._slate, self._moved, self._tau, self._goal, self._external]
-        m, modes = batch.system.base.m, []
+        m, modes = batch.system.base.hidden, []
         self._modes = rows(2 * m)
         if m:  # those that the base is described with; effects add theirs after them
             modes = [self._modes[:, :m], self._modes[:, m:]]

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from ves_gym.mechanics.boom_library import get_boom as get_boom
     from ves_gym.mechanics.boom_member import BoomJoint as BoomJoint
     from ves_gym.mechanics.boom_member import BoomMember as BoomMember
+    from ves_gym.mechanics.carried import Appendage as Appendage
+    from ves_gym.mechanics.carried import ReactionWheel as ReactionWheel
     from ves_gym.mechanics.flexible_base import CornerBody as CornerBody
     from ves_gym.mechanics.flexible_base import FlexibleBase as FlexibleBase
     from ves_gym.mechanics.flexible_base import Polyline as Polyline
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
     from ves_gym.mechanics.flexible_base import Strut as Strut
     from ves_gym.mechanics.gravity import GravityModel as GravityModel
     from ves_gym.mechanics.gravity import minimal_model as minimal_model
+    from ves_gym.mechanics.jets import Jet as Jet
+    from ves_gym.mechanics.pointing import AttitudeControl as AttitudeControl
     from ves_gym.mechanics.section import Material as Material
     from ves_gym.mechanics.section import Section as Section
     from ves_gym.mechanics.section import Tube as Tube
@@ -26,14 +30,18 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BENT",
+    "Appendage",
+    "AttitudeControl",
     "Boom",
     "BoomJoint",
     "BoomMember",
     "CornerBody",
     "FlexibleBase",
     "GravityModel",
+    "Jet",
     "Material",
     "Polyline",
+    "ReactionWheel",
     "Reduced",
     "Section",
     "Strut",
@@ -46,6 +54,10 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Appendage": "carried",
+    "AttitudeControl": "pointing",
+    "Jet": "jets",
+    "ReactionWheel": "carried",
     "arm_names": "arm_library",
     "get_arm": "arm_library",
     "get_boom": "boom_library",

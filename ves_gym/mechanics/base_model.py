@@ -24,6 +24,7 @@ from ves_gym._util.params import (
     write_table,
 )
 from ves_gym.mechanics.arm import Inertial, matrix
+from ves_gym.mechanics.carried import Carried, carried_inertia
 from ves_gym.mechanics.modes import natural_modes
 
 
@@ -138,16 +139,32 @@ class BaseModel:
     body: Inertial | None = None
     drag: Array | None = None  # (6,) c of a damping force c |Y'| Y' [N s^2/m^2, N m s^2]
     internal: InternalModes | None = None
+    carried: tuple[Carried, ...] = ()  # on the body, one joint each
 
     @property
     def mass_matrix(self) -> Array:
         """(6, 6) mass matrix at Y = 0: M plus the rigid body's inertia."""
-        return self.M if self.body is None else self.M + self.body.spatial()
+        return self.M if self.body is None else self.M + self.rigid()
+
+    def rigid(self) -> Array:
+        """(6, 6) inertia of the body and of what it carries, their joints locked as relaxed."""
+        if self.body is None:
+            return np.zeros((6, 6))
+        own = self.body.spatial()
+        if not self.carried:
+            return own
+        out: Array = own + carried_inertia(self.carried, np.zeros(len(self.carried)))[0]
+        return out
 
     @property
     def m(self) -> int:
         """Number of internal modes."""
         return 0 if self.internal is None else self.internal.m
+
+    @property
+    def hidden(self) -> int:
+        """Number of coordinates beside Y: of wheels and appendages, then of internal modes."""
+        return len(self.carried) + self.m
 
     def full(self) -> tuple[Array, Array, Array]:
         """Return M, D, K over (Y, u) at Y = 0, the body included: three (6 + m, 6 + m)."""
@@ -188,6 +205,8 @@ class BaseModel:
         if body is not None and mass != 1:
             moments = matrix(np.array(body.inertia) * mass)
             body = replace(body, mass=body.mass * mass, inertia=moments)
+            if self.carried:
+                raise ParameterError("a base that carries wheels or appendages has no scaling")
         if internal is not None:
             rate = np.r_[
                 np.ones(6), np.full(internal.m, 1 / math.sqrt(mass))

@@ -7,8 +7,9 @@ that turns with the base instead of a constant M.
 
 from __future__ import annotations
 
+import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -33,8 +34,13 @@ from ves_gym.mechanics.base_model import Saved
 from ves_gym.mechanics.base_model import elementwise_damping as elementwise_damping
 from ves_gym.mechanics.base_model import modal_damping as modal_damping
 from ves_gym.mechanics.beam import Beam as Beam
+from ves_gym.mechanics.carried import Appendage as Appendage
+from ves_gym.mechanics.carried import Carried as Carried
+from ves_gym.mechanics.carried import ReactionWheel as ReactionWheel
 from ves_gym.mechanics.flexible_base import FlexibleBase as FlexibleBase
 from ves_gym.mechanics.flexible_base import bent_line
+from ves_gym.mechanics.jets import Jet as Jet
+from ves_gym.mechanics.pointing import AttitudeControl as AttitudeControl
 from ves_gym.mechanics.section import ALUMINIUM as ALUMINIUM
 from ves_gym.mechanics.section import Material as Material
 
@@ -96,19 +102,55 @@ class MatrixVehicle(Saved):
 class Satellite(Saved):
     """A rigid body in free space under the arm: K = D = 0.
 
-    `thrusters` False is free-floating (no outside force), True is free-flying (its jets
-    may apply a wrench: `Simulator.step(..., base_wrench=...)`).
+    `thrusters` False is free-floating (no outside force), True is free-flying: any wrench may
+    act (`Simulator.step(..., base_wrench=...)`). `jets` make that wrench by pulses. `wheels`
+    exchange momentum with the body, whose inertia includes theirs; `appendages` come on top of
+    it. With `pointing` wheels and jets hold the attitude of the start, or another that the
+    simulator is given (`Simulator.point`).
     """
 
     kind: ClassVar[str] = "satellite"
     body: Inertial
     thrusters: bool = False
+    wheels: tuple[ReactionWheel, ...] | None = None
+    jets: tuple[Jet, ...] | None = None
+    appendages: tuple[Appendage, ...] | None = None
+    pointing: AttitudeControl | None = None
     source: str = "user"
 
+    def __post_init__(self) -> None:
+        if self.thrusters and self.jets:
+            raise ParameterError(
+                "Satellite: thrusters = true is any wrench; leave it out where jets are given"
+            )
+        if self.pointing is not None and not (self.wheels or self.jets or self.thrusters):
+            raise ParameterError("Satellite.pointing needs wheels, jets or thrusters to act by")
+        left = np.array(self.body.inertia, float)
+        for wheel in self.wheels or ():
+            left -= rotor_inertia(wheel)
+        a, b, c = np.linalg.eigvalsh(left)
+        if self.wheels and not (a > 0 and c <= a + b):
+            raise ParameterError(
+                "Satellite.body must include its wheels' inertia: without them principal"
+                f" moments of {a:.3g}, {b:.3g}, {c:.3g} kg m^2 are left, no rigid body's"
+            )
+
     def base_model(self) -> BaseModel:
-        """Zero M, D, K, and the body."""
+        """Zero M, D, K, the body, and what it carries: wheels, then appendages."""
         zero = np.zeros((6, 6))
-        return BaseModel(zero, zero, zero, self.body)
+        carried: tuple[Carried, ...] = (*(self.wheels or ()), *(self.appendages or ()))
+        return BaseModel(zero, zero, zero, self.body, carried=carried)
+
+
+def blows(vehicle: Vehicle) -> bool:
+    """Return True of a vehicle on which jets of some kind may act."""
+    return isinstance(vehicle, Satellite) and (vehicle.thrusters or bool(vehicle.jets))
+
+
+def rotor_inertia(wheel: ReactionWheel) -> Array:
+    """Return the inertia (3, 3) that a wheel has at least: a thin disc's [kg m^2]."""
+    axis = np.array(wheel.axis)
+    return wheel.inertia / 2 * (np.eye(3) + np.outer(axis, axis))
 
 
 Vehicle = Beam | FlexibleBase | MatrixVehicle | Satellite
@@ -144,6 +186,99 @@ FREE_FLYING = Satellite(
     body=_CUBE, thrusters=True, source="nominal, this project: the same cube with jets"
 )
 
+_SIDE = 0.75  # m, half the edge of the servicer's cube
+
+
+def _pyramid() -> tuple[ReactionWheel, ...]:
+    """Four wheels whose axes stand evenly: 35.3 deg above the plane, 90 deg apart."""
+    part = math.sqrt(1 / 3)
+    return tuple(
+        ReactionWheel(
+            axis=(x * part, y * part, part),
+            inertia=0.02,
+            torque_max=0.2,
+            momentum_max=12.0,
+            viscous=2e-5,
+            coulomb=2e-3,
+        )
+        for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    )
+
+
+def _twelve_jets() -> tuple[Jet, ...]:
+    """Two jets for each direction, beside the centre of mass: a couple about each axis."""
+    out = []
+    for axis in range(3):
+        beside = (axis + 1) % 3
+        for sign in (1.0, -1.0):
+            for offset in (_SIDE, -_SIDE):
+                direction, position = [0.0] * 3, [0.0, 0.0, -_SIDE]
+                direction[axis] = sign
+                position[axis] -= sign * _SIDE
+                position[beside] += offset
+                out.append(
+                    Jet(
+                        position=(position[0], position[1], position[2]),
+                        direction=(direction[0], direction[1], direction[2]),
+                        thrust=10.0,
+                        specific_impulse=290.0,
+                        min_impulse=0.05,
+                    )
+                )
+    return tuple(out)
+
+
+def _wing(side: float) -> Appendage:
+    """A solar array of 4 x 1.5 m on a hinge along x at the side of the cube, 0.25 Hz."""
+    span, width, mass = 4.0, 1.5, 20.0
+    rate, about_hinge = 2 * math.pi * 0.25, mass * span**2 / 3
+    return Appendage(
+        joint="hinge",
+        axis=(1.0, 0.0, 0.0),
+        point=(0.0, side * _SIDE, -_SIDE),
+        body=Inertial(
+            mass=mass,
+            com=(0.0, side * (_SIDE + span / 2), -_SIDE),
+            inertia=diagonal(
+                mass * span**2 / 12, mass * width**2 / 12, mass * (span**2 + width**2) / 12
+            ),
+        ),
+        stiffness=about_hinge * rate**2,
+        damping=2 * 0.005 * about_hinge * rate,
+    )
+
+
+def _propellant(axis: Vector) -> Appendage:
+    """Propellant of 30 kg that sloshes along an axis at 0.4 Hz."""
+    mass, rate = 30.0, 2 * math.pi * 0.4
+    return Appendage(
+        joint="slide",
+        axis=axis,
+        body=Inertial(mass=mass, com=(0.0, 0.0, -1.0), inertia=diagonal(0.0, 0.0, 0.0)),
+        stiffness=mass * rate**2,
+        damping=2 * 0.02 * mass * rate,
+    )
+
+
+# Wheels of the class of 12 N m s, jets of the class of 10 N: sizes are round numbers.
+SERVICER = Satellite(
+    body=Inertial(mass=800.0, com=(0.0, 0.0, -_SIDE), inertia=diagonal(300.0, 300.0, 300.0)),
+    wheels=_pyramid(),
+    jets=_twelve_jets(),
+    pointing=AttitudeControl(),
+    source="nominal, this project: 800 kg cube, 1.5 m edge, 4 wheels, 12 jets",
+)
+SERVICER_FLEXIBLE = replace(
+    SERVICER,
+    appendages=(
+        _wing(1.0),
+        _wing(-1.0),
+        _propellant((1.0, 0.0, 0.0)),
+        _propellant((0.0, 1.0, 0.0)),
+    ),
+    source="nominal, this project: the servicer with two solar arrays and sloshing propellant",
+)
+
 # Modes: scripts/modes_needed.py, frequencies below 20 Hz and E_mean within 1 %.
 BENT_FLEXIBLE = FlexibleBase.of(BENT, modes=5)
 STRAIGHT_VERTICAL_FLEXIBLE = FlexibleBase.of(STRAIGHT_VERTICAL, modes=8)
@@ -156,6 +291,8 @@ VEHICLES: dict[str, Vehicle] = {
     "decoupled": DECOUPLED,
     "free-floating": FREE_FLOATING,
     "free-flying": FREE_FLYING,
+    "servicer": SERVICER,
+    "servicer-flexible": SERVICER_FLEXIBLE,
     "bent-flexible": BENT_FLEXIBLE,
     "straight-vertical-flexible": STRAIGHT_VERTICAL_FLEXIBLE,
     "straight-horizontal-flexible": STRAIGHT_HORIZONTAL_FLEXIBLE,
@@ -187,8 +324,9 @@ def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
         base: the model that takes the place of its own.
     """
     if base.body is not None:
-        thrusters = isinstance(vehicle, Satellite) and vehicle.thrusters
-        return Satellite(body=base.body, thrusters=thrusters, source=vehicle.source)
+        if isinstance(vehicle, Satellite):
+            return replace(vehicle, body=base.body)
+        return Satellite(body=base.body, source=vehicle.source)
     parts: dict[str, Any] = {name: matrix(getattr(base, name)) for name in "MDK"}
     drag = None if base.drag is None else tuple(base.drag.tolist())
     if base.internal is not None:

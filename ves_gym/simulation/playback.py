@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.carried import carried_wrench
 from ves_gym.mechanics.limits import middle_of_range
 from ves_gym.mechanics.motion import Motion, Samples
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
-from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix
+from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix, twist, twist_rate
 from ves_gym.simulation.recording import BaseWatch, Extremes, Recording
 from ves_gym.simulation.simulator import Simulator, State
 from ves_gym.system.runlog import RunLog
@@ -97,8 +98,10 @@ def play_motions(
     for k in range(records):
         state = sim.state
         tau, ydd = sim.evaluate(commands[:, k * stride])
-        row = (*sim.measured, tau, state.y, state.yd, ydd)
-        row = (*row, *(sim.base_modes or ()))
+        acts = sim.base_actuators
+        acted = {} if acts is None else acts.record()
+        row: tuple[Array, ...] = (*sim.measured, tau, state.y, state.yd, ydd)
+        row = (*row, *(sim.base_modes or ()), *acted.values())
         if extremes is not None:
             extremes.watch(edges[k * stride], row[0] - middle, row[1], tau)
         if base_watch is not None:
@@ -111,7 +114,8 @@ def play_motions(
             if len(sim.events) >= n:
                 break
         else:
-            rows.append((*row, base_wrench(system, state, ydd, sim.internal_state)))
+            held = None if acts is None else (acts.torque, acts.wrench)
+            rows.append((*row, base_wrench(system, state, ydd, sim.internal_state, held)))
         if k + 1 < records:
             last = (k + 1) * stride
             apart = extremes is not None and edges[k * stride] < duration + _OVERSHOOT
@@ -132,7 +136,7 @@ def play_motions(
         if progress is not None and k % 32 == 0:
             progress(k / records)
     modes = () if sim.base_modes is None else ("u", "ud")
-    names = ("q", "v", "tau", "y", "yd", "ydd", *modes, "w", "wg", "y_cmd")
+    names = ("q", "v", "tau", "y", "yd", "ydd", *modes, *acted, "w", "wg", "y_cmd")
     stacked = (np.stack(column, axis=1) for column in zip(*rows, strict=True))
     end = (len(rows) - 1) * stride + 1
     return Recording(
@@ -261,7 +265,11 @@ def _commands(sim: Simulator, s: Samples) -> Array:
 
 
 def base_wrench(
-    system: System, state: State, ydd: Array, hidden: tuple[Array, Array] | None = None
+    system: System,
+    state: State,
+    ydd: Array,
+    hidden: tuple[Array, Array] | None = None,
+    actuators: tuple[Array, Array] | None = None,
 ) -> Array:
     """Return the wrench of the arm on the base: what the vehicle's motion takes.
 
@@ -269,7 +277,8 @@ def base_wrench(
         system: arm and vehicle.
         state: of n simulations.
         ydd: (n, 6) acceleration of the base.
-        hidden: `Simulator.internal_state`, where the vehicle carries oscillators.
+        hidden: `Simulator.internal_state`, where the vehicle carries something.
+        actuators: torque of its wheels' motors and wrench of its jets, where it has them.
 
     Returns:
         (n, 6) in platform axes [N, N m].
@@ -290,4 +299,12 @@ def base_wrench(
     wrench = np.linalg.solve(turn, force[..., None])[..., 0]
     if base.body is not None:
         wrench = wrench + body_wrench(base.body.spatial(), y, yd, ydd)
+    if actuators is not None:
+        if base.carried and hidden is not None:
+            first = len(system.actual.arm.geared) + system.arm.bends
+            some = slice(first, first + len(base.carried))
+            at, rate = hidden[0][:, some], hidden[1][:, some]
+            moving = twist(y, yd), twist_rate(y, yd, ydd)
+            wrench = wrench + carried_wrench(base.carried, at, rate, *moving, actuators[0])
+        wrench = wrench - actuators[1]
     return np.asarray(wrench, dtype=np.float64)

@@ -102,6 +102,9 @@ class Recording:
     ydd: Array | None = None  # (n, N, 6) acceleration of the base
     u: Array | None = None  # (n, N, m) internal modes of the base, None where it has none
     ud: Array | None = None
+    motor: Array | None = None  # (n, N, w) of a satellite's wheels, held to the next record
+    jet: Array | None = None  # (n, N, 6) wrench of its jets, platform axes, held likewise
+    propellant: Array | None = None  # (n, N, 1) kg, used since the start
     events: tuple[Event, ...] = ()  # safety stops; a run is meaningful up to its own
     backend: str = ""  # the engine that ran
     extremes: Extremes | None = None  # of the joints, where they were watched
@@ -172,7 +175,7 @@ class Recording:
 
     def _recorded_modes(self, system: System, i: Any) -> tuple[Array, Array] | None:
         """Internal modes of runs; None where effects have added some: not recorded."""
-        modes, size = self.internal(i), system.arm.bends + system.base.m
+        modes, size = self.internal(i), system.arm.bends + system.base.hidden
         return modes if modes is None or modes[0].shape[-1] == size else None
 
     def records(self, i: int) -> int:
@@ -251,5 +254,8 @@ class Recording:
             y_cmd=None if self.y_cmd is None else self.y_cmd[i, :end],
             u=None if self.u is None else self.u[i, :end],
             ud=None if self.ud is None else self.ud[i, :end],
+            motor=None if self.motor is None else self.motor[i, :end],
+            jet=None if self.jet is None else self.jet[i, :end],
+            propellant=None if self.propellant is None else self.propellant[i, :end],
             meta=meta,
         )

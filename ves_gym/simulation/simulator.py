@@ -20,6 +20,8 @@ from ves_gym.mechanics.attitude import angular_velocity, from_angles
 from ves_gym.mechanics.base_model import BaseModel, semidefinite
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import AXES, SINGULAR, matvec, rate_matrix
+from ves_gym.mechanics.vehicle import blows
+from ves_gym.simulation.base_actuators import BaseActuators
 from ves_gym.simulation.capture import Capture, Cargo
 from ves_gym.simulation.charts import Charts, is_free
 from ves_gym.simulation.emulation_loop import EmulationLoop
@@ -76,6 +78,7 @@ class Snapshot:
     joint_delays: Any = None
     charts: Any = None
     payload: Any = None
+    base_actuators: Any = None
 
 
 class Simulator:
@@ -137,6 +140,10 @@ class Simulator:
         self.joint_delays = joint_delays_of(system, self.n)  # None where there can be none
         free = system.mode == "ideal" and is_free(system.actual.base)
         self._charts = Charts(self.n) if free else None
+        self.base_actuators: BaseActuators | None = None  # wheels and jets
+        acts = blows(system.vehicle) or bool(system.base.carried)
+        if system.mode == "ideal" and acts and self.backend.has_actuators:
+            self.base_actuators = BaseActuators(system, self.n)
         self.on_divergence = on_divergence
         self.generators: list[np.random.Generator] = []
         self.seed(seed)
@@ -222,14 +229,16 @@ class Simulator:
         v: npt.ArrayLike = 0.0,
         y: npt.ArrayLike = 0.0,
         yd: npt.ArrayLike = 0.0,
+        wheel_speed: npt.ArrayLike = 0.0,
         spread: Mapping[str, npt.ArrayLike] | None = None,
         ids: npt.ArrayLike | None = None,
     ) -> State:
-        """Put all or some simulations at time 0 in the given state.
+        """Put all or some simulations at time 0 in the given state, appendages at rest.
 
         Args:
             q, v: joint angles and rates, broadcast to (k, joints).
             y, yd: base pose and its rate, broadcast to (k, 6).
+            wheel_speed: of a satellite's reaction wheels, broadcast to (k, w) [rad/s].
             spread: standard deviation of a normal draw added to any of q, v, y, yd.
             ids: which simulations (k of them), or None for all.
         """
@@ -254,6 +263,7 @@ class Simulator:
         )
         if self._charts is not None:
             self._charts.reset(index)
+        self._reset_carried(index, wheel_speed)
         if self.joint_delays is not None:
             self.joint_delays.reset(index, full["q"], full["v"])
         if self.emulation_loop is not None:
@@ -263,7 +273,51 @@ class Simulator:
             self.payload.reset(index)
         self.diverged[index] = False
         self.last_state = self.state
+        if self.base_actuators is not None:
+            self.base_actuators.reset(index, self.last_state, self.backend)
         return self.last_state
+
+    def _reset_carried(self, index: Index, wheel_speed: npt.ArrayLike) -> None:
+        """Set the speeds of reaction wheels, everything else that the base carries at rest."""
+        wheels = 0 if self.base_actuators is None else len(self.base_actuators.wheels)
+        if not wheels:
+            if np.any(wheel_speed):
+                raise ParameterError(
+                    "wheel_speed needs a vehicle with reaction wheels, got"
+                    f" {type(self.system.vehicle).__name__}"
+                )
+            return
+        speed = self._broadcast(wheel_speed, "wheel_speed", (len(index), wheels))
+        rates = np.zeros((len(index), len(self.system.base.carried)))
+        rates[:, :wheels] = speed
+        self.backend.set_carried(index, np.zeros_like(rates), rates)
+
+    @property
+    def wheel_speed(self) -> Array:
+        """(n, w) speeds of the reaction wheels against the satellite [rad/s]."""
+        if self.base_actuators is None:
+            return np.zeros((self.n, 0))
+        arm, wheels = self.system.actual.arm, len(self.base_actuators.wheels)
+        first = len(arm.geared) + arm.bends
+        return self.backend.internal_state()[1][:, first : first + wheels]
+
+    def point(self, attitude: npt.ArrayLike, ids: npt.ArrayLike | None = None) -> None:
+        """Set the attitude that the satellite's pointing holds from the next period on.
+
+        Args:
+            attitude: (k, 4) unit quaternions, scalar first, or one for all.
+            ids: which simulations (k of them), None for all.
+        """
+        if self.base_actuators is None or self.base_actuators.pointing is None:
+            raise ParameterError(
+                "point needs a satellite with pointing, got"
+                f" {type(self.system.vehicle).__name__}"
+            )
+        index = self._ids(ids)
+        target = self._broadcast(attitude, "attitude", (len(index), 4))
+        if (np.abs(np.linalg.norm(target, axis=1) - 1) > 1e-6).any():
+            raise ParameterError(f"attitude must be unit quaternions, got {target.tolist()}")
+        self.base_actuators.target[index] = target
 
     def snapshot(self) -> Snapshot:
         """The complete state, random generators included; picklable."""
@@ -279,6 +333,7 @@ class Simulator:
             None if self.joint_delays is None else self.joint_delays.get_state(),
             None if self._charts is None else self._charts.get_state(),
             None if self.payload is None else self.payload.get_state(),
+            None if self.base_actuators is None else self.base_actuators.get_state(),
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -311,6 +366,8 @@ class Simulator:
             self._charts.set_state(snapshot.charts)
         if self.payload is not None:
             self.payload.set_state(snapshot.payload)
+        if self.base_actuators is not None:
+            self.base_actuators.set_state(snapshot.base_actuators, self.backend)
         self.diverged = snapshot.diverged.copy()
         self.last_state = self.state
 
@@ -492,6 +549,7 @@ class Simulator:
         *,
         until: npt.ArrayLike | None = None,
         base_wrench: npt.ArrayLike | None = None,
+        wheel_torque: npt.ArrayLike | None = None,
         platform: npt.ArrayLike | None = None,
     ) -> State:
         """Advance one control period, the command held or running linearly to another.
@@ -503,25 +561,31 @@ class Simulator:
             until: (n, joints) command at the end of the period, linear until there;
                 None: held.
             base_wrench: (n, 6) jets' wrench in the platform frame [N, N m]; only a
-                vehicle with thrusters accepts it.
+                vehicle with thrusters or jets accepts it, and jets make of it what their
+                thrust and whole pulses allow.
+            wheel_torque: (n, w) of the reaction wheels' motors on the rotors [N m], within
+                their torque and momentum limits.
             platform: pose (n, 6), or pose and rate (n, 12), that the platform shall
                 follow; emulators under position control only.
         """
         torque = self._broadcast(command, "command", (self.n, self.joints))
         end = None if until is None else self._broadcast(until, "until", torque.shape)
         if self.emulation_loop is not None:
-            if base_wrench is not None:
-                raise ParameterError("base_wrench needs mode ideal, got mode emulated")
+            if base_wrench is not None or wheel_torque is not None:
+                given = "wheel_torque" if base_wrench is None else "base_wrench"
+                raise ParameterError(f"{given} needs mode ideal, got mode emulated")
             self._ride(self._nodes(torque, end), self._platform(platform, 1))
         else:
             if platform is not None:
                 raise ParameterError("platform needs mode emulated, got mode ideal")
             self._recentre()
-            push = self._base_force(base_wrench)
+            push = self._base_force(base_wrench, wheel_torque)
             if self.joint_delays is not None and self.joint_delays.busy:
                 self._drive(self._nodes(torque, end), push)
             else:
                 self.backend.step(torque, end, push, self.system.substeps, self._running())
+            if self.base_actuators is not None:
+                self.base_actuators.advanced(self.system.substeps)
         if self.payload is not None:
             self.payload.advance(1, self.system.control_dt, self._running())
         self._watch()
@@ -579,9 +643,18 @@ class Simulator:
         elif self._charts is None:
             self._play(nodes)
         else:  # looked at every control period, as in `step`
-            for first in range(0, nodes.shape[1] - 1, self.system.substeps):
-                self._recentre()
-                self._play(nodes[:, first : first + self.system.substeps + 1])
+            first, last, acts = 0, nodes.shape[1] - 1, self.base_actuators
+            while first < last:
+                steps = min(self.system.substeps, last - first)
+                if acts is None or acts.due:
+                    self._recentre()
+                if acts is not None:
+                    steps = min(acts.steps_left, last - first)
+                    if acts.due:
+                        acts.prepare(self.state, self.wheel_speed, self.backend)
+                    acts.advanced(steps)
+                self._play(nodes[:, first : first + steps + 1])
+                first += steps
         self._watch()
 
     def _play(self, nodes: Array) -> None:
@@ -648,12 +721,14 @@ class Simulator:
 
     @property
     def base_modes(self) -> tuple[Array, Array] | None:
-        """u and u' (n, p + m) of flexures and the described base's modes, None of none.
+        """u and u' (n, m) of flexures and of what the described base has, None of none.
+
+        Its wheels and appendages, then its internal modes.
 
         Deflections of the p flexures of an arm that bends come first. None as well in position
         control, where nothing moves the modes.
         """
-        m = self.system.arm.bends + self.system.base.m
+        m = self.system.arm.bends + self.system.base.hidden
         at, rate = self.internal_state
         first = len(self.system.actual.arm.geared)  # effects add modes after the base's own
         if not m or at.shape[1] < first + m:
@@ -768,6 +843,8 @@ class Simulator:
                 at_drives = (
                     at_drives + self.joint_delays.correction(q, v, self._kp, self._kd)[0]
                 )
+        if self.base_actuators is not None and self.base_actuators.due:
+            self.base_actuators.look(self.state, self.wheel_speed, self.backend)
         torque, acceleration = self.backend.evaluate(at_drives)
         ydd = acceleration[:, :6]
         if self._charts is not None:
@@ -820,15 +897,32 @@ class Simulator:
         worst = int(size.argmax())
         return which + f"{names[worst]} = {z[worst]:.3g} moving at {zd[worst]:.3g}"
 
-    def _base_force(self, wrench: npt.ArrayLike | None) -> Array | None:
-        if wrench is None:
+    def _base_force(
+        self, wrench: npt.ArrayLike | None, torque: npt.ArrayLike | None
+    ) -> Array | None:
+        """Tell jets and wheels; the jets' force on Y where the engine has none that turn."""
+        acts, jets, motors = self.base_actuators, None, None
+        kind = type(self.system.vehicle).__name__
+        if wrench is not None:
+            if not blows(self.system.vehicle):
+                raise ParameterError(
+                    f"base_wrench needs a vehicle with thrusters or jets, got {kind}"
+                )
+            jets = self._broadcast(wrench, "base_wrench", (self.n, 6))
+        if torque is not None:
+            if acts is None or not acts.wheels:
+                raise ParameterError(
+                    f"wheel_torque needs a vehicle with reaction wheels, got {kind}"
+                )
+            motors = self._broadcast(torque, "wheel_torque", (self.n, len(acts.wheels)))
+        if acts is not None:
+            if jets is not None or motors is not None:
+                acts.command(jets, motors, self.wheel_speed, self.backend)
+            elif acts.due:
+                acts.prepare(self.state, self.wheel_speed, self.backend)
             return None
-        if not getattr(self.system.vehicle, "thrusters", False):
-            raise ParameterError(
-                "base_wrench needs a vehicle with thrusters (free-flying), got"
-                f" {type(self.system.vehicle).__name__}"
-            )
-        jets = self._broadcast(wrench, "base_wrench", (self.n, 6))
+        if jets is None:
+            return None
         return matvec(np.swapaxes(rate_matrix(self.state.y), -1, -2), jets)
 
     def _ids(self, ids: npt.ArrayLike | None) -> Index:

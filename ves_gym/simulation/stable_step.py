@@ -9,6 +9,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.mechanics.base_model import BaseModel
+from ves_gym.mechanics.carried import Appendage, carried_inertia
 from ves_gym.mechanics.dynamics import drawn_configurations, inertia_entries
 from ves_gym.mechanics.flexure import unfold
 from ves_gym.system.system import System
@@ -98,6 +99,8 @@ def _passive(system: System, q: Array) -> tuple[Array, Array, Array]:
     parts = inertia_entries(arm, chain.angles(q).tolist(), math)
     across: Array = np.array(parts.across).T
     H = np.block([[np.array(parts.base), across], [across.T, np.array(parts.joints)]])
+    if base.carried and not (arm.geared or base.m or chain.passive):
+        return _with_carried(base, H[:6, :6])
     if not (arm.geared or base.m or chain.passive):
         return base.mass_matrix + H[:6, :6], base.D, base.K
     n, g, m = arm.n, len(arm.geared), base.m
@@ -123,3 +126,19 @@ def _passive(system: System, q: Array) -> tuple[Array, Array, Array]:
             part[at[:, None], at] += block
     picked = free[:, None], free
     return M[picked], D[picked], K[picked]
+
+
+def _with_carried(base: BaseModel, arm: Array) -> tuple[Array, Array, Array]:
+    """M, D, K over the base and the joints of what it carries, arm (6, 6) locked."""
+    k = len(base.carried)
+    _, across, joints = carried_inertia(base.carried, np.zeros(k))
+    M, D, K = np.zeros((3, 6 + k, 6 + k))
+    M[:6, :6] = base.mass_matrix + arm
+    M[:6, 6:], M[6:, :6], M[6:, 6:] = across, across.T, np.diag(joints)
+    D[:6, :6], K[:6, :6] = base.D, base.K
+    for i, part in enumerate(base.carried, start=6):
+        if isinstance(part, Appendage):
+            D[i, i], K[i, i] = part.damping, part.stiffness
+        else:
+            D[i, i] = part.viscous
+    return M, D, K

@@ -1,7 +1,7 @@
 """Links that bend, in accounts of energy: their share of the base and of its motion.
 
 The motion beside (Y, q) that simulations and logs hold, (u, u'), begins with the p deflections
-of the arm's flexures [rad]; the vehicle's internal modes follow.
+of the arm's flexures [rad]; what the vehicle carries and its internal modes follow.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Internal = tuple[Array, Array]  # u and u' (..., p + m)
 
 
 def own_modes(system: System, internal: Internal | None) -> Internal | None:
-    """Return u and u' of the vehicle's internal modes alone, None where it has none.
+    """Return u and u' of what the vehicle has beside its pose, None where it has nothing.
 
     Args:
         system: arm and vehicle.
@@ -33,7 +33,7 @@ def own_modes(system: System, internal: Internal | None) -> Internal | None:
             f"the energy of an arm that bends at {p} flexures needs their motion (columns u and"
             " ud of a simulation's log)"
         )
-    if internal is None or not system.base.m:
+    if internal is None or not system.base.hidden:
         return None
     return internal[0][..., p:], internal[1][..., p:]
 

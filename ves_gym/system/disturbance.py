@@ -181,7 +181,7 @@ def disturbance(
     end = int(np.searchsorted(fine, duration - 1e-9))
     if ydd is None:
         ydd = scipy.interpolate.CubicSpline(clock, yd)(clock, 1)
-    hides = bool(system.base.m + arm.bends)  # motion beside pose and joints
+    hides = bool(system.base.hidden + arm.bends)  # motion beside pose and joints
     if not hides:
         internal = np.zeros((len(t), 0)), np.zeros((len(t), 0))
     elif internal is None:

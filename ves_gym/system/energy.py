@@ -19,8 +19,10 @@ import scipy
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.views import Viewable
+from ves_gym.mechanics.carried import ReactionWheel, carried_energy
 from ves_gym.mechanics.spatial import quadratic, twist
 from ves_gym.mechanics.vehicle import BaseModel
+from ves_gym.system.actuator_work import actuator_work
 from ves_gym.system.bending import (
     Internal,
     in_flexures,
@@ -89,10 +91,12 @@ def base_energy(
 
     Args:
         q: (..., n) joint angles. y, yd: (..., 6) base pose and its rate.
-        internal: u and u' of a base with internal modes; `internal_motion` estimates them.
+        internal: u and u' of a base with such coordinates (`BaseModel.hidden`);
+            `internal_motion` estimates those of modes. Wheels count as locked: what they
+            store is no motion of the base.
 
     Raises:
-        ParameterError: the base has internal modes whose motion is not given.
+        ParameterError: the base has internal coordinates whose motion is not given.
     """
     base = system.base
     pose, rate = np.asarray(y, float), np.asarray(yd, float)
@@ -101,6 +105,9 @@ def base_energy(
     body = moving_inertia(system, np.asarray(q, float), internal)[..., :size, :size]
     if base.body is not None:
         body[..., :6, :6] += base.body.spatial()
+    if base.carried and modes is not None:
+        turning = np.array([not isinstance(k, ReactionWheel) for k in base.carried])
+        modes = modes[0], modes[1] * np.r_[turning, np.ones(base.m, bool)]
     strain, moving, _ = _interface_energies(base, pose, rate, modes)
     bent, _ = in_flexures(system, internal)
     rates = moving_rates(system, twist(pose, rate), internal)
@@ -110,14 +117,21 @@ def base_energy(
 def _interface_energies(
     base: BaseModel, y: Array, yd: Array, internal: Internal | None
 ) -> tuple[Array, Array, Array]:
-    """Strain energy of the base, kinetic energy of M and modes, power lost in D."""
+    """Strain energy of the base, kinetic energy of M and what it carries, power lost in D."""
     strain, kinetic = quadratic(base.K, y), quadratic(base.M, yd)
     power = 2 * quadratic(base.D, yd)
-    if base.internal is not None:
-        if internal is None:
-            raise ParameterError(
-                f"the energy of a base with {base.m} internal modes needs their motion"
-            )
+    if base.hidden and internal is None:
+        raise ParameterError(
+            f"the energy of a base with {base.hidden} internal coordinates (modes, wheels,"
+            " appendages) needs their motion"
+        )
+    if base.carried and internal is not None:
+        k = len(base.carried)
+        at, turning = internal[0][..., :k], internal[1][..., :k]
+        parts = carried_energy(base.carried, twist(y, yd), at, turning)
+        strain, kinetic, power = strain + parts[0], kinetic + parts[1], power + parts[2]
+        internal = internal[0][..., k:], internal[1][..., k:]
+    if base.internal is not None and internal is not None:
         u, ud = internal
         stretch = (u - base.attached(y)) * base.internal.omega
         strain = strain + 0.5 * np.sum(stretch**2, axis=-1)
@@ -142,7 +156,11 @@ def internal_motion(base: BaseModel, t: Array, y: Array, yd: Array) -> Internal:
         u and u' (..., N, m).
     """
     modes = base.internal
-    assert modes is not None
+    if base.carried or modes is None:
+        raise ParameterError(
+            "the motion of wheels and appendages does not follow from that of the base: record"
+            " it (columns u, ud)"
+        )
     m, C = modes.m, modes.damping
     h = float(t[-1] - t[0]) / (len(t) - 1)
     # x = (u, u', y and its three derivatives) of a cubic piece, whose third is constant
@@ -224,7 +242,7 @@ def energies(
             f" run of {t[-1] - t[0]:g} s"
         )
     clock = t - t[0]
-    if internal is None and system.base.internal is not None and not system.arm.bends:
+    if internal is None and system.base.hidden and not system.arm.bends:
         internal = internal_motion(system.base, t, y, yd)
     parts = base_energy(system, q, y, yd, internal)
     total = parts.total
@@ -332,7 +350,7 @@ class EnergyBalance(Viewable):
     """
 
     t: Array  # (N,) s
-    work: Array  # of the joint drives
+    work: Array  # of the joint drives, and of a satellite's wheels and jets
     kinetic: Array  # change, whole system
     strain: Array  # change
     dissipated: Array  # in the vehicle's damping, and by effects at the joints
@@ -377,9 +395,8 @@ class EnergyBalance(Viewable):
         power = -np.sum(laws * log.v, axis=-1)
         in_joints = scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0)
         parts = log.t, log.q, log.v, log.y, log.yd
-        return cls.close(
-            system, *parts, _drive_work(system, log), in_joints=in_joints, internal=internal
-        )
+        work = _drive_work(system, log) + actuator_work(log, system)
+        return cls.close(system, *parts, work, in_joints=in_joints, internal=internal)
 
     @classmethod
     def close(

@@ -22,14 +22,17 @@ import numpy as np
 
 from ves_gym._util.params import Array, canonical_json, write_bytes
 from ves_gym._util.views import Viewable
+from ves_gym.mechanics.attitude import from_angles
 from ves_gym.system.runlog_files import (
     BASE,
     DIGEST_KEY,
     JOINT,
     META_KEY,
     MODE,
+    ONE,
     POSE,
     QUANTITIES,
+    WHEEL,
     RunLogError,
     load_pyarrow,
     naming,
@@ -77,8 +80,12 @@ class RunLog(Viewable):
     yd: Array | None = None  # (N, 6) m/s, rad/s: d/dt of y, where it is measured
     w: Array | None = None  # (N, 6) N, N m: force sensor; on Earth it contains the weight
     wg: Array | None = None  # (N, 6) N, N m: w with the gravity estimate subtracted
-    u: Array | None = None  # (N, m) internal modes of the base: a simulation's, never measured
+    # (N, m) wheels, appendages, internal modes of the base: a simulation's, never measured
+    u: Array | None = None
     ud: Array | None = None  # (N, m) d/dt of u
+    motor: Array | None = None  # (N, w) N m, of a satellite's wheels, held to the next sample
+    jet: Array | None = None  # (N, 6) N, N m, wrench of its jets, platform axes, held likewise
+    propellant: Array | None = None  # (N, 1) kg, used since the start
 
     def __post_init__(self) -> None:
         store = object.__setattr__  # the dataclass is frozen
@@ -91,7 +98,14 @@ class RunLog(Viewable):
         _check_time(t)
         store(self, "t", t)
         modes = next((np.shape(k)[-1:] for k in (self.u, self.ud) if k is not None), ())
-        sizes = {JOINT: q.shape[1], POSE: BASE, MODE: modes[0] if modes else 1}
+        wheels = np.shape(self.motor)[-1:] if self.motor is not None else ()
+        sizes = {
+            JOINT: q.shape[1],
+            POSE: BASE,
+            MODE: modes[0] if modes else 1,
+            WHEEL: wheels[0] if wheels else 1,
+            ONE: 1,
+        }
         for name, (axis, required) in QUANTITIES.items():
             value = getattr(self, name)
             if value is None and not required:
@@ -110,6 +124,17 @@ class RunLog(Viewable):
 
     def __repr__(self) -> str:
         return f"<RunLog: {self.summary()}>"
+
+    @property
+    def attitude(self) -> Array:
+        """(N, 4) unit quaternions of the base, scalar first, its axes to inertial ones.
+
+        Continuous: of q and -q that which is nearer to the one before.
+        """
+        out = from_angles(self.y[:, 3:])
+        flips = np.sign(np.sum(out[1:] * out[:-1], axis=1))
+        out[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0))[:, None]
+        return out
 
     @property
     def n_joints(self) -> int:

@@ -27,7 +27,8 @@ META_KEY = "ves_gym"  # of the Parquet schema's metadata
 DIGEST_KEY = "ves_gym_digest"  # beside it, in files that `save` wrote
 BASE = 6  # x, y, z, phi_x, phi_y, phi_z and their wrench
 
-JOINT, POSE, MODE = "n", str(BASE), "m"  # one column per joint, base coordinate, mode
+# one column per joint, base coordinate, internal coordinate, wheel; one alone
+JOINT, POSE, MODE, WHEEL, ONE = "n", str(BASE), "m", "w", "1"
 # quantity -> (its columns, required), in the order of the columns on disk
 QUANTITIES = {
     "q_cmd": (JOINT, True),
@@ -42,6 +43,9 @@ QUANTITIES = {
     "wg": (POSE, False),
     "u": (MODE, False),
     "ud": (MODE, False),
+    "motor": (WHEEL, False),
+    "jet": (POSE, False),
+    "propellant": (ONE, False),
 }
 KNOWN = ", ".join(["t", *(f"{k}_1..{axis}" for k, (axis, _) in QUANTITIES.items())])
 

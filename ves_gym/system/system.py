@@ -85,6 +85,11 @@ class System:
                 f"mode emulated needs an arm of rigid links, got {self.arm.name} with"
                 f" {self.arm.bends} flexures: emulate its boom as the vehicle (Boom.at)"
             )
+        for name in ("wheels", "jets", "appendages"):
+            if self.mode == "emulated" and getattr(self.vehicle, name, None):
+                raise ParameterError(
+                    f"mode emulated knows a satellite's body, not its {name}: use mode ideal"
+                )
         object.__setattr__(self, "effects", tuple(self.effects))  # a list has no hash
         for effect in self.effects:
             if not isinstance(effect, Effect):

@@ -24,6 +24,7 @@ class Backend(Protocol):
 
     name: str  # as in `registry.BACKENDS`
     n: int
+    has_actuators: bool  # `set_actuators` and `set_carried` work
 
     def read(self) -> tuple[Array, Array, Array]:
         """Time (n,) [s], z (n, 6 + joints), zd (n, 6 + joints)."""
@@ -60,6 +61,23 @@ class Backend(Protocol):
         Args:
             ids: (k,) which simulations.
             kp, kd: (k, joints) [N m/rad], [N m s/rad].
+        """
+
+    def set_carried(self, ids: Index, at: Array, rate: Array) -> None:
+        """Set coordinates and rates of wheels and appendages.
+
+        Args:
+            ids: (k,) which simulations.
+            at, rate: (k, c).
+        """
+
+    def set_actuators(self, ids: Index, wrench: Array | None, torque: Array | None) -> None:
+        """Set what jets and wheels do from now on.
+
+        Args:
+            ids: (k,) which simulations.
+            wrench: (k, 6) of the jets in platform axes at its origin [N, N m], or None.
+            torque: (k, w) on the wheels' rotors [N m], or None.
         """
 
     def assign(self, ids: Index, systems: Sequence[System]) -> None:
@@ -120,7 +138,7 @@ class Backend(Protocol):
         """
 
     def internal_state(self) -> tuple[Array, Array]:
-        """Coordinates and rates (n, g + m): gears' deflections; in space, oscillators."""
+        """Coordinates and rates (n, g + c + m) of gears; in space, of what the base carries."""
 
     def evaluate(self, command: Array) -> tuple[Array, Array]:
         """Drive torque (n, joints) and acceleration zdd (n, 6 + joints) at this state."""

@@ -21,6 +21,8 @@ class CompiledBackend(Remembering):
     vehicle) and the rates of both; see `trace.Equations`.
     """
 
+    has_actuators = True
+
     def __init__(self, system: System, n: int) -> None:
         self.n, self.joints = n, system.arm.n
         self.emulated = system.mode == "emulated"
@@ -28,13 +30,16 @@ class CompiledBackend(Remembering):
         self.dt = system.physics_dt
         self.rows = ParameterRows(system)
         self.names = self.rows.names
-        self._gains = np.array([name[:2] in ("kp", "kd") for name in self.names])
+        held = ("kp", "kd", "jet", "motor")  # set by a controller, not by a system
+        self._gains = np.array([name.startswith(held) for name in self.names])
         self._systems = [system] * n
         self._own_bases: set[int] = set()  # simulations with another than their system's
         size = 6 + self.joints
         self._extras = 0 if self.emulated else system.base.m
+        self._carried = 0 if self.emulated else len(system.base.carried)
         self._gears = len(system.arm.geared) + system.arm.bends  # passive joints
-        self._order = size + self._gears + self._extras  # coordinates: (Y, q), what is hidden
+        # coordinates: (Y, q), then what is hidden
+        self._order = size + self._gears + self._carried + self._extras
         self._nx, self._nu = 2 * self._order, size
         self._ny = size + self.joints + (6 if self.emulated else 0)
 
@@ -65,9 +70,10 @@ class CompiledBackend(Remembering):
         for part in (z, zd):
             bases = [self._systems[i].base for i in ids.tolist()]
             attached = [b.attached(y) for b, y in zip(bases, part[:, :6], strict=True)]
-            hidden = np.zeros((len(ids), self._gears + self._extras))
+            modes = self._gears + self._carried
+            hidden = np.zeros((len(ids), modes + self._extras))
             if self._extras:
-                hidden[:, self._gears :] = attached
+                hidden[:, modes:] = attached
             parts += [part, hidden]
         return np.hstack(parts)
 
@@ -86,6 +92,13 @@ class CompiledBackend(Remembering):
             numbers[f"{link}.I{i + 1}{j + 1}"] = inertia[:, i, j]
         for name, values in numbers.items():
             self._set_parameter(self.names.index(name), ids, values)
+
+    def set_actuators(self, ids: Index, wrench: Array | None, torque: Array | None) -> None:
+        """See `Backend`."""
+        for name, values in (("jet{}", wrench), ("motorcarried{}", torque)):
+            for i in range(0 if values is None else values.shape[1]):
+                at = self.names.index(name.format(i + 1))
+                self._set_parameter(at, ids, values[:, i])  # type: ignore[index]
 
     def assign(self, ids: Index, systems: Sequence[System]) -> None:
         """See `Backend`."""

@@ -22,6 +22,7 @@ class DeviceBackend(Remembering):
     """`Backend` whose subclasses run `_advance` and `_forward` on a device."""
 
     name = "device"
+    has_actuators = False
     state_names = ("_q", "_v", "_act", "_time", "_fault", "_bias")
 
     def __init__(self, system: System, n: int, threads: int) -> None:
@@ -29,11 +30,11 @@ class DeviceBackend(Remembering):
             raise ParameterError(
                 f"backend {self.name} has no torque laws of effects: use kernel or mujoco"
             )
-        carried = system.base.m or system.base.drag is not None
+        carried = system.base.m or system.base.drag is not None or system.base.carried
         if system.arm.geared or system.arm.bends or (carried and system.mode == "ideal"):
             raise ParameterError(
-                f"backend {self.name} has no gears that give way, links that bend, drag or"
-                " internal modes of the vehicle: use kernel or mujoco"
+                f"backend {self.name} has no gears that give way, links that bend, drag,"
+                " internal modes, wheels or appendages of the vehicle: use kernel or mujoco"
             )
         if system.integrator == "implicitfast":
             raise ParameterError(
@@ -119,6 +120,12 @@ class DeviceBackend(Remembering):
 
     def set_gear_state(self, d: Array, rate: Array) -> None:
         raise ParameterError(f"backend {self.name} has no gears that give way")
+
+    def set_carried(self, ids: Index, at: Array, rate: Array) -> None:
+        raise ParameterError(f"backend {self.name} has no wheels and appendages")
+
+    def set_actuators(self, ids: Index, wrench: Array | None, torque: Array | None) -> None:
+        raise ParameterError(f"backend {self.name} has no jets that turn with the base")
 
     def internal_state(self) -> tuple[Array, Array]:
         return np.zeros((self.n, 0)), np.zeros((self.n, 0))

@@ -168,6 +168,12 @@ class GpuKernelBackend(CompiledBackend):
         x[ids, :6], x[ids, order : order + 6] = y, yd
         self._put(x)
 
+    def set_carried(self, ids: Index, at: Array, rate: Array) -> None:
+        x, first, order = self._states_now, 6 + self.joints + self._gears, self._order
+        last = first + self._carried
+        x[ids, first:last], x[ids, order + first : order + last] = at, rate
+        self._put(x)
+
     def internal_state(self) -> tuple[Array, Array]:
         x, first, order = self._states_now, 6 + self.joints, self._order
         return x[:, first:order], x[:, order + first :]

@@ -246,6 +246,13 @@ class KernelBackend(CompiledBackend):
         at, lane, order = ids // LANES, ids % LANES, self._order
         self._x[at, :6, lane], self._x[at, order : order + 6, lane] = y, yd
 
+    def set_carried(self, ids: Index, at: Array, rate: Array) -> None:
+        block, lane = ids // LANES, ids % LANES
+        first, order = 6 + self.joints + self._gears, self._order
+        last = first + self._carried
+        self._x[block, first:last, lane] = at
+        self._x[block, order + first : order + last, lane] = rate
+
     def internal_state(self) -> tuple[Array, Array]:
         x, first, order = unlane(self._x, self.n), 6 + self.joints, self._order
         return x[:, first:order], x[:, order + first :]

@@ -23,9 +23,10 @@ from ves_gym.engine.mjcf import (
     build_spec,
     places,
 )
+from ves_gym.engine.mjcf_carried import add_carried, add_jets
 from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.gravity import GRAVITY
-from ves_gym.mechanics.vehicle import BaseModel
+from ves_gym.mechanics.vehicle import BaseModel, ReactionWheel, blows
 from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
@@ -41,22 +42,23 @@ _BAD = [
 ]
 
 
-def compile_model(system: System, full: bool = False) -> mujoco.MjModel:
+def compile_model(system: System, full: bool = False, jets: bool = False) -> mujoco.MjModel:
     """Return the MuJoCo model of a system, as the backend runs it.
 
     Args:
-        system, full: see `model_spec`.
+        system, full, jets: see `model_spec`.
     """
-    return model_spec(system, full).compile()
+    return model_spec(system, full, jets).compile()
 
 
-def model_spec(system: System, full: bool = False) -> mujoco.MjSpec:
+def model_spec(system: System, full: bool = False, jets: bool = False) -> mujoco.MjSpec:
     """Return the MuJoCo specification of a system, before it is compiled.
 
     Args:
         system: what to simulate.
         full: M, D and K as six tendons each, all on all six axes, whatever their numbers are,
             so that every model of one structure has one layout.
+        jets: with actuators for those of a satellite that has any.
     """
     if system.mode == "emulated":
         spec = build_laboratory_spec(
@@ -77,6 +79,9 @@ def model_spec(system: System, full: bool = False) -> mujoco.MjSpec:
         )
         if full:
             _add_whole_tendons(spec, base)
+        add_carried(spec, base)
+        if jets and blows(system.vehicle):
+            add_jets(spec)
     add_hidden(spec, system.arm, system.base if system.mode == "ideal" else None)
     if system.drive == "prescribed":
         for i in range(system.arm.n):
@@ -122,13 +127,16 @@ class MujocoBackend:
     """`Backend` on `mujoco.batch.Batch`; see `Backend` for what each method does."""
 
     name = "mujoco"
+    has_actuators = True
 
     def __init__(self, system: System, n: int, threads: int) -> None:
         self.n = n
         self.joints = system.arm.n
         self.prescribed = system.drive == "prescribed"
         self.system, self._nthread = system, threads
-        self._carried = system.base.m if system.mode == "ideal" else 0
+        ideal = system.mode == "ideal"
+        self._carried = system.base.m if ideal else 0
+        parts = system.base.carried if ideal else ()
         # coordinates of the motors; those of gears and flexures lie between them
         self._motors: Any = slice(6, 6 + self.joints)
         motors, passive = places(system.arm)
@@ -136,8 +144,11 @@ class MujocoBackend:
             self._motors = motors
         where = np.arange(6 + self.joints + len(passive))
         self._order = np.r_[TO_Y, where[self._motors]]
-        carried = len(where) + np.arange(self._carried)
+        carried = len(where) + np.arange(len(parts) + self._carried)
         self._internal = np.r_[passive, carried]
+        self._parts = len(where) + np.arange(len(parts))  # coordinates of wheels, appendages
+        wheels = [k for k in parts if isinstance(k, ReactionWheel)]  # the first of them
+        self._wheels = self._parts[: len(wheels)]
         # from the start as after `assign`: x**2.0 is a square, x**[2.0, 2.0] a power
         has_law = any(isinstance(e, TorqueEffect) for e in system.effects)
         self._laws = Laws(system, n) if has_law else None
@@ -145,7 +156,7 @@ class MujocoBackend:
         self._systems = [system] * n
         self._limits = np.tile(system.arm.column("tau_max"), (n, 1))
         self._varied: set[str] = set()  # fields of the model that differ, gains apart
-        self._load(compile_model(system))
+        self._load(compile_model(system, jets=True))
 
     def _load(self, model: mujoco.MjModel) -> None:
         """Run this model."""
@@ -156,9 +167,10 @@ class MujocoBackend:
         self._command, self._slope = self.batch.bind("act"), self.batch.bind("ctrl")
         self._applied = self.batch.bind("qfrc_applied")
         self._force, self._qacc = self.batch.bind("actuator_force"), self.batch.bind("qacc")
-        self._drives = slice(self.model.nu - self.joints, None)  # after the platform's
-        self._bias: Array | None = None
         emulated = self.system.mode == "emulated"
+        first = 6 if emulated else 0  # after the platform's, before the jets'
+        self._drives = slice(first, first + self.joints)
+        self._bias: Array | None = None
         self._sensed = self.batch.bind("sensordata") if emulated else None
 
     def read(self) -> tuple[Array, Array, Array]:
@@ -211,11 +223,11 @@ class MujocoBackend:
         others = {i for i, k in pairs if bodies_of(k) != bodies_of(self._systems[i])}
         reference = self.model
         if others and not self._full:
-            reference = compile_model(self.system, full=True)
+            reference = compile_model(self.system, full=True, jets=True)
         changes_of: dict[tuple[int, int], dict[str, Any]] = {}  # of the arms and vehicles seen
         for i, system in pairs:
             if i in others and bodies_of(system) not in changes_of:
-                model = compile_model(system, full=True)
+                model = compile_model(system, full=True, jets=True)
                 changes_of[bodies_of(system)] = _changes(
                     reference, model, f"system of simulation {i}"
                 )
@@ -245,6 +257,16 @@ class MujocoBackend:
         gears = self._internal[: d.shape[1]]
         self._qpos[:, gears], self._qvel[:, gears] = d, rate
 
+    def set_carried(self, ids: Index, at: Array, rate: Array) -> None:
+        where = np.ix_(ids, self._parts)
+        self._qpos[where], self._qvel[where] = at, rate
+
+    def set_actuators(self, ids: Index, wrench: Array | None, torque: Array | None) -> None:
+        if wrench is not None:
+            self._command[ids, self._drives.stop :] = wrench
+        if torque is not None:
+            self._applied[np.ix_(ids, self._wheels)] = torque
+
     def internal_state(self) -> tuple[Array, Array]:
         return self._qpos[:, self._internal], self._qvel[:, self._internal]
 
@@ -257,7 +279,8 @@ class MujocoBackend:
         ids: Index | None,
     ) -> None:
         rise = 0.0 if until is None else until - command
-        self._command[:], self._slope[:] = command, rise / (substeps * self.model.opt.timestep)
+        self._command[:, self._drives] = command
+        self._slope[:, self._drives] = rise / (substeps * self.model.opt.timestep)
         if wrench is not None:
             self._applied[:, TO_Y] = wrench
         for _ in range(substeps if self._laws else 1):
@@ -283,10 +306,11 @@ class MujocoBackend:
         return np.asarray(tau, dtype=np.float64)
 
     def step_sequence(self, commands: Array, ids: Index | None) -> None:
-        slopes = np.diff(commands, axis=1) / self.model.opt.timestep
-        self._command[:] = commands[:, 0]
-        commands = slopes if ids is None else slopes[ids]
-        for part in np.split(commands, commands.shape[1], axis=1) if self._laws else [commands]:
+        slopes = np.zeros((self.n, commands.shape[1] - 1, self.model.nu))
+        slopes[..., self._drives] = np.diff(commands, axis=1) / self.model.opt.timestep
+        self._command[:, self._drives] = commands[:, 0]
+        slopes = slopes if ids is None else slopes[ids]
+        for part in np.split(slopes, slopes.shape[1], axis=1) if self._laws else [slopes]:
             self._push()
             self.batch.rollout(part.shape[1], part, record=(), ids=ids)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+from ves_gym.mechanics.carried import inertia_of
 from ves_gym.mechanics.dynamics import Vec, inertia_entries, newton_euler
 from ves_gym.mechanics.gravity import GRAVITY
 
@@ -39,6 +40,8 @@ class Model:
     whole: Any = None  # the arm with its flexures as joints, where its links bend
     driven: tuple[int, ...] = ()  # places of the n joints in it
     flexures: tuple[Any, ...] = ()  # of each: stiffness, damping, gap 0
+    carried: list[Any] = dataclasses.field(default_factory=list)  # wheels and appendages
+    jets: list[Expression] = dataclasses.field(default_factory=list)  # their wrench, or none
 
     @property
     def springs(self) -> list[Any]:
@@ -47,9 +50,9 @@ class Model:
 
     @property
     def hidden(self) -> int:
-        """Coordinates beside (Y, q): deflections of gears and flexures, then internal modes."""
+        """Coordinates beside (Y, q): gears and flexures, what the base carries, its modes."""
         modes = 0 if self.internal is None else len(self.internal.stiffness)
-        return len(self.springs) + modes
+        return len(self.springs) + len(self.carried) + modes
 
     @property
     def slots(self) -> list[tuple[bool, int]]:
@@ -221,10 +224,18 @@ def _rates(y: list[Expression], xp: Any) -> tuple[list[list[Expression]], list[E
     return T, [sx, cx, sy, cy]
 
 
-def _base_motion(
+def base_motion(
     y: list[Expression], yd: list[Expression], ydd: list[Expression], xp: Any
 ) -> tuple[list[list[Expression]], Vec, Vec, Vec]:
-    """T, and angular velocity, angular acceleration and acceleration of the base (its axes)."""
+    """Return T of `spatial.rate_matrix` and the motion of the base in its axes.
+
+    Args:
+        y, yd, ydd: pose and its derivatives.
+        xp: namespace of sin and cos.
+
+    Returns:
+        T, angular velocity, angular acceleration and acceleration of the origin.
+    """
     T, (sx, cx, sy, cy) = _rates(y, xp)
     rotated, accelerated = times(T, yd), times(T, ydd)
     dx, dy, dz = yd[3:]
@@ -298,7 +309,7 @@ def residual(
         model, z, zd, jets, tau, xp: see `in_space`.
         zdd: accelerations.
     """
-    T, spin, turn, accel = _base_motion(z[:6], zd[:6], zdd[:6], xp)
+    T, spin, turn, accel = base_motion(z[:6], zd[:6], zdd[:6], xp)
     arm = one_base(model.arm)
     torque, force, moment = newton_euler(
         arm, z[6:], zd[6:], zdd[6:], spin=spin, turn=turn, accel=accel, xp=xp
@@ -320,8 +331,8 @@ def base_energy(
 
     Args:
         model, z, zd, xp: see `in_space`.
-        u, ud: deflections and rates of the flexures, coordinates and rates of the internal
-            modes; empty without either.
+        u, ud: coordinates and rates of flexures, of wheels and appendages, of internal
+            modes; empty without any.
     """
     p = len(model.flexures)
     d, dd, u, ud = u[:p], ud[:p], u[p:], ud[p:]
@@ -341,6 +352,17 @@ def base_energy(
     strain = sum(a * b for a, b in pairs(times(model.K, z[:6]), z[:6]))
     for spring, bend in zip(model.flexures, d, strict=True):
         strain = strain + spring.stiffness * bend * bend
+    k = len(model.carried)
+    for part, at, rate in zip(model.carried, u[:k], ud[:k], strict=True):
+        if part.kind == "wheel":  # locked: what it stores is no motion of the base
+            continue
+        entries = inertia_of(part, at, xp)
+        assert entries.locked is not None
+        kinetic = kinetic + sum(a * b for a, b in pairs(times(entries.locked, twist), twist))
+        kinetic = kinetic + 2 * rate * sum(a * b for a, b in pairs(entries.across, twist))
+        kinetic = kinetic + entries.joint * rate * rate
+        strain = strain + part.stiffness * at * at
+    u, ud = u[k:], ud[k:]
     if model.internal is not None:
         kinetic = kinetic + sum(k * k for k in ud)
         springs = zip(model.internal.coupling, model.internal.stiffness, u, strict=True)
@@ -368,7 +390,7 @@ def on_platform(
         balance: the links' weight is carried outside the motors.
     """
     n, q, v = model.arm.n, z[6:], zd[6:]
-    T, spin, turn, accel = _base_motion(z[:6], zd[:6], base, xp)
+    T, spin, turn, accel = base_motion(z[:6], zd[:6], base, xp)
     # T's upper block is R^T: its last column is "up" in platform axes
     lift: Vec = (GRAVITY * T[0][2], GRAVITY * T[1][2], GRAVITY * T[2][2])
     under = (accel[0] + lift[0], accel[1] + lift[1], accel[2] + lift[2])

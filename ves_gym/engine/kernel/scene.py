@@ -81,7 +81,7 @@ class SceneMap(_Map):
 
     @staticmethod
     def _sizes(system: System) -> tuple[tuple[int, ...], int]:
-        size, m = 6 + system.arm.n, system.base.m
+        size, m = 6 + system.arm.n, system.base.hidden
         return (size, size, 6, *((m, m) if m else ())), 8
 
     @staticmethod
@@ -91,7 +91,7 @@ class SceneMap(_Map):
         model, symbols = _symbols(system)
         size = 6 + system.arm.n
         x = [ca.SX.sym(name, k) for name, k in (("z", size), ("zd", size), ("measured", 6))]
-        x += [ca.SX.sym(name, system.base.m) for name in ("u", "ud") if system.base.m]
+        x += [ca.SX.sym(name, system.base.hidden) for name in ("u", "ud") if system.base.hidden]
         z, zd, measured, *modes = (list(ca.vertsplit(k)) for k in x)
         u, ud = modes or ([], [])
         energy, strain = mechanics.base_energy(model, z, zd, u, ud, ca)

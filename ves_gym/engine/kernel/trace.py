@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym.engine.kernel.carried import body_fixed, with_carried
 from ves_gym.engine.kernel.mechanics import (
     Expression,
     Model,
@@ -42,6 +43,7 @@ from ves_gym.engine.kernel.mechanics import (
 )
 from ves_gym.mechanics.dynamics import ZERO, inertia_entries, newton_euler
 from ves_gym.mechanics.flexure import unfold
+from ves_gym.mechanics.vehicle import blows
 from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.system import PRESCRIBED_INERTIA
 
@@ -49,7 +51,7 @@ if TYPE_CHECKING:
     import casadi
 
     from ves_gym.mechanics.arm import Arm
-    from ves_gym.mechanics.vehicle import InternalModes
+    from ves_gym.mechanics.vehicle import Carried, InternalModes
     from ves_gym.system.effect import Effect
     from ves_gym.system.system import System
 
@@ -116,6 +118,25 @@ class _Numbers:
             damping=self.matrix("internal_damping.", internal.damping),
         )
 
+    def carried(self, name: str, part: Any) -> Any:
+        """A wheel or an appendage, symbols for its numbers; axes are structure."""
+        shape = {"kind": part.kind, "axis": part.axis}
+        if part.kind == "wheel":
+            return SimpleNamespace(
+                **shape,
+                inertia=self(f"{name}.inertia", part.inertia),
+                viscous=self(f"{name}.viscous", part.viscous),
+                motor=self.make(f"motor{name}", 0.0),  # set at any time, as gains are
+            )
+        return SimpleNamespace(
+            **shape,
+            joint=part.joint,
+            point=part.point,
+            body=self.inertial(name, part.body),
+            stiffness=self(f"{name}.stiffness", part.stiffness),
+            damping=self(f"{name}.damping", part.damping),
+        )
+
     def inertial(self, name: str, body: Any, changing: bool = False) -> Any:
         """Mass properties; of a body that changes in a run no number is left out."""
         read = _Numbers(self.make, zeros=True) if changing else self
@@ -176,6 +197,14 @@ def _model(system: System, read: _Numbers) -> Model:
         ],
         gears={i: read.gear(f"gear{i + 1}", arm.links[i].gear) for i in arm.geared},
         internal=read.modes(base.internal) if ideal and base.internal is not None else None,
+        carried=[
+            read.carried(f"carried{i + 1}", part)
+            for i, part in enumerate(base.carried if ideal else ())
+        ],
+        jets=[
+            read.make(f"jet{i + 1}", 0.0)
+            for i in range(6 if ideal and blows(system.vehicle) else 0)
+        ],
         **bending,
     )
 
@@ -242,8 +271,16 @@ def structure(system: System) -> str:
     step = system.physics_dt if system.integrator == "implicitfast" else None
     balance = system.mode == "emulated" and system.emulator_settings.joint_balance
     laws = _laws(system) if any(isinstance(e, TorqueEffect) for e in system.effects) else None
-    what = (names, laws, system.mode, system.integrator, step, balance)
+    what: tuple[Any, ...] = (names, laws, system.mode, system.integrator, step, balance)
+    if system.base.carried:
+        what = (*what, [replaced(part) for part in system.base.carried])
     return f"{geometry(system.arm)} {what!r}"
+
+
+def replaced(part: Carried) -> tuple[Any, ...]:
+    """Return what of a wheel or an appendage is no number: its kind, axis and place."""
+    joint = getattr(part, "joint", None), getattr(part, "point", None)
+    return part.kind, part.axis, *joint
 
 
 def geometry(arm: Arm) -> str:
@@ -271,12 +308,12 @@ def _laws(system: System) -> str:
 @lru_cache(maxsize=1)
 def _source() -> str:
     """Digest of the text that writes the code, so that a changed one is compiled anew."""
-    from ves_gym.mechanics import dynamics, gravity
+    from ves_gym.mechanics import carried, dynamics, gravity
 
     # by name: scene and pieces build on us
-    beside = ("trace.py", "emit.py", "mechanics.py", "scene.py", "pieces.py")
+    beside = ("trace.py", "emit.py", "mechanics.py", "carried.py", "scene.py", "pieces.py")
     files = [Path(__file__).with_name(name) for name in beside]
-    files += [Path(str(module.__file__)) for module in (dynamics, gravity)]
+    files += [Path(str(module.__file__)) for module in (dynamics, gravity, carried)]
     text = b"".join(path.read_bytes() for path in files)
     return hashlib.sha256(text).hexdigest()
 
@@ -293,6 +330,7 @@ def equations(system: System) -> Equations:
     x, u, p = ca.SX.sym("x", 2 * (6 + n)), ca.SX.sym("u", 6 + n), ca.vertcat(*symbols)
     z, zd = list(ca.vertsplit(x))[: 6 + n], list(ca.vertsplit(x))[6 + n :]
     base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
+    base = body_fixed(model, z[:6], base, ca)
     drive, tau = drive_torque(model, z, zd, command, ca)
     joint = [a + b for a, b in zip(tau, model.push(z[6:], zd[6:], tau, ca), strict=True)]
 
@@ -322,8 +360,8 @@ def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
 
     if system.integrator == "implicitfast":
         raise ParameterError(
-            "backend kernel integrates gears, flexures and internal modes by rk4 or euler, got"
-            " implicitfast: use backend mujoco"
+            "backend kernel integrates gears, flexures, wheels, appendages and internal modes"
+            " by rk4 or euler, got implicitfast: use backend mujoco"
         )
     n, h, g = system.arm.n, model.hidden, len(model.springs)
     size = 6 + n
@@ -331,9 +369,11 @@ def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
     x, u, p = ca.SX.sym("x", 2 * half), ca.SX.sym("u", size), ca.vertcat(*symbols)
     at, rate = list(ca.vertsplit(x))[:half], list(ca.vertsplit(x))[half:]
     base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
-    (z, d, s), (zd, dd, sd) = (
-        (k[:size], k[size : size + g], k[size + g :]) for k in (at, rate)
+    first = size + g + len(model.carried)
+    (z, d, c, s), (zd, dd, cd, sd) = (
+        (k[:size], k[size : size + g], k[size + g : first], k[first:]) for k in (at, rate)
     )
+    base = body_fixed(model, z[:6], base, ca)
     _, tau = drive_torque(model, z, zd, command, ca)
     laws = model.push(z[6:], zd[6:], tau, ca)
     drives = [a + b for a, b in zip(tau, laws, strict=True)]
@@ -344,6 +384,7 @@ def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
     push, sdd = internal_forces(model, z, zd, s, sd)
     loose = [[0.0] * len(pose) for _ in pose]
     wrench: list[Any] = []
+    cdd: list[Any] = []
     if system.mode == "emulated":
         balance = system.emulator_settings.joint_balance
         acceleration, wrench = on_platform(
@@ -351,10 +392,13 @@ def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
         )
     else:
         jets = [a + b for a, b in zip(base, push, strict=True)]
-        acceleration = in_space(inner, pose, moving, jets, joints, loose, ca)
+        if model.carried:
+            acceleration, cdd = with_carried(inner, pose, moving, jets, joints, c, cd, ca)
+        else:
+            acceleration = in_space(inner, pose, moving, jets, joints, loose, ca)
     qdd, ddd = separated(model, acceleration[6:])
     zdd = [*acceleration[:6], *qdd]
-    slope = ca.vertcat(*rate, *zdd, *ddd, *sdd)
+    slope = ca.vertcat(*rate, *zdd, *ddd, *cdd, *sdd)
     out = ca.vertcat(*zdd, *tau, *wrench)
     return Equations(
         n,
@@ -424,6 +468,10 @@ def _balance(system: System) -> _Balance:
     if model.gears:
         raise ParameterError(
             "derivatives know no gears that give way: use differences of Simulator runs"
+        )
+    if model.carried:
+        raise ParameterError(
+            "derivatives know no wheels and appendages: use differences of Simulator runs"
         )
     size, p = 6 + system.arm.n, len(model.flexures)
     width = size + model.hidden  # coordinates: (Y, q), then flexures and internal modes

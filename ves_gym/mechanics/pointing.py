@@ -1,0 +1,148 @@
+"""Attitude control of a satellite: a quaternion PD law, wheels first, jets for the rest.
+
+    moment = kp * difference(target, attitude) - kd * spin + spin x (J spin + h)
+
+with J the inertia of satellite and arm and h the wheels' momentum; the last term keeps the law
+linear while the body turns. Wheels give what they can; when they store too much, jets take it
+out of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError, require_positive, unit
+from ves_gym.mechanics import attitude
+from ves_gym.mechanics.carried import ReactionWheel
+from ves_gym.mechanics.spatial import matvec
+
+CREEP = 0.1  # rad/s over which Coulomb friction of a wheel builds up from rest
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttitudeControl:
+    """Settings of the law: a bandwidth, its damping, its limits, when jets unload the wheels.
+
+    Gains follow from the inertia J of satellite and arm: kp = J w^2 and kd = 2 zeta J w at
+    w = 2 pi `bandwidth`. `spin_max` limits the angular velocity that an error of attitude asks
+    for. Jets dump when a wheel's momentum exceeds the share `dump_above` of what it can store,
+    until none exceeds `dump_below`.
+    """
+
+    kind: ClassVar[str] = "attitude"
+    bandwidth: float = unit("Hz", default=0.05)
+    damping_ratio: float = unit("1", default=0.7)
+    spin_max: float = unit("rad/s", default=0.05)
+    moment_max: float = unit("N m", default=20.0)  # of the law, each axis
+    dump_above: float = unit("1", default=0.7)
+    dump_below: float = unit("1", default=0.3)
+    dump_time: float = unit("s", default=20.0)  # momentum of wheels over it is the jets' moment
+
+    def __post_init__(self) -> None:
+        require_positive(
+            self, "bandwidth", "damping_ratio", "spin_max", "moment_max", "dump_time"
+        )
+        if not 0 <= self.dump_below <= self.dump_above <= 1:
+            raise ParameterError(
+                "AttitudeControl must have 0 <= dump_below <= dump_above <= 1, got"
+                f" {self.dump_below:g} and {self.dump_above:g}"
+            )
+
+    def moment(
+        self, inertia: Array, target: Array, q: Array, spin: Array, stored: Array
+    ) -> Array:
+        """Return the moment on the satellite that the law asks for.
+
+        Args:
+            inertia: (n, 3, 3) of satellite and arm about the common centre of mass, its axes.
+            target, q: (n, 4) attitudes.
+            spin: (n, 3) angular velocity in body axes [rad/s].
+            stored: (n, 3) momentum of the wheels in body axes [N m s].
+
+        Returns:
+            (n, 3) in body axes [N m].
+        """
+        w = 2 * np.pi * self.bandwidth
+        # kp e = kd (kp / kd) e: a large error asks for a spin, and no more than spin_max
+        asked = w / (2 * self.damping_ratio) * attitude.difference(target, q)
+        size = np.linalg.norm(asked, axis=-1, keepdims=True)
+        asked = asked / np.maximum(size / self.spin_max, 1.0)
+        faster = 2 * self.damping_ratio * w * (asked - spin)
+        held = np.cross(spin, matvec(inertia, spin) + stored)
+        out: Array = np.clip(matvec(inertia, faster) + held, -self.moment_max, self.moment_max)
+        return out
+
+
+def wheel_axes(wheels: tuple[ReactionWheel, ...]) -> Array:
+    """(3, k) spin axes of k wheels in body axes."""
+    return np.array([wheel.axis for wheel in wheels], dtype=np.float64).reshape(-1, 3).T
+
+
+def wheel_torques(wheels: tuple[ReactionWheel, ...], moment: Array) -> Array:
+    """Return motor torques whose reaction on the satellite is a moment, or nearest to it.
+
+    The least squares of the torques among all that do (the pseudo-inverse).
+
+    Args:
+        wheels: k of them.
+        moment: (n, 3) on the satellite, body axes [N m].
+
+    Returns:
+        (n, k) on the rotors [N m].
+    """
+    out: Array = -moment @ shares(wheels).T
+    return out
+
+
+@lru_cache(maxsize=64)
+def shares(wheels: tuple[ReactionWheel, ...]) -> Array:
+    """(k, 3) what each of k wheels takes of a moment: the pseudo-inverse; read-only."""
+    out = np.asarray(np.linalg.pinv(wheel_axes(wheels)), dtype=np.float64)
+    out.flags.writeable = False
+    return out
+
+
+def on_rotors(
+    wheels: tuple[ReactionWheel, ...], torque: Array, speed: Array, dt: float
+) -> Array:
+    """Return what acts on the rotors: motors within their limits, less Coulomb friction.
+
+    Friction is that of the speed at the start of the period. It builds up from rest over
+    `CREEP`, or over twice what it would change the speed by in a period.
+
+    Args:
+        wheels, torque, speed, dt: see `within_limits`.
+    """
+    rubbing, inertia = (
+        np.array([getattr(wheel, name) for wheel in wheels]) for name in ("coulomb", "inertia")
+    )
+    slow = np.maximum(CREEP, 2 * rubbing * dt / inertia)
+    out: Array = within_limits(wheels, torque, speed, dt) - rubbing * np.tanh(speed / slow)
+    return out
+
+
+def within_limits(
+    wheels: tuple[ReactionWheel, ...], torque: Array, speed: Array, dt: float
+) -> Array:
+    """Return motor torques within torque and momentum limits.
+
+    A motor never takes its wheel beyond `speed_max` within the period; beyond it (the body
+    may turn under the wheel) it brakes only.
+
+    Args:
+        wheels: k of them.
+        torque: (n, k) asked for, on the rotors [N m].
+        speed: (n, k) of the rotors against the satellite [rad/s].
+        dt: period over which the torque is held [s].
+    """
+    inertia, most, fastest = (
+        np.array([getattr(wheel, name) for wheel in wheels])
+        for name in ("inertia", "torque_max", "speed_max")
+    )
+    up = np.maximum((fastest - speed) * inertia / dt, 0.0)
+    down = np.minimum((-fastest - speed) * inertia / dt, 0.0)
+    return np.asarray(np.clip(torque, np.maximum(-most, down), np.minimum(most, up)))
