@@ -13,8 +13,12 @@ import pytest
 
 from tests.free_bodies import NO_ARM
 from ves_gym._util.params import ParameterError
+from ves_gym.engine.backends.mujoco import compile_model
+from ves_gym.engine.mjcf import TO_Y
 from ves_gym.mechanics import attitude
+from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.vehicle import SERVICER, SERVICER_FLEXIBLE, Satellite, get_vehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
@@ -199,6 +203,48 @@ def test_jets_unload_wheels_that_store_too_much():
     assert sim.base_actuators.propellant[0] > 1e-3
     assert sim.base_actuators.propellant[1] == 0
     assert np.linalg.norm(attitude.log(state.attitude), axis=1).max() < np.deg2rad(0.5)
+
+
+TARGET = Payload(
+    inertial=Inertial(mass=40.0, com=(0.02, -0.03, 0.05), inertia=diagonal(2.0, 2.6, 1.7)),
+    grip=Mount(position=(0.2, 0.1, 0.0)),
+    position=(0.3, -0.2, 0.4),
+    velocity=(0.05, 0.02, -0.1),
+    spin=(0.3, -0.5, 0.4),
+    latch_distance=5.0,  # wherever the tool happens to be
+)
+
+
+def test_wheels_and_appendages_take_their_share_of_a_latch():
+    """Reference: MuJoCo's mass matrix and tool Jacobian, M (v+ - v-) = -J^T p in every row."""
+    ends = []
+    for backend in ("kernel", "mujoco"):
+        sim = Simulator(System(vehicle=FREE, payload=TARGET), backend=backend)
+        sim.reset(q=[0, 0.5, -1], v=[0.2, -0.1, 0.3], yd=TUMBLING / 10, wheel_speed=SPEEDS)
+        sim.step(wheel_torque=0.1)
+        before, total = (sim.state, sim.internal_state[1]), sim.payload.momentum
+        event = sim.payload.grasp()[0]
+        after = sim.state, sim.internal_state[1]
+        np.testing.assert_allclose(sim.payload.momentum, total, rtol=0, atol=1e-9)
+        model = compile_model(sim.system)
+        data = mujoco.MjData(model)
+        data.qpos[TO_Y], data.qpos[6:9] = after[0].y[0], after[0].q[0]
+        data.qpos[9:] = sim.internal_state[0][0]
+        mujoco.mj_forward(model, data)
+        mass, jump = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
+        mujoco.mj_fullM(model, data, mass)
+        jump[TO_Y] = (after[0].yd - before[0].yd)[0]
+        jump[6:9], jump[9:] = (after[0].v - before[0].v)[0], (after[1] - before[1])[0]
+        jacobian = np.zeros((6, model.nv))
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("tool").id)
+        np.testing.assert_allclose(mass @ jump, -jacobian.T @ event.impulse, atol=1e-9)
+        assert np.abs(jump[9:]).max() > 1e-3  # they do take some
+        assert event.lost > 0
+        for _ in range(40):
+            sim.step(wheel_torque=0.1, base_wrench=[1.0, 0, 0, 0, 2.0, 0])
+        ends.append([*sim.state, *sim.internal_state])
+    for a, b in zip(*ends, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
 
 
 def test_a_snapshot_holds_wheels_and_jets():

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.base_model import BaseModel
+from ves_gym.mechanics.carried import carried_inertia
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import matvec, quadratic, rate_matrix, rotation
 from ves_gym.mechanics.tool_pose import tool_frame, tool_twists
@@ -113,32 +114,32 @@ class ToolMotion(NamedTuple):
 
 
 def tool_motion(
-    arm: Arm, base: BaseModel, y: Array, q: Array, gears: Array, prescribed: float = 0.0
+    arm: Arm, base: BaseModel, y: Array, q: Array, hidden: Array, prescribed: float = 0.0
 ) -> ToolMotion:
-    """Return tool, Jacobian and mass matrix, the gears' deflections as coordinates.
+    """Return tool, Jacobian and mass matrix, gears, wheels and appendages as coordinates.
 
     The base's rate is its twist in its own axes, which has no singular attitude. Internal
     modes of the base are masses of their own that springs hold (`InternalModes`): no impulse
-    reaches them.
+    reaches them. Wheels and appendages of a satellite take their share of one.
 
     Args:
         arm: the arm; where gears give way, q turns the rotors and the links turn further.
         base: what carries it.
         y: (..., 6) base pose [m, rad].
         q: (..., n) joint angles [rad].
-        gears: (..., g) deflections [rad].
+        hidden: (..., g + c) deflections of gears [rad], coordinates of wheels, appendages.
         prescribed: inertia added to joints that follow their command [kg m^2].
     """
-    n, g = arm.n, len(arm.geared)
+    n, g, c = arm.n, len(arm.geared), len(base.carried)
     angles = q.copy()
-    angles[..., list(arm.geared)] += gears
+    angles[..., list(arm.geared)] += hidden[..., :g]
     R = rotation(y)
     place, turn = tool_frame(arm, angles)
     # rates of the rotors and gears to those of the links
-    P = np.eye(6 + n, 6 + n + g)
+    P = np.eye(6 + n, 6 + n + g + c)
     for k, i in enumerate(arm.geared):
         P[6 + i, 6 + n + k] = 1.0
-    driven = np.zeros(6 + n + g)
+    driven = np.zeros(6 + n + g + c)
     driven[6 : 6 + n] = arm.column("rotor_inertia")
     H = inertia(arm, angles) - np.diag(driven[: 6 + n])
     if base.body is not None:
@@ -148,6 +149,12 @@ def tool_motion(
         H[..., :6, :6] += np.swapaxes(T, -1, -2) @ base.M @ T
     driven[6 : 6 + n] += prescribed
     mass = P.T @ H @ P + np.diag(driven)
+    if c:
+        locked, across, joints = carried_inertia(base.carried, hidden[..., g:])
+        mass[..., :6, :6] += locked
+        mass[..., :6, -c:] += across
+        mass[..., -c:, :6] += np.swapaxes(across, -1, -2)
+        mass[..., -c:, -c:] += joints[..., None] * np.eye(c)
 
     local = np.zeros((*y.shape[:-1], 6, 6 + n))
     local[..., :3, :3] = local[..., 3:, 3:6] = np.eye(3)

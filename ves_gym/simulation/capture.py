@@ -383,12 +383,12 @@ class Cargo:
         parts: list[Any] = [None] * len(ids)
         for system, rows in self._alike(ids):
             arm, which = system.arm, ids[rows]
-            gears = slice(0, len(arm.geared))
+            some = slice(0, len(arm.geared) + len(system.base.carried))
             inertia = PRESCRIBED_INERTIA if system.drive == "prescribed" else 0.0
             motion = tool_motion(
-                arm, system.base, state.y[which], state.q[which], at[which, gears], inertia
+                arm, system.base, state.y[which], state.q[which], at[which, some], inertia
             )
-            joined = (base[which], state.v[which], rate[which, gears])
+            joined = (base[which], state.v[which], rate[which, some])
             rates = np.concatenate(joined, axis=1)
             if len(rows) == len(ids):
                 return motion, rates

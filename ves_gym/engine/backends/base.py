@@ -163,7 +163,7 @@ class Carrier(Protocol):
         Args:
             ids: (k,) which.
             zd: (k, 6 + joints).
-            gears: (k, g) rates of the gears' deflections [rad/s].
+            gears: (k, g + c) rates of the gears' deflections [rad/s], of wheels, appendages.
         """
 
     def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:

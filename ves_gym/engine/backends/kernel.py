@@ -267,7 +267,7 @@ class KernelBackend(CompiledBackend):
         at = (ids // LANES, slice(None), ids % LANES)
         x = self._x[at]
         x[:, order : order + first] = zd
-        x[:, order + first : order + first + self._gears] = gears
+        x[:, order + first : order + first + gears.shape[1]] = gears
         self._x[at] = x
 
     def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
