@@ -330,7 +330,7 @@ function drawMap(map, canvas, top) {
     polyline(ctx, f, points);
     Object.assign(ctx, { lineWidth: 5.5, strokeStyle: ink("--card"), lineJoin: "round" });
     ctx.stroke();
-    Object.assign(ctx, { lineWidth: 2.6, strokeStyle: ink(`--s${place(planner)}`) });
+    Object.assign(ctx, { lineWidth: 2.6, strokeStyle: ink(`--s${styleOf(planner)[0]}`) });
     ctx.setLineDash(dash(planner).split(" ").filter(Boolean).map(Number));
     ctx.stroke();
     ctx.setLineDash([]);

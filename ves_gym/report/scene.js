@@ -165,7 +165,7 @@ function trail(ctx, view, to, now, m, closeUp) {
     ? (f) => plus(now.arm[0], plus(run.arm[f].at(-1), run.base[f].slice(0, 3), -1))
     : (f) => plus(run.arm[f].at(-1), run.base[f].slice(0, 3), m - 1);
   const tool = (f) => to(moved(f));
-  const hue = ink(`--s${place(run.planner)}`);
+  const hue = ink(`--s${styleOf(run.planner)[0]}`);
   ctx.fillStyle = hue;
   ctx.globalAlpha = 0.5;
   for (let f = now.frame + 1; f <= held; f += 2) {
@@ -260,7 +260,7 @@ function drawStrip(view) {
   for (const run of [...film.item.runs.filter((r) => r !== view.run), view.run]) {
     ctx.globalAlpha = run === view.run ? 1 : 0.28;
     stroke(ctx, run.E.map((E, k) => [x(k * run.dt), y(E)]), run === view.run ? 2 : 1,
-      ink(`--s${place(run.planner)}`));
+      ink(`--s${styleOf(run.planner)[0]}`));
   }
   ctx.globalAlpha = 1;
   stroke(ctx, [[x(film.t), 0], [x(film.t), h]], 1, ink("--ink"));

@@ -1,0 +1,27 @@
+"""The page of a benchmark runs: every part of it is drawn, and no script stops."""
+
+import pytest
+
+from tests.leaderboard import browser as chromium
+from ves_gym.report.page import write_page
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    path = chromium.find_browser()
+    if path is None:
+        pytest.skip(f"no browser: looked for {', '.join(chromium.NAMES)}")
+    driven = chromium.Browser(path, tmp_path_factory.mktemp("profile"))
+    driven.screen(1280, 900)
+    yield driven
+    driven.close()
+
+
+def test_every_part_is_drawn_and_nothing_is_fetched(browser, make_result, tmp_path):
+    write_page(make_result(queries=2, points=9), tmp_path / "report.html")
+    address = (tmp_path / "report.html").as_uri()
+    browser.open(address)
+    sizes = browser.do("[...document.querySelectorAll('canvas')].map((c) => c.width)")
+    assert browser.errors == []
+    assert len(sizes) > 3 and min(sizes) > 100
+    assert browser.requests == [address]
