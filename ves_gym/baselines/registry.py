@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.baselines.braced import Braced
 from ves_gym.baselines.controllers import Controller, Follow, Hold, Optimal, Random, Zero
 from ves_gym.baselines.regulator import Regulator
 from ves_gym.baselines.resolved import Resolved
@@ -39,6 +40,7 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "tuned": _tuned,
     "receding": _receding,
     "resolved": lambda seed: Resolved(),
+    "braced": lambda seed: Braced(),
     "resolved-pose": lambda seed: ResolvedPose(),
 }
 

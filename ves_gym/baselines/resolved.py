@@ -84,6 +84,14 @@ class Resolved:
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
+        return reference_action(env, env.task.control, self.lead(env))
+
+    def lead(self, env: VesVectorEnv) -> Array:
+        """Return where the reference is to be at the period's end (n, 3, joints).
+
+        Args:
+            env: in the middle of its episodes.
+        """
         s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
         rows, step = np.arange(env.num_envs), env.batch.episodes.steps
         before, present, then = (
@@ -104,7 +112,7 @@ class Resolved:
             (then - before) / (2 * dt) - matvec(inverse, drift),
             (then - 2 * present + before) / dt**2,
         ]
-        return reference_action(env, env.task.control, np.stack(reference, axis=1))
+        return np.stack(reference, axis=1)
 
 
 def _inverse(J: Array) -> Array:
