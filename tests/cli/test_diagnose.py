@@ -128,3 +128,10 @@ def test_a_log_that_names_no_system_asks_for_one(call, logs, tmp_path):
     dataclasses.replace(log, meta=meta).save(tmp_path / "bare.parquet")
     said = call("diagnose", tmp_path / "bare.parquet")[2]
     assert "names no system; give --system FILE" in said
+
+
+def test_the_arm_is_given_by_name_and_must_be_that_of_the_logs(call, logs):
+    status, _, err, _ = call("diagnose", logs, "--arm", "iiwa14")
+    assert status == 2 and "run-1.parquet: has 3 joints, iiwa14 has 7" in err
+    status, _, err, _ = call("diagnose", logs, "--arm", "iiwa14", "--machine", "m.toml")
+    assert status == 2 and "--arm and --machine describe two machines" in err

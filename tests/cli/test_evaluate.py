@@ -80,3 +80,13 @@ def test_a_released_policy_is_taken_by_name(call):
 )
 def test_bad_input_is_one_line(refused, words, message):
     assert message in refused("evaluate", *words)
+
+
+def test_any_arm_is_evaluated(call):
+    status, _, err, result = call(
+        "evaluate", "PumaReach-v0", "--controller", "zero,resolved", "--episodes", "2",
+        "--arm", "ur5e",
+    )  # fmt: skip
+    assert (status, err) == (0, "") and len(result["controllers"]) == 2
+    status, _, err, _ = call("evaluate", "PumaReach-v0", "--arm", "ur55")
+    assert status == 2 and "arm must be one of puma560" in err

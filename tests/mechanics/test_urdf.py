@@ -434,3 +434,35 @@ def test_friction_that_no_step_resolves_is_left_out_and_said(write):
     rotor = rub.replace("/>", ' armature="2"/>')
     kept = Arm.from_urdf(write(two(second=light, extra=rotor)))
     assert (kept.links[1].damping, kept.links[1].friction) == (10.0, 1.0)
+
+
+def test_a_rotor_may_be_given_for_links_without_an_inertia_of_their_own(tmp_path):
+    """As identified models have them: the last link has mass and no inertia."""
+    last = (
+        '<link name="tip"><inertial><origin xyz="0 0 0.04"/><mass value="0.2"/><inertia ixx="0"'
+        ' iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+    rng = np.random.default_rng(0)
+    parts = [
+        body(rng, "base"), body(rng, "arm"), last, joint("turn", "base", "arm", axis=(0, 0, 1)),
+        joint("wrist", "arm", "tip", axis=(0, 0, 1), xyz=(0.3, 0, 0)),
+    ]  # fmt: skip
+    path = tmp_path / "identified.urdf"
+    path.write_text(f'<robot name="identified">{"".join(parts)}</robot>')
+    with pytest.raises(
+        ParameterError, match=r"joint 'wrist' moves .* rotors=\{'wrist': 0.01\}"
+    ):
+        Arm.from_urdf(path)
+    arm = Arm.from_urdf(path, rotors={"wrist": 0.0105})
+    bare = Arm.from_urdf(path, rotors={"wrist": 1.0})
+    assert [link.rotor_inertia for link in arm.links] == [0.0, 0.0105]
+    assert "rotor inertia given beside the file: wrist 0.0105 kg m^2" in arm.source
+    mass = [inertia(k, np.zeros(2))[6:, 6:] for k in (arm, bare)]
+    np.testing.assert_allclose(mass[1] - mass[0], np.diag([0, 1 - 0.0105]), atol=1e-12)
+    arm.to_mjcf(tmp_path / "arm.xml")
+    again = Arm.from_mjcf(tmp_path / "arm.xml", rotors={"wrist": 0.02})
+    assert again.links[1].rotor_inertia == 0.02
+    for rotors, why in (({"elbow": 0.1}, "no moving joint 'elbow'; there are turn, wrist"),
+                        ({"wrist": -1.0}, "joint 'wrist' must be >= 0 kg")):  # fmt: skip
+        with pytest.raises(ParameterError, match=why):
+            Arm.from_urdf(path, rotors=rotors)

@@ -17,6 +17,7 @@ from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.query import is_feasible
 from ves_gym.planners.registry import PLANNERS
 from ves_gym.planners.suites import (
+    ARM_SUITES,
     REACH_DURATIONS,
     REACH_OBSTACLES,
     REACH_RANGE,
@@ -260,3 +261,17 @@ def test_a_transfer_benchmark_plans_once_for_machines_described_alike():
     assert known["predicted"] != nominal["predicted"]
     assert known["E_mean"] < blind["E_mean"]
     assert known["E_mean"] == pytest.approx(known["predicted"], rel=0.3)
+
+
+@pytest.mark.parametrize("name", ARM_SUITES)
+def test_suites_of_an_arm_are_reach100_asked_of_it(name):
+    arm = get_arm(ARM_SUITES[name])
+    suite = get_suite(name, system=System(), quick=True)
+    assert (
+        suite.name == name and suite.planners == get_suite("reach100", system=System()).planners
+    )
+    asked = reach100(System(arm=arm), "bent", 10)
+    assert ends(suite) == ends(asked)
+    assert all(q.system.arm is arm for _, q in suite.queries)
+    with pytest.raises(ParameterError, match=f"{name} asks {arm.name}, got six"):
+        get_suite(name, system=System(arm=dataclasses.replace(six_joint_arm(), name="six")))

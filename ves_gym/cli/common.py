@@ -39,12 +39,7 @@ def add_system_arguments(
     group.add_argument(
         "--system", metavar="S", help=f"{', '.join(SYSTEMS)}, or a System in TOML or JSON"
     )
-    group.add_argument(
-        "--arm",
-        metavar="A",
-        help=f"{', '.join(arm_names())}, or a URDF, MJCF or TOML file; FILE#LINK names the tool"
-        " (default puma560)",
-    )
+    add_arm_argument(group, "puma560")
     if vehicle:
         group.add_argument(
             "--vehicle", metavar="V", help=f"{', '.join(VEHICLES)}, or a file (default bent)"
@@ -72,6 +67,21 @@ def add_system_arguments(
     )
     lab.add_argument(
         "--calibration", metavar="FILE", help="gravity and matrix from `ves-gym calibrate`"
+    )
+
+
+def add_arm_argument(parser: argparse._ActionsContainer, default: str) -> None:
+    """--arm, by name or file.
+
+    Args:
+        parser: or group of arguments.
+        default: in words.
+    """
+    parser.add_argument(
+        "--arm",
+        metavar="A",
+        help=f"{', '.join(arm_names())}, or a URDF, MJCF or TOML file; FILE#LINK names the tool"
+        f" (default {default})",
     )
 
 
@@ -248,14 +258,20 @@ def _example(kind: str) -> str:
     return f"{kind}:{field.name}={np.full(shape, float(value)).tolist()}".replace(" ", "")
 
 
-def with_effects(id: str, settings: Mapping[str, Any], texts: Sequence[str]) -> dict[str, Any]:
-    """Return an environment's settings with `--effect` beside the effects it has.
+def with_effects(
+    id: str, settings: Mapping[str, Any], texts: Sequence[str], arm: str | None = None
+) -> dict[str, Any]:
+    """Return an environment's settings with `--arm`, and `--effect` beside the effects it has.
 
     Args:
         id: registered id of the environment.
         settings: that it is made with.
         texts: values of `--effect`, see `parse_effect`.
+        arm: value of `--arm`: name or file; None: the environment's.
     """
+    if arm is not None:
+        get_arm(arm)  # refused here, not in a worker
+        settings = {**settings, "arm": arm}
     if not texts:
         return dict(settings)
     added = [to_plain(parse_effect(text)) for text in texts]

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any
 from ves_gym._util.optional import lacking
 from ves_gym._util.params import ParameterError, write_text
 from ves_gym.cli.common import (
+    add_arm_argument,
     add_effect_argument,
     out_dir,
     parse_effect,
     progress,
     write_json,
 )
+from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.system.system_library import get_system
 
 if TYPE_CHECKING:
@@ -39,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--system", metavar="FILE", help="the machine as described (default: that of the logs)"
     )
+    add_arm_argument(parser, "that of the system or the logs")
     add_effect_argument(parser)
     parser.add_argument(
         "--machine",
@@ -149,14 +152,18 @@ def _inputs(args: argparse.Namespace) -> DiagnosisInputs:
     effects = [parse_effect(text) for text in args.effect]
     if args.machine is None:
         system = get_system(args.system) if args.system else None
-        return system_inputs(args.logs, system, effects=effects, **how)
+        arm = None if args.arm is None else get_arm(args.arm)
+        return system_inputs(args.logs, system, arm=arm, effects=effects, **how)
     if effects:
         raise ParameterError(
             f"--effect {effects[0].kind} belongs to a described System: leave it out, or"
             " --machine"
         )
-    if args.system is not None:
-        raise ParameterError("--system and --machine describe two machines: give one of them")
+    for name in ("system", "arm"):
+        if getattr(args, name) is not None:
+            raise ParameterError(
+                f"--{name} and --machine describe two machines: give one of them"
+            )
     return mjcf_inputs(args.logs, args.machine, **how)
 
 

@@ -9,7 +9,13 @@ from typing import Any
 
 from ves_gym.baselines.comparison import Lineup, compare_controllers, line_up
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
-from ves_gym.cli.common import add_effect_argument, progress, with_effects, write_json
+from ves_gym.cli.common import (
+    add_arm_argument,
+    add_effect_argument,
+    progress,
+    with_effects,
+    write_json,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, default=100, metavar="N", help="default 100")
     parser.add_argument("--n-envs", type=int, metavar="N", help="at once; changes no result")
     parser.add_argument("--nominal", action="store_true", help="without randomisation")
+    add_arm_argument(parser, "that of the environment")
     add_effect_argument(parser)
 
 
@@ -39,7 +46,8 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate, print the table and who beats whom, write JSON."""
     id = args.id if "/" in args.id else f"ves/{args.id}"
     lineup = _lineup(args, id)
-    settings = with_effects(id, {"randomize": {}} if args.nominal else {}, args.effect)
+    nominal: dict[str, Any] = {"randomize": {}} if args.nominal else {}
+    settings = with_effects(id, nominal, args.effect, args.arm)
     with progress() as on_progress:
         comparison = compare_controllers(
             id,

@@ -13,7 +13,13 @@ from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.config import TrainConfig, choose_config
 from ves_gym.baselines.training_result import TrainingResult
-from ves_gym.cli.common import add_effect_argument, out_dir, with_effects, write_json
+from ves_gym.cli.common import (
+    add_arm_argument,
+    add_effect_argument,
+    out_dir,
+    with_effects,
+    write_json,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="seeds at once")
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoints")
+    add_arm_argument(parser, "that of the environment")
     add_effect_argument(parser)
 
 
@@ -61,8 +68,8 @@ def run(args: argparse.Namespace) -> int:
 def _config(args: argparse.Namespace) -> TrainConfig:
     config = choose_config(args.config, args.algo)
     changes: dict[str, Any] = {}
-    if args.effect:
-        changes["settings"] = with_effects(config.env, config.settings, args.effect)
+    if args.effect or args.arm is not None:
+        changes["settings"] = with_effects(config.env, config.settings, args.effect, args.arm)
     if args.steps is not None:
         changes["total_timesteps"] = args.steps
     if args.seeds is not None:

@@ -54,6 +54,7 @@ def system_inputs(
     sources: Sequence[Source],
     system: System | None = None,
     *,
+    arm: Arm | None = None,
     effects: Sequence[Effect] = (),
     final: int | None = None,
     leave_out: Sequence[str] = (),
@@ -64,6 +65,7 @@ def system_inputs(
     Args:
         sources: logs, their files, or folders of those.
         system: the machine as described; without one, what the logs name.
+        arm: the arm as described, in place of the system's.
         effects: that are described beside those of the system.
         final: how many of the last logs to hold back; without a number those that say
             `held_back`, else the last third.
@@ -75,6 +77,8 @@ def system_inputs(
     paths, logs = _logs(sources)
     _require_one_system(logs, paths)
     described = system or _system_of(logs, paths)
+    if arm is not None:
+        described = described.replace(arm=arm)
     if effects:
         described = described.replace(effects=(*described.effects, *effects))
     machine = SystemMachine(described)

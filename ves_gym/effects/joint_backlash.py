@@ -36,8 +36,9 @@ class JointBacklash(ArmEffect):
     damping: float = parameter("N m s/rad", bounds=(0.0, 500.0), null=None, default=5.0)
 
     def check(self, system: System) -> None:
-        """One number per joint."""
+        """One number per joint; a rotor where there is a gap."""
         self._require_per_joint(system, "gap")
+        self._require_rotors(system, self.gap)
 
     def arm(self, arm: Arm) -> Arm:
         """Gears with the gap added; teeth in series with what is elastic already."""

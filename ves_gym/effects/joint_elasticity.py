@@ -30,8 +30,9 @@ class JointElasticity(ArmEffect):
     )
 
     def check(self, system: System) -> None:
-        """One number per joint."""
+        """One number per joint; a rotor where there is compliance."""
         self._require_per_joint(system, "compliance", "damping")
+        self._require_rotors(system, self.compliance)
 
     def arm(self, arm: Arm) -> Arm:
         """Gears with the compliance and damping added."""

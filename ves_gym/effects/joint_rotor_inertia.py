@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from ves_gym._util.params import ParameterError, Vector
 from ves_gym.mechanics.arm import Arm
+from ves_gym.system.candidate import Candidate, Scope
 from ves_gym.system.effect import ArmEffect, parameter, register
 from ves_gym.system.system import System
 
@@ -34,6 +36,16 @@ class JointRotorInertia(ArmEffect):
                     f"{self.kind}.added of joint {i + 1} must be >= -{link.rotor_inertia:g}"
                     f" kg m^2, the rotor's own, got {added:g}"
                 )
+
+    @classmethod
+    def candidates(cls, scope: Scope) -> Iterator[Candidate]:
+        """See `Effect`; no less than no rotor."""
+        for joint, candidate in enumerate(super().candidates(scope)):
+            if scope.system is None:
+                yield candidate
+            else:
+                rotor = scope.system.arm.links[joint].rotor_inertia
+                yield replace(candidate, low=(max(candidate.low[0], -rotor),))
 
     def arm(self, arm: Arm) -> Arm:
         """Rotor inertia + added."""

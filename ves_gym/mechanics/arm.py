@@ -62,6 +62,7 @@ class Arm(SerialChain):
         locked: Mapping[str, float] | None = None,
         collision: bool = True,
         check: bool = True,
+        rotors: Mapping[str, float] | None = None,
     ) -> Self:
         """Read the chain of revolute joints from root to tip of a URDF file.
 
@@ -76,11 +77,15 @@ class Arm(SerialChain):
             locked: angles [rad] of joints that stand still, by name.
             collision: read shapes as capsules; False: capsules along the links.
             check: refuse numbers that look like g, mm or kg mm^2.
+            rotors: inertia of rotors about their joints [kg m^2], by name, in place of the
+                file's: what a file of links that were identified or rounded lacks.
 
         Raises:
             ParameterError: names the link or the joint, and what is wrong with it.
         """
-        choice = ChainChoice(tip, root, dict(locked or {}), collision, check)
+        choice = ChainChoice(
+            tip, root, dict(locked or {}), collision, check, dict(rotors or {})
+        )
         return cls._of(read_urdf(path, choice))
 
     @classmethod
@@ -93,6 +98,7 @@ class Arm(SerialChain):
         locked: Mapping[str, float] | None = None,
         collision: bool = True,
         check: bool = True,
+        rotors: Mapping[str, float] | None = None,
     ) -> Self:
         """Read the chain of hinges from root to tip of an MJCF file, as MuJoCo compiles it.
 
@@ -102,12 +108,14 @@ class Arm(SerialChain):
                 where there is one.
             root: body that stands on the platform, whose frame is the platform-top frame;
                 default the world.
-            locked, collision, check: see `from_urdf`.
+            locked, collision, check, rotors: see `from_urdf`.
 
         Raises:
             ParameterError: names the body or the joint, and what is wrong with it.
         """
-        choice = ChainChoice(tip, root, dict(locked or {}), collision, check)
+        choice = ChainChoice(
+            tip, root, dict(locked or {}), collision, check, dict(rotors or {})
+        )
         return cls._of(read_mjcf(path, choice))
 
     @classmethod

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from ves_gym.mechanics.serial_chain import (
 )
 
 ENDLESS = 2 * math.pi  # rad either way, the range taken for a joint without limits
+_NOTHING = 1e-13  # of m c^2
 _ZERO = 1e-13  # m, rad: rounding of a file's angles
 _SPEED = math.pi  # rad/s, v_max where a file gives none
 _PACE = 20.0  # 1/s, a_max over v_max at most, where a file gives none; the PUMA has 7 to 19
@@ -41,6 +43,7 @@ class ChainChoice(NamedTuple):
     locked: dict[str, float]  # name -> angle [rad]
     collision: bool
     check: bool
+    rotors: dict[str, float]  # name -> inertia about the joint [kg m^2], where not the file's
 
 
 @dataclass
@@ -65,7 +68,10 @@ class Lump:
         if self.mass == 0:
             return Inertial(mass=0.0, com=(0.0,) * 3, inertia=matrix(np.zeros((3, 3))))
         c = self.moment / self.mass
-        about = self.second - self.mass * (c @ c * np.eye(3) - np.outer(c, c))
+        square = self.mass * (c @ c * np.eye(3) - np.outer(c, c))
+        about = self.second - square
+        if np.abs(about).max() <= _NOTHING * np.abs(square).max(initial=0.0):
+            about = np.zeros((3, 3))  # of a point mass, what rounding leaves is no inertia
         turned = R.T @ about @ R
         return Inertial(
             mass=self.mass,
@@ -110,6 +116,34 @@ class Joint:
     tau_max: float | None = None  # N m
     damping: float | None = None  # N m s/rad
     friction: float | None = None  # N m
+
+
+def given_rotors(joints: Sequence[Joint], rotors: Mapping[str, float]) -> list[str]:
+    """Set rotor inertias that the reader of a file gives, and return what is to be said of it.
+
+    Args:
+        joints: of the arm.
+        rotors: inertia about the joint, by its name [kg m^2].
+
+    Raises:
+        ParameterError: no such joint among those that move, or no inertia.
+    """
+    named = {joint.name: joint for joint in joints}
+    for name, value in rotors.items():
+        if name not in named:
+            raise ParameterError(
+                f"rotors: no moving joint {name!r}; there are {', '.join(named)}"
+            )
+        if not (math.isfinite(value) and value >= 0):
+            raise ParameterError(
+                f"rotors: inertia about joint {name!r} must be >= 0 kg m^2, got {value!r}"
+            )
+    for name, value in rotors.items():
+        named[name].rotor_inertia = float(value)
+    if not rotors:
+        return []
+    values = (f"{name} {value:g} kg m^2" for name, value in rotors.items())
+    return [f"rotor inertia given beside the file: {', '.join(values)}"]
 
 
 def arm_of(
@@ -328,7 +362,8 @@ def _with_limits(arm: SerialChain, joints: list[Joint]) -> SerialChain:
         if value <= 1e-12:
             raise ParameterError(
                 f"nothing that joint {joint.name!r} moves has an inertia about its axis, nor"
-                " has its rotor: give the links an inertia, or merge them (fixed joints)"
+                " has its rotor: give the links an inertia, merge them (fixed joints), or say"
+                f" what the rotor has about the joint: rotors={{{joint.name!r}: 0.01}} kg m^2"
             )
     links, notes = [], []
     for link, joint, J in zip(arm.links, joints, most, strict=True):

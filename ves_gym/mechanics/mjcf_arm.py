@@ -16,6 +16,7 @@ from ves_gym.mechanics.chain import (
     LinkMass,
     Lump,
     arm_of,
+    given_rotors,
     require_body,
     require_plausible,
 )
@@ -60,7 +61,7 @@ class _Reader:
     def arm(self, choice: ChainChoice) -> SerialChain:
         """Return the chain to the tip."""
         m, d = self.model, self.data
-        tip, _, locked, collision, check = choice
+        tip, _, locked, collision, check, rotors = choice
         end, site = self._tip(tip)
         chain = self._chain(end)
         on_chain = [j for body in chain for j in self._joints(body)]
@@ -94,6 +95,7 @@ class _Reader:
             if collision:
                 lumps[mover].capsules += self._capsules(body, frame)
         joints = [self._joint(j, lumps[j], frame) for j in hinges]
+        given = given_rotors(joints, rotors)
         values = self._numbers(len(joints))
         for k, joint in enumerate(joints):
             joint.v_max = values["ves_v_max"][k] if "ves_v_max" in values else None
@@ -110,6 +112,7 @@ class _Reader:
         springs = [self._name("joint", j) for j in hinges if _first(m.jnt_stiffness[j])]
         if springs:
             notes.append(f"springs left out: {', '.join(springs)}")
+        notes += given
         bandwidth = values.get("ves_bandwidth", [BANDWIDTH])[0]
         return arm_of(
             self._model_name(),

@@ -22,6 +22,7 @@ from ves_gym.mechanics.chain import (
     LinkMass,
     Lump,
     arm_of,
+    given_rotors,
     require_body,
     require_plausible,
 )
@@ -98,6 +99,7 @@ def _read(path: Path, choice: ChainChoice) -> SerialChain:
     still: list[str] = []
     _place(tree, root, HERE, None, {j.name for j in free}, locked, (poses, bodies, still))
     joints = {j.name: _joint(j, poses) for j in free}
+    rotors = given_rotors(list(joints.values()), choice.rotors)
     lumps: dict[str | None, Lump] = {None: Lump()}
     lumps |= {name: joint.body for name, joint in joints.items()}
     tool = poses[tip]
@@ -114,6 +116,7 @@ def _read(path: Path, choice: ChainChoice) -> SerialChain:
     notes = [f"read from {path.name}, {root} to {tip}"]
     if still:
         notes.append(f"joints that stand still: {', '.join(still)}")
+    notes += rotors
     return arm_of(
         tree.name,
         lumps[None],

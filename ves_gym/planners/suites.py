@@ -18,6 +18,7 @@ from ves_gym.effects.joint_coulomb import JointCoulomb
 from ves_gym.effects.joint_viscous import JointViscous
 from ves_gym.effects.payload_mass import PayloadMass
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.flexible_base import FlexibleBase
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.puma import PUMA_560
@@ -35,7 +36,9 @@ REACH_SEED = 560  # the published question set
 _GRID = 60.0  # deg: a joint's range is cut to a multiple of it
 _WIDEST = 180.0  # deg, +-: further on lies the same place
 _RAREST = 1000  # draws an acceptable pair may take, on average
-SUITES = ("reach100", "thesis", "transfer")
+# reach100 asked of an arm with six joints, and of those with seven
+ARM_SUITES = {f"reach100-{arm}": arm for arm in ("ur5e", "iiwa14", "canadarm2")}
+SUITES = ("reach100", *ARM_SUITES, "thesis", "transfer")
 OBSTACLES = ("off", "on", "both")
 MORE_MODES = 14  # of the structure that suite transfer judges on
 # Two crates and a ball within reach: a quarter of the straight lines of 4 s run into one.
@@ -99,6 +102,15 @@ def get_suite(
         )
     if name == "reach100":
         return reach100(system, vehicle or "bent", 10 if quick else 100, obstacles)
+    if name in ARM_SUITES:
+        arm = ARM_SUITES[name]
+        if system.arm not in (PUMA_560, get_arm(arm)):
+            raise ParameterError(
+                f"suite {name} asks {arm}, got {system.arm.name} (reach100 asks any arm)"
+            )
+        asked = system.replace(arm=get_arm(arm))
+        count = 10 if quick else 100
+        return replace(reach100(asked, vehicle or "bent", count, obstacles), name=name)
     if name == "thesis":
         if obstacles != "off":
             raise ParameterError(f"suite thesis has no obstacles, got {obstacles!r}")

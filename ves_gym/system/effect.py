@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections import UserDict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from inspect import isabstract
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -124,6 +124,15 @@ class Effect:
                 raise ParameterError(
                     f"{self.kind}.{name} must be {n} numbers, one per joint, got"
                     f" {len(getattr(self, name))}"
+                )
+
+    def _require_rotors(self, system: System, values: Sequence[float]) -> None:
+        """A rotor behind every gear that gives way: where a joint's value is not zero."""
+        for joint, (link, value) in enumerate(zip(system.arm.links, values, strict=True), 1):
+            if value and link.rotor_inertia == 0:
+                raise ParameterError(
+                    f"{self.kind} at joint {joint} of {system.arm.name} needs its"
+                    " rotor_inertia > 0 kg m^2: a gear that gives way turns against the rotor"
                 )
 
     def _require_motor(self, system: System) -> None:

@@ -11,6 +11,10 @@ from ves_gym.diagnosis.data.sanity_checks import require_as_logged, suspected_mi
 from ves_gym.diagnosis.inputs import _heavier
 from ves_gym.diagnosis.machines.mjcf import MjcfJoint, MjcfMachine
 from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.effects import JointCoulomb
+from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.motion import Motion
+from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
 JOINT = ("q", "v", "q_cmd", "v_cmd", "tau")
@@ -107,3 +111,16 @@ def test_a_rate_in_degrees_is_asked_about():
         ParameterError, match=r"run: is v in degrees, not rad\? At port velocity"
     ):
         require_as_logged(machine, [good, bad])
+
+
+def test_a_joint_of_six_that_rubs_is_not_in_another_unit():
+    """Six torques are no wrench: one that is small beside the others is looked at like them."""
+    arm = get_arm("puma560-wrist")
+    nominal = System(arm=arm)
+    machine = nominal.replace(effects=(JointCoulomb(torque=(0.0, 0.0, 3.0, 0.0, 0.0, 0.0)),))
+    motion = Motion.straight(np.zeros(6), (0.6, 0.3, 0.3, 0.2, 0.4, 0.5), duration=4.0)
+    log = play_motions(machine, [motion], settle=1.0, record_dt=5e-3).log(0)
+    log = dataclasses.replace(log, meta={**log.meta, "system": nominal.to_dict()})
+    assert asked(log) is None
+    milli = dataclasses.replace(log, tau=log.tau * np.array([1, 1, 1e3, 1, 1, 1]))
+    assert asked(milli) == "is tau_3 in N mm, not N m"

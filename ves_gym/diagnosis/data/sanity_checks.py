@@ -36,6 +36,7 @@ _SEEN = {  # port -> the signal that its residual is a part of
     "base": "w",
     "velocity": "v",
 }
+_OF_A_BODY = ("w", "wg", "weight", "y")  # three channels along axes, three about them
 _DEGREES, _STANDARD = np.pi / 180, 9.80665
 _ANGLE = ((_DEGREES, "degrees, not rad"), (1 / _DEGREES, "rad twice converted from degrees"))
 _LENGTH = ((1e-3, "millimetres, not m"), (1e3, "kilometres, not m"))
@@ -166,7 +167,8 @@ def _sizes(machine: Machine, run: Run, ports: Sequence[str]) -> dict[str, Array]
         size = np.where(np.isfinite(residual_size), residual_size, np.inf) / np.maximum(
             signal_size, 1e-300
         )
-        if len(signal_size) == 6:  # a channel that hardly moves beside its kind says nothing
+        # a channel that hardly moves beside its kind says nothing
+        if _SEEN[name] in _OF_A_BODY:
             most = np.repeat(signal_size.reshape(2, 3).max(axis=1), 3)
             size[signal_size < _MOVING * most] = 0.0
         out[name] = size

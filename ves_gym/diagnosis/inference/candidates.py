@@ -47,6 +47,8 @@ def library(
         if left_out(cls, scope, ports, mode, runs):
             continue
         for i, candidate in enumerate(cls.candidates(scope)):
+            if not _acts_in(candidate, system):
+                continue
             active = tuple(p for p in candidate.ports if p in ports)
             candidate = dataclasses.replace(candidate, ports=active)
             if cls.wanders:
@@ -79,7 +81,7 @@ def left_out(
         return f"it acts in mode {', '.join(cls.modes)}"
     try:
         offered = list(cls.candidates(scope))
-        if scope.system is not None:
+        if scope.system is not None and not any(_acts_in(c, scope.system) for c in offered):
             for candidate in offered[:1]:
                 candidate.effect(np.array(candidate.starts[0])).check(scope.system)
     except ParameterError as error:
@@ -87,6 +89,17 @@ def left_out(
     if not any(p in ports for c in offered for p in c.ports):
         return f"it shows at port {', '.join(cls.shows or (cls.port,))}"
     return "" if runs or not cls.wanders else "it takes a course of its own in each run"
+
+
+def _acts_in(candidate: Candidate, system: System | None) -> bool:
+    """Return True if the description has what a candidate acts on, such as a rotor."""
+    if system is None:
+        return True
+    try:
+        candidate.effect(np.array(candidate.starts[0])).check(system)
+    except ParameterError:
+        return False
+    return True
 
 
 def without(candidates: Sequence[Candidate], kinds: Sequence[str]) -> tuple[Candidate, ...]:
