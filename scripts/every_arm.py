@@ -78,7 +78,7 @@ def commands(arm: str) -> dict[str, list[str]]:
     one = ["--episodes", "2"]
     task = "ves/PumaReach-v0" if len(query.start) < 6 else "ves/PoseReach-v0"
     controller = "resolved" if len(query.start) < 6 else "resolved-pose"
-    poses = ["--poses", "6", "--mode", "emulated", "--log", str(folder / "poses.csv")]
+    poses = ["--poses", "20", "--mode", "emulated", "--log", str(folder / "poses.csv")]
     return {
         "list blocks": ["list", "blocks", *of, "--mode", "emulated"],
         "plan": ["plan", *span, "--planner", "direct", *of, *out],
@@ -154,20 +154,22 @@ def main() -> None:
     cells: dict[str, Any] = {}
     if CELLS.exists() and not args.again:
         cells = json.loads(CELLS.read_text("utf-8"))
-    for arm in args.arms.split(","):
-        todo = []
-        if args.only != "commands":
-            todo += [("planner", name, None) for name in PLANNERS]
-        if args.only != "planners":
-            todo += [("command", name, words) for name, words in commands(arm).items()]
-        for kind, name, words in todo:
-            key = f"{kind}|{arm}|{name}"
-            if key in cells:
-                continue
-            cells[key] = planned(arm, name) if words is None else carried_out(words)
-            CELLS.parent.mkdir(parents=True, exist_ok=True)
-            write_text(CELLS, json.dumps(cells, indent=1) + "\n")
-            print(key, cells[key], flush=True)
+    todo: list[tuple[str, str, str]] = []
+    lines = {arm: commands(arm) for arm in args.arms.split(",")}
+    if args.only != "commands":
+        todo += [("planner", arm, name) for name in PLANNERS for arm in lines]
+    if args.only != "planners":
+        names = next(iter(lines.values()))
+        todo += [("command", arm, name) for name in names for arm in lines]
+    for kind, arm, name in todo:
+        key = f"{kind}|{arm}|{name}"
+        if key in cells:
+            continue
+        is_planner = kind == "planner"
+        cells[key] = planned(arm, name) if is_planner else carried_out(lines[arm][name])
+        CELLS.parent.mkdir(parents=True, exist_ok=True)
+        write_text(CELLS, json.dumps(cells, indent=1) + "\n")
+        print(key, cells[key], flush=True)
     head, rest = PAGE.read_text("utf-8").split(START)
     write_text(PAGE, f"{head}{START}\n{table(cells)}\n{END}{rest.split(END)[1]}")
 

@@ -1,11 +1,13 @@
 """The estimate of the cost to go is below every path, and says something."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
 
 from tests.arms import six_joint_arm
+from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import quintic_spectrum
 from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING, STRAIGHT_HORIZONTAL
@@ -97,3 +99,11 @@ def test_informed_search_does_with_fewer_evaluations():
     assert informed.cost < 11.61
     assert informed.bound > 6
     assert Energy(LONG).floor() == 0.0
+
+
+def test_motions_too_slow_for_the_base_have_a_bound_all_the_same():
+    """A minute of Canadarm2 moves no mode of the beam: the momentum bounds nothing."""
+    system = System(arm=get_arm("canadarm2")).ideal()
+    m = Metric(system, "qt", 64.0)
+    bound, a, b = LeastLength(m), [0.1] * 7, [0.5] * 7
+    assert bound(a, b) >= m.floor * math.dist(a, b) * (1 - 1e-9)

@@ -116,6 +116,8 @@ def least_weight(system: System, duration: float | None) -> Array:
     low, high = arm.column("q_min"), arm.column("q_max")
     q = qmc.scale(qmc.Halton(arm.n, scramble=False).random(_SAMPLES), low, high)
     S = _complements(system, q, duration)
+    if not S.any():  # motions this slow may move no mode of the base
+        return np.zeros((3, 3))
     B = _largest_below(S)
     cloud = qmc.Halton(arm.n, scramble=False).random(_CLOUD) - 0.5
     width, least = high - low, 1.0
@@ -172,7 +174,7 @@ def _complements(system: System, q: Array, duration: float | None) -> Array:
     """Schur complements (N, 3, 3) of the linear part of G."""
     G = _weights(system, q, duration)
     trace = np.trace(G, axis1=-2, axis2=-1)[:, None, None]
-    G = G + _RIDGE * trace * np.eye(G.shape[-1])
+    G = G + _RIDGE * np.where(trace > 0, trace, 1.0) * np.eye(G.shape[-1])
     out = G[:, :3, :3] - G[:, :3, 3:] @ np.linalg.solve(G[:, 3:, 3:], G[:, 3:, :3])
     return np.asarray(out + np.swapaxes(out, -1, -2), float) / 2
 
