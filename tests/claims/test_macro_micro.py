@@ -54,7 +54,7 @@ MOTIONS["prescribed"] = MOTIONS["driven"]
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_engines_agree_on_a_boom_with_joints(name):
-    """Everything a run records, one motion of 2 s and a second after it; measured 3e-12."""
+    """Everything a run records, one motion of 2 s and a second after it."""
     runs = {
         k: play_motions(SYSTEMS[name], [MOTIONS[name]], settle=1.0, backend=k)
         for k in ("kernel", "mujoco")
@@ -62,9 +62,12 @@ def test_engines_agree_on_a_boom_with_joints(name):
     a, b = runs["kernel"], runs["mujoco"]
     assert a.u.shape[-1] == SYSTEMS[name].arm.bends
     assert np.abs(a.u).max() > 1e-4
+    apart = {}
     for part in ("q", "v", "y", "yd", "u", "ud", "tau", "w"):
         mine, theirs = getattr(a, part), getattr(b, part)
-        assert np.abs(mine - theirs).max() <= 1e-9 * np.abs(theirs).max(), part
+        apart[part] = np.abs(mine - theirs).max() / np.abs(theirs).max()
+    print(name, {part: f"{k:.0e}" for part, k in apart.items()})
+    assert max(apart.values()) <= 1e-9, apart
 
 
 def random_state(system: System, seed: int):
