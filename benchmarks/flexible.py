@@ -1,6 +1,6 @@
 """What plans leave in a finite-element beam, judged on more modes than the planner knows.
 
-    python -m benchmarks.flexible --vehicle bent-flexible --damping 0.05 --queries 100
+    python -m benchmarks.flexible --vehicle bent --damping 0.05 --queries 100
 
 reach100's questions; E_mean of each planner's motion over the straight line's, both simulated
 on the same structure with `--judged` internal modes. Prints a line per duration as it is done.
@@ -45,7 +45,7 @@ def ratios(
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--vehicle", default="bent-flexible")
+    parser.add_argument("--vehicle", default="bent")
     parser.add_argument("--damping", type=float, default=0.05, help="ratio of every mode")
     parser.add_argument("--modes", type=int, help="that the planner knows; default: stored")
     parser.add_argument("--judged", type=int, default=14, help="modes of the judge")

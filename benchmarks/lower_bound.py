@@ -61,7 +61,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--durations", default="1,2,4", help="s, with commas")
     parser.add_argument("--first", type=int, default=100, help="queries of each duration")
-    parser.add_argument("--vehicle", default="bent")
+    parser.add_argument("--vehicle", default="bent-thesis")
     parser.add_argument("--out", type=Path, help="file of JSON lines to append to")
     asked = parser.parse_args()
     for text in asked.durations.split(","):

@@ -33,7 +33,7 @@ KNOWN = "known"
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--vehicle", default="bent-flexible")
+    parser.add_argument("--vehicle", default="bent")
     parser.add_argument("--queries", type=int, default=10)
     parser.add_argument("--durations", type=float, nargs="+", default=[1.0, 2.0, 4.0])
     parser.add_argument("--planners", default="refined,robust,robust-worst")

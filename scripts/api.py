@@ -45,7 +45,8 @@ ROOMS = (
 )
 CONSTANTS = {
     "PUMA_560": "The thesis's arm, without its wrist.",
-    "BENT": "The thesis's bent beam.",
+    "BENT": "The thesis's bent beam by finite elements, with its internal modes.",
+    "BENT_THESIS": "The same with six condensed modes, as in thesis App. A.",
 }
 
 HEAD = """# Names

@@ -28,10 +28,17 @@ DOCS = Path(__file__).parents[1] / "docs"
 PLACE = DOCS / "environments"
 
 HISTORY = {
-    "v0": "first version",
+    "v0": "first version, on the thesis's condensed beam",
+    "v1": "the beam by finite elements, with its internal modes",
     "Emulated-v1": "errors that a calibration leaves (laboratory `lab`) in place of a gravity"
-    " estimate that is wrong by a factor",
+    " estimate that is wrong by a factor; the beam by finite elements",
 }  # what changed in dynamics, reward or spaces
+SAME_BASE = {
+    "v0": "first version",
+    "Emulated-v1": HISTORY["Emulated-v1"].partition(";")[0],
+}  # of tasks whose base is no such beam
+
+KINDS = ("-v0", "-v1", "Emulated-v0", "Emulated-v1")
 
 INFO = {
     "randomized/...": "also of reset: parameters drawn for this episode, by effect and name",
@@ -68,8 +75,8 @@ def pages() -> dict[str, str]:
 # --------------------------------------------------------------------------- pieces
 
 
-def _env(name: str, emulated: bool = False, **settings: Any) -> VesEnv:
-    env = gym.make(f"ves/{name}{'Emulated' * emulated}-v0", **settings).unwrapped
+def _env(name: str, emulated: bool = False, version: int = 0, **settings: Any) -> VesEnv:
+    env = gym.make(f"ves/{name}{'Emulated' * emulated}-v{version}", **settings).unwrapped
     assert isinstance(env, VesEnv)
     return env
 
@@ -195,6 +202,24 @@ def _system(task: Task) -> str:
     )
 
 
+def _later(name: str, task: Task) -> str:
+    """What version 1 has instead of version 0, nothing where there is none."""
+    if f"ves/{name}-v1" not in gym.registry:
+        return ""
+    later = _env(name, version=1).task
+    changed = [
+        f"`{new.name}` {_number(new.scale)} {new.unit}"
+        for old, new in zip(task.fields(), later.fields(), strict=True)
+        if not np.array_equal(old.scale, new.scale)
+    ]
+    scales = f" Scales that differ: {'; '.join(changed)}." if changed else ""
+    return (
+        f"## ves/{name}-v1\n\nThe same with {_system(later)}: the beam has"
+        f" {later.system.base.m} internal modes. Controllers and policies answer both."
+        f"{scales}\n"
+    )
+
+
 def _laboratory(task: Task) -> str:
     ranges = [
         f"`{label}` {law}" for label, _, law in (str(r).partition(" ") for r in task.randomize)
@@ -247,8 +272,10 @@ def _page(name: str) -> str:
             f" `{achieved}`, `desired_goal` is `{desired}`, `observation` the rest."
             " `compute_reward(achieved, desired, info)` takes any leading axes.\n"
         )
+    kinds = [k for k in KINDS if f"ves/{name}{k}" in gym.registry]
+    history = HISTORY if "-v1" in kinds else SAME_BASE
     text = f"""<!-- written by scripts/generate.py: change the code instead -->
-# ves/{name}-v0, ves/{name}Emulated-v0, ves/{name}Emulated-v1
+# {", ".join(f"ves/{name}{k}" for k in kinds)}
 
 {title}
 {picture}
@@ -287,18 +314,19 @@ Any of `gym.make`'s and `gym.make_vec`'s keyword arguments: those below, and `sy
 
 {_settings(task)}
 
+{_later(name, task)}
 ## ves/{name}Emulated-v0
 
 {_laboratory(_env(name, emulated=True).task)}
 
 ## ves/{name}Emulated-v1
 
-{_laboratory(_env(name, emulated=True, laboratory="lab").task)} `laboratory="nominal"`, `"hard"`
+{_laboratory(_env(name, emulated=True, version=1).task)} `laboratory="nominal"`, `"hard"`
 and `"held-out"` are [the others](../laboratory.md#7-named-laboratories).
 
 ## Versions
 
-{_table(("version", "what changed"), HISTORY.items())}
+{_table(("version", "what changed"), history.items())}
 """
     return _filled(text)
 

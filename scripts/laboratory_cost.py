@@ -28,7 +28,7 @@ from ves_gym.simulation.loop_linearisation import EmulationWarning
 
 DOCS = Path(__file__).parents[1] / "docs"
 DATA, PAGE = DOCS / "laboratory-cost.json", DOCS / "laboratory-cost.md"
-BEAMS = ("bent", "straight-horizontal")
+BEAMS = ("bent-thesis", "straight-horizontal-thesis")
 SPACE, LABORATORIES = "ideal", ("nominal", "lab", "hard")
 
 # Those that move the arm: energies are told over those in space.

@@ -19,16 +19,21 @@ from ves_gym._util.params import Array
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.flexible_base import FlexibleBase
 from ves_gym.mechanics.modes import natural_modes
-from ves_gym.mechanics.vehicle import BENT, STRAIGHT_HORIZONTAL, STRAIGHT_VERTICAL, Beam
+from ves_gym.mechanics.vehicle import (
+    BENT_THESIS,
+    STRAIGHT_HORIZONTAL_THESIS,
+    STRAIGHT_VERTICAL_THESIS,
+    Beam,
+)
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import Query
 from ves_gym.planners.suites import get_suite, reach_range
 from ves_gym.system.system import System
 
 BEAMS = {
-    "bent": BENT,
-    "straight-vertical": STRAIGHT_VERTICAL,
-    "straight-horizontal": STRAIGHT_HORIZONTAL,
+    "bent": BENT_THESIS,
+    "straight-vertical": STRAIGHT_VERTICAL_THESIS,
+    "straight-horizontal": STRAIGHT_HORIZONTAL_THESIS,
 }
 BAND = 20.0  # Hz
 FINE = 40  # modes that stand for all of them

@@ -31,17 +31,17 @@ from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import (
     BENT,
-    BENT_FLEXIBLE,
+    BENT_THESIS,
     STRAIGHT_HORIZONTAL,
-    STRAIGHT_HORIZONTAL_FLEXIBLE,
+    STRAIGHT_HORIZONTAL_THESIS,
     STRAIGHT_VERTICAL,
-    STRAIGHT_VERTICAL_FLEXIBLE,
+    STRAIGHT_VERTICAL_THESIS,
 )
 
 BEAMS: dict[str, tuple[Beam, FlexibleBase]] = {
-    "bent": (BENT, BENT_FLEXIBLE),
-    "straight-vertical": (STRAIGHT_VERTICAL, STRAIGHT_VERTICAL_FLEXIBLE),
-    "straight-horizontal": (STRAIGHT_HORIZONTAL, STRAIGHT_HORIZONTAL_FLEXIBLE),
+    "bent": (BENT_THESIS, BENT),
+    "straight-vertical": (STRAIGHT_VERTICAL_THESIS, STRAIGHT_VERTICAL),
+    "straight-horizontal": (STRAIGHT_HORIZONTAL_THESIS, STRAIGHT_HORIZONTAL),
 }
 TIP_MASS = 60.0  # kg
 BAND = 20.0  # Hz

@@ -230,7 +230,10 @@ def test_results_are_saved_and_read(tmp_path, plan, comparison):
         (lambda: vg.plan([0, 0, 0], [9, 0, 0]), "goal"),
         (lambda: vg.plan([0, 0, 0], GOAL, planner="dircet"), 'did you mean "direct"'),
         (lambda: vg.plan([0, 0, 0], GOAL, duration=-1.0), "duration must be > 0"),
-        (lambda: vg.plan([0, 0, 0], GOAL, system="bent"), "must be a System, got 'bent'"),
+        (
+            lambda: vg.plan([0, 0, 0], GOAL, system="bent"),
+            "must be a System, got 'bent'",
+        ),
         (lambda: vg.simulate([1, 2]), "needs a Motion or a Plan"),
         (lambda: vg.compare("direct"), "needs a Query or a Plan, got 'direct'"),
         (lambda: vg.coupling_map(q4=0.0), "q1, q2, q3, got 'q4'"),

@@ -55,4 +55,4 @@ def test_wheel_runs_on_its_own(wheel, tmp_path):
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    assert "straight-vertical" in done.stdout
+    assert "straight-vertical-thesis" in done.stdout

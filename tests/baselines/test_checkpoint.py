@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
 pytest.importorskip("safetensors")
@@ -26,7 +27,11 @@ def test_values_come_back_as_they_were(tmp_path):
             np.zeros((0, 2)),
             np.array(True),
         ),
-        "system": [System(), System(physics_dt=2.5e-3), System()],
+        "system": [
+            System(vehicle=BENT_THESIS),
+            System(vehicle=BENT_THESIS, physics_dt=2.5e-3),
+            System(vehicle=BENT_THESIS),
+        ],
     }
     save_state(tmp_path / "x", value)
     again = load_state(tmp_path / "x")

@@ -10,6 +10,7 @@ from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
 from ves_gym.baselines.regulator import Regulator, observer_gain, plant
 from ves_gym.mechanics.servo import PPED_GAINS, JointServo
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
 ID, LAB = "ves/PumaDamp-v0", "ves/PumaDampEmulated-v1"
@@ -52,7 +53,7 @@ def test_the_integral_takes_out_what_a_constant_torque_leaves():
 
     Without the integral the joints stay away; the other side of the test.
     """
-    system, servo = System(), JointServo(kp=(0.0,) * 3, kd=PPED_GAINS.kd)
+    system, servo = System(vehicle=BENT_THESIS), JointServo(kp=(0.0,) * 3, kd=PPED_GAINS.kd)
     q, dt = np.array([0.8, 0.2, -0.3]), system.control_dt
     A, B = plant(system, q, servo, dt)
     F, L = Regulator().feedback(system, q, A, B, dt), observer_gain(A, 3, dt)

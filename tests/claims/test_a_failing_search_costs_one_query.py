@@ -42,7 +42,7 @@ def test_a_failing_search_costs_one_query(monkeypatch, fault):
     )
     monkeypatch.setattr(ompl_search, "_GRACE", 2.0)
     monkeypatch.setitem(PLANNERS, "ompl-qt", Ompl(evaluations=300, seconds=2.0))
-    suite = get_suite("reach100", system=System())
+    suite = get_suite("reach100", system=System(), vehicle="bent-thesis")
     queries = tuple((v, q) for v, q in suite.queries if q.duration == 2.0)[:3]
     result = run_benchmark(
         dataclasses.replace(suite, queries=queries), planners=["ompl-qt"], workers=1

@@ -22,7 +22,7 @@ import pytest
 
 from tests.arms import SEVEN_GAINS, seven_joint_arm
 from ves_gym.mechanics.tool_pose import tool_pose
-from ves_gym.mechanics.vehicle import get_vehicle
+from ves_gym.mechanics.vehicle import BENT_THESIS, get_vehicle
 from ves_gym.planners.coupling_map import coupling_map
 from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner
@@ -33,12 +33,12 @@ from ves_gym.system.energy import TAIL, energies
 from ves_gym.system.system import System
 
 MISS = pytest.mark.xfail(reason="miss: 0.56, docs/claims.md", strict=True)
-PROMISED = [("bent", 0.25), pytest.param("free-floating", 0.25, marks=MISS)]
+PROMISED = [("bent-thesis", 0.25), pytest.param("free-floating", 0.25, marks=MISS)]
 
 
 def measured(vehicle, count):
     """Ratios of simulated E_mean, and planning times [s]."""
-    system = System(arm=seven_joint_arm(), drive="prescribed")
+    system = System(vehicle=BENT_THESIS, arm=seven_joint_arm(), drive="prescribed")
     ratios, seconds = [], []
     for _, query in reach100(system, vehicle, count, durations=(2.0,)).queries:
         motors = system.replace(drive="motor", vehicle=get_vehicle(vehicle))
@@ -55,7 +55,7 @@ def measured(vehicle, count):
 
 
 def test_seven_joints_leave_a_third_of_the_straight_lines_energy_on_either_of_two_queries():
-    ratios, _ = measured("bent", 2)
+    ratios, _ = measured("bent-thesis", 2)
     assert (ratios <= 1 / 3).all()
 
 
@@ -73,14 +73,14 @@ def test_seven_joints(vehicle, promised):
 @pytest.mark.parametrize(
     ("vehicle", "turn", "promised"),
     [
-        ("bent", True, 0.10),
+        ("bent-thesis", True, 0.10),
         ("free-floating", False, 0.25),
         pytest.param("free-floating", True, 0.25, marks=pytest.mark.xfail(reason="miss: 0.29")),
     ],
 )
 def test_seven_joints_to_the_same_tool_pose(vehicle, turn, promised):
     """Predicted; over the straight line to the joint angles that the pose was read from."""
-    system, ratios = System(arm=seven_joint_arm(), drive="prescribed"), []
+    system, ratios = System(vehicle=BENT_THESIS, arm=seven_joint_arm(), drive="prescribed"), []
     for _, query in reach100(system, vehicle, 10, durations=(2.0,)).queries:
         pose = tool_pose(system.arm, query.goal)
         pose = pose if turn else replace(pose, angles=None)
@@ -99,7 +99,11 @@ def test_seven_joints_to_the_same_tool_pose(vehicle, turn, promised):
 def test_a_map_of_two_of_seven_joints_takes_five_seconds_at_most(others, duration):
     begin = time.process_time()
     section = coupling_map(
-        System(arm=seven_joint_arm()), (1, 3), np.zeros(7), duration=duration, others=others
+        System(vehicle=BENT_THESIS, arm=seven_joint_arm()),
+        (1, 3),
+        np.zeros(7),
+        duration=duration,
+        others=others,
     )
     section.lines()
     assert time.process_time() - begin <= 5.0

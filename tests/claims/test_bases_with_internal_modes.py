@@ -34,7 +34,7 @@ from ves_gym.system.energy import EnergyBalance, base_energy, internal_motion
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
-NAMES = ("bent-flexible", "straight-horizontal-flexible")
+NAMES = ("bent", "straight-horizontal")
 STATES = 200
 TOLERANCE = 1e-9
 MOTION = Motion.straight(np.deg2rad([-40, -20, 0]), np.deg2rad([60, 40, -30]), 1.0)
@@ -110,12 +110,12 @@ def test_engines_agree_with_pinocchio_and_the_modal_matrices(name):
 
 
 def test_a_mode_of_another_frequency_is_seen():
-    system = system_on("bent-flexible")
+    system = system_on("bent")
     states = drawn(system)
     modes = system.base.internal
     other = dataclasses.replace(modes, omega=modes.omega * (1 + 1e-6))
     base = dataclasses.replace(system.base, internal=other)
-    changed = system_on("bent-flexible")
+    changed = system_on("bent")
     changed.__dict__["base"] = base
     by_mujoco, _ = engines(system, *states)
     assert error(by_mujoco, reference(changed, *states)) > 10 * TOLERANCE
@@ -167,7 +167,7 @@ def test_the_account_closes_with_the_modes_in_it(name, tmp_path):
 
 
 def test_modes_are_estimated_where_a_log_has_none():
-    system = system_on("bent-flexible")
+    system = system_on("bent")
     log = play_motions(system, [MOTION], settle=5.0).log(0)
     u, ud = internal_motion(system.base, log.t, log.y, log.yd)
     total = base_energy(system, log.q, log.y, log.yd, (log.u, log.ud)).total
@@ -177,7 +177,7 @@ def test_modes_are_estimated_where_a_log_has_none():
 
 def test_the_laboratory_moves_as_the_flexible_base_would():
     energies = [
-        play_motions(system_on("bent-flexible", mode=mode), [MOTION]).energies()[0].E_mean
+        play_motions(system_on("bent", mode=mode), [MOTION]).energies()[0].E_mean
         for mode in ("ideal", "emulated")
     ]
     # 10 % measured, 3 % on the thesis's base, whose tip is ten times as heavy
@@ -185,7 +185,7 @@ def test_the_laboratory_moves_as_the_flexible_base_would():
 
 
 def test_the_linear_model_has_the_modes():
-    system = system_on("bent-flexible")
+    system = system_on("bent")
     found = linearise_ideal(system, np.zeros(3), servo=HIGH_GAINS)
     H = inertia(system.arm, np.zeros(3))
     M, D, K = system.base.full()
@@ -211,7 +211,7 @@ def test_the_linear_model_has_the_modes():
 
 def test_derivatives_know_the_modes():
     """Along a command, against central differences of the same rollout."""
-    system = system_on("bent-flexible")
+    system = system_on("bent")
     rng = np.random.default_rng(3)
     commands = rng.uniform(-5, 5, (1, 41, 3))
     way = rng.uniform(-1, 1, (1, 41, 1, 3))

@@ -19,9 +19,9 @@ import pytest
 import scipy.linalg
 
 from ves_gym.mechanics.vehicle import (
-    BENT,
-    STRAIGHT_HORIZONTAL,
-    STRAIGHT_VERTICAL,
+    BENT_THESIS,
+    STRAIGHT_HORIZONTAL_THESIS,
+    STRAIGHT_VERTICAL_THESIS,
     Beam,
     elementwise_damping,
     modal_damping,
@@ -34,10 +34,10 @@ CROOKED = Beam(
     source="test: no plane of symmetry",
 )
 BEAMS = {
-    "straight-vertical": STRAIGHT_VERTICAL,
-    "straight-horizontal": STRAIGHT_HORIZONTAL,
-    "bent": BENT,
-    "bent-90mm": dataclasses.replace(BENT, outer_diameter=0.09),
+    "straight-vertical-thesis": STRAIGHT_VERTICAL_THESIS,
+    "straight-horizontal-thesis": STRAIGHT_HORIZONTAL_THESIS,
+    "bent-thesis": BENT_THESIS,
+    "bent-90mm": dataclasses.replace(BENT_THESIS, outer_diameter=0.09),
     "crooked": CROOKED,
 }
 TOLERANCE = 1e-9
@@ -146,7 +146,7 @@ def test_consistent_mass_is_that_of_the_frame(name):
 
 def test_a_thinner_wall_is_seen():
     """The comparison fails on a wall thinner by 1e-6."""
-    beam = BEAMS["bent"]
+    beam = BEAMS["bent-thesis"]
     thinner = dataclasses.replace(beam, wall=beam.wall * (1 - 1e-6))
     compliance, mass = at_tip(beam)
     assert largest_error(np.linalg.inv(thinner.stiffness()), compliance) > 10 * TOLERANCE
@@ -211,7 +211,9 @@ def table_a4(beam: Beam) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("beam", "table"), [(STRAIGHT_VERTICAL, table_a2), (BENT, table_a4)], ids=["A.2", "A.4"]
+    ("beam", "table"),
+    [(STRAIGHT_VERTICAL_THESIS, table_a2), (BENT_THESIS, table_a4)],
+    ids=["A.2", "A.4"],
 )
 def test_compliance_is_the_corrected_thesis_table(beam, table):
     assert largest_error(np.linalg.inv(beam.stiffness()), table(beam)) <= TOLERANCE
@@ -219,15 +221,15 @@ def test_compliance_is_the_corrected_thesis_table(beam, table):
 
 def test_the_printed_tables_are_not_followed():
     """Q15 = L/EI (A.2) and Q55 = L2^2/2EI + L1/GJ (A.4) as printed are far off."""
-    straight = table_a2(STRAIGHT_VERTICAL)
-    straight[0, 4] = 12.0 / properties(STRAIGHT_VERTICAL)[0]
-    assert largest_error(straight, at_tip(STRAIGHT_VERTICAL)[0]) > 0.1
+    straight = table_a2(STRAIGHT_VERTICAL_THESIS)
+    straight[0, 4] = 12.0 / properties(STRAIGHT_VERTICAL_THESIS)[0]
+    assert largest_error(straight, at_tip(STRAIGHT_VERTICAL_THESIS)[0]) > 0.1
     assert np.linalg.inv(straight)[0, 4] == pytest.approx(-89.0, abs=0.05)  # K15, N
 
-    EI, GJ, _ = properties(BENT)
-    bent = table_a4(BENT)
+    EI, GJ, _ = properties(BENT_THESIS)
+    bent = table_a4(BENT_THESIS)
     bent[4, 4] = 8.0**2 / (2 * EI) + 8.0 / GJ
-    assert largest_error(bent, at_tip(BENT)[0]) > 0.1
+    assert largest_error(bent, at_tip(BENT_THESIS)[0]) > 0.1
 
 
 # ---------------------------------------------------- THEORY section 2, printed precision
@@ -235,11 +237,11 @@ def test_the_printed_tables_are_not_followed():
 
 def test_straight_beam_numbers():
     """EI, GJ, mass, K of the 12 m tube: half a unit of the last digit given there."""
-    EI, GJ, _ = properties(STRAIGHT_VERTICAL)
+    EI, GJ, _ = properties(STRAIGHT_VERTICAL_THESIS)
     assert abs(EI - 44863) < 0.5
     assert abs(GJ - 33647) < 0.5
-    assert STRAIGHT_VERTICAL.mass == pytest.approx(40.53, abs=0.005)
-    K = STRAIGHT_VERTICAL.stiffness()
+    assert STRAIGHT_VERTICAL_THESIS.mass == pytest.approx(40.53, abs=0.005)
+    K = STRAIGHT_VERTICAL_THESIS.stiffness()
     assert K[0, 0] == pytest.approx(311.5, abs=0.05)
     assert K[2, 2] == pytest.approx(7_238_229.5, abs=0.05)
     assert K[0, 4] == pytest.approx(-1869.3, abs=0.05)
@@ -250,8 +252,8 @@ def test_straight_beam_numbers():
 def test_bent_beam_numbers():
     """Mass and K of the 8 + 8 m tube, 180 mm ('radius of 9 centimeters') and 90 mm."""
     diagonal = [15027.0, 4431.6, 15027.0, 230083.7, 448904.4, 68012.2]
-    assert np.diag(BENT.stiffness()) == pytest.approx(diagonal, abs=0.05)
-    assert BENT.mass == pytest.approx(170.4, abs=0.05)
+    assert np.diag(BENT_THESIS.stiffness()) == pytest.approx(diagonal, abs=0.05)
+    assert BENT_THESIS.mass == pytest.approx(170.4, abs=0.05)
     thin = BEAMS["bent-90mm"]
     diagonal = [1669.3, 492.1, 1669.3, 25547.6, 49858.9, 7551.8]
     assert np.diag(thin.stiffness()) == pytest.approx(diagonal, abs=0.05)
@@ -260,8 +262,8 @@ def test_bent_beam_numbers():
 
 @pytest.mark.parametrize(
     ("beam", "ratios"),
-    [(STRAIGHT_VERTICAL, [52.5, 52.5, 1.0]), (BENT, [7.9, 139.8, 209.9])],
-    ids=["straight", "bent"],
+    [(STRAIGHT_VERTICAL_THESIS, [52.5, 52.5, 1.0]), (BENT_THESIS, [7.9, 139.8, 209.9])],
+    ids=["straight", "bent-thesis"],
 )
 def test_thesis_rotational_mass_over_consistent(beam, ratios):
     """m_eq L^2 is 8 to 210 times the rotational mass of the beam's own motion."""
@@ -271,14 +273,14 @@ def test_thesis_rotational_mass_over_consistent(beam, ratios):
 
 def test_thesis_mass_is_appendix_a():
     """Half the mass at the tip, m_eq L^2 about each axis; M66 = rho J L / 3, printed 0."""
-    half = STRAIGHT_VERTICAL.mass / 2
-    polar = STRAIGHT_VERTICAL.section[2]
+    half = STRAIGHT_VERTICAL_THESIS.mass / 2
+    polar = STRAIGHT_VERTICAL_THESIS.section[2]
     expected = [half, half, half, half * 144, half * 144, 2.8e3 * polar * 12 / 3]
-    assert np.diag(STRAIGHT_VERTICAL.thesis_mass()) == pytest.approx(expected, rel=1e-12)
+    assert np.diag(STRAIGHT_VERTICAL_THESIS.thesis_mass()) == pytest.approx(expected, rel=1e-12)
     assert expected[5] == pytest.approx(0.014, abs=5e-4)
-    half = BENT.mass / 2
+    half = BENT_THESIS.mass / 2
     expected = [half, half, half, half * 64, half * 128, half * 64]
-    assert np.diag(BENT.thesis_mass()) == pytest.approx(expected, rel=1e-12)
+    assert np.diag(BENT_THESIS.thesis_mass()) == pytest.approx(expected, rel=1e-12)
 
 
 def damping_ratios(M: np.ndarray, D: np.ndarray, K: np.ndarray) -> np.ndarray:
@@ -297,7 +299,7 @@ def test_five_percent_damping_is_modal():
 
     Bare straight beam, element-wise: 13.1 % in the slowest mode, 4.0 % in the next.
     """
-    M, K = STRAIGHT_VERTICAL.thesis_mass(), STRAIGHT_VERTICAL.stiffness()
+    M, K = STRAIGHT_VERTICAL_THESIS.thesis_mass(), STRAIGHT_VERTICAL_THESIS.stiffness()
     assert damping_ratios(M, modal_damping(M, K, 0.05), K) == pytest.approx(
         [0.05] * 6, rel=1e-6
     )

@@ -13,7 +13,7 @@ import pytest
 
 from ves_gym.mechanics.modes import quintic_spectrum
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import BENT, STRAIGHT_VERTICAL
+from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_VERTICAL_THESIS
 from ves_gym.planners.coupling import (
     band_limited,
     blocks,
@@ -28,9 +28,13 @@ from ves_gym.system.energy import base_energy
 from ves_gym.system.system import System
 
 GOAL = np.deg2rad([60.0, 40.0, -30.0])
-UNDAMPED = dataclasses.replace(BENT, damping_ratio=0.0)
-CONSISTENT = dataclasses.replace(BENT, mass_model="consistent")
-VEHICLES = {"bent": BENT, "bent-consistent": CONSISTENT, "straight": STRAIGHT_VERTICAL}
+UNDAMPED = dataclasses.replace(BENT_THESIS, damping_ratio=0.0)
+CONSISTENT = dataclasses.replace(BENT_THESIS, mass_model="consistent")
+VEHICLES = {
+    "bent-thesis": BENT_THESIS,
+    "bent-consistent": CONSISTENT,
+    "straight": STRAIGHT_VERTICAL_THESIS,
+}
 
 
 def impulsive_energy(system: System, path: np.ndarray) -> float:
@@ -78,7 +82,7 @@ def test_band_limited_tends_to_q(name):
 
 def test_band_limited_is_smaller():
     """0 <= Q_T <= Q as quadratic forms, and a slow motion excites next to nothing."""
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     q = np.random.default_rng(1).uniform(-2, 2, (20, 3))
     Q = coupling_matrix(system, q)
     size = np.abs(Q).max()
@@ -123,7 +127,10 @@ def test_coupling_length_bounds_the_impulsive_energy(name):
 def test_the_bound_is_reached_by_a_short_step():
     """One step has no triangle: equality, to rounding. A shorter length breaks the bound."""
     path = np.stack([np.zeros(3), 1e-3 * GOAL])
-    energy, length = impulsive_energy(System(), path), coupling_length(System(), path)
+    energy, length = (
+        impulsive_energy(System(vehicle=BENT_THESIS), path),
+        coupling_length(System(vehicle=BENT_THESIS), path),
+    )
     assert energy == pytest.approx(length**2 / 2, rel=1e-9)
     assert energy > (0.999 * length) ** 2 / 2
 
@@ -133,7 +140,7 @@ def test_null_direction_is_the_reaction_null_space():
 
     dq^T Q dq >= lambda_min(M_t^-1 K M_t^-1) |H_bm dq|^2: no energy only without momentum.
     """
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     q = np.random.default_rng(3).uniform(-2, 2, (20, 3))
     b = blocks(system, q)
     floor = np.linalg.eigvalsh(np.linalg.solve(b.Mt, system.base.K) @ np.linalg.inv(b.Mt))
@@ -145,7 +152,7 @@ def test_null_direction_is_the_reaction_null_space():
 
 def test_invariant_directions_do_not_depend_on_joint_scaling():
     """Q v = lambda (H_m - H_bm^T M_t^-1 H_bm) v, checked by residual: 1e-9 of its size."""
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     q = np.random.default_rng(4).uniform(-2, 2, (20, 3))
     b = blocks(system, q)
     effective = b.Hm - np.swapaxes(b.Hbm, -1, -2) @ np.linalg.solve(b.Mt, b.Hbm)

@@ -12,7 +12,7 @@ from ves_gym.effects import JointStribeck
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
 from ves_gym.engine.kernel.trace import parameters
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import FREE_FLOATING, STRAIGHT_VERTICAL
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, STRAIGHT_VERTICAL_THESIS
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.energy import energies
@@ -20,11 +20,17 @@ from ves_gym.system.system import System
 
 MOTION = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
 CASES = {
-    "bent": (System(), ("K11", "D55", "M33", "link2.mass", "link3.com1", "base.mass", "kp1")),
-    "straight": (System(vehicle=STRAIGHT_VERTICAL), ("K15", "link2.rotor", "kd3")),
+    "bent-thesis": (
+        System(vehicle=BENT_THESIS),
+        ("K11", "D55", "M33", "link2.mass", "link3.com1", "base.mass", "kp1"),
+    ),
+    "straight": (System(vehicle=STRAIGHT_VERTICAL_THESIS), ("K15", "link2.rotor", "kd3")),
     "floating": (System(vehicle=FREE_FLOATING), ("satellite.mass", "satellite.I33")),
     "friction": (
-        System(effects=(JointStribeck(coulomb=(3, 4, 2), stiction=(6, 8, 4), fade_speed=0.3),)),
+        System(
+            vehicle=BENT_THESIS,
+            effects=(JointStribeck(coulomb=(3, 4, 2), stiction=(6, 8, 4), fade_speed=0.3),),
+        ),
         (
             "joint/stribeck#1.coulomb2",
             "joint/stribeck#1.stiction1",
@@ -70,7 +76,7 @@ def test_along_parameters(case):
 
 
 def test_along_commands():
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     _, commands = played(system)
     along = np.random.default_rng(0).normal(0, 1, (1, 801, 2, 3))
     exact = rollout_gradients(system, commands, along=along)
@@ -85,7 +91,7 @@ def test_along_commands():
 
 
 def test_the_rollout_is_the_simulation():
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     sim, commands = played(system)
     end = rollout_gradients(system, commands)
     sim.play(commands)
@@ -98,7 +104,7 @@ def test_the_rollout_is_the_simulation():
 
 
 def test_every_run_has_its_own_derivative():
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     _, commands = played(system)
     many = np.concatenate([commands, 1.01 * commands, 0.9 * commands])
     together = rollout_gradients(system, many, wrt=("K11",))
@@ -117,12 +123,18 @@ def test_every_run_has_its_own_derivative():
     ],
 )
 def test_wrong_arguments_are_refused(change, message):
-    _, commands = played(System())
+    _, commands = played(System(vehicle=BENT_THESIS))
     with pytest.raises(ParameterError, match=message):
-        rollout_gradients(System(), commands, **change)
+        rollout_gradients(System(vehicle=BENT_THESIS), commands, **change)
 
 
-@pytest.mark.parametrize("system", [System(mode="emulated"), System(integrator="euler")])
+@pytest.mark.parametrize(
+    "system",
+    [
+        System(vehicle=BENT_THESIS, mode="emulated"),
+        System(vehicle=BENT_THESIS, integrator="euler"),
+    ],
+)
 def test_other_modes_and_integrators_are_refused(system):
     with pytest.raises(ParameterError, match="need mode ideal and integrator rk4"):
         rollout_gradients(system, np.zeros((1, 2, 3)))

@@ -50,7 +50,9 @@ def base_error(system: System, settle: float) -> float:
     )
 
 
-@pytest.mark.parametrize("vehicle", ["bent", "straight-horizontal", "straight-vertical"])
+@pytest.mark.parametrize(
+    "vehicle", ["bent-thesis", "straight-horizontal-thesis", "straight-vertical-thesis"]
+)
 def test_error_falls_along_the_ladder(vehicle):
     rungs = (0, 1, 2)
     errors = [base_error(laboratory(vehicle, k, compensated=True), 1.5) for k in rungs]
@@ -61,7 +63,9 @@ def test_error_falls_along_the_ladder(vehicle):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("vehicle", ["bent", "straight-horizontal", "straight-vertical"])
+@pytest.mark.parametrize(
+    "vehicle", ["bent-thesis", "straight-horizontal-thesis", "straight-vertical-thesis"]
+)
 def test_error_stays_small_for_ten_seconds(vehicle):
     errors = [base_error(laboratory(vehicle, k, compensated=True), 8.5) for k in (0, 1, 2)]
     print(vehicle, [f"{error:.2%}" for error in errors])
@@ -73,14 +77,17 @@ def test_error_stays_small_for_ten_seconds(vehicle):
 @pytest.mark.filterwarnings("ignore::ves_gym.simulation.loop_linearisation.EmulationWarning")
 def test_plain_loop_beside_it():
     """Better with faster hardware on the bent beam, and behind the compensated loop."""
-    plain = [base_error(laboratory("bent", k, compensated=False), 1.5) for k in (0, 1)]
+    plain = [base_error(laboratory("bent-thesis", k, compensated=False), 1.5) for k in (0, 1)]
     print("bent, plain loop", [f"{error:.2%}" for error in plain])
     for k, error in enumerate(plain):
-        assert error > 2 * base_error(laboratory("bent", k, compensated=True), 1.5)
+        assert error > 2 * base_error(laboratory("bent-thesis", k, compensated=True), 1.5)
 
 
 @pytest.mark.parametrize("rung", [0, 1, 2])
 def test_plain_loop_cannot_emulate_the_straight_beam(rung):
     """Beside it: the thesis's loop, whatever the hardware (payload ratio 3200)."""
     with pytest.warns(EmulationWarning, match="unstable"):
-        assert base_error(laboratory("straight-horizontal", rung, compensated=False), 1.5) > 1
+        assert (
+            base_error(laboratory("straight-horizontal-thesis", rung, compensated=False), 1.5)
+            > 1
+        )

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import VEHICLES
+from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import get_suite
@@ -26,7 +26,7 @@ from ves_gym.system.system import System
 
 MOTION = Motion.straight(np.deg2rad([-40, -20, 0]), np.deg2rad([60, 40, -30]), 2.0)
 PROMISED = 1e-3
-BEAMS = ["bent", "straight-vertical", "straight-horizontal", "decoupled"]
+BEAMS = ["bent-thesis", "straight-vertical-thesis", "straight-horizontal-thesis", "decoupled"]
 
 
 def record(system: System, motion: Motion = MOTION, settle: float = 0.0) -> RunLog:
@@ -35,7 +35,9 @@ def record(system: System, motion: Motion = MOTION, settle: float = 0.0) -> RunL
 
 
 def at_step(dt: float, **changes) -> EnergyBalance:
-    return EnergyBalance.of(record(System(physics_dt=dt, control_dt=dt, **changes)))
+    return EnergyBalance.of(
+        record(System(vehicle=BENT_THESIS, physics_dt=dt, control_dt=dt, **changes))
+    )
 
 
 @pytest.mark.parametrize("drive", ["motor", "prescribed"])
@@ -56,7 +58,11 @@ def test_residual_of_a_satellite():
 def test_residual_of_benchmark_motions(planner):
     """Five reach100 motions of 2 s. An optimised one sends far less through the port
     (measured on twenty: 2e-7 straight, 2e-4 optimised, at most)."""
-    queries = [q for _, q in get_suite("reach100", system=System()).queries if q.duration == 2]
+    queries = [
+        q
+        for _, q in get_suite("reach100", system=System(), vehicle="bent-thesis").queries
+        if q.duration == 2
+    ]
     for query in queries[:5]:
         plan = solve(get_planner(planner), query)
         found = EnergyBalance.of(record(query.system, plan.motion, settle=2.0))
@@ -66,10 +72,11 @@ def test_residual_of_benchmark_motions(planner):
 def test_residual_with_saturated_motors():
     """The same motion with motors of a tenth of the torque, which reach their limit."""
     links = [
-        dataclasses.replace(link, tau_max=0.1 * link.tau_max) for link in System().arm.links
+        dataclasses.replace(link, tau_max=0.1 * link.tau_max)
+        for link in System(vehicle=BENT_THESIS).arm.links
     ]
-    arm = dataclasses.replace(System().arm, links=tuple(links))
-    log = record(System(arm=arm))
+    arm = dataclasses.replace(System(vehicle=BENT_THESIS).arm, links=tuple(links))
+    log = record(System(vehicle=BENT_THESIS, arm=arm))
     assert (np.abs(log.tau) >= arm.column("tau_max") * (1 - 1e-9)).any()
     assert EnergyBalance.of(log).relative <= PROMISED
 
@@ -101,21 +108,23 @@ def test_order_of_semi_implicit_euler(integrator):
 )
 def test_the_ledger_fires(fault):
     """One channel wrong by 1 %: more than the promised residual."""
-    log = record(System())
+    log = record(System(vehicle=BENT_THESIS))
     assert EnergyBalance.of(dataclasses.replace(log, **fault(log))).relative > PROMISED
 
 
 def test_the_ledger_fires_on_missing_damping():
     """The stated system has 5 % damping, the run was made with 4 %."""
-    bent = VEHICLES["bent"]
+    bent = VEHICLES["bent-thesis"]
     log = record(System(vehicle=dataclasses.replace(bent, damping_ratio=0.04)))
-    stated = dataclasses.replace(log, meta={**log.meta, "system": System().to_dict()})
+    stated = dataclasses.replace(
+        log, meta={**log.meta, "system": System(vehicle=BENT_THESIS).to_dict()}
+    )
     assert EnergyBalance.of(stated).relative > PROMISED
 
 
 def test_a_log_without_gains_is_integrated_as_it_is():
     """A real test bed's log names no servo: Simpson's rule, here within the promise too."""
-    log = record(System())
+    log = record(System(vehicle=BENT_THESIS))
     meta = {k: v for k, v in log.meta.items() if k != "controller"}
     found = EnergyBalance.of(dataclasses.replace(log, meta=meta))
     assert 1e-4 < found.relative <= PROMISED  # measured 7.8e-4

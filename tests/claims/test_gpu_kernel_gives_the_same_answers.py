@@ -25,6 +25,7 @@ from tests.claims.test_kernel_gives_the_same_answers import (
 )
 from tests.engine.test_gpu_kernel import heavier
 from ves_gym._util.optional import installed
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
 pytestmark = [
@@ -46,10 +47,10 @@ def agree(system, seed):
 
 def test_two_seconds_of_the_puma_on_the_bent_beam(monkeypatch):
     monkeypatch.setattr(kernel_claim, "PERIODS", 160)
-    _, theirs = agree(System(), 0)
+    _, theirs = agree(System(vehicle=BENT_THESIS), 0)
     assert len(theirs.state["y"]) >= 160
     assert np.abs(theirs.state["y"]).max() > 0.01
-    other = run(heavier(System(), 1 + 1e-6), 0, "gpu-kernel")
+    other = run(heavier(System(vehicle=BENT_THESIS), 1 + 1e-6), 0, "gpu-kernel")
     assert state_gap(other, theirs) > 2 * DOUBLE
 
 
@@ -70,5 +71,7 @@ def test_emulated(name):
 
 @pytest.mark.slow
 def test_single_precision():
-    ours, theirs = (run(System(), 0, k) for k in ("gpu-kernel-float32", "kernel"))
+    ours, theirs = (
+        run(System(vehicle=BENT_THESIS), 0, k) for k in ("gpu-kernel-float32", "kernel")
+    )
     assert 1e-9 < state_gap(ours, theirs) <= SINGLE

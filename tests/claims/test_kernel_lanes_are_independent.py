@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from ves_gym.engine.kernel.emit import LANES
-from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLYING
+from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLYING
 from ves_gym.simulation.simulator import Divergence, Simulator, State
 from ves_gym.system.system import System
 
 pytestmark = pytest.mark.bits
 
 SYSTEMS = {
-    "bent": System(),
+    "bent-thesis": System(vehicle=BENT_THESIS),
     "satellite": System(vehicle=FREE_FLYING, integrator="euler"),
-    "prescribed": System(drive="prescribed", integrator="implicitfast"),
+    "prescribed": System(vehicle=BENT_THESIS, drive="prescribed", integrator="implicitfast"),
     "emulated": System(mode="emulated", vehicle=DECOUPLED),
 }
 MANY = 3 * 8 * LANES + 5  # enough for three threads
@@ -149,7 +149,7 @@ def test_identical_simulations_stay_identical(name):
 
 def test_another_command_is_seen():
     """The comparison is not blind: a command changed by one part in 1e13 shows."""
-    sims = [simulator("bent", [0]) for _ in range(2)]
+    sims = [simulator("bent-thesis", [0]) for _ in range(2)]
     ends = []
     for sim, torque in zip(sims, (10.0, 10.0 * (1 + 1e-13)), strict=True):
         ends.append([sim.step(torque) for _ in range(3)])
@@ -195,7 +195,7 @@ def test_what_is_no_number_stays_in_its_lane(name, case, lane):
 
 @pytest.mark.parametrize("how", ["step", "play"])
 def test_only_the_diverged_are_reported(how):
-    sim = simulator("bent", range(11))
+    sim = simulator("bent-thesis", range(11))
     for lane in (2, 9):
         spoil(sim, lane, "nan rate" if lane == 2 else "absurd")
     with pytest.raises(Divergence, match="simulation 2 of 11 diverged at t = 0") as found:
@@ -259,7 +259,7 @@ def test_a_snapshot_continues_identically(name, fresh):
 
 
 def test_a_snapshot_keeps_its_place():
-    sim = simulator("bent", range(3))
+    sim = simulator("bent-thesis", range(3))
     advance(sim, range(3), 2)
     kept, before = sim.snapshot(), sim.state
     advance(sim, range(3), 2)

@@ -11,7 +11,7 @@ import pytest
 from ves_gym.envs.laboratories import laboratory
 from ves_gym.envs.randomize import Draws
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import BENT, STRAIGHT_HORIZONTAL
+from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.simulation.gravity_calibration import calibration_poses, fit, left_by_noise
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.effect_rows import EffectRows
@@ -45,12 +45,12 @@ def turn(vehicle):
 
 @pytest.fixture(scope="module")
 def bent():
-    return turn(BENT)
+    return turn(BENT_THESIS)
 
 
 @pytest.fixture(scope="module")
 def straight():
-    return turn(STRAIGHT_HORIZONTAL)
+    return turn(STRAIGHT_HORIZONTAL_THESIS)
 
 
 def rms(errors):
@@ -88,7 +88,7 @@ def test_a_percent_would_hide_the_motion_of_the_straight_beam(straight):
 
 def test_weights_are_the_scatter_of_the_fit():
     """300 calibrations of noisy readings: mass and moments scatter as predicted."""
-    arm = System().arm
+    arm = System(vehicle=BENT_THESIS).arm
     q, y = calibration_poses(arm, 47)
     noise = np.array([0.4, 0.3, 0.4, 0.5, 0.7, 0.1])
     left = left_by_noise(arm, q, y, noise, estimate_offset=False)

@@ -17,7 +17,7 @@ from ves_gym.mechanics.arm import Inertial, Mount
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.payload import Payload
-from ves_gym.mechanics.vehicle import BENT, BENT_FLEXIBLE, FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -38,7 +38,7 @@ TARGET = Payload(
 CASES = [
     (arm, vehicle)
     for arm in ("puma560", "puma560-wrist", "iiwa14")
-    for vehicle in (FREE_FLOATING, BENT, BENT_FLEXIBLE)
+    for vehicle in (FREE_FLOATING, BENT_THESIS, BENT)
 ]
 IDS = [f"{arm} {vehicle.kind}" for arm, vehicle in CASES]
 

@@ -10,7 +10,7 @@ import pytest
 
 from ves_gym.effects import SensorBias, SensorCalibration, SensorNoise
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import STRAIGHT_HORIZONTAL
+from ves_gym.mechanics.vehicle import STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.simulation.gravity_learning import learn_gravity
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
@@ -20,7 +20,7 @@ SETTLE = 3.0  # s
 
 
 def emulation(*effects):
-    return System(vehicle=STRAIGHT_HORIZONTAL, mode="emulated", effects=effects)
+    return System(vehicle=STRAIGHT_HORIZONTAL_THESIS, mode="emulated", effects=effects)
 
 
 def wrong_sensor():

@@ -12,6 +12,7 @@ import pytest
 
 from ves_gym.effects import LABORATORY_ERRORS, SensorBias, SensorCalibration
 from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.gravity_calibration import (
     Errors,
     calibration_poses,
@@ -23,7 +24,7 @@ from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 SLOWLY = 180.0  # s
-ARM = System().arm
+ARM = System(vehicle=BENT_THESIS).arm
 
 
 def true_sensor():
@@ -39,7 +40,9 @@ def table_3_1(noise, *, iterations=2, seed=1):
     """Root mean square and largest error of the prediction, (6,) each."""
     effects = (*true_sensor(), *noise)
     q, y = calibration_poses(ARM, 47)
-    log = weigh_poses(System(mode="emulated", effects=effects), q, y, seed=seed)
+    log = weigh_poses(
+        System(vehicle=BENT_THESIS, mode="emulated", effects=effects), q, y, seed=seed
+    )
     found = fit(
         ARM, log.q, log.y, log.w, iterations=iterations or 1, estimate_matrix=iterations > 0
     )
@@ -53,7 +56,10 @@ def table_3_1(noise, *, iterations=2, seed=1):
 
     run = play_motions(
         System(
-            mode="emulated", emulator=EmulatorSettings(operation="position"), effects=effects
+            vehicle=BENT_THESIS,
+            mode="emulated",
+            emulator=EmulatorSettings(operation="position"),
+            effects=effects,
         ),
         [arm],
         settle=0.0,

@@ -15,7 +15,7 @@ import pytest
 
 from ves_gym.engine.mjcf import TO_Y, pinocchio_model
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING, FREE_FLYING
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, FREE_FLYING
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.recording import Recording
 from ves_gym.simulation.simulator import Simulator
@@ -80,7 +80,7 @@ def test_momentum_is_kept(yd, drive):
 
 def test_a_beam_takes_momentum_up():
     """The detector fires: the bent beam's spring is an outside force."""
-    run = play_motions(System(vehicle=BENT), [MOTION], settle=0.0)
+    run = play_motions(System(vehicle=BENT_THESIS), [MOTION], settle=0.0)
     assert drift(run)[0] > 0.1
 
 

@@ -60,10 +60,10 @@ def ratio_and_limits(system, q, y):
 @pytest.mark.parametrize(
     ("vehicle", "count"),
     [
-        ("bent", 3),
-        ("bent-flexible", 1),
-        pytest.param("bent", 200, marks=pytest.mark.slow),
-        pytest.param("bent-flexible", 30, marks=pytest.mark.slow),
+        ("bent-thesis", 3),
+        ("bent", 1),
+        pytest.param("bent-thesis", 200, marks=pytest.mark.slow),
+        pytest.param("bent", 30, marks=pytest.mark.slow),
     ],
 )
 def test_a_planned_motion_damps_better_than_the_best_gains(vehicle, count):

@@ -13,6 +13,7 @@ import pytest
 
 from ves_gym.mechanics.dynamics import frames, joint_positions
 from ves_gym.mechanics.spatial import rotation
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.obstacles import RESOLUTION, Sphere, link_radius
 from ves_gym.planners.query import sample_path, solve
 from ves_gym.planners.registry import get_planner
@@ -20,7 +21,7 @@ from ves_gym.planners.suites import REACH_OBSTACLES, get_suite
 from ves_gym.system.system import System
 
 PLANNERS = ("ompl-time", "ompl-qt", "refined")
-ARM = System().arm
+ARM = System(vehicle=BENT_THESIS).arm
 
 
 def capsules(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -63,7 +64,7 @@ def least_gap(path: np.ndarray) -> float:
 
 def answers(count: int, durations: tuple[float, ...]) -> list[dict]:
     """What each planner says to the first queries of some durations."""
-    suite = get_suite("reach100", system=System(), obstacles="on")
+    suite = get_suite("reach100", system=System(), obstacles="on", vehicle="bent-thesis")
     out = []
     for duration in durations:
         for _, query in [p for p in suite.queries if p[1].duration == duration][:count]:
@@ -100,7 +101,7 @@ def test_no_motion_touches_anything_on_more_queries():
 
 def test_the_check_sees_a_collision():
     """A straight line through a crate."""
-    suite = get_suite("reach100", system=System(), obstacles="on")
+    suite = get_suite("reach100", system=System(), obstacles="on", vehicle="bent-thesis")
     query = next(q for _, q in suite.queries if q.name == "reach-4s-000-obstacles")
     plan = solve(get_planner("straight"), query)
     assert "obstacle" in plan.failure

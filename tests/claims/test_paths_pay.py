@@ -49,7 +49,7 @@ def simulated(plans: list[Plan]) -> np.ndarray:
 @functools.cache
 def ratios(planner: str, duration: float, count: int) -> np.ndarray:
     """(count,) simulated E_mean of a planner over that of the straight line."""
-    suite = get_suite("reach100", system=System())
+    suite = get_suite("reach100", system=System(), vehicle="bent-thesis")
     queries = [q for _, q in suite.queries if q.duration == duration][:count]
     plans = [solve(get_planner(planner), q) for q in queries]
     lines = [solve(get_planner("straight"), q) for q in queries]

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import write_table
-from ves_gym.mechanics.vehicle import BENT, STRAIGHT_HORIZONTAL
+from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.best_known import near_best
 from ves_gym.planners.suites import get_suite
@@ -36,10 +36,10 @@ PROMISED = [pytest.param(1.0, 0.50, marks=MISS), (2.0, 0.25), (4.0, 0.05)]
 
 @functools.cache
 def rows(
-    planners: tuple[str, ...], duration: float, count: int, vehicle: str = "bent"
+    planners: tuple[str, ...], duration: float, count: int, vehicle: str = "bent-thesis"
 ) -> dict[str, list[dict]]:
     """Benchmark rows of the first queries of a duration, by planner."""
-    suite = get_suite("reach100", system=System(), vehicle=vehicle)
+    suite = get_suite("reach100", system=System(vehicle=BENT_THESIS), vehicle=vehicle)
     queries = [(v, q) for v, q in suite.queries if q.duration == duration][:count]
     result = run_benchmark(replace(suite, queries=tuple(queries)), planners=planners, workers=1)
     out: dict[str, list[dict]] = {}
@@ -159,8 +159,8 @@ def test_prediction_matches_simulation_on_more_queries():
 @pytest.mark.parametrize(
     ("vehicle", "reached"),
     [
-        (replace(BENT, mass_model="consistent"), {1.0: 0.45, 2.0: 0.06, 4.0: 0.03}),
-        (STRAIGHT_HORIZONTAL, {1.0: 0.60, 2.0: 0.32, 4.0: 0.50}),
+        (replace(BENT_THESIS, mass_model="consistent"), {1.0: 0.45, 2.0: 0.06, 4.0: 0.03}),
+        (STRAIGHT_HORIZONTAL_THESIS, {1.0: 0.60, 2.0: 0.32, 4.0: 0.50}),
     ],
     ids=["consistent mass", "straight beam"],
 )

@@ -16,7 +16,7 @@ from scipy.stats import spearmanr
 from tests.claims.test_the_history import printed_inertia
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
-from ves_gym.mechanics.vehicle import BENT
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.planners.damping_map import best_configurations, estimated_integral
 from ves_gym.planners.free_vibration import simulate_free_vibration
@@ -36,9 +36,9 @@ from ves_gym.system.system import System
 
 Q45 = np.deg2rad([45.0, 0.0, 0.0])
 BEAMS = {
-    "elementwise": dataclasses.replace(BENT, damping_model="elementwise"),
-    "modal": BENT,
-    "consistent": dataclasses.replace(BENT, mass_model="consistent"),
+    "elementwise": dataclasses.replace(BENT_THESIS, damping_model="elementwise"),
+    "modal": BENT_THESIS,
+    "consistent": dataclasses.replace(BENT_THESIS, mass_model="consistent"),
 }
 THESIS = {"PPED": GainMatrices.of(PPED_GAINS), "high": GainMatrices.of(HIGH_GAINS)}
 
@@ -240,7 +240,7 @@ def test_the_virtual_manipulator_is_of_little_use_here():
     """As the thesis says (4.3.1), for a stiff base and an arm with rotors: its gains leave
     more than 0.95 of what high gains do, the full analysis 0.68."""
     plant = bent("modal")
-    found = analyse(plant, tune_virtual(System(), Q45).gains).E_int
+    found = analyse(plant, tune_virtual(System(vehicle=BENT_THESIS), Q45).gains).E_int
     high = analyse(plant, THESIS["high"]).E_int
     shares = {"virtual manipulator": found / high, "full": best("modal").value / high}
     print({name: f"{share:.3f}" for name, share in shares.items()})

@@ -17,7 +17,7 @@ import pytest
 
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import BENT
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.prediction import joint_momentum, predict, spectral_energy
@@ -34,7 +34,7 @@ DURATIONS = (0.02, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)  # s, the table of THEORY 1.2
 
 def undamped(mass_model: str, duration: float) -> System:
     """Step: 160 per motion, and short enough for a 14 Hz mode in the long ones."""
-    beam = dataclasses.replace(BENT, damping_ratio=0.0, mass_model=mass_model)
+    beam = dataclasses.replace(BENT_THESIS, damping_ratio=0.0, mass_model=mass_model)
     longest = 2.5e-3 if mass_model == "thesis" else 1e-3
     dt = duration / np.ceil(duration / min(longest, duration / 160))
     return System(vehicle=beam, drive="prescribed", physics_dt=dt, control_dt=dt)
@@ -66,7 +66,7 @@ def test_the_comparison_sees_another_beam():
 
 
 def reach(duration: float, count: int) -> list:
-    suite = get_suite("reach100", system=System())
+    suite = get_suite("reach100", system=System(), vehicle="bent-thesis")
     return [q for _, q in suite.queries if q.duration == duration][:count]
 
 
@@ -94,10 +94,10 @@ def test_predicted_mean_energy_of_the_whole_suite(duration):
 
 
 PLANS = [
+    ("puma560", "bent-thesis"),
     ("puma560", "bent"),
-    ("puma560", "bent-flexible"),
-    ("ur5e", "bent"),
-    ("iiwa14", "bent"),
+    ("ur5e", "bent-thesis"),
+    ("iiwa14", "bent-thesis"),
 ]
 
 
@@ -146,7 +146,7 @@ def test_frozen_quadratic_form_agrees_with_predict(duration):
 
     Over 0.1 rad the inertia hardly changes; the two discretisations agree to 1 %.
     """
-    system, servo = System(), reach(duration, 1)[0].servo
+    system, servo = System(vehicle=BENT_THESIS), reach(duration, 1)[0].servo
     motion = Motion.straight(START, 0.1 * GOAL, duration)
     form = MeanEnergy(system, motion.at(duration / 2).q, duration, servo)
     u = joint_momentum(system, motion, form.t).ravel()

@@ -26,7 +26,7 @@ from ves_gym.mechanics.arm import Inertial, matrix
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics, joint_positions
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.spatial import rate_matrix
-from ves_gym.mechanics.vehicle import VEHICLES, MatrixVehicle, Satellite
+from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES, MatrixVehicle, Satellite
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -57,7 +57,7 @@ ACTING = (
 )  # tests/claims/test_satellites_that_act.py
 CASES = {
     **{name: VEHICLES[name] for name in VEHICLES if name not in ACTING},
-    "bent-consistent": dataclasses.replace(VEHICLES["bent"], mass_model="consistent"),
+    "bent-consistent": dataclasses.replace(VEHICLES["bent-thesis"], mass_model="consistent"),
     "full-matrices": full_matrices(),
     "lopsided-satellite": lopsided_satellite(),
 }
@@ -152,7 +152,7 @@ def test_engine_agrees_with_pinocchio(name):
 
 def test_a_wrong_mass_is_seen():
     """One link heavier by 1e-5: the comparison above must fail on it."""
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     links = list(PUMA_560.links)
     heavier = dataclasses.replace(links[2].inertial, mass=links[2].inertial.mass * (1 + 1e-5))
     links[2] = dataclasses.replace(links[2], inertial=heavier)
@@ -163,7 +163,7 @@ def test_a_wrong_mass_is_seen():
         assert largest_error(found[key], true[key]) > 10 * TOLERANCE, key
 
 
-@pytest.mark.parametrize("name", ["bent", "full-matrices", "lopsided-satellite"])
+@pytest.mark.parametrize("name", ["bent-thesis", "full-matrices", "lopsided-satellite"])
 def test_backend_agrees_with_pinocchio(name):
     """What `Simulator` reports: Y order, the drive's torque, the base's acceleration."""
     system = System(vehicle=CASES[name])
@@ -184,7 +184,7 @@ def test_prescribed_drive_gives_the_commanded_acceleration():
     The random base states load the joints with several kN m; in a motion of the suite it
     is tens of N m, an error of 1e-7 rad/s^2.
     """
-    system = System(drive="prescribed")
+    system = System(vehicle=BENT_THESIS, drive="prescribed")
     s = draw(3)
     model = compile_model(system)
     command = s.load[:, 6:] / 10  # rad/s^2
@@ -252,7 +252,7 @@ def thesis_transforms(q: np.ndarray) -> list[np.ndarray]:
 
 def test_kinematics_are_the_thesis_transformations():
     """Tool and links of both engines, and of ours, against the printed matrices: 1e-12 m."""
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     model = compile_model(system)
     data = mujoco.MjData(model)
     pin_model = pinocchio_model(system.arm, system.base)

@@ -23,7 +23,7 @@ from ves_gym.effects import (
 )
 from ves_gym.engine import batch_parameters
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import VEHICLES
+from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator, State
 from ves_gym.system.effect import EFFECTS, TorqueEffect, parameter, register
@@ -50,12 +50,12 @@ def rows(states: list[State], i: int) -> np.ndarray:
 
 
 def batch(n: int, threads: int, system: System | None = None) -> list[State]:
-    sim = Simulator(system or System(), n, threads=threads, seed=7)
+    sim = Simulator(system or System(vehicle=BENT_THESIS), n, threads=threads, seed=7)
     sim.reset(spread=SPREAD)
     return advance(sim, np.stack([commands(i) for i in range(n)], axis=1))
 
 
-@pytest.mark.parametrize("name", ["bent", "free-floating"])
+@pytest.mark.parametrize("name", ["bent-thesis", "free-floating"])
 def test_batch_size_and_threads_do_not_matter(name):
     system = System(vehicle=VEHICLES[name])
     reference = batch(8, 1, system)
@@ -100,7 +100,7 @@ def require_that_places_do_not_matter(system: System, backend: str) -> None:
 @pytest.mark.parametrize("mode", ["ideal", "emulated"])
 @pytest.mark.parametrize("geared", [False, True], ids=["stiff", "geared"])
 def test_the_place_does_not_matter(mode, backend, geared):
-    system = System(mode=mode, effects=(*LAWS, GEARS) if geared else LAWS)
+    system = System(vehicle=BENT_THESIS, mode=mode, effects=(*LAWS, GEARS) if geared else LAWS)
     require_that_places_do_not_matter(system, backend)
 
 
@@ -126,7 +126,11 @@ def register_placed() -> type[TorqueEffect]:
 @pytest.mark.parametrize("mode", ["ideal", "emulated"])
 def test_a_law_that_rounds_by_place_is_seen_and_evaluated_one_by_one(mode, monkeypatch):
     try:
-        system = System(mode=mode, effects=(register_placed()(damping=(2.0, 1.0, 3.0)),))
+        system = System(
+            vehicle=BENT_THESIS,
+            mode=mode,
+            effects=(register_placed()(damping=(2.0, 1.0, 3.0)),),
+        )
         require_that_places_do_not_matter(system, "mujoco")
         # the comparison above is not blind: all simulations at once, as laws are by default
         monkeypatch.setattr(batch_parameters, "_stackable", lambda laws, joints: True)
@@ -138,11 +142,11 @@ def test_a_law_that_rounds_by_place_is_seen_and_evaluated_one_by_one(mode, monke
 
 def test_neighbours_do_not_matter():
     """Other torques, gains and states next door, and a reset of some of them on the way."""
-    alone = Simulator(System(), 1)
+    alone = Simulator(System(vehicle=BENT_THESIS), 1)
     alone.reset(q=[0.3, -0.4, 0.5], y=[0.01, 0, 0.02, 0, 0.001, 0])
     expected = rows(advance(alone, commands(0)[:, None]), 0)
 
-    crowd = Simulator(System(), 5, threads=2)
+    crowd = Simulator(System(vehicle=BENT_THESIS), 5, threads=2)
     crowd.reset(q=1.0, v=-0.5)
     crowd.reset(q=[0.3, -0.4, 0.5], y=[0.01, 0, 0.02, 0, 0.001, 0], ids=[2])
     crowd.set_gains(500.0, 5.0, ids=[1, 3])
@@ -157,11 +161,11 @@ def test_neighbours_do_not_matter():
 
 
 def test_a_diverging_neighbour_does_not_matter():
-    alone = Simulator(System(), 1)
+    alone = Simulator(System(vehicle=BENT_THESIS), 1)
     alone.reset(q=0.2)
     expected = rows(advance(alone, commands(0)[:, None]), 0)
 
-    pair = Simulator(System(), 2, on_divergence="mark")
+    pair = Simulator(System(vehicle=BENT_THESIS), 2, on_divergence="mark")
     pair.reset(q=0.2)
     pair.reset(v=1e9, yd=1e9, ids=[1])
     torque = np.stack([commands(0), commands(1)], axis=1)
@@ -172,7 +176,7 @@ def test_a_diverging_neighbour_does_not_matter():
 
 def test_another_command_is_seen():
     """The comparison is not blind: one torque changed by one part in 1e12 shows."""
-    sims = [Simulator(System(), 1) for _ in range(2)]
+    sims = [Simulator(System(vehicle=BENT_THESIS), 1) for _ in range(2)]
     first, second = (commands(0)[:, None] for _ in range(2))
     second[3] *= 1 + 1e-12
     ends = [advance(s, c)[-1] for s, c in zip(sims, (first, second), strict=True)]
@@ -183,14 +187,14 @@ def test_motions_played_together_or_alone():
     motions = [
         Motion.straight(np.zeros(3), np.deg2rad([30.0 * i, 20, -10 * i]), 1.0) for i in range(4)
     ]
-    together = play_motions(System(), motions, settle=0.5)
+    together = play_motions(System(vehicle=BENT_THESIS), motions, settle=0.5)
     for i, motion in enumerate(motions):
-        alone = play_motions(System(), [motion], settle=0.5)
+        alone = play_motions(System(vehicle=BENT_THESIS), [motion], settle=0.5)
         for name in ("q", "v", "tau", "y", "yd", "w"):
             assert np.array_equal(getattr(alone, name)[0], getattr(together, name)[i]), name
 
 
-@pytest.mark.parametrize("name", ["bent", "free-floating"])
+@pytest.mark.parametrize("name", ["bent-thesis", "free-floating"])
 @pytest.mark.parametrize("fresh", [False, True], ids=["same simulator", "fresh simulator"])
 def test_snapshot_continues_identically(name, fresh):
     system = System(vehicle=VEHICLES[name])
@@ -213,8 +217,8 @@ def test_snapshot_continues_identically(name, fresh):
 
 
 def test_a_foreign_snapshot_is_refused():
-    kept = Simulator(System(), 2).snapshot()
+    kept = Simulator(System(vehicle=BENT_THESIS), 2).snapshot()
     with pytest.raises(ParameterError, match="snapshot"):
-        Simulator(System(), 3).restore(kept)
+        Simulator(System(vehicle=BENT_THESIS), 3).restore(kept)
     with pytest.raises(ParameterError, match="snapshot"):
-        Simulator(System(physics_dt=2.5e-3), 2).restore(kept)
+        Simulator(System(vehicle=BENT_THESIS, physics_dt=2.5e-3), 2).restore(kept)

@@ -18,14 +18,14 @@ from ves_gym.hardware.leg_servo import (
 )
 from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.vehicle import MatrixVehicle
+from ves_gym.mechanics.vehicle import BENT_THESIS, MatrixVehicle
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import spectral_radius
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 PLACES = {"error": FILTERED, "feedback": FILTERED_FEEDBACK}
-H_B = inertia(System().arm, np.zeros(3))[:6, :6]
+H_B = inertia(System(vehicle=BENT_THESIS).arm, np.zeros(3))[:6, :6]
 OMEGA, ZETA = 2 * np.pi * 0.2, 0.05
 MARGINAL = 1e-6  # of the spectral radius; the arm's angle itself is neutral
 

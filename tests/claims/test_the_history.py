@@ -19,13 +19,13 @@ from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Arm, Inertial, diagonal
 from ves_gym.mechanics.dynamics import frames, inertia, inverse_dynamics
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import BENT, STRAIGHT_VERTICAL, Beam
+from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_VERTICAL_THESIS, Beam
 from ves_gym.planners.coupling import blocks, coupling_length, coupling_matrix, modes
 from ves_gym.system.system import System
 
 Q45 = np.deg2rad([45.0, 0.0, 0.0])
-CONSISTENT = dataclasses.replace(BENT, mass_model="consistent")
-THIN = dataclasses.replace(BENT, outer_diameter=0.09)
+CONSISTENT = dataclasses.replace(BENT_THESIS, mass_model="consistent")
+THIN = dataclasses.replace(BENT_THESIS, outer_diameter=0.09)
 GOAL = np.deg2rad([60.0, 40.0, -30.0])
 
 
@@ -160,8 +160,8 @@ def own_frequencies(beam: Beam) -> np.ndarray:
 
 
 FREQUENCIES = {  # Hz, THEORY section 2 at (45, 0, 0) deg, to three decimals
-    "straight": (STRAIGHT_VERTICAL, [0.105, 0.105, 0.449, 0.449, 2.872, 40.115]),
-    "bent": (BENT, [0.289, 0.303, 0.505, 1.129, 1.316, 2.008]),
+    "straight": (STRAIGHT_VERTICAL_THESIS, [0.105, 0.105, 0.449, 0.449, 2.872, 40.115]),
+    "bent-thesis": (BENT_THESIS, [0.289, 0.303, 0.505, 1.129, 1.316, 2.008]),
     "bent, 90 mm": (THIN, [0.123, 0.123, 0.243, 0.463, 0.599, 0.818]),
     "bent, consistent": (CONSISTENT, [0.428, 0.478, 1.450, 2.247, 9.499, 14.174]),
 }
@@ -195,11 +195,11 @@ def test_coupling_eigenvalues():
     The rotors' spin is momentum of the joint and not of the base here, which takes it
     out of H_bm: eigenvalues change by -6.6 % and +2.4 %.
     """
-    base, H = BENT.base_model(), printed_inertia(Q45)
+    base, H = BENT_THESIS.base_model(), printed_inertia(Q45)
     A = np.linalg.solve(base.M + H[:6, :6], H[:6, 6:])
     printed = np.linalg.eigvalsh(A.T @ base.K @ A)
     assert printed == pytest.approx([0.001, 15.093, 55.032], abs=6e-4)
-    values, vectors = np.linalg.eigh(coupling_matrix(System(vehicle=BENT), Q45))
+    values, vectors = np.linalg.eigh(coupling_matrix(System(vehicle=BENT_THESIS), Q45))
     assert values == pytest.approx([0.0013, 14.096, 56.357], abs=6e-4)
     least = vectors[:, 0] * np.sign(vectors[2, 0])
     assert least == pytest.approx([0.0, -0.32, 0.95], abs=0.01)
@@ -216,11 +216,11 @@ def test_impulsive_energy_of_the_test_motion():
     n = 200
     middle = (np.arange(n)[:, None] + 0.5) / n * GOAL
     steps = np.broadcast_to(GOAL / n, middle.shape)
-    base = BENT.base_model()
+    base = BENT_THESIS.base_model()
     H = np.array([printed_inertia(q) for q in middle])
     A = np.linalg.solve(base.M + H[:, :6, :6], H[:, :6, 6:])
     assert impulsive_energy(base.K, A, steps) == pytest.approx(31.138, abs=1e-3)
-    system = System(vehicle=BENT)
+    system = System(vehicle=BENT_THESIS)
     b = blocks(system, middle)
     own = impulsive_energy(base.K, np.linalg.solve(b.Mt, b.Hbm), steps)
     assert own == pytest.approx(32.10, abs=5e-3)

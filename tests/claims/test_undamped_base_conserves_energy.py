@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import BENT
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import blocks, modes
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.recording import Recording
@@ -31,7 +31,7 @@ RELEASE = np.array([0.1, 0.1, 0.1, 0.0, 0.0, 0.0])  # thesis 4.3.2
 
 def vibrate(y: np.ndarray, **changes) -> Recording:
     """10 s of free vibration from rest at the pose y."""
-    beam = dataclasses.replace(BENT, damping_ratio=changes.pop("damping_ratio", 0.0))
+    beam = dataclasses.replace(BENT_THESIS, damping_ratio=changes.pop("damping_ratio", 0.0))
     system = System(vehicle=beam, drive="prescribed", **changes)
     return play_motions(system, [HOLD], settle=9.0, y=y)
 
@@ -42,7 +42,7 @@ def energy(run: Recording) -> np.ndarray:
 
 def test_energy_is_kept():
     E = energy(vibrate(RELEASE))
-    assert E[0] == pytest.approx(0.5 * RELEASE @ BENT.stiffness() @ RELEASE, rel=1e-12)
+    assert E[0] == pytest.approx(0.5 * RELEASE @ BENT_THESIS.stiffness() @ RELEASE, rel=1e-12)
     assert np.abs(E / E[0] - 1).max() <= 1e-8
 
 
@@ -64,7 +64,7 @@ def modal_angle(run: Recording, mode: int) -> np.ndarray:
 
 @pytest.mark.parametrize("mode", range(6))
 def test_frequency_is_that_of_modes(mode):
-    shape = modes(System(), POSE).shapes[:, mode]
+    shape = modes(System(vehicle=BENT_THESIS), POSE).shapes[:, mode]
     run = vibrate(1e-4 * shape / np.abs(shape).max())
     rate = np.polyfit(run.t, modal_angle(run, mode), 1)[0]
     assert rate == pytest.approx(modes(run.system, POSE).omega[mode], rel=1e-6)
@@ -72,7 +72,7 @@ def test_frequency_is_that_of_modes(mode):
 
 def test_another_pose_has_another_frequency():
     """The comparison sees a joint moved by 5 degrees."""
-    shape = modes(System(), POSE).shapes[:, 4]
+    shape = modes(System(vehicle=BENT_THESIS), POSE).shapes[:, 4]
     run = vibrate(1e-4 * shape / np.abs(shape).max())
     rate = np.polyfit(run.t, modal_angle(run, 4), 1)[0]
     other = modes(run.system, POSE + np.deg2rad([0.0, 5.0, 0.0])).omega[4]
@@ -84,7 +84,7 @@ def test_damping_is_seen():
 
     Compared with the eigenvalues of the linear base: end energy to 1 %.
     """
-    system = System(vehicle=BENT)
+    system = System(vehicle=BENT_THESIS)
     base, Mt = system.base, blocks(system, POSE).Mt
     inverse = np.linalg.inv(Mt)
     A = np.block([[np.zeros((6, 6)), np.eye(6)], [-inverse @ base.K, -inverse @ base.D]])

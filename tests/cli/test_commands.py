@@ -113,7 +113,7 @@ def test_simulate_takes_gains_as_numbers(call):
 
 # ------------------------------------------------------------------------- benchmark
 
-BENCHMARK = ("benchmark", "--suite", "thesis", "--vehicle", "straight-horizontal")
+BENCHMARK = ("benchmark", "--suite", "thesis", "--vehicle", "straight-horizontal-thesis")
 BENCHMARK += ("--planners", "straight", "--workers", "1")
 
 
@@ -300,7 +300,7 @@ BAD = {
                                  "--via", "90,110,0"], "position"),
     "control period": (["simulate", "--control-dt", "0.003"], "0.003"),
     "physics step too long": (["simulate", "--physics-dt", "0.5", "--control-dt", "0.5",
-                               "--vehicle", "straight-vertical"], "physics_dt"),
+                               "--vehicle", "straight-vertical-thesis"], "physics_dt"),
     "record interval": (["simulate", "--record-dt", "0.002"], "record_dt"),
     "record interval 0": (["simulate", "--record-dt", "0"], "--record-dt"),
     "duration": (["simulate", "--duration", "-1"], "--duration"),

@@ -95,7 +95,14 @@ def test_plan_benchmark_map_and_check_take_it(call):
     status, _, _, planned = call("plan", "--goal", "5,5,5", "--planner", "straight", *with_it)
     assert status == 0
     assert planned["system"] == System(effects=(parse_effect(COULOMB),)).hash
-    bench = ("--suite", "thesis", "--vehicle", "straight-horizontal", "--planners", "straight")
+    bench = (
+        "--suite",
+        "thesis",
+        "--vehicle",
+        "straight-horizontal-thesis",
+        "--planners",
+        "straight",
+    )
     bench += ("--workers", "1", "--no-figures")
     status, _, _, table = call("benchmark", *bench, *with_it)
     assert status == 0 and table["rows"][0]["success"]

@@ -81,7 +81,14 @@ def test_a_stop_keeps_the_log_and_says_why(call):
 
 
 def test_an_unstable_run_warns_in_one_line(tmp_path):
-    words = ["simulate", *LAB, *SHORT, "--vehicle", "straight-horizontal", "--no-compensation"]
+    words = [
+        "simulate",
+        *LAB,
+        *SHORT,
+        "--vehicle",
+        "straight-horizontal-thesis",
+        "--no-compensation",
+    ]
     done = subprocess.run(
         [sys.executable, "-m", "ves_gym.cli.main", *words],
         capture_output=True,

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 ENDS = ("--goal", "60,40,-30", "--duration", "1.5")
-BENCH = ("benchmark", "--suite", "thesis", "--vehicle", "straight-horizontal", "--workers", "1")
+BENCH = (
+    "benchmark",
+    "--suite",
+    "thesis",
+    "--vehicle",
+    "straight-horizontal-thesis",
+    "--workers",
+    "1",
+)
 BENCH += ("--no-figures",)
 
 

@@ -36,7 +36,7 @@ from ves_gym.effects import (
     TorqueEffect,
 )
 from ves_gym.hardware.platform import PoseServo
-from ves_gym.mechanics.vehicle import FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.simulation.playback import play_motions
 
 pytestmark = pytest.mark.filterwarnings(
@@ -330,7 +330,9 @@ def test_an_effect_of_one_s_own_is_compiled_and_randomised(own):
     for effects, tolerance in ((bodies, 1e-9), (laws, 1e-3)):
         states = []
         for backend in ("mujoco", "kernel"):
-            sim = vg.Simulator(vg.System(effects=effects), 2, backend=backend)
+            sim = vg.Simulator(
+                vg.System(vehicle=BENT_THESIS, effects=effects), 2, backend=backend
+            )
             for k in range(40):
                 state = sim.step(push * np.cos(0.3 * k))
             states.append(np.concatenate([state.q, state.v, state.y, state.yd], axis=1))

@@ -20,11 +20,11 @@ from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.vehicle import (
-    BENT,
+    BENT_THESIS,
     DECOUPLED,
     FREE_FLOATING,
     FREE_FLYING,
-    STRAIGHT_VERTICAL,
+    STRAIGHT_VERTICAL_THESIS,
     Oscillator,
 )
 from ves_gym.simulation.playback import play_motions
@@ -39,7 +39,14 @@ SHAKEN = replace(
         Oscillator(mass=20.0, stiffness=7100.0, damping=2.0, direction=(0.0, 0.6, 0.8)),
     ),
 )
-VEHICLES = (BENT, STRAIGHT_VERTICAL, DECOUPLED, SHAKEN, FREE_FLOATING, FREE_FLYING)
+VEHICLES = (
+    BENT_THESIS,
+    STRAIGHT_VERTICAL_THESIS,
+    DECOUPLED,
+    SHAKEN,
+    FREE_FLOATING,
+    FREE_FLYING,
+)
 FRICTION = (E.JointCoulomb(torque=(3.0, 2.0, 1.0)), E.JointViscous(damping=(2.0, 2.0, 1.0)))
 ERRORS = ((), FRICTION, E.LABORATORY_ERRORS, (*FRICTION, *E.LABORATORY_ERRORS))
 
@@ -119,13 +126,17 @@ def in_words(system):
 
 
 QUICK = {
-    "nominal": System(mode="emulated"),
-    "friction": System(mode="emulated", effects=FRICTION),
-    "laboratory errors": System(mode="emulated", effects=E.LABORATORY_ERRORS),
-    "no compensation": System(  # a loop that rings at 13.6 Hz
-        mode="emulated", emulator=EmulatorSettings(payload_compensation=False)
+    "nominal": System(vehicle=BENT_THESIS, mode="emulated"),
+    "friction": System(vehicle=BENT_THESIS, mode="emulated", effects=FRICTION),
+    "laboratory errors": System(
+        vehicle=BENT_THESIS, mode="emulated", effects=E.LABORATORY_ERRORS
     ),
-    "straight": System(mode="emulated", vehicle=STRAIGHT_VERTICAL),  # rings at 25.8 Hz
+    "no compensation": System(
+        vehicle=BENT_THESIS,  # a loop that rings at 13.6 Hz
+        mode="emulated",
+        emulator=EmulatorSettings(payload_compensation=False),
+    ),
+    "straight": System(mode="emulated", vehicle=STRAIGHT_VERTICAL_THESIS),  # rings at 25.8 Hz
     "satellite": System(mode="emulated", vehicle=FREE_FLOATING),
     "legs": System(  # they swing within each period
         mode="emulated",

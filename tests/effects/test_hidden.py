@@ -14,7 +14,7 @@ from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING, Oscillator
+from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING, Oscillator
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import transition
@@ -49,7 +49,13 @@ def test_a_link_swings_on_its_gear(backend):
     """Rotor held, platform still: w^2 = stiffness / inertia of the link about its joint."""
     c = 1e-4
     emulator = EmulatorSettings(operation="position")
-    system = System(mode="emulated", emulator=emulator, drive="prescribed", effects=(soft(c),))
+    system = System(
+        vehicle=BENT_THESIS,
+        mode="emulated",
+        emulator=emulator,
+        drive="prescribed",
+        effects=(soft(c),),
+    )
     sim = Simulator(system, backend=backend, warn_at=None)
     for accel in (1.0, -1.0):
         sim.step([0.0, 0.0, accel])
@@ -69,7 +75,7 @@ def test_a_soft_gear_lowers_the_frequency_of_rotor_against_link():
     """Free rotor: w^2 = stiffness (1 / rotor + 1 / link), on a kernel step by step."""
     c = 1e-4
     emulator = EmulatorSettings(operation="position")
-    system = System(mode="emulated", emulator=emulator, effects=(soft(c),))
+    system = System(vehicle=BENT_THESIS, mode="emulated", emulator=emulator, effects=(soft(c),))
     sim = Simulator(system, servo=None, warn_at=None)
     hold = np.zeros((1, 2, 3))
     for k in range(800):  # pushed for a moment
@@ -92,7 +98,13 @@ def test_a_soft_gear_lowers_the_frequency_of_rotor_against_link():
 def test_a_gear_sags_by_compliance_times_torque(backend):
     c, q = 1e-4, np.array([0.0, 0.3, -0.2])
     effects = (JointElasticity(compliance=(0.0, c, c), damping=(0.0, 60.0, 60.0)),)
-    system = System(mode="emulated", emulator=STILL, drive="prescribed", effects=effects)
+    system = System(
+        vehicle=BENT_THESIS,
+        mode="emulated",
+        emulator=STILL,
+        drive="prescribed",
+        effects=effects,
+    )
     sim = Simulator(system, backend=backend, warn_at=None)
     sim.reset(q=q)
     for _ in range(200):
@@ -106,10 +118,10 @@ def test_a_gear_sags_by_compliance_times_torque(backend):
 def test_a_stiff_gear_is_a_rigid_joint():
     """The difference falls with the compliance."""
     gaps = []
-    want = play_motions(System(), [SWING], settle=0.2)
+    want = play_motions(System(vehicle=BENT_THESIS), [SWING], settle=0.2)
     for c in (4e-5, 2e-5, 1e-5):
         effects = (JointElasticity(compliance=(c,) * 3, damping=(20.0,) * 3),)
-        run = play_motions(System(effects=effects), [SWING], settle=0.2)
+        run = play_motions(System(vehicle=BENT_THESIS, effects=effects), [SWING], settle=0.2)
         gaps.append(np.abs(run.y - want.y).max())
     assert gaps[0] > 1.7 * gaps[1] > 2.5 * gaps[2] > 0
 
@@ -129,7 +141,10 @@ def test_engines_agree_on_everything_hidden(mode):
 def test_the_wrench_recorded_is_the_arms():
     """In space: what the arm gives the vehicle, whatever else that carries."""
     extra = BaseExtraMode(mass=1e-3, frequency=3.0)
-    runs = [play_motions(System(effects=k), [SWING], settle=0.2) for k in ((), (extra,))]
+    runs = [
+        play_motions(System(vehicle=BENT_THESIS, effects=k), [SWING], settle=0.2)
+        for k in ((), (extra,))
+    ]
     np.testing.assert_allclose(runs[0].w, runs[1].w, atol=1e-3 * np.abs(runs[0].w).max())
 
 
@@ -141,7 +156,13 @@ def test_width_of_the_play(backend):
     """A link hanging over to one side, then to the other: gap + 2 compliance torque apart."""
     gap, c, at = 0.02, 2e-5, []
     play = JointBacklash(gap=(0.0, 0.0, gap), compliance=c, damping=20.0)
-    system = System(mode="emulated", emulator=STILL, drive="prescribed", effects=(play,))
+    system = System(
+        vehicle=BENT_THESIS,
+        mode="emulated",
+        emulator=STILL,
+        drive="prescribed",
+        effects=(play,),
+    )
     for turn in (0.0, np.pi):  # about joint 2: joint 3's load changes sign
         q = np.array([0.0, turn, 0.0])
         sim = Simulator(system, backend=backend, warn_at=None)
@@ -159,7 +180,7 @@ def test_within_the_play_the_link_is_free():
     """No torque passes while the deflection stays inside: the rotor moves alone."""
     play = JointBacklash(gap=(0.0, 0.0, 0.1), damping=0.0)
     emulator = EmulatorSettings(operation="position")
-    system = System(mode="emulated", emulator=emulator, effects=(play,))
+    system = System(vehicle=BENT_THESIS, mode="emulated", emulator=emulator, effects=(play,))
     sim = Simulator(system, servo=None, warn_at=None)
     sim.step([0.0, 0.0, 1.0])
     rotor = PUMA_560.links[2].rotor_inertia
@@ -225,7 +246,7 @@ def test_the_admittance_is_sampled_exactly():
 
 def test_it_is_felt_without_compensation_too():
     lab = EmulatorSettings(payload_compensation=False)
-    heavy = System(mode="emulated", emulator=lab, effects=(EXTRA,))
+    heavy = System(vehicle=BENT_THESIS, mode="emulated", emulator=lab, effects=(EXTRA,))
     ends = []
     for system in (heavy, heavy.replace(effects=())):
         sim = Simulator(system, warn_at=None)
@@ -255,28 +276,28 @@ def test_the_gears_are_in_the_loop_that_is_judged(backend):
 
 
 def test_gears_are_the_same_joints_in_all_simulations():
-    sim = Simulator(System(effects=(soft(1e-4),)))
+    sim = Simulator(System(vehicle=BENT_THESIS, effects=(soft(1e-4),)))
     with pytest.raises(
         ParameterError, match=r"whose gears give way must be .* \[3\], got \[2\]"
     ):
-        sim.assign([System(effects=(soft(1e-4, joint=1),))])
+        sim.assign([System(vehicle=BENT_THESIS, effects=(soft(1e-4, joint=1),))])
     with pytest.raises(
         ParameterError, match=r"give way must be the simulator's \[3\], got none"
     ):
-        sim.assign([System(effects=(soft(0.0),))])
-    sim = Simulator(System(effects=(EXTRA,)))
+        sim.assign([System(vehicle=BENT_THESIS, effects=(soft(0.0),))])
+    sim = Simulator(System(vehicle=BENT_THESIS, effects=(EXTRA,)))
     with pytest.raises(ParameterError, match=r"internal modes must be .* 1, got 0"):
-        sim.assign([System(effects=(BaseExtraMode(),))])
+        sim.assign([System(vehicle=BENT_THESIS, effects=(BaseExtraMode(),))])
 
 
 @pytest.mark.parametrize("mode", ["ideal", "emulated"])
 def test_a_gear_too_stiff_for_the_step_is_refused(mode):
     with pytest.raises(ParameterError, match=r"physics_dt must be <= .* arm's or vehicle's"):
-        Simulator(System(mode=mode, effects=(soft(1e-8),)))
+        Simulator(System(vehicle=BENT_THESIS, mode=mode, effects=(soft(1e-8),)))
 
 
 def test_what_knows_nothing_of_hidden_states_says_so():
-    elastic = System(effects=(soft(1e-4),))
+    elastic = System(vehicle=BENT_THESIS, effects=(soft(1e-4),))
     with pytest.raises(ParameterError, match="derivatives know no gears"):
         linearise_ideal(elastic)
     run = play_motions(elastic, [SWING], settle=0.1)
@@ -291,7 +312,9 @@ def test_bad_numbers():
     with pytest.raises(ParameterError, match="needs a vehicle of M, D, K, got a satellite"):
         System(vehicle=FREE_FLOATING, effects=(EXTRA,))
     with pytest.raises(ParameterError, match="direction must not be zero"):
-        System(effects=(BaseExtraMode(mass=1.0, direction=(0.0, 0.0, 0.0)),))
+        System(
+            vehicle=BENT_THESIS, effects=(BaseExtraMode(mass=1.0, direction=(0.0, 0.0, 0.0)),)
+        )
     with pytest.raises(ParameterError, match="direction must have length 1"):
         Oscillator(mass=1.0, stiffness=1.0, direction=(1.0, 1.0, 0.0))
     with pytest.raises(ParameterError, match=r"Gear.compliance must be > 0"):

@@ -21,7 +21,7 @@ from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS
-from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, MatrixVehicle
+from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING, MatrixVehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.emulator_settings import EmulatorSettings
@@ -44,9 +44,11 @@ PLANT = tuple(
 
 
 def test_a_system_without_such_effects_is_its_own():
-    plain = System(effects=(effect("joint/viscous"),))
+    plain = System(vehicle=BENT_THESIS, effects=(effect("joint/viscous"),))
     assert plain.actual is plain
-    null = System(effects=(PayloadMass(), BaseStiffness(), effect("joint/viscous")))
+    null = System(
+        vehicle=BENT_THESIS, effects=(PayloadMass(), BaseStiffness(), effect("joint/viscous"))
+    )
     assert null.actual == plain
     assert null.actual.arm is null.arm
     assert null.actual.base is null.base
@@ -54,7 +56,7 @@ def test_a_system_without_such_effects_is_its_own():
 
 def test_the_actual_system_is_the_one_with_other_numbers():
     """The same as a system described that way, effects on arm and vehicle taken out."""
-    system = System(effects=(*PLANT, effect("joint/viscous")))
+    system = System(vehicle=BENT_THESIS, effects=(*PLANT, effect("joint/viscous")))
     there = system.actual
     assert [e.kind for e in there.effects] == ["joint/viscous"]
     np.testing.assert_allclose(there.base.K, 0.8 * system.base.K)
@@ -77,7 +79,7 @@ def test_the_run_is_that_of_the_arm_so_described(mode, backend):
     emulator = None
     if mode == "emulated":
         emulator = EmulatorSettings(operation="admittance", payload_compensation=False)
-    system = System(mode=mode, emulator=emulator, effects=PLANT)
+    system = System(vehicle=BENT_THESIS, mode=mode, emulator=emulator, effects=PLANT)
     runs = []
     for one in (system, system.actual):
         sim = Simulator(one, backend=backend, warn_at=None)
@@ -96,7 +98,7 @@ def test_a_payload_weighs_m_g_at_the_tool_and_the_estimate_knows_nothing_of_it(b
     still = EmulatorSettings(operation="microgravity")
     seen = []
     for effects in ((), (payload,)):
-        system = System(mode="emulated", emulator=still, effects=effects)
+        system = System(vehicle=BENT_THESIS, mode="emulated", emulator=still, effects=effects)
         sim = Simulator(system, backend=backend, warn_at=None)
         sim.reset(q=Q)
         seen.append(sim.readings)
@@ -111,7 +113,9 @@ def test_a_payload_weighs_m_g_at_the_tool_and_the_estimate_knows_nothing_of_it(b
 def test_the_weight_felt_in_motion_is_the_weight_at_rest(backend):
     """The engine's arm and the sensor's start are one: nothing jumps after a reset."""
     still = EmulatorSettings(operation="position")
-    system = System(mode="emulated", emulator=still, effects=PLANT, drive="motor")
+    system = System(
+        vehicle=BENT_THESIS, mode="emulated", emulator=still, effects=PLANT, drive="motor"
+    )
     system = system.replace(effects=tuple(e for e in PLANT if e.port == "joint"))
     sim = Simulator(system, backend=backend, warn_at=None)
     sim.reset(q=Q)
@@ -142,7 +146,7 @@ def test_frequency_of_a_softer_base():
 def test_the_energy_account_closes(more, tolerance):
     """Laws that follow the motor are sampled: Simpson's rule at the step, 1e-4."""
     motion = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
-    system = System(effects=(*PLANT, *more))
+    system = System(vehicle=BENT_THESIS, effects=(*PLANT, *more))
     run = play_motions(system, [motion], settle=0.5, record_dt=system.physics_dt)
     assert EnergyBalance.of(run.log(0)).relative < tolerance
 
@@ -150,7 +154,9 @@ def test_the_energy_account_closes(more, tolerance):
 def test_feed_forward_goes_by_the_description():
     motion = Motion.straight(np.zeros(3), Q, 1.0)
     runs = [
-        play_motions(System(effects=k), [motion], servo=HIGH_GAINS, settle=0.1)
+        play_motions(
+            System(vehicle=BENT_THESIS, effects=k), [motion], servo=HIGH_GAINS, settle=0.1
+        )
         for k in ((), (PayloadMass(mass=5.0),))
     ]
     error = [np.abs(run.q - run.q_cmd).max() for run in runs]
@@ -163,7 +169,7 @@ def test_simulations_with_payloads_of_their_own(backend):
 
     def loaded(mass, error):
         effects = (PayloadMass(mass=mass, position=(0.1, 0.0, 0.0)), BaseStiffness(error=error))
-        return System(mode="emulated", effects=effects)
+        return System(vehicle=BENT_THESIS, mode="emulated", effects=effects)
 
     template, other = loaded(1.0, 0.1), loaded(3.0, -0.3)
     sim = Simulator(template, 3, backend=backend, warn_at=None)
@@ -192,7 +198,7 @@ def test_a_satellite_has_no_spring_to_be_wrong(cls, mode):
 
 
 def test_an_undamped_vehicle_has_no_damping_to_be_wrong():
-    for vehicle in (replace(BENT, damping_ratio=0.0), undamped()):
+    for vehicle in (replace(BENT_THESIS, damping_ratio=0.0), undamped()):
         with pytest.raises(ParameterError, match="it needs a vehicle with damping"):
             System(vehicle=vehicle, effects=(BaseDamping(error=0.1),))
 
@@ -209,14 +215,16 @@ def test_no_rotor_is_lighter_than_nothing():
     ):
         link = replace(PUMA_560.links[2], rotor_inertia=0.5)
         arm = replace(PUMA_560, links=(*PUMA_560.links[:2], link))
-        System(arm=arm, effects=(JointRotorInertia(added=(0.0, 0.0, -0.8)),))
+        System(
+            vehicle=BENT_THESIS, arm=arm, effects=(JointRotorInertia(added=(0.0, 0.0, -0.8)),)
+        )
 
 
 def test_an_admittance_of_ones_own_leaves_no_vehicle_to_be_wrong():
     def g(X, W):
         return np.concatenate([X[:, 6:], W / 500 - 2 * X[:, :6]], axis=-1)
 
-    system = System(mode="emulated", effects=(BaseStiffness(error=0.1),))
+    system = System(vehicle=BENT_THESIS, mode="emulated", effects=(BaseStiffness(error=0.1),))
     with pytest.raises(
         ParameterError, match="base/stiffness would do nothing: an `admittance`"
     ):
@@ -224,7 +232,7 @@ def test_an_admittance_of_ones_own_leaves_no_vehicle_to_be_wrong():
 
 
 def test_a_number_the_kernel_left_out_is_named():
-    template = System(effects=(PayloadCom(offset=(0.1, 0.0, 0.0)),))
+    template = System(vehicle=BENT_THESIS, effects=(PayloadCom(offset=(0.1, 0.0, 0.0)),))
     sim = Simulator(template, 1, backend="kernel")
     with pytest.raises(ParameterError, match=r"link3.com2 is 0.1 but 0 in the simulator's own"):
-        sim.assign([System(effects=(PayloadCom(offset=(0.1, 0.1, 0.0)),))])
+        sim.assign([System(vehicle=BENT_THESIS, effects=(PayloadCom(offset=(0.1, 0.1, 0.0)),))])

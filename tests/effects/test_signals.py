@@ -14,7 +14,7 @@ from ves_gym.effects import (
 from ves_gym.hardware.leg_servo import LOW_GAINS, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import linearise, spectral_radius
@@ -24,8 +24,8 @@ from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")
 POSITION = EmulatorSettings(operation="position", platform=PoseServo(bandwidth=8.0))
-H = System().physics_dt
-LIMIT = System().arm.column("tau_max")
+H = System(vehicle=BENT_THESIS).physics_dt
+LIMIT = System(vehicle=BENT_THESIS).arm.column("tau_max")
 
 
 def angles(system, commands, backend):
@@ -47,14 +47,17 @@ def test_a_late_command_is_the_same_command_later(delay, backend):
     def torque(t):
         return np.stack([5 * t, -8 * t, 3 * t], axis=-1) * (t > 0)[:, None]
 
-    late = System(drive="motor", effects=(CommandDelay(delay=delay),))
+    late = System(vehicle=BENT_THESIS, drive="motor", effects=(CommandDelay(delay=delay),))
     shifted = torque(np.maximum(t - delay, 0.0))
     if delay == 3.5 * H:  # linear between two steps: the kink at the start is smoothed
         shifted = (torque(np.maximum(t - 3 * H, 0)) + torque(np.maximum(t - 4 * H, 0))) / 2
         tolerance = 1e-9
     else:
         tolerance = 1e-13
-    got, want = angles(late, torque(t), backend), angles(System(), shifted, backend)
+    got, want = (
+        angles(late, torque(t), backend),
+        angles(System(vehicle=BENT_THESIS), shifted, backend),
+    )
     np.testing.assert_allclose(got, want, atol=tolerance)
 
 
@@ -62,9 +65,14 @@ def test_a_late_command_is_the_same_command_later(delay, backend):
 def test_a_held_command_arrives_a_period_later(backend):
     """One control period: the response to torque steps, one period on."""
     pushes = np.random.default_rng(0).uniform(-5, 5, (6, 3))
-    plain = Simulator(System(), servo=None, backend=backend)
+    plain = Simulator(System(vehicle=BENT_THESIS), servo=None, backend=backend)
     late = Simulator(
-        System(effects=(CommandDelay(delay=System().control_dt),)), servo=None, backend=backend
+        System(
+            vehicle=BENT_THESIS,
+            effects=(CommandDelay(delay=System(vehicle=BENT_THESIS).control_dt),),
+        ),
+        servo=None,
+        backend=backend,
     )
     for k in range(6):
         plain.step(pushes[max(k - 1, 0)])
@@ -76,9 +84,10 @@ def test_the_log_shows_the_command_sent_and_the_torque_by_what_has_arrived():
     """Motor torque is what the drives give: a machine's log has no other."""
     motion = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
     steps = 8
-    system = System(effects=(CommandDelay(delay=steps * H),))
+    system = System(vehicle=BENT_THESIS, effects=(CommandDelay(delay=steps * H),))
     run, plain = (
-        play_motions(k, [motion], settle=0.3, record_dt=H) for k in (system, System())
+        play_motions(k, [motion], settle=0.3, record_dt=H)
+        for k in (system, System(vehicle=BENT_THESIS))
     )
     np.testing.assert_array_equal(run.q_cmd, plain.q_cmd)
     kp, kd = np.array(run.servo.kp), np.array(run.servo.kd)
@@ -92,7 +101,7 @@ def test_the_log_shows_the_command_sent_and_the_torque_by_what_has_arrived():
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_an_old_measurement_is_that_of_then(backend):
     delay = 4.5 * H
-    system = System(effects=(JointMeasurementDelay(delay=delay),))
+    system = System(vehicle=BENT_THESIS, effects=(JointMeasurementDelay(delay=delay),))
     sim = Simulator(system, backend=backend)
     seen, true = [], []
     for k in range(40):
@@ -107,7 +116,9 @@ def test_an_old_measurement_is_that_of_then(backend):
 
 def test_the_servo_acts_on_what_it_sees():
     """tau = command - kp q(t - d) - kd v(t - d), exactly, at every step."""
-    sim = Simulator(System(effects=(JointMeasurementDelay(delay=3.3 * H),)))
+    sim = Simulator(
+        System(vehicle=BENT_THESIS, effects=(JointMeasurementDelay(delay=3.3 * H),))
+    )
     sim.reset(q=[0.0, 0.05, 0.1])
     for _ in range(30):
         sim.play(np.zeros((1, 2, 3)))
@@ -121,7 +132,11 @@ def test_what_is_foreseen_costs_second_order():
     """The end of a step is foreseen: a quarter of the error at half the step."""
     ends = []
     for parts in (1, 2, 8):
-        system = System(physics_dt=H / parts, effects=(JointMeasurementDelay(delay=5.3e-3),))
+        system = System(
+            vehicle=BENT_THESIS,
+            physics_dt=H / parts,
+            effects=(JointMeasurementDelay(delay=5.3e-3),),
+        )
         sim = Simulator(system)
         sim.reset(q=[0.0, 0.005, 0.01])
         for _ in range(8):
@@ -154,7 +169,10 @@ def test_simulations_with_delays_of_their_own(mode):
 
 
 def test_a_snapshot_remembers_what_is_under_way():
-    system = System(effects=(CommandDelay(delay=0.02), JointMeasurementDelay(delay=0.005)))
+    system = System(
+        vehicle=BENT_THESIS,
+        effects=(CommandDelay(delay=0.02), JointMeasurementDelay(delay=0.005)),
+    )
     sim = Simulator(system)
     for k in range(5):
         sim.step(float(k))
@@ -171,7 +189,11 @@ def test_a_joint_that_follows_exactly_needs_no_measurement():
     with pytest.raises(
         ParameterError, match="measurement_delay would do nothing: it needs dri"
     ):
-        System(drive="prescribed", effects=(JointMeasurementDelay(delay=0.01),))
+        System(
+            vehicle=BENT_THESIS,
+            drive="prescribed",
+            effects=(JointMeasurementDelay(delay=0.01),),
+        )
 
 
 # ------------------------------------------------------------------------ platform
@@ -179,7 +201,7 @@ def test_a_joint_that_follows_exactly_needs_no_measurement():
 
 def ride(effects, rate, periods=60):
     """Pose along x of a platform told to move at a steady rate [m/s], from rest at home."""
-    system = System(mode="emulated", emulator=POSITION, effects=effects)
+    system = System(vehicle=BENT_THESIS, mode="emulated", emulator=POSITION, effects=effects)
     sim = Simulator(system, warn_at=None)
     out = []
     for k in range(periods):
@@ -200,7 +222,7 @@ def test_a_late_platform_lags_by_rate_times_delay(delay):
 def test_a_short_stroke_stops_the_platform_silently():
     """Along x a leg stretches by the cosine it makes with it; here 0.4 m * 2 % of stroke."""
     effects = (PlatformStroke(travel=0.98),)
-    system = System(mode="emulated", emulator=POSITION, effects=effects)
+    system = System(vehicle=BENT_THESIS, mode="emulated", emulator=POSITION, effects=effects)
     stewart = system.emulator_settings.stewart
     x = ride(effects, 0.05, 120)[-1]
     pose = np.array([x, 0, 0, 0, 0, 0])
@@ -212,7 +234,7 @@ def test_a_short_stroke_stops_the_platform_silently():
 def test_slow_legs_limit_the_rate():
     """The fastest leg moves at 2 % of what it should, once the platform has set off."""
     x = ride((PlatformStroke(speed=0.98),), 0.05, 120)
-    system = System(mode="emulated", emulator=POSITION)
+    system = System(vehicle=BENT_THESIS, mode="emulated", emulator=POSITION)
     stewart, poses = system.emulator_settings.stewart, np.zeros((120, 6))
     poses[:, 0] = x
     rate = np.abs(np.diff(stewart.leg_lengths(poses), axis=0)).max(axis=1) / system.control_dt
@@ -229,7 +251,7 @@ def test_legs_hear_late_and_end_too_soon():
     control, physics = leg_clock(LOW_GAINS)
     emulator = EmulatorSettings(operation="position", platform=LOW_GAINS)
     null = (PlatformDelay(), PlatformStroke())
-    plain = System(mode="emulated", emulator=emulator, effects=null)
+    plain = System(vehicle=BENT_THESIS, mode="emulated", emulator=emulator, effects=null)
     plain = plain.replace(control_dt=control, physics_dt=physics)
     other = plain.replace(
         effects=(PlatformDelay(delay=2 * control), PlatformStroke(travel=0.99))
@@ -294,7 +316,7 @@ def test_damping_grows_with_the_amplitude(mode, backend):
 def test_drag_is_in_the_energy_account():
     effects = (BaseAmplitudeDamping(coefficient=(1e4,) * 6),)
     motion = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
-    system = System(effects=effects)
+    system = System(vehicle=BENT_THESIS, effects=effects)
     run = play_motions(system, [motion], settle=0.5, record_dt=H)
     assert EnergyBalance.of(run.log(0)).relative < 1e-5
 

@@ -6,6 +6,7 @@ import scipy
 
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import JointVelocityLag
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -13,7 +14,9 @@ TIMES = np.array([0.02, 0.0, 0.05])
 
 
 def test_seen_rates_are_the_true_ones_low_passed():
-    system = System(effects=(JointVelocityLag(time_constant=tuple(TIMES)),))
+    system = System(
+        vehicle=BENT_THESIS, effects=(JointVelocityLag(time_constant=tuple(TIMES)),)
+    )
     sim = Simulator(system, 1, warn_at=None)
     true, seen = [], []
     for k in range(200):
@@ -35,4 +38,4 @@ def test_seen_rates_are_the_true_ones_low_passed():
 
 def test_one_number_per_joint():
     with pytest.raises(ParameterError, match="3 numbers"):
-        System(effects=(JointVelocityLag(time_constant=(0.1,)),))
+        System(vehicle=BENT_THESIS, effects=(JointVelocityLag(time_constant=(0.1,)),))

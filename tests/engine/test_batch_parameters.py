@@ -38,7 +38,13 @@ from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.arm import Inertial, diagonal, matrix
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import PPED_GAINS, JointServo
-from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, FREE_FLYING, MatrixVehicle
+from ves_gym.mechanics.vehicle import (
+    BENT_THESIS,
+    DECOUPLED,
+    FREE_FLOATING,
+    FREE_FLYING,
+    MatrixVehicle,
+)
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.effect import (
     EFFECTS,
@@ -54,8 +60,8 @@ from ves_gym.system.system import System
 pytestmark = pytest.mark.bits
 
 BACKENDS = ["kernel", "mujoco"]
-IDEAL = System()
-NOMINAL = System(mode="emulated")
+IDEAL = System(vehicle=BENT_THESIS)
+NOMINAL = System(vehicle=BENT_THESIS, mode="emulated")
 # MuJoCo: 100 physics steps of sums in another order
 CLOSE = {"rtol": 1e-7, "atol": 1e-9}
 
@@ -250,7 +256,7 @@ def test_every_registered_effect_at_random_values(mode, backend, reach):
 
     What is too fast for the physics step is refused, here as alone, and drawn again.
     """
-    plain = System(mode=mode)
+    plain = System(vehicle=BENT_THESIS, mode=mode)
     template = with_effects(plain, 0)
     assert len(template.effects) >= (3 if mode == "ideal" else 17)
     drawn = (with_effects(template, k, reach) for k in range(1, 30))
@@ -269,7 +275,7 @@ DRAWN = {"platform/stroke": [PlatformStroke(travel=k, speed=k) for k in (0.99, 0
 def test_each_effect_by_itself(kind):
     """Kernel, both modes: another value in one simulation, none in the template's others."""
     for mode in EFFECTS[kind].modes:
-        plain = System(mode=mode)
+        plain = System(vehicle=BENT_THESIS, mode=mode)
         rng = (np.random.default_rng(k) for k in range(2))
         drawn = DRAWN.get(kind) or [draw_effect(kind, plain, k, 0.1) for k in rng]
         a, b = (plain.replace(effects=(effect,)) for effect in drawn)
@@ -278,7 +284,7 @@ def test_each_effect_by_itself(kind):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("mode", ["ideal", "emulated"])
-@pytest.mark.parametrize("vehicle", [BENT, DECOUPLED], ids=["bent", "decoupled"])
+@pytest.mark.parametrize("vehicle", [BENT_THESIS, DECOUPLED], ids=["bent-thesis", "decoupled"])
 def test_arms_and_vehicles(mode, vehicle, backend):
     template = System(mode=mode, vehicle=vehicle)
     check(template, [with_bodies(template, k) for k in range(2)], backend, ids=[2, 0], n=4)
@@ -292,7 +298,7 @@ def test_axes_that_are_not_coupled():
     """
     rng, coupled = np.random.default_rng(3), [1, 2, 3, 4]
     parts = {}
-    for name, values in zip("MDK", dataclasses.astuple(BENT.base_model()), strict=False):
+    for name, values in zip("MDK", dataclasses.astuple(BENT_THESIS.base_model()), strict=False):
         mix = np.eye(6)
         mix[np.ix_(coupled, coupled)] += 0.3 * rng.uniform(-1, 1, (4, 4))
         size = np.sqrt(np.diag(values) / np.diag(mix @ mix.T))
@@ -308,10 +314,10 @@ def test_axes_that_are_not_coupled():
 @pytest.mark.parametrize(
     "system",
     [
-        System(drive="prescribed", integrator="implicitfast"),
-        System(integrator="implicitfast"),
-        System(integrator="euler"),
-        System(mode="emulated", drive="prescribed"),
+        System(vehicle=BENT_THESIS, drive="prescribed", integrator="implicitfast"),
+        System(vehicle=BENT_THESIS, integrator="implicitfast"),
+        System(vehicle=BENT_THESIS, integrator="euler"),
+        System(vehicle=BENT_THESIS, mode="emulated", drive="prescribed"),
         NOMINAL.replace(emulator=EmulatorSettings(payload_compensation=False)),
         NOMINAL.replace(emulator=EmulatorSettings(operation="admittance", zero_at_start=True)),
         NOMINAL.replace(emulator=EmulatorSettings(operation="position")),
@@ -323,7 +329,7 @@ def test_other_settings(system, backend):
     systems = [
         with_bodies(system, 3),
         system.replace(arm=other_arm(4)),
-        system.replace(vehicle=other_vehicle(BENT, 5)),
+        system.replace(vehicle=other_vehicle(BENT_THESIS, 5)),
     ]
     check(system, systems, backend, ids=[0, 1, 3], n=4)
 
@@ -558,7 +564,7 @@ UNALIKE = [
     ),
     (
         IDEAL.replace(vehicle=DECOUPLED),
-        IDEAL.replace(vehicle=BENT),
+        IDEAL.replace(vehicle=BENT_THESIS),
         r"system of simulation 1: [MDK]\d\d is .* but 0 in the simulator's own",
     ),
 ]
@@ -589,7 +595,7 @@ def test_bad_arguments():
         with pytest.raises(ParameterError, match=f"systems must be a sequence of 2, got {got}"):
             sim.assign(systems)
     with pytest.raises(ParameterError, match="systems must hold Systems, got 'bent'"):
-        sim.assign([IDEAL, "bent"])
+        sim.assign([IDEAL, "bent-thesis"])
     with pytest.raises(ParameterError, match="ids must"):
         sim.assign([IDEAL], [2])
     stiff = MatrixVehicle(

@@ -10,6 +10,7 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import JointViscous
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -27,7 +28,7 @@ def installed(name):
 )
 def test_a_quarter_of_a_second_agrees_with_the_kernel(name, mode):
     installed(name)
-    system, n = System(mode=mode), 4
+    system, n = System(vehicle=BENT_THESIS, mode=mode), 4
     sims = [Simulator(system, n, backend=k, warn_at=None) for k in (name, "kernel")]
     q = np.random.default_rng(0).normal(0, 0.5, (n, 3))
     hold = sims[0].servo_command(q, 0 * q)
@@ -48,15 +49,19 @@ def test_what_is_missing_is_said(name):
     else:
         pytest.skip("installed here")
     with pytest.raises(ParameterError, match=f"backend {name} needs the package"):
-        Simulator(System(), backend=name)
+        Simulator(System(vehicle=BENT_THESIS), backend=name)
 
 
 @pytest.mark.parametrize(
     ("name", "system", "message"),
     [
-        ("warp", System(effects=(JointViscous(damping=(1.0,) * 3),)), "no torque laws"),
-        ("warp", System(integrator="implicitfast"), "got implicitfast"),
-        ("mjx", System(mode="emulated"), "no mode emulated"),
+        (
+            "warp",
+            System(vehicle=BENT_THESIS, effects=(JointViscous(damping=(1.0,) * 3),)),
+            "no torque laws",
+        ),
+        ("warp", System(vehicle=BENT_THESIS, integrator="implicitfast"), "got implicitfast"),
+        ("mjx", System(vehicle=BENT_THESIS, mode="emulated"), "no mode emulated"),
     ],
 )
 def test_what_they_cannot_do_is_refused(name, system, message):

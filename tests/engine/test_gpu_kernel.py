@@ -14,6 +14,7 @@ from ves_gym._util.optional import installed
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.backends.base import BackendWarning
 from ves_gym.engine.kernel.scalar import graph_text, literal, statements
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -101,7 +102,7 @@ def heavier(system, share):
 
 @warp_needed
 def test_commands_held_and_linear_one_by_one_and_in_sequence():
-    sims = pair(System())
+    sims = pair(System(vehicle=BENT_THESIS))
     rng = np.random.default_rng(1)
     for k in range(6):
         start, end, more = rng.normal(0, 30, (3, 5, 3))
@@ -127,7 +128,7 @@ def test_commands_held_and_linear_one_by_one_and_in_sequence():
 @warp_needed
 def test_simulations_with_numbers_of_their_own_do_not_meet():
     """Other masses and gains, some reset, one that diverges: the neighbours run on alike."""
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     sims = pair(system, on_divergence="mark")
     heavy = [heavier(system, share) for share in (1.1, 0.8)]
     for sim in sims:
@@ -155,13 +156,13 @@ def test_without_a_gpu_that_is_said():
     with pytest.warns(
         BackendWarning, match="gpu-kernel finds no GPU .* backend kernel is faster"
     ):
-        Simulator(System(), backend="gpu-kernel")
+        Simulator(System(vehicle=BENT_THESIS), backend="gpu-kernel")
 
 
 @pytest.mark.skipif(installed("warp"), reason="warp-lang is installed")
 def test_what_is_missing_is_said():
     with pytest.raises(ParameterError, match=r"gpu-kernel needs the package warp-lang: .*gpu"):
-        Simulator(System(), backend="gpu-kernel")
+        Simulator(System(vehicle=BENT_THESIS), backend="gpu-kernel")
 
 
 @warp_needed
@@ -171,7 +172,9 @@ def test_the_text_compiles_for_a_gpu(real, tmp_path):
     from ves_gym.engine.kernel.warp_code import advance_kernel, load_warp
 
     wp = load_warp()
-    module = advance_kernel(System(mode="emulated"), real, record=False).module
+    module = advance_kernel(
+        System(vehicle=BENT_THESIS, mode="emulated"), real, record=False
+    ).module
     try:
         files = wp.compile_aot_module(module, arch=90, use_ptx=False, module_dir=tmp_path)
     except RuntimeError as error:

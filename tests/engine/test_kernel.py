@@ -19,7 +19,13 @@ from ves_gym.engine.kernel.blocks import aligned
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, FREE_FLYING, MatrixVehicle
+from ves_gym.mechanics.vehicle import (
+    BENT_THESIS,
+    DECOUPLED,
+    FREE_FLOATING,
+    FREE_FLYING,
+    MatrixVehicle,
+)
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
@@ -262,14 +268,16 @@ def full(scale=1.0):
 
 
 SYSTEMS = {
-    "bent": System(),
+    "bent-thesis": System(vehicle=BENT_THESIS),
     "decoupled": System(vehicle=DECOUPLED),
     "full": System(vehicle=full()),
     "satellite": System(vehicle=FREE_FLOATING),
-    "prescribed": System(drive="prescribed"),
-    "implicit": System(integrator="implicitfast"),
-    "emulated": System(mode="emulated"),
-    "own weight": System(mode="emulated", emulator=EmulatorSettings(joint_balance=False)),
+    "prescribed": System(vehicle=BENT_THESIS, drive="prescribed"),
+    "implicit": System(vehicle=BENT_THESIS, integrator="implicitfast"),
+    "emulated": System(vehicle=BENT_THESIS, mode="emulated"),
+    "own weight": System(
+        vehicle=BENT_THESIS, mode="emulated", emulator=EmulatorSettings(joint_balance=False)
+    ),
 }
 
 
@@ -310,15 +318,23 @@ def test_structural_zeros_vanish():
 def test_derivatives_along_one_and_along_many_are_the_same():
     """Few directions are differentiated one by one, many by the derivative of the state."""
     names = ("K11", "K22", "link2.mass", "D55", "link3.com1", "base.mass", "M33", "kp1")
-    one, many = (trace._tangents(System(), names, 1, whole).motion for whole in (False, True))
+    one, many = (
+        trace._tangents(System(vehicle=BENT_THESIS), names, 1, whole).motion
+        for whole in (False, True)
+    )
     assert many.n_instructions() < one.n_instructions()
     rng = np.random.default_rng(0)
     x, u = 0.1 * rng.standard_normal(one.size1_in(0)), rng.standard_normal(one.size1_in(1))
-    p = trace.parameters(System())[1]
+    p = trace.parameters(System(vehicle=BENT_THESIS))[1]
     expected = one(x, u, p).full()
     np.testing.assert_allclose(many(x, u, p).full(), expected, rtol=1e-10, atol=1e-9)
-    size = {k: trace.tangents(System(), names[:k], 0).motion.n_instructions() for k in (1, 8)}
-    assert size[8] < 9 * trace.tangents(System(), (), 0).motion.n_instructions()
+    size = {
+        k: trace.tangents(System(vehicle=BENT_THESIS), names[:k], 0).motion.n_instructions()
+        for k in (1, 8)
+    }
+    assert (
+        size[8] < 9 * trace.tangents(System(vehicle=BENT_THESIS), (), 0).motion.n_instructions()
+    )
     assert size[8] < 4 * size[1]
 
 
@@ -448,49 +464,56 @@ def links(**changes):
 SECOND = PUMA_560.links[1]
 HEAVIER = dataclasses.replace(SECOND.inertial, mass=20.0)
 VALUES = {  # the same code
-    "mass": System(arm=links(inertial=HEAVIER)),
-    "rotor": System(arm=links(rotor_inertia=3.3)),
-    "limit": System(arm=links(tau_max=11.0, q_max=1.0)),
-    "beam": System(vehicle=dataclasses.replace(BENT, outer_diameter=0.2)),
-    "step": System(physics_dt=6.25e-4),
-    "period": System(control_dt=25e-3),
-    "name": System(arm=dataclasses.replace(PUMA_560, name="other")),
+    "mass": System(vehicle=BENT_THESIS, arm=links(inertial=HEAVIER)),
+    "rotor": System(vehicle=BENT_THESIS, arm=links(rotor_inertia=3.3)),
+    "limit": System(vehicle=BENT_THESIS, arm=links(tau_max=11.0, q_max=1.0)),
+    "beam": System(vehicle=dataclasses.replace(BENT_THESIS, outer_diameter=0.2)),
+    "step": System(vehicle=BENT_THESIS, physics_dt=6.25e-4),
+    "period": System(vehicle=BENT_THESIS, control_dt=25e-3),
+    "name": System(vehicle=BENT_THESIS, arm=dataclasses.replace(PUMA_560, name="other")),
 }
 STRUCTURES = {  # other code
-    "length": System(arm=links(a=0.5)),
-    "twist": System(arm=links(alpha=0.1)),
-    "offset": System(arm=links(offset=0.1)),
-    "no rotor": System(arm=links(rotor_inertia=0.0)),
-    "joints": System(arm=dataclasses.replace(PUMA_560, links=PUMA_560.links[:2])),
+    "length": System(vehicle=BENT_THESIS, arm=links(a=0.5)),
+    "twist": System(vehicle=BENT_THESIS, arm=links(alpha=0.1)),
+    "offset": System(vehicle=BENT_THESIS, arm=links(offset=0.1)),
+    "no rotor": System(vehicle=BENT_THESIS, arm=links(rotor_inertia=0.0)),
+    "joints": System(
+        vehicle=BENT_THESIS, arm=dataclasses.replace(PUMA_560, links=PUMA_560.links[:2])
+    ),
     "vehicle": System(vehicle=DECOUPLED),
     "satellite": System(vehicle=FREE_FLOATING),
-    "euler": System(integrator="euler"),
-    "implicitfast": System(integrator="implicitfast"),
-    "emulated": System(mode="emulated"),
-    "unbalanced": System(mode="emulated", emulator=EmulatorSettings(joint_balance=False)),
+    "euler": System(vehicle=BENT_THESIS, integrator="euler"),
+    "implicitfast": System(vehicle=BENT_THESIS, integrator="implicitfast"),
+    "emulated": System(vehicle=BENT_THESIS, mode="emulated"),
+    "unbalanced": System(
+        vehicle=BENT_THESIS, mode="emulated", emulator=EmulatorSettings(joint_balance=False)
+    ),
 }
 
 
 @pytest.mark.parametrize("name", VALUES)
 def test_values_are_no_structure(name):
-    assert trace.structure(VALUES[name]) == trace.structure(System())
-    assert backend.compiled(VALUES[name]) is backend.compiled(System())
+    assert trace.structure(VALUES[name]) == trace.structure(System(vehicle=BENT_THESIS))
+    assert backend.compiled(VALUES[name]) is backend.compiled(System(vehicle=BENT_THESIS))
 
 
 def test_structures_differ():
     keys = {name: trace.structure(system) for name, system in STRUCTURES.items()}
-    keys["here"] = trace.structure(System())
+    keys["here"] = trace.structure(System(vehicle=BENT_THESIS))
     assert len(set(keys.values())) == len(keys)
 
 
 def test_the_step_is_structure_only_where_it_is_in_the_code():
-    steps = [System(integrator="implicitfast", physics_dt=dt) for dt in (1.25e-3, 6.25e-4)]
+    steps = [
+        System(vehicle=BENT_THESIS, integrator="implicitfast", physics_dt=dt)
+        for dt in (1.25e-3, 6.25e-4)
+    ]
     assert len({trace.structure(system) for system in steps}) == 2
 
 
 def test_systems_of_one_structure_keep_their_own_values():
     """They share one library and still give the answers of the other engine."""
-    for system in (System(), VALUES["mass"], VALUES["beam"], VALUES["step"]):
+    for system in (System(vehicle=BENT_THESIS), VALUES["mass"], VALUES["beam"], VALUES["step"]):
         states = []
         for name in ("kernel", "mujoco"):
             sim = Simulator(system, backend=name)
@@ -547,7 +570,7 @@ def broken(empty, monkeypatch):
 
 def test_without_a_compiler_mujoco_runs_and_says_so(broken):
     with pytest.warns(BackendWarning, match=r"no code for this machine\); MuJoCo runs") as seen:
-        sim = Simulator(System())
+        sim = Simulator(System(vehicle=BENT_THESIS))
     assert sim.backend_name == "mujoco"
     assert len(seen) == 1
     assert np.isfinite(sim.step(1.0).q).all()
@@ -557,24 +580,24 @@ def test_without_llvmlite_mujoco_runs_and_says_so(empty, monkeypatch):
     monkeypatch.setitem(sys.modules, "llvmlite", None)
     monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
     with pytest.warns(BackendWarning, match="llvmlite"):
-        assert Simulator(System()).backend_name == "mujoco"
+        assert Simulator(System(vehicle=BENT_THESIS)).backend_name == "mujoco"
 
 
 def test_the_kernel_asked_for_by_name_is_an_error_without_a_compiler(broken):
     with pytest.raises(ParameterError, match=r"backend kernel: .*RuntimeError: no code"):
-        Simulator(System(), backend="kernel")
+        Simulator(System(vehicle=BENT_THESIS), backend="kernel")
 
 
 def test_auto_is_the_kernel():
     for name in ("auto", "kernel"):
-        assert Simulator(System(), backend=name).backend_name == "kernel"
+        assert Simulator(System(vehicle=BENT_THESIS), backend=name).backend_name == "kernel"
 
 
 @pytest.mark.parametrize("ours", ["kernel", "mujoco"])
 def test_a_snapshot_of_another_engine_is_refused(ours):
     other = {"kernel": "mujoco", "mujoco": "kernel"}[ours]
-    sim = Simulator(System(), backend=ours)
-    kept = Simulator(System(), backend=other).snapshot()
+    sim = Simulator(System(vehicle=BENT_THESIS), backend=ours)
+    kept = Simulator(System(vehicle=BENT_THESIS), backend=other).snapshot()
     with pytest.raises(ParameterError, match=f"of backend {other}, this is {ours}"):
         sim.restore(kept)
 

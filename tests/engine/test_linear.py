@@ -11,18 +11,18 @@ from ves_gym.effects import JointStribeck
 from ves_gym.engine.kernel import build, maps
 from ves_gym.engine.linear import linearise_ideal
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
-from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING, STRAIGHT_VERTICAL
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, STRAIGHT_VERTICAL_THESIS
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import in_space
 from ves_gym.system.system import System
 
 FRICTION = JointStribeck(coulomb=(3, 4, 2), stiction=(6, 8, 4), fade_speed=0.3)
 SYSTEMS = {
-    "bent": (System(), HIGH_GAINS),
-    "bare torque": (System(), None),
-    "straight": (System(vehicle=STRAIGHT_VERTICAL), PPED_GAINS),
+    "bent-thesis": (System(vehicle=BENT_THESIS), HIGH_GAINS),
+    "bare torque": (System(vehicle=BENT_THESIS), None),
+    "straight": (System(vehicle=STRAIGHT_VERTICAL_THESIS), PPED_GAINS),
     "free-floating": (System(vehicle=FREE_FLOATING), HIGH_GAINS),
-    "six joints": (System(arm=six_joint_arm()), WRIST_GAINS),
+    "six joints": (System(vehicle=BENT_THESIS, arm=six_joint_arm()), WRIST_GAINS),
 }
 
 
@@ -46,7 +46,9 @@ def test_at_rest_it_is_the_closed_form(name):
 
 
 @pytest.mark.parametrize("drive", ["motor", "prescribed"])
-@pytest.mark.parametrize("vehicle", [BENT, FREE_FLOATING], ids=["bent", "free-floating"])
+@pytest.mark.parametrize(
+    "vehicle", [BENT_THESIS, FREE_FLOATING], ids=["bent-thesis", "free-floating"]
+)
 def test_anywhere_it_is_the_slope_of_mujocos_accelerations(drive, vehicle):
     """Base displaced and turned, commands anywhere: an effect's law and satellites included.
 
@@ -88,14 +90,14 @@ def test_poles_of_the_beam_are_those_found_before(servo, printed):
     Damping element by element, q = (45, 0, 0) deg. Its rotors were others, which the poles
     of the joints show and the slow ones of the beam do not.
     """
-    system = System(vehicle=dataclasses.replace(BENT, damping_model="elementwise"))
+    system = System(vehicle=dataclasses.replace(BENT_THESIS, damping_model="elementwise"))
     poles = linearise_ideal(system, np.deg2rad([45, 0, 0]), servo=servo).poles
     for pole in printed:
         assert np.abs(poles - pole).min() < 0.01
 
 
 def test_a_prescribed_drive_moves_the_joints_as_told():
-    found = linearise_ideal(System(drive="prescribed"), [0.3, -0.5, 1.0])
+    found = linearise_ideal(System(vehicle=BENT_THESIS, drive="prescribed"), [0.3, -0.5, 1.0])
     np.testing.assert_allclose(found.B[15:], np.eye(3), atol=1e-6)
     np.testing.assert_allclose(found.A[15:], 0.0, atol=1e-4)
 
@@ -104,8 +106,8 @@ def test_gains_are_a_feedback():
     q = [0.5, -0.3, 0.2]
     gain = np.zeros((3, 18))
     gain[:, 6:9], gain[:, 15:] = np.diag(PPED_GAINS.kp), np.diag(PPED_GAINS.kd)
-    closed = linearise_ideal(System(), q).feedback(gain)
-    held = linearise_ideal(System(), q, servo=PPED_GAINS)
+    closed = linearise_ideal(System(vehicle=BENT_THESIS), q).feedback(gain)
+    held = linearise_ideal(System(vehicle=BENT_THESIS), q, servo=PPED_GAINS)
     np.testing.assert_allclose(closed.A, held.A, atol=1e-10)
     np.testing.assert_allclose(held.u0, np.array(PPED_GAINS.kp) * q)
 
@@ -113,7 +115,7 @@ def test_gains_are_a_feedback():
 def test_sampled_it_is_what_the_simulator_does():
     """A small push held over a control period. Tolerance: RK4 of 1.25 ms steps against the
     exact exponential, and the second order of a motion of 1e-6."""
-    system, q = System(), np.array([0.5, -0.3, 0.2])
+    system, q = System(vehicle=BENT_THESIS), np.array([0.5, -0.3, 0.2])
     linear = linearise_ideal(system, q, servo=HIGH_GAINS)
     A, B = linear.discretise(system.control_dt)
     rng = np.random.default_rng(2)
@@ -132,19 +134,19 @@ def test_sampled_it_is_what_the_simulator_does():
 def test_a_batch_is_its_members():
     q = np.random.default_rng(3).uniform(-2, 2, (4, 5, 3))
     y = 0.1 * np.ones((5, 6))
-    many = linearise_ideal(System(), q, y=y, servo=HIGH_GAINS)
+    many = linearise_ideal(System(vehicle=BENT_THESIS), q, y=y, servo=HIGH_GAINS)
     assert many.A.shape == (4, 5, 18, 18) and many.B.shape == (4, 5, 18, 3)
     assert many.poles.shape == many.drift.shape == (4, 5, 18)
     assert many.discretise(0.01)[0].shape == (4, 5, 18, 18)
-    one = linearise_ideal(System(), q[2, 3], y=y[3], servo=HIGH_GAINS)
+    one = linearise_ideal(System(vehicle=BENT_THESIS), q[2, 3], y=y[3], servo=HIGH_GAINS)
     np.testing.assert_array_equal(one.A, many.A[2, 3])
     np.testing.assert_array_equal(one.drift, many.drift[2, 3])
-    assert linearise_ideal(System(), q[:0, 0]).A.shape == (0, 18, 18)
+    assert linearise_ideal(System(vehicle=BENT_THESIS), q[:0, 0]).A.shape == (0, 18, 18)
 
 
 def test_without_a_compiler_it_is_interpreted(monkeypatch, tmp_path):
     q = np.random.default_rng(4).uniform(-2, 2, (3, 3))
-    compiled = linearise_ideal(System(), q, servo=HIGH_GAINS)
+    compiled = linearise_ideal(System(vehicle=BENT_THESIS), q, servo=HIGH_GAINS)
 
     def broken(text):
         raise RuntimeError("no LLVM")
@@ -152,22 +154,42 @@ def test_without_a_compiler_it_is_interpreted(monkeypatch, tmp_path):
     monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path))
     monkeypatch.setattr(build, "compile_text", broken)
     monkeypatch.setattr(maps, "_LIBRARIES", {})
-    slow = linearise_ideal(System(), q, servo=HIGH_GAINS)
+    slow = linearise_ideal(System(vehicle=BENT_THESIS), q, servo=HIGH_GAINS)
     np.testing.assert_allclose(slow.A, compiled.A, atol=1e-10)
-    assert linearise_ideal(System(), q[:0]).A.shape == (0, 18, 18)
+    assert linearise_ideal(System(vehicle=BENT_THESIS), q[:0]).A.shape == (0, 18, 18)
 
 
 @pytest.mark.parametrize(
     ("system", "change", "message"),
     [
-        (System(mode="emulated"), {}, "needs mode ideal, got emulated"),
-        (System(), {"q": np.zeros(4)}, r"q must have shape \(\.\.\., 3\), got \(4,\)"),
-        (System(), {"y": np.zeros(5)}, r"y must have shape \(\.\.\., 6\)"),
-        (System(), {"q": np.nan}, "q must be finite"),
-        (System(), {"command": np.zeros(2)}, r"command must have shape \(\.\.\., 3\)"),
-        (System(), {"q": np.zeros((2, 3)), "y": np.zeros((3, 6))}, "axes must broadcast"),
-        (System(), {"servo": WRIST_GAINS}, "servo must have gains for 3 joints, got 6"),
-        (System(drive="prescribed"), {"servo": HIGH_GAINS}, "needs drive motor"),
+        (System(vehicle=BENT_THESIS, mode="emulated"), {}, "needs mode ideal, got emulated"),
+        (
+            System(vehicle=BENT_THESIS),
+            {"q": np.zeros(4)},
+            r"q must have shape \(\.\.\., 3\), got \(4,\)",
+        ),
+        (System(vehicle=BENT_THESIS), {"y": np.zeros(5)}, r"y must have shape \(\.\.\., 6\)"),
+        (System(vehicle=BENT_THESIS), {"q": np.nan}, "q must be finite"),
+        (
+            System(vehicle=BENT_THESIS),
+            {"command": np.zeros(2)},
+            r"command must have shape \(\.\.\., 3\)",
+        ),
+        (
+            System(vehicle=BENT_THESIS),
+            {"q": np.zeros((2, 3)), "y": np.zeros((3, 6))},
+            "axes must broadcast",
+        ),
+        (
+            System(vehicle=BENT_THESIS),
+            {"servo": WRIST_GAINS},
+            "servo must have gains for 3 joints, got 6",
+        ),
+        (
+            System(vehicle=BENT_THESIS, drive="prescribed"),
+            {"servo": HIGH_GAINS},
+            "needs drive motor",
+        ),
     ],
 )
 def test_wrong_arguments_are_refused(system, change, message):
@@ -176,7 +198,7 @@ def test_wrong_arguments_are_refused(system, change, message):
 
 
 def test_wrong_gains_and_periods_are_refused():
-    linear = linearise_ideal(System())
+    linear = linearise_ideal(System(vehicle=BENT_THESIS))
     with pytest.raises(ParameterError, match=r"gain must have shape \(\.\.\., 3, 18\)"):
         linear.feedback(np.zeros((3, 9)))
     for dt in (0.0, -1.0, np.nan, np.inf):

@@ -10,7 +10,7 @@ from ves_gym.engine.kernel.modes import ModeMap
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import VEHICLES
+from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.system.system import System
 
@@ -26,21 +26,27 @@ def test_coupling_matrices_are_those_of_numpy(vehicle):
 
 
 def test_an_emulated_system_couples_as_the_vehicle_it_emulates():
-    system, q = System(mode="emulated"), np.random.default_rng(3).uniform(-3, 3, (2000, 3))
+    system, q = (
+        System(vehicle=BENT_THESIS, mode="emulated"),
+        np.random.default_rng(3).uniform(-3, 3, (2000, 3)),
+    )
     few = coupling_matrix(system, q[:5])
     np.testing.assert_allclose(coupling_matrix(system, q)[:5], few, rtol=1e-9, atol=1e-9)
     assert np.abs(few).max() > 1  # J/rad^2
 
 
 def test_a_result_does_not_depend_on_its_neighbours():
-    system, q = System(), np.random.default_rng(1).uniform(-3, 3, (9001, 3))
+    system, q = System(vehicle=BENT_THESIS), np.random.default_rng(1).uniform(-3, 3, (9001, 3))
     whole = coupling_matrices(system, q)
     for i in (0, 7, 4096, 9000):
         np.testing.assert_array_equal(coupling_matrices(system, q[i : i + 1])[0], whole[i])
 
 
 def test_many_configurations_are_compiled_in_any_shape():
-    system, q = System(), np.random.default_rng(2).uniform(-3, 3, (40, 50, 3))
+    system, q = (
+        System(vehicle=BENT_THESIS),
+        np.random.default_rng(2).uniform(-3, 3, (40, 50, 3)),
+    )
     found = coupling_matrix(system, q)
     assert found.shape == (40, 50, 3, 3)
     np.testing.assert_allclose(found[3, 4], coupling_matrix(system, q[3, 4]), rtol=1e-12)
@@ -53,7 +59,7 @@ def test_without_a_compiler_numpy_answers(monkeypatch, tmp_path):
     monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path))
     monkeypatch.setattr(build, "compile_text", broken)
     monkeypatch.setattr(maps, "_LIBRARIES", {})
-    system, q = System(), np.zeros((2000, 3))
+    system, q = System(vehicle=BENT_THESIS), np.zeros((2000, 3))
     assert coupling_matrices(system, q) is None
     assert coupling_matrix(system, q).shape == (2000, 3, 3)
 

@@ -17,7 +17,7 @@ from ves_gym.engine.regressors import (
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.gravity import GravityModel, gravity_vector, minimal_model
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import BENT
+from ves_gym.mechanics.vehicle import BENT_THESIS
 
 ARMS = {
     "puma": PUMA_560,
@@ -72,7 +72,7 @@ def test_every_body_carries_what_pinocchio_says(arm):
     ours = inertia_regressor(arm, q, v, a, spin=yd[:, 3:], turn=turn, accel=ydd[:, :3])
     numbers = inertial_parameters(arm)
 
-    model = pinocchio_model(arm, BENT.base_model())
+    model = pinocchio_model(arm, BENT_THESIS.base_model())
     data = model.createData()
     for k in range(len(q)):
         rates = (np.r_[m[k][TO_Y], n[k]] for m, n in ((yd, v), (ydd, a)))

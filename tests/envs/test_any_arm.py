@@ -23,7 +23,7 @@ def bent():
     """The iiwa with an elbow that cannot stretch out."""
     links = list(IIWA.links)
     links[3] = dataclasses.replace(links[3], q_min=-2.0, q_max=-0.1)
-    return dataclasses.replace(IIWA, links=tuple(links), name="bent")
+    return dataclasses.replace(IIWA, links=tuple(links), name="bent-thesis")
 
 
 @pytest.mark.parametrize("id", [*(f"Puma{k}-v0" for k in IDS), "FreeFlyerReach-v0"])

@@ -137,6 +137,17 @@ def test_with_random_effects_and_late_commands():
     require_same_steps(batches, 30)
 
 
+def test_late_measurements_in_the_laboratory_leave_the_energy_right():
+    """Internal modes move in the loop, and their energy counts where no program runs it."""
+    late = {"joint/velocity_lag": {"time_constant": ([0.0] * 3, [2e-3] * 3)}}
+    batches = pair(build_task("damp", mode="emulated", randomize=late), 3)
+    assert batches[0].compiled
+    require_same_steps(batches, 20)
+    np.testing.assert_allclose(
+        batches[0].scene.energies, batches[1].scene.energies, rtol=CLOSE, atol=CLOSE
+    )
+
+
 def test_one_that_diverges_fails_alone():
     """The others' numbers do not change by a bit."""
     task = build_task("reach")

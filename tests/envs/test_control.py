@@ -27,12 +27,13 @@ from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.query import Query
 from ves_gym.planners.suites import Suite
 from ves_gym.system.system import System
 
-PRESCRIBED = System(drive="prescribed", physics_dt=2.5e-3)
+PRESCRIBED = System(vehicle=BENT_THESIS, drive="prescribed", physics_dt=2.5e-3)
 DT = PRESCRIBED.control_dt
 Q_MIN, Q_MAX = PUMA_560.column("q_min"), PUMA_560.column("q_max")
 V_MAX, A_MAX = PUMA_560.column("v_max"), PUMA_560.column("a_max")
@@ -78,8 +79,14 @@ def test_guided_zero_leaves_the_energy_of_the_planning_benchmark():
         *_, info = batch.step(np.zeros((8, 3)))
     queries = tuple(
         (
-            "bent",
-            Query(system=System(), start=tuple(a), goal=tuple(b), duration=2.0, name=f"{i}"),
+            "bent-thesis",
+            Query(
+                system=System(vehicle=BENT_THESIS),
+                start=tuple(a),
+                goal=tuple(b),
+                duration=2.0,
+                name=f"{i}",
+            ),
         )
         for i, (a, b) in enumerate(zip(start.tolist(), goal.tolist(), strict=True))
     )

@@ -14,6 +14,7 @@ from ves_gym.envs.build import V0_RANGES, build_task
 from ves_gym.envs.laboratories import LABORATORIES
 from ves_gym.envs.registration import _LABORATORY
 from ves_gym.envs.task import task_from_plain
+from ves_gym.mechanics.vehicle import BENT, BENT_THESIS
 from ves_gym.simulation.loop_linearisation import EmulationWarning
 
 V0, V1 = "ves/PumaRestToRestEmulated-v0", "ves/PumaRestToRestEmulated-v1"
@@ -27,11 +28,15 @@ def kinds(name, **settings):
 
 def test_v1_ids_are_the_lab_and_v0_ids_are_as_they_were():
     v0, v1 = (gym.make(id).unwrapped.task for id in (V0, V1))
-    assert v1 == build_task("rest_to_rest", mode="emulated", laboratory="lab")
+    finite_elements = {"vehicle": "bent", "damped": True}
+    assert v1 == build_task(
+        "rest_to_rest", mode="emulated", laboratory="lab", **finite_elements
+    )
     assert [r.label for r in v0.randomize] == ["gravity/scale.error"]
     assert v0.system.effects == v1.system.effects == LABORATORY_ERRORS
     assert _LABORATORY[0]["randomize"] == V0_RANGES
-    assert gym.make(V0, laboratory="lab").unwrapped.task == v1
+    assert v1.system.vehicle == BENT and v0.system.vehicle == BENT_THESIS
+    assert gym.make(V0, laboratory="lab", **finite_elements).unwrapped.task == v1
     assert gym.make(V1, laboratory="hard").unwrapped.task.randomize != v1.randomize
 
 
@@ -52,7 +57,7 @@ def test_what_is_held_out_is_in_no_other():
 @pytest.mark.parametrize("name", LABORATORIES)
 def test_every_laboratory_runs_on_both_beams(name):
     """Drawn alike alone and together; nothing freezes in the first quarter of a second."""
-    for vehicle in ("bent", "straight-horizontal"):
+    for vehicle in ("bent-thesis", "straight-horizontal-thesis"):
         with warnings.catch_warnings():
             warnings.simplefilter("error", EmulationWarning)
             env = gym.make_vec(V1, 3, laboratory=name, vehicle=vehicle, **SHORT)
@@ -101,7 +106,7 @@ def test_an_unstable_corner_is_warned_of_once_per_task():
     """The straight beam with a platform that hears late: each end alone, and all together."""
     late = {"platform/delay": {"delay": (0.0, 0.0125)}}
     with pytest.warns(EmulationWarning, match="a part of the ranges: with platform/delay"):
-        env = gym.make_vec(V0, 2, vehicle="straight-horizontal", randomize=late)
+        env = gym.make_vec(V0, 2, vehicle="straight-horizontal-thesis", randomize=late)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         env.reset(seed=0)
@@ -112,11 +117,11 @@ def test_an_unstable_corner_is_warned_of_once_per_task():
     for ranges in ({k: v} for k, v in soft.items()):
         with warnings.catch_warnings():
             warnings.simplefilter("error", EmulationWarning)
-            gym.make_vec(V0, 2, vehicle="straight-vertical", randomize=ranges)
+            gym.make_vec(V0, 2, vehicle="straight-vertical-thesis", randomize=ranges)
     with pytest.warns(
         EmulationWarning, match=r"platform/bandwidth.*platform/damping.*together"
     ):
-        gym.make_vec(V0, 2, vehicle="straight-vertical", randomize=soft)
+        gym.make_vec(V0, 2, vehicle="straight-vertical-thesis", randomize=soft)
 
 
 def test_a_laboratory_is_plain_data():

@@ -31,7 +31,7 @@ def test_a_cell_is_the_episodes_of_its_environment():
     """Five of its hundred, run again: to the digits that are stored."""
     cost = script()
     cells = json.loads(cost.DATA.read_text("utf-8"))
-    place = "PumaRestToRest", "straight-horizontal", "zero"
+    place = "PumaRestToRest", "straight-horizontal-thesis", "zero"
     for where in ("ideal", "lab"):
         again = cost._run(*place, where, 5)
         stored = cells[" ".join((*place, where))]

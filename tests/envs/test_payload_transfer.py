@@ -10,6 +10,7 @@ from ves_gym.baselines.registry import get_controller
 from ves_gym.envs.build import build_task
 from ves_gym.envs.payload_transfer import BOX
 from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
 TASK = "payload_transfer"
@@ -114,7 +115,7 @@ def test_any_arm(arm):
         ({"mass": (3.0,)}, r"shape \(2,\)"),
         ({"rest": 0.0}, "rest must be > 0"),
         ({"control": "guided"}, "control must be acceleration"),
-        ({"system": System()}, "needs a system with a payload"),
+        ({"system": System(vehicle=BENT_THESIS)}, "needs a system with a payload"),
     ],
 )
 def test_refused(settings, message):

@@ -13,6 +13,7 @@ from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.randomize import Draws, ranges_of
 from ves_gym.envs.task import task_from_plain
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
 pytestmark = pytest.mark.bits
@@ -203,7 +204,7 @@ LAWS = {
 
 def test_laws_have_their_moments():
     """2000 draws: mean and covariance, cut-off, one source behind two parameters."""
-    draws = Draws(System(mode="emulated"), ranges_of(LAWS))
+    draws = Draws(System(vehicle=BENT_THESIS, mode="emulated"), ranges_of(LAWS))
     assert draws.size == 1 + 3 + 1 + 2
     rows = draws.rows(np.random.default_rng(0).random((2000, draws.size)))
     kinds = [e.kind for e in draws.system.effects]
@@ -283,4 +284,4 @@ def test_parameters_that_share_a_source_have_as_many_columns():
     with pytest.raises(
         ParameterError, match=r"a matrix with 1 columns, as the others .*, got 2"
     ):
-        Draws(System(mode="emulated"), ranges_of(laws))
+        Draws(System(vehicle=BENT_THESIS, mode="emulated"), ranges_of(laws))

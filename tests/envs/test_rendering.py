@@ -90,7 +90,7 @@ def test_the_target_is_marked(make):
     assert pixels(env.render()[: HEIGHT - STRIP, :390], TARGET, 40).sum() > 20
 
 
-@pytest.mark.parametrize("vehicle", ["decoupled", "free-floating", "bent-flexible"])
+@pytest.mark.parametrize("vehicle", ["decoupled", "free-floating", "bent"])
 def test_vehicles_of_every_kind_are_drawn(make, vehicle):
     env = make(vehicle=vehicle)
     env.reset(seed=1)

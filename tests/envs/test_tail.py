@@ -7,7 +7,7 @@ from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.tail import tail_energy
 from ves_gym.mechanics.servo import HIGH_GAINS
-from ves_gym.mechanics.vehicle import VEHICLES, MatrixVehicle
+from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES, MatrixVehicle
 from ves_gym.system.energy import base_energy
 from ves_gym.system.system import System
 
@@ -26,9 +26,11 @@ STIFF = MatrixVehicle(
     D=diagonal(1e3, 1e3, 1e3, 300, 300, 300),
 )
 SYSTEMS = {
-    **{k: System(vehicle=VEHICLES[k], physics_dt=2.5e-3) for k in ("bent", "decoupled")},
-    "straight-horizontal": System(vehicle=VEHICLES["straight-horizontal"], physics_dt=2.5e-3),
-    "prescribed joints": System(drive="prescribed", physics_dt=2.5e-3),
+    **{k: System(vehicle=VEHICLES[k], physics_dt=2.5e-3) for k in ("bent-thesis", "decoupled")},
+    "straight-horizontal-thesis": System(
+        vehicle=VEHICLES["straight-horizontal-thesis"], physics_dt=2.5e-3
+    ),
+    "prescribed joints": System(vehicle=BENT_THESIS, drive="prescribed", physics_dt=2.5e-3),
     "stiff": System(vehicle=STIFF, physics_dt=6.25e-4),
 }
 
@@ -101,7 +103,9 @@ def test_tail_of_an_episode_is_part_of_its_mean():
 
 def test_free_joints_are_caught_where_they_are():
     """Torque control: from the end on, the high-gain servos hold the joints at rest."""
-    batch = ended(System(physics_dt=2.5e-3), control="torque", duration=0.25)
+    batch = ended(
+        System(vehicle=BENT_THESIS, physics_dt=2.5e-3), control="torque", duration=0.25
+    )
     s, space = batch.scene, batch.system
     np.testing.assert_array_equal(s.kp, np.tile(HIGH_GAINS.kp, (N, 1)))
     none = np.zeros_like(s.q)
@@ -114,5 +118,5 @@ def test_free_joints_are_caught_where_they_are():
 
 
 def test_no_tail_is_no_energy():
-    batch = ended(System(physics_dt=2.5e-3), duration=0.25, tail=0.0)
+    batch = ended(System(vehicle=BENT_THESIS, physics_dt=2.5e-3), duration=0.25, tail=0.0)
     assert not batch.scene.tail.any()

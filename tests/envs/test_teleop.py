@@ -7,16 +7,17 @@ from ves_gym._util.params import ParameterError
 from ves_gym.effects import LABORATORY_ERRORS
 from ves_gym.effects.sensor_bias import SensorBias
 from ves_gym.envs.teleop import SPEEDS, Press, Teleop, read_script
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
 START = np.deg2rad([0.0, 60.0, -90.0])
 SWING = [Press(0.1, "q", 0.8), Press(0.5, "d", 0.5), Press(1.1, "a", 0.5)]
-LABORATORY = System(mode="emulated", effects=LABORATORY_ERRORS)
+LABORATORY = System(vehicle=BENT_THESIS, mode="emulated", effects=LABORATORY_ERRORS)
 
 
 def driven(script, seconds=2.0, system=None, **options):
-    teleop = Teleop(system or System(), start=START, record=True, **options)
+    teleop = Teleop(system or System(vehicle=BENT_THESIS), start=START, record=True, **options)
     teleop.play(script, seconds)
     return teleop
 
@@ -27,7 +28,7 @@ def driven(script, seconds=2.0, system=None, **options):
 @pytest.mark.parametrize(("key", "joint", "way"), [("q", 0, 1), ("s", 1, -1), ("e", 2, 1)])
 def test_a_key_moves_its_joint_while_it_is_held(key, joint, way):
     log = driven([Press(0.2, key, 1.0)]).log()
-    arm = System().arm
+    arm = System(vehicle=BENT_THESIS).arm
     speed = way * SPEEDS[3] * arm.column("v_max")[joint]
     rate = log.v_cmd[:, joint]
     held = (log.t > 0.5) & (log.t < 1.15)
@@ -46,7 +47,7 @@ def test_opposite_keys_cancel():
 
 
 def test_speed_goes_in_steps_with_an_end():
-    teleop = Teleop(System())
+    teleop = Teleop(System(vehicle=BENT_THESIS))
     for _ in range(20):
         teleop.press("-")
     assert teleop.pace == 0 and "speed 2 %" in teleop.readings()[0]
@@ -57,12 +58,12 @@ def test_speed_goes_in_steps_with_an_end():
 
 def test_the_reference_stays_within_rates_accelerations_and_limits():
     """Every joint at full speed into its limit, and back."""
-    arm = System().arm
+    arm = System(vehicle=BENT_THESIS).arm
     keys = [Press(0.0, "+") for _ in range(9)]
     keys += [Press(0.1, key, 6.0) for key in "qwe"] + [Press(6.1, key, 6.0) for key in "asd"]
     log = driven(keys, 12.5).log()
     assert (np.abs(log.v_cmd) <= arm.column("v_max") * (1 + 1e-9)).all()
-    change = np.abs(np.diff(log.v_cmd, axis=0)) / System().control_dt
+    change = np.abs(np.diff(log.v_cmd, axis=0)) / System(vehicle=BENT_THESIS).control_dt
     assert (change <= 0.2 * arm.column("a_max") * (1 + 1e-6)).all()
     assert (log.q_cmd <= arm.column("q_max")).all() and (log.q_cmd >= arm.column("q_min")).all()
     np.testing.assert_allclose(log.q_cmd.max(axis=0), arm.column("q_max"), atol=0.02)
@@ -74,7 +75,10 @@ def test_the_reference_stays_within_rates_accelerations_and_limits():
 
 def test_the_base_reacts_alike_in_space_and_in_the_laboratory():
     """Nominal machine: within 2 % of the largest displacement."""
-    space, lab = (driven(SWING, 3.0, System(mode=mode)) for mode in ("ideal", "emulated"))
+    space, lab = (
+        driven(SWING, 3.0, System(vehicle=BENT_THESIS, mode=mode))
+        for mode in ("ideal", "emulated")
+    )
     a, b = space.log(), lab.log()
     np.testing.assert_array_equal(a.q_cmd, b.q_cmd)
     size = np.linalg.norm(a.y[:, :3], axis=1).max()
@@ -85,7 +89,7 @@ def test_the_base_reacts_alike_in_space_and_in_the_laboratory():
 def test_zeroing_takes_the_sensors_offset_out():
     """App. E steps 9 and 10: measured and estimated wrench then agree."""
     bias = SensorBias(force=(5.0, -3.0, 8.0), moment=(1.0, 2.0, -1.0))
-    teleop = Teleop(System(mode="emulated", effects=(bias,)), start=START)
+    teleop = Teleop(System(vehicle=BENT_THESIS, mode="emulated", effects=(bias,)), start=START)
     gap = teleop.batch.sim.readings.wrench - teleop.batch.sim.readings.gravity
     assert np.abs(gap).max() > 1
     teleop.press("z")
@@ -96,7 +100,7 @@ def test_zeroing_takes_the_sensors_offset_out():
 
 
 def test_the_panic_button_freezes_until_the_start():
-    teleop = Teleop(System(mode="emulated"), start=START, record=True)
+    teleop = Teleop(System(vehicle=BENT_THESIS, mode="emulated"), start=START, record=True)
     teleop.play([*SWING, Press(1.0, "p")], 2.0)
     (event,) = teleop.batch.sim.events
     assert event.reason == "panic button" and event.time == pytest.approx(1.0)
@@ -114,7 +118,7 @@ def test_the_panic_button_freezes_until_the_start():
 
 
 def test_space_has_no_platform_to_freeze():
-    teleop = Teleop(System())
+    teleop = Teleop(System(vehicle=BENT_THESIS))
     assert {"z", "p"}.isdisjoint(teleop.keys())
     teleop.press("p")
     teleop.press("z")
@@ -172,6 +176,6 @@ def test_bad_lines_are_named(line, expected):
 
 def test_what_cannot_be_driven_is_refused():
     with pytest.raises(ParameterError, match="joint 2 must be within"):
-        Teleop(System(), start=np.deg2rad([0, 120, 0]))
+        Teleop(System(vehicle=BENT_THESIS), start=np.deg2rad([0, 120, 0]))
     with pytest.raises(ParameterError, match="nothing was recorded"):
-        Teleop(System()).log()
+        Teleop(System(vehicle=BENT_THESIS)).log()

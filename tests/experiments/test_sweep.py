@@ -51,7 +51,7 @@ def test_an_id_is_the_content():
 
 @pytest.mark.parametrize(
     "change",
-    [{"episodes": 3}, {"seeds": [1]}, {"settings": {"vehicle": "straight-vertical"}}],
+    [{"episodes": 3}, {"seeds": [1]}, {"settings": {"vehicle": "straight-vertical-thesis"}}],
     ids=lambda change: next(iter(change)),
 )
 def test_another_unit_has_another_id(change):

@@ -18,11 +18,11 @@ from ves_gym.hardware.admittance import (
 from ves_gym.mechanics.arm import diagonal, skew
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 from ves_gym.mechanics.vehicle import (
-    BENT,
+    BENT_THESIS,
     DECOUPLED,
     FREE_FLOATING,
-    STRAIGHT_HORIZONTAL,
-    STRAIGHT_VERTICAL,
+    STRAIGHT_HORIZONTAL_THESIS,
+    STRAIGHT_VERTICAL_THESIS,
     MatrixVehicle,
 )
 
@@ -60,7 +60,9 @@ def test_one_mass_on_a_spring_follows_the_closed_form(zeta):
     np.testing.assert_allclose(phi @ start + gamma[:, 0] * force, want, rtol=1e-12)
 
 
-@pytest.mark.parametrize("vehicle", [BENT, STRAIGHT_VERTICAL, DECOUPLED], ids=lambda v: v.kind)
+@pytest.mark.parametrize(
+    "vehicle", [BENT_THESIS, STRAIGHT_VERTICAL_THESIS, DECOUPLED], ids=lambda v: v.kind
+)
 def test_phi_and_gamma_are_those_of_a_zero_order_hold(vehicle):
     """Against scipy.signal.cont2discrete on the state-space form.
 
@@ -115,11 +117,11 @@ def test_a_sample_time_is_positive(dt):
     ("vehicle", "sets"),
     [
         (DECOUPLED, 6),
-        (STRAIGHT_VERTICAL, 4),  # x with phi_y, y with phi_x
-        (STRAIGHT_HORIZONTAL, 4),
-        (BENT, 2),  # in its plane and across
+        (STRAIGHT_VERTICAL_THESIS, 4),  # x with phi_y, y with phi_x
+        (STRAIGHT_HORIZONTAL_THESIS, 4),
+        (BENT_THESIS, 2),  # in its plane and across
     ],
-    ids=["decoupled", "vertical", "horizontal", "bent"],
+    ids=["decoupled", "vertical", "horizontal", "bent-thesis"],
 )
 def test_the_three_forms_give_one_result(vehicle, sets):
     """Tolerance 1e-12: sets of axes are exponentiated apart, else nothing differs."""
@@ -138,7 +140,7 @@ def test_the_decoupled_form_names_the_axes_that_are_coupled():
     with pytest.raises(
         ParameterError, match=r"diagonal M, D and K, got coupling among x, phi_y"
     ):
-        admittance_matrices(STRAIGHT_VERTICAL.base_model(), DT, "decoupled")
+        admittance_matrices(STRAIGHT_VERTICAL_THESIS.base_model(), DT, "decoupled")
     # one small number anywhere is enough, in D alone too
     D = np.array(DECOUPLED.D)
     D[1, 5] = D[5, 1] = 1e-9
@@ -154,7 +156,7 @@ def test_the_decoupled_form_names_the_axes_that_are_coupled():
 
 def test_runge_kutta_approaches_the_exact_step_with_order_four():
     """A damped, coupled linear vehicle under a held wrench, against its exact sampling."""
-    base = BENT.base_model()
+    base = BENT_THESIS.base_model()
     g = linear(base.M, base.D, base.K)
     rng = np.random.default_rng(0)
     X0, W = rng.normal(size=(3, 12)) * 1e-2, rng.normal(size=(3, 6)) * 100
@@ -223,7 +225,7 @@ def test_a_wrench_changes_the_satellites_momentum_at_its_own_rate():
 
 
 def test_the_trapezoidal_rule_has_order_two():
-    base = BENT.base_model()
+    base = BENT_THESIS.base_model()
     M, D, K = base.M, base.D, base.K
     rng = np.random.default_rng(1)
     X0, W = rng.normal(size=(2, 12)) * 1e-2, rng.normal(size=(2, 6)) * 100

@@ -22,6 +22,7 @@ from ves_gym.leaderboard.npy_io import pack, unpack
 from ves_gym.leaderboard.policy_files import policy_names
 from ves_gym.leaderboard.protocol import Problem, get_problem, problems, read_salt, seeds_of
 from ves_gym.leaderboard.tracks.paths import PathTrack
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.suites import get_suite
 from ves_gym.system.system import System
 
@@ -50,7 +51,7 @@ def test_problems_of_every_track():
 def test_public_queries_are_those_of_the_benchmark():
     problem = get_problem("paths", "reach100-2s")
     ours = PathTrack().queries(problem, seeds_of(problem, None))
-    suite = get_suite("reach100", system=System()).queries
+    suite = get_suite("reach100", system=System(), vehicle="bent-thesis").queries
     assert ours == [q for _, q in suite if q.duration == 2.0]
     among = get_problem("paths", "reach100-2s-obstacles")
     query = PathTrack().queries(among, seeds_of(among, None))[0]
@@ -330,9 +331,9 @@ def test_environments_and_models_are_told_apart():
     ids = problems("policies")[::2]
     found = [fingerprint.environment(id) for id in ids]
     assert len({f["spec"] for f in found}) == len(ids)
-    beam, other = System(), System(physics_dt=2.5e-3)
+    beam, other = System(vehicle=BENT_THESIS), System(vehicle=BENT_THESIS, physics_dt=2.5e-3)
     assert fingerprint.model_xml(beam) != fingerprint.model_xml(other)
-    assert fingerprint.model_xml(beam) == fingerprint.model_xml(System())
+    assert fingerprint.model_xml(beam) == fingerprint.model_xml(System(vehicle=BENT_THESIS))
 
 
 def test_whose_bits_must_agree():

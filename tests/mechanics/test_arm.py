@@ -14,6 +14,7 @@ from ves_gym.mechanics.dynamics import inertia, inverse_dynamics, joint_position
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, OWN_GAINS, own_gains
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.planners.coupling_map import coupling_map
 from ves_gym.planners.prediction import predict
@@ -131,7 +132,7 @@ def case(request):
 def test_inertia_equals_the_engine_s(case):
     """Tolerance: rounding, 1e-12 of the largest entry. MuJoCo compiles the same data."""
     arm, _, start, goal = case
-    system = System(arm=arm)
+    system = System(vehicle=BENT_THESIS, arm=arm)
     model = compile_model(system)
     data = mujoco.MjData(model)
     for q in (start, goal, 0 * start):
@@ -162,7 +163,7 @@ def test_inertia_and_inverse_dynamics_agree(case):
 
 def test_the_simulator_runs_it(case):
     arm, servo, start, _ = case
-    system = System(arm=arm)
+    system = System(vehicle=BENT_THESIS, arm=arm)
     sim = Simulator(system, 3, servo=servo)
     sim.reset(q=start)
     state = sim.step(sim.servo_command(np.tile(start, (3, 1)), np.zeros((3, arm.n))))
@@ -180,7 +181,7 @@ def test_the_simulator_runs_it(case):
 def test_motions_play_and_their_energy_is_predicted(case):
     """Tolerance 5 %: the linear prediction on a slow motion; claims tests are sharper."""
     arm, servo, start, goal = case
-    system = System(arm=arm)
+    system = System(vehicle=BENT_THESIS, arm=arm)
     motion = Motion.straight(start, goal, 1.5)
     run = play_motions(system, [motion, motion.retimed(1.5)], servo=servo)
     assert run.q.shape == (2, len(run.t), arm.n)
@@ -194,7 +195,7 @@ def test_motions_play_and_their_energy_is_predicted(case):
 
 def test_coupling_of_any_number_of_joints(case):
     arm, _, start, goal = case
-    system = System(arm=arm)
+    system = System(vehicle=BENT_THESIS, arm=arm)
     Q = coupling_matrix(system, [start, goal])
     assert Q.shape == (2, arm.n, arm.n)
     np.testing.assert_allclose(Q, np.swapaxes(Q, -1, -2), atol=1e-12 * np.abs(Q).max())
@@ -207,7 +208,7 @@ def test_coupling_of_any_number_of_joints(case):
 def test_planners_take_any_number_of_joints(case, planner):
     arm, servo, start, goal = case
     query = Query(
-        system=System(arm=arm),
+        system=System(vehicle=BENT_THESIS, arm=arm),
         start=tuple(start),
         goal=tuple(goal),
         duration=1.5,
@@ -223,9 +224,13 @@ def test_a_query_wants_gains_for_its_arm():
     arm = six_joint_arm()
     ends = {"start": (0.0,) * 6, "goal": (0.1,) * 6, "duration": 1.0}
     with pytest.raises(ParameterError, match="servo must have gains for 6 joints, got 3"):
-        Query(system=System(arm=arm), **ends, servo=HIGH_GAINS)
-    assert Query(system=System(arm=arm), **ends).servo == own_gains(arm)
-    prescribed = Query(system=System(arm=arm, drive="prescribed"), **ends, servo=HIGH_GAINS)
+        Query(system=System(vehicle=BENT_THESIS, arm=arm), **ends, servo=HIGH_GAINS)
+    assert Query(system=System(vehicle=BENT_THESIS, arm=arm), **ends).servo == own_gains(arm)
+    prescribed = Query(
+        system=System(vehicle=BENT_THESIS, arm=arm, drive="prescribed"),
+        **ends,
+        servo=HIGH_GAINS,
+    )
     assert solve(get_planner("straight"), prescribed).feasible
 
 
@@ -263,5 +268,9 @@ def test_own_gains_of_light_wrists_do_not_outrun_the_physics_step():
         fast = np.linalg.eigvals(np.linalg.solve(inertia(arm, q)[6:, 6:], np.diag(gains.kd)))
         assert np.abs(fast).max() < 1.5 * 600
     start = np.full(6, 0.3)
-    run = play_motions(System(arm=arm), [Motion.straight(start, start + 0.5, 1.5)], settle=0.5)
+    run = play_motions(
+        System(vehicle=BENT_THESIS, arm=arm),
+        [Motion.straight(start, start + 0.5, 1.5)],
+        settle=0.5,
+    )
     np.testing.assert_allclose(run.q[0, -1], start + 0.5, atol=2e-2)

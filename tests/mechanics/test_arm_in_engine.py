@@ -12,7 +12,7 @@ from ves_gym.mechanics.arm import Arm, Capsule
 from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.mechanics.dynamics import frames
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.planners.obstacles import Sphere, Surroundings, collisions
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
@@ -44,8 +44,8 @@ def test_kernel_is_mujoco_for_three_to_nine_joints(tmp_path, n):
     """The figure asked for is 1e-9, of angles [rad], rates [rad/s] and the base's pose."""
     path = tmp_path / "arm.urdf"
     path.write_text(chain(n, seed=n))
-    vehicle = {"vehicle": FREE_FLOATING} if n % 2 else {}
-    kernel, engine = runs(System(arm=Arm.from_urdf(path), **vehicle))
+    vehicle = FREE_FLOATING if n % 2 else BENT_THESIS
+    kernel, engine = runs(System(arm=Arm.from_urdf(path), vehicle=vehicle))
     assert np.isfinite(kernel).all()
     np.testing.assert_allclose(kernel, engine, atol=1e-9)
 
@@ -53,7 +53,7 @@ def test_kernel_is_mujoco_for_three_to_nine_joints(tmp_path, n):
 @pytest.mark.parametrize("name", arm_names())
 def test_shipped_arms_run_alike_on_both_engines_and_follow_their_motion(name):
     arm = get_arm(name)
-    system = System(arm=arm)
+    system = System(vehicle=BENT_THESIS, arm=arm)
     kernel, engine = runs(system, 0.1)
     np.testing.assert_allclose(kernel, engine, atol=1e-9)
     start = np.clip(0.2, arm.column("q_min"), arm.column("q_max")) * np.ones(arm.n)
@@ -73,11 +73,13 @@ def test_damping_and_friction_of_links_are_those_of_the_effects():
         arm, links=tuple(dataclasses.replace(k, damping=d, friction=f) for k, d, f in links)
     )
     thirds = JointViscous(damping=tuple(k / 3 for k in damping))
-    system = System(arm=rubbing)
+    system = System(vehicle=BENT_THESIS, arm=rubbing)
     assert system.actual.arm == arm
     assert system.actual.effects == (*[thirds] * 3, JointCoulomb(torque=friction))
     assert system.actual.actual is system.actual
-    by_hand = System(arm=arm, effects=(*[thirds] * 3, JointCoulomb(torque=friction)))
+    by_hand = System(
+        vehicle=BENT_THESIS, arm=arm, effects=(*[thirds] * 3, JointCoulomb(torque=friction))
+    )
     for one, other in zip(runs(system, 0.05), runs(by_hand, 0.05), strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -99,9 +101,11 @@ def test_an_obstacle_meets_the_shape_that_the_file_gives():
     for gap, clear in ((0.01, True), (-0.01, False)):
         ball = Sphere(centre=tuple(middle + (0.2 + 0.05 + gap) * aside), radius=0.05)
         around = Surroundings(obstacles=(ball,), clearance=0.0)
-        found = collisions(System(arm=shaped), around)
+        found = collisions(System(vehicle=BENT_THESIS, arm=shaped), around)
         assert found.is_clear(q) is clear
-    assert collisions(System(arm=arm), around).is_clear(q)  # thin capsules along the links
+    assert collisions(System(vehicle=BENT_THESIS, arm=arm), around).is_clear(
+        q
+    )  # thin capsules along the links
 
 
 def test_shapes_that_always_overlap_are_no_collision():
@@ -113,5 +117,5 @@ def test_shapes_that_always_overlap_are_no_collision():
         for k in arm.links
     )
     shaped = dataclasses.replace(arm, links=fat)
-    found = collisions(System(arm=shaped), Surroundings(clearance=0.0))
+    found = collisions(System(vehicle=BENT_THESIS, arm=shaped), Surroundings(clearance=0.0))
     assert found.is_clear(np.zeros(7))

@@ -16,19 +16,23 @@ from ves_gym.mechanics.finite_elements import polyline
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.section import ALUMINIUM, Tube
-from ves_gym.mechanics.vehicle import BENT, STRAIGHT_HORIZONTAL, STRAIGHT_VERTICAL
+from ves_gym.mechanics.vehicle import (
+    BENT_THESIS,
+    STRAIGHT_HORIZONTAL_THESIS,
+    STRAIGHT_VERTICAL_THESIS,
+)
 
 BEAMS = {
-    "bent": BENT,
-    "straight-vertical": STRAIGHT_VERTICAL,
-    "straight-horizontal": STRAIGHT_HORIZONTAL,
+    "bent-thesis": BENT_THESIS,
+    "straight-vertical-thesis": STRAIGHT_VERTICAL_THESIS,
+    "straight-horizontal-thesis": STRAIGHT_HORIZONTAL_THESIS,
 }
 ARM = inertia(PUMA_560, np.zeros(3))[:6, :6]
 # of BASES.md and of the independent frame of tests/claims/test_beams.py [Hz]
 FINE = {
-    "bent": [0.43, 0.48, 1.44, 1.87, 8.09, 8.76, 13.66],
-    "straight-vertical": [0.13, 0.13, 1.74, 1.75, 2.94, 5.04, 5.29, 9.73],
-    "straight-horizontal": [0.14, 0.14, 1.73, 1.77, 2.16, 4.20, 5.97, 8.45],
+    "bent-thesis": [0.43, 0.48, 1.44, 1.87, 8.09, 8.76, 13.66],
+    "straight-vertical-thesis": [0.13, 0.13, 1.74, 1.75, 2.94, 5.04, 5.29, 9.73],
+    "straight-horizontal-thesis": [0.14, 0.14, 1.73, 1.77, 2.16, 4.20, 5.97, 8.45],
 }
 
 
@@ -96,7 +100,7 @@ def test_statics_are_those_of_today(name):
 
 def test_modes_left_out_follow_in_statics():
     """Truncation is the reduction with fewer modes, and the mass beside them grows."""
-    M, K, tip, clamp = structure(BENT)
+    M, K, tip, clamp = structure(BENT_THESIS)
     many, few = (reduce(M, K, tip, m, held=clamp) for m in (12, 5))
     cut = many.truncated(5)
     for name in ("K", "M", "coupling", "omega", "static", "shapes"):
@@ -111,7 +115,7 @@ def test_modes_left_out_follow_in_statics():
 
 def test_absolute_coordinates_are_the_same_structure():
     """Over (Y, u): mass without coupling, strain by u - P^T Y, damping ratios as asked for."""
-    M, K, tip, clamp = structure(BENT)
+    M, K, tip, clamp = structure(BENT_THESIS)
     found = reduce(M, K, tip, 6, held=clamp)
     D = found.modal_damping(0.03)
     rest, loss = found.absolute(D)
@@ -130,7 +134,7 @@ def test_absolute_coordinates_are_the_same_structure():
 
 
 def test_damping_ratio_of_each_mode():
-    M, K, tip, clamp = structure(BENT)
+    M, K, tip, clamp = structure(BENT_THESIS)
     found = reduce(M, K, tip, 2, held=clamp)
     ratios = np.linspace(0.01, 0.08, 8)
     M_z, K_z = found.matrices()
@@ -140,7 +144,7 @@ def test_damping_ratio_of_each_mode():
 
 def test_a_structures_own_damping_is_carried_along():
     """Rayleigh damping a M + b K stays a M_z + b K_z."""
-    M, K, tip, clamp = structure(BENT)
+    M, K, tip, clamp = structure(BENT_THESIS)
     found = reduce(M, K, tip, 5, damping=0.2 * M + 1e-3 * K, held=clamp)
     M_z, K_z = found.matrices()
     expected = 0.2 * M_z + 1e-3 * K_z
@@ -148,7 +152,7 @@ def test_a_structures_own_damping_is_carried_along():
 
 
 def test_sparse_solver_gives_the_same(monkeypatch):
-    M, K, tip, clamp = structure(BENT)
+    M, K, tip, clamp = structure(BENT_THESIS)
     dense = reduce(M, K, tip, 6, held=clamp)
     monkeypatch.setattr(craig_bampton, "_DENSE", 0)
     sparse = reduce(M, K, tip, 6, held=clamp)
@@ -158,7 +162,7 @@ def test_sparse_solver_gives_the_same(monkeypatch):
 
 def test_modes_of_equal_frequency_have_axes_that_no_solver_chose():
     """A straight tube lying oblique: the same P whatever basis the planes were solved in."""
-    M, K, tip, clamp = structure(STRAIGHT_VERTICAL)
+    M, K, tip, clamp = structure(STRAIGHT_VERTICAL_THESIS)
     found = reduce(M, K, tip, 4, held=clamp)
     assert found.omega[0] == pytest.approx(found.omega[1], rel=1e-9)
     # of the first pair one does not move along the first axis: x leads in one mode alone
@@ -168,10 +172,10 @@ def test_modes_of_equal_frequency_have_axes_that_no_solver_chose():
 
 def test_a_free_structure_has_no_stiffness_at_its_interface():
     """No clamp: K vanishes, M is that of a rigid body, and modes are those of the rest."""
-    M, K, tip, _ = structure(BENT)
+    M, K, tip, _ = structure(BENT_THESIS)
     found = reduce(M, K, tip, 6)
     assert np.abs(found.K).max() < 1e-8 * abs(K).max()
-    assert np.diag(found.M)[:3] == pytest.approx(np.full(3, BENT.mass), rel=1e-9)
+    assert np.diag(found.M)[:3] == pytest.approx(np.full(3, BENT_THESIS.mass), rel=1e-9)
     M_z, K_z = found.matrices()
     omega = natural_modes(K_z, M_z).omega
     assert omega[5] < 0.01 * omega[6]
@@ -179,7 +183,7 @@ def test_a_free_structure_has_no_stiffness_at_its_interface():
 
 def test_units_and_axes():
     """A model in tonnes and millimetres, with other axes, is the same structure."""
-    M, K, tip, clamp = structure(BENT)
+    M, K, tip, clamp = structure(BENT_THESIS)
     expected = reduce(M, K, tip, 4, damping=0.1 * M, held=clamp)
     size = K.shape[0]
     way = np.where(np.arange(size) % 6 < 3, 1e3, 1.0)  # mm per m, rad
@@ -205,7 +209,7 @@ def test_a_body_on_the_way_is_part_of_it():
     """A satellite of 50 kg in the elbow: a slow internal mode appears."""
     tube = Tube(outer_diameter=0.18, wall=0.007)
     body = Inertial(mass=50.0, com=(0.0, 0.0, 0.0), inertia=diagonal(5.0, 5.0, 5.0))
-    frame = polyline(BENT.segments, [tube] * 2, ALUMINIUM)
+    frame = polyline(BENT_THESIS.segments, [tube] * 2, ALUMINIUM)
     omega = []
     for bodies in ((), ((1, body),)):
         M, K = dataclasses.replace(frame, bodies=bodies).divided(6).matrices()
@@ -224,14 +228,14 @@ def test_a_body_on_the_way_is_part_of_it():
     ],
 )
 def test_what_does_not_fit_is_refused(change, message):
-    M, K, tip, clamp = structure(BENT)
+    M, K, tip, clamp = structure(BENT_THESIS)
     options = {"interface": tip, "modes": 4, "held": clamp, **change}
     with pytest.raises(ParameterError, match=message):
         reduce(M, K, **options)
 
 
 def test_a_part_that_hangs_on_nothing_is_refused():
-    M, K, tip, clamp = structure(BENT)
+    M, K, tip, clamp = structure(BENT_THESIS)
     loose = scipy.sparse.block_diag([K, np.zeros((1, 1))])
     heavy = scipy.sparse.block_diag([M, np.ones((1, 1))])
     with pytest.raises(ParameterError, match="must not move freely"):

@@ -16,7 +16,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.finite_elements import BeamFrame, Member, element, polyline
 from ves_gym.mechanics.section import ALUMINIUM, Material, Section, Tube, cowper
-from ves_gym.mechanics.vehicle import BENT, STRAIGHT_VERTICAL, Beam
+from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_VERTICAL_THESIS, Beam
 
 # so slender that rotary inertia and shear change nothing in six digits
 HAIR = Tube(outer_diameter=4e-3, wall=5e-4)
@@ -151,7 +151,7 @@ CROOKED = Beam(
 )
 
 
-@pytest.mark.parametrize("beam", [BENT, STRAIGHT_VERTICAL, CROOKED], ids=str)
+@pytest.mark.parametrize("beam", [BENT_THESIS, STRAIGHT_VERTICAL_THESIS, CROOKED], ids=str)
 def test_stiffness_is_that_of_the_beam(beam):
     """One element a segment is exact in statics: K of `Beam` to 1e-12."""
     tube = Tube(outer_diameter=beam.outer_diameter, wall=beam.wall)

@@ -23,16 +23,16 @@ from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.section import Section, Tube
 from ves_gym.mechanics.structure import Structure
 from ves_gym.mechanics.vehicle import (
-    BENT,
-    STRAIGHT_HORIZONTAL,
-    STRAIGHT_VERTICAL,
+    BENT_THESIS,
+    STRAIGHT_HORIZONTAL_THESIS,
+    STRAIGHT_VERTICAL_THESIS,
     beam_line,
     get_vehicle,
     has,
 )
 from ves_gym.system.system import System
 
-FLEXIBLE = FlexibleBase.of(BENT, 6)
+FLEXIBLE = FlexibleBase.of(BENT_THESIS, 6)
 MAST = FlexibleBase(
     structure=Polyline(
         members=(
@@ -92,7 +92,9 @@ def test_a_file_gives_it_back(base, suffix, tmp_path):
     assert System.from_dict(system.to_dict()).hash == system.hash
 
 
-@pytest.mark.parametrize("beam", [BENT, STRAIGHT_VERTICAL, STRAIGHT_HORIZONTAL])
+@pytest.mark.parametrize(
+    "beam", [BENT_THESIS, STRAIGHT_VERTICAL_THESIS, STRAIGHT_HORIZONTAL_THESIS]
+)
 def test_static_stiffness_is_that_of_the_condensed_beam(beam):
     found = FlexibleBase.of(beam, 4).base_model().K
     size = np.sqrt(np.diag(beam.stiffness()))
@@ -131,7 +133,7 @@ def test_what_a_vehicle_has_counts_its_modes():
 def test_condensed_it_is_the_consistent_beam():
     """Modes that follow the flange: the mass is Guyan's, as `mass_model` consistent has it."""
     M, _, K = FLEXIBLE.base_model().condensed()
-    true = dataclasses.replace(BENT, mass_model="consistent").base_model()
+    true = dataclasses.replace(BENT_THESIS, mass_model="consistent").base_model()
     size = np.sqrt(np.diag(true.M))
     assert np.abs((M - true.M) / np.outer(size, size)).max() < 2e-3  # rotary inertia
     assert np.abs(K - true.K).max() < 1e-12 * true.K.max()
@@ -139,8 +141,8 @@ def test_condensed_it_is_the_consistent_beam():
 
 def test_modes_beyond_reach_are_condensed():
     """omega dt > 1 at 1.25 ms: 13 of the bent beam's modes are slower than that."""
-    assert FlexibleBase.of(BENT, 30).base_model().m == 13
-    everything = dataclasses.replace(FlexibleBase.of(BENT, 30), fastest=1e6)
+    assert FlexibleBase.of(BENT_THESIS, 30).base_model().m == 13
+    everything = dataclasses.replace(FlexibleBase.of(BENT_THESIS, 30), fastest=1e6)
     assert everything.base_model().m == 30
     assert everything.base_model().internal.omega[12] < 800 < everything.reduction().omega[13]
 
@@ -179,9 +181,9 @@ def test_a_users_structure_is_the_same_base():
 
 def test_it_bends_as_the_condensed_beam_where_modes_rest():
     y = np.random.default_rng(1).normal(size=(5, 6)) * 0.1
-    assert beam_line(FLEXIBLE, y) == pytest.approx(beam_line(BENT, y), abs=1e-9)
+    assert beam_line(FLEXIBLE, y) == pytest.approx(beam_line(BENT_THESIS, y), abs=1e-9)
     rest = FLEXIBLE.base_model().attached(y)
-    assert beam_line(FLEXIBLE, y, rest) == pytest.approx(beam_line(BENT, y), abs=1e-9)
+    assert beam_line(FLEXIBLE, y, rest) == pytest.approx(beam_line(BENT_THESIS, y), abs=1e-9)
 
 
 def test_a_mode_bends_it_between_its_ends():
@@ -208,9 +210,9 @@ def test_a_structure_without_a_line_is_not_drawn():
 def test_stress_under_a_load_on_the_flange():
     """100 N across the bent beam's upper half: F L c / I at the elbow and along the lower."""
     force = np.array([100.0, 0, 0, 0, 0, 0])
-    y = np.linalg.solve(BENT.stiffness(), force)[None]
+    y = np.linalg.solve(BENT_THESIS.stiffness(), force)[None]
     found = stress(FLEXIBLE, y, FLEXIBLE.base_model().attached(y))[0]
-    area, second, _ = BENT.section
+    area, second, _ = BENT_THESIS.section
     bending = 100.0 * 8.0 * 0.09 / second
     assert found[1] == pytest.approx([bending, 0.0], abs=1e-3 * bending)
     assert found[0] == pytest.approx([bending + 100.0 / area] * 2, rel=1e-3)
@@ -221,10 +223,10 @@ def test_stress_of_a_mode_is_that_of_its_inertia():
     u = np.zeros((1, 6))
     u[0, 0] = 1.0
     found = stress(FLEXIBLE, np.zeros((1, 6)), u)[0]
-    few = stress(FlexibleBase.of(BENT, 1), np.zeros((1, 6)), np.ones((1, 1)))[0]
+    few = stress(FlexibleBase.of(BENT_THESIS, 1), np.zeros((1, 6)), np.ones((1, 1)))[0]
     assert found == pytest.approx(few, rel=1e-6)
     # the strain energy of the mode, 1/2 omega^2, is of the order of sigma^2 / 2E over the tube
-    volume = BENT.mass / 2.8e3
+    volume = BENT_THESIS.mass / 2.8e3
     scale = FLEXIBLE.reduction().omega[0] * np.sqrt(72e9 / volume)
     assert 0.5 * scale < found.max() < 5 * scale
     with pytest.raises(ParameterError, match="needs a Polyline"):

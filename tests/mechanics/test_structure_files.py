@@ -13,10 +13,10 @@ from ves_gym.mechanics.finite_elements import polyline
 from ves_gym.mechanics.matrix_files import read_matrices
 from ves_gym.mechanics.section import ALUMINIUM, Tube
 from ves_gym.mechanics.structure import UNITS, Structure, read_structure
-from ves_gym.mechanics.vehicle import BENT
+from ves_gym.mechanics.vehicle import BENT_THESIS
 
 TUBE = Tube(outer_diameter=0.18, wall=0.007)
-FRAME = polyline(BENT.segments, [TUBE] * 2, ALUMINIUM).divided(4)
+FRAME = polyline(BENT_THESIS.segments, [TUBE] * 2, ALUMINIUM).divided(4)
 MASS, STIFF = FRAME.matrices()
 TIP, CLAMP = tuple(range(12, 18)), tuple(range(6))  # old nodes come first: clamp, elbow, tip
 TRUE = reduce(MASS, STIFF, TIP, 4, held=CLAMP)
@@ -34,7 +34,7 @@ def short(text):
 
 def dmig(matrices, style="wide"):
     """A punch file of symmetric matrices, the lower triangle by columns."""
-    lines = ["$TITLE   = BENT BEAM", "GRID         101        -8.0     0.0    -8.0"]
+    lines = ["$TITLE   = BENT_THESIS BEAM", "GRID         101        -8.0     0.0    -8.0"]
     for name, matrix in matrices.items():
         if style == "comma":
             lines.append(f"DMIG,{name},0,6,2,0,,,,")
@@ -203,7 +203,7 @@ def test_a_free_structure_has_exactly_no_stiffness(tmp_path):
     files = write(tmp_path, "npz")
     found = read_structure(files, interface=TIP, units="m-kg-s", rigid_modes=6).reduce(3)
     assert not found.K.any()
-    assert found.M[0, 0] == pytest.approx(BENT.mass)
+    assert found.M[0, 0] == pytest.approx(BENT_THESIS.mass)
 
 
 def spoiled(name, change):

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from ves_gym._util.params import ParameterError, write_table
 from ves_gym.mechanics.arm import diagonal, matrix
 from ves_gym.mechanics.vehicle import (
-    BENT,
+    BENT_THESIS,
     FREE_FLOATING,
     FREE_FLYING,
-    STRAIGHT_HORIZONTAL,
-    STRAIGHT_VERTICAL,
+    STRAIGHT_HORIZONTAL_THESIS,
+    STRAIGHT_VERTICAL_THESIS,
     VEHICLES,
     Beam,
     Material,
@@ -27,9 +27,9 @@ from ves_gym.mechanics.vehicle import (
 )
 
 BEAMS = {
-    "straight-vertical": STRAIGHT_VERTICAL,
-    "straight-horizontal": STRAIGHT_HORIZONTAL,
-    "bent": BENT,
+    "straight-vertical-thesis": STRAIGHT_VERTICAL_THESIS,
+    "straight-horizontal-thesis": STRAIGHT_HORIZONTAL_THESIS,
+    "bent-thesis": BENT_THESIS,
     "three segments": Beam(
         segments=((-3.0, 0.0, 0.0), (0.0, 2.0, 1.0), (0.5, -1.0, 4.0)),
         outer_diameter=0.1,
@@ -93,7 +93,7 @@ def test_an_unknown_vehicle_is_an_error_that_lists_the_known(tmp_path):
 )
 def test_a_beam_that_cannot_be_built_is_refused(changes, message):
     with pytest.raises(ParameterError, match=message):
-        dataclasses.replace(BENT, **changes)
+        dataclasses.replace(BENT_THESIS, **changes)
 
 
 def test_a_material_has_positive_properties():
@@ -128,9 +128,9 @@ def test_a_beam_cut_into_pieces_is_the_same_beam(beam):
 
 def test_a_straight_tube_has_the_textbook_stiffness():
     """K of a cantilever: 3EI/L^3 for a free, 12EI/L^3 for a guided tip; EA/L; GJ/L."""
-    area, second, polar = STRAIGHT_VERTICAL.section
+    area, second, polar = STRAIGHT_VERTICAL_THESIS.section
     E, G, L = 72e9, 27e9, 12.0
-    K = STRAIGHT_VERTICAL.stiffness()
+    K = STRAIGHT_VERTICAL_THESIS.stiffness()
     want = [12 * E * second / L**3] * 2 + [E * area / L] + [4 * E * second / L] * 2
     np.testing.assert_allclose(np.diag(K), [*want, G * polar / L], rtol=1e-12)
     assert 1 / np.linalg.inv(K)[0, 0] == pytest.approx(3 * E * second / L**3)
@@ -205,7 +205,9 @@ def test_a_tip_at_the_clamp_has_no_mass_of_the_thesis(shape):
 
 def test_modal_damping_shows_as_decay_of_the_poles():
     """Poles of M x'' + D x' + K x = 0 are -zeta omega +- j omega sqrt(1 - zeta^2)."""
-    base = dataclasses.replace(BENT, damping_ratio=0.07, mass_model="consistent").base_model()
+    base = dataclasses.replace(
+        BENT_THESIS, damping_ratio=0.07, mass_model="consistent"
+    ).base_model()
     A = np.block(
         [
             [np.zeros((6, 6)), np.eye(6)],
@@ -224,7 +226,7 @@ def test_free_directions_stay_undamped():
 
 
 def test_elementwise_damping_is_the_printed_formula():
-    beam = dataclasses.replace(BENT, damping_model="elementwise")
+    beam = dataclasses.replace(BENT_THESIS, damping_model="elementwise")
     base = beam.base_model()
     np.testing.assert_array_equal(base.D, elementwise_damping(base.M, base.K, 0.05))
     want = 2 * 0.05 * np.sqrt(np.diag(base.K) * np.diag(base.M))
@@ -258,7 +260,7 @@ def test_user_matrices_are_checked_by_name(name):
 
 def test_rounding_is_no_asymmetry():
     """What a file with ten digits holds is taken and made symmetric."""
-    K = BENT.stiffness()
+    K = BENT_THESIS.stiffness()
     K[0, 4] *= 1 + 1e-10
     base = MatrixVehicle(M=EYE, D=EYE, K=matrix(K)).base_model()
     assert (base.K == base.K.T).all()

@@ -14,7 +14,11 @@ from ves_gym.system.system import System
 # of the two left out only the numbers are other ones
 NAMES = [name for name in PLANNERS if name not in ("refined-long", "robust-worst")]
 NO_ANSWER = {  # on this query
-    ("reaction-null", 6, "bent"): "no reactionless motion: every motion of 6 joints moves",
+    (
+        "reaction-null",
+        6,
+        "bent-thesis",
+    ): "no reactionless motion: every motion of 6 joints moves",
     ("hotspot-q", 6, "free-floating"): "no hot spots: ",
     ("hotspot-q", 7, "free-floating"): "no hot spots: ",
     ("hotspot-qt", 6, "free-floating"): "no hot spots: ",
@@ -27,7 +31,8 @@ FREE = ("bad-path", "hotspot-q", "hotspot-qt", "reaction-null", "direct", "shape
 
 @pytest.mark.parametrize("make", [six_joint_arm, seven_joint_arm])
 @pytest.mark.parametrize(
-    ("name", "vehicle"), [(k, "bent") for k in NAMES] + [(k, "free-floating") for k in FREE]
+    ("name", "vehicle"),
+    [(k, "bent-thesis") for k in NAMES] + [(k, "free-floating") for k in FREE],
 )
 def test_every_planner_answers_or_says_why_not(name, make, vehicle):
     planner = get_planner(name)

@@ -12,7 +12,7 @@ import pytest
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import GravityScale, SensorNoise
 from ves_gym.hardware.leg_servo import LEG_SERVOS, leg_clock
-from ves_gym.mechanics.vehicle import FREE_FLOATING, STRAIGHT_HORIZONTAL
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.planners.benchmark import (
     SCHEMA,
     _run_workers,
@@ -35,7 +35,7 @@ DURATIONS = (0.5, 2.0)
 
 def small_suite():
     """Two questions: the first of half a second and the first of two."""
-    reach = reach100(System(), "bent", 1)
+    reach = reach100(System(vehicle=BENT_THESIS), "bent-thesis", 1)
     queries = tuple((v, q) for v, q in reach.queries if q.duration in DURATIONS)
     return dataclasses.replace(reach, queries=queries)
 
@@ -73,7 +73,7 @@ def test_the_schema(result):
     assert [p["name"] for p in result["planners"]] == ["straight", "direct"]
     for row in result["rows"]:
         assert row.keys() >= ROW
-    assert result["systems"]["bent"]["hash"] == System().hash
+    assert result["systems"]["bent-thesis"]["hash"] == System(vehicle=BENT_THESIS).hash
     assert {"python", "mujoco", "numpy"} <= result["versions"].keys()
 
 
@@ -216,7 +216,9 @@ def test_a_free_base_and_a_query_that_goes_nowhere_are_strict_json_too():
 
 
 def test_all_planners_of_the_thesis_suite_run():
-    suite = get_suite("thesis", system=System(), vehicle="straight-horizontal")
+    suite = get_suite(
+        "thesis", system=System(vehicle=BENT_THESIS), vehicle="straight-horizontal-thesis"
+    )
     result = run_benchmark(suite, workers=1)
     assert [r["planner"] for r in result["rows"]] == list(suite.planners)
     by_name = {r["planner"]: r["E_mean"] for r in result["rows"]}
@@ -230,7 +232,7 @@ def row(planner, query, mean, *, res=None, peak=None, success=True, duration=1.0
     return {
         "planner": planner,
         "query": query,
-        "vehicle": "bent",
+        "vehicle": "bent-thesis",
         "duration": duration,
         "E_mean": mean,
         "E_res": mean if res is None else res,
@@ -265,7 +267,7 @@ def test_the_summary_of_hand_made_rows():
     assert straight["ratio_low"] == straight["ratio_high"] == 1.0
     assert straight["E_mean_median"] == 4.0
     assert direct["planner"] == "direct"
-    assert direct["vehicle"] == "bent"
+    assert direct["vehicle"] == "bent-thesis"
     assert direct["ratio_median"] == 0.5
     assert direct["E_mean_median"] == 1.0
     assert direct["success_rate"] == pytest.approx(2 / 3)
@@ -287,10 +289,10 @@ def test_groups_are_vehicle_duration_and_planner():
         (s["vehicle"], s["duration"], s["planner"]): s["ratio_median"] for s in summarise(rows)
     }
     assert groups == {
-        ("bent", 1.0, "straight"): 1.0,
-        ("bent", 2.0, "straight"): 1.0,
-        ("bent", 1.0, "direct"): 0.3,
-        ("bent", 2.0, "direct"): 0.2,
+        ("bent-thesis", 1.0, "straight"): 1.0,
+        ("bent-thesis", 2.0, "straight"): 1.0,
+        ("bent-thesis", 1.0, "direct"): 0.3,
+        ("bent-thesis", 2.0, "direct"): 0.2,
         ("other", 1.0, "straight"): 1.0,
     }
 
@@ -359,7 +361,7 @@ def test_anytime_curves_are_relative_to_their_end():
     ]
     rows = [row("ompl-qt", str(k), 1.0, info={"curve": c}) for k, c in enumerate(curves)]
     (curve,) = anytime([*rows, row("straight", "0", 1.0)])
-    assert (curve["planner"], curve["vehicle"], curve["n"]) == ("ompl-qt", "bent", 2)
+    assert (curve["planner"], curve["vehicle"], curve["n"]) == ("ompl-qt", "bent-thesis", 2)
     assert curve["seconds"][0] == pytest.approx(0.1) and curve["seconds"][-1] == 2.0
     assert curve["ratio"][0] == 2.0 and curve["ratio"][-1] == 1.0
     assert curve["ratio"] == sorted(curve["ratio"], reverse=True)
@@ -379,7 +381,7 @@ def test_ranks_in_the_laboratory_and_in_space():
     rows += [pair("x", "c", 1.0, 1.0), pair("y", "c", 2.0, 2.0)]
     rows += [{**pair("w", "a", 0.0, 9.0), "compensated": False}]
     (correlation,) = rank_correlation(rows)
-    assert correlation == {"vehicle": "bent", "duration": 1.0, "n": 2, "rho_median": 0.0}
+    assert correlation == {"vehicle": "bent-thesis", "duration": 1.0, "n": 2, "rho_median": 0.0}
     assert rank_correlation(rows[:3])[0]["rho_median"] == pytest.approx(1.0)
 
 
@@ -424,7 +426,9 @@ def crashing(job):
 
 
 def test_a_crash_of_a_planning_process_costs_one_query():
-    suite = get_suite("reach100", system=System(), quick=True)
+    suite = get_suite(
+        "reach100", system=System(vehicle=BENT_THESIS), quick=True, vehicle="bent-thesis"
+    )
     work = [("straight", q, 0) for _, q in suite.queries[:4]]
     plans = list(_run_workers(work, 2, crashing))
     assert [p.query.name for p in plans] == [q.name for _, q, _ in work]
@@ -435,7 +439,13 @@ def test_a_crash_of_a_planning_process_costs_one_query():
 
 def test_among_obstacles():
     """Ends inside one are said so; nothing that is called a success touches anything."""
-    suite = get_suite("reach100", system=System(), quick=True, obstacles="both")
+    suite = get_suite(
+        "reach100",
+        system=System(vehicle=BENT_THESIS),
+        quick=True,
+        obstacles="both",
+        vehicle="bent-thesis",
+    )
     assert len(suite.queries) == 80
     names = {"reach-1s-000", "reach-4s-000", "reach-4s-001"}
     names |= {f"{name}-obstacles" for name in names}
@@ -445,8 +455,8 @@ def test_among_obstacles():
         planners=["ompl-time", "refined"],
         workers=1,
     )
-    assert {r["vehicle"] for r in result["rows"]} == {"bent", "bent, obstacles"}
-    assert set(result["systems"]) == {"bent", "bent, obstacles"}
+    assert {r["vehicle"] for r in result["rows"]} == {"bent-thesis", "bent, obstacles"}
+    assert set(result["systems"]) == {"bent-thesis", "bent, obstacles"}
     for row in result["rows"]:
         assert row["obstacles"] == row["query"].endswith("-obstacles")
         if not row["success"]:
@@ -470,7 +480,7 @@ NAMES = ["straight", "bad-path", "bad-path (weight not compensated)"]
 @pytest.fixture(scope="module")
 def lab():
     """Two seconds on the straight beam; the bad path also with its weight."""
-    system = System(mode="emulated", vehicle=STRAIGHT_HORIZONTAL)
+    system = System(mode="emulated", vehicle=STRAIGHT_HORIZONTAL_THESIS)
     ends = {"start": (0.0, -0.4, 0.8), "goal": (0.5, 0.0, 0.3)}
     question = Query(system=system, **ends, duration=2.0, name="go")
     return Suite(

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners import best_known
 from ves_gym.planners.best_known import (
     add_scores,
@@ -24,14 +25,19 @@ def row(planner, query, energy, success=True):
     return {
         "planner": planner,
         "query": query,
-        "vehicle": "bent",
+        "vehicle": "bent-thesis",
         "E_mean": energy,
         "success": success,
     }
 
 
 def result(*rows, mode="ideal", seed=3):
-    return {"mode": mode, "seed": seed, "systems": {"bent": {"hash": HASH}}, "rows": list(rows)}
+    return {
+        "mode": mode,
+        "seed": seed,
+        "systems": {"bent-thesis": {"hash": HASH}},
+        "rows": list(rows),
+    }
 
 
 def test_the_least_energy_stays(tmp_path):
@@ -83,7 +89,7 @@ def test_scores(monkeypatch):
         row("fast", "a", 0.15, success=False),
         row("straight", "b", 1.0),
     ]
-    add_scores(rows, {"bent": HASH}, "straight")
+    add_scores(rows, {"bent-thesis": HASH}, "straight")
     assert [r["score"] for r in rows] == [
         0.0, pytest.approx(0.5), 1.0, pytest.approx(1.125), None, None, None,
     ]  # fmt: skip
@@ -95,8 +101,8 @@ def test_scores(monkeypatch):
 
 def test_the_packaged_file_is_of_the_suite():
     """Every entry is a question of reach100 on the default system."""
-    suite = get_suite("reach100", system=System(), obstacles="both")
-    names = {key(System().hash, q.name) for _, q in suite.queries}
+    suite = get_suite("reach100", system=System(), obstacles="both", vehicle="bent-thesis")
+    names = {key(System(vehicle=BENT_THESIS).hash, q.name) for _, q in suite.queries}
     entries = packaged()
     assert entries.keys() <= names
     assert all(e["E_mean"] > 0 and e["planner"] for e in entries.values())

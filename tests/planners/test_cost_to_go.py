@@ -10,7 +10,7 @@ from tests.arms import six_joint_arm
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import quintic_spectrum
-from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING, STRAIGHT_HORIZONTAL
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.planners.cost_to_go import LeastLength, first_moment, spectral_shape
 from ves_gym.planners.coupling import metric
 from ves_gym.planners.metric import Metric
@@ -20,13 +20,18 @@ from ves_gym.planners.relaxation import shorten
 from ves_gym.planners.search_costs import Energy, Time, cost_of
 from ves_gym.system.system import System
 
-LONG = Query(system=System(), start=(-1.0, -0.8, 1.5), goal=(1.2, 0.9, -1.4), duration=8.0)
+LONG = Query(
+    system=System(vehicle=BENT_THESIS),
+    start=(-1.0, -0.8, 1.5),
+    goal=(1.2, 0.9, -1.4),
+    duration=8.0,
+)
 BASES = {
-    "bent": System(),
-    "consistent": System(vehicle=dataclasses.replace(BENT, mass_model="consistent")),
-    "straight": System(vehicle=STRAIGHT_HORIZONTAL),
+    "bent-thesis": System(vehicle=BENT_THESIS),
+    "consistent": System(vehicle=dataclasses.replace(BENT_THESIS, mass_model="consistent")),
+    "straight": System(vehicle=STRAIGHT_HORIZONTAL_THESIS),
     "free": System(vehicle=FREE_FLOATING),
-    "six joints": System(arm=six_joint_arm()),
+    "six joints": System(vehicle=BENT_THESIS, arm=six_joint_arm()),
 }
 
 
@@ -72,7 +77,7 @@ def test_it_is_most_of_a_length_that_a_constant_metric_is_a_tenth_of():
 
 def test_first_moment_is_what_the_joints_move():
     """Its derivative by the joints is the linear part of the base momentum."""
-    arm, q, step = System().arm, np.array([0.3, -0.4, 0.9]), 1e-6
+    arm, q, step = System(vehicle=BENT_THESIS).arm, np.array([0.3, -0.4, 0.9]), 1e-6
     for j, axis in enumerate(np.eye(3)):
         ends = [first_moment(inertia(arm, q + sign * step * axis)) for sign in (1, -1)]
         expected = inertia(arm, q)[:3, 6 + j]

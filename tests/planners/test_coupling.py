@@ -14,10 +14,10 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import quintic_spectrum
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import (
-    BENT,
+    BENT_THESIS,
     FREE_FLOATING,
-    STRAIGHT_HORIZONTAL,
-    STRAIGHT_VERTICAL,
+    STRAIGHT_HORIZONTAL_THESIS,
+    STRAIGHT_VERTICAL_THESIS,
 )
 from ves_gym.planners.coupling import (
     band_limited,
@@ -33,14 +33,14 @@ from ves_gym.planners.coupling_map import CouplingMap, coupling_map
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
-SYSTEM = System()
+SYSTEM = System(vehicle=BENT_THESIS)
 CONFIGURATIONS = np.random.default_rng(2).uniform(-1.5, 1.5, (7, 3))
-BEAMS = [BENT, STRAIGHT_VERTICAL, STRAIGHT_HORIZONTAL]
+BEAMS = [BENT_THESIS, STRAIGHT_VERTICAL_THESIS, STRAIGHT_HORIZONTAL_THESIS]
 
 # -------------------------------------------------------------------------- matrices
 
 
-@pytest.mark.parametrize("vehicle", BEAMS, ids=["bent", "vertical", "horizontal"])
+@pytest.mark.parametrize("vehicle", BEAMS, ids=["bent-thesis", "vertical", "horizontal"])
 @pytest.mark.parametrize("duration", [None, 0.1, 2.0])
 def test_q_is_symmetric_semidefinite_and_works_on_stacks(vehicle, duration):
     system = System(vehicle=vehicle)
@@ -292,7 +292,7 @@ def test_another_archive_is_refused_with_what_it_lacks(tmp_path):
 @pytest.mark.parametrize("others", ["least", "most"])
 def test_the_other_joints_may_be_chosen_at_every_point(others, duration):
     """Against L-BFGS-B from the point found and from four more: within 2 %."""
-    system = System(arm=seven_joint_arm(), drive="prescribed")
+    system = System(vehicle=BENT_THESIS, arm=seven_joint_arm(), drive="prescribed")
     low, high = (system.arm.column(k) for k in ("q_min", "q_max"))
     done = []
     section = coupling_map(

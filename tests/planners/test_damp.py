@@ -7,6 +7,7 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.servo import HIGH_GAINS
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.damp import DampRelease
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.free_vibration import simulate_free_vibration
@@ -19,7 +20,7 @@ from ves_gym.system.system import System
 
 HOME = tuple(np.deg2rad([45.0, 10.0, -20.0]).tolist())
 RELEASED = BaseState(y=(0.04, 0.05, -0.03, 0.0, 0.0, 0.0))
-SYSTEM = System(physics_dt=2.5e-3)
+SYSTEM = System(vehicle=BENT_THESIS, physics_dt=2.5e-3)
 QUERY = Query(
     system=SYSTEM,
     start=HOME,

@@ -8,7 +8,12 @@ import scipy.optimize
 
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.limits import limit_ratios
-from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
+from ves_gym.mechanics.vehicle import (
+    BENT_THESIS,
+    DECOUPLED,
+    FREE_FLOATING,
+    STRAIGHT_VERTICAL_THESIS,
+)
 from ves_gym.planners.direct import Direct, MotionProblem, minimise, quadratic_program
 from ves_gym.planners.obstacles import Sphere, Surroundings
 from ves_gym.planners.prediction import predict
@@ -17,7 +22,9 @@ from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import SPEED_LIMITS, reach100
 from ves_gym.system.system import System
 
-QUERIES = {q.name: q for _, q in reach100(System(), "bent", 2).queries}
+QUERIES = {
+    q.name: q for _, q in reach100(System(vehicle=BENT_THESIS), "bent-thesis", 2).queries
+}
 
 
 def problem_of(query, free):
@@ -59,7 +66,7 @@ def test_speed_position_and_torque_hold_at_every_instant(case):
 def test_a_turn_faster_than_its_speed_limit_is_refused():
     """180 degrees at 82 deg/s take 2.2 s."""
     query = Query(
-        system=System(),
+        system=System(vehicle=BENT_THESIS),
         start=(-np.pi / 2, 0.0, 0.0),
         goal=(np.pi / 2, 0.0, 0.0),
         duration=2.0,
@@ -79,9 +86,9 @@ def test_without_speed_limits_it_finds_less_still():
 
 
 def test_ends_at_the_joint_limits_are_no_obstacle():
-    q_max = System().arm.column("q_max")
+    q_max = System(vehicle=BENT_THESIS).arm.column("q_max")
     query = Query(
-        system=System(),
+        system=System(vehicle=BENT_THESIS),
         start=tuple(q_max.tolist()),
         goal=tuple((q_max - [1.0, 0.5, 0.5]).tolist()),
         duration=2.0,
@@ -96,7 +103,10 @@ def test_ends_at_the_joint_limits_are_no_obstacle():
 def test_torque_limits_hold_where_the_straight_line_needs_most_of_them():
     """A fast motion that needs most of the torque."""
     query = Query(
-        system=System(), start=(0.0, 0.0, 0.0), goal=(0.47, 0.33, -0.47), duration=0.5
+        system=System(vehicle=BENT_THESIS),
+        start=(0.0, 0.0, 0.0),
+        goal=(0.47, 0.33, -0.47),
+        duration=0.5,
     )
     assert limit_ratios(query.system.arm, query.straight)["torque"].max() <= 1
     plan = solve(get_planner("direct"), query)
@@ -104,7 +114,9 @@ def test_torque_limits_hold_where_the_straight_line_needs_most_of_them():
     assert limit_ratios(query.system.arm, plan.motion, 5001)["torque"].max() <= 1 + 1e-2
 
 
-@pytest.mark.parametrize("vehicle", [BENT, STRAIGHT_VERTICAL, DECOUPLED, FREE_FLOATING])
+@pytest.mark.parametrize(
+    "vehicle", [BENT_THESIS, STRAIGHT_VERTICAL_THESIS, DECOUPLED, FREE_FLOATING]
+)
 @pytest.mark.parametrize("drive", ["motor", "prescribed"])
 def test_the_gradient_is_that_of_the_objective(vehicle, drive):
     """Central differences of 1e-5 rad along random directions.
@@ -155,7 +167,7 @@ def test_it_starts_from_the_straight_line():
 
 
 LIMITED = Query(  # every kind of limit, a ball near the way
-    system=System(),
+    system=System(vehicle=BENT_THESIS),
     start=(-0.6, -0.2, 0.4),
     goal=(0.6, 0.2, 0.1),
     duration=1.5,
@@ -195,7 +207,10 @@ def test_its_limits_are_those_of_the_motion():
     assert polygons >= max(speed, acceleration) - 1
     assert polygons <= 2.5 * max(speed, acceleration) - 1  # rough motion, wide polygon
     prescribed = Query(
-        system=System(drive="prescribed"), start=(0.0,) * 3, goal=(0.1,) * 3, duration=1.0
+        system=System(vehicle=BENT_THESIS, drive="prescribed"),
+        start=(0.0,) * 3,
+        goal=(0.1,) * 3,
+        duration=1.0,
     )
     assert problem_of(prescribed, 8).limits(problem_of(prescribed, 8).straight)[0].size == 0
 

@@ -6,7 +6,7 @@ import pytest
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
-from ves_gym.mechanics.vehicle import STRAIGHT_VERTICAL
+from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_VERTICAL_THESIS
 from ves_gym.planners.free_vibration import linear_free_vibration, simulate_free_vibration
 from ves_gym.planners.pped import THESIS_DISPLACEMENT, GainMatrices, analyse, plant_at
 from ves_gym.simulation.playback import play_motions
@@ -27,7 +27,7 @@ def test_a_small_release_is_linear():
     """1 mm, 5 s. Tolerance: second order of the motion; the coupling torque of the full
     matrices is held over steps of 1.25 ms."""
     linear, simulated = (
-        f(System(), Q, SETS, SMALL, seconds=5.0)
+        f(System(vehicle=BENT_THESIS), Q, SETS, SMALL, seconds=5.0)
         for f in (linear_free_vibration, simulate_free_vibration)
     )
     size = np.abs(linear.y).max(axis=(1, 2))
@@ -42,35 +42,41 @@ def test_a_small_release_is_linear():
 
 def test_the_simulated_release_is_that_of_the_suite():
     """`play_motions` with the same servo, and `energies` of what it records."""
-    run = simulate_free_vibration(System(), Q, SETS[1:2], seconds=12.0)
+    run = simulate_free_vibration(System(vehicle=BENT_THESIS), Q, SETS[1:2], seconds=12.0)
     stay = Motion.straight(Q, Q, 2.0)
     played = play_motions(
-        System(), [stay], servo=PPED_GAINS, y=THESIS_DISPLACEMENT, settle=10.0
+        System(vehicle=BENT_THESIS),
+        [stay],
+        servo=PPED_GAINS,
+        y=THESIS_DISPLACEMENT,
+        settle=10.0,
     )
     np.testing.assert_allclose(run.y[0], played.y[0], atol=1e-12)
-    measures = energies(System(), run.t, played.q, played.y, played.yd, duration=2.0)[0]
+    measures = energies(
+        System(vehicle=BENT_THESIS), run.t, played.q, played.y, played.yd, duration=2.0
+    )[0]
     assert run.E_int[0] == pytest.approx(measures.E_int, rel=1e-9)
     assert run.t_5[0] == pytest.approx(measures.t_5, abs=1e-9)
-    analysis = analyse(plant_at(System(), Q), SETS[1])
+    analysis = analyse(plant_at(System(vehicle=BENT_THESIS), Q), SETS[1])
     assert run.t_5[0] == pytest.approx(analysis.t_5, abs=0.05)
 
 
 def test_engines_agree():
     runs = [
-        simulate_free_vibration(System(), Q, SETS, seconds=0.5, backend=name)
+        simulate_free_vibration(System(vehicle=BENT_THESIS), Q, SETS, seconds=0.5, backend=name)
         for name in ("kernel", "mujoco")
     ]
     np.testing.assert_allclose(runs[0].y, runs[1].y, atol=1e-10)
 
 
 def test_what_has_not_settled_says_so():
-    run = linear_free_vibration(System(), Q, SETS[:1], seconds=1.0)
+    run = linear_free_vibration(System(vehicle=BENT_THESIS), Q, SETS[:1], seconds=1.0)
     assert np.isinf(run.t_5).all()
 
 
 def test_stiff_modes_are_sampled_finely():
     """Straight beam along its axis, 40 Hz: the integral of the records is the closed form."""
-    system, y = System(vehicle=STRAIGHT_VERTICAL), [0, 0, 1e-3, 0, 0, 0]
+    system, y = System(vehicle=STRAIGHT_VERTICAL_THESIS), [0, 0, 1e-3, 0, 0, 0]
     run = linear_free_vibration(system, Q, SETS[:1], y, seconds=30.0)
     analysis = analyse(plant_at(system, Q), SETS[0], y)
     assert run.E_int[0] == pytest.approx(analysis.E_int, rel=5e-3)
@@ -79,26 +85,28 @@ def test_stiff_modes_are_sampled_finely():
 def test_a_saturated_motor_shows_in_the_effort():
     """Ten times the displacement asks for more torque than the high gains may give."""
     run = simulate_free_vibration(
-        System(), Q, SETS[:1], 5 * np.array(THESIS_DISPLACEMENT), seconds=0.5
+        System(vehicle=BENT_THESIS), Q, SETS[:1], 5 * np.array(THESIS_DISPLACEMENT), seconds=0.5
     )
     assert run.effort.max() == pytest.approx(1.0)
     unlimited = linear_free_vibration(
-        System(), Q, SETS[:1], 5 * np.array(THESIS_DISPLACEMENT), seconds=0.5
+        System(vehicle=BENT_THESIS), Q, SETS[:1], 5 * np.array(THESIS_DISPLACEMENT), seconds=0.5
     )
     assert unlimited.effort.max() > 1.5
 
 
 def test_a_run_that_diverges_is_named():
     with pytest.raises(Divergence, match="simulation 0"):
-        simulate_free_vibration(System(), Q, SETS[:1], [1e3, 1e3, 1e3, 0, 0, 0], seconds=1.0)
+        simulate_free_vibration(
+            System(vehicle=BENT_THESIS), Q, SETS[:1], [1e3, 1e3, 1e3, 0, 0, 0], seconds=1.0
+        )
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, np.nan, np.inf])
 def test_wrong_spans_are_refused(seconds):
     with pytest.raises(ParameterError, match="seconds must be finite"):
-        linear_free_vibration(System(), Q, SETS, seconds=seconds)
+        linear_free_vibration(System(vehicle=BENT_THESIS), Q, SETS, seconds=seconds)
 
 
 def test_a_prescribed_drive_has_no_gains():
     with pytest.raises(ParameterError, match="drive motor"):
-        simulate_free_vibration(System(drive="prescribed"), Q, SETS)
+        simulate_free_vibration(System(vehicle=BENT_THESIS, drive="prescribed"), Q, SETS)

@@ -9,7 +9,7 @@ import pytest
 from tests.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
-from ves_gym.mechanics.vehicle import get_vehicle
+from ves_gym.mechanics.vehicle import BENT_THESIS, get_vehicle
 from ves_gym.planners.bad_path import worst_order
 from ves_gym.planners.coupling import coupling_length, coupling_matrix, spots
 from ves_gym.planners.hotspot import Lattice, Roadmap, resample
@@ -18,7 +18,9 @@ from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import reach100
 from ves_gym.system.system import System
 
-QUERIES = {q.name: q for _, q in reach100(System(), "bent", 1).queries}
+QUERIES = {
+    q.name: q for _, q in reach100(System(vehicle=BENT_THESIS), "bent-thesis", 1).queries
+}
 
 
 @pytest.fixture(params=QUERIES)
@@ -49,7 +51,12 @@ def test_its_path_is_no_longer_than_the_straight_one(name, query):
 
 def test_it_goes_around_where_the_straight_line_is_long():
     """A long way through the map: the geodesic is shorter, and not straight."""
-    query = Query(system=System(), start=(-1.0, -0.8, 1.5), goal=(1.2, 0.9, -1.4), duration=8.0)
+    query = Query(
+        system=System(vehicle=BENT_THESIS),
+        start=(-1.0, -0.8, 1.5),
+        goal=(1.2, 0.9, -1.4),
+        duration=8.0,
+    )
     plan = solve(get_planner("hotspot-q"), query)
     assert plan.info["coupling_length"] < 0.95 * plan.info["straight_coupling_length"]
     t = np.linspace(0, 8, 101)
@@ -60,10 +67,13 @@ def test_it_goes_around_where_the_straight_line_is_long():
 
 
 def test_paths_keep_the_joint_limits():
-    arm = System().arm
+    arm = System(vehicle=BENT_THESIS).arm
     high = 0.98 * arm.column("q_max")
     query = Query(
-        system=System(), start=tuple(high), goal=tuple(-high * [1, -1, 1]), duration=9.0
+        system=System(vehicle=BENT_THESIS),
+        start=tuple(high),
+        goal=tuple(-high * [1, -1, 1]),
+        duration=9.0,
     )
     plan = solve(get_planner("hotspot-q"), query)
     assert plan.feasible
@@ -75,7 +85,12 @@ def test_a_path_the_limits_forbid_is_drawn_towards_the_straight_line():
     """Speed limits that leave the straight line 3 % of room leave a detour less."""
     start, goal = np.array([-1.0, -0.8, 1.5]), np.array([1.2, 0.9, -1.4])
     peak = np.abs(goal - start) * QUINTIC_PEAK_SPEED / 8.0
-    ends = {"system": System(), "start": tuple(start), "goal": tuple(goal), "duration": 8.0}
+    ends = {
+        "system": System(vehicle=BENT_THESIS),
+        "start": tuple(start),
+        "goal": tuple(goal),
+        "duration": 8.0,
+    }
     loose = solve(get_planner("hotspot-q"), Query(**ends))
     bound = solve(get_planner("hotspot-q"), Query(**ends, v_max=tuple(1.03 * peak)))
     assert 0 < bound.info["share"] < 0.5 < loose.info["share"]
@@ -102,7 +117,7 @@ def test_the_bad_path_passes_the_corners_of_the_box(query):
 
 def test_no_order_of_five_joints_is_longer_than_the_bad_paths():
     """All 120 orders, each path as a whole; the sixth joint does not move."""
-    system = System(arm=six_joint_arm())
+    system = System(vehicle=BENT_THESIS, arm=six_joint_arm())
     start = np.array([-1.2, -0.8, 1.0, -0.8, 0.6, 0.3])
     goal = np.array([1.2, 0.9, -1.0, 0.8, -0.6, 0.3])
 
@@ -125,7 +140,7 @@ def test_too_many_joints_for_a_bad_path():
     arm = planar_arm()
     arm = dataclasses.replace(arm, links=arm.links * 7)
     query = Query(
-        system=System(arm=arm, drive="prescribed"),
+        system=System(vehicle=BENT_THESIS, arm=arm, drive="prescribed"),
         start=(0.0,) * 14,
         goal=(0.3,) * 14,
         duration=3.0,
@@ -134,7 +149,7 @@ def test_too_many_joints_for_a_bad_path():
 
 
 SIX = Query(
-    system=System(arm=six_joint_arm()),
+    system=System(vehicle=BENT_THESIS, arm=six_joint_arm()),
     start=(-1.2, -0.8, 1.0, -0.8, 0.6, -1.0),
     goal=(1.2, 0.9, -1.0, 0.8, -0.6, 1.0),
     duration=6.0,
@@ -155,7 +170,7 @@ def test_six_joints_take_a_roadmap(name):
 
 def test_a_roadmap_is_as_good_as_the_lattice():
     """Before relaxation, on the three joints that both can do: within 10 %."""
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     start, goal = np.array([-1.0, -0.8, 1.5]), np.array([1.2, 0.9, -1.4])
     lengths = [
         coupling_length(system, resample(network(system, 2.0).route(start, goal), 200), 2.0)
@@ -165,7 +180,7 @@ def test_a_roadmap_is_as_good_as_the_lattice():
 
 
 def test_a_roadmap_reaches_every_corner():
-    system = System(arm=six_joint_arm())
+    system = System(vehicle=BENT_THESIS, arm=six_joint_arm())
     roadmap = Roadmap(system, None)
     low, high = system.arm.column("q_min"), system.arm.column("q_max")
     path = roadmap.route(low, high)
@@ -177,7 +192,9 @@ def test_a_roadmap_reaches_every_corner():
 @pytest.mark.parametrize("hot", [True, False])
 def test_spots_are_local_extremes_of_the_whole_joint_space(arm, hot):
     """No neighbour within 0.02 rad, inside the box, is hotter (cooler)."""
-    system = System() if arm is None else System(arm=arm)
+    system = (
+        System(vehicle=BENT_THESIS) if arm is None else System(vehicle=BENT_THESIS, arm=arm)
+    )
     extrema = spots(system, hot=hot, count=3, samples=512)
     assert len(extrema) == 3
     values = [s.coupling for s in extrema]
@@ -197,12 +214,12 @@ def test_spots_are_local_extremes_of_the_whole_joint_space(arm, hot):
 
 def test_spots_that_cannot_be():
     with pytest.raises(ParameterError, match="need 1 <= count <= samples, got 0 and 4096"):
-        spots(System(), count=0)
+        spots(System(vehicle=BENT_THESIS), count=0)
 
 
 def test_two_joints_are_fine():
     query = Query(
-        system=System(arm=planar_arm()),
+        system=System(vehicle=BENT_THESIS, arm=planar_arm()),
         start=(-1.0, 0.4),
         goal=(1.0, 1.2),
         duration=3.0,

@@ -11,7 +11,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import VEHICLES
+from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.conjugate import conjugate, is_convex, local_part, momentum_cost
 from ves_gym.planners.direct import Direct, MotionProblem
 from ves_gym.planners.lower_bound import bound_energy
@@ -35,7 +35,7 @@ START, GOAL = np.array([0.3, -0.4, 0.6]), np.array([-0.1, 0.1, 0.1])
 SLABS = 5  # coarse: the bound is valid with any number, and found in a second
 
 
-def query(vehicle="bent", duration=1.0, start=START, goal=GOAL, **changes):
+def query(vehicle="bent-thesis", duration=1.0, start=START, goal=GOAL, **changes):
     system = System(vehicle=VEHICLES[vehicle], **changes).ideal()
     return Query(
         system=system,
@@ -80,7 +80,7 @@ def random_potential(rng, at, slabs):
 
 @pytest.mark.parametrize(
     ("vehicle", "duration"),
-    [("bent", 4.0), ("straight-horizontal", 1.0), ("free-floating", 1.0)],
+    [("bent-thesis", 4.0), ("straight-horizontal-thesis", 1.0), ("free-floating", 1.0)],
 )
 def test_the_conjugate_is_that_of_the_mean_energy(vehicle, duration):
     """Fenchel: J_R >= l u - J_R* for any l, with equality in the limit of many nodes.
@@ -240,8 +240,8 @@ def test_any_potential_bounds_the_functional_along_any_motion():
 @pytest.mark.parametrize(
     ("vehicle", "duration"),
     [
-        ("bent", 1.0),
-        pytest.param("straight-vertical", 0.8, marks=pytest.mark.slow),
+        ("bent-thesis", 1.0),
+        pytest.param("straight-vertical-thesis", 0.8, marks=pytest.mark.slow),
         pytest.param("free-floating", 1.2, marks=pytest.mark.slow),
     ],
 )
@@ -264,7 +264,9 @@ def test_no_motion_undercuts_the_bound(vehicle, duration):
 @pytest.mark.slow
 def test_the_bound_is_near_the_best_known_energy():
     """On the base of the published queries; 12 slabs give 0.88."""
-    asked = reach100(System().ideal(), "bent", 4, durations=(1.0,)).queries[3][1]
+    asked = reach100(
+        System(vehicle=BENT_THESIS).ideal(), "bent-thesis", 4, durations=(1.0,)
+    ).queries[3][1]
     bound = bound_energy(asked, slabs=6)
     best = frozen(asked, 96).of(Refined(24, 1).find(asked, 0)[0])
     assert 0.75 * best < bound.energy < best
@@ -297,7 +299,7 @@ def test_slower_limits_leave_less_room():
 def test_arms_of_other_numbers_of_joints(arm):
     """Of six joints only by the first moment."""
     system = dataclasses.replace(
-        System(vehicle=VEHICLES["bent"]).ideal(), arm=arm, drive="prescribed"
+        System(vehicle=VEHICLES["bent-thesis"]).ideal(), arm=arm, drive="prescribed"
     )
     start, goal = np.full(arm.n, 0.2), np.full(arm.n, 0.5)
     asked = Query(system=system, start=tuple(start), goal=tuple(goal), duration=1.0)

@@ -7,12 +7,17 @@ import pytest
 
 from tests.arms import six_joint_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
+from ves_gym.mechanics.vehicle import (
+    BENT_THESIS,
+    DECOUPLED,
+    FREE_FLOATING,
+    STRAIGHT_VERTICAL_THESIS,
+)
 from ves_gym.planners.coupling import blocks, metric
 from ves_gym.planners.metric import LEAST, Metric
 from ves_gym.system.system import System
 
-CONSISTENT = dataclasses.replace(BENT, mass_model="consistent")  # modes to 14 Hz
+CONSISTENT = dataclasses.replace(BENT_THESIS, mass_model="consistent")  # modes to 14 Hz
 
 
 def configurations(system, count=40):
@@ -28,7 +33,9 @@ def least(m):
 
 
 @pytest.mark.parametrize("arm", [None, six_joint_arm()], ids=["three joints", "six"])
-@pytest.mark.parametrize("vehicle", [BENT, CONSISTENT, STRAIGHT_VERTICAL, DECOUPLED])
+@pytest.mark.parametrize(
+    "vehicle", [BENT_THESIS, CONSISTENT, STRAIGHT_VERTICAL_THESIS, DECOUPLED]
+)
 @pytest.mark.parametrize("duration", [None, 0.5, 2.0, 4.0])
 def test_compiled_forms_are_those_of_the_matrices(vehicle, duration, arm):
     """Another eigenvalue method (Jacobi against LAPACK): 1e-9 relative.
@@ -66,7 +73,7 @@ def test_a_base_without_stiffness_is_measured_by_its_kinetic_energy(kind, durati
 
 
 def test_least_is_a_share_of_the_mean_coupling():
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     q = configurations(system, 4000)[0]
     mean = np.trace(metric(system, q, 2.0), axis1=-2, axis2=-1).mean() / 3
     assert least(Metric(system, "qt", 2.0)) == pytest.approx(LEAST * mean, rel=0.1)
@@ -74,7 +81,7 @@ def test_least_is_a_share_of_the_mean_coupling():
 
 def test_lengths_are_integrals():
     """Against 4000 midpoints; eight Gauss nodes on 0.5 rad are good to 1e-6."""
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     a, d = configurations(system, 5)
     b = a + 0.5 * d / np.linalg.norm(d, axis=1)[:, None]
     m = Metric(system, "qt", 2.0)
@@ -93,7 +100,7 @@ def test_without_a_compiler_the_answers_are_the_same(monkeypatch):
     from ves_gym.engine.kernel import build
     from ves_gym.planners import metric as module
 
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     q, dq = configurations(system, 4)
     m = Metric(system, "qt", 2.0)
     expected, edge = m.squares(q, dq), m.edge(q[0], q[1])
@@ -122,4 +129,4 @@ def test_without_a_compiler_the_answers_are_the_same(monkeypatch):
 )
 def test_a_metric_that_is_none(arguments, message):
     with pytest.raises(ParameterError, match=message):
-        Metric(System(), *arguments)
+        Metric(System(vehicle=BENT_THESIS), *arguments)

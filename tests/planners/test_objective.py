@@ -33,13 +33,13 @@ ARM = dataclasses.replace(
 )
 
 
-def query_of(vehicle="bent", goal=SMALL, **changes):
+def query_of(vehicle="bent-thesis", goal=SMALL, **changes):
     system = System(vehicle=get_vehicle(vehicle), arm=changes.pop("arm", PUMA_560))
     named = {"start": tuple(START), "goal": tuple(goal), "duration": 1.0} | changes
     return Query(system=system, servo=HIGH_GAINS, **named)
 
 
-@pytest.mark.parametrize("vehicle", ["bent", "bent-flexible", "free-floating"])
+@pytest.mark.parametrize("vehicle", ["bent-thesis", "bent", "free-floating"])
 def test_the_prediction_is_scipys_linear_simulation(vehicle):
     """M z'' + D z' + K z = -u' by `lsim` at 0.5 ms, the joints on their command.
 
@@ -95,7 +95,7 @@ def test_the_prediction_is_scipys_linear_simulation(vehicle):
     assert found == pytest.approx(expected, rel=4e-3)
 
 
-@pytest.mark.parametrize("vehicle", ["bent", "bent-flexible", "free-floating"])
+@pytest.mark.parametrize("vehicle", ["bent-thesis", "bent", "free-floating"])
 def test_forms_are_the_prediction_where_inertia_is_constant(vehicle):
     """Means and ends to 1 %; a peak by its power mean is 0.7 to 1 of itself.
 
@@ -110,10 +110,10 @@ def test_forms_are_the_prediction_where_inertia_is_constant(vehicle):
         value = objective.measure(name, u)
         true = getattr(expected, name)
         if name.endswith("peak"):
-            low = 0.3 if (vehicle, name) == ("bent-flexible", "angular_peak") else 0.7
+            low = 0.3 if (vehicle, name) == ("bent", "angular_peak") else 0.7
             assert low * true <= value <= 1.01 * true, name
         else:
-            off = 0.15 if (vehicle, name) == ("bent-flexible", "angular") else 0.01
+            off = 0.15 if (vehicle, name) == ("bent", "angular") else 0.01
             assert value == pytest.approx(true, rel=off), name
 
 
@@ -171,10 +171,10 @@ def test_without_weights_a_plan_is_that_of_the_energy():
 @pytest.mark.parametrize(
     ("vehicle", "name"),
     [
-        ("bent", "acceleration"),
-        ("bent", "acceleration_peak"),
-        ("bent", "E_weighted"),
-        ("bent-flexible", "angular"),
+        ("bent-thesis", "acceleration"),
+        ("bent-thesis", "acceleration_peak"),
+        ("bent-thesis", "E_weighted"),
+        ("bent", "angular"),
         ("free-floating", "attitude_end"),
     ],
 )

@@ -5,7 +5,7 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import matrix
-from ves_gym.mechanics.vehicle import MatrixVehicle
+from ves_gym.mechanics.vehicle import BENT_THESIS, MatrixVehicle
 from ves_gym.planners.observer import BaseObserver
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
@@ -16,7 +16,7 @@ STILL = np.zeros((2, 6))
 
 
 def with_modes():
-    bent = System().base
+    bent = System(vehicle=BENT_THESIS).base
     coupling = 7.0 * np.eye(6)[:, [0, 4]]
     vehicle = MatrixVehicle(
         **{name: matrix(getattr(bent, name)) for name in "MDK"},
@@ -54,4 +54,4 @@ def test_rates_and_internal_modes_are_found_from_the_pose(noise):
 
 def test_what_is_no_period():
     with pytest.raises(ParameterError, match="dt must be > 0 s"):
-        BaseObserver(System(), Q, 0.0)
+        BaseObserver(System(vehicle=BENT_THESIS), Q, 0.0)

@@ -6,7 +6,7 @@ import pytest
 from tests.arms import six_joint_arm
 from ves_gym._util.params import ParameterError, write_table
 from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.vehicle import FREE_FLOATING, STRAIGHT_HORIZONTAL
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.planners.obstacles import (
     Box,
     Collisions,
@@ -32,7 +32,7 @@ def segment_distance(a, b, p):
 
 def test_distance_from_a_ball_is_that_of_capsules():
     """Upper arm and forearm by hand, from the kinematics."""
-    system, arm = System(), System().arm
+    system, arm = System(vehicle=BENT_THESIS), System(vehicle=BENT_THESIS).arm
     checker = Collisions(system, Surroundings(obstacles=(BALL,), clearance=0.0))
     rng = np.random.default_rng(0)
     compared = 0
@@ -73,7 +73,7 @@ def axis(arm, q, i):
 
 def test_the_slope_is_that_of_the_distance():
     """Central differences of 1e-6 rad, on shapes that do not overlap."""
-    checker = Collisions(System(), BUSY)
+    checker = Collisions(System(vehicle=BENT_THESIS), BUSY)
     rng = np.random.default_rng(1)
     compared = 0
     for q in rng.uniform(-1.5, 1.5, (300, 3)):
@@ -99,7 +99,7 @@ def test_the_slope_is_that_of_the_distance():
     ],
 )
 def test_it_sees_the_arm_touch_the_vehicle(q, expected):
-    checker = Collisions(System(), Surroundings(clearance=0.0))
+    checker = Collisions(System(vehicle=BENT_THESIS), Surroundings(clearance=0.0))
     names = checker.contact_names(q)
     assert names == expected
     assert checker.is_clear(np.array(q)) == (not expected)
@@ -107,8 +107,8 @@ def test_it_sees_the_arm_touch_the_vehicle(q, expected):
 
 def test_the_beam_counts():
     """The arm's shoulder low over a beam that lies along -x."""
-    arm = System().arm
-    low = System(vehicle=STRAIGHT_HORIZONTAL)
+    arm = System(vehicle=BENT_THESIS).arm
+    low = System(vehicle=STRAIGHT_HORIZONTAL_THESIS)
     q = np.array([np.pi * 0.85, -1.0, 0.0])
     far = Collisions(low, Surroundings(clearance=0.0)).proximity(q, 3.0)
     without = Collisions(System(vehicle=FREE_FLOATING), Surroundings(clearance=0.0)).proximity(
@@ -121,8 +121,8 @@ def test_the_beam_counts():
 def test_the_forearm_passes_the_column():
     """Folded back beside it, as a PUMA can, 33 mm away; the links know each other."""
     path = np.linspace([0.0, -1.5, -1.0], [0.0, -1.5, -2.3], 40)
-    assert collisions(System(), Surroundings()).first_contact(path) is None
-    wide = collisions(System(), Surroundings(clearance=0.05))
+    assert collisions(System(vehicle=BENT_THESIS), Surroundings()).first_contact(path) is None
+    wide = collisions(System(vehicle=BENT_THESIS), Surroundings(clearance=0.05))
     k = wide.first_contact(path)
     assert k is not None
     assert wide.contact_names(path[k]) == ["link 1 and link 3", "link 1 and link 3'"]
@@ -130,26 +130,32 @@ def test_the_forearm_passes_the_column():
 
 def test_clearance_is_kept_from_obstacles():
     q = np.zeros(3)
-    gap = Collisions(System(), Surroundings(obstacles=(BALL,))).proximity(q, 1.0).distance.min()
+    gap = (
+        Collisions(System(vehicle=BENT_THESIS), Surroundings(obstacles=(BALL,)))
+        .proximity(q, 1.0)
+        .distance.min()
+    )
     for clearance, clear in ((0.9 * max(gap, 0.01), gap > 0), (1.1 * abs(gap), False)):
-        checker = Collisions(System(), Surroundings(obstacles=(BALL,), clearance=clearance))
+        checker = Collisions(
+            System(vehicle=BENT_THESIS), Surroundings(obstacles=(BALL,), clearance=clearance)
+        )
         assert checker.is_clear(q) == clear
 
 
 def test_any_arm():
     """Six joints with links of no length between them: home is no collision."""
-    system = System(arm=six_joint_arm())
+    system = System(vehicle=BENT_THESIS, arm=six_joint_arm())
     assert Collisions(system, Surroundings(clearance=0.0)).is_clear(np.zeros(6))
 
 
 def test_a_motion_is_checked_finely():
     """A needle thinner than the planning resolution is still hit."""
     start, goal = (-0.8, 0.0, 0.0), (0.8, 0.0, 0.0)
-    tip = joint_positions(System().arm, np.zeros(3))[-1]
+    tip = joint_positions(System(vehicle=BENT_THESIS).arm, np.zeros(3))[-1]
     thorn = Sphere(centre=tuple(tip.tolist()), radius=0.01)
-    free = Query(system=System(), start=start, goal=goal, duration=2.0)
+    free = Query(system=System(vehicle=BENT_THESIS), start=start, goal=goal, duration=2.0)
     query = Query(
-        system=System(),
+        system=System(vehicle=BENT_THESIS),
         start=start,
         goal=goal,
         duration=2.0,
@@ -190,8 +196,8 @@ def test_surroundings_that_are_none(make, message):
 
 def test_clear_and_near_agree():
     """Contacts against distances of convex shapes, on random configurations."""
-    checker = Collisions(System(), BUSY)
-    arm, rng = System().arm, np.random.default_rng(2)
+    checker = Collisions(System(vehicle=BENT_THESIS), BUSY)
+    arm, rng = System(vehicle=BENT_THESIS).arm, np.random.default_rng(2)
     verdicts = []
     for q in rng.uniform(arm.column("q_min"), arm.column("q_max"), (500, 3)):
         nearest = checker.proximity(q, 0.2).distance.min(initial=0.2)

@@ -12,6 +12,7 @@ from tests.arms import WRIST_GAINS, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.dynamics import frames
 from ves_gym.mechanics.motion import quintic
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners import ompl_search
 from ves_gym.planners.hotspot import resample
 from ves_gym.planners.metric import Metric
@@ -26,10 +27,15 @@ from ves_gym.system.system import System
 # from one side to the other past a pillar that the straight line runs into
 PILLAR = Surroundings(obstacles=(Box(centre=(0.75, 0.0, 0.7), size=(0.2, 0.2, 0.8)),))
 ACROSS = Query(
-    system=System(), start=(-1.0, 0.1, 0.2), goal=(1.0, 0.1, 0.2), duration=4.0,
-    v_max=SPEED_LIMITS, surroundings=PILLAR,
+    system=System(vehicle=BENT_THESIS), start=(-1.0, 0.1, 0.2), goal=(1.0, 0.1, 0.2),
+    duration=4.0, v_max=SPEED_LIMITS, surroundings=PILLAR,
 )  # fmt: skip
-LONG = Query(system=System(), start=(-1.0, -0.8, 1.5), goal=(1.2, 0.9, -1.4), duration=8.0)
+LONG = Query(
+    system=System(vehicle=BENT_THESIS),
+    start=(-1.0, -0.8, 1.5),
+    goal=(1.2, 0.9, -1.4),
+    duration=8.0,
+)
 
 
 @pytest.mark.parametrize("objective", ["q", "qt"])
@@ -97,7 +103,7 @@ def test_it_goes_around():
     plan = solve(Ompl(evaluations=5000), ACROSS)
     assert plan.feasible
     assert plan.info["checks"] > 0
-    checker = collisions(System(), PILLAR)
+    checker = collisions(System(vehicle=BENT_THESIS), PILLAR)
     t = np.linspace(0, ACROSS.duration, 2001)
     assert checker.first_contact(plan.motion.at(t).q) is None
 
@@ -126,8 +132,8 @@ def test_a_law_that_cruises():
 def test_an_end_in_an_obstacle_is_no_question():
     tip = Sphere(centre=(1.1, 0.0, 0.9), radius=0.5)
     query = Query(
-        system=System(), start=(1.5, 0.0, 0.0), goal=(0.0, 0.0, 0.0), duration=2.0,
-        surroundings=Surroundings(obstacles=(tip,)),
+        system=System(vehicle=BENT_THESIS), start=(1.5, 0.0, 0.0), goal=(0.0, 0.0, 0.0),
+        duration=2.0, surroundings=Surroundings(obstacles=(tip,)),
     )  # fmt: skip
     plan = solve(Ompl(), query)
     assert plan.motion is None and plan.predicted is None and not plan.feasible
@@ -137,7 +143,7 @@ def test_an_end_in_an_obstacle_is_no_question():
 
 def test_where_there_is_no_way_it_says_so():
     """A block in the way of the shoulder, which only joint 1 moves, and only past it."""
-    shoulder = frames(System().arm, [0.0, 0.0, 0.0])[1]
+    shoulder = frames(System(vehicle=BENT_THESIS).arm, [0.0, 0.0, 0.0])[1]
     axis = np.array([float(k) for k in shoulder.axis])
     block = Box(centre=tuple(np.array([0, 0, 0.9]) - 0.2 * axis), size=(0.05, 0.05, 0.05))
     query = dataclasses.replace(ACROSS, surroundings=Surroundings(obstacles=(block,)))
@@ -157,7 +163,7 @@ def test_seconds_end_a_search():
 
 def test_any_number_of_joints():
     query = Query(
-        system=System(arm=six_joint_arm()),
+        system=System(vehicle=BENT_THESIS, arm=six_joint_arm()),
         start=(-0.5,) * 6,
         goal=(0.5,) * 6,
         duration=4.0,

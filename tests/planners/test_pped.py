@@ -13,10 +13,10 @@ from ves_gym.mechanics.arm import Arm, matrix
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS, JointServo
 from ves_gym.mechanics.vehicle import (
-    BENT,
+    BENT_THESIS,
     DECOUPLED,
     FREE_FLOATING,
-    STRAIGHT_VERTICAL,
+    STRAIGHT_VERTICAL_THESIS,
     MatrixVehicle,
 )
 from ves_gym.planners.pped import (
@@ -37,16 +37,16 @@ from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
 Q = np.deg2rad([45.0, 0.0, 0.0])
-CONSISTENT = dataclasses.replace(BENT, mass_model="consistent")
+CONSISTENT = dataclasses.replace(BENT_THESIS, mass_model="consistent")
 FULL = GainMatrices(  # symmetric, positive definite
     np.array([[300.0, 80, -20], [80, 200, 40], [-20, 40, 90]]),
     np.array([[20.0, 4, 1], [4, 15, -3], [1, -3, 8]]),
 )
 SYSTEMS = {
-    "bent": (System(), GainMatrices.of(PPED_GAINS)),
-    "bent, full gains": (System(), FULL),
+    "bent-thesis": (System(vehicle=BENT_THESIS), GainMatrices.of(PPED_GAINS)),
+    "bent, full gains": (System(vehicle=BENT_THESIS), FULL),
     "consistent": (System(vehicle=CONSISTENT), GainMatrices.of(HIGH_GAINS)),
-    "straight": (System(vehicle=STRAIGHT_VERTICAL), GainMatrices.of(HIGH_GAINS)),
+    "straight": (System(vehicle=STRAIGHT_VERTICAL_THESIS), GainMatrices.of(HIGH_GAINS)),
     "six joints": (
         System(arm=six_joint_arm(), vehicle=DECOUPLED),
         GainMatrices.of(WRIST_GAINS),
@@ -55,7 +55,7 @@ SYSTEMS = {
 
 
 def bent(q=Q):
-    return plant_at(System(), q)
+    return plant_at(System(vehicle=BENT_THESIS), q)
 
 
 # ------------------------------------------------------------------------- the plant
@@ -85,7 +85,7 @@ def test_the_plant_is_pinocchios_inertia_with_the_vehicles_matrices(name):
 
 def test_the_plant_is_the_slope_of_the_simulator():
     """Central differences of one physics step of MuJoCo over 1e-6 of each coordinate."""
-    system = System(physics_dt=1e-4, control_dt=1e-4)
+    system = System(vehicle=BENT_THESIS, physics_dt=1e-4, control_dt=1e-4)
     s, step = 9, 1e-6
     points = np.r_[np.zeros(6), Q, np.zeros(s)] + step * np.vstack([np.eye(18), -np.eye(18)])
     sim = Simulator(system, 36, servo=PPED_GAINS, backend="mujoco")
@@ -99,8 +99,8 @@ def test_the_plant_is_the_slope_of_the_simulator():
 
 def test_many_plants_are_one_by_one():
     q = np.random.default_rng(1).uniform(-1, 1, (3, 3))
-    for k, plant in enumerate(plants(System(), q)):
-        single = plant_at(System(), q[k])
+    for k, plant in enumerate(plants(System(vehicle=BENT_THESIS), q)):
+        single = plant_at(System(vehicle=BENT_THESIS), q[k])
         np.testing.assert_array_equal(plant.free, single.free)
         np.testing.assert_allclose(plant.mass, single.mass, rtol=1e-14)
 
@@ -109,10 +109,14 @@ def test_many_plants_are_one_by_one():
     ("system", "q", "message"),
     [
         (System(vehicle=FREE_FLOATING), Q, "stiffness in all six directions"),
-        (System(drive="prescribed"), Q, "needs drive motor, not prescribed"),
-        (System(mode="emulated"), Q, "needs mode ideal, got emulated"),
-        (System(), [3.0, 0, 0], "joint 1 must be within"),
-        (System(), [0.0, 0], r"q must have shape \(3,\)"),
+        (
+            System(vehicle=BENT_THESIS, drive="prescribed"),
+            Q,
+            "needs drive motor, not prescribed",
+        ),
+        (System(vehicle=BENT_THESIS, mode="emulated"), Q, "needs mode ideal, got emulated"),
+        (System(vehicle=BENT_THESIS), [3.0, 0, 0], "joint 1 must be within"),
+        (System(vehicle=BENT_THESIS), [0.0, 0], r"q must have shape \(3,\)"),
     ],
 )
 def test_what_has_no_plant_is_refused(system, q, message):

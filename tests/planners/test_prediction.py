@@ -11,7 +11,7 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.spatial import matvec
-from ves_gym.mechanics.vehicle import VEHICLES, MatrixVehicle
+from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES, MatrixVehicle
 from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.prediction import (
     BaseState,
@@ -40,7 +40,9 @@ def quadratic_form(system, motion, servo):
     return 0.5 * u @ energy.hessian @ u
 
 
-@pytest.mark.parametrize("vehicle", ["bent", "straight-vertical", "decoupled", "free-floating"])
+@pytest.mark.parametrize(
+    "vehicle", ["bent-thesis", "straight-vertical-thesis", "decoupled", "free-floating"]
+)
 @pytest.mark.parametrize("servo", [None, HIGH_GAINS], ids=["exact joints", "servo"])
 def test_the_quadratic_form_is_the_prediction_where_inertia_is_constant(vehicle, servo):
     """Tolerance: milliradians change the inertia by 1e-3 relative."""
@@ -53,14 +55,14 @@ def test_the_quadratic_form_is_the_prediction_where_inertia_is_constant(vehicle,
 def test_it_is_not_where_inertia_changes():
     """The other side of the test above."""
     swing = Motion.straight(START, [-1.0, 1.5, -1.2], 0.8)
-    form = quadratic_form(System(), swing, HIGH_GAINS)
-    expected = predict(System(), swing, HIGH_GAINS).E_mean
+    form = quadratic_form(System(vehicle=BENT_THESIS), swing, HIGH_GAINS)
+    expected = predict(System(vehicle=BENT_THESIS), swing, HIGH_GAINS).E_mean
     assert form != pytest.approx(expected, rel=2e-3)
     assert form == pytest.approx(expected, rel=0.5)
 
 
 def test_the_hessian_is_symmetric_and_semidefinite():
-    W = MeanEnergy(System(), START, 1.0, HIGH_GAINS, nodes=24).hessian
+    W = MeanEnergy(System(vehicle=BENT_THESIS), START, 1.0, HIGH_GAINS, nodes=24).hessian
     assert W.shape == (150, 150)
     np.testing.assert_allclose(W, W.T, atol=1e-12 * np.abs(W).max())
     assert np.linalg.eigvalsh((W + W.T) / 2)[0] > -1e-12 * np.abs(W).max()
@@ -68,30 +70,36 @@ def test_the_hessian_is_symmetric_and_semidefinite():
 
 def test_energy_grows_with_the_square_of_a_small_motion():
     twice = Motion.straight(SMALL.start, SMALL.start + 2 * (SMALL.goal - SMALL.start), 1.0)
-    a, b = predict(System(), SMALL), predict(System(), twice)
+    a, b = (
+        predict(System(vehicle=BENT_THESIS), SMALL),
+        predict(System(vehicle=BENT_THESIS), twice),
+    )
     for name in ("E_mean", "E_res", "E_peak"):
         assert getattr(b, name) == pytest.approx(4 * getattr(a, name), rel=5e-3)
 
 
 def test_a_motion_that_stands_still_predicts_nothing():
     still = Motion.straight(START, START, 1.0)
-    assert predict(System(), still, HIGH_GAINS).to_dict() == {
+    assert predict(System(vehicle=BENT_THESIS), still, HIGH_GAINS).to_dict() == {
         "E_mean": 0.0,
         "E_res": 0.0,
         "E_peak": 0.0,
     }
-    assert spectral_energy(System(), still) == 0.0
+    assert spectral_energy(System(vehicle=BENT_THESIS), still) == 0.0
 
 
 def test_peak_mean_and_end_are_ordered():
     for duration in (0.3, 1.0, 4.0):
-        p = predict(System(), LARGE.retimed(duration), HIGH_GAINS)
+        p = predict(System(vehicle=BENT_THESIS), LARGE.retimed(duration), HIGH_GAINS)
         assert p.E_peak >= p.E_res > 0
         assert p.E_peak >= p.E_mean > 0
 
 
 def test_the_servo_counts_on_motor_drives_only():
-    motor, prescribed = System(), System(drive="prescribed")
+    motor, prescribed = (
+        System(vehicle=BENT_THESIS),
+        System(vehicle=BENT_THESIS, drive="prescribed"),
+    )
     assert predict(prescribed, LARGE, HIGH_GAINS) == predict(prescribed, LARGE)
     assert predict(motor, LARGE) == predict(prescribed, LARGE)
     assert predict(motor, LARGE, HIGH_GAINS) != predict(motor, LARGE)
@@ -102,14 +110,16 @@ def test_the_servo_counts_on_motor_drives_only():
 
 
 def test_more_nodes_change_little():
-    coarse, fine = (predict(System(), LARGE, HIGH_GAINS, nodes=n) for n in (96, 384))
+    coarse, fine = (
+        predict(System(vehicle=BENT_THESIS), LARGE, HIGH_GAINS, nodes=n) for n in (96, 384)
+    )
     assert coarse.E_mean == pytest.approx(fine.E_mean, rel=3e-3)
     assert coarse.E_res == pytest.approx(fine.E_res, rel=1e-2)
 
 
 def test_a_prediction_wants_a_motion_of_the_arm():
     with pytest.raises(ParameterError, match="q must have shape"):
-        predict(System(), Motion.straight([0.0, 0.0], [1.0, 1.0], 1.0))
+        predict(System(vehicle=BENT_THESIS), Motion.straight([0.0, 0.0], [1.0, 1.0], 1.0))
 
 
 # ------------------------------------------------------- a base that moves at the start
@@ -123,20 +133,22 @@ TO_REST = Motion.to_rest(START, [0.3, -0.2, 0.4], [0.5, 0.0, -0.5], START + 0.2,
 @pytest.mark.parametrize("base", [None, MOVING], ids=["base at rest", "base moving"])
 def test_along_a_motion_the_form_is_the_prediction(servo, motion, base):
     """Two texts of the same steps: equal to rounding."""
-    u = joint_momentum(System(), motion, np.zeros(1))[0]
-    form = MeanEnergy(System(), motion, 1.0, servo, base=base, momentum=u)
-    expected = predict(System(), motion, servo, base=base).E_mean
+    u = joint_momentum(System(vehicle=BENT_THESIS), motion, np.zeros(1))[0]
+    form = MeanEnergy(System(vehicle=BENT_THESIS), motion, 1.0, servo, base=base, momentum=u)
+    expected = predict(System(vehicle=BENT_THESIS), motion, servo, base=base).E_mean
     assert form.of(motion) == pytest.approx(expected, rel=1e-10)
 
 
 def test_the_linear_term_is_the_slope():
-    form = MeanEnergy(System(), LARGE, 1.0, HIGH_GAINS, nodes=12, base=MOVING)
-    u = joint_momentum(System(), LARGE, form.t).ravel()
+    form = MeanEnergy(
+        System(vehicle=BENT_THESIS), LARGE, 1.0, HIGH_GAINS, nodes=12, base=MOVING
+    )
+    u = joint_momentum(System(vehicle=BENT_THESIS), LARGE, form.t).ravel()
     step = np.random.default_rng(0).normal(size=u.size)
     slope = (form.value(u + step) - form.value(u - step)) / 2  # exact of a quadratic
     assert slope == pytest.approx(form.force(u) @ step, rel=1e-9)
     assert form.constant > 0
-    at_rest = MeanEnergy(System(), LARGE, 1.0, HIGH_GAINS, nodes=12)
+    at_rest = MeanEnergy(System(vehicle=BENT_THESIS), LARGE, 1.0, HIGH_GAINS, nodes=12)
     assert at_rest.constant == 0.0
     assert not at_rest.gradient.any()
 
@@ -144,16 +156,18 @@ def test_the_linear_term_is_the_slope():
 @pytest.mark.parametrize("motion", [LARGE, TO_REST], ids=["rest", "moving joints"])
 def test_a_moving_base_is_predicted_as_it_is_simulated(motion):
     """Tolerance: 1 % for rotations of the base of milliradians, which the linear base lacks."""
-    run = play_motions(System(), [motion], y=MOVING.y, yd=MOVING.yd)
+    run = play_motions(System(vehicle=BENT_THESIS), [motion], y=MOVING.y, yd=MOVING.yd)
     simulated = energies(run.system, run.t, run.q, run.y, run.yd, duration=1.0)[0]
-    predicted = predict(System(), motion, HIGH_GAINS, base=MOVING)
+    predicted = predict(System(vehicle=BENT_THESIS), motion, HIGH_GAINS, base=MOVING)
     assert predicted.E_mean == pytest.approx(simulated.E_mean, rel=0.01)
-    assert predicted.E_mean != pytest.approx(predict(System(), motion, HIGH_GAINS).E_mean, 0.1)
+    assert predicted.E_mean != pytest.approx(
+        predict(System(vehicle=BENT_THESIS), motion, HIGH_GAINS).E_mean, 0.1
+    )
 
 
 def with_modes(coupling):
     """The bent beam with two internal modes tied to its pose, or to nothing."""
-    bent = System().base
+    bent = System(vehicle=BENT_THESIS).base
     P = coupling * np.eye(6)[:, [0, 4]]
     vehicle = MatrixVehicle(
         **{name: matrix(getattr(bent, name)) for name in "MDK"},
@@ -165,7 +179,7 @@ def with_modes(coupling):
 
 def test_internal_modes_are_part_of_the_base():
     """Those tied to nothing keep their energy 1/2 w^2 u^2; tied, they change the rest."""
-    six = predict(System(), LARGE, HIGH_GAINS, base=MOVING).E_mean
+    six = predict(System(vehicle=BENT_THESIS), LARGE, HIGH_GAINS, base=MOVING).E_mean
     base = dataclasses.replace(MOVING, u=(0.5, -0.2), ud=(0.0, 0.0))
     assert LinearBase(with_modes(0.0), HIGH_GAINS).size == 11
     apart = predict(with_modes(0.0), LARGE, HIGH_GAINS, base=base).E_mean
@@ -187,9 +201,9 @@ def test_internal_modes_are_predicted_as_they_are_simulated(base):
     assert predict(system, LARGE, HIGH_GAINS, base=base).E_mean == pytest.approx(
         simulated, rel=0.02
     )
-    assert predict(System(), LARGE, HIGH_GAINS, base=base).E_mean != pytest.approx(
-        simulated, rel=0.05
-    )
+    assert predict(
+        System(vehicle=BENT_THESIS), LARGE, HIGH_GAINS, base=base
+    ).E_mean != pytest.approx(simulated, rel=0.05)
 
 
 def test_a_base_state_that_is_none():
@@ -198,7 +212,7 @@ def test_a_base_state_that_is_none():
     with pytest.raises(ParameterError, match=r"BaseState.ud must have shape \(1,\)"):
         BaseState(u=(0.1,), ud=(0.1, 0.1))
     with pytest.raises(ParameterError, match="0 internal coordinates, got 1"):
-        predict(System(), LARGE, base=BaseState(u=(0.1,), ud=(0.0,)))
+        predict(System(vehicle=BENT_THESIS), LARGE, base=BaseState(u=(0.1,), ud=(0.0,)))
     with pytest.raises(ParameterError, match="0 internal coordinates, got 1"):
-        Query(system=System(), start=(0, 0, 0), goal=(0, 0, 0), duration=1.0,
+        Query(system=System(vehicle=BENT_THESIS), start=(0, 0, 0), goal=(0, 0, 0), duration=1.0,
               base=BaseState(u=(0.1,), ud=(0.0,)))  # fmt: skip

@@ -12,7 +12,12 @@ import pytest
 
 from ves_gym._util.params import ParameterError, content_hash
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING, STRAIGHT_VERTICAL
+from ves_gym.mechanics.vehicle import (
+    BENT_THESIS,
+    DECOUPLED,
+    FREE_FLOATING,
+    STRAIGHT_VERTICAL_THESIS,
+)
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.prediction import FINE, BaseState, predict
 from ves_gym.planners.query import Plan, Query, broken_limit, is_feasible, solve
@@ -27,7 +32,7 @@ ENDS = {"start": (0.4, -0.6, 0.9), "goal": (0.9, 0.2, 0.1)}
 
 
 def query(**options):
-    return Query(**{"system": System(), **ENDS, "duration": 2.0, **options})
+    return Query(**{"system": System(vehicle=BENT_THESIS), **ENDS, "duration": 2.0, **options})
 
 
 # ------------------------------------------------------------------------- registry
@@ -42,7 +47,7 @@ def test_planners_by_name():
         assert "\n" not in planner.summary
 
 
-@pytest.mark.parametrize("name", ["bent", "", "Straight", None])
+@pytest.mark.parametrize("name", ["bent-thesis", "", "Straight", None])
 def test_an_unknown_planner_is_an_error_that_lists_the_known(name):
     with pytest.raises(ParameterError) as caught:
         get_planner(name)
@@ -105,7 +110,9 @@ def test_a_plan_against_a_moving_base_is_kept_with_it(tmp_path):
     assert kept.query == plan.query
     assert kept.motion == plan.motion
     servo = kept.query.servo
-    assert kept.predicted == predict(System(), kept.motion, servo, base=base, parts=FINE)
+    assert kept.predicted == predict(
+        System(vehicle=BENT_THESIS), kept.motion, servo, base=base, parts=FINE
+    )
 
 
 def test_a_seed_that_is_none():
@@ -151,7 +158,7 @@ def test_feasible_means_the_ends_the_time_and_the_limits():
     assert is_feasible(query(duration=0.8), query(duration=0.8).straight)
     violent = query(duration=0.25)
     assert not is_feasible(violent, violent.straight)  # torque
-    prescribed = query(duration=0.25, system=System(drive="prescribed"))
+    prescribed = query(duration=0.25, system=System(vehicle=BENT_THESIS, drive="prescribed"))
     assert is_feasible(prescribed, prescribed.straight)
 
 
@@ -202,7 +209,7 @@ for planner in reversed(PLANNERS.values()):
     assert dict(text.split() for text in process.stdout.splitlines()) == hashes
 
 
-@pytest.mark.parametrize("vehicle", [DECOUPLED, STRAIGHT_VERTICAL, FREE_FLOATING])
+@pytest.mark.parametrize("vehicle", [DECOUPLED, STRAIGHT_VERTICAL_THESIS, FREE_FLOATING])
 def test_every_planner_answers_on_every_vehicle(planner, vehicle):
     q = query(system=System(vehicle=vehicle))
     plan = solve(planner, q)

@@ -11,7 +11,7 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import JointServo
-from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.planners.coupling import coupling_matrix, disturbance_matrix
 from ves_gym.planners.least_reaction import ReactionProblem
 from ves_gym.planners.query import Query, solve
@@ -40,7 +40,7 @@ HOME = np.array([0.3, -0.5, 0.8, 0.4, -0.7, 0.2, 0.5, -0.3])
 
 
 def test_more_than_six_joints_have_a_reaction_null_space():
-    system = System(arm=EIGHT)
+    system = System(vehicle=BENT_THESIS, arm=EIGHT)
     N = reaction_null_space(system, HOME)
     assert N.shape == (8, 2)
     np.testing.assert_allclose(N.T @ N, np.eye(2), atol=1e-12)
@@ -49,9 +49,11 @@ def test_more_than_six_joints_have_a_reaction_null_space():
 
 
 def test_three_joints_have_none():
-    assert reaction_null_space(System(), (0.3, -0.5, 0.8)).shape == (3, 0)
+    assert reaction_null_space(System(vehicle=BENT_THESIS), (0.3, -0.5, 0.8)).shape == (3, 0)
     # but nearly one at (45, 0, 0) deg, thesis 4.2
-    assert reaction_null_space(System(), (np.pi / 4, 0, 0), share=0.02).shape == (3, 1)
+    assert reaction_null_space(
+        System(vehicle=BENT_THESIS), (np.pi / 4, 0, 0), share=0.02
+    ).shape == (3, 1)
 
 
 def test_six_joints_can_keep_a_free_base_from_turning():
@@ -64,7 +66,7 @@ def test_six_joints_can_keep_a_free_base_from_turning():
 
 def test_a_share_that_is_none():
     with pytest.raises(ParameterError, match=r"share must be >= 0 and < 1, got 1\.0"):
-        reaction_null_space(System(), (0.0,) * 3, share=1.0)
+        reaction_null_space(System(vehicle=BENT_THESIS), (0.0,) * 3, share=1.0)
 
 
 def reactionless(system, attitude):
@@ -88,7 +90,7 @@ def reactionless(system, attitude):
 
 def test_along_it_the_base_rests():
     """Simulated: a hundredth of the straight line's energy at most, the whole way null."""
-    system = System(arm=EIGHT, drive="prescribed")
+    system = System(vehicle=BENT_THESIS, arm=EIGHT, drive="prescribed")
     query = reactionless(system, False)
     plan = solve(ReactionNull(share=1e-6), query)
     assert plan.info["null_share"] > 0.95
@@ -97,7 +99,7 @@ def test_along_it_the_base_rests():
     assert energy < 0.01 * straight
 
 
-@pytest.mark.parametrize("vehicle", [BENT, FREE_FLOATING])
+@pytest.mark.parametrize("vehicle", [BENT_THESIS, FREE_FLOATING])
 def test_seven_joints_move_along_a_curve_without_reaction(vehicle):
     """Simulated: a thousandth of the energy, or of the turn, of a straight line as long.
 
@@ -120,12 +122,12 @@ def test_seven_joints_move_along_a_curve_without_reaction(vehicle):
 
 
 def test_a_path_ends_at_a_joint_limit_and_begins_where_there_is_one():
-    system = System(arm=SEVEN)
+    system = System(vehicle=BENT_THESIS, arm=SEVEN)
     path = reaction_null_path(system, HOME[:7], length=50.0)
     assert (path >= SEVEN.column("q_min")).all() and (path <= SEVEN.column("q_max")).all()
     assert len(path) < 2000
     with pytest.raises(ParameterError, match="every motion of 3 joints moves this base"):
-        reaction_null_path(System(), (0.3, -0.5, 0.8))
+        reaction_null_path(System(vehicle=BENT_THESIS), (0.3, -0.5, 0.8))
     with pytest.raises(ParameterError, match="direction must have a part without reaction"):
         null = reaction_null_space(system, HOME[:7])[:, 0]
         across = np.linalg.svd(null[None])[2][1]
@@ -134,22 +136,22 @@ def test_a_path_ends_at_a_joint_limit_and_begins_where_there_is_one():
         reaction_null_path(system, HOME[:7], length=0.0)
 
 
-@pytest.mark.parametrize("vehicle", [BENT, FREE_FLOATING])
+@pytest.mark.parametrize("vehicle", [BENT_THESIS, FREE_FLOATING])
 def test_seven_joints_between_any_ends_take_the_least_reaction(vehicle):
     """Less than the straight line's, never more energy on a base with stiffness."""
     system = System(arm=seven_joint_arm(), vehicle=vehicle, drive="prescribed")
-    for _, query in reach100(system, "bent", 2, durations=(2.0,)).queries:
+    for _, query in reach100(system, "bent-thesis", 2, durations=(2.0,)).queries:
         query = dataclasses.replace(query, system=system)
         plan = solve(get_planner("reaction-null"), query)
         assert plan.feasible
         assert 0 < plan.info["reaction"] < 0.9
         assert 0 < plan.info["null_share"] < 1
-        if vehicle is BENT:
+        if vehicle is BENT_THESIS:
             straight = solve(get_planner("straight"), query)
             assert plan.predicted.E_mean < 0.7 * straight.predicted.E_mean
 
 
-@pytest.mark.parametrize("vehicle", [BENT, FREE_FLOATING])
+@pytest.mark.parametrize("vehicle", [BENT_THESIS, FREE_FLOATING])
 def test_the_reaction_is_that_of_the_base_and_its_derivative_exact(vehicle):
     """Root mean square of the base's turn (free) or of sqrt(q'^T Q q') at the middle."""
     system = System(arm=seven_joint_arm(), vehicle=vehicle, drive="prescribed")
@@ -171,7 +173,7 @@ def test_the_reaction_is_that_of_the_base_and_its_derivative_exact(vehicle):
     np.testing.assert_allclose((ahead - back) / 2e-6, slope, atol=1e-6 * np.abs(slope).max())
 
 
-@pytest.mark.parametrize(("vehicle", "least"), [(BENT, 7), (FREE_FLOATING, 4)])
+@pytest.mark.parametrize(("vehicle", "least"), [(BENT_THESIS, 7), (FREE_FLOATING, 4)])
 def test_an_arm_that_cannot_be_reactionless_says_so(vehicle, least):
     """Three joints: no answer rather than the straight line by another name, or a worse one."""
     system = System(vehicle=vehicle)
@@ -182,10 +184,15 @@ def test_an_arm_that_cannot_be_reactionless_says_so(vehicle, least):
     assert f"takes {least} joints" in plan.failure
 
 
-@pytest.mark.parametrize("vehicle", [BENT, FREE_FLOATING])
+@pytest.mark.parametrize("vehicle", [BENT_THESIS, FREE_FLOATING])
 def test_no_answer_is_worse_than_the_straight_line(vehicle):
     """Without the refusal 2 of these 12 cost up to 2.0 x (bent), 10 up to 1.7 x (free)."""
-    queries = [q for _, q in reach100(System(), "bent", 6, durations=(1.0, 4.0)).queries]
+    queries = [
+        q
+        for _, q in reach100(
+            System(vehicle=BENT_THESIS), "bent-thesis", 6, durations=(1.0, 4.0)
+        ).queries
+    ]
     refused = 0
     for query in queries:
         query = dataclasses.replace(query, system=System(vehicle=vehicle))
@@ -210,9 +217,11 @@ def test_a_free_floating_base_keeps_its_attitude():
 def test_nearly_reactionless_directions_of_the_puma_are_used_where_they_pay(duration):
     """Across (45, 0, 0) deg along its nearly reactionless direction: 0.45 to 0.82 x."""
     middle = np.array([np.pi / 4, 0.0, 0.0])
-    direction = reaction_null_space(System(), middle, share=0.02)[:, 0]
+    direction = reaction_null_space(System(vehicle=BENT_THESIS), middle, share=0.02)[:, 0]
     ends = (tuple((middle + k * direction).tolist()) for k in (-0.4, 0.4))
-    query = Query(system=System(), start=next(ends), goal=next(ends), duration=duration)
+    query = Query(
+        system=System(vehicle=BENT_THESIS), start=next(ends), goal=next(ends), duration=duration
+    )
     plan = solve(ReactionNull(), query)
     assert plan.motion is not None
     assert plan.info["null_share"] > 0.8

@@ -12,7 +12,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.dynamics import frames
 from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.planners import direct
 from ves_gym.planners import refine as refine_module
 from ves_gym.planners.direct import MotionProblem
@@ -24,11 +24,13 @@ from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import SPEED_LIMITS, reach100
 from ves_gym.system.system import System
 
-QUERIES = {q.name: q for _, q in reach100(System(), "bent", 3).queries}
+QUERIES = {
+    q.name: q for _, q in reach100(System(vehicle=BENT_THESIS), "bent-thesis", 3).queries
+}
 PILLAR = Surroundings(obstacles=(Box(centre=(0.75, 0.0, 0.7), size=(0.2, 0.2, 0.8)),))
 ACROSS = Query(
-    system=System(), start=(-1.0, 0.1, 0.2), goal=(1.0, 0.1, 0.2), duration=4.0,
-    v_max=SPEED_LIMITS, surroundings=PILLAR,
+    system=System(vehicle=BENT_THESIS), start=(-1.0, 0.1, 0.2), goal=(1.0, 0.1, 0.2),
+    duration=4.0, v_max=SPEED_LIMITS, surroundings=PILLAR,
 )  # fmt: skip
 
 
@@ -88,7 +90,7 @@ def test_it_goes_around_obstacles():
     assert "obstacle 1 (box)" in broken_limit(ACROSS, ACROSS.straight)
     plan = solve(Refined(), ACROSS)
     assert plan.feasible
-    checker = collisions(System(), PILLAR)
+    checker = collisions(System(vehicle=BENT_THESIS), PILLAR)
     assert checker.first_contact(plan.motion.at(np.linspace(0, 4.0, 4001)).q) is None
     rough = solve(get_planner("ompl-qt"), ACROSS)
     assert plan.predicted.E_mean < rough.predicted.E_mean
@@ -112,7 +114,9 @@ def test_an_end_in_an_obstacle_is_said():
 
 def test_no_way_is_said():
     """A block in the way of the shoulder, which only joint 1 moves, and only past it."""
-    axis = np.array([float(k) for k in frames(System().arm, [0.0, 0.0, 0.0])[1].axis])
+    axis = np.array(
+        [float(k) for k in frames(System(vehicle=BENT_THESIS).arm, [0.0, 0.0, 0.0])[1].axis]
+    )
     block = Box(centre=tuple(np.array([0, 0, 0.9]) - 0.2 * axis), size=(0.05, 0.05, 0.05))
     walled = Surroundings(obstacles=(block,))
     plan = solve(Refined(), dataclasses.replace(ACROSS, surroundings=walled))
@@ -153,8 +157,8 @@ def test_what_torque_cannot_do_is_soon_given_up():
 
 def test_any_arm_and_vehicle():
     six = Query(
-        system=System(arm=six_joint_arm()), start=(-0.3,) * 6, goal=(0.3,) * 6, duration=3.0,
-        servo=WRIST_GAINS,
+        system=System(vehicle=BENT_THESIS, arm=six_joint_arm()), start=(-0.3,) * 6,
+        goal=(0.3,) * 6, duration=3.0, servo=WRIST_GAINS,
     )  # fmt: skip
     floating = Query(
         system=System(vehicle=FREE_FLOATING), start=(0.0,) * 3, goal=(0.8, 0.4, -0.6),
@@ -171,8 +175,8 @@ def test_of_many_joints_starts_are_compared_with_fewer_points(monkeypatch):
 
     Within 1 % of what comparing them with all points finds.
     """
-    system = System(arm=seven_joint_arm(), drive="prescribed")
-    ((_, query),) = reach100(system, "bent", 1, durations=(2.0,)).queries
+    system = System(vehicle=BENT_THESIS, arm=seven_joint_arm(), drive="prescribed")
+    ((_, query),) = reach100(system, "bent-thesis", 1, durations=(2.0,)).queries
     plan, sizes = solve(Refined(), query), []
 
     def minimise(problem, x, *args, **options):

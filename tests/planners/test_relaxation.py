@@ -9,6 +9,7 @@ import pytest
 from benchmarks.search import BUDGET, queries, ratios
 from tests.arms import six_joint_arm
 from tests.planners.test_ompl_search import ACROSS, LONG
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.metric import Metric
 from ves_gym.planners.obstacles import collisions
@@ -21,7 +22,9 @@ from ves_gym.system.system import System
 @pytest.mark.parametrize("arm", [None, six_joint_arm()], ids=["three joints", "six"])
 @pytest.mark.parametrize("kind", ["q", "qt"])
 def test_slopes_of_lengths(kind, arm):
-    system = System() if arm is None else System(arm=arm)
+    system = (
+        System(vehicle=BENT_THESIS) if arm is None else System(vehicle=BENT_THESIS, arm=arm)
+    )
     m = Metric(system, kind, 2.0)
     a, b = np.random.default_rng(0).uniform(-1.2, 1.2, (2, 20, m.n))
     length, slope = m.slopes(a, b)
@@ -80,7 +83,7 @@ def test_what_is_relaxed_goes_around(objective):
     if result.motion is not None:
         path = result.motion.at(np.linspace(0, ACROSS.duration, 2001)).q
     fine = [np.linspace(a, b, 40) for a, b in itertools.pairwise(path)]
-    checker = collisions(System().ideal(), ACROSS.surroundings)
+    checker = collisions(System(vehicle=BENT_THESIS).ideal(), ACROSS.surroundings)
     assert checker.first_contact(np.vstack(fine)) is None
 
 

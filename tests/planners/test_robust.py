@@ -7,6 +7,7 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.effects.payload_mass import PayloadMass
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.query import Query, solve
@@ -18,11 +19,11 @@ from ves_gym.system.system import System
 
 UNCERTAIN = {"base/stiffness": {"error": (-0.2, 0.2)}, "payload/mass": {"mass": (0.0, 5.0)}}
 QUERY = Query(
-    system=System(),
+    system=System(vehicle=BENT_THESIS),
     start=(0.3, -0.5, 0.2),
     goal=(1.2, 0.4, -0.6),
     duration=2.0,
-    v_max=tuple(System().arm.column("v_max").tolist()),
+    v_max=tuple(System(vehicle=BENT_THESIS).arm.column("v_max").tolist()),
 )
 
 
@@ -45,7 +46,7 @@ def test_scenarios_are_the_described_machine_with_effects_at_their_ends():
     masses = [s.arm.mass - QUERY.system.arm.mass for s in systems]
     assert sorted(np.round(K, 9)) == [0.8, 0.8, 1.2, 1.2]
     assert sorted(np.round(masses, 9)) == [0.0, 0.0, 5.0, 5.0]
-    free = scenarios(System().replace(vehicle=_satellite()), UNCERTAIN)
+    free = scenarios(System(vehicle=BENT_THESIS).replace(vehicle=_satellite()), UNCERTAIN)
     assert len(free) == 2  # a satellite has no stiffness
 
 

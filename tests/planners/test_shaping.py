@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.planners.coupling import modes
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
@@ -60,7 +60,9 @@ def test_the_seventh_order_law():
 
 
 QUERY = Query(
-    system=System(vehicle=dataclasses.replace(BENT, damping_ratio=0.0), drive="prescribed"),
+    system=System(
+        vehicle=dataclasses.replace(BENT_THESIS, damping_ratio=0.0), drive="prescribed"
+    ),
     start=(0.0, -0.1, 0.1),
     goal=(0.1, 0.1, -0.1),
     duration=4.0,
@@ -73,7 +75,7 @@ def test_modes_are_those_of_the_base_by_energy():
     assert energies == sorted(energies, reverse=True)
     expected = modes(QUERY.system, (0.05, 0.0, 0.0)).omega
     assert sorted(m.frequency for m in base_modes) == pytest.approx(expected)
-    damped = excited_modes(System(), QUERY.straight)
+    damped = excited_modes(System(vehicle=BENT_THESIS), QUERY.straight)
     # 5 % modal damping of the beam alone; the arm's mass takes from it
     assert all(0.005 < mode.damping < 0.06 for mode in damped)
     assert excited_modes(System(vehicle=FREE_FLOATING), QUERY.straight) == []
@@ -98,7 +100,11 @@ def test_a_shaped_motion_leaves_less_in_the_modes_it_is_shaped_for():
 @pytest.mark.parametrize("name", ["shaped-zv", "shaped-zvd"])
 def test_shaping_pays_where_there_is_time_for_it(name):
     """Predicted E_res at 4 s, median over queries; and what was shaped for is told."""
-    queries = [q for _, q in reach100(System(), "bent", 6).queries if q.duration == 4.0]
+    queries = [
+        q
+        for _, q in reach100(System(vehicle=BENT_THESIS), "bent-thesis", 6).queries
+        if q.duration == 4.0
+    ]
     plans = [solve(get_planner(name), q) for q in queries]
     lines = [solve(get_planner("straight"), q) for q in queries]
     ratio = [a.predicted.E_res / b.predicted.E_res for a, b in zip(plans, lines, strict=True)]
@@ -110,7 +116,9 @@ def test_shaping_pays_where_there_is_time_for_it(name):
 
 
 def test_without_time_or_modes_the_line_is_the_quintic():
-    short = Query(system=System(), start=(0.0,) * 3, goal=(0.1,) * 3, duration=0.2)
+    short = Query(
+        system=System(vehicle=BENT_THESIS), start=(0.0,) * 3, goal=(0.1,) * 3, duration=0.2
+    )
     free = Query(
         system=System(vehicle=FREE_FLOATING), start=(0.0,) * 3, goal=(0.1,) * 3, duration=2
     )
@@ -121,7 +129,7 @@ def test_without_time_or_modes_the_line_is_the_quintic():
 
 
 def test_shaping_keeps_the_limits():
-    queries = [q for _, q in reach100(System(), "bent", 3).queries]
+    queries = [q for _, q in reach100(System(vehicle=BENT_THESIS), "bent-thesis", 3).queries]
     for query in queries:
         assert query.v_max == SPEED_LIMITS
         for name in ("shaped-zv", "shaped-zvd"):

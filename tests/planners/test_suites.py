@@ -12,7 +12,7 @@ from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import BENT, DECOUPLED, STRAIGHT_HORIZONTAL
+from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.query import is_feasible
 from ves_gym.planners.registry import PLANNERS
@@ -38,7 +38,7 @@ from ves_gym.system.system import System
 
 @pytest.fixture(scope="module")
 def full():
-    return get_suite("reach100", system=System())
+    return get_suite("reach100", system=System(), vehicle="bent-thesis")
 
 
 def ends(suite):
@@ -54,18 +54,18 @@ def test_reach100_asks_a_hundred_questions_per_duration(full):
     assert len({q.name for _, q in full.queries}) == 400
     assert len({(q.start, q.goal) for _, q in full.queries}) == 400
     assert set(full.planners) <= set(PLANNERS)
-    assert {v for v, _ in full.queries} == {"bent"}
+    assert {v for v, _ in full.queries} == {"bent-thesis"}
 
 
 def test_the_questions_never_change(full):
     """Whoever changes them publishes another suite."""
-    assert ends(full) == ends(get_suite("reach100", system=System()))
+    assert ends(full) == ends(get_suite("reach100", system=System(), vehicle="bent-thesis"))
     rounded = [(n, np.round(a, 9).tolist(), np.round(b, 9).tolist()) for n, a, b in ends(full)]
     assert content_hash(rounded)[:16] == "fe5fba37b63bce24"
 
 
 def test_quick_is_the_beginning_of_each_duration(full):
-    quick = get_suite("reach100", system=System(), quick=True)
+    quick = get_suite("reach100", system=System(), quick=True, vehicle="bent-thesis")
     assert len(quick.queries) == 40
     for duration in REACH_DURATIONS:
         quick_queries = [q for _, q in quick.queries if q.duration == duration]
@@ -74,7 +74,7 @@ def test_quick_is_the_beginning_of_each_duration(full):
 
 
 def test_every_straight_line_keeps_the_speed_limits(full):
-    arm = System().arm
+    arm = System(vehicle=BENT_THESIS).arm
     for _, q in full.queries:
         start, goal = q.ends
         peak = np.abs(goal - start) * QUINTIC_PEAK_SPEED / q.duration
@@ -99,7 +99,12 @@ def test_the_questions_do_not_depend_on_the_vehicle_or_drive(full, tmp_path):
         ("free-floating", "motor"),
         (str(tmp_path / "mine.toml"), "prescribed"),
     ):
-        other = get_suite("reach100", system=System(drive=drive), vehicle=vehicle, quick=True)
+        other = get_suite(
+            "reach100",
+            system=System(vehicle=BENT_THESIS, drive=drive),
+            vehicle=vehicle,
+            quick=True,
+        )
         assert {v for v, _ in other.queries} == {vehicle}
         assert ends(other)[:10] == ends(full)[:10]
         assert {q.system.drive for _, q in other.queries} == {drive}
@@ -110,10 +115,10 @@ def test_the_questions_do_not_depend_on_the_vehicle_or_drive(full, tmp_path):
 def test_reach100_asks_any_arm(make):
     """From its own limits; prefixes, determinism and speed as for the PUMA."""
     arm = make()
-    system = System(arm=arm, drive="prescribed")
-    suite = reach100(system, "bent", 3)
-    assert ends(suite) == ends(reach100(system, "bent", 3))
-    longer = reach100(system, "bent", 5, durations=(suite.queries[0][1].duration,))
+    system = System(vehicle=BENT_THESIS, arm=arm, drive="prescribed")
+    suite = reach100(system, "bent-thesis", 3)
+    assert ends(suite) == ends(reach100(system, "bent-thesis", 3))
+    longer = reach100(system, "bent-thesis", 5, durations=(suite.queries[0][1].duration,))
     assert ends(longer)[:3] == ends(suite)[:3]
     middle = (arm.column("q_min") + arm.column("q_max")) / 2
     for _, q in suite.queries:
@@ -127,7 +132,7 @@ def test_reach100_asks_any_arm(make):
 def test_reach100_asks_every_arm_that_comes_with_the_package(name):
     """With its own servo gains; nearly every straight line is feasible."""
     arm = get_arm(name)
-    suite = reach100(System(arm=arm), "bent", 3)
+    suite = reach100(System(vehicle=BENT_THESIS, arm=arm), "bent-thesis", 3)
     assert [q.duration for _, q in suite.queries[::3]] == list(reach_durations(arm))
     assert all(len(q.servo.kp) == arm.n for _, q in suite.queries)
     slow = [q for _, q in suite.queries if q.duration >= 2 * reach_durations(arm)[0]]
@@ -143,7 +148,9 @@ def test_the_box_of_reach100_is_cut_to_whole_multiples_of_60_degrees():
     links = tuple(dataclasses.replace(link, q_min=a, q_max=b) for a, b in limits)
     arm = dataclasses.replace(PUMA_560, links=links)
     np.testing.assert_allclose(np.rad2deg(reach_range(arm)), [180, 60, 30, 1.875])
-    queries = reach100(System(arm=arm, drive="prescribed"), "bent", 20).queries
+    queries = reach100(
+        System(vehicle=BENT_THESIS, arm=arm, drive="prescribed"), "bent-thesis", 20
+    ).queries
     second = np.rad2deg([q.start[1] for _, q in queries])
     assert second.min() >= 30.0 and second.max() <= 150.0
 
@@ -162,17 +169,21 @@ def test_a_slow_arm_is_asked_for_slow_motions():
 
 def test_the_thesis_suite_is_for_three_joints():
     with pytest.raises(ParameterError, match=r"thesis's arm, of 3 joints: got 2 \(planar\)"):
-        get_suite("thesis", system=System(arm=planar_arm()))
+        get_suite("thesis", system=System(vehicle=BENT_THESIS, arm=planar_arm()))
 
 
 def test_the_thesis_suite():
-    suite = get_suite("thesis", system=System())
+    suite = get_suite("thesis", system=System(vehicle=BENT_THESIS))
     assert [(v, q.name, q.duration) for v, q in suite.queries] == [
-        ("straight-horizontal", "shoulder-180", 2.0),
-        ("bent", "shoulder-180", 2.0),
-        ("bent", "good-and-bad", 3.0),
+        ("straight-horizontal-thesis", "shoulder-180", 2.0),
+        ("bent-thesis", "shoulder-180", 2.0),
+        ("bent-thesis", "good-and-bad", 3.0),
     ]
-    assert [q.system.vehicle for _, q in suite.queries] == [STRAIGHT_HORIZONTAL, BENT, BENT]
+    assert [q.system.vehicle for _, q in suite.queries] == [
+        STRAIGHT_HORIZONTAL_THESIS,
+        BENT_THESIS,
+        BENT_THESIS,
+    ]
     shoulder = suite.queries[0][1]
     np.testing.assert_allclose(
         np.rad2deg(np.subtract(shoulder.goal, shoulder.start)), [180, 0, 0]
@@ -184,13 +195,18 @@ def test_the_thesis_suite():
 
 def test_in_the_laboratory_the_good_path_is_also_played_with_its_weight():
     """Not in space, and not on a machine that does not subtract the weight anyway."""
-    system = System(mode="emulated")
+    system = System(vehicle=BENT_THESIS, mode="emulated")
     assert get_suite("thesis", system=system).uncompensated_runs == (
         ("good-and-bad", "hotspot-q"),
     )
-    assert get_suite("thesis", system=System()).uncompensated_runs == ()
+    assert get_suite("thesis", system=System(vehicle=BENT_THESIS)).uncompensated_runs == ()
     assert get_suite("thesis", system=uncompensated(system)).uncompensated_runs == ()
-    assert get_suite("reach100", system=system, quick=True).uncompensated_runs == ()
+    assert (
+        get_suite(
+            "reach100", system=system, quick=True, vehicle="bent-thesis"
+        ).uncompensated_runs
+        == ()
+    )
 
 
 def test_uncompensated_is_the_same_machine_with_the_weight_left_in():
@@ -198,6 +214,7 @@ def test_uncompensated_is_the_same_machine_with_the_weight_left_in():
     effects = GravityScale(error=0.01), SensorLag(error=0.1)
     platform = PoseServo(bandwidth=5.0)
     system = System(
+        vehicle=BENT_THESIS,
         mode="emulated",
         emulator=EmulatorSettings(platform=platform),
         effects=effects,
@@ -211,26 +228,28 @@ def test_uncompensated_is_the_same_machine_with_the_weight_left_in():
 
 
 def test_the_thesis_suite_on_one_of_its_vehicles():
-    suite = get_suite("thesis", system=System(), vehicle="straight-horizontal")
-    assert [v for v, _ in suite.queries] == ["straight-horizontal"]
+    suite = get_suite(
+        "thesis", system=System(vehicle=BENT_THESIS), vehicle="straight-horizontal-thesis"
+    )
+    assert [v for v, _ in suite.queries] == ["straight-horizontal-thesis"]
     with pytest.raises(
         ParameterError, match="runs on bent, straight-horizontal, got 'decoupled'"
     ):
-        get_suite("thesis", system=System(), vehicle="decoupled")
+        get_suite("thesis", system=System(vehicle=BENT_THESIS), vehicle="decoupled")
 
 
 @pytest.mark.parametrize("name", ["reach", "", None])
 def test_an_unknown_suite_is_an_error_that_lists_the_known(name):
     with pytest.raises(ParameterError) as caught:
-        get_suite(name, system=System())
+        get_suite(name, system=System(vehicle=BENT_THESIS))
     for suite in (*SUITES, repr(name)):
         assert suite in str(caught.value)
     with pytest.raises(ParameterError, match="vehicle must be one of"):
-        get_suite("reach100", system=System(), vehicle="ship")
+        get_suite("reach100", system=System(vehicle=BENT_THESIS), vehicle="ship")
 
 
 def test_transfer_asks_of_one_base_and_judges_on_others():
-    suite = get_suite("transfer", system=System(), quick=True)
+    suite = get_suite("transfer", system=System(vehicle=BENT_THESIS), quick=True)
     machines = dict.fromkeys(v for v, _ in suite.queries)
     assert list(machines)[:3] == ["as described", "more modes", "stiffness -20 %"]
     known = {suite.described[v].hash for v in machines}
@@ -245,11 +264,11 @@ def test_transfer_asks_of_one_base_and_judges_on_others():
     known_payload = suite.described["payload 5 kg, known"].arm
     assert known_payload.mass == pytest.approx(judged["payload 5 kg"].arm.mass)
     with pytest.raises(ParameterError, match="needs mode ideal"):
-        get_suite("transfer", system=System(mode="emulated"))
+        get_suite("transfer", system=System(vehicle=BENT_THESIS, mode="emulated"))
 
 
 def test_a_transfer_benchmark_plans_once_for_machines_described_alike():
-    suite = transfer(System(), "bent-flexible", 1)
+    suite = transfer(System(vehicle=BENT_THESIS), "bent", 1)
     part = tuple((v, q) for v, q in suite.queries if q.duration == 1.0)
     chosen = {"as described", "payload 5 kg", "payload 5 kg, known"}
     suite = dataclasses.replace(suite, queries=tuple(k for k in part if k[0] in chosen))

@@ -10,6 +10,7 @@ from tests.arms import seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.tool_pose import ToolPose, configurations_at, pose_error, tool_pose
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.obstacles import Sphere, Surroundings, collisions
 from ves_gym.planners.query import Plan, Query, solve
 from ves_gym.planners.registry import get_planner
@@ -19,7 +20,12 @@ from ves_gym.system.system import System
 
 
 def queries(arm, count=2):
-    suite = reach100(System(arm=arm, drive="prescribed"), "bent", count, durations=(2.0,))
+    suite = reach100(
+        System(vehicle=BENT_THESIS, arm=arm, drive="prescribed"),
+        "bent-thesis",
+        count,
+        durations=(2.0,),
+    )
     return [query for _, query in suite.queries]
 
 
@@ -61,7 +67,7 @@ def test_the_first_goal_has_the_cheapest_straight_line():
 
 def test_goals_inside_an_obstacle_are_left_out():
     """A ball at the elbow of one of the postures that reach a place."""
-    system = System(drive="prescribed")
+    system = System(vehicle=BENT_THESIS, drive="prescribed")
     asked = Query(system=system, start=(0.0,) * 3, goal=(0.0,) * 3, duration=4.0)
     pose = ToolPose(position=tool_pose(system.arm, (0.8, 0.6, -1.2)).position)
     goals = choose_goals(asked, pose)
@@ -90,11 +96,11 @@ def test_a_pose_out_of_reach_is_refused_with_how_near_it_is():
 
 def test_the_same_from_python(tmp_path):
     """The thesis's arm has two postures for a place; the plan comes back from its file."""
-    place = tool_pose(System().arm, (0.8, 0.3, -0.9)).position
+    place = tool_pose(System(vehicle=BENT_THESIS).arm, (0.8, 0.3, -0.9)).position
     plan = vg.plan((0.0, 0.0, 0.0), ToolPose(position=place), planner="straight")
     assert plan.feasible
     np.testing.assert_allclose(
-        tool_pose(System().arm, plan.motion.goal).position, place, atol=2e-6
+        tool_pose(System(vehicle=BENT_THESIS).arm, plan.motion.goal).position, place, atol=2e-6
     )
     plan.save(tmp_path / "plan.json")
     assert Plan.load(tmp_path / "plan.json").info["tool"] == plan.info["tool"]

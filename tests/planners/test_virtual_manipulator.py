@@ -10,7 +10,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Arm, Inertial, diagonal
 from ves_gym.mechanics.dynamics import frames, joint_positions
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING
 from ves_gym.planners.pped import Bounds, GainMatrices, analyse, plant_at, tune
 from ves_gym.planners.virtual_manipulator import (
     joint_gains,
@@ -121,7 +121,7 @@ def test_equations_4_1_and_4_2():
 @pytest.mark.parametrize("full", [False, True], ids=["diagonal", "full"])
 def test_two_masses_are_an_arm_with_one(full):
     """Their measure is what the full dynamic analysis finds for the joint gains."""
-    system = System(arm=point_mass_arm())
+    system = System(vehicle=BENT_THESIS, arm=point_mass_arm())
     virtual = tune_virtual(system, BENT_ELBOW, full=full, bounds=LOOSE)
     judged = analyse(plant_at(system, BENT_ELBOW), virtual.gains)
     assert judged.E_int == pytest.approx(virtual.search.value, rel=1e-6)
@@ -131,7 +131,7 @@ def test_two_masses_are_an_arm_with_one(full):
 
 
 def test_poles_of_the_two_masses_are_those_of_the_arm():
-    system = System(arm=point_mass_arm())
+    system = System(vehicle=BENT_THESIS, arm=point_mass_arm())
     cartesian = GainMatrices(np.diag([500.0, 300, 900]), np.diag([40.0, 90, 60]))
     joints = joint_gains(system.arm, BENT_ELBOW, cartesian)
     simple = analyse(two_masses(system, BENT_ELBOW), cartesian)

@@ -64,7 +64,7 @@ def fake_rows(
                     {
                         "planner": name,
                         "query": f"reach-{duration:g}s-{k:03d}",
-                        "vehicle": "bent",
+                        "vehicle": "bent-thesis",
                         "mode": "ideal",
                         "duration": duration,
                         "E_mean": mean,
@@ -93,7 +93,7 @@ def fake_summary(rows: list[Result]) -> list[Result]:
         middle = float(np.median(ratio))
         out.append(
             {
-                "vehicle": "bent",
+                "vehicle": "bent-thesis",
                 "duration": duration,
                 "planner": name,
                 "n": len(members),
@@ -118,7 +118,7 @@ def fake_trace(names: list[str], duration: float) -> Result:
         t, E = run["t"][::4], run["E"][::4]
         series.append({"planner": name, "t": t.round(4).tolist(), "E": E.round(5).tolist()})
     return {
-        "vehicle": "bent",
+        "vehicle": "bent-thesis",
         "duration": duration,
         "query": f"reach-{duration:g}s-000",
         "series": series,
@@ -140,7 +140,7 @@ def fake_map(names: list[str], points: int) -> Result:
         curve = np.stack([-80 + 150 * s, -30 + 60 * s + bow], -1).round(2).tolist()
         paths.append({"planner": name, "points": curve})
     return {
-        "vehicle": "bent",
+        "vehicle": "bent-thesis",
         "title": "Q_T, T = 2 s: joints 1 and 2 (q3 = 40 deg)",
         "joints": [1, 2],
         "x": x.tolist(),
@@ -170,7 +170,7 @@ def fake_scene(names: list[str], duration: float) -> Result:
             }
         )
     return {
-        "vehicle": "bent",
+        "vehicle": "bent-thesis",
         "duration": duration,
         "query": f"reach-{duration:g}s-000",
         "rest_beam": REST.tolist(),
@@ -199,7 +199,9 @@ def fake_result(
         "command": "ves-gym benchmark --quick",
         "seconds": 63.2,
         "versions": {"ves-gym": "0.1.0", "mujoco": "4.0.0"},
-        "systems": {"bent": {"hash": "196bcf" * 10, "description": "puma560 on a bent beam"}},
+        "systems": {
+            "bent-thesis": {"hash": "196bcf" * 10, "description": "puma560 on a bent beam"}
+        },
         "planners": [{"name": n, "summary": PLANNERS[n][0]} for n in names],
         "rows": rows,
         "summary": fake_summary(rows),

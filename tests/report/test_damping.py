@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.damping_map import damping_map
 from ves_gym.planners.free_vibration import linear_free_vibration, simulate_free_vibration
 from ves_gym.planners.pped import GainMatrices, analyse, plant_at
@@ -20,9 +21,9 @@ NAMES = ["high", "PPED"]
 
 
 def test_every_pole_of_the_upper_half_is_drawn():
-    plant = plant_at(System(), Q)
+    plant = plant_at(System(vehicle=BENT_THESIS), Q)
     sets = [(n, analyse(plant, g).poles) for n, g in zip(NAMES, SETS, strict=True)]
-    base = System().base
+    base = System(vehicle=BENT_THESIS).base
     figure = pole_figure(sets, poles_in_space(plant.mass, base.D, base.K))
     assert [axes.get_title() for axes in figure.axes] == NAMES
     for axes, (_, poles) in zip(figure.axes, sets, strict=True):
@@ -38,8 +39,12 @@ def test_every_pole_of_the_upper_half_is_drawn():
 
 @pytest.mark.parametrize("both", [True, False])
 def test_responses_of_both_models_are_drawn(both):
-    linear = linear_free_vibration(System(), Q, SETS, seconds=4.0)
-    simulated = simulate_free_vibration(System(), Q, SETS, seconds=4.0) if both else None
+    linear = linear_free_vibration(System(vehicle=BENT_THESIS), Q, SETS, seconds=4.0)
+    simulated = (
+        simulate_free_vibration(System(vehicle=BENT_THESIS), Q, SETS, seconds=4.0)
+        if both
+        else None
+    )
     figure = response_figure(NAMES, linear, simulated)
     translation, strain, integral = figure.axes
     assert len(strain.lines) == (4 if both else 2)
@@ -52,7 +57,9 @@ def test_responses_of_both_models_are_drawn(both):
 
 
 def test_a_map_has_a_column_per_section():
-    sections = [damping_map(System(), pair, Q, points=2) for pair in ((0, 1), (1, 2))]
+    sections = [
+        damping_map(System(vehicle=BENT_THESIS), pair, Q, points=2) for pair in ((0, 1), (1, 2))
+    ]
     figure = map_figure(sections)
     panels = [axes for axes in figure.axes if axes.get_title()]
     assert len(panels) == 6

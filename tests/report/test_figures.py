@@ -29,7 +29,12 @@ def test_four_figures_with_something_on_them(tmp_path, make_result):
 def test_searches_add_a_figure(tmp_path, make_result):
     """A panel per case, a line per search in its planner's colour, and the 5 % line."""
     result = make_result(queries=2, durations=(1.0,), points=9)
-    curve = {"vehicle": "bent", "n": 2, "seconds": [0.1, 0.5, 1.0], "ratio": [1.3, 1.02, 1.0]}
+    curve = {
+        "vehicle": "bent-thesis",
+        "n": 2,
+        "seconds": [0.1, 0.5, 1.0],
+        "ratio": [1.3, 1.02, 1.0],
+    }
     result["anytime"] = [
         {**curve, "duration": d, "planner": name}
         for d in (1.0, 2.0)

@@ -91,7 +91,7 @@ def test_a_hostile_name_stays_data(page, make_result, place):
     elif place == "query":
         result["rows"][0]["query"] = HOSTILE
     else:
-        result["systems"]["bent"]["description"] = HOSTILE
+        result["systems"]["bent-thesis"]["description"] = HOSTILE
     text = page(result)
     tags = [[tag for tag, _ in Elements(t).tags] for t in (plain, text)]
     assert tags[0] == tags[1]  # not one element more

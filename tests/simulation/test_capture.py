@@ -12,7 +12,7 @@ from ves_gym.effects.payload_mass import PayloadMass
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.attitude import rotate
 from ves_gym.mechanics.payload import Payload, carrying
-from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -132,7 +132,7 @@ def test_gears_that_give_way_take_their_part_of_the_impulse():
 
 
 def test_in_the_laboratory_a_stand_holds_it_and_the_estimate_does_not_know_it():
-    system = System(vehicle=BENT, payload=PAYLOAD, mode="emulated", physics_dt=2.5e-3)
+    system = System(vehicle=BENT_THESIS, payload=PAYLOAD, mode="emulated", physics_dt=2.5e-3)
     sim = Simulator(system, 2, warn_at=None)
     sim.reset(q=HOME)
     before = played(sim, 4)
@@ -182,7 +182,7 @@ def test_a_payload_is_a_body():
     with pytest.raises(ParameterError, match="must be positive definite"):
         replace(PAYLOAD, inertial=replace(BODY, inertia=diagonal(0.0, 0.0, 0.0)))
     with pytest.raises(ParameterError, match="system has no payload"):
-        Simulator(System()).grasp()
+        Simulator(System(vehicle=BENT_THESIS)).grasp()
     again = System.from_dict(SYSTEM.to_dict())
     assert again == SYSTEM
     assert again.hash == SYSTEM.hash != SYSTEM.replace(payload=None).hash

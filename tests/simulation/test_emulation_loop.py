@@ -19,7 +19,7 @@ from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.gravity import GRAVITY, GravityModel, gravity_vector
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.spatial import matvec, rate_matrix, rotation
-from ves_gym.mechanics.vehicle import BENT, DECOUPLED, FREE_FLOATING, MatrixVehicle
+from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING, MatrixVehicle
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
@@ -85,7 +85,7 @@ def test_the_engines_platform_is_where_the_follower_is(drive):
     The engine integrates accelerations; what that and the arm's reaction leave is taken
     out every period. Tolerance: 1e-9 m against motions of centimetres.
     """
-    sim = Simulator(emulated(vehicle=BENT, drive=drive), 3)
+    sim = Simulator(emulated(vehicle=BENT_THESIS, drive=drive), 3)
     off = rate = 0.0
     for k in range(320):
         swing(sim, 1, k)
@@ -365,7 +365,7 @@ KINDS = {
     },
     "prescribed": {"drive": "prescribed"},
     "zeroed, late": {"zero_at_start": True, "delay": 3},
-    "beam form": {"vehicle": BENT, "admittance_form": "beam"},
+    "beam form": {"vehicle": BENT_THESIS, "admittance_form": "beam"},
 }
 
 
@@ -598,7 +598,7 @@ def linear(base):
 
 
 @pytest.mark.parametrize("compensation", [True, False])
-@pytest.mark.parametrize("vehicle", [BENT, DECOUPLED], ids=["bent", "decoupled"])
+@pytest.mark.parametrize("vehicle", [BENT_THESIS, DECOUPLED], ids=["bent-thesis", "decoupled"])
 def test_a_linear_vehicle_given_as_a_function_is_the_same_vehicle(vehicle, compensation):
     """Built-in and custom admittance, two seconds of a swinging arm on a moving base.
 
@@ -702,9 +702,9 @@ def test_bad_emulators_are_refused():
         with pytest.raises(ParameterError, match=f"EmulatorSettings.{message}"):
             EmulatorSettings(**options)
     with pytest.raises(ParameterError, match="emulator belongs to mode emulated"):
-        System(emulator=EmulatorSettings())
+        System(vehicle=BENT_THESIS, emulator=EmulatorSettings())
     with pytest.raises(ParameterError, match="decoupled admittance form needs diagonal"):
-        Simulator(emulated(vehicle=BENT, admittance_form="decoupled"))
+        Simulator(emulated(vehicle=BENT_THESIS, admittance_form="decoupled"))
     with pytest.raises(ParameterError, match=r"P must have 9 entries for puma560, got"):
         Simulator(emulated(gravity=GravityModel(mass=90.0, P=(1.0, 2.0))))
     with pytest.raises(ParameterError, match="without mass cannot be emulated"):
@@ -713,11 +713,11 @@ def test_bad_emulators_are_refused():
         )
         Simulator(emulated(vehicle=massless, payload_compensation=False))
     with pytest.raises(ParameterError, match="mode ideal has no emulator"):
-        _ = System().emulator_settings
+        _ = System(vehicle=BENT_THESIS).emulator_settings
 
 
 def test_calls_that_do_not_fit_the_mode_are_refused_and_leave_no_trace():
-    sim, ideal = Simulator(emulated(), 2), Simulator(System(), 2)
+    sim, ideal = Simulator(emulated(), 2), Simulator(System(vehicle=BENT_THESIS), 2)
     position = Simulator(emulated(operation="position"), 2)
     before, at = all_of(sim), all_of(position)
     for call, message in [
@@ -728,7 +728,10 @@ def test_calls_that_do_not_fit_the_mode_are_refused_and_leave_no_trace():
         (lambda: position.use_gravity(None), "use_gravity needs mode emulated, operation mi"),
         (lambda: ideal.zero_sensor(), "zero_sensor needs mode emulated, got mode ideal"),
         (lambda: ideal.readings, "readings need mode emulated, got mode ideal"),
-        (lambda: Simulator(System(), admittance=lambda X, W: X), "admittance needs mode emul"),
+        (
+            lambda: Simulator(System(vehicle=BENT_THESIS), admittance=lambda X, W: X),
+            "admittance needs mode emul",
+        ),
         (lambda: sim.use_gravity(np.zeros((2, 3, 5))), r"table must be .*\(2, 3, 6\), got"),
         (lambda: sim.use_gravity(np.zeros((2, 0, 6))), r"table must be .*got \(2, 0, 6\)"),
         (lambda: sim.use_gravity(np.zeros((3, 6))), r"table must be .*\(2, 1, 6\), got \(3, 6"),

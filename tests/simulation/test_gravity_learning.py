@@ -11,6 +11,7 @@ from ves_gym.hardware.stewart import VES
 from ves_gym.mechanics.gravity import GravityModel
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation import gravity_learning
 from ves_gym.simulation.gravity_learning import Iteration, Learning, learn_gravity
 from ves_gym.simulation.playback import play_motions, weigh_poses
@@ -18,7 +19,7 @@ from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 MOTION = Motion.straight([0.0, 0.0, 0.0], [0.6, 0.5, -0.4], 1.0)
-SYSTEM = System(mode="emulated")
+SYSTEM = System(vehicle=BENT_THESIS, mode="emulated")
 # legs that may move by 2 mm
 TINY = dataclasses.replace(
     VES,
@@ -204,7 +205,7 @@ def test_other_operations_are_refused(operation):
     with pytest.raises(ParameterError, match=f"needs operation microgravity, got {operation}"):
         learn(SYSTEM.replace(emulator=EmulatorSettings(operation=operation)))
     with pytest.raises(ParameterError, match="mode ideal has no emulator"):
-        learn(System())
+        learn(System(vehicle=BENT_THESIS))
 
 
 # -------------------------------------------------------------------- weighing poses

@@ -10,7 +10,7 @@ from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
 from ves_gym.mechanics.spatial import matvec, rotation, twist
-from ves_gym.mechanics.vehicle import FREE_FLOATING, MatrixVehicle
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, MatrixVehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Divergence, Simulator
 from ves_gym.system.effect import EFFECTS
@@ -34,7 +34,9 @@ def rigid(stiffness=1e9, **options):
 
 
 def test_records_of_a_stack():
-    run = play_motions(System(), [MOTION, OTHER, MOTION], settle=0.5, record_dt=5e-3)
+    run = play_motions(
+        System(vehicle=BENT_THESIS), [MOTION, OTHER, MOTION], settle=0.5, record_dt=5e-3
+    )
     N = 301
     assert run.t.shape == (N,)
     np.testing.assert_allclose(np.diff(run.t), 5e-3, rtol=1e-9)
@@ -58,7 +60,7 @@ def test_records_of_a_stack():
 def test_a_record_lies_on_the_run_whatever_its_period():
     """Records every 1.25, 12.5 and 25 ms: the same run, to rounding."""
     fine, default, coarse = (
-        play_motions(System(), [MOTION], settle=0.1, record_dt=dt)
+        play_motions(System(vehicle=BENT_THESIS), [MOTION], settle=0.1, record_dt=dt)
         for dt in (1.25e-3, None, 25e-3)
     )
     for name in ("q", "v", "y", "yd"):
@@ -69,32 +71,36 @@ def test_a_record_lies_on_the_run_whatever_its_period():
 
 
 def test_the_last_record_covers_the_settling():
-    run = play_motions(System(), [MOTION.retimed(0.33)], settle=0.0, record_dt=12.5e-3)
+    run = play_motions(
+        System(vehicle=BENT_THESIS), [MOTION.retimed(0.33)], settle=0.0, record_dt=12.5e-3
+    )
     assert run.t[-1] == pytest.approx(0.3375)
     np.testing.assert_allclose(run.q_cmd[0, -1], MOTION.goal, rtol=0, atol=1e-15)
     assert (run.v_cmd[0, -1] == 0).all()
 
 
 def test_the_servo_follows_and_without_one_nothing_moves():
-    good = play_motions(System(), [MOTION], settle=0.5)
+    good = play_motions(System(vehicle=BENT_THESIS), [MOTION], settle=0.5)
     np.testing.assert_allclose(good.q, good.q_cmd, atol=2e-3)
-    soft = play_motions(System(), [MOTION], settle=0.5, servo=PPED_GAINS)
+    soft = play_motions(System(vehicle=BENT_THESIS), [MOTION], settle=0.5, servo=PPED_GAINS)
     blind = play_motions(
-        System(),
+        System(vehicle=BENT_THESIS),
         [MOTION],
         settle=0.5,
         servo=JointServo(kp=HIGH_GAINS.kp, kd=HIGH_GAINS.kd, feedforward=False),
     )
     for worse in (soft, blind):
         assert np.abs(worse.q - worse.q_cmd).max() > 2 * np.abs(good.q - good.q_cmd).max()
-    loose = play_motions(System(), [MOTION], settle=0.1, servo=FREE)
+    loose = play_motions(System(vehicle=BENT_THESIS), [MOTION], settle=0.1, servo=FREE)
     assert (loose.tau == 0).all()
     np.testing.assert_allclose(loose.q[0], np.tile(MOTION.start, (len(loose.t), 1)), atol=1e-12)
 
 
 def test_a_prescribed_drive_follows_exactly():
     """Tolerance: base forces of 1e3 N m over 1e8 kg m^2, for a second and a half."""
-    run = play_motions(System(drive="prescribed"), [MOTION, OTHER], settle=0.5)
+    run = play_motions(
+        System(vehicle=BENT_THESIS, drive="prescribed"), [MOTION, OTHER], settle=0.5
+    )
     np.testing.assert_allclose(run.q, run.q_cmd, atol=3e-5)
     np.testing.assert_allclose(run.v, run.v_cmd, atol=3e-5)
 
@@ -102,17 +108,21 @@ def test_a_prescribed_drive_follows_exactly():
 def test_the_base_may_start_anywhere():
     y = [0.01, -0.02, 0.0, 0.001, 0.0, 0.002]
     run = play_motions(
-        System(), [MOTION, OTHER], settle=0.1, y=[y, np.zeros(6)], yd=[[0.1] + [0.0] * 5]
+        System(vehicle=BENT_THESIS),
+        [MOTION, OTHER],
+        settle=0.1,
+        y=[y, np.zeros(6)],
+        yd=[[0.1] + [0.0] * 5],
     )
     np.testing.assert_array_equal(run.y[:, 0], [y, np.zeros(6)])
     np.testing.assert_array_equal(run.yd[:, 0], [[0.1] + [0.0] * 5] * 2)
     with pytest.raises(ParameterError, match=r"y must be numbers of shape \(2, 6\)"):
-        play_motions(System(), [MOTION, OTHER], y=[0.0] * 5)
+        play_motions(System(vehicle=BENT_THESIS), [MOTION, OTHER], y=[0.0] * 5)
 
 
 def test_progress_is_told():
     told = []
-    play_motions(System(), [MOTION], settle=0.5, progress=told.append)
+    play_motions(System(vehicle=BENT_THESIS), [MOTION], settle=0.5, progress=told.append)
     assert told[0] == 0.0
     assert told == sorted(told)
     assert told[-1] < 1.0
@@ -140,7 +150,7 @@ def test_on_a_rigid_base_the_wrench_is_that_of_inverse_dynamics():
 
 def test_a_softer_base_takes_another_wrench():
     """The other side of the test above: it is not inverse dynamics that is recorded."""
-    run = play_motions(System(drive="prescribed"), [MOTION], settle=0.2)
+    run = play_motions(System(vehicle=BENT_THESIS, drive="prescribed"), [MOTION], settle=0.2)
     s = MOTION.at(run.t)
     wrench = inverse_dynamics(run.system.arm, s.q, s.v, s.a)[1]
     assert np.abs(run.w[0] - wrench).max() > 0.1 * np.abs(wrench).max()
@@ -166,7 +176,7 @@ def test_on_a_satellite_the_wrench_is_what_accelerates_it():
 
 @pytest.mark.bits
 def test_a_run_becomes_a_log_that_repeats_it(tmp_path):
-    run = play_motions(System(), [MOTION, OTHER], settle=0.2, y=0.001)
+    run = play_motions(System(vehicle=BENT_THESIS), [MOTION, OTHER], settle=0.2, y=0.001)
     run.log(1, note="second").save(tmp_path / "run.csv")
     log = RunLog.load(tmp_path / "run.csv")
     for name in ("q_cmd", "v_cmd", "q", "v", "tau", "y", "yd", "w"):
@@ -206,13 +216,15 @@ def test_a_run_becomes_a_log_that_repeats_it(tmp_path):
 )
 def test_what_cannot_be_played_is_refused(motions, options, message):
     with pytest.raises(ParameterError, match=message):
-        play_motions(System(), motions, **options)
+        play_motions(System(vehicle=BENT_THESIS), motions, **options)
 
 
 def test_a_run_that_diverges_is_an_error(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # the engine writes a log there
     with pytest.raises(Divergence, match="simulation 1 of 2 diverged at t = "):
-        play_motions(System(), [MOTION, OTHER], yd=[[0.0] * 6, [1e12] + [0.0] * 5])
+        play_motions(
+            System(vehicle=BENT_THESIS), [MOTION, OTHER], yd=[[0.0] * 6, [1e12] + [0.0] * 5]
+        )
 
 
 @pytest.mark.parametrize(
@@ -233,7 +245,7 @@ def test_bad_gains_are_refused(gains):
 
 # ---------------------------------------------------------------------------- limits
 
-VMAX = System().arm.column("v_max")
+VMAX = System(vehicle=BENT_THESIS).arm.column("v_max")
 DELAYS = tuple(
     EFFECTS[kind](**{name: value})
     for kind, name, value in (
@@ -248,11 +260,11 @@ QUICK_TURN = Motion.straight(np.zeros(3), np.deg2rad([40.0, -25, 50]), 0.5)
 @pytest.mark.parametrize(
     "system",
     [
-        System(),
-        System(drive="prescribed"),
+        System(vehicle=BENT_THESIS),
+        System(vehicle=BENT_THESIS, drive="prescribed"),
         System(vehicle=FREE_FLOATING),
-        System(effects=DELAYS),
-        System(mode="emulated", physics_dt=1.25e-3, control_dt=5e-3),
+        System(vehicle=BENT_THESIS, effects=DELAYS),
+        System(vehicle=BENT_THESIS, mode="emulated", physics_dt=1.25e-3, control_dt=5e-3),
     ],
     ids=["motor", "prescribed", "free", "delays", "emulated"],
 )
@@ -270,7 +282,7 @@ def test_watching_the_joints_changes_no_record(system):
 
 def test_the_joints_are_watched_at_every_physics_step():
     """Records every 125 ms miss the peak; the check does not. Dense records are the truth."""
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     coarse = play_motions(system, [QUICK_TURN], settle=0.3, record_dt=0.125, watch=True)
     dense = play_motions(system, [QUICK_TURN], settle=0.3, record_dt=system.physics_dt)
     here, truth = coarse.limit_check(0), dense.limit_check(0)
@@ -285,7 +297,7 @@ def test_the_joints_are_watched_at_every_physics_step():
 
 
 def test_the_tighter_of_two_speed_limits_holds():
-    run = play_motions(System(), [QUICK_TURN], settle=0.1, watch=True)
+    run = play_motions(System(vehicle=BENT_THESIS), [QUICK_TURN], settle=0.1, watch=True)
     own = run.limit_check(0)
     assert [e.kind for e in own.extremes] == ["position", "velocity", "torque"]
     assert not own.inside and run.limit_check(0, v_max=(9.0, 9.0, 9.0)) == own

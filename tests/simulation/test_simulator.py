@@ -14,10 +14,11 @@ from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS, JointServo
 from ves_gym.mechanics.spatial import twist
 from ves_gym.mechanics.vehicle import (
+    BENT_THESIS,
     DECOUPLED,
     FREE_FLOATING,
     FREE_FLYING,
-    STRAIGHT_VERTICAL,
+    STRAIGHT_VERTICAL_THESIS,
     Satellite,
 )
 from ves_gym.simulation.simulator import Divergence, Simulator
@@ -40,7 +41,7 @@ def same(a, b, rows=slice(None)):
 
 def moving(n=3, **options):
     """Simulations in different states, on their way."""
-    sim = Simulator(options.pop("system", System()), n, **options)
+    sim = Simulator(options.pop("system", System(vehicle=BENT_THESIS)), n, **options)
     sim.reset(**START, spread={"q": 0.1, "v": 0.1, "y": 0.01, "yd": 0.01})
     sim.step([5.0, -3.0, 1.0])
     return sim
@@ -51,7 +52,7 @@ def moving(n=3, **options):
 
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_shapes_and_time(n):
-    sim = Simulator(System(), n)
+    sim = Simulator(System(vehicle=BENT_THESIS), n)
     state = sim.step(0.0)
     assert state.time.shape == (n,)
     assert state.y.shape == state.yd.shape == (n, 6)
@@ -85,38 +86,40 @@ def test_commands_broadcast(command):
 @pytest.mark.parametrize("n", [0, -1, 1.0, True, "2", None, 2.5])
 def test_n_is_a_whole_number(n):
     with pytest.raises(ParameterError, match="n must be a whole number >= 1, got"):
-        Simulator(System(), n)
+        Simulator(System(vehicle=BENT_THESIS), n)
 
 
 @pytest.mark.parametrize("threads", [-1, 1.5, True, "two"])
 def test_threads_are_a_whole_number(threads):
     with pytest.raises(ParameterError, match="threads must be a whole number >= 0, got"):
-        Simulator(System(), threads=threads)
+        Simulator(System(vehicle=BENT_THESIS), threads=threads)
 
 
 def test_other_bad_arguments():
-    assert Simulator(System(), np.int64(2)).n == 2
+    assert Simulator(System(vehicle=BENT_THESIS), np.int64(2)).n == 2
     with pytest.raises(
         ParameterError, match="mujoco, gpu-kernel, gpu-kernel-float32, mjx, warp, got 'bullet'"
     ):
-        Simulator(System(), backend="bullet")
+        Simulator(System(vehicle=BENT_THESIS), backend="bullet")
     with pytest.raises(
         ParameterError, match="on_divergence must be raise or mark, got 'ignore'"
     ):
-        Simulator(System(), on_divergence="ignore")
+        Simulator(System(vehicle=BENT_THESIS), on_divergence="ignore")
     for seed in (-1, 1.5, True, "0", None):
         with pytest.raises(ParameterError, match="seed must be a whole number >= 0"):
-            Simulator(System(), seed=seed)
+            Simulator(System(vehicle=BENT_THESIS), seed=seed)
     with pytest.raises(ParameterError, match="servo must have gains for 3 joints, got 1"):
-        Simulator(System(), servo=JointServo(kp=(1.0,), kd=(1.0,)))  # one gain is no three
+        Simulator(
+            System(vehicle=BENT_THESIS), servo=JointServo(kp=(1.0,), kd=(1.0,))
+        )  # one gain is no three
 
 
 def test_a_simulation_does_not_know_how_many_there_are():
     """Row i of a batch, on one thread or two, equals the same simulation alone, bitwise."""
     batch, threads = moving(4, threads=1), moving(4, threads=2)
-    start = Simulator(System(), 4)
+    start = Simulator(System(vehicle=BENT_THESIS), 4)
     start.reset(**START, spread={"q": 0.1, "v": 0.1, "y": 0.01, "yd": 0.01})
-    alone = [Simulator(System(), 1) for _ in range(4)]
+    alone = [Simulator(System(vehicle=BENT_THESIS), 1) for _ in range(4)]
     for i, sim in enumerate(alone):
         s = start.state
         sim.reset(q=s.q[i], v=s.v[i], y=s.y[i], yd=s.yd[i])
@@ -193,7 +196,7 @@ def test_resetting_some_leaves_the_others_untouched_bitwise():
     assert (after.y[[1, 3]] == 0.02).all()
     for _ in range(3):
         assert same(sim.step(2.0), twin.step(2.0), others)
-    fresh = Simulator(System())
+    fresh = Simulator(System(vehicle=BENT_THESIS))
     fresh.reset(q=[0.2] * 3, y=0.02)
     for _ in range(3):
         state = fresh.step(2.0)
@@ -201,7 +204,7 @@ def test_resetting_some_leaves_the_others_untouched_bitwise():
 
 
 def test_values_go_to_the_ids_in_the_order_given():
-    sim = Simulator(System(), 4)
+    sim = Simulator(System(vehicle=BENT_THESIS), 4)
     state = sim.reset(q=[[3.0] * 3, [0.0] * 3, [1.0] * 3], ids=[3, 0, 1])
     assert state.q[:, 0].tolist() == [0.0, 1.0, 0.0, 3.0]
     sim.set_gains([[3.0] * 3, [1.0] * 3], 0.0, ids=[2, 1])
@@ -223,12 +226,12 @@ def test_ids_as_a_mask_and_none_at_all():
 )
 def test_bad_ids_are_refused(ids):
     with pytest.raises(ParameterError, match="ids must"):
-        Simulator(System(), 3).reset(ids=ids)
+        Simulator(System(vehicle=BENT_THESIS), 3).reset(ids=ids)
 
 
 def test_the_spread_of_a_simulation_does_not_depend_on_the_others():
     spread = {"q": [0.1, 0.2, 0.3], "y": 0.01}
-    few, many = (Simulator(System(), n, seed=7) for n in (2, 6))
+    few, many = (Simulator(System(vehicle=BENT_THESIS), n, seed=7) for n in (2, 6))
     a, b = few.reset(spread=spread), many.reset(spread=spread)
     assert same(a, [part[:2] for part in b])
     assert len({tuple(row) for row in b.q}) == 6
@@ -240,23 +243,25 @@ def test_the_spread_of_a_simulation_does_not_depend_on_the_others():
 
 
 def test_seeds_give_their_own_draws_again():
-    sim = Simulator(System(), 2, seed=1)
+    sim = Simulator(System(vehicle=BENT_THESIS), 2, seed=1)
     first = sim.reset(spread={"q": 0.1})
     second = sim.reset(spread={"q": 0.1})
     sim.seed(1)
     assert same(sim.reset(spread={"q": 0.1}), first)
     assert same(sim.reset(spread={"q": 0.1}), second)
-    other = Simulator(System(), 2, seed=2).reset(spread={"q": 0.1})
+    other = Simulator(System(vehicle=BENT_THESIS), 2, seed=2).reset(spread={"q": 0.1})
     assert (other.q != first.q).all()
-    draws = np.array([Simulator(System(), 400).reset(spread={"q": 0.1}).q]).ravel()
+    draws = np.array(
+        [Simulator(System(vehicle=BENT_THESIS), 400).reset(spread={"q": 0.1}).q]
+    ).ravel()
     assert abs(draws.std() / 0.1 - 1) < 0.1  # 1200 draws: 2 % standard error
 
 
 def test_an_unknown_spread_is_refused():
     with pytest.raises(ParameterError, match="spread: unknown key 'p'; known: q, v, y, yd"):
-        Simulator(System()).reset(spread={"p": 1.0})
+        Simulator(System(vehicle=BENT_THESIS)).reset(spread={"p": 1.0})
     with pytest.raises(ParameterError, match=r"spread\['q'\] must be finite"):
-        Simulator(System()).reset(spread={"q": np.nan})
+        Simulator(System(vehicle=BENT_THESIS)).reset(spread={"q": np.nan})
 
 
 # ----------------------------------------------------------------------- snapshots
@@ -265,10 +270,10 @@ def test_an_unknown_spread_is_refused():
 @pytest.mark.parametrize(
     "system",
     [
-        System(),
-        System(drive="prescribed"),
+        System(vehicle=BENT_THESIS),
+        System(vehicle=BENT_THESIS, drive="prescribed"),
         System(vehicle=FREE_FLYING),
-        System(integrator="euler"),
+        System(vehicle=BENT_THESIS, integrator="euler"),
     ],
     ids=["motor", "prescribed", "satellite", "euler"],
 )
@@ -293,7 +298,7 @@ def test_a_snapshot_brings_its_gains_back():
     sim = moving()
     before = sim.snapshot()
     want = sim.step(sim.servo_command(np.zeros((3, 3)), np.zeros((3, 3))))
-    bare = Simulator(System(), 3, servo=None)
+    bare = Simulator(System(vehicle=BENT_THESIS), 3, servo=None)
     bare_before = bare.snapshot()
     for target in (sim, bare):
         target.set_gains(PPED_GAINS.kp, PPED_GAINS.kd)
@@ -330,7 +335,7 @@ def test_a_snapshot_of_something_else_is_refused():
 
 
 def test_gains_are_those_of_each_simulation():
-    sim = Simulator(System(), 3)
+    sim = Simulator(System(vehicle=BENT_THESIS), 3)
     sim.set_gains([10.0, 20.0, 30.0], [1.0, 2.0, 3.0], ids=[1])
     sim.reset(q=[0.1, 0.2, -0.1], v=[0.3, 0.2, 0.1])
     torque = sim.evaluate(0.0)[0]
@@ -346,15 +351,17 @@ def test_gains_are_those_of_each_simulation():
 
 
 def test_motors_have_a_limit():
-    sim = Simulator(System(), servo=None)
+    sim = Simulator(System(vehicle=BENT_THESIS), servo=None)
     np.testing.assert_array_equal(sim.evaluate(1e6)[0], [PUMA_560.column("tau_max")])
     np.testing.assert_array_equal(sim.evaluate(-1e6)[0], [-PUMA_560.column("tau_max")])
     np.testing.assert_array_equal(sim.evaluate([1.0, -2.0, 3.0])[0], [[1.0, -2.0, 3.0]])
 
 
 def test_without_a_servo_the_torque_is_the_command():
-    free = Simulator(System(), servo=None)
-    zero = Simulator(System(), servo=JointServo(kp=(0.0,) * 3, kd=(0.0,) * 3))
+    free = Simulator(System(vehicle=BENT_THESIS), servo=None)
+    zero = Simulator(
+        System(vehicle=BENT_THESIS), servo=JointServo(kp=(0.0,) * 3, kd=(0.0,) * 3)
+    )
     for sim in (free, zero):
         sim.reset(**START)
     assert same(free.step(3.0), zero.step(3.0))
@@ -362,7 +369,7 @@ def test_without_a_servo_the_torque_is_the_command():
 
 def test_a_prescribed_drive_follows_its_command_and_has_no_gains():
     """Tolerance: base forces of 1e3 N m over the 1e8 kg m^2 that prescribe the motion."""
-    sim = Simulator(System(drive="prescribed"), 2)
+    sim = Simulator(System(vehicle=BENT_THESIS, drive="prescribed"), 2)
     for _ in range(40):
         state = sim.step([[1.0, -0.5, 2.0], [0.0, 0.0, 0.0]])
     np.testing.assert_allclose(state.v, [[0.5, -0.25, 1.0], [0, 0, 0]], atol=1e-5)
@@ -429,7 +436,7 @@ def test_a_moment_turns_in_the_platform_s_axes():
     np.testing.assert_allclose(rates[0], np.array([100, 200, -50]) / 1e7 * 0.25, rtol=1e-3)
 
 
-@pytest.mark.parametrize("vehicle", [STRAIGHT_VERTICAL, DECOUPLED, FREE_FLOATING])
+@pytest.mark.parametrize("vehicle", [STRAIGHT_VERTICAL_THESIS, DECOUPLED, FREE_FLOATING])
 def test_only_thrusters_push(vehicle):
     sim = Simulator(System(vehicle=vehicle))
     before = sim.state
@@ -461,7 +468,7 @@ WILD = {
 @pytest.mark.parametrize("how", ["step", "play"])
 def test_divergence_is_raised_by_simulation_time_and_coordinate(case, how):
     start, named = WILD[case]
-    sim = Simulator(System(), 3, servo=None)
+    sim = Simulator(System(vehicle=BENT_THESIS), 3, servo=None)
     sim.step(0.0)
     sim.reset(**start, ids=[1])
     with pytest.raises(Divergence) as caught:
@@ -513,7 +520,7 @@ def test_nan_that_appears_inside_the_engine_is_seen():
 
 
 def test_all_may_diverge_and_the_clock_goes_on():
-    sim = Simulator(System(), 2, servo=None, on_divergence="mark")
+    sim = Simulator(System(vehicle=BENT_THESIS), 2, servo=None, on_divergence="mark")
     sim.reset(v=1e12)
     for _ in range(3):
         sim.step(0.0)
@@ -522,7 +529,7 @@ def test_all_may_diverge_and_the_clock_goes_on():
 
 
 def test_every_diverged_simulation_is_listed():
-    sim = Simulator(System(), 4, servo=None)
+    sim = Simulator(System(vehicle=BENT_THESIS), 4, servo=None)
     sim.reset(v=1e12, ids=[1, 3])
     with pytest.raises(Divergence) as caught:
         sim.step(0.0)
@@ -531,10 +538,10 @@ def test_every_diverged_simulation_is_listed():
 
 
 def test_a_snapshot_remembers_what_diverged():
-    sim = Simulator(System(), 2, servo=None, on_divergence="mark")
+    sim = Simulator(System(vehicle=BENT_THESIS), 2, servo=None, on_divergence="mark")
     sim.reset(v=1e12, ids=[1])
     sim.step(0.0)
-    other = Simulator(System(), 2, on_divergence="mark")
+    other = Simulator(System(vehicle=BENT_THESIS), 2, on_divergence="mark")
     other.restore(sim.snapshot())
     assert other.diverged.tolist() == [False, True]
     before = other.state
@@ -592,7 +599,7 @@ def test_turning_about_the_other_axes_is_no_tumble():
 @pytest.mark.parametrize("backend", ["kernel", "mujoco"])
 @pytest.mark.parametrize("mode", ["ideal", "emulated"])
 def test_a_command_may_run_linearly_through_the_period(backend, mode):
-    system = System(mode=mode)
+    system = System(vehicle=BENT_THESIS, mode=mode)
     stepped, played = (Simulator(system, 3, backend=backend, warn_at=None) for _ in "ab")
     rng = np.random.default_rng(5)
     ends = rng.normal(0, 20, (4, 3, 3))

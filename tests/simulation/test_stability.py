@@ -16,10 +16,10 @@ from ves_gym.mechanics.arm import diagonal
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import (
-    BENT,
+    BENT_THESIS,
     DECOUPLED,
     FREE_FLOATING,
-    STRAIGHT_VERTICAL,
+    STRAIGHT_VERTICAL_THESIS,
     MatrixVehicle,
 )
 from ves_gym.simulation.loop_linearisation import EmulationWarning
@@ -42,7 +42,7 @@ AXES = MatrixVehicle(
 )
 
 
-def plain(vehicle=BENT, bandwidth=8.0, *, dt=12.5e-3, cutoff=20.0, **options):
+def plain(vehicle=BENT_THESIS, bandwidth=8.0, *, dt=12.5e-3, cutoff=20.0, **options):
     """The loop of the thesis: no payload compensation."""
     return System(
         mode="emulated",
@@ -127,8 +127,10 @@ def test_the_payload_ratio_is_the_arm_over_the_vehicle():
     check = check_emulation(plain(AXES), search=False)
     assert check.payload_ratio == pytest.approx(PUMA_560.mass / 1e3, rel=1e-2)
     H = inertia(PUMA_560, np.array([0.1, 0.5, -0.3]))[:6, :6]
-    want = scipy.linalg.eigvals(np.linalg.solve(BENT.base_model().M, H)).real.max()
-    got = check_emulation(System(mode="emulated"), [0.1, 0.5, -0.3], search=False)
+    want = scipy.linalg.eigvals(np.linalg.solve(BENT_THESIS.base_model().M, H)).real.max()
+    got = check_emulation(
+        System(vehicle=BENT_THESIS, mode="emulated"), [0.1, 0.5, -0.3], search=False
+    )
     assert got.payload_ratio == pytest.approx(want, rel=1e-9)
 
 
@@ -182,7 +184,12 @@ def test_a_lighter_vehicle_allows_less():
 
 @pytest.mark.parametrize(
     ("vehicle", "bandwidth"),
-    [(BENT, 8.0), (BENT, 10.0), (BENT, 30.0), (STRAIGHT_VERTICAL, 8.0)],
+    [
+        (BENT_THESIS, 8.0),
+        (BENT_THESIS, 10.0),
+        (BENT_THESIS, 30.0),
+        (STRAIGHT_VERTICAL_THESIS, 8.0),
+    ],
     ids=["bent-8", "bent-10", "bent-30", "straight-8"],
 )
 def test_payload_compensation_makes_the_beams_stable(vehicle, bandwidth):
@@ -289,10 +296,10 @@ def test_an_unstable_emulation_is_a_warning_and_a_stable_one_is_not():
         warnings.simplefilter("error")
         Simulator(unstable, warn_at=None)
         Simulator(plain(bandwidth=4.0))
-        Simulator(System(mode="emulated"))
+        Simulator(System(vehicle=BENT_THESIS, mode="emulated"))
         position = dataclasses.replace(unstable.emulator_settings, operation="position")
         Simulator(unstable.replace(emulator=position))
-        Simulator(System())
+        Simulator(System(vehicle=BENT_THESIS))
 
 
 def test_the_place_where_it_is_judged_counts():
@@ -314,8 +321,10 @@ def test_what_was_given_as_arrays_is_judged_too():
 def test_what_has_no_loop_is_refused():
     for judge in (check_emulation, spectral_radius, transition, max_bandwidth):
         with pytest.raises(ParameterError, match="mode ideal has no emulator"):
-            judge(System())
-    position = System(mode="emulated", emulator=EmulatorSettings(operation="position"))
+            judge(System(vehicle=BENT_THESIS))
+    position = System(
+        vehicle=BENT_THESIS, mode="emulated", emulator=EmulatorSettings(operation="position")
+    )
     for judge in (check_emulation, spectral_radius, transition, max_bandwidth):
         with pytest.raises(ParameterError, match="operation position has no loop"):
             judge(position)

@@ -14,7 +14,7 @@ from ves_gym.engine.mjcf import TO_Y
 from ves_gym.mechanics.arm import Mount
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import get_vehicle
+from ves_gym.mechanics.vehicle import BENT_THESIS, get_vehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.disturbance import (
     UNITS,
@@ -37,11 +37,11 @@ MOTION = Motion.straight([-0.7, -0.3, 0.2], [1.0, 0.7, -0.5], 1.0)
 TAIL = 0.8  # s
 
 
-@pytest.fixture(scope="module", params=["beside", "bent-flexible", "free-floating"])
+@pytest.fixture(scope="module", params=["beside", "bent", "free-floating"])
 def runs(request):
     """One motion of 1 s, watched and recorded every 12.5 ms, and every step."""
     if request.param == "beside":
-        system = System(arm=ARM)
+        system = System(vehicle=BENT_THESIS, arm=ARM)
     else:
         system = System(vehicle=get_vehicle(request.param))
     return [

@@ -11,7 +11,7 @@ from ves_gym.effects import EFFECTS, LABORATORY_ERRORS
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.mechanics.arm import diagonal
-from ves_gym.mechanics.vehicle import DECOUPLED
+from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import ArmEffect, BaseEffect, LaboratoryEffect, parameter, register
@@ -39,7 +39,9 @@ def rows_of(kind, n=5, mode="emulated", emulator=EMULATOR):
     effect = cls(**{name: v[0].tolist() for name, v in values.items()})
     before = tuple(e for e in LABORATORY_ERRORS if e.kind != kind and mode == "emulated")
     emulator = emulator if mode == "emulated" else None
-    system = System(mode=mode, emulator=emulator, effects=(*before, effect))
+    system = System(
+        vehicle=BENT_THESIS, mode=mode, emulator=emulator, effects=(*before, effect)
+    )
     return EffectRows(system, {(len(before), name): v for name, v in values.items()}, True)
 
 

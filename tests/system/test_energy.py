@@ -11,7 +11,7 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.spatial import twist
-from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy import (
     TAIL,
@@ -131,7 +131,7 @@ def test_base_energy_takes_the_mass_of_the_arm_where_it_is():
 
 def test_the_element_table_sums_to_the_strain_energy():
     y = np.random.default_rng(0).normal(size=(4, 7, 6)) * 0.1
-    system = System()
+    system = System(vehicle=BENT_THESIS)
     table = element_table(system, y)
     assert table.shape == (4, 7, 6, 6)
     strain = base_energy(system, np.zeros((4, 7, 3)), y, 0 * y).strain
@@ -151,7 +151,7 @@ DURATION = 1.5
 @pytest.fixture(scope="module")
 def run():
     motion = Motion.straight([0.3, -0.4, 0.5], [0.9, 0.1, -0.3], DURATION)
-    return play_motions(System(), [motion], settle=TAIL, record_dt=2.5e-3)
+    return play_motions(System(vehicle=BENT_THESIS), [motion], settle=TAIL, record_dt=2.5e-3)
 
 
 @pytest.fixture(scope="module")
@@ -218,7 +218,9 @@ def test_what_a_log_lacks_is_named(run):
 
 
 def test_the_ledger_of_a_run_that_does_nothing_is_empty():
-    run = play_motions(System(), [Motion.straight([0.1] * 3, [0.1] * 3, 0.1)], settle=0.1)
+    run = play_motions(
+        System(vehicle=BENT_THESIS), [Motion.straight([0.1] * 3, [0.1] * 3, 0.1)], settle=0.1
+    )
     account = EnergyBalance.of(run.log(0))
     assert np.abs(account.residual).max() < 1e-12
     assert account.relative >= 0

@@ -18,6 +18,7 @@ from ves_gym.effects import (
 )
 from ves_gym.engine.kernel.trace import structure
 from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.effect import Effect, TorqueEffect, joint_torque, register
@@ -34,7 +35,7 @@ MOTION = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
 
 def gap(mode, physics_dt):
     """Largest difference of joint angles between the engines [rad]."""
-    system = System(effects=FRICTION, mode=mode, physics_dt=physics_dt)
+    system = System(vehicle=BENT_THESIS, effects=FRICTION, mode=mode, physics_dt=physics_dt)
     runs = [play_motions(system, [MOTION], settle=0.5, backend=k) for k in ("kernel", "mujoco")]
     return np.abs(runs[0].q - runs[1].q).max()
 
@@ -48,11 +49,13 @@ def test_engines_agree_as_the_step_shrinks(mode):
 
 
 def test_friction_is_in_the_energy_account():
-    system = System(effects=FRICTION)
+    system = System(vehicle=BENT_THESIS, effects=FRICTION)
     log = play_motions(system, [MOTION], settle=0.5, record_dt=system.physics_dt).log(0)
     account = EnergyBalance.of(log)
     assert account.relative < 1e-5
-    free = play_motions(System(), [MOTION], settle=0.5, record_dt=system.physics_dt).log(0)
+    free = play_motions(
+        System(vehicle=BENT_THESIS), [MOTION], settle=0.5, record_dt=system.physics_dt
+    ).log(0)
     assert (
         account.dissipated[-1] > EnergyBalance.of(free).dissipated[-1] + 1.0
     )  # J, in the joints
@@ -71,23 +74,29 @@ def test_torques_are_those_of_the_formulas():
 @pytest.mark.bits
 def test_null_laws_leave_the_run_as_it_is():
     null = (JointViscous(damping=(0.0,) * 3), JointCoulomb(torque=(0.0,) * 3))
-    runs = [play_motions(System(effects=k), [MOTION], settle=0.2).q for k in ((), null)]
+    runs = [
+        play_motions(System(vehicle=BENT_THESIS, effects=k), [MOTION], settle=0.2).q
+        for k in ((), null)
+    ]
     np.testing.assert_array_equal(*runs)
 
 
 def test_a_changed_constant_of_a_law_is_another_kernel(monkeypatch):
     """The text of the class alone would not show it, and the cache would serve the old code."""
-    system = System(effects=(JointCoulomb(torque=(1.0,) * 3),))
+    system = System(vehicle=BENT_THESIS, effects=(JointCoulomb(torque=(1.0,) * 3),))
     before = structure(system)
     assert structure(system) == before
-    assert structure(System(effects=(JointCoulomb(torque=(2.0,) * 3),))) == before
+    assert (
+        structure(System(vehicle=BENT_THESIS, effects=(JointCoulomb(torque=(2.0,) * 3),)))
+        == before
+    )
     monkeypatch.setattr(joint_coulomb, "CREEP", 0.02)
     assert structure(system) != before
 
 
 def test_one_number_per_joint():
     with pytest.raises(ParameterError, match="must be 3 numbers, one per joint, got 2"):
-        System(effects=(JointViscous(damping=(1.0, 1.0)),))
+        System(vehicle=BENT_THESIS, effects=(JointViscous(damping=(1.0, 1.0)),))
 
 
 def test_an_effect_must_do_something():
@@ -150,7 +159,8 @@ def test_drive_gain_scales_the_acceleration_and_not_the_log(backend):
     """In free space, at rest: acceleration in proportion to the torque really given."""
     still = {"servo": None, "backend": backend}
     plain, gained = (
-        Simulator(System(effects=k), **still) for k in ((), (JointDriveGain(error=(0.1,) * 3),))
+        Simulator(System(vehicle=BENT_THESIS, effects=k), **still)
+        for k in ((), (JointDriveGain(error=(0.1,) * 3),))
     )
     (told, slow), (same, fast) = (k.evaluate([5.0, -3.0, 2.0]) for k in (plain, gained))
     np.testing.assert_array_equal(told, same)
@@ -160,8 +170,11 @@ def test_drive_gain_scales_the_acceleration_and_not_the_log(backend):
 @pytest.mark.parametrize("backend", ["kernel", "mujoco"])
 def test_an_early_limit_binds_and_the_log_shows_what_was_asked(backend):
     half = JointTorqueLimit(fraction=(0.5,) * 3)
-    limit = System().arm.column("tau_max")
-    sims = [Simulator(System(effects=k), servo=None, backend=backend) for k in ((half,), ())]
+    limit = System(vehicle=BENT_THESIS).arm.column("tau_max")
+    sims = [
+        Simulator(System(vehicle=BENT_THESIS, effects=k), servo=None, backend=backend)
+        for k in ((half,), ())
+    ]
     told, limited = sims[0].evaluate(limit)
     np.testing.assert_allclose(told[0], limit)
     np.testing.assert_allclose(limited, sims[1].evaluate(limit / 2)[1], rtol=1e-9)
@@ -170,4 +183,4 @@ def test_an_early_limit_binds_and_the_log_shows_what_was_asked(backend):
 @pytest.mark.parametrize("kind", ["drive_gain", "torque_limit", "load_friction"])
 def test_what_acts_on_motors_needs_motors(kind):
     with pytest.raises(ParameterError, match="would do nothing: it needs drive motor, got dri"):
-        System(drive="prescribed", effects=(effect(f"joint/{kind}"),))
+        System(vehicle=BENT_THESIS, drive="prescribed", effects=(effect(f"joint/{kind}"),))

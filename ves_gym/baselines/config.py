@@ -126,7 +126,7 @@ def config_from_plain(plain: Mapping[str, Any], where: str = "config") -> TrainC
 def find_configs(env: str, algorithm: str | None = None) -> list[TrainConfig]:
     """The configurations that come with the package for an environment.
 
-    An ...Emulated id without its own is trained as its ideal twin.
+    An ...Emulated or later id without its own is trained as the first ideal one.
     """
     every = [read_config(path) for path in sorted(CONFIGS.glob("*.toml"))]
     choices = (None, *ALGORITHMS, *(c.label for c in every))
@@ -139,7 +139,7 @@ def find_configs(env: str, algorithm: str | None = None) -> list[TrainConfig]:
     chosen = [c for c in every if algorithm in (None, c.label, c.algorithm)]
     matching = [c for c in chosen if c.env == env]
     if not matching:
-        twin = re.sub("Emulated-v[0-9]+$", "-v0", env)
+        twin = re.sub("(Emulated)?-v[0-9]+$", "-v0", env)
         matching = [dataclasses.replace(c, env=env) for c in chosen if c.env == twin]
     return matching
 

@@ -53,12 +53,12 @@ class Damp(Task):
     energy is at most that share of what it would be with the joints locked where they start
     (closed form, `released_energy`).
 
-    Measured, bent beam in space, 512 starts of seed 0: strain integrals over those of servos
-    held at the high gains (eq. 4.6), sum by sum. PPED gains 0.99; random gains 0.90; no torque
-    1.01; one LQR feedback for all starts, linearised at home, saturated, 0.60 (by acceleration
-    0.54); by pd_gains, those nearest to that feedback's torques 0.65 (128 starts). Along y the
-    arm has little hold on the slow modes: single starts range from 0.4 to 0.9. Learned
-    policies: docs/training.md.
+    Measured, `bent-thesis` in space, 512 starts of seed 0: strain integrals over those of
+    servos held at the high gains (eq. 4.6), sum by sum. PPED gains 0.99; random gains 0.90; no
+    torque 1.01; one LQR feedback for all starts, linearised at home, saturated, 0.60 (by
+    acceleration 0.54); by pd_gains, those nearest to that feedback's torques 0.65 (128
+    starts). Along y the arm has little hold on the slow modes: single starts range from 0.4 to
+    0.9. Learned policies: docs/training.md.
     """
 
     ends: ClassVar[str] = "truncated"

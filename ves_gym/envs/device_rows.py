@@ -106,7 +106,8 @@ class DeviceRows:
         inputs = [*state, self.simulations.fault, system.substeps, 1, system.physics_dt]
         advance = advance_kernel(system, self.real, record=False)
         out.append(launch(advance, self.n, inputs, self.device, record=True))
-        out.append(run_map(SceneMap, 3, z, zd, x[:6], rows["described"], rows["scene_rows"]))
+        seen = [z, zd, x[:6], *(x[k] for k in self._modes)]
+        out.append(run_map(SceneMap, len(seen), *seen, rows["described"], rows["scene_rows"]))
         parts = [
             z,
             zd,
@@ -122,6 +123,13 @@ class DeviceRows:
         ]
         out.append(run("close", *parts))
         return out
+
+    @property
+    def _modes(self) -> list[slice]:
+        """Rows of the state: internal modes of the base as described, and their rates."""
+        m = self._space.base.hidden
+        first = 6 + self.shape.joints + len(self.system.actual.arm.geared)
+        return [slice(k, k + m) for k in (first, self.shape.coordinates + first) if m]
 
     def _captured(self) -> list[Any]:
         """Both programs as CUDA graphs; the stream of torch's default cannot capture any."""
@@ -215,7 +223,8 @@ class DeviceRows:
         q, ref = x[6:size], moved[shape.moved["ref"]][:n]
         away = 0 * q if self.task.control.level == "torque" else q - ref
         rate = x[shape.coordinates : shape.coordinates + size]
-        state = torch.concatenate([x[:6], away, rate]).T
+        u, ud = (x[k] for k in self._modes) if self._modes else (x[:0], x[:0])
+        state = torch.concatenate([x[:6], u, away, rate[:6], ud, rate[6:]]).T
         kp, kd = (moved[shape.moved[k]].T.contiguous() for k in ("kp", "kd"))
         constants = self._constants
         entries = torch.empty((size * size, len(ids)), dtype=q.dtype, device=q.device)
@@ -224,10 +233,13 @@ class DeviceRows:
         )
         arrays = [self.wp.from_torch(k.contiguous()) for k in (q, constants[0], entries)]
         launch_graph(kernel, arrays, self.device)
-        H = entries.T.reshape(len(ids), size, size).contiguous()
-        H[:, :6, :6] += constants[1]
+        M, D, K, eye = constants[1:]
+        b = len(M)
+        H = torch.zeros((len(ids), b + n, b + n), dtype=q.dtype, device=q.device)
+        at = torch.tensor([*range(6), *range(b, b + n)], device=q.device)
+        H[:, at[:, None], at] = entries.T.reshape(len(ids), size, size)
+        H[:, :b, :b] += M
         locked = system.drive == "prescribed"
-        K, D, eye = constants[2:]
         total, _ = integrals(
             H, K, D, state, kp, kd, eye, seconds=self.task.tail, locked=locked, xp=torch
         )
@@ -235,10 +247,10 @@ class DeviceRows:
 
     @cached_property
     def _constants(self) -> list[Any]:
-        """Numbers of the arm, M, K, D and an identity, in double precision."""
-        base, size = self._space.base, 6 + self.shape.joints
+        """Numbers of the arm, M, D, K of the base and an identity, in double precision."""
+        matrices = self._space.base.full()
         numbers = parameters(self._space)[1][:, None]
-        parts = numbers, base.mass_matrix, base.K, base.D, np.eye(2 * size)
+        parts = numbers, *matrices, np.eye(2 * (len(matrices[0]) + self.shape.joints))
         kind, device = self.torch.float64, self.torch_device
         return [self.torch.tensor(k, dtype=kind, device=device) for k in parts]
 

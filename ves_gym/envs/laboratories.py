@@ -68,11 +68,16 @@ def _lab(system: System) -> Spec:
 
 
 def _hard(system: System) -> Spec:
-    """Three times the noise in the calibration, and a platform that is not as stated."""
+    """Three times the noise in the calibration, and a platform that is not as stated.
+
+    By 10 %, and by 5 % under a base with internal modes, which weighs less at high frequency:
+    a platform 10 % slower and less damped than stated makes that loop unstable.
+    """
+    platform = 0.05 if system.base.m else 0.1
     out = {**_calibration(system, 3.0), **_tilt_and_zero(3.0), **_late(2.0, system)}
     if isinstance(system.emulator_settings.platform, PoseServo):
-        out["platform/bandwidth"] = {"error": [-0.1, 0.1]}
-        out["platform/damping"] = {"error": [-0.1, 0.1]}
+        out["platform/bandwidth"] = {"error": [-platform, platform]}
+        out["platform/damping"] = {"error": [-platform, platform]}
     if system.emulator_settings.payload_compensation:
         out["payload/inertia"] = {"error": [-0.02, 0.02]}
     return out

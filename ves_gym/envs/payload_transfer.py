@@ -28,6 +28,7 @@ from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import matvec, rotation
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class PayloadTransfer(Task):
     options: ClassVar[tuple[str, ...]] = ("q",)
     memory: ClassVar[int] = 7
     interacts: ClassVar[bool] = True
-    system: System = System(physics_dt=2.5e-3, payload=BOX)
+    system: System = System(vehicle=BENT_THESIS, physics_dt=2.5e-3, payload=BOX)
     control: Control = Acceleration()
     duration: float = unit("s", default=10.0)
     tail: float = unit("s", default=0.0)

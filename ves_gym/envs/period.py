@@ -291,12 +291,15 @@ class Period:
         fill(self._external[:, self.shape.external["table_values"]], table_values)
 
     def _measure(self) -> Mask:
-        """Take in the laboratory's measurements; return the platforms (n,) that stand."""
+        """Take in what the laboratory measures and emulates; (n,) platforms that stand."""
         y, yd, stopped = self.batch.measured()
         external = self.shape.external
         lost = stopped | self.batch.sim.diverged
         parts = np.concatenate([y, yd, lost[:, None]], axis=1)
         fill(self._external[:, external["y_seen"].start : external["stopped"].stop], parts)
+        m = self.batch.system.base.hidden
+        if m and (modes := self.batch.sim.base_modes) is not None:
+            fill(self._modes, np.concatenate([part[:, -m:] for part in modes], axis=1))
         return stopped
 
     def _end(

@@ -31,6 +31,7 @@ from ves_gym.mechanics.tool_pose import (
     tool_frame,
     tool_speeds,
 )
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
 _TRIES = 16  # candidate poses per episode; the first that is near and dexterous counts
@@ -70,7 +71,9 @@ class PoseReach(Task):
     options: ClassVar[tuple[str, ...]] = ("q", "pose")
     memory: ClassVar[int] = 3  # m to the place; sine of half the angle; s there at rest
     compiled: ClassVar[bool] = True
-    system: System = System(arm=get_arm("puma560-wrist"), physics_dt=2.5e-3)
+    system: System = System(
+        arm=get_arm("puma560-wrist"), vehicle=BENT_THESIS, physics_dt=2.5e-3
+    )
     control: Control = Acceleration()
     duration: float = unit("s", default=5.0)
     span: Vector = unit(

@@ -35,7 +35,7 @@ ENVIRONMENTS = (
     "FreeFlyerReach",
     "BeamLQR",
 )
-PPED_VEHICLE = "bent"
+PPED_VEHICLE = "bent-thesis"
 PPED_SECONDS = 20.0  # of every release
 MOST_GROUPS = 16  # policies or planner seeds in one bundle
 _EPISODES, _EPISODES_QUICK = 100, 10
@@ -125,7 +125,7 @@ def problems(track: str) -> tuple[str, ...]:
     named = {
         "paths": [f"reach100-{d}{mode}" for d in DURATIONS for mode in MODES],
         "policies": ids,
-        "damping": [f"pped-{PPED_VEHICLE}", *(k for k in ids if k.startswith("ves/PumaDamp"))],
+        "damping": ["pped-bent", *(k for k in ids if k.startswith("ves/PumaDamp"))],
         "discrepancy": ["blind-development", "blind-sealed"],
     }
     if track not in named:

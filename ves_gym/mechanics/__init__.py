@@ -27,9 +27,11 @@ if TYPE_CHECKING:
     from ves_gym.mechanics.section import Tube as Tube
     from ves_gym.mechanics.structure import read_structure as read_structure
     from ves_gym.mechanics.vehicle import BENT as BENT
+    from ves_gym.mechanics.vehicle import BENT_THESIS as BENT_THESIS
 
 __all__ = [
     "BENT",
+    "BENT_THESIS",
     "Appendage",
     "AttitudeControl",
     "Boom",
@@ -62,6 +64,7 @@ _HOMES = {
     "get_arm": "arm_library",
     "get_boom": "boom_library",
     "BENT": "vehicle",
+    "BENT_THESIS": "vehicle",
     "Boom": "boom",
     "BoomJoint": "boom_member",
     "BoomMember": "boom_member",

@@ -118,7 +118,7 @@ def get_suite(
     if name == "transfer":
         if obstacles != "off":
             raise ParameterError(f"suite transfer has no obstacles, got {obstacles!r}")
-        return transfer(system, vehicle or "bent-flexible", 3 if quick else 10)
+        return transfer(system, vehicle or "bent", 3 if quick else 10)
     raise ParameterError(
         f"suite must be one of {', '.join(SUITES)}, got {name!r}{did_you_mean(name, SUITES)}"
     )
@@ -361,10 +361,12 @@ def thesis(system: System, vehicle: str | None) -> Suite:
     horizontal straight beam and the bent beam. Good and bad: two paths between the same
     ends on the bent beam (4.2; the thesis prints no joint angles, these are ours). In the
     laboratory the good path is also played without gravity compensation (Figure 4-3).
+    The beams are condensed as in its Appendix A.
 
     Args:
         system: everything but the vehicle.
-        vehicle: only the queries on this one; None: all.
+        vehicle: only the queries on this one, by finite elements if it is bent or
+            straight-horizontal; None: all.
 
     Returns:
         The suite.
@@ -381,14 +383,16 @@ def thesis(system: System, vehicle: str | None) -> Suite:
     shoulder = (np.deg2rad([-90.0, 0, 0]), np.deg2rad([90.0, 0, 0]), 2.0, "shoulder-180")
     ends = np.deg2rad([0.0, -45, 90]), np.deg2rad([90.0, 45, -45])
     questions = [
-        ("straight-horizontal", *shoulder),
-        ("bent", *shoulder),
-        ("bent", *ends, 3.0, "good-and-bad"),
+        ("straight-horizontal-thesis", *shoulder),
+        ("bent-thesis", *shoulder),
+        ("bent-thesis", *ends, 3.0, "good-and-bad"),
     ]
     queries = []
     for beam, start, goal, duration, label in questions:
-        if vehicle is not None and beam != vehicle:
-            continue
+        if vehicle is not None:
+            if vehicle not in (beam, beam.removesuffix("-thesis")):
+                continue
+            beam = vehicle
         queries.append(
             (
                 beam,
@@ -403,6 +407,7 @@ def thesis(system: System, vehicle: str | None) -> Suite:
         )
     if not queries:
         beams = sorted({q[0] for q in questions})
+        beams += [beam.removesuffix("-thesis") for beam in beams]
         raise ParameterError(
             f"suite thesis runs on {', '.join(beams)}, got {vehicle!r}"
             f"{did_you_mean(vehicle, beams)}"

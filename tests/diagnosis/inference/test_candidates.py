@@ -18,7 +18,7 @@ from ves_gym.diagnosis.machines.presliding import Presliding
 from ves_gym.diagnosis.machines.torque_balance import scales
 from ves_gym.effects import SensorDrift
 from ves_gym.mechanics.spatial import WRENCH
-from ves_gym.mechanics.vehicle import FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.system.candidate import Scope
 from ves_gym.system.effect import EFFECTS, LaboratoryEffect, TorqueEffect, parameter, register
 from ves_gym.system.emulator_settings import EmulatorSettings
@@ -26,7 +26,9 @@ from ves_gym.system.system import System
 
 ROOT = Path(__file__).parents[3]
 PORTS = ("joint", "servo", "wrench", "gravity", "admittance", "platform")
-EMULATED = System(mode="emulated", emulator=EmulatorSettings(payload_compensation=True))
+EMULATED = System(
+    vehicle=BENT_THESIS, mode="emulated", emulator=EmulatorSettings(payload_compensation=True)
+)
 
 
 def emulated(**options):

@@ -16,9 +16,10 @@ from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import (
+    BENT_THESIS,
     DECOUPLED,
     FREE_FLOATING,
-    STRAIGHT_VERTICAL,
+    STRAIGHT_VERTICAL_THESIS,
     Oscillator,
 )
 from ves_gym.simulation.playback import play_motions
@@ -38,6 +39,7 @@ DRAGGED = dataclasses.replace(DECOUPLED, drag=(200.0,) * 6)
 def lab(compensated=True, clock=(12.5e-3, 1.25e-3), effects=(), **changes):
     vehicle = changes.pop("vehicle", None)
     system = System(
+        vehicle=BENT_THESIS,
         mode="emulated",
         control_dt=clock[0],
         physics_dt=clock[1],
@@ -50,10 +52,10 @@ def lab(compensated=True, clock=(12.5e-3, 1.25e-3), effects=(), **changes):
 FAST = {"platform": PoseServo(bandwidth=10.0), "sensor": ForceSensor(cutoff=40.0)}
 NOISY = (*E.LABORATORY_ERRORS, E.PlatformBandwidth(error=-0.2), E.SensorLag(error=0.2))
 MACHINES = {
-    "bent": lab(),
+    "bent-thesis": lab(),
     "bent, errors": lab(effects=NOISY),
     "bent, as read": lab(compensated=False),
-    "straight": lab(vehicle=STRAIGHT_VERTICAL),  # with modes too stiff for its commands
+    "straight": lab(vehicle=STRAIGHT_VERTICAL_THESIS),  # with modes too stiff for its commands
     "oscillators": lab(vehicle=SHAKEN),
     "oscillators, as read": lab(compensated=False, vehicle=SHAKEN),
     "drag": lab(vehicle=DRAGGED),
@@ -149,9 +151,9 @@ def test_columns_advance_as_single_states_do():
 
 def test_a_loop_rings_at_its_own_modes_alone():
     gains, home = {"kp": HIGH_GAINS.kp, "kd": HIGH_GAINS.kd}, [np.zeros(3)]
-    straight = lab(vehicle=STRAIGHT_VERTICAL)
+    straight = lab(vehicle=STRAIGHT_VERTICAL_THESIS)
     assert loop_rings(straight, gains, home, 25.8)  # `transition` says 25.84 Hz
     assert not loop_rings(straight, gains, home, 20.0)
     assert not loop_rings(lab(), gains, home, 25.8)
     assert not loop_rings(lab(operation="position"), gains, home, 25.8)
-    assert not loop_rings(System(), gains, home, 25.8)
+    assert not loop_rings(System(vehicle=BENT_THESIS), gains, home, 25.8)

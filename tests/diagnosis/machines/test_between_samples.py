@@ -15,6 +15,7 @@ from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.hardware.leg_servo import FILTERED, Legs, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.blocks.block import LoopShape
 from ves_gym.simulation.blocks.platform import LegSensors, LegServos, PosePlatform
 from ves_gym.simulation.blocks.wiring import Wiring
@@ -29,6 +30,7 @@ CLOCK = leg_clock(FILTERED)
 def swung(platform, clock=(12.5e-3, 1.25e-3)):
     """A system under position control, and the log of a platform that moves to and fro."""
     system = System(
+        vehicle=BENT_THESIS,
         mode="emulated",
         emulator=EmulatorSettings(operation="position", platform=platform),
         control_dt=clock[0],
@@ -72,7 +74,7 @@ def test_the_swing_is_accounted_for(platform, clock, seen):
 
 def test_a_log_of_another_clock_says_nothing_of_it():
     motion = Motion.straight(np.zeros(3), [0.3, 0.2, -0.2], duration=1.5)
-    system = System(mode="emulated")
+    system = System(vehicle=BENT_THESIS, mode="emulated")
     log = play_motions(system, [motion], settle=1.0, record_dt=2 * system.control_dt).log(0)
     run = run_of(log, "run", band=8.0)
     hidden = between_samples(run, system)
@@ -106,6 +108,7 @@ def test_joints_follow_a_push_as_their_equation_says():
 def test_compiled_platforms_are_the_blocks(platform):
     clock = CLOCK if platform is FILTERED else (12.5e-3, 1.25e-3)
     system = System(
+        vehicle=BENT_THESIS,
         mode="emulated",
         emulator=EmulatorSettings(platform=platform),
         control_dt=clock[0],

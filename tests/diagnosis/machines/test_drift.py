@@ -10,11 +10,14 @@ from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.drift import courses
 from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
-PLAIN = System(mode="emulated", emulator=EmulatorSettings(operation="position"))
+PLAIN = System(
+    vehicle=BENT_THESIS, mode="emulated", emulator=EmulatorSettings(operation="position")
+)
 DRIFT = E.SensorDrift(moment=(2.0, 0.0, 0.0), time=20.0)
 NOISE = E.SensorNoise(force=(0.35, 0.2, 0.4), moment=(0.3, 0.3, 0.05))
 

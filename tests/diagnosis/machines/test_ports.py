@@ -11,6 +11,7 @@ from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.hardware.force_sensor import ForceSensor
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.emulator_settings import EmulatorSettings
@@ -22,8 +23,8 @@ LAB = EmulatorSettings(
     payload_compensation=False,
     joint_balance=False,
 )
-IDEAL = System(control_dt=5e-3)
-EMULATED = System(mode="emulated", control_dt=5e-3, emulator=LAB)
+IDEAL = System(vehicle=BENT_THESIS, control_dt=5e-3)
+EMULATED = System(vehicle=BENT_THESIS, mode="emulated", control_dt=5e-3, emulator=LAB)
 SIGNALS = {
     "joint": "tau", "servo": "tau", "wrench": "w", "gravity": "weight", "admittance": "w",
     "platform": "y", "base": "w",
@@ -98,7 +99,9 @@ def test_a_model_with_the_effect_is_silent_again(healthy, ports):
 def test_a_whole_history_of_poses_is_that_of_its_periods(ratio, feedforward):
     rng = np.random.default_rng(0)
     servo = PoseServo(bandwidth=10.0, damping_ratio=ratio, rate_feedforward=feedforward)
-    system = System(mode="emulated", emulator=EmulatorSettings(platform=servo))
+    system = System(
+        vehicle=BENT_THESIS, mode="emulated", emulator=EmulatorSettings(platform=servo)
+    )
     p = LoopParameters.nominal(system.arm, system.emulator_settings, 2)
     y, yd = rng.standard_normal((2, 2, 6))
     command = rng.standard_normal((2, 60, 12))

@@ -14,7 +14,7 @@ from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.arm import Arm, matrix
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import (
-    BENT,
+    BENT_THESIS,
     FREE_FLOATING,
     MatrixVehicle,
     Vehicle,
@@ -64,7 +64,7 @@ def vehicle(rng: np.random.Generator, kind: str) -> Vehicle:
         # the thesis's other beams, lighter than the arm about their axes, lose stability when
         # the description errs as much as some effects do, and then amplify rounding
         damping = float(rng.uniform(0.02, 0.1))
-        return dataclasses.replace(BENT, damping_ratio=damping, source="test: random")
+        return dataclasses.replace(BENT_THESIS, damping_ratio=damping, source="test: random")
 
     def spd(scale):
         root = rng.normal(size=(6, 6))

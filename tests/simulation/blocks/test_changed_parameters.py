@@ -12,6 +12,7 @@ import pytest
 from tests.effects import values
 from tests.simulation.blocks.machines import KINDS, simulator_of
 from ves_gym.effects import EFFECTS
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.blocks.block import Block
 from ves_gym.system.effect import LaboratoryEffect
 from ves_gym.system.effect_rows import BODIES
@@ -37,7 +38,7 @@ def changed(effect):
 @pytest.fixture(scope="module")
 def machine():
     effects = tuple(values.effect(kind) for kind in ACTING)
-    mine = System(mode="emulated", effects=effects)
+    mine = System(vehicle=BENT_THESIS, mode="emulated", effects=effects)
     with pytest.MonkeyPatch.context() as patch:
         return simulator_of(patch, mine, N, compiled=True)
 

@@ -25,7 +25,7 @@ from tests.simulation.blocks.machines import (
     system,
 )
 from ves_gym.hardware.leg_servo import LegServo
-from ves_gym.mechanics.vehicle import FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
 from ves_gym.system.system import System
@@ -114,7 +114,7 @@ def test_lanes_have_parameters_of_their_own(monkeypatch):
 
 def test_a_learnt_weight_runs_compiled(monkeypatch):
     """A table in place of the estimate rewires the loop (thesis 3.3)."""
-    mine = System(mode="emulated")
+    mine = System(vehicle=BENT_THESIS, mode="emulated")
     table = np.random.default_rng(0).normal([0, 0, -900, 0, 0, 0], 5.0, (2, 30, 6))
     sims = [simulator_of(monkeypatch, mine, 2, compiled=k) for k in (True, False)]
     for sim in sims:
@@ -128,7 +128,7 @@ def test_a_learnt_weight_runs_compiled(monkeypatch):
 def test_what_is_compiled_when():
     """The kernel's loop is compiled; MuJoCo's, and a vehicle that is a function, are not."""
 
-    def code(system=System(mode="emulated"), **options):
+    def code(system=System(vehicle=BENT_THESIS, mode="emulated"), **options):
         return Simulator(system, warn_at=None, **options).emulation_loop._code
 
     assert code(backend="kernel") is not None

@@ -5,6 +5,7 @@ import pytest
 
 from tests.simulation.blocks.machines import simulator_of
 from ves_gym.effects import GravityDelay, PlatformDelay, PlatformStroke
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.blocks.memory import NamedArrays
 from ves_gym.system.system import System
 
@@ -52,7 +53,11 @@ def test_what_was_handed_out_stays_as_it_is(memory):
 # ----------------------------------------------------------- memory of another length
 
 # kinds alike, so that one can be assigned to the simulator of the other
-SOON = System(mode="emulated", effects=(PlatformDelay(delay=0.0), GravityDelay(delay=0.0)))
+SOON = System(
+    vehicle=BENT_THESIS,
+    mode="emulated",
+    effects=(PlatformDelay(delay=0.0), GravityDelay(delay=0.0)),
+)
 LATE = SOON.replace(effects=(PlatformDelay(delay=0.05), GravityDelay(delay=0.12)))
 compiled_or_not = pytest.mark.parametrize("compiled", [True, False])
 
@@ -124,7 +129,9 @@ def test_a_snapshot_fits_memory_of_another_length(compiled, monkeypatch):
 @compiled_or_not
 def test_short_legs_assigned_later_rewire_the_loop(compiled, monkeypatch):
     """Limits on the legs' travel are wired where somebody has them."""
-    plain = System(mode="emulated", effects=(PlatformStroke(travel=0.0, speed=0.0),))
+    plain = System(
+        vehicle=BENT_THESIS, mode="emulated", effects=(PlatformStroke(travel=0.0, speed=0.0),)
+    )
     short = plain.replace(effects=(PlatformStroke(travel=0.999, speed=0.999),))
     sim = simulator_of(monkeypatch, plain, 3, compiled=compiled)
     assert not sim.emulation_loop.wiring.block("command_line").limited

@@ -6,6 +6,7 @@ import pytest
 from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import GravityDelay, PlatformBandwidth, PlatformStroke
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, ModelOf, signal_of
 from ves_gym.simulation.blocks.wiring import Wiring
 from ves_gym.simulation.emulation_loop import EmulationLoop
@@ -33,7 +34,12 @@ class Adds(Block):
 
 
 def loop_of(*effects, **options):
-    system = System(mode="emulated", effects=effects, emulator=EmulatorSettings(**options))
+    system = System(
+        vehicle=BENT_THESIS,
+        mode="emulated",
+        effects=effects,
+        emulator=EmulatorSettings(**options),
+    )
     return EmulationLoop(system, 2, [np.random.default_rng(i) for i in range(2)])
 
 
@@ -171,6 +177,6 @@ def test_the_picture_shows_the_loop_as_it_is():
     from scripts import wiring
 
     assert wiring.PICTURE.read_text(encoding="utf-8") == wiring.picture()
-    other = System(mode="emulated", effects=[PlatformBandwidth(error=0.1)])
+    other = System(vehicle=BENT_THESIS, mode="emulated", effects=[PlatformBandwidth(error=0.1)])
     with pytest.raises(ValueError, match=r"wires differ: .*platform_model"):
         wiring.picture(other)

@@ -34,7 +34,7 @@ from ves_gym.simulation.simulator import Divergence
 from ves_gym.system.energy import TAIL, Energies, EnergyBalance
 from ves_gym.system.system import System
 
-_VEHICLE = "bent"
+_VEHICLE = "bent-thesis"
 _RECORD = 12.5e-3  # s between records of a motion and its tail
 _AT_ONCE = 25  # motions played together: their records fit the processor's cache
 _SETTLE = 0.5  # s after a motion that its energy account covers
