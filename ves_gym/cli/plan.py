@@ -31,9 +31,12 @@ from ves_gym.planners.predicted_disturbance import predict_disturbance
 from ves_gym.planners.prediction import Prediction
 from ves_gym.planners.query import Plan, Planner, Query, solve, speed_limits
 from ves_gym.planners.registry import PLANNERS, get_planner, weighted
+from ves_gym.planners.robust import Robust
 from ves_gym.planners.tool_goal import solve_to_tool
+from ves_gym.planners.uncertainty import read_uncertainty
 from ves_gym.system.disturbance import UNITS, Disturbance
 from ves_gym.system.energy import TAIL, Energies
+from ves_gym.system.system import System
 
 SCHEMA = "ves-plan/1"
 _SAMPLES = 101  # of the path in the result
@@ -53,7 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--duration", type=float, metavar="S", help="of the motion [s] (2)")
     parser.add_argument(
-        "--planner", default="direct", metavar="P", help=f"{', '.join(PLANNERS)} (direct)"
+        "--planner",
+        metavar="P",
+        help=f"{', '.join(PLANNERS)} (direct; robust with --robust-from)",
     )
     parser.add_argument(
         "--v-max",
@@ -78,6 +83,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f" straight line's energy at the straight line's value: {', '.join(WEIGHTS)}",
     )
     add_frequency_weight(parser)
+    parser.add_argument(
+        "--robust-from",
+        metavar="FILE",
+        help="what is uncertain, for planners robust and robust-worst: diagnosis.json of"
+        " `ves-gym diagnose` (the machine is then the diagnosed one), or ranges in TOML:"
+        " [effect] parameter = [low, high]",
+    )
     search = parser.add_argument_group("search (planners ompl-...)")
     search.add_argument("--algorithm", metavar="A", help=f"{', '.join(ALGORITHMS)} (bitstar)")
     search.add_argument("--evaluations", type=int, metavar="N", help="budget of edge costs")
@@ -87,8 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Plan, simulate beside the straight line; exit 1 if the path breaks a limit."""
-    planner = _planner_from(args)
-    system = system_from(args)
+    planner, system = _robust_from(args) or (_planner_from(args), system_from(args))
     arm = system.arm
     pose = None if args.tool is None else _pose(args.tool, args.angle_unit)
     start = _angles(args, arm, "start")
@@ -152,7 +163,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _planner_from(args: argparse.Namespace) -> Planner:
     """The planner by name, a search with the budget that is asked for."""
-    planner = get_planner(args.planner)
+    planner = get_planner(args.planner or "direct")
     if args.weight:
         planner = weighted(planner, parse_weights("+".join(args.weight)))
     names = ("algorithm", "evaluations", "seconds")
@@ -164,6 +175,36 @@ def _planner_from(args: argparse.Namespace) -> Planner:
             f"--{next(iter(options))} is for planners ompl-..., got {planner.name}"
         )
     return replace(planner, **options)
+
+
+def _robust_from(args: argparse.Namespace) -> tuple[Planner, System] | None:
+    """The robust planner for what a file says is uncertain, and the machine."""
+    if args.robust_from is None:
+        return None
+    named = get_planner(args.planner or "robust")
+    if not isinstance(named, Robust):
+        raise ParameterError(
+            f"--robust-from is for planners robust and robust-worst, got {named.name}"
+        )
+    uncertain = read_uncertainty(args.robust_from)
+    if uncertain.estimate is None:
+        system = system_from(args)
+    else:
+        given = [k for k in ("system", "vehicle", "arm", "mode", "effect") if getattr(args, k)]
+        if given:
+            raise ParameterError(
+                f"--robust-from {args.robust_from} says what the machine is: leave out"
+                f" --{given[0]}"
+            )
+        system = uncertain.estimate
+    print("uncertain: " + "; ".join(uncertain.lines))
+    planner = Robust(
+        uncertain.ranges,
+        objective=named.objective,
+        name=named.name,
+        around=uncertain.around,
+    )
+    return planner, system
 
 
 def _without_motion(args: argparse.Namespace, plan: Plan) -> int:

@@ -51,6 +51,7 @@ class Robust:
             give, or "worst" (a soft maximum).
         free: control points of the answer.
         name: of the planner.
+        around: machine that the ranges deviate from; default the query's.
     """
 
     def __init__(
@@ -61,6 +62,7 @@ class Robust:
         objective: str = "mean",
         free: int = _FREE,
         name: str = "robust",
+        around: System | None = None,
     ) -> None:
         if objective not in OBJECTIVES:
             raise ParameterError(
@@ -75,7 +77,7 @@ class Robust:
             objective,
             free,
         )
-        self.name = name
+        self.name, self.around = name, around
         self.summary = (
             f"least {objective} predicted E_mean over an uncertain machine, each over what it"
             f" could be, at most {price:g} x the nominal optimum on the machine as described"
@@ -97,7 +99,9 @@ class Robust:
             NoPlan: there is no nominal plan.
         """
         nominal, info = Refined(self.free).find(query, seed)
-        problem = ScenarioProblem(query, self.free, scenarios(query.system, self.uncertain))
+        problem = ScenarioProblem(
+            query, self.free, scenarios(self.around or query.system, self.uncertain)
+        )
         x0 = problem.of(nominal)
         before = problem.energies(x0)
         known, found = problem.known(x0), x0
