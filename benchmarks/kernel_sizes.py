@@ -50,7 +50,7 @@ def joints(arm: str = "iiwa14", n: int = 256) -> Pair:
 
 def internal_modes(modes: int = MODES, n: int = 256) -> Pair:
     """A finite-element beam with internal modes beside the same beam without any."""
-    beam = get_vehicle("bent-flexible")
+    beam = get_vehicle("bent")
     assert isinstance(beam, FlexibleBase)
     base = System(physics_dt=DT, control_dt=10 * DT)
     plain, fine = (base.replace(vehicle=replace(beam, modes=k)) for k in (0, modes))

@@ -6,7 +6,7 @@ import numpy as np
 
 import ves_gym as vg
 
-system = vg.System()  # PUMA 560 on the thesis's bent beam, zero gravity
+system = vg.System()  # PUMA 560 on the bent beam, zero gravity
 motion = vg.Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), duration=2.0)
 log = vg.simulate(motion, system)
 
