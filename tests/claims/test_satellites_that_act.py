@@ -24,6 +24,7 @@ from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.energy import EnergyBalance
 from ves_gym.system.momentum import momentum
+from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
 FREE = replace(SERVICER_FLEXIBLE, pointing=None)
@@ -281,3 +282,13 @@ def test_what_does_not_fit_is_refused(tmp_path):
         System(vehicle=SERVICER, mode="emulated")
     SERVICER_FLEXIBLE.save(tmp_path / "servicer.toml")
     assert get_vehicle(tmp_path / "servicer.toml") == SERVICER_FLEXIBLE
+
+
+def test_a_log_is_read_back_with_wheels_and_jets(tmp_path):
+    run = play_motions(System(vehicle=SERVICER), [MOTION], settle=0.0, yd=TUMBLING / 10)
+    log = run.log(0)
+    log.save(tmp_path / "run.csv")
+    again = RunLog.load(tmp_path / "run.csv")
+    assert again.digest == log.digest
+    assert again.motor.shape == (len(log.t), 4)
+    assert EnergyBalance.of(again).relative == EnergyBalance.of(log).relative

@@ -47,6 +47,7 @@ QUANTITIES = {
     "jet": (POSE, False),
     "propellant": (ONE, False),
 }
+_MOST = {POSE: BASE, ONE: 1}  # columns of an axis that has a fixed number of them
 KNOWN = ", ".join(["t", *(f"{k}_1..{axis}" for k, (axis, _) in QUANTITIES.items())])
 
 _COLUMN = re.compile(rf"({'|'.join(QUANTITIES)})_([1-9][0-9]{{0,5}})")
@@ -220,15 +221,15 @@ def _check_names(names: Sequence[str]) -> dict[str, int]:
     for name in names:
         match = _COLUMN.fullmatch(name)
         if name != "t" and (
-            match is None or (QUANTITIES[match[1]][0] == POSE and int(match[2]) > BASE)
+            match is None or int(match[2]) > _MOST.get(QUANTITIES[match[1]][0], int(match[2]))
         ):
             raise RunLogError(f"column {short(name)}: unknown; expected {KNOWN}")
         quantity, index = (match[1], int(match[2])) if match else ("t", 1)
         if index in columns.setdefault(quantity, set()):
             raise RunLogError(f"column {name}: expected once, got it more than once")
         columns[quantity].add(index)
-    sizes = {POSE: BASE}
-    for axis in (JOINT, MODE):
+    sizes = dict(_MOST)
+    for axis in (JOINT, MODE, WHEEL):
         of_axis = [max(k) for q, k in columns.items() if q != "t" and QUANTITIES[q][0] == axis]
         sizes[axis] = max(of_axis, default=1)
     if not columns["t"]:
