@@ -15,6 +15,7 @@ from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.hardware.stewart import VES
 from ves_gym.mechanics.arm import diagonal
+from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.gravity import GRAVITY, GravityModel, gravity_vector
 from ves_gym.mechanics.puma import PUMA_560
@@ -780,3 +781,15 @@ def test_readings_handed_out_are_copies():
     for s in (sim, twin):
         swing(s, 3)
     assert same(all_of(sim), all_of(twin))
+
+
+def test_an_arm_that_the_platform_cannot_carry_is_refused():
+    """1505 kg on a machine that stops at 3000 N; one that carries them is another machine."""
+    heavy = System(arm=get_arm("canadarm2"), mode="emulated")
+    with pytest.raises(
+        ParameterError, match=r"canadarm2 weighs 14767 N, .* = 3000 N: every run"
+    ):
+        Simulator(heavy, warn_at=None)
+    strong = EmulatorSettings(force_max=5e4, moment_max=5e5)
+    sim = Simulator(heavy.replace(emulator=strong), warn_at=None)
+    assert np.isfinite(sim.step(np.zeros((1, 7))).q).all()

@@ -26,6 +26,7 @@ from ves_gym.simulation.loop_numbers import BODIES, LoopNumbers
 from ves_gym.simulation.loop_reports import Event, Readings
 from ves_gym.simulation.loop_wiring import LoopParts, Needs
 from ves_gym.system.deviations import LoopParameters
+from ves_gym.system.emulator_settings import require_carried
 from ves_gym.system.system import System
 
 
@@ -50,6 +51,7 @@ class EmulationLoop:
         compiled: bool = False,
     ) -> None:
         emulator = system.emulator_settings
+        require_carried(emulator, system.arm)
         self.system, self.n, self.spec = system, n, emulator
         self.generators, self.custom = generators, admittance
         self.dt = system.control_dt

@@ -12,7 +12,8 @@ from ves_gym.hardware.force_sensor import ForceSensor
 from ves_gym.hardware.leg_servo import LegServo
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.hardware.stewart import VES, Stewart
-from ves_gym.mechanics.gravity import GravityModel
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.gravity import GRAVITY, GravityModel
 
 OPERATIONS = ("microgravity", "admittance", "position")
 
@@ -67,6 +68,27 @@ class EmulatorSettings:
         moving = isinstance(self.platform, PoseServo) and self.platform.rate_feedforward
         hold = 0.0 if moving else control_dt / 2
         return self.sensor.lag + command + hold + self.platform.lag
+
+
+def require_carried(settings: EmulatorSettings, arm: Arm) -> None:
+    """Refuse an arm whose weight alone freezes the platform in the first period of every run.
+
+    Args:
+        settings: of the machine; one whose sensor is zeroed with the arm on it does not read
+            the weight.
+        arm: that stands on the platform.
+
+    Raises:
+        ParameterError: says the weight and the limit.
+    """
+    weight = arm.mass * GRAVITY
+    if weight > settings.force_max and not settings.zero_at_start:
+        raise ParameterError(
+            f"mode emulated: {arm.name} weighs {weight:.0f} N, and the platform's safety stop"
+            f" acts at EmulatorSettings.force_max = {settings.force_max:g} N: every run would"
+            " stop at once. Take a lighter arm, mode ideal, or the settings of a platform that"
+            " carries it (force_max, moment_max, stewart)"
+        )
 
 
 NOMINAL = EmulatorSettings()
