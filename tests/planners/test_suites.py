@@ -233,7 +233,8 @@ def test_the_thesis_suite_on_one_of_its_vehicles():
     )
     assert [v for v, _ in suite.queries] == ["straight-horizontal-thesis"]
     with pytest.raises(
-        ParameterError, match="runs on bent, straight-horizontal, got 'decoupled'"
+        ParameterError,
+        match=r"runs on bent-thesis, .* bent, straight-horizontal, got 'decoupled'",
     ):
         get_suite("thesis", system=System(vehicle=BENT_THESIS), vehicle="decoupled")
 
