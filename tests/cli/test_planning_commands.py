@@ -49,6 +49,36 @@ def test_the_search_is_as_asked(call):
     assert 350 <= result["info"]["evaluations"] < 1200
 
 
+def test_a_plan_weighs_the_motion_of_the_base(call):
+    words = ("plan", "--goal", "40,20,-20", "--duration", "1")
+    _, out, _, plain = call(*words)
+    options = ("--weight", "acceleration_peak=0.1", "--weight", "tip=0.1")
+    status, out, _, calm = call(*words, *options, "--frequency-weight", "0.2:1,5:0")
+    assert status == 0 and calm["planner"] == "direct:acceleration_peak=0.1+tip=0.1"
+    assert "acceleration_peak [m/s^2]" in out and "gain 1, 0 above 1 Hz" in out
+    before, after = (k["disturbance"]["simulated"] for k in (plain, calm))
+    assert after["acceleration_peak"] < 0.7 * before["acceleration_peak"]
+    for name, value in calm["disturbance"]["predicted"].items():
+        off = 0.06 if name.endswith("_end") else 0.03  # what is left is small
+        assert value == pytest.approx(after[name], rel=off), name
+    assert calm["disturbance"]["straight"]["acceleration_peak"] > 0
+    assert calm["simulated"]["E_mean"] > plain["simulated"]["E_mean"]
+
+
+def test_a_benchmark_of_weights_shows_what_they_buy(call, tmp_path):
+    options = ("--first", "1", "--durations", "0.5", "--workers", "1", "--planners", "straight")
+    status, out, _, result = call(
+        "benchmark", *options, "--weights", "acceleration_peak=0.01,0.3"
+    )
+    assert status == 0 and (tmp_path / "out" / "pareto.png").stat().st_size > 10_000
+    rows = {row["planner"]: row for row in result["rows"]}
+    names = ["refined", *(f"refined:acceleration_peak={w}" for w in ("0.01", "0.3"))]
+    assert list(rows) == ["straight", *names]
+    peaks = [rows[name]["acceleration_peak"] for name in names]
+    assert peaks[0] > peaks[1] > peaks[2]
+    assert "Motion of base and tool" in out and "0, 1 above 1 Hz" in out
+
+
 def test_benchmark_asks_any_arm(call):
     options = ("--planners", "straight", "--first", "1", "--durations", "2", "--workers", "1")
     status, _, _, result = call("benchmark", "--arm", "iiwa14", *options, "--no-figures")
@@ -122,6 +152,15 @@ def test_best_energies_are_kept(call, tmp_path):
     ("words", "message"),
     [
         (("plan", "--goal", "1,1,1", "--algorithm", "rrtstar"), "--algorithm is for planners"),
+        (("plan", "--goal", "1,1,1", "--weight", "tpi=1"), "tip"),
+        (("plan", "--goal", "1,1,1", "--weight", "tip"), "NAME=VALUE"),
+        (("plan", "--goal", "1,1,1", "--planner", "bad-path", "--weight", "tip=1"), "direct,"),
+        (
+            ("plan", "--goal", "1,1,1", "--planner", "straight:tip=1"),
+            "weights are for planners",
+        ),
+        (("plan", "--goal", "1,1,1", "--frequency-weight", "1"), "HZ:GAIN"),
+        (("benchmark", "--weights", "0.1,0.2"), "--weights must be like"),
         (("plan", "--goal", "1,1,1", *SMALL, "--algorithm", "prm"), "must be one of rrtstar"),
         (("plan", "--goal", "1,1,1", "--obstacles", "none.toml"), "none.toml"),
         ((*BENCHMARK, "--obstacles", "some"), "obstacles must be one of off, on, both"),

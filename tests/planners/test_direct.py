@@ -14,11 +14,12 @@ from ves_gym.mechanics.vehicle import (
     FREE_FLOATING,
     STRAIGHT_VERTICAL_THESIS,
 )
-from ves_gym.planners.direct import Direct, MotionProblem, minimise, quadratic_program
+from ves_gym.planners.direct import Direct, MotionProblem
 from ves_gym.planners.obstacles import Sphere, Surroundings
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import NoPlan, Query, solve
 from ves_gym.planners.registry import get_planner
+from ves_gym.planners.sequential import minimise, quadratic_program
 from ves_gym.planners.suites import SPEED_LIMITS, reach100
 from ves_gym.system.system import System
 

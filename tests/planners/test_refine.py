@@ -13,8 +13,8 @@ from ves_gym.mechanics.dynamics import frames
 from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
-from ves_gym.planners import direct
 from ves_gym.planners import refine as refine_module
+from ves_gym.planners import sequential
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
 from ves_gym.planners.prediction import predict
@@ -181,7 +181,7 @@ def test_of_many_joints_starts_are_compared_with_fewer_points(monkeypatch):
 
     def minimise(problem, x, *args, **options):
         sizes.append(x.size)
-        return direct.minimise(problem, x, *args, **options)
+        return sequential.minimise(problem, x, *args, **options)
 
     monkeypatch.setattr(refine_module, "minimise", minimise)
     again = solve(Refined(), query)

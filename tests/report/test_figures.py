@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.report.figures import anytime_figure, time_figure, write_figures
+from ves_gym.report.figures import anytime_figure, pareto_figure, time_figure, write_figures
 
 ALL = ["ratio.png", "energy.png", "coupling.png", "prediction.png"]
 
@@ -24,6 +24,25 @@ def test_four_figures_with_something_on_them(tmp_path, make_result):
         pixels = np.asarray(Image.open(path).convert("RGB"))
         assert min(pixels.shape[:2]) > 400
         assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 50  # lines, text, colours
+
+
+def test_weights_add_a_figure(tmp_path, make_result):
+    """Energy against two accelerations: a line through the weights, a point per planner."""
+    result = make_result(queries=2, durations=(1.0,), points=9)
+    for k, row in enumerate(result["summary"]):
+        row |= {"acceleration_ratio_median": 1.0 + k, "acceleration_peak_ratio_median": 2.0 + k}
+    some = result["summary"][0]
+    for weight in (0.3, 0.03):
+        name = f"{some['planner']}:tip={weight}"
+        result["planners"].append({"name": name, "summary": ""})
+        result["summary"].append({**some, "planner": name, "ratio_median": weight})
+    assert written(result, tmp_path) == [*ALL, "pareto.png"]
+    for axes in pareto_figure(result).axes:
+        (joined,) = [line for line in axes.lines if len(line.get_xdata()) == 3]
+        assert list(joined.get_xdata()) == [some["ratio_median"], 0.03, 0.3]
+        assert {text.get_text() for text in axes.texts} == {"0.03", "0.3"}
+        labels = {line.get_label() for line in axes.lines}
+        assert labels >= {p["name"] for p in result["planners"][:4]}
 
 
 def test_searches_add_a_figure(tmp_path, make_result):

@@ -15,10 +15,11 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.spatial import matvec
-from ves_gym.planners.direct import MotionProblem, minimise
+from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.observer import BaseObserver
 from ves_gym.planners.pped import WIDE, plant_at, tune
 from ves_gym.planners.query import Query, on_one_thread
+from ves_gym.planners.sequential import minimise
 
 _NODES = 60  # of the momentum over a horizon
 _STARTS = 8  # of a search for gains: the best of 24 is 0.1 % better

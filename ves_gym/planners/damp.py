@@ -15,8 +15,9 @@ import numpy as np
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.direct import MotionProblem, minimise
+from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.query import Query, broken_limit, require_time
+from ves_gym.planners.sequential import minimise
 
 _POINTS = 6.0  # free control points per second
 _LEAST, _MOST = 12, 180  # of them; of all joints' together

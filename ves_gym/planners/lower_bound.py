@@ -28,11 +28,12 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.planners.barrier import Barrier
 from ves_gym.planners.conjugate import MomentumCost, conjugate, local_part, momentum_cost
-from ves_gym.planners.direct import MotionProblem, minimise
+from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.potential import Potential, ReachableSet, Setting, Shapes, residual_floor
 from ves_gym.planners.prediction import LinearBase
 from ves_gym.planners.query import Query, require_time
+from ves_gym.planners.sequential import minimise
 
 _JOINTS = 4  # at most, for a potential over all of joint space
 _SLABS = (12, 20)  # least and most parts of the duration
@@ -54,8 +55,8 @@ class LowerBound:
     errors: Array  # (slabs,) e [W]
 
     def gap(self, energy: float) -> float:
-        """Share of an energy [J] that the bound leaves open; 0: it is the least there is."""
-        return 1 - self.energy / energy
+        """An energy [J] over the bound; 1: it is the least there is."""
+        return energy / self.energy
 
     def check(self) -> float:
         """Evaluate the certificate again: the bound [J] that l, f and y give."""

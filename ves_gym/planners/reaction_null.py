@@ -21,11 +21,11 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, ParameterError, finite
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.coupling import blocks
-from ves_gym.planners.direct import minimise
 from ves_gym.planners.hotspot import feasible_part
 from ves_gym.planners.least_reaction import ReactionProblem
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import NoPlan, Query
+from ves_gym.planners.sequential import minimise
 from ves_gym.system.system import System
 
 NEARLY = 0.02  # of the largest coupling (root of the eigenvalue) that counts as none

@@ -18,7 +18,7 @@ import scipy.optimize
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.direct import Minimum, MotionProblem, about_itself, minimise, rank
+from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.objective import checked_weights, weighted_name
 from ves_gym.planners.ompl_search import Ompl, time_path
 from ves_gym.planners.query import (
@@ -28,6 +28,7 @@ from ves_gym.planners.query import (
     require_possible,
     shortest_like,
 )
+from ves_gym.planners.sequential import Minimum, about_itself, minimise, rank
 
 _FREE = 24  # control points: at 2 s, 12 leave 3 % more energy, 32 take 0.5 % off
 _DETOURS = (0.3, 0.7)  # rad, by turns: sizes of the random detours started from

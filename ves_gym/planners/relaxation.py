@@ -17,11 +17,12 @@ import scipy.optimize
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.direct import MotionProblem, minimise, rank
+from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.hotspot import resample
 from ves_gym.planners.metric import Metric
 from ves_gym.planners.obstacles import RESOLUTION, Collisions
 from ves_gym.planners.query import Query
+from ves_gym.planners.sequential import minimise, rank
 
 SLOPE = (
     3  # evaluations that an edge with its derivatives stands for: 1.4 (Q) to 2.6 (Q_T) times

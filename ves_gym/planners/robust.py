@@ -18,10 +18,10 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import has
-from ves_gym.planners.direct import minimise
 from ves_gym.planners.query import Query, broken_limit
 from ves_gym.planners.refine import _FREE, Refined
 from ves_gym.planners.scenarios import ScenarioProblem
+from ves_gym.planners.sequential import minimise
 from ves_gym.system.system import System
 
 Ranges = Mapping[str, Mapping[str, Any]]  # effect -> parameter -> (low, high), as `randomize`

@@ -16,9 +16,10 @@ import scipy.special
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm
-from ves_gym.planners.direct import MotionProblem, minimise
+from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.mean_energy import MeanEnergy, running_integral
 from ves_gym.planners.query import Query
+from ves_gym.planners.sequential import minimise
 from ves_gym.system.system import System
 
 _COARSE = 1e-3  # relative decrease that ends the search for a scale

@@ -25,6 +25,7 @@ BASELINE = "straight"
 _PIECE = 3  # points of a line that share their shade
 _COLUMNS = 3  # panels side by side
 _DPI = 150
+_BESIDE: dict[str, Any] = {"textcoords": "offset points", "fontsize": "small"}
 _IN_SPACE: dict[str, Any] = {"linewidth": 0.8, "dashes": (6, 4)}
 Result = dict[str, Any]
 
@@ -278,6 +279,10 @@ def pareto_figure(result: Result) -> Figure:
         _tradeoff(axes, points, names)
         axes.set(xlabel="E_mean / straight line's", ylabel=TRADED[measure])
         axes.set_title(f"{case[0]}, T = {case[1]:g} s", fontsize="medium")
+    lines = {line.get_label(): line for axes in panels for line in axes.lines}
+    shown = {str(name): line for name, line in lines.items() if not str(name).startswith("_")}
+    place: dict[str, Any] = {"loc": "outside lower center", "frameon": False}
+    figure.legend(list(shown.values()), list(shown), ncols=min(3, len(shown) or 1), **place)
     return figure
 
 
@@ -301,38 +306,21 @@ def _tradeoff(axes: Axes, points: dict[str, tuple[float, float]], names: Sequenc
             *at.T, "-o", color=colour, markersize=4, label=f"{plain}, weight of {measure}"
         )
         for value, name in members:
-            _label(axes, f"{value:g}", points[name], (5, 4), colour)
+            axes.annotate(f"{value:g}", points[name], (5, 4), color=colour, **_BESIDE)
     for name, point in points.items():
         if name not in joined:
-            axes.plot(*point, "o", color=colour_of(name, names), markersize=7)
-            last = point[0] >= max(x for x, _ in points.values())  # there is room on its left
-            place: dict[str, Any] = (
-                {"offset": (-7, 6), "ha": "right"} if last else {"offset": (7, -9)}
-            )
-            _label(axes, name, point, colour=colour_of(name, names), **place)
+            axes.plot(*point, "o", color=colour_of(name, names), markersize=7, label=name)
     axes.axhline(1.0, color="0.6", linewidth=0.8, zorder=0)
     axes.axvline(1.0, color="0.6", linewidth=0.8, zorder=0)
     axes.set(xscale="log", yscale="log")
-    axes.margins(0.15)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 5, 7)))
+    axes.margins(0.12)
+    for axis, values in ((axes.xaxis, 0), (axes.yaxis, 1)):
+        some = [1.0, *(point[values] for point in points.values())]
+        few = max(some) > 12 * min(some)
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1, 1.5, 2, 3, 5, 7)))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter(NullFormatter())
     axes.grid(alpha=0.25)
-    if families:
-        axes.legend(fontsize="small", frameon=False)
-
-
-def _label(
-    axes: Axes,
-    text: str,
-    point: tuple[float, float],
-    offset: tuple[int, int],
-    colour: str,
-    ha: str = "left",
-) -> None:
-    style: dict[str, Any] = {"textcoords": "offset points", "fontsize": "small", "ha": ha}
-    axes.annotate(text, point, offset, color=colour, **style)
 
 
 # ---------------------------------------------------------------------------- pieces
