@@ -5,6 +5,7 @@ import json
 import pytest
 
 from ves_gym.baselines.policy import load_policy
+from ves_gym.cli.common import with_effects
 
 CONFIG = """
 env = "ves/PumaRestToRest-v0"
@@ -71,3 +72,12 @@ def test_bad_input_is_one_line(refused, words, message):
 
 def test_a_configuration_of_another_algorithm_is_refused(refused, config):
     assert "is for ppo, got algorithm sac" in refused("train", config, "--algo", "sac")
+
+
+def test_another_arm_takes_its_own_accelerations():
+    """Those of the package's configurations are the PUMA's, one per joint."""
+    settings = {"control": {"kind": "acceleration", "a_max": [6.0, 6.0, 12.0]}}
+    found = with_effects("ves/PumaReach-v0", settings, [], "ur5e")
+    assert found["arm"] == "ur5e" and found["control"]["kind"] == "acceleration"
+    assert found["control"].get("a_max") is None
+    assert with_effects("ves/PumaReach-v0", settings, [], None) == settings

@@ -270,7 +270,14 @@ def with_effects(
         arm: value of `--arm`: name or file; None: the environment's.
     """
     if arm is not None:
-        get_arm(arm)  # refused here, not in a worker
+        given = get_arm(arm)  # refused here, not in a worker
+        if "control" in settings:  # numbers per joint that are the environment's arm's
+            from ves_gym.baselines.evaluate import spec_of
+            from ves_gym.envs.build import build_task
+            from ves_gym.envs.control import for_arm
+
+            control = build_task(**{**spec_of(id).kwargs, **settings}).control
+            settings = {**settings, "control": to_plain(for_arm(control, given))}
         settings = {**settings, "arm": arm}
     if not texts:
         return dict(settings)
