@@ -51,6 +51,7 @@ def simulate(
     y: npt.ArrayLike = 0.0,
     yd: npt.ArrayLike = 0.0,
     platform: Follow | None = None,
+    latch: Sequence[tuple[float, str]] = (),
     seed: int = 0,
     backend: str = "auto",
     note: str = "",
@@ -67,6 +68,8 @@ def simulate(
         y, yd: base pose and rate at the start (6,) [m, rad].
         platform: what the platform follows under operation "position": instants (m,) [s] ->
             pose and rate, (m, 6) each.
+        latch: when the tool's latch acts on the system's payload [s], at records: (0.5,
+            "grasp"), (2.0, "release").
         seed: of sensor noise and drift.
         backend: engine: auto, kernel, mujoco, gpu-kernel, gpu-kernel-float32, mjx
             or warp.
@@ -103,6 +106,7 @@ def simulate(
         y=y,
         yd=yd,
         platform=platform,
+        latch=latch,
         seed=seed,
         backend=backend,
     )

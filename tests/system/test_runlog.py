@@ -20,7 +20,7 @@ from hypothesis.extra.numpy import arrays
 
 from ves_gym._util import optional
 from ves_gym.system.runlog import OPTIONAL, QUANTITIES, RunLog, RunLogError
-from ves_gym.system.runlog_files import JOINT, MODE, ONE, POSE, WHEEL
+from ves_gym.system.runlog_files import BODY, JOINT, MODE, ONE, POSE, WHEEL
 
 JOINTS = 3
 META = {
@@ -37,7 +37,7 @@ PARQUET = pytest.param("parquet", marks=needs_pyarrow)
 
 def make(n: int = JOINTS, samples: int = 5, optional: Any = OPTIONAL, **changes: Any) -> RunLog:
     rng = np.random.default_rng(n * samples)
-    sizes = {JOINT: n, POSE: 6, MODE: 4, WHEEL: 2, ONE: 1}
+    sizes = {JOINT: n, POSE: 6, MODE: 4, WHEEL: 2, ONE: 1, BODY: 7}
     wanted = {k: sizes[j] for k, (j, must) in QUANTITIES.items() if must or k in optional}
     columns = {k: rng.standard_normal((samples, size)) for k, size in wanted.items()}
     meta = META if n == JOINTS else {"format": "ves-run/1"}
@@ -105,7 +105,7 @@ def logs(draw: st.DrawFn) -> RunLog:
     values: dict[str, Any] = {}
     for name, (axis, required) in QUANTITIES.items():
         if required or name in optional:
-            shape = (samples, {JOINT: n, POSE: 6, MODE: 4, WHEEL: 2, ONE: 1}[axis])
+            shape = (samples, {JOINT: n, POSE: 6, MODE: 4, WHEEL: 2, ONE: 1, BODY: 7}[axis])
             values[name] = draw(arrays(np.float64, shape, elements=FLOATS))
     t = draw(st.lists(FLOATS, min_size=samples, max_size=samples, unique=True))
     note = draw(st.text(max_size=20))
@@ -361,7 +361,7 @@ def test_rows_of_the_wrong_length_are_named(saved: Path) -> None:
         (
             2,
             [*table[2], "0.0"],
-            f"column propellant_1: expected {width} cells, got {width + 1}",
+            f"column pd_6: expected {width} cells, got {width + 1}",
         ),
         (2, [""], f"column q_cmd_1: expected {width} cells, got 1"),
     ):
@@ -376,7 +376,7 @@ def test_a_file_cut_off_inside_a_number_is_named(saved: Path) -> None:
     saved.write_bytes(saved.read_bytes()[:-3])
     refuses(
         saved,
-        "run.csv: row 5, column propellant_1: expected a line end after every row",
+        "run.csv: row 5, column pd_6: expected a line end after every row",
         "cut off",
     )
 

@@ -71,6 +71,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="between records (default physics step; mode emulated: control period)",
     )
+    for what, help_text in (
+        ("grasp", "close the latch on the system's payload at this time; repeatable"),
+        ("release", "open it"),
+    ):
+        parser.add_argument(
+            f"--{what}", type=float, metavar="S", action="append", help=help_text
+        )
     parser.add_argument(
         "--log",
         metavar="FILE",
@@ -149,6 +156,11 @@ def run(args: argparse.Namespace) -> int:
         result["energies_in_space"] = None if ideal is None else ideal.to_dict()
         result["base_error"] = None if space is None else _base_error(recording, space)
         result["stopped"] = None if stop is None else {"time": stop.time, "reason": stop.reason}
+    if recording.captures:
+        result["captures"] = log.meta["captures"]
+        for event in recording.captures:
+            lost = f", {event.lost:.4g} J lost" if event.kind == "grasp" else ""
+            print(f"{event.kind} at {event.time:g} s{lost}")
     write_json(args.json, result)
     if measured is not None:
         _print_table(system, motion, measured, ideal, residual, log)
@@ -172,7 +184,7 @@ def _check_experiment(args: argparse.Namespace, system: System) -> None:
             raise ParameterError(f"--{option} must be >= 1, got {value}")
     if args.learn is not None and args.poses is not None:
         raise ParameterError("--learn and --poses are two experiments: give one of them")
-    for option in ("disturb", "record_dt"):
+    for option in ("disturb", "record_dt", "grasp", "release"):
         if args.learn is not None and getattr(args, option) is not None:
             raise ParameterError(
                 f"--learn starts every repetition at home and records every control period:"
@@ -235,12 +247,19 @@ def _play(
         servo=servo,
         settle=args.settle,
         record_dt=args.record_dt or default,
+        latch=_latch(args),
         watch=True,
         y=pose,
         seed=args.seed,
         progress=lambda done: on_progress("simulating", done),
         **options,
     )
+
+
+def _latch(args: argparse.Namespace) -> list[tuple[float, str]]:
+    """What the latch is to do, and when."""
+    parts = (("grasp", args.grasp), ("release", args.release))
+    return [(time, what) for what, times in parts for time in times or ()]
 
 
 def _in_space(
@@ -260,6 +279,7 @@ def _in_space(
         settle=args.settle,
         record_dt=float(recording.t[1] - recording.t[0]),
         y=recording.y[0, 0],
+        latch=_latch(args),
     )
 
 

@@ -107,7 +107,12 @@ class Renderer:
         if marker is not None:
             marker = marker[0, :: -(-marker.shape[1] // _POINTS)].tolist()
         modes = batch.sim.base_modes
+        payload = None
+        if batch.sim.payload is not None:
+            place, attitude, _, _ = (part[0] for part in batch.sim.payload.state)
+            payload = [*place.tolist(), *attitude.tolist()]
         self._latest = {
+            "payload": payload,
             "episode": [int(k[0]) for k in (e.root, e.index, e.number)],
             "t": float(s.time[0]),
             "y": s.y[0].tolist(),

@@ -16,6 +16,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.mjcf import TO_Y, build_spec, places
+from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.spatial import rotation
@@ -36,6 +37,7 @@ FORCE = (0.35, 0.80, 0.48, 1.0)
 MOMENT = (0.74, 0.52, 0.95, 1.0)
 PATH = (0.32, 0.72, 0.98, 1.0)
 TARGET = (0.98, 0.86, 0.30, 1.0)
+_PAYLOAD = (0.36, 0.66, 0.62, 1.0)
 
 
 class Drawing:
@@ -255,6 +257,26 @@ class Drawing:
                 connect(scene, "CAPSULE", a, b, 0.5 * radius, _GHOST)
             for a, b in itertools.pairwise(centreline):
                 connect(scene, "CAPSULE", a, b, radius, _BEAM)
+
+    def add_payload(self, scene: Any, pose: Array) -> None:
+        """Add the payload as a box, its grapple fixture as a ball.
+
+        Args:
+            scene: MuJoCo's, of this frame.
+            pose: (7,) place of its origin [m], unit quaternion.
+        """
+        payload = self.system.payload
+        if payload is None:
+            return
+        turn = to_matrix(pose[3:])
+        geom, shape = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_BOX
+        middle = pose[:3] + turn @ np.array(payload.inertial.com)
+        colour = np.array(_PAYLOAD, np.float32)
+        half = np.ascontiguousarray(payload.edges / 2)
+        mujoco.mjv_initGeom(geom, shape, half, middle, turn.ravel(), colour)
+        scene.ngeom += 1
+        fixture = pose[:3] + turn @ np.array(payload.grip.position)
+        ball(scene, fixture, 0.12 * float(payload.edges.min()), TOOL)
 
     def add_path(self, scene: Any, poses: Array, extent: float) -> None:
         """Add the path of a point on the plate's rim.

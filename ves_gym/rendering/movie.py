@@ -41,6 +41,8 @@ def _decorate(
 ) -> None:
     """Add to frame k what is not a rigid body."""
     drawing.add_support(scene, clip["y"][k], extent, _modes(clip, k))
+    if "p" in clip:
+        drawing.add_payload(scene, clip["p"][k])
     first = max(0, k - round(_TRAIL * view.fps / view.speed))
     drawing.add_path(scene, clip["y"][first : k + 1], extent)
     if "w" in clip:

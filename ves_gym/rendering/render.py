@@ -141,6 +141,8 @@ def _clip(log: RunLog, view: View) -> dict[str, Any]:
     }
     if log.u is not None and system.mode == "ideal":
         clip["u"] = view.magnify * at(log.u)
+    if log.p is not None:  # attitudes of neighbouring samples may differ in sign
+        clip["p"] = log.p[np.abs(log.t - t[:, None]).argmin(axis=1)]
     wrench = log.w if log.wg is None else log.wg  # less the weight, where there is any
     if wrench is not None:
         clip["w"] = at(wrench)

@@ -109,6 +109,8 @@ class Stage:
             if rect is arm:
                 self._wrench(sample, y[-1])
                 self._marker(sample, extent)
+                if sample.get("payload") is not None:
+                    self.drawing.add_payload(self.scene, np.array(sample["payload"]))
             else:
                 self.drawing.add_path(self.scene, k * y, extent)
             mujoco.mjr_render(rect, self.scene, self.context)

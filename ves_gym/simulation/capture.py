@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -51,18 +52,25 @@ class Capture:
     impulse: tuple[float, ...] = (0.0,) * 6  # on the payload at the tool [N s, N m s]
     lost: float = 0.0  # energy [J]
     twist: tuple[float, ...] = (0.0,) * 6  # of the tool against the fixture before
-    before: tuple[tuple[float, ...], ...] = ()  # Y', q' and the payload's twist before
+    before: tuple[tuple[float, ...], ...] = ()  # Y', q', the payload's twist and u' before
+    tau: tuple[float, ...] = ()  # of the drives before [N m], where a recording has asked
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, as a run log's metadata hold it."""
-        yd, v, payload = self.before or ((), (), ())
+        yd, v, payload, ud = self.before or ((), (), (), ())
         return {
             "time": self.time,
             "kind": self.kind,
             "impulse": list(self.impulse),
             "lost": self.lost,
             "twist": list(self.twist),
-            "before": {"yd": list(yd), "v": list(v), "payload": list(payload)},
+            "before": {
+                "yd": list(yd),
+                "v": list(v),
+                "payload": list(payload),
+                "ud": list(ud),
+                "tau": list(self.tau),
+            },
         }
 
 
@@ -88,6 +96,7 @@ class Cargo:
     )  # fmt: skip
 
     def __init__(self, sim: Simulator) -> None:
+        sim.system.arm.require_rigid("a payload")
         if not isinstance(sim.backend, Carrier):
             raise ParameterError(
                 f"backend {sim.backend.name} carries no payload: use kernel or mujoco"
@@ -192,11 +201,10 @@ class Cargo:
         self.events = list(events)
         self._refit(changed)
 
-    def advance(self, periods: int, time: float, ids: Index | None) -> None:
+    def advance(self, time: float, ids: Index | None) -> None:
         """Let free payloads fly on: straight, and turning as torque-free bodies do.
 
         Args:
-            periods: control periods, or parts of them, that `time` covers.
             time: [s].
             ids: which simulations run, None for all.
         """
@@ -212,7 +220,8 @@ class Cargo:
             return
         com = self.position[rows] + rotate(self.attitude[rows], self.com[rows])
         com += time * self.velocity[rows]
-        q, w, steps = self.attitude[rows], self.spin[rows], _STEPS * periods
+        q, w = self.attitude[rows], self.spin[rows]
+        steps = math.ceil(_STEPS * time / self.sim.system.control_dt - 1e-9)
         if w.any():
             for _ in range(steps):
                 q, w = torque_free_step(q, w, self.inertia[rows], time / steps)
@@ -287,12 +296,14 @@ class Cargo:
         kind = "grasp" if closed is None else "touch"
         time, v, yd = state.time[index], state.v[index], state.yd[index]
         _, twist, _ = self._bodies(index)
+        modes = sim.base_modes
+        ud = np.zeros((len(index), 0)) if modes is None else modes[1][index]
         events = [
             Capture(
                 i, float(time[k]), kind,
                 tuple(out.impulse[k].tolist()), float(out.lost[k]),
                 tuple(out.relative[k].tolist()),
-                tuple(tuple(part[k].tolist()) for part in (yd, v, twist)),
+                tuple(tuple(part[k].tolist()) for part in (yd, v, twist, ud)),
             )
             for k, i in enumerate(index.tolist())
         ]  # fmt: skip

@@ -15,6 +15,7 @@ from ves_gym.mechanics.limits import middle_of_range
 from ves_gym.mechanics.motion import Motion, Samples
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix, twist, twist_rate
+from ves_gym.simulation.capture import Capture
 from ves_gym.simulation.recording import BaseWatch, Extremes, Recording
 from ves_gym.simulation.simulator import Simulator, State
 from ves_gym.system.runlog import RunLog
@@ -34,6 +35,7 @@ def play_motions(
     yd: npt.ArrayLike = 0.0,
     platform: Callable[[Array], tuple[Array, Array]] | None = None,
     gravity: Callable[[Array], Array] | None = None,
+    latch: Sequence[tuple[float, str]] = (),
     seed: int = 0,
     backend: str = "auto",
     watch: bool = False,
@@ -52,6 +54,8 @@ def play_motions(
             runs or (n, m, 6).
         gravity: micro-gravity emulation: instants (m,) -> gravity wrench (n, m, 6) or (m, 6)
             that takes the place of the estimate (Learning Method).
+        latch: instants of records [s] at which it closes or opens: "grasp" or "release". The
+            record there holds the rates after it.
         seed: of sensor noise and drift.
         backend: engine, as `Simulator` takes it.
         watch: look at joints and base between the records, too, until shortly after the
@@ -60,8 +64,8 @@ def play_motions(
         progress: called with the fraction done.
 
     Raises:
-        ParameterError: no motion, unequal durations or joints, or a record_dt that is
-            not a whole number of steps.
+        ParameterError: no motion, unequal durations or joints, a record_dt that is not a
+            whole number of steps, or a latch that cannot close or open when it is to.
         Divergence: a simulation left the meaningful range.
     """
     n, duration = _common(system, motions)
@@ -75,6 +79,7 @@ def play_motions(
     records = int(np.ceil((duration + settle) / (stride * dt) - 1e-9)) + 1
     if system.drive == "motor" or not servo.kp:
         servo = servo.for_arm(system.arm)
+    latched = _latched(system, latch, stride * dt, records)
     sim = Simulator(
         system, n, servo=servo, backend=backend, seed=seed, warn_at=motions[0].start
     )
@@ -95,13 +100,16 @@ def play_motions(
         sim.use_gravity(table[:, :1])
     moving = np.stack([m.at([0.0]).v[0] if m.moving else np.zeros(m.n) for m in motions])
     sim.reset(q=np.stack([m.start for m in motions]), v=moving, y=y, yd=yd)
+    captures: list[Capture] = []
     for k in range(records):
+        if k in latched:
+            captures += _latch(sim, latched[k], commands[:, k * stride])
         state = sim.state
         tau, ydd = sim.evaluate(commands[:, k * stride])
         acts = sim.base_actuators
         acted = {} if acts is None else acts.record()
         row: tuple[Array, ...] = (*sim.measured, tau, state.y, state.yd, ydd)
-        row = (*row, *(sim.base_modes or ()), *acted.values())
+        row = (*row, *(sim.base_modes or ()), *acted.values(), *_payload_row(sim))
         if extremes is not None:
             extremes.watch(edges[k * stride], row[0] - middle, row[1], tau)
         if base_watch is not None:
@@ -136,7 +144,9 @@ def play_motions(
         if progress is not None and k % 32 == 0:
             progress(k / records)
     modes = () if sim.base_modes is None else ("u", "ud")
-    names = ("q", "v", "tau", "y", "yd", "ydd", *modes, *acted, "w", "wg", "y_cmd")
+    payload = () if sim.payload is None else ("p", "pd")
+    carried = (*modes, *acted, *payload)
+    names = ("q", "v", "tau", "y", "yd", "ydd", *carried, "w", "wg", "y_cmd")
     stacked = (np.stack(column, axis=1) for column in zip(*rows, strict=True))
     end = (len(rows) - 1) * stride + 1
     return Recording(
@@ -147,11 +157,50 @@ def play_motions(
         q_cmd=samples.q[:, :end:stride],
         v_cmd=samples.v[:, :end:stride],
         **dict(zip(names, stacked, strict=False)),
+        captures=tuple(captures),
         events=tuple(sim.events),
         backend=sim.backend_name,
         extremes=extremes,
         base_watch=base_watch,
     )
+
+
+def _latched(
+    system: System, latch: Sequence[tuple[float, str]], interval: float, records: int
+) -> dict[int, str]:
+    """What the latch does at records, by their numbers."""
+    if latch and system.payload is None:
+        raise ParameterError("a latch needs a system with a payload, got one without")
+    out: dict[int, str] = {}
+    for time, kind in latch:
+        if kind not in ("grasp", "release"):
+            raise ParameterError(f"a latch does grasp or release, got {kind!r}")
+        k = round(time / interval) if math.isfinite(time) else -1
+        if not 0 <= k < records or abs(k * interval - time) > 1e-9 or k in out:
+            raise ParameterError(
+                f"{kind} must be at a record of its own, a whole number of {interval:g} s up to"
+                f" {(records - 1) * interval:g} s, got {time!r} s"
+            )
+        out[k] = kind
+    return out
+
+
+def _latch(sim: Simulator, kind: str, command: Array) -> list[Capture]:
+    """Close or open every latch; the drives' torques (n, joints) before it are noted."""
+    if kind == "release":
+        return sim.release()
+    tau, _ = sim.evaluate(command)
+    rows = [tuple(row) for row in tau.tolist()]
+    return [replace(event, tau=rows[event.simulation]) for event in sim.grasp()]
+
+
+def _payload_row(sim: Simulator) -> tuple[Array, ...]:
+    """Pose (n, 7) and motion (n, 6) of the payloads; nothing without them."""
+    if sim.payload is None:
+        return ()
+    s = sim.payload.state
+    pose = np.concatenate([s.position, s.attitude], axis=1)
+    return pose, np.concatenate([s.velocity, s.spin], axis=1)
 
 
 def weigh_poses(

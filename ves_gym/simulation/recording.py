@@ -12,6 +12,7 @@ from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.limits import LimitCheck, check_limits, limits_of, middle_of_range
 from ves_gym.mechanics.servo import JointServo
+from ves_gym.simulation.capture import Capture
 from ves_gym.simulation.loop_reports import Event
 from ves_gym.system.disturbance import (
     Disturbance,
@@ -105,6 +106,9 @@ class Recording:
     motor: Array | None = None  # (n, N, w) of a satellite's wheels, held to the next record
     jet: Array | None = None  # (n, N, 6) wrench of its jets, platform axes, held likewise
     propellant: Array | None = None  # (n, N, 1) kg, used since the start
+    p: Array | None = None  # (n, N, 7) payloads: place and attitude, None without one
+    pd: Array | None = None  # (n, N, 6) velocity of the centre of mass, spin in own axes
+    captures: tuple[Capture, ...] = ()  # latches that closed and opened
     events: tuple[Event, ...] = ()  # safety stops; a run is meaningful up to its own
     backend: str = ""  # the engine that ran
     extremes: Extremes | None = None  # of the joints, where they were watched
@@ -240,6 +244,9 @@ class Recording:
         }
         if self.system.mode == "emulated":
             meta["events"] = stops
+        if self.system.payload is not None:
+            captures = [event for event in self.captures if event.simulation == i]
+            meta["captures"] = [event.to_dict() for event in captures]
         return RunLog(
             t=self.t[:end],
             q_cmd=self.q_cmd[i, :end],
@@ -257,5 +264,7 @@ class Recording:
             motor=None if self.motor is None else self.motor[i, :end],
             jet=None if self.jet is None else self.jet[i, :end],
             propellant=None if self.propellant is None else self.propellant[i, :end],
+            p=None if self.p is None else self.p[i, :end],
+            pd=None if self.pd is None else self.pd[i, :end],
             meta=meta,
         )

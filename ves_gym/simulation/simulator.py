@@ -587,7 +587,7 @@ class Simulator:
             if self.base_actuators is not None:
                 self.base_actuators.advanced(self.system.substeps)
         if self.payload is not None:
-            self.payload.advance(1, self.system.control_dt, self._running())
+            self.payload.advance(self.system.control_dt, self._running())
         self._watch()
         self.last_state = self.state
         return self.last_state
@@ -664,9 +664,8 @@ class Simulator:
         else:
             self.backend.step_sequence(nodes, self._running())
         if self.payload is not None:
-            steps = nodes.shape[1] - 1
-            periods = -(-steps // self.system.substeps)
-            self.payload.advance(periods, steps * self.system.physics_dt, self._running())
+            time = (nodes.shape[1] - 1) * self.system.physics_dt
+            self.payload.advance(time, self._running())
 
     def _recentre(self) -> None:
         """Keep the engine's angles of free bodies away from where they end."""

@@ -30,6 +30,7 @@ from ves_gym.system.bending import (
     moving_rates,
     own_modes,
 )
+from ves_gym.system.captures import payload_energy, segments
 from ves_gym.system.effect import joint_torque
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -387,6 +388,8 @@ class EnergyBalance(Viewable):
         if log.tau is None or log.v is None or log.yd is None:
             missing = [k for k in ("tau", "v", "yd") if getattr(log, k) is None]
             raise ParameterError(f"the energy balance needs the columns {', '.join(missing)}")
+        if log.meta.get("captures"):
+            return cls._across(log)
         system = system_of(log).actual
         if system.arm.geared:
             raise ParameterError("the energy balance knows no gears that give way")
@@ -397,6 +400,32 @@ class EnergyBalance(Viewable):
         parts = log.t, log.q, log.v, log.y, log.yd
         work = _drive_work(system, log) + actuator_work(log, system)
         return cls.close(system, *parts, work, in_joints=in_joints, internal=internal)
+
+    @classmethod
+    def _across(cls, log: RunLog) -> EnergyBalance:
+        """Join the accounts between captures; what a latch takes is dissipated at once."""
+        system, pieces = system_of(log).actual, segments(log)
+        offset, columns, scale, first = np.zeros(3), [], 0.0, None
+        for piece, lost in pieces:
+            part = cls.of(piece)
+            body = payload_energy(system, piece)
+            start = _kinetic_at_start(system, piece)
+            kinetic = part.kinetic + start + body
+            first = kinetic[0] if first is None else first
+            offset[2] += lost
+            sums = np.stack([part.work, part.strain, part.dissipated]) + offset[:, None]
+            columns.append(np.vstack([sums, kinetic - first]))
+            offset, scale = sums[:, -1], max(scale, part.scale, lost)
+        rows = np.hstack([*(k[:, :-1] for k in columns[:-1]), columns[-1]])
+        work, strain, dissipated, moving = rows
+        return cls(
+            t=log.t,
+            work=work,
+            kinetic=moving,
+            strain=strain,
+            dissipated=dissipated,
+            scale=scale,
+        )
 
     @classmethod
     def close(
@@ -430,15 +459,10 @@ class EnergyBalance(Viewable):
         Returns:
             The account, its losses in the vehicle by Simpson's rule.
         """
-        rates = moving_rates(system, twist(y, yd), internal)
-        rates = np.concatenate([rates, v], axis=-1)
-        body = moving_inertia(system, q, internal)
-        if system.base.body is not None:
-            body[..., :6, :6] += system.base.body.spatial()
         modes = own_modes(system, internal)
-        strain, moving, _ = _interface_energies(system.base, y, yd, modes)
+        strain, _, _ = _interface_energies(system.base, y, yd, modes)
         strain = strain + in_flexures(system, internal)[0]
-        kinetic = quadratic(body, rates) + moving
+        kinetic = _kinetic(system, q, v, y, yd, internal)
         stored, power = _port_energy(system, y, yd, internal)
         dissipated = scipy.integrate.cumulative_simpson(power, x=t, initial=0.0)
         if turned_over is not None:
@@ -453,6 +477,27 @@ class EnergyBalance(Viewable):
             dissipated=dissipated + in_joints,
             scale=scale,
         )
+
+
+def _kinetic_at_start(system: System, log: RunLog) -> float:
+    """Kinetic energy of arm and base at the first sample [J]."""
+    assert log.v is not None and log.yd is not None
+    internal = internal_of(system, log)
+    first = None if internal is None else (internal[0][:1], internal[1][:1])
+    return float(_kinetic(system, log.q[:1], log.v[:1], log.y[:1], log.yd[:1], first)[0])
+
+
+def _kinetic(
+    system: System, q: Array, v: Array, y: Array, yd: Array, internal: Internal | None
+) -> Array:
+    """(N,) kinetic energy of arm and base [J], arguments as of `EnergyBalance.close`."""
+    rates = moving_rates(system, twist(y, yd), internal)
+    body = moving_inertia(system, q, internal)
+    if system.base.body is not None:
+        body[..., :6, :6] += system.base.body.spatial()
+    moving = _interface_energies(system.base, y, yd, own_modes(system, internal))[1]
+    out: Array = quadratic(body, np.concatenate([rates, v], axis=-1)) + moving
+    return out
 
 
 def _drive_work(system: System, log: RunLog) -> Array:

@@ -25,6 +25,7 @@ from ves_gym._util.views import Viewable
 from ves_gym.mechanics.attitude import from_angles
 from ves_gym.system.runlog_files import (
     BASE,
+    BODY,
     DIGEST_KEY,
     JOINT,
     META_KEY,
@@ -86,6 +87,8 @@ class RunLog(Viewable):
     motor: Array | None = None  # (N, w) N m, of a satellite's wheels, held to the next sample
     jet: Array | None = None  # (N, 6) N, N m, wrench of its jets, platform axes, held likewise
     propellant: Array | None = None  # (N, 1) kg, used since the start
+    p: Array | None = None  # (N, 7) payload: place of its origin [m], unit quaternion
+    pd: Array | None = None  # (N, 6) velocity of its centre of mass, spin in its own axes
 
     def __post_init__(self) -> None:
         store = object.__setattr__  # the dataclass is frozen
@@ -105,6 +108,7 @@ class RunLog(Viewable):
             MODE: modes[0] if modes else 1,
             WHEEL: wheels[0] if wheels else 1,
             ONE: 1,
+            BODY: 7,
         }
         for name, (axis, required) in QUANTITIES.items():
             value = getattr(self, name)

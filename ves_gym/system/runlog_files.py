@@ -27,8 +27,8 @@ META_KEY = "ves_gym"  # of the Parquet schema's metadata
 DIGEST_KEY = "ves_gym_digest"  # beside it, in files that `save` wrote
 BASE = 6  # x, y, z, phi_x, phi_y, phi_z and their wrench
 
-# one column per joint, base coordinate, internal coordinate, wheel; one alone
-JOINT, POSE, MODE, WHEEL, ONE = "n", str(BASE), "m", "w", "1"
+# one column per joint, base coordinate, internal coordinate, wheel; one alone; payload
+JOINT, POSE, MODE, WHEEL, ONE, BODY = "n", str(BASE), "m", "w", "1", "7"
 # quantity -> (its columns, required), in the order of the columns on disk
 QUANTITIES = {
     "q_cmd": (JOINT, True),
@@ -46,8 +46,10 @@ QUANTITIES = {
     "motor": (WHEEL, False),
     "jet": (POSE, False),
     "propellant": (ONE, False),
+    "p": (BODY, False),
+    "pd": (POSE, False),
 }
-_MOST = {POSE: BASE, ONE: 1}  # columns of an axis that has a fixed number of them
+_MOST = {POSE: BASE, ONE: 1, BODY: 7}  # columns of an axis that has a fixed number of them
 KNOWN = ", ".join(["t", *(f"{k}_1..{axis}" for k, (axis, _) in QUANTITIES.items())])
 
 _COLUMN = re.compile(rf"({'|'.join(QUANTITIES)})_([1-9][0-9]{{0,5}})")

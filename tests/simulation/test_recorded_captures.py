@@ -1,0 +1,105 @@
+"""Captures in a recording: columns, metadata, ledger, pictures, command line."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.display import require_opengl
+from ves_gym._util.params import ParameterError
+from ves_gym.cli.main import main
+from ves_gym.mechanics.arm import Inertial, diagonal
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.payload import Payload
+from ves_gym.mechanics.vehicle import BENT, BENT_FLEXIBLE, FREE_FLOATING
+from ves_gym.rendering.render import View, render
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.captures import segments
+from ves_gym.system.energy import EnergyBalance
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
+
+BODY = Inertial(mass=12.0, com=(0.05, 0.0, 0.02), inertia=diagonal(0.3, 0.5, 0.4))
+PAYLOAD = Payload(
+    inertial=BODY, position=(0.2, 0.1, 0.5), spin=(0.1, 0.8, -0.2), latch_distance=9.0
+)
+MOTION = Motion.straight([0, 0, 0], [0.6, 0.3, -0.4], 1.0)
+LATCH = [(0.25, "grasp"), (1.25, "release")]
+
+
+def recorded(vehicle, **settings) -> RunLog:
+    system = System(vehicle=vehicle, payload=PAYLOAD)
+    options = {"settle": 0.5, "record_dt": system.physics_dt, "latch": LATCH, **settings}
+    return play_motions(system, [MOTION], **options).log(0)
+
+
+@pytest.mark.parametrize("vehicle", [FREE_FLOATING, BENT, BENT_FLEXIBLE])
+def test_the_ledger_closes_through_a_capture(vehicle):
+    log = recorded(vehicle)
+    balance = EnergyBalance.of(log)
+    print(vehicle.kind, balance, log.meta["captures"][0]["lost"])
+    assert balance.relative <= 1e-5
+    lost = log.meta["captures"][0]["lost"]
+    step = np.diff(balance.dissipated)[np.searchsorted(log.t, 0.25 - 1e-9) - 1]
+    assert lost > 0.1
+    assert step == pytest.approx(lost, rel=0.01)
+    captures = [{**log.meta["captures"][0], "lost": 0.9 * lost}, log.meta["captures"][1]]
+    wrong = EnergyBalance.of(replace(log, meta={**log.meta, "captures": captures}))
+    assert wrong.relative > 1e-2  # the ledger is about it
+
+
+def test_a_log_holds_the_payload(tmp_path):
+    log = recorded(BENT)
+    assert [c["kind"] for c in log.meta["captures"]] == ["grasp", "release"]
+    assert np.abs(log.p[0, :3] - PAYLOAD.position).max() == 0.0
+    assert np.abs(np.linalg.norm(log.p[:, 3:], axis=1) - 1).max() <= 1e-12
+    com = log.p[:, :3]
+    assert np.abs(np.diff(com, axis=0)).max() < 1e-2  # nowhere a jump in its place
+    log.save(tmp_path / "run.csv")
+    again = RunLog.load(tmp_path / "run.csv")
+    assert again.digest == log.digest
+    pieces = segments(again)
+    assert [len(k) for k, _ in pieces] == [201, 801, 201]
+    assert pieces[1][1] == log.meta["captures"][0]["lost"]
+
+
+@pytest.mark.parametrize(
+    ("latch", "message"),
+    [
+        ([(0.1, "hold")], "grasp or release, got 'hold'"),
+        ([(0.1003, "grasp")], "a whole number of 0.00125 s up to 1.5 s, got 0.1003 s"),
+        ([(9.0, "grasp")], "got 9.0 s"),
+        ([(0.5, "release")], "carries no payload"),
+        ([(0.5, "grasp"), (0.5, "release")], "record of its own"),
+    ],
+)
+def test_refused(latch, message):
+    with pytest.raises(ParameterError, match=message):
+        recorded(BENT, latch=latch)
+    with pytest.raises(ParameterError, match="needs a system with a payload"):
+        play_motions(System(), [MOTION], latch=[(0.1, "grasp")])
+
+
+def test_the_command_grasps_and_releases(tmp_path, capsys):
+    System(payload=PAYLOAD).save(tmp_path / "system.toml")
+    words = ["simulate", "--system", str(tmp_path / "system.toml"), "--goal", "10,5,-5"]
+    words += ["--duration", "0.5", "--settle", "0.25", "--grasp", "0.25", "--release", "0.5"]
+    words += ["--out", str(tmp_path), "--json", str(tmp_path / "out.json")]
+    assert main(words) == 0
+    out = capsys.readouterr().out
+    assert "grasp at 0.25 s, " in out and "release at 0.5 s" in out
+    result = json.loads((tmp_path / "out.json").read_text("utf-8"))
+    assert [c["kind"] for c in result["captures"]] == ["grasp", "release"]
+    assert result["ledger_residual"] < 1e-3
+    assert System.load(tmp_path / "system.toml").payload == PAYLOAD
+
+
+def test_the_payload_is_drawn(tmp_path):
+    require_opengl()
+    log = recorded(BENT, record_dt=0.05)
+    view = View(width=200, height=120, fps=10, speed=2)
+    render(log, tmp_path / "with.gif", view)
+    bare = replace(log, p=None, pd=None)
+    render(bare, tmp_path / "bare.gif", view)
+    assert (tmp_path / "with.gif").read_bytes() != (tmp_path / "bare.gif").read_bytes()
