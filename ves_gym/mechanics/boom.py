@@ -44,7 +44,7 @@ class _Pose(NamedTuple):
 
     events: list[Hinge]  # joints and hinges in their order
     flange: Flange
-    line: list[tuple[Array, int]]  # points along it (3,), and the events before each
+    centreline: list[tuple[Array, int]]  # points along it (3,), and the events before each
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,23 +98,23 @@ class Boom:
                 join(joints[-1].body, event.body)
                 within[-1].append(event)
         R, p = _mounted(arm, flange)
-        whole = arm_of(self.name, Lump(), joints, (R, p), source=self.source)
-        at_rest = frames(whole, [0.0] * whole.n)
+        chain = arm_of(self.name, Lump(), joints, (R, p), source=self.source)
+        at_rest = frames(chain, [0.0] * chain.n)
         links = []
-        for link, frame, hinges in zip(whole.links, at_rest, within, strict=True):
+        for link, frame, hinges in zip(chain.links, at_rest, within, strict=True):
             turn = np.column_stack(frame.rotation)
             flexures = tuple(_flexure(k, turn, np.array(frame.position)) for k in hinges)
             links.append(replace(link, flexures=flexures or None))
-        first = replace(arm.links[0], offset=arm.links[0].offset + (whole.tool_angle or 0.0))
+        first = replace(arm.links[0], offset=arm.links[0].offset + (chain.tool_angle or 0.0))
         return replace(
             arm,
             name=f"{self.name}-{arm.name}",
-            base=whole.base,
+            base=chain.base,
             base_shape=None,
-            mount=whole.mount,
+            mount=chain.mount,
             links=(*links, first, *arm.links[1:]),
             bandwidth=self.bandwidth or arm.bandwidth,
-            source=f"{whole.source}; on it {arm.source}",
+            source=f"{chain.source}; on it {arm.source}",
         )
 
     def braked(self, q: npt.ArrayLike, arm: Arm) -> Arm:
@@ -167,16 +167,16 @@ class Boom:
             ParameterError: the flange cannot move along some direction, as that of a straight
                 boom along itself.
         """
-        whole = unfold(self.braked(q, NOTHING))
-        events, flange, line = self._pose(q)
-        p = len(whole.passive)
-        M = whole.inertia(np.zeros(1), np.zeros(p))[6 : 6 + p, 6 : 6 + p]
-        K, D = np.diag(whole.stiffness), np.diag(whole.damping)
+        beam = unfold(self.braked(q, NOTHING))
+        events, flange, centreline = self._pose(q)
+        p = len(beam.passive)
+        M = beam.inertia(np.zeros(1), np.zeros(p))[6 : 6 + p, 6 : 6 + p]
+        K, D = np.diag(beam.stiffness), np.diag(beam.damping)
         back = flange.rotation.T  # to the axes of the flange at rest
         J = np.vstack(
             [back @ _ways(events, flange.position), back @ np.array([k.axis for k in events]).T]
         )
-        compliance = (J / whole.stiffness) @ J.T
+        compliance = (J / beam.stiffness) @ J.T
         size = np.sqrt(np.maximum(np.diag(compliance), 1e-300))
         values, vectors = np.linalg.eigh(compliance / np.outer(size, size))
         if p < 6 or values[0] < _SOFTEST:
@@ -187,26 +187,28 @@ class Boom:
                 " phi_z): a linear base needs all six to give; bend the boom, or simulate"
                 " Boom.braked"
             )
-        static = (J.T / whole.stiffness[:, None]) @ np.linalg.inv(compliance)
+        static = (J.T / beam.stiffness[:, None]) @ np.linalg.inv(compliance)
         null = np.linalg.svd(J)[2][6:].T
         T = np.hstack([static, null])
         parts = [T.T @ k @ T for k in (M, K, D)]
         M_z, K_z, D_z = ((k + k.T) / 2 for k in parts)
-        found = reduce(M_z, K_z, np.arange(6), min(modes, p - 6), damping=D_z)
-        moved = np.vstack([back @ _ways(events, at, n) for at, n in line]) @ T
+        reduction = reduce(M_z, K_z, np.arange(6), min(modes, p - 6), damping=D_z)
+        moved = np.vstack([back @ _ways(events, at, n) for at, n in centreline]) @ T
         return FlexibleBase(
             structure=Reduced(
-                K=matrix(found.K),
-                M=matrix(found.M),
-                coupling=matrix(found.coupling),
-                omega=tuple(found.omega.tolist()),
-                damping=matrix(found.damping if found.damping is not None else D_z),
-                centreline=matrix(np.array([at - flange.position for at, _ in line]) @ back.T),
-                static=matrix(moved @ found.static),
-                shapes=matrix(moved @ found.shapes),
+                K=matrix(reduction.K),
+                M=matrix(reduction.M),
+                coupling=matrix(reduction.coupling),
+                omega=tuple(reduction.omega.tolist()),
+                damping=matrix(reduction.damping if reduction.damping is not None else D_z),
+                centreline=matrix(
+                    np.array([at - flange.position for at, _ in centreline]) @ back.T
+                ),
+                static=matrix(moved @ reduction.static),
+                shapes=matrix(moved @ reduction.shapes),
                 diameter=max(diameter(member) for member in self.members),
             ),
-            modes=found.m,
+            modes=reduction.m,
             fastest=fastest,
             source=f"{self.source}; joints on their brakes at"
             f" {np.round(np.rad2deg(np.asarray(q, float)), 1).tolist()} deg",
@@ -216,7 +218,7 @@ class Boom:
         """The boom at rest with its joints at q."""
         angles = finite(q, (len(self.joints),), "q")
         events: list[Hinge] = []
-        line, at = [(np.zeros(3), 0)], np.zeros(3)
+        centreline, at = [(np.zeros(3), 0)], np.zeros(3)
         for member in self.members:
             before = len(events)
             events += hinges_of(member, at, events)
@@ -225,7 +227,7 @@ class Boom:
                 inner = [
                     k for k in events[before:] if (k.origin - at) @ way < share * way @ way
                 ]
-                line.append((at + share * way, before + len(inner)))
+                centreline.append((at + share * way, before + len(inner)))
             at = at + way
         if self.tip is not None:
             add_body(events[-1].body, self.tip, Flange(np.eye(3), at))
@@ -236,9 +238,9 @@ class Boom:
             R, p = _about(events[i].axis, angle), events[i].origin
             events[i] = replace(events[i], body=turned_lump(events[i].body, R, p))
             events[i + 1 :] = [event.turned(R, p) for event in events[i + 1 :]]
-            line = [(p + R @ (k - p), n) if n > i else (k, n) for k, n in line]
+            centreline = [(p + R @ (k - p), n) if n > i else (k, n) for k, n in centreline]
             flange = Flange(R @ flange.rotation, p + R @ (flange.position - p))
-        return _Pose(events, flange, line)
+        return _Pose(events, flange, centreline)
 
 
 def _ways(events: list[Hinge], point: Array, count: int | None = None) -> Array:

@@ -131,8 +131,8 @@ class LinearResponse:
             rows[:, 3:6] = -_cross(mount_of(self.linear.system.arm))
         if name in ("displacement", "rotation"):
             return Quantity(rows @ self.s[:, :size], self._widened(rows))
-        held = self._forced(self.M[-1:], np.zeros_like(self.M[-1:]))[0]
-        return Quantity(rows @ self._acceleration, self._widened(rows @ held))
+        constant = self._forced(self.M[-1:], np.zeros_like(self.M[-1:]))[0]
+        return Quantity(rows @ self._acceleration, self._widened(rows @ constant))
 
     def _widened(self, rows: Array) -> Array:
         """Rows for x, or (x, v), as rows for the whole state."""
@@ -178,16 +178,16 @@ class LinearResponse:
 
         Over the motion and the tail, as `E_mean` is; G is for the tail, (C, C).
         """
-        one = self.quantity(name)
+        quantity = self.quantity(name)
         span = float(self.t[-1]) + TAIL
         share = np.full(len(self.t), self.t[1] / span)
         share[[0, -1]] /= 2
-        rows = (np.sqrt(share)[:, None, None] * one.nodes).reshape(-1, self.u.shape[-1])
-        S = gramian(self._held, one.after.T @ one.after, TAIL) / span
+        rows = (np.sqrt(share)[:, None, None] * quantity.nodes).reshape(-1, self.u.shape[-1])
+        S = gramian(self._tail_dynamics, quantity.after.T @ quantity.after, TAIL) / span
         return rows, self.s[-1].T @ S @ self.s[-1]
 
     @cached_property
-    def _held(self) -> Array:
+    def _tail_dynamics(self) -> Array:
         """A while the joints are held, after the motion (S, S)."""
         last = self.M[-1:]
         out: Array = self._plant(last, np.zeros_like(last))[0]
@@ -201,12 +201,12 @@ class LinearResponse:
             step: between samples after the motion [s].
             span: how long after it they reach [s].
         """
-        one = self.quantity(name)
-        Phi = scipy.linalg.expm(self._held * step)
+        quantity = self.quantity(name)
+        Phi = scipy.linalg.expm(self._tail_dynamics * step)
         states = [self.s[-1]]
         for _ in range(int(span / step)):
             states.append(Phi @ states[-1])
-        return np.concatenate([one.nodes, one.after @ np.stack(states[1:])])
+        return np.concatenate([quantity.nodes, quantity.after @ np.stack(states[1:])])
 
 
 def slope(values: Array, step: float) -> Array:

@@ -94,8 +94,8 @@ def weighted_name(planner: str, weights: Mapping[str, float]) -> str:
         planner: its name without.
         weights: as `checked_weights` returns them.
     """
-    some = {name: w for name, w in weights.items() if (name, w) != (ENERGY, 1.0)}
-    listed = "+".join(f"{name}={w:g}" for name, w in some.items())
+    weighted = {name: w for name, w in weights.items() if (name, w) != (ENERGY, 1.0)}
+    listed = "+".join(f"{name}={w:g}" for name, w in weighted.items())
     return f"{planner}:{listed}" if listed else planner
 
 
@@ -223,19 +223,19 @@ class Objective:
 class _Square:
     """1/2 u^T H u + g^T u + c."""
 
-    def __init__(self, whole: Array) -> None:
-        self.hessian: Array = np.ascontiguousarray(2 * whole[:-1, :-1])
-        self.gradient: Array = 2 * whole[:-1, -1]
-        self.constant = float(whole[-1, -1])
+    def __init__(self, form: Array) -> None:
+        self.hessian: Array = np.ascontiguousarray(2 * form[:-1, :-1])
+        self.gradient: Array = 2 * form[:-1, -1]
+        self.constant = float(form[-1, -1])
 
     @classmethod
-    def of(cls, rows: Array, more: Array) -> _Square:
+    def of(cls, rows: Array, added: Array) -> _Square:
         """|rows (u, 1)|^2 + (u, 1)^T more (u, 1).
 
         Args:
             rows: (k, C). more: (C, C).
         """
-        return cls(rows.T @ rows + more)
+        return cls(rows.T @ rows + added)
 
     def value(self, u: Array) -> float:
         return float(0.5 * u @ self.hessian @ u + self.gradient @ u) + self.constant
@@ -264,22 +264,22 @@ class _Peak:
         _, a, x, mean = self._parts(u)
         if not mean:
             return np.zeros(len(u))
-        some = x > _SMALL
-        pull = x[some, None] ** (_POWER - 2) * a[some] / len(x)
-        out: Array = np.tensordot(pull, self._rows[some], 2)
+        large = x > _SMALL
+        pull = x[large, None] ** (_POWER - 2) * a[large] / len(x)
+        out: Array = np.tensordot(pull, self._rows[large], 2)
         return 2 * mean ** (2 / _POWER - 1) * out
 
     def curvature(self, u: Array, slope: Array) -> Array:
         largest, a, x, mean = self._parts(u)
         if not mean:
             return np.zeros((slope.shape[1],) * 2)
-        some = x > _SMALL
-        rows = self._rows[some] @ slope
-        weight, a = x[some] ** (_POWER - 2) / len(x), a[some]
+        large = x > _SMALL
+        rows = self._rows[large] @ slope
+        weight, a = x[large] ** (_POWER - 2) / len(x), a[large]
         along = np.einsum("kr,krc->kc", a / np.linalg.norm(a, axis=1)[:, None], rows)
         flat = (np.sqrt(weight)[:, None, None] * rows).reshape(-1, slope.shape[1])
-        more = np.sqrt((_POWER - 2) * weight)[:, None] * along
+        steep = np.sqrt((_POWER - 2) * weight)[:, None] * along
         pull = np.tensordot(weight[:, None] * a, rows, 2)
-        out: Array = flat.T @ flat + more.T @ more
+        out: Array = flat.T @ flat + steep.T @ steep
         out -= (_POWER - 2) / (mean * largest**2) * np.outer(pull, pull)
         return 2 * mean ** (2 / _POWER - 1) * out

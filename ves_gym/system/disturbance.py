@@ -197,31 +197,31 @@ def disturbance(
     linear, angular = mount_acceleration(arm, y, yd, ydd)
     moved, turned = mount_displacement(arm, y)
     z, zd = weight.apply(fine[1], np.hstack([y, u]), np.hstack([yd, ud]))
-    seen = Watched() if watched is None else watched
-    later = fine > seen.until - 1e-9  # what the samples alone tell
-    some = slice(None, None, parts)
-    pose, rate, hidden = z[some, :6], zd[some, :6], (z[some, 6:], zd[some, 6:])
-    energy = base_energy(system, angles[some], pose, rate, hidden if hides else None)
+    observed = Watched() if watched is None else watched
+    later = fine > observed.until - 1e-9  # what the samples alone tell
+    coarse = slice(None, None, parts)
+    pose, rate, hidden = z[coarse, :6], zd[coarse, :6], (z[coarse, 6:], zd[coarse, 6:])
+    energy = base_energy(system, angles[coarse], pose, rate, hidden if hides else None)
 
-    def mean(values: Array, times: Array, more: float = 0.0) -> float:
-        return (more + float(np.trapezoid(values, times))) / float(fine[-1])
+    def mean(values: Array, times: Array, extra: float = 0.0) -> float:
+        return (extra + float(np.trapezoid(values, times))) / float(fine[-1])
 
     def squares(values: Array) -> Array:
         return np.asarray(np.sum(values**2, axis=-1), np.float64)
 
     fast, turning = squares(linear[later]), squares(angular[later])
     return Disturbance(
-        acceleration=mean(fast, fine[later], seen.acceleration_square) ** 0.5,
-        acceleration_peak=float(max(fast.max() ** 0.5, seen.acceleration_peak)),
-        angular=mean(turning, fine[later], seen.angular_square) ** 0.5,
-        angular_peak=float(max(turning.max() ** 0.5, seen.angular_peak)),
+        acceleration=mean(fast, fine[later], observed.acceleration_square) ** 0.5,
+        acceleration_peak=float(max(fast.max() ** 0.5, observed.acceleration_peak)),
+        angular=mean(turning, fine[later], observed.angular_square) ** 0.5,
+        angular_peak=float(max(turning.max() ** 0.5, observed.angular_peak)),
         tip=mean(squares(missed), fine) ** 0.5,
         tip_peak=float(squares(missed).max()) ** 0.5,
         tip_end=float(np.linalg.norm(missed[end])),
         displacement_peak=float(squares(moved).max()) ** 0.5,
         rotation_peak=float(turned.max()),
         attitude_end=float(turned[end]),
-        E_weighted=mean(energy.total, fine[some]),
+        E_weighted=mean(energy.total, fine[coarse]),
     )
 
 
