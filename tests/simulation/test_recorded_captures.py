@@ -12,7 +12,7 @@ from ves_gym.cli.main import main
 from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.payload import Payload
-from ves_gym.mechanics.vehicle import BENT, BENT_FLEXIBLE, FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING
 from ves_gym.rendering.render import View, render
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.captures import segments
@@ -34,7 +34,7 @@ def recorded(vehicle, **settings) -> RunLog:
     return play_motions(system, [MOTION], **options).log(0)
 
 
-@pytest.mark.parametrize("vehicle", [FREE_FLOATING, BENT, BENT_FLEXIBLE])
+@pytest.mark.parametrize("vehicle", [FREE_FLOATING, BENT_THESIS, BENT])
 def test_the_ledger_closes_through_a_capture(vehicle):
     log = recorded(vehicle)
     balance = EnergyBalance.of(log)
@@ -50,7 +50,7 @@ def test_the_ledger_closes_through_a_capture(vehicle):
 
 
 def test_a_log_holds_the_payload(tmp_path):
-    log = recorded(BENT)
+    log = recorded(BENT_THESIS)
     assert [c["kind"] for c in log.meta["captures"]] == ["grasp", "release"]
     assert np.abs(log.p[0, :3] - PAYLOAD.position).max() == 0.0
     assert np.abs(np.linalg.norm(log.p[:, 3:], axis=1) - 1).max() <= 1e-12
@@ -76,7 +76,7 @@ def test_a_log_holds_the_payload(tmp_path):
 )
 def test_refused(latch, message):
     with pytest.raises(ParameterError, match=message):
-        recorded(BENT, latch=latch)
+        recorded(BENT_THESIS, latch=latch)
     with pytest.raises(ParameterError, match="needs a system with a payload"):
         play_motions(System(), [MOTION], latch=[(0.1, "grasp")])
 
@@ -97,7 +97,7 @@ def test_the_command_grasps_and_releases(tmp_path, capsys):
 
 def test_the_payload_is_drawn(tmp_path):
     require_opengl()
-    log = recorded(BENT, record_dt=0.05)
+    log = recorded(BENT_THESIS, record_dt=0.05)
     view = View(width=200, height=120, fps=10, speed=2)
     render(log, tmp_path / "with.gif", view)
     bare = replace(log, p=None, pd=None)
