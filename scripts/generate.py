@@ -20,7 +20,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.envs.build import build_task
 from ves_gym.envs.control import CONTROLS, Control
 from ves_gym.envs.env import VesEnv
-from ves_gym.envs.registration import IDS
+from ves_gym.envs.registration import ASKED, ASKED_OF_A_MACHINE, IDS
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.vehicle import VEHICLES
 
@@ -213,11 +213,38 @@ def _later(name: str, task: Task) -> str:
         if not np.array_equal(old.scale, new.scale)
     ]
     scales = f" Scales that differ: {'; '.join(changed)}." if changed else ""
+    modes = later.system.base.m
+    base = f" with {_system(later)}: the beam has {modes} internal modes" if modes else ""
     return (
-        f"## ves/{name}-v1\n\nThe same with {_system(later)}: the beam has"
-        f" {later.system.base.m} internal modes. Controllers and policies answer both."
-        f"{scales}\n"
+        f"## ves/{name}-v1\n\nThe same{base}. Controllers and policies answer both.{scales}"
+        f"{_asked(ASKED.get(name, {}))}\n"
     )
+
+
+def _asked(settings: dict[str, Any]) -> str:
+    """Settings that version 1 has besides."""
+    text = ", ".join(
+        f"`{k}` = " + (f"`{v}`" if isinstance(v, dict) else f"{v:.4g}")
+        for k, v in settings.items()
+    )
+    return f" It sets {text}." if settings else ""
+
+
+def _history(name: str) -> dict[str, str]:
+    """What changed with each version."""
+    if f"ves/{name}-v1" not in gym.registry:
+        return SAME_BASE
+    history = HISTORY if _env(name, version=1).task.system.base.m else SAME_BASE
+    return {"v0": history["v0"], "v1": "", **history} | {
+        "v1": "; ".join(
+            part
+            for part in (
+                history.get("v1", ""),
+                "other settings, above" if name in ASKED else "",
+            )
+            if part
+        )
+    }
 
 
 def _laboratory(task: Task) -> str:
@@ -273,7 +300,8 @@ def _page(name: str) -> str:
             " `compute_reward(achieved, desired, info)` takes any leading axes.\n"
         )
     kinds = [k for k in KINDS if f"ves/{name}{k}" in gym.registry]
-    history = HISTORY if "-v1" in kinds else SAME_BASE
+    history = _history(name)
+    machine = ASKED_OF_A_MACHINE.get(name, {})
     text = f"""<!-- written by scripts/generate.py: change the code instead -->
 # {", ".join(f"ves/{name}{k}" for k in kinds)}
 
@@ -322,7 +350,8 @@ Any of `gym.make`'s and `gym.make_vec`'s keyword arguments: those below, and `sy
 ## ves/{name}Emulated-v1
 
 {_laboratory(_env(name, emulated=True, version=1).task)} `laboratory="nominal"`, `"hard"`
-and `"held-out"` are [the others](../laboratory.md#7-named-laboratories).
+and `"held-out"` are [the
+others](../laboratory.md#7-named-laboratories).{_asked({**ASKED.get(name, {}), **machine})}
 
 ## Versions
 

@@ -135,7 +135,8 @@ class Follow:
     Through guided, acceleration and pd_target the reference is led along the plan, within
     1e-3 rad of it where the control's limits allow its jerk. Planners know no limit of jerk
     and begin with up to 2000 rad/s^3: `settings` asks for a control guided that has them, so
-    a planner's figures are those of its motion, not of what a policy could do with less.
+    a planner's figures are those of its motion, not of what a policy could do with less; an
+    id that names its control keeps it.
     Through torque the arm follows by inverse dynamics on a base at rest, held over each
     control period, within about 0.02 rad. The plan is of the nominal system, whatever the
     episode draws.
@@ -149,7 +150,8 @@ class Follow:
 
     def settings(self, spec: EnvSpec) -> dict[str, Any]:
         """See `Controller`."""
-        if self.planner == "straight" or spec.kwargs.get("task") != "rest_to_rest":
+        given = "control" in spec.kwargs
+        if given or self.planner == "straight" or spec.kwargs.get("task") != "rest_to_rest":
             return {}
         return {"control": {"kind": "guided", "jerk": _PLANNED_JERK}}
 
