@@ -115,7 +115,7 @@ def test_lqr_beats_doing_nothing():
         ("hold", REST, {}, "cannot act through control guided"),
         ("pped", REST, {"control": "acceleration"}, "has gains of its own"),
         ("lqr", REST, {}, "acts on task lqr, got rest_to_rest"),
-        ("resolved", REST, {}, "tasks reach, track and free_flyer"),
+        ("resolved", REST, {}, "tasks reach, track, free_flyer and payload"),
     ],
 )
 def test_a_controller_refuses_what_it_cannot_do(name, id, settings, message):
