@@ -594,7 +594,7 @@ def test_bad_arguments():
     for systems, got in ((IDEAL, "one System"), ([IDEAL], "1"), ([IDEAL] * 3, "3")):
         with pytest.raises(ParameterError, match=f"systems must be a sequence of 2, got {got}"):
             sim.assign(systems)
-    with pytest.raises(ParameterError, match="systems must hold Systems, got 'bent'"):
+    with pytest.raises(ParameterError, match="systems must hold Systems, got 'bent-thesis'"):
         sim.assign([IDEAL, "bent-thesis"])
     with pytest.raises(ParameterError, match="ids must"):
         sim.assign([IDEAL], [2])

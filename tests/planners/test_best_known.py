@@ -5,7 +5,7 @@ import json
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.vehicle import BENT_THESIS
+from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.planners import best_known
 from ves_gym.planners.best_known import (
     add_scores,
@@ -100,9 +100,12 @@ def test_scores(monkeypatch):
 
 
 def test_the_packaged_file_is_of_the_suite():
-    """Every entry is a question of reach100 on the default system."""
-    suite = get_suite("reach100", system=System(), obstacles="both", vehicle="bent-thesis")
-    names = {key(System(vehicle=BENT_THESIS).hash, q.name) for _, q in suite.queries}
+    """Every entry is a question of reach100 on a bent beam or the straight one along x."""
+    names = set()
+    for vehicle in ("bent-thesis", "bent", "straight-horizontal"):
+        suite = get_suite("reach100", system=System(), obstacles="both", vehicle=vehicle)
+        described = System(vehicle=VEHICLES[vehicle]).hash
+        names |= {key(described, q.name) for _, q in suite.queries}
     entries = packaged()
     assert entries.keys() <= names
     assert all(e["E_mean"] > 0 and e["planner"] for e in entries.values())
