@@ -9,12 +9,14 @@ from ves_gym.effects import JointCoulomb, SensorNoise
 from ves_gym.hardware.force_sensor import ForceSensor
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
 SYSTEM = System(
+    vehicle=BENT_THESIS,
     mode="emulated",
     control_dt=5e-3,
     emulator=EmulatorSettings(

@@ -455,8 +455,8 @@ def test_among_obstacles():
         planners=["ompl-time", "refined"],
         workers=1,
     )
-    assert {r["vehicle"] for r in result["rows"]} == {"bent-thesis", "bent, obstacles"}
-    assert set(result["systems"]) == {"bent-thesis", "bent, obstacles"}
+    assert {r["vehicle"] for r in result["rows"]} == {"bent-thesis", "bent-thesis, obstacles"}
+    assert set(result["systems"]) == {"bent-thesis", "bent-thesis, obstacles"}
     for row in result["rows"]:
         assert row["obstacles"] == row["query"].endswith("-obstacles")
         if not row["success"]:

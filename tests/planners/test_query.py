@@ -189,10 +189,12 @@ def test_the_same_answer_in_another_process():
     """Bitwise, whatever was planned before."""
     code = f"""
 from ves_gym._util.params import content_hash
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import PLANNERS
-query = Query(system=System(), start={ENDS["start"]}, goal={ENDS["goal"]}, duration=2.0)
+system = System(vehicle=BENT_THESIS)
+query = Query(system=system, start={ENDS["start"]}, goal={ENDS["goal"]}, duration=2.0)
 for planner in reversed(PLANNERS.values()):
     print(planner.name, content_hash(solve(planner, query, 5).motion))
 """
