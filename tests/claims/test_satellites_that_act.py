@@ -144,7 +144,7 @@ def test_jets_change_momentum_by_their_impulse_and_the_account_closes():
     system = System(vehicle=SERVICER_FLEXIBLE)
     run = play_motions(system, [MOTION], settle=0.05, record_dt=1.25e-3, yd=TUMBLING / 3)
     h = momentum(system, run.q[0], run.v[0], run.y[0], run.yd[0], run.internal(0))
-    R = attitude.to_matrix(run.log(0).attitude)
+    R = attitude.to_matrix(attitude.along(run.log(0).y[:, 3:]))
     force = np.einsum("nij,nj->ni", R, run.jet[0, :, :3])
     arm = np.einsum("nij,nj->ni", R, run.jet[0, :, 3:]) + np.cross(run.y[0, :, :3], force)
     # turning wrenches, one period of 10 steps at a time: Simpson's rule would see their jumps

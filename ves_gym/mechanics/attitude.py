@@ -135,6 +135,21 @@ def from_angles(phi: npt.ArrayLike) -> Array:
     return _positive(product(product(parts[0], parts[1]), parts[2]))
 
 
+def along(phi: npt.ArrayLike) -> Array:
+    """Return unit quaternions along a motion: of q and -q that which is nearer to the last.
+
+    Args:
+        phi: (N, 3) Z-Y-X angles, as Y[3:] of a run log [rad].
+
+    Returns:
+        (N, 4) body to world.
+    """
+    out = from_angles(phi)
+    flips = np.sign(np.sum(out[1:] * out[:-1], axis=1))
+    out[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0))[:, None]
+    return out
+
+
 def to_angles(q: npt.ArrayLike) -> Array:
     """(..., 4) unit quaternion -> (..., 3) Z-Y-X angles [rad], phi_y within +-pi/2.
 

@@ -187,11 +187,12 @@ class BaseModel:
 
     def attached(self, y: Array) -> Array:
         """(..., m) coordinates u of modes at rest on a base at (..., 6) Y; rates likewise."""
-        out = np.zeros((*y.shape[:-1], self.m))
-        if self.internal is not None:  # sum by sum: every simulation of a batch rounds alike
-            for k in range(6):
-                out += self.internal.coupling[k] * y[..., k, None]
-        return out
+        return carried(self.coupling, y)
+
+    @property
+    def coupling(self) -> Array:
+        """(6, m) of the internal modes, m = 0 without any."""
+        return np.zeros((6, 0)) if self.internal is None else self.internal.coupling
 
     def scaled(
         self, mass: float = 1.0, damping: float = 1.0, stiffness: float = 1.0
@@ -224,6 +225,19 @@ class BaseModel:
             body=body,
             internal=internal,
         )
+
+
+def carried(coupling: Array, y: Array) -> Array:
+    """Return coordinates u (..., m) of modes at rest on bases at Y; rates likewise.
+
+    Args:
+        coupling: (..., 6, m) of every base, or of all.
+        y: (..., 6) Y.
+    """
+    out = np.zeros((*y.shape[:-1], coupling.shape[-1]))
+    for k in range(6):  # sum by sum: every simulation of a batch rounds alike
+        out += coupling[..., k, :] * y[..., k, None]
+    return out
 
 
 def semidefinite(bases: BaseModel) -> Mask:

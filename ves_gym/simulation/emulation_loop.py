@@ -18,7 +18,7 @@ from ves_gym._util.params import Array, Index, Mask, Rows
 from ves_gym.engine.kernel.maps import WeightMap
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.base_model import BaseModel
+from ves_gym.mechanics.base_model import BaseModel, carried
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
 from ves_gym.simulation.blocks.memory import NamedArrays
 from ves_gym.simulation.blocks.platform import Safety
@@ -203,9 +203,11 @@ class EmulationLoop:
             inertia = self.numbers.inertia
             u["inertia"] = inertia.rows(self._of(inertia.name, rows), q, ids)
         if self.system.actual.base.m:
-            bases = [self.numbers.systems[i].actual.base for i in ids.tolist()]
-            for name, part in (("attached", y), ("attached_rate", yd)):
-                u[name] = np.stack([b.attached(k) for b, k in zip(bases, part, strict=True)])
+            systems = [self.numbers.systems[i] for i in ids.tolist()]
+            apart = {id(system): system for system in systems}
+            couplings = {key: system.actual.base.coupling for key, system in apart.items()}
+            coupling = np.stack([couplings[id(system)] for system in systems])
+            u |= {"attached": carried(coupling, y), "attached_rate": carried(coupling, yd)}
         if self.events:
             begun = set(ids.tolist())
             self.events = [e for e in self.events if e.simulation not in begun]

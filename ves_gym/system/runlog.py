@@ -22,7 +22,6 @@ import numpy as np
 
 from ves_gym._util.params import Array, canonical_json, write_bytes
 from ves_gym._util.views import Viewable
-from ves_gym.mechanics.attitude import from_angles
 from ves_gym.system.runlog_files import (
     BASE,
     BODY,
@@ -128,17 +127,6 @@ class RunLog(Viewable):
 
     def __repr__(self) -> str:
         return f"<RunLog: {self.summary()}>"
-
-    @property
-    def attitude(self) -> Array:
-        """(N, 4) unit quaternions of the base, scalar first, its axes to inertial ones.
-
-        Continuous: of q and -q that which is nearer to the one before.
-        """
-        out = from_angles(self.y[:, 3:])
-        flips = np.sign(np.sum(out[1:] * out[:-1], axis=1))
-        out[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0))[:, None]
-        return out
 
     @property
     def n_joints(self) -> int:
