@@ -330,8 +330,8 @@ def test_bad_input_is_one_line_and_writes_nothing(case, refused):
 
 
 def test_a_run_that_does_not_stay_bounded_is_one_line(refused):
-    """A satellite that starts at the end of the Z-Y-X angles."""
-    words = ("--vehicle", "free-floating", "--disturb", "0,0,0,0,89.97,0")
+    """A beam that is released 1 km from where it is at rest."""
+    words = ("--vehicle", "bent-thesis", "--disturb", "1000,0,0,0,0,0")
     assert "diverged" in refused("simulate", *words)
 
 

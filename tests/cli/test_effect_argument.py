@@ -107,7 +107,8 @@ def test_plan_benchmark_map_and_check_take_it(call):
     status, _, _, table = call("benchmark", *bench, *with_it)
     assert status == 0 and table["rows"][0]["success"]
     assert call("map", "--joints", "1,2", "--points", "4", *with_it)[0] == 0
-    status, _, _, check = call("emulation-check", "--no-search", "--no-figures", *with_it)
+    words = ("--vehicle", "bent-thesis", "--no-search", "--no-figures", *with_it)
+    status, _, _, check = call("emulation-check", *words)
     assert status == 0 and check["system"]["effects"][0]["kind"] == "joint/coulomb"
 
 

@@ -4,17 +4,19 @@ import numpy as np
 import pytest
 
 from tests.arms import six_joint_arm
-from ves_gym.mechanics.vehicle import DECOUPLED
+from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED
 from ves_gym.planners.pped import GainMatrices, analyse, plant_at
 from ves_gym.system.system import System
 
 QUICK = ("pped", "--objective", "strain", "--no-figures")
+THESIS = ("--vehicle", "bent-thesis")
 
 
 def test_gains_beside_the_thesis(call):
-    status, out, err, result = call(*QUICK)
+    system = System(vehicle=BENT_THESIS)
+    status, out, err, result = call(*QUICK, *THESIS)
     assert status == 0 and not err
-    assert result["schema"] == "ves-pped/1" and result["system"] == System().hash
+    assert result["schema"] == "ves-pped/1" and result["system"] == system.hash
     assert result["objective"] == "strain" and not result["full"] and result["files"] == []
     assert result["q"] == pytest.approx(np.deg2rad([45, 0, 0]))
     names = [g["name"] for g in result["gains"]]
@@ -22,7 +24,7 @@ def test_gains_beside_the_thesis(call):
     for name in (*names, "poles", "E_int", "N m/rad", "82.29 J"):
         assert name in out
     gains = GainMatrices(np.array(result["K"]), np.array(result["B"]))
-    judged = analyse(plant_at(System(), result["q"]), gains)
+    judged = analyse(plant_at(system, result["q"]), gains)
     assert judged.E_int == pytest.approx(result["E_int"])
     assert np.allclose(np.array(result["poles"]) @ [1, 1j], judged.poles)
     for row in result["gains"]:
@@ -55,7 +57,8 @@ def test_other_places_displacements_bounds_and_objectives(call):
 
 def test_pictures_and_map(call, tmp_path):
     pytest.importorskip("matplotlib")
-    status, out, _, result = call("pped", "--objective", "strain", "--map", "--points", "2")
+    words = ("--objective", "strain", "--map", "--points", "2", *THESIS)
+    status, out, _, result = call("pped", *words)
     assert status == 0 and "configurations that damp best" in out
     files = {path.name for path in (tmp_path / "out").iterdir()}
     assert files == {f"pped_{k}.png" for k in ("poles", "responses", "configurations")}

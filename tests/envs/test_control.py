@@ -27,7 +27,7 @@ from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
-from ves_gym.mechanics.vehicle import BENT_THESIS
+from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.query import Query
 from ves_gym.planners.suites import Suite
@@ -71,17 +71,18 @@ def test_guided_zero_is_the_straight_motion(duration):
             batch.step(np.zeros((8, 3)))
 
 
-def test_guided_zero_leaves_the_energy_of_the_planning_benchmark():
+@pytest.mark.parametrize("vehicle", ["bent-thesis", "bent"])
+def test_guided_zero_leaves_the_energy_of_the_planning_benchmark(vehicle):
     """E_mean and E_peak of the same queries in reach100's own code, within 1 %."""
-    batch = begun()
+    batch = begun(vehicle=vehicle)
     start, goal = batch.scene.q.copy(), batch.scene.goal[:, :3].copy()
     for _ in range(batch.task.steps):
         *_, info = batch.step(np.zeros((8, 3)))
     queries = tuple(
         (
-            "bent-thesis",
+            vehicle,
             Query(
-                system=System(vehicle=BENT_THESIS),
+                system=System(vehicle=VEHICLES[vehicle]),
                 start=tuple(a),
                 goal=tuple(b),
                 duration=2.0,

@@ -61,9 +61,11 @@ def simulated(batch, command):
     return tuple(np.trapezoid(e, dx=dt, axis=0) for e in (energy.total, energy.strain))
 
 
-def state(s, away):
-    """(n, 2 (6 + joints)) base and joints, and their rates."""
-    return np.concatenate([s.y, away, s.yd, s.v], axis=1)
+def state(batch, away):
+    """(n, 2 (b + joints)) base with its internal modes and joints, and their rates."""
+    s, none = batch.scene, np.zeros((len(away), 0))
+    u, ud = batch.sim.base_modes or (none, none)
+    return np.concatenate([s.y, u, away, s.yd, ud, s.v], axis=1)
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -73,7 +75,9 @@ def test_tail_is_the_simulated_one(name, duration):
     batch = ended(SYSTEMS[name], duration=duration)
     s = batch.scene
     away = s.q - s.ref[:, 0]
-    predicted = tail_energy(batch.system.ideal(), s.q, state(s, away), s.kp, s.kd, seconds=TAIL)
+    predicted = tail_energy(
+        batch.system.ideal(), s.q, state(batch, away), s.kp, s.kd, seconds=TAIL
+    )
     for ours, truth in zip(predicted, simulated(batch, batch._command()), strict=True):
         error = np.abs(ours / truth - 1)
         print(f"{name}, {duration} s: median {np.median(error):.1e}, max {error.max():.1e}")
@@ -81,9 +85,10 @@ def test_tail_is_the_simulated_one(name, duration):
         assert error.max() <= 0.03
 
 
-def test_tail_of_an_episode_is_part_of_its_mean():
+@pytest.mark.parametrize("vehicle", ["bent-thesis", "bent"])
+def test_tail_of_an_episode_is_part_of_its_mean(vehicle):
     """E_mean and the reward's last term come from it."""
-    batch = Batch(build_task("rest_to_rest"), N)
+    batch = Batch(build_task("rest_to_rest", vehicle=vehicle), N)
     everyone = np.arange(N)
     batch.seed(everyone, 0, everyone)
     batch.reset(everyone)
@@ -94,7 +99,7 @@ def test_tail_of_an_episode_is_part_of_its_mean():
         during += (before + batch.scene.energy) * batch.dt / 2
     s = batch.scene
     away = s.q - s.ref[:, 0]
-    tail, _ = tail_energy(batch.system, s.q, state(s, away), s.kp, s.kd, seconds=TAIL)
+    tail, _ = tail_energy(batch.system, s.q, state(batch, away), s.kp, s.kd, seconds=TAIL)
     mean = (during + tail) / (batch.task.duration + TAIL)
     np.testing.assert_allclose(info["energy/E_mean"], mean, rtol=1e-12)
     scale = s.goal[:, 3] * (batch.task.duration + TAIL)
@@ -109,7 +114,7 @@ def test_free_joints_are_caught_where_they_are():
     s, space = batch.scene, batch.system
     np.testing.assert_array_equal(s.kp, np.tile(HIGH_GAINS.kp, (N, 1)))
     none = np.zeros_like(s.q)
-    predicted, _ = tail_energy(space, s.q, state(s, none), s.kp, s.kd, seconds=TAIL)
+    predicted, _ = tail_energy(space, s.q, state(batch, none), s.kp, s.kd, seconds=TAIL)
     batch.sim.set_gains(s.kp, s.kd)
     truth, _ = simulated(batch, batch.sim.servo_command(s.q, none))
     error = np.abs(predicted / truth - 1)
