@@ -37,6 +37,7 @@ _TRIES = 16  # candidate targets per episode; the first that is near and dextero
 _LEAST = 0.25  # of the median energy scale: targets close by are no reason to count more
 _SAMPLE = 256  # starts that the median is taken of
 _MISS = 1e-4  # m by which a chosen target may be out of reach
+_NEAR = 0.02  # m from the target, where being there is worth half
 
 
 def reachable(
@@ -104,7 +105,8 @@ class Reach(Task):
     far: float = unit("m", default=1.0)  # distance that counts as one
     thrift: float = unit("1", default=0.2)
     arrival: float | None = unit("1", default=None)  # weight of being at the target
-    near: float = unit("m", default=0.02)  # distance at which that is worth half
+    # distance at which that is worth half; None: 2 cm (and not in the files of a task without)
+    near: float | None = unit("m", default=None)
 
     @property
     def draws(self) -> int:  # type: ignore[override]
@@ -114,7 +116,9 @@ class Reach(Task):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_control(self, *REFERENCES, "pd_target", "torque")
-        require_positive(self, "dexterous", "tolerance", "hold", "far", "near")
+        require_positive(self, "dexterous", "tolerance", "hold", "far")
+        if self.near is not None:
+            require_positive(self, "near")
         if self.arrival is not None:
             require_positive(self, "arrival", zero=True)
         require_positive(self, "thrift", zero=True)
@@ -224,7 +228,8 @@ class Reach(Task):
             "tail": -s.tail / scale,
         }
         if self.arrival is not None:
-            close = 1 / (1 + (s.memory[:, 0] / self.near) ** 2)
+            near = _NEAR if self.near is None else self.near
+            close = 1 / (1 + (s.memory[:, 0] / near) ** 2)
             terms["arrival"] = close * (self.arrival * dt / self.duration)
         return terms
 
