@@ -105,8 +105,8 @@ class Reach(Task):
     far: float = unit("m", default=1.0)  # distance that counts as one
     thrift: float = unit("1", default=0.2)
     arrival: float | None = unit("1", default=None)  # weight of being at the target
-    # distance at which that is worth half; None: 2 cm (and not in the files of a task without)
-    near: float | None = unit("m", default=None)
+    # None by default: a task without `arrival` is then written as in 0.1.0, hash and all
+    near: float | None = unit("m", default=None)  # where that is worth half; none: 2 cm
 
     @property
     def draws(self) -> int:  # type: ignore[override]
