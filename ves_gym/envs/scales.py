@@ -23,7 +23,7 @@ _DAMPING = 0.05  # ratio of the modes, that of the thesis's beams
 _DAMPINGS = np.array([0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128])  # of the tables
 
 
-class Modes(NamedTuple):
+class ModeCouplings(NamedTuple):
     """Modes of k bases, b of each."""
 
     g: Array  # (k, b, joints) couplings to the joints
@@ -43,7 +43,7 @@ class BaseModes:
     def __init__(self, system: System, damped: bool = False) -> None:
         self.system, self.damped, self._room = system, damped, 0
 
-    def __call__(self, q: Array) -> Modes:
+    def __call__(self, q: Array) -> ModeCouplings:
         """Return the modes at k configurations.
 
         Args:
@@ -62,9 +62,11 @@ class BaseModes:
         omega, pushes = self._modes(blocks.Mt, np.concatenate([blocks.Hbm, root], axis=2))
         omega = np.clip(omega, _RIGID, _STIFF)
         if not self.damped:
-            return Modes(pushes, omega, _DAMPING)
+            return ModeCouplings(pushes, omega, _DAMPING)
         ratio = (pushes[..., n:] ** 2).sum(axis=-1) / (2 * omega)
-        return Modes(pushes[..., :n], omega, np.clip(ratio, _DAMPINGS[0], _DAMPINGS[-1]))
+        return ModeCouplings(
+            pushes[..., :n], omega, np.clip(ratio, _DAMPINGS[0], _DAMPINGS[-1])
+        )
 
     def __reduce__(self) -> tuple[type[BaseModes], tuple[System, bool]]:
         return BaseModes, (self.system, self.damped)  # machine code is no part of a copy
