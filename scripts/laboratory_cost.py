@@ -71,7 +71,7 @@ def vehicles(name: str) -> tuple[str, ...]:
 
 
 def _id(name: str, where: str) -> str:
-    return f"ves/{name}-v0" if where == SPACE else f"ves/{name}Emulated-v1"
+    return f"ves/{name}-v0" if where == SPACE else f"ves/{name}Emulated-v0"
 
 
 def _settings(vehicle: str, where: str) -> dict[str, Any]:

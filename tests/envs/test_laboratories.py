@@ -12,7 +12,7 @@ from ves_gym.effects import EFFECTS, LABORATORY_ERRORS
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import V0_RANGES, build_task
 from ves_gym.envs.laboratories import LABORATORIES
-from ves_gym.envs.registration import _LABORATORY
+from ves_gym.envs.registration import _LABORATORY, ASKED, ASKED_OF_A_MACHINE
 from ves_gym.envs.task import task_from_plain
 from ves_gym.mechanics.vehicle import BENT, BENT_THESIS
 from ves_gym.simulation.loop_linearisation import EmulationWarning
@@ -28,15 +28,14 @@ def kinds(name, **settings):
 
 def test_v1_ids_are_the_lab_and_v0_ids_are_as_they_were():
     v0, v1 = (gym.make(id).unwrapped.task for id in (V0, V1))
-    finite_elements = {"vehicle": "bent", "damped": True}
-    assert v1 == build_task(
-        "rest_to_rest", mode="emulated", laboratory="lab", **finite_elements
-    )
+    later = {"vehicle": "bent", "damped": True}
+    later |= ASKED["PumaRestToRest"] | ASKED_OF_A_MACHINE["PumaRestToRest"]
+    assert v1 == build_task("rest_to_rest", mode="emulated", laboratory="lab", **later)
     assert [r.label for r in v0.randomize] == ["gravity/scale.error"]
     assert v0.system.effects == v1.system.effects == LABORATORY_ERRORS
     assert _LABORATORY[0]["randomize"] == V0_RANGES
     assert v1.system.vehicle == BENT and v0.system.vehicle == BENT_THESIS
-    assert gym.make(V0, laboratory="lab", **finite_elements).unwrapped.task == v1
+    assert gym.make(V0, laboratory="lab", **later).unwrapped.task == v1
     assert gym.make(V1, laboratory="hard").unwrapped.task.randomize != v1.randomize
 
 
