@@ -40,10 +40,12 @@ def test_a_failing_search_costs_one_query(monkeypatch, fault):
     monkeypatch.setattr(
         ompl_search, "SEARCH_PROCESS", SearchProcess(PROGRAM.format(fault=code))
     )
-    monkeypatch.setattr(ompl_search, "_GRACE", 2.0)
     monkeypatch.setitem(PLANNERS, "ompl-qt", Ompl(evaluations=300, seconds=2.0))
     suite = get_suite("reach100", system=System(), vehicle="bent-thesis")
     queries = tuple((v, q) for v, q in suite.queries if q.duration == 2.0)[:3]
+    # the child starts, and compiles on a new machine, in a time of its own
+    PLANNERS["ompl-qt"].find(queries[0][1], 0)
+    monkeypatch.setattr(ompl_search, "_GRACE", 2.0)
     result = run_benchmark(
         dataclasses.replace(suite, queries=queries), planners=["ompl-qt"], workers=1
     )
