@@ -8,6 +8,8 @@ import pytest
 
 from tests.envs.walks import SHORT, same
 from ves_gym._util.params import ParameterError
+from ves_gym.baselines.evaluate import evaluate
+from ves_gym.baselines.registry import get_controller
 from ves_gym.effects import EFFECTS, LABORATORY_ERRORS
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import V0_RANGES, build_task
@@ -130,3 +132,13 @@ def test_a_laboratory_is_plain_data():
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     task = env.unwrapped.task
     assert task_from_plain(task.to_dict()) == again.unwrapped.task == task
+
+
+def test_energies_in_the_laboratory_are_those_in_space():
+    """Straight motions, nothing drawn: internal modes are taken where the platform is."""
+    straight = get_controller("straight")
+    space = evaluate(straight, "ves/PumaRestToRest-v1", episodes=5)
+    laboratory = evaluate(straight, V1, episodes=5, effects=[], randomize={})
+    ratio = laboratory.values("E_mean")[0] / space.values("E_mean")[0]
+    print("E_mean over that in space:", np.round(ratio, 4))
+    assert ratio == pytest.approx(np.ones(5), abs=0.01)

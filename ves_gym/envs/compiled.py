@@ -318,12 +318,14 @@ def _close(shape: Shape) -> casadi.Function:
 
 
 def _laboratory(shape: Shape) -> dict[str, casadi.Function]:
-    """Wires between engine and emulation loop: no formula, only rows in their places.
+    """Wires between engine and emulation loop: rows in their places.
 
     `lab_before`: (z, zd, gains) -> each signal given to the first half. `lab_nodes`:
     (platform's accelerations, joint commands) -> the engine's. `lab_after`: (the engine's
     outputs, z, draws, reading) -> each given to the second half, the reading of before.
     `lab_seen`: (measured pose, vehicle's state, frozen, diverged) -> what is measured.
+    `lab_modes`: (internal modes of the model, z, zd, vehicle's state, command sent, frozen) ->
+    the modes on the platform (`Simulator.base_modes`).
     """
     import casadi as ca
 
@@ -349,8 +351,13 @@ def _laboratory(shape: Shape) -> dict[str, casadi.Function]:
     scene_rows = ca.vertcat(y, ca.if_else(frozen, 0.0, X[6:]), ca.fmax(frozen, lost))
     modes = {}
     if shape.system.base.m:
-        pair = [ca.SX.sym(name, shape.system.base.m) for name in ("at", "rate")]
-        modes["lab_modes"] = ca.Function("lab_modes", pair, [ca.vertcat(*pair)])
+        u, ud = (ca.SX.sym(name, shape.system.base.m) for name in ("u", "ud"))
+        sent, carried = ca.SX.sym("sent", 12), ca.SX(shape.system.base.coupling.T)
+        pose = ca.if_else(frozen, sent[:6], X[:6])
+        away, faster = z[:6] - pose, zd[:6] - scene_rows[6:12]
+        moved = u + ca.mtimes(carried, away), ud + ca.mtimes(carried, faster)
+        inputs = [u, ud, z, zd, X, sent, frozen]
+        modes["lab_modes"] = ca.Function("lab_modes", inputs, [ca.vertcat(*moved)])
     return {
         **modes,
         "lab_before": ca.Function("lab_before", [z, zd, gains], first),

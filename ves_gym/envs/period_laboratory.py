@@ -100,7 +100,7 @@ class LaboratoryPrograms:
         return loop.frozen
 
     def _modes_piece(self, code: CompiledLoop) -> list[Piece]:
-        """Take the base's internal modes from the admittance, if it has any."""
+        """Return what sets the base's internal modes on the platform, if it has any."""
         loop, m = self.sim.emulation_loop, self.shape.system.base.m
         if not m:
             return []
@@ -109,7 +109,9 @@ class LaboratoryPrograms:
         at = [slice(k.start, k.start + m) for k in block.oscillators]
         coupled = code.rows("admittance.coupled")
         pair = [coupled[:, k] for k in at]
-        return [Piece(self._library, "lab_modes", [*pair, self._modes])]
+        _, z, zd = self.backend.rows_of_state()
+        model = [code.rows(k) for k in ("admittance.X", "command_sent", "frozen")]
+        return [Piece(self._library, "lab_modes", [*pair, z, zd, *model, self._modes])]
 
     def _build(self, code: CompiledLoop) -> list[Program]:
         library, backend = self._library, self.backend

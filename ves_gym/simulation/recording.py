@@ -20,7 +20,7 @@ from ves_gym.system.disturbance import (
     disturbance,
     mount_acceleration,
 )
-from ves_gym.system.energy import TAIL, Energies, energies, modes_of_platform
+from ves_gym.system.energy import TAIL, Energies, energies
 from ves_gym.system.frequency_weight import FAST, FrequencyWeight
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -178,12 +178,7 @@ class Recording:
         )
 
     def _recorded_modes(self, system: System, i: Any) -> tuple[Array, Array] | None:
-        """Internal modes of runs; None where they are estimated (`modes_of_platform`).
-
-        None as well where effects have added some, which are not recorded.
-        """
-        if modes_of_platform(system):
-            return None
+        """Internal modes of runs; None where effects have added some, not recorded."""
         modes, size = self.internal(i), system.arm.bends + system.base.hidden
         return modes if modes is None or modes[0].shape[-1] == size else None
 

@@ -304,32 +304,14 @@ def log_base_energy(log: RunLog, system: System | None = None) -> BaseEnergy:
     return base_energy(system, log.q, log.y, base_rate(log), internal_of(system, log))
 
 
-def modes_of_platform(system: System) -> bool:
-    """Return True where internal modes are those that the platform's motion excites.
-
-    Mode emulated: recorded modes are the vehicle model's, of another instant than the pose of
-    the platform, for this lags and is compensated. Strain between the two is in no spring: it
-    raised E_mean by 11 % on `bent`; with modes excited by the platform's own motion it is
-    within 1 % of that in space (tests/cli/test_laboratory_commands.py).
-
-    Args:
-        system: that ran.
-    """
-    base = system.base
-    passive = base.internal is not None and not base.carried and not system.arm.bends
-    return system.mode == "emulated" and passive
-
-
 def internal_of(system: System, log: RunLog) -> Internal | None:
     """Motion of internal modes as a log holds it, else estimated; None of a base without.
-
-    Estimated as well where the laboratory ran (`modes_of_platform`).
 
     Args:
         system: that the log is of.
         log: the run.
     """
-    if log.u is not None and log.ud is not None and not modes_of_platform(system):
+    if log.u is not None and log.ud is not None:
         return log.u, log.ud
     if system.base.internal is None or system.arm.bends:
         return None
