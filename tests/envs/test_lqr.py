@@ -117,9 +117,9 @@ def test_the_cost_is_the_energy_of_the_base():
 def test_gains_solve_the_riccati_recursion():
     """They are stationary: no other torque in the first period leads to less."""
     task = build_task("lqr")
-    (A, B), (Q, R), best = task.plant, task.weights, task.optimal()
+    (A, B), (Q, R), best = task.plant, task.weights, task.optimum
     assert best.gains.shape == (task.steps, 3, 18)
-    shorter = build_task("lqr", duration=task.duration - task.system.control_dt).optimal()
+    shorter = build_task("lqr", duration=task.duration - task.system.control_dt).optimum
     np.testing.assert_allclose(best.gains[1:], shorter.gains, rtol=1e-9, atol=1e-9)
     x = np.random.default_rng(0).standard_normal(18) * task._spread
 
@@ -140,7 +140,7 @@ def test_measured_cost_is_that_of_the_closed_form():
     """Through gym.make, from float32 observations: claim 1 %, found 2e-5 to 2e-3 per start."""
     env = gym.make("ves/BeamLQR-v0")
     task = env.unwrapped.task
-    best, full = task.optimal(), task.control.fraction * task.system.arm.column("tau_max")
+    best, full = task.optimum, task.control.fraction * task.system.arm.column("tau_max")
     measured, predicted = [], []
     for seed in range(4):
         observation, _ = env.reset(seed=seed)
@@ -181,7 +181,7 @@ def test_optimum_returns_minus_one_and_detuned_gains_less():
 
 def test_no_start_saturates_the_optimal_torque():
     task = build_task("lqr")
-    most = (np.abs(task.optimal().gains) * task._spread).sum(axis=2).max(axis=0)
+    most = (np.abs(task.optimum.gains) * task._spread).sum(axis=2).max(axis=0)
     assert (most < task.control.fraction * task.system.arm.column("tau_max")).all()
 
 

@@ -111,6 +111,22 @@ def test_options_choose_start_and_pose():
         env.reset(options={"pose": [0.5, 0, 0]})
 
 
+@pytest.mark.parametrize("task", ["pose_reach", "payload_transfer"])
+@pytest.mark.parametrize("control", ["joint_velocity", "tool_velocity"])
+def test_velocities_move_it(task, control):
+    """Observed as accelerations are, by the rates of the reference; the joints follow it."""
+    env = VesVectorEnv(4, task, control=control, duration=0.5)
+    observation, _ = env.reset(seed=0)
+    begin = env.batch.scene.q.copy()
+    for _ in range(20):
+        observation, *_ = env.step(np.full(env.action_space.shape, 0.5, np.float32))
+    s = env.batch.scene
+    np.testing.assert_allclose(
+        unscaled(env.task, observation)["reference_rate"], s.ref[:, 1], rtol=1e-5, atol=1e-6
+    )
+    assert (np.abs(s.q - begin).max(axis=1) > 1e-3).all()
+
+
 def test_fewer_than_six_joints_are_refused():
     with pytest.raises(ParameterError, match=r"6 joints or more .* got puma560 with 3"):
         gym.make("ves/PoseReach-v0", arm="puma560")

@@ -121,3 +121,25 @@ def test_energy_of_a_released_base_is_that_of_its_matrices(vehicle):
             energies.append(state[:b] @ K @ state[:b] / 2)
             state = step @ state
         assert integral == pytest.approx(scipy.integrate.simpson(energies, dx=dt), rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("task", "column", "settings"),
+    [
+        ("rest_to_rest", 3, {}),
+        ("reach", 3, {}),
+        ("track", 0, {}),
+        ("seam", 0, {"energy": 1e-3}),  # J: else the released boom outweighs the motion
+        ("pose_reach", 12, {}),
+        ("payload_transfer", 10, {}),
+    ],
+)
+def test_every_energy_scale_knows_the_damping(task, column, settings):
+    """The same starts count for more where the base is damped by less than 5 %."""
+    scales = []
+    for damped in (False, True):
+        asked = build_task(task, vehicle="bent", damped=damped, **settings)
+        u = np.random.default_rng(0).random((8, asked.draws))
+        scales.append(asked.start(u).goal[:, column])
+    print(task, scales[1] / scales[0])
+    assert (scales[1] > 1.05 * scales[0]).all()

@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from ves_gym._util.params import Array, Index, ParameterError
-from ves_gym.envs.control import Control, Gains, ToolVelocity, Torque
+from ves_gym.envs.control import Control, Gains, Torque
 from ves_gym.envs.rest_to_rest import RestToRest
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.dynamics import inverse_dynamics
@@ -209,7 +209,7 @@ def reference_action(env: VesVectorEnv, control: Control, target: Array) -> Arra
     of all three dies away like exp(-c t).
     """
     s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
-    if isinstance(control, ToolVelocity):
+    if not control.per_joint:
         raise ParameterError(
             f"a plan of {arm.n} joints is followed by a control with a number per joint, got"
             f" control {control.kind}"
@@ -239,21 +239,16 @@ class Optimal:
     name = "lqr"
     privileged = True
 
-    def __init__(self) -> None:
-        self._gains = np.empty(0)
-
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
-        optimal = getattr(env.task, "optimal", None)
-        if optimal is None:
+        if not hasattr(env.task, "optimum"):
             raise ParameterError(f"controller lqr acts on task lqr, got {env.task.kind}")
-        if not len(self._gains):
-            self._gains = optimal().gains
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
         task: Any = env.task
-        gains = self._gains[np.minimum(env.batch.episodes.steps, len(self._gains) - 1)]
+        plan: Array = task.optimum.gains
+        gains = plan[np.minimum(env.batch.episodes.steps, len(plan) - 1)]
         tau = -(gains @ task.deviation(env.batch.scene)[:, :, None])[:, :, 0]
         return torque_action(env, task.control, tau)
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.baselines.controllers import reference_action
 from ves_gym.envs.pose_reach import PoseReach, goal_pose
-from ves_gym.envs.scales import straight_energy
+from ves_gym.envs.scales import straight_energy, straight_motion
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
@@ -72,7 +72,7 @@ class ResolvedPose:
             self._asked = np.zeros((env.num_envs, 2, arm.n))
         self._rate[ids] = twist(s.y_seen[ids], s.yd_seen[ids])
         way = _MOVE * task.duration
-        energy = straight_energy(task.system.ideal(), way, task.duration - way + task.tail)
+        energy = straight_motion(task, way)
         share = quintic(np.arange(steps + 2) / (_MOVE * steps))[:, None]
         places, turns = goal_pose(s)
         for i in ids.tolist():

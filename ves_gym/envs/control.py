@@ -58,6 +58,7 @@ class Control:
     kind: ClassVar[str]
     level: ClassVar[str]
     drives: ClassVar[tuple[str, ...]] = ("motor",)
+    per_joint: ClassVar[bool] = True  # an action has a number for every joint, or more
     held: ClassVar[bool] = False  # commands are held over a period, and do not run linearly
     # Set in a class whose `command` is a formula of its arguments alone, a simulation per row:
     # the kernel then compiles it (`Task.compiled`).
@@ -334,6 +335,7 @@ class ToolVelocity(SmoothReference):
     """
 
     kind: ClassVar[str] = "tool_velocity"
+    per_joint: ClassVar[bool] = False
     speed: float = unit("m/s", default=0.5)
     damping: float = unit("m/rad", default=0.05)
 

@@ -8,6 +8,7 @@ from ves_gym._util.params import Array, ParameterError, Vector
 from ves_gym.envs.control import Control, SmoothReference
 from ves_gym.envs.task import Field, Scene, Task
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 
 # controls that move a reference smoothly, by acceleration or by velocity
 REFERENCES = ("acceleration", "joint_velocity", "tool_velocity")
@@ -90,6 +91,22 @@ def require_control(task: Task, *kinds: str) -> None:
         raise ParameterError(
             f"{task.kind}: control must be {' or '.join(kinds)}, got {task.control.kind}"
         )
+
+
+def straight_pace(arm: Arm, way: Array, seconds: float) -> Array:
+    """Return the largest share of its speed that a joint takes on straight quintics.
+
+    Args:
+        arm: whose joints.
+        way: (..., joints) from their starts to their ends [rad].
+        seconds: that they take [s].
+
+    Returns:
+        (...,); up to one is within the limits.
+    """
+    speed = np.abs(way) * (QUINTIC_PEAK_SPEED / seconds)
+    pace: Array = (speed / arm.column("v_max")).max(axis=-1)
+    return pace
 
 
 def rate_fields(control: Control, arm: Arm) -> tuple[Field, ...]:

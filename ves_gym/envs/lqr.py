@@ -41,7 +41,7 @@ class Lqr(Task):
     `bend` about `home`, rates `pace` times that. A period of length dt costs
     dt (E + stray |q - home|^2 + effort |tau|^2), E the energy of the base with the arm frozen
     at home; the state is that at the period's end, the torque is held. That is x'Q x + u'R u
-    on the plant linearised at home (`engine/linear.py`) and sampled exactly: `optimal` gives
+    on the plant linearised at home (`engine/linear.py`) and sampled exactly: `optimum` gives
     the best feedback and its cost, by the Riccati recursion over the episode. `home` is the
     thesis's configuration of 4.3.2, the joints are damped by its PPED gains (eq. 4.5b); the
     other numbers keep motions small and the optimal torque within bounds (this project).
@@ -64,7 +64,7 @@ class Lqr(Task):
 
     options: ClassVar[tuple[str, ...]] = ("q", "v", "y", "yd")
     compiled: ClassVar[bool] = True
-    memory: ClassVar[int] = 1  # J s, cost so far
+    memory: ClassVar[int] = 3  # J s, cost so far; this period's of the state, of the effort
     # its optimum takes a state that is measured, and internal modes are not
     system: System = System(vehicle=BENT_THESIS, physics_dt=2.5e-3)
     control: Control = Torque(fraction=0.25, damping=PPED_GAINS.kd)
@@ -124,7 +124,8 @@ class Lqr(Task):
         dt = self.system.control_dt
         return dt * Q.reshape(2 * (6 + n), -1), dt * self.effort * np.eye(n)
 
-    def optimal(self) -> Optimum:
+    @cached_property
+    def optimum(self) -> Optimum:
         """The exact solution of the finite-horizon problem, by the Riccati recursion."""
         (A, B), (Q, R) = self.plant, self.weights
         P, gains = np.zeros_like(Q), []
@@ -139,20 +140,14 @@ class Lqr(Task):
     @cached_property
     def unit_cost(self) -> float:
         """Expected optimal cost over the starts drawn [J s]: what the reward is measured in."""
-        return float((np.diag(self.optimal().cost) * self._spread**2).sum() / 3)
-
-    @cached_property
-    def _least_cost(self) -> Array:
-        return self.optimal().cost
+        return float((np.diag(self.optimum.cost) * self._spread**2).sum() / 3)
 
     def remember(self, s: Scene, dt: float) -> None:
         """See `Task`."""
-        s.memory[:, 0] += self._paid(s)
-
-    def _paid(self, s: Scene) -> Array:
-        """(n,) cost of the period that ended here [J s]."""
         Q, R = self.weights
-        return 2 * quadratic(Q, self.deviation(s)) + 2 * quadratic(R, s.tau)
+        s.memory[:, 1] = 2 * quadratic(Q, self.deviation(s))
+        s.memory[:, 2] = 2 * quadratic(R, s.tau)
+        s.memory[:, 0] += s.memory[:, 1] + s.memory[:, 2]
 
     def deviation(self, s: Scene) -> Array:
         """x (n, 2 s) of the true state."""
@@ -177,7 +172,7 @@ class Lqr(Task):
         y, yd = options.get("y", x[:, :6]), options.get("yd", x[:, 6 + n : 12 + n])
         q, v = options.get("q", home + x[:, 6 : 6 + n]), options.get("v", x[:, 12 + n :])
         x = np.concatenate([y, q - home, yd, v], axis=1)
-        costs = [2 * quadratic(P, x) for P in (self.weights[0], self._least_cost)]
+        costs = [2 * quadratic(P, x) for P in (self.weights[0], self.optimum.cost)]
         return Start(q, np.stack(costs, axis=1), y, yd, v)
 
     def fields(self) -> tuple[Field, ...]:
@@ -200,11 +195,9 @@ class Lqr(Task):
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         """See `Task`."""
-        Q, R = self.weights
-        x = self.deviation(s)
         return {
-            "state": -2 * quadratic(Q, x) / self.unit_cost,
-            "effort": -2 * quadratic(R, s.tau) / self.unit_cost,
+            "state": -s.memory[:, 1] / self.unit_cost,
+            "effort": -s.memory[:, 2] / self.unit_cost,
         }
 
     def success(self, s: Scene) -> Mask:
@@ -212,5 +205,5 @@ class Lqr(Task):
         if self.slack is not None:
             over = s.time > self.duration - self.system.control_dt / 2
             return over & (s.memory[:, 0] <= (1 + self.slack) * s.goal[:, 1])
-        x = self.deviation(s)
-        return 2 * quadratic(self.weights[0], x) <= self.settled * s.goal[:, 0]
+        settled: Mask = s.memory[:, 1] <= self.settled * s.goal[:, 0]
+        return settled

@@ -19,9 +19,16 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym.envs.control import Acceleration, Control
-from ves_gym.envs.joints import drawn_joints, joint_box, rate_fields, rates, require_control
+from ves_gym.envs.joints import (
+    REFERENCES,
+    drawn_joints,
+    joint_box,
+    rate_fields,
+    rates,
+    require_control,
+)
 from ves_gym.envs.reach import reachable
-from ves_gym.envs.scales import straight_energy
+from ves_gym.envs.scales import least_scale, straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.attitude import to_matrix
@@ -37,8 +44,6 @@ if TYPE_CHECKING:
 _TRIES = (
     16  # candidates for either place per episode; the first that is near and dexterous counts
 )
-_LEAST = 0.25  # of the median energy scale
-_SAMPLE = 256  # starts that the median is taken of
 _LEG = 0.35  # share of an episode that a straight motion of either leg takes
 
 # Columns of the memory
@@ -107,7 +112,7 @@ class PayloadTransfer(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_control(self, "acceleration", "pd_target", "torque")
+        require_control(self, *REFERENCES, "pd_target", "torque")
         require_positive(
             self, "dexterous", "catch", "tolerance", "rest", "hold", "far", "off_centre", "away"
         )
@@ -124,15 +129,12 @@ class PayloadTransfer(Task):
 
     @cached_property
     def _straight(self) -> straight_energy:
-        leg = _LEG * self.duration
-        return straight_energy(self.system.ideal(), leg, self.duration - leg + self.tail)
+        return straight_motion(self, _LEG * self.duration)
 
     @cached_property
     def _least(self) -> float:
         """J, the smallest energy that counts as one."""
-        u = np.random.default_rng(0).random((_SAMPLE, self.draws))
-        ordered = np.sort(self._expected(*self._places(u)))
-        return _LEAST * float(ordered[(_SAMPLE - 1) // 2] + ordered[_SAMPLE // 2]) / 2
+        return least_scale(lambda u: self._expected(*self._places(u)), self.draws)
 
     def _expected(self, q: Array, pick: Array, berth: Array) -> Array:
         return self._straight(q, pick) + self._straight(pick, berth)

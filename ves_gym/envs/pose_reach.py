@@ -18,11 +18,20 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym.envs.control import Acceleration, Control
-from ves_gym.envs.joints import drawn_joints, joint_box, rate_fields, rates, require_control
-from ves_gym.envs.scales import straight_energy
+from ves_gym.envs.joints import (
+    REFERENCES,
+    drawn_joints,
+    joint_box,
+    rate_fields,
+    rates,
+    require_control,
+    straight_pace,
+)
+from ves_gym.envs.reach import reachable
+from ves_gym.envs.scales import least_scale, straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.spatial import rotation, twist
 from ves_gym.mechanics.tool_pose import (
     ToolPose,
@@ -35,8 +44,6 @@ from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
 _TRIES = 16  # candidate poses per episode; the first that is near and dexterous counts
-_LEAST = 0.25  # of the median energy scale: poses close by are no reason to count more
-_SAMPLE = 256  # starts that the median is taken of
 _LEVER = 0.3  # m per radian: how far an orientation counts beside a place in `dexterous`
 _JOINTS = 6  # fewer cannot choose place and orientation
 _PLACE, _TURN, _ENERGY = slice(0, 3), slice(3, 12), 12  # columns of the goal
@@ -102,7 +109,7 @@ class PoseReach(Task):
                 f"pose_reach needs an arm of {_JOINTS} joints or more to choose place and"
                 f" orientation, got {arm.name} with {arm.n} (task reach asks for places)"
             )
-        require_control(self, "acceleration", "pd_target", "torque")
+        require_control(self, *REFERENCES, "pd_target", "torque")
         require_positive(self, "dexterous", "tolerance", "turned", "hold", "far")
         require_positive(self, "rest", "turning")
         require_positive(self, "attitude", "thrift", zero=True)
@@ -110,16 +117,12 @@ class PoseReach(Task):
 
     @cached_property
     def _straight(self) -> straight_energy:
-        half = self.duration / 2
-        return straight_energy(self.system.ideal(), half, half + self.tail)
+        return straight_motion(self, self.duration / 2)
 
     @cached_property
     def _least(self) -> float:
         """J, the smallest energy that counts as one."""
-        ends = self._ends(np.random.default_rng(0).random((_SAMPLE, self.draws)))
-        ordered = np.sort(self._straight(*ends))  # np.median would load masked arrays
-        n = len(ordered)
-        return _LEAST * float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2
+        return least_scale(lambda u: self._straight(*self._ends(u)), self.draws)
 
     # ------------------------------------------------------------------ episodes
 
@@ -153,18 +156,14 @@ class PoseReach(Task):
 
     def _ends(self, u: Array, q: Array | None = None) -> tuple[Array, Array]:
         """Joint angles (k, joints) at the start (q, if given) and at the pose [rad]."""
-        arm, rows = self.system.arm, np.arange(len(u))
+        arm, half = self.system.arm, self.duration / 2
         low, high = joint_box(self, (0.0,), self.span)
         share = u.reshape(len(u), 1 + _TRIES, -1)[..., : arm.n]
         drawn = low + (high - low) * share
-        q, ends = drawn[:, 0] if q is None else q, drawn[:, 1:]
-        speed = np.abs(ends - q[:, None]) * (2 * QUINTIC_PEAK_SPEED / self.duration)
-        fast = (speed / arm.column("v_max")).max(axis=2)
-        excess = np.maximum(fast - 1, 0.0)
-        excess += np.maximum(1 - pose_dexterity(arm, ends, _LEVER) / self.dexterous, 0.0)
-        best = excess.argmin(axis=1)  # the first without any, or the one with the least
-        nearer = 1 / np.maximum(fast[rows, best], 1.0)
-        return q, q + nearer[:, None] * (ends[rows, best] - q)
+        q = drawn[:, 0] if q is None else q
+        end = reachable(arm, q, drawn[:, 1:], half, self.dexterous, measure=_dexterity)
+        nearer = 1 / np.maximum(straight_pace(arm, end - q, half), 1.0)
+        return q, q + nearer[:, None] * (end - q)
 
     def remember(self, s: Scene, dt: float) -> None:
         """See `Task`."""
@@ -252,6 +251,11 @@ def goal_pose(s: Scene) -> tuple[Array, Array]:
 def _turn(task: PoseReach, s: Scene, y: Array) -> Array:
     """(n, 3, 3) from the tool's axes to those of space, the base at y."""
     return rotation(y) @ tool_frame(task.system.arm, s.q)[1]
+
+
+def _dexterity(arm: Arm, q: Array) -> Array:
+    """(...,) in place and orientation at angles (..., joints) [m/rad]."""
+    return pose_dexterity(arm, q, _LEVER)
 
 
 def _pose(row: Array) -> ToolPose:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -25,23 +25,27 @@ from ves_gym.envs.joints import (
     rate_fields,
     rates,
     require_control,
+    straight_pace,
 )
-from ves_gym.envs.scales import straight_energy
+from ves_gym.envs.scales import least_scale, straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.kinematics import dexterity, joints_for
-from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 
 _TRIES = 16  # candidate targets per episode; the first that is near and dexterous counts
-_LEAST = 0.25  # of the median energy scale: targets close by are no reason to count more
-_SAMPLE = 256  # starts that the median is taken of
 _MISS = 1e-4  # m by which a chosen target may be out of reach
 _NEAR = 0.02  # m from the target, where being there is worth half
 
 
 def reachable(
-    arm: Arm, q: Array, ends: Array, seconds: float, dexterous: float, away: float = 0.0
+    arm: Arm,
+    q: Array,
+    ends: Array,
+    seconds: float,
+    dexterous: float,
+    away: float = 0.0,
+    measure: Callable[[Arm, Array], Array] = dexterity,
 ) -> Array:
     """Return of several configurations the first that a straight motion may end in.
 
@@ -53,15 +57,15 @@ def reachable(
         q: (k, joints) where the motion starts [rad].
         ends: (k, m, joints) candidates [rad].
         seconds: that the motion takes [s].
-        dexterous: least `kinematics.dexterity` [m/rad].
+        dexterous: least of the `measure` [m/rad].
         away: least distance of the tool from where it starts [m].
+        measure: dexterity (k, m) of an arm at angles (k, m, joints).
 
     Returns:
         (k, joints).
     """
-    speed = np.abs(ends - q[:, None]) * (QUINTIC_PEAK_SPEED / seconds)
-    excess = np.maximum((speed / arm.column("v_max")).max(axis=2) - 1, 0.0)
-    excess += np.maximum(1 - dexterity(arm, ends) / dexterous, 0.0)
+    excess = np.maximum(straight_pace(arm, ends - q[:, None], seconds) - 1, 0.0)
+    excess += np.maximum(1 - measure(arm, ends) / dexterous, 0.0)
     if away:
         tools = [joint_positions(arm, k)[..., -1, :] for k in (q[:, None], ends)]
         gone = np.linalg.norm(tools[1] - tools[0], axis=-1)
@@ -126,16 +130,12 @@ class Reach(Task):
 
     @cached_property
     def _straight(self) -> straight_energy:
-        half = self.duration / 2
-        return straight_energy(self.system.ideal(), half, half + self.tail, bool(self.damped))
+        return straight_motion(self, self.duration / 2)
 
     @cached_property
     def _least(self) -> float:
         """J, the smallest energy that counts as one."""
-        ends = self._ends(np.random.default_rng(0).random((_SAMPLE, self.draws)))
-        ordered = np.sort(self._straight(*ends))  # np.median would load masked arrays
-        n = len(ordered)
-        return _LEAST * float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2
+        return least_scale(lambda u: self._straight(*self._ends(u)), self.draws)
 
     # ------------------------------------------------------------------ episodes
 

@@ -10,11 +10,10 @@ import numpy as np
 
 from ves_gym._util.params import Array, Mask, Vector, require_positive, unit
 from ves_gym.envs.control import Control, Guided
-from ves_gym.envs.joints import drawn_joints, middle_and_half
-from ves_gym.envs.scales import straight_energy
+from ves_gym.envs.joints import drawn_joints, middle_and_half, straight_pace
+from ves_gym.envs.scales import straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 
 _TRIES = 12  # candidate queries per episode; the first that respects the speed limits counts
 
@@ -59,17 +58,14 @@ class RestToRest(Task):
 
     @cached_property
     def _straight(self) -> straight_energy:
-        return straight_energy(self.system.ideal(), self.duration, self.tail, bool(self.damped))
+        return straight_motion(self, self.duration)
 
     def start(self, u: Array, **options: Array) -> Start:
         """See `Task`. Goal: joint angles (joints), then E_straight."""
-        n, fast = self.system.arm.n, self.system.arm.column("v_max")
+        n = self.system.arm.n
         middle, span = middle_and_half(self.system.arm, (0.0,), self.span)
         ends = middle + (2 * u.reshape(len(u), _TRIES, 2, -1)[..., :n] - 1) * span
-        speed = np.abs(ends[:, :, 1] - ends[:, :, 0]) * (QUINTIC_PEAK_SPEED / self.duration)
-        excess = speed[..., 0] / fast[0]  # of the fastest joint over its limit
-        for i in range(1, n):
-            excess = np.maximum(excess, speed[..., i] / fast[i])
+        excess = straight_pace(self.system.arm, ends[:, :, 1] - ends[:, :, 0], self.duration)
         pick = (excess <= 1).argmax(axis=1)  # the first that fits, or the first of all
         rows = np.arange(len(u))
         chosen = ends[rows, pick]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -9,14 +10,17 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.engine.kernel.maps import InertiaMap
 from ves_gym.engine.kernel.modes import ModeMap
+from ves_gym.envs.task import Task
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.modes import blocks_of, natural_modes
+from ves_gym.mechanics.modes import blocks_of, natural_modes, root
 from ves_gym.mechanics.motion import quintic
 from ves_gym.system.system import System
 
 _FREQUENCIES = np.geomspace(0.3, 300.0, 240)  # rad/s
 _SAMPLES = 2000
 _FLOOR = 1e-4  # J: a motion that hardly moves is not divided by nothing
+_LEAST = 0.25  # of the median scale: goals close by are no reason to count more
+_STARTS = 256  # that the median is taken of
 _RIGID = 1.0  # rad/s: a base without stiffness counts as one of this frequency
 _STIFF = 300.0  # rad/s: as does one that is stiffer
 _DAMPING = 0.05  # ratio of the modes, that of the thesis's beams
@@ -55,11 +59,11 @@ class BaseModes:
             self._inertia = InertiaMap(self.system, self._room)
             self._mass, D, K = self.system.base.full()
             # columns r of a root of D: the sum of (shape . r)^2 is shape . D shape
-            self._root = _root(D) if self.damped else np.empty((len(D), 0))
+            self._root = root(D).T if self.damped else np.empty((len(D), 0))
             self._modes = ModeMap(K, n + self._root.shape[1], self._room)
         blocks = blocks_of(self._inertia(q), self._mass)
-        root = np.broadcast_to(self._root, (len(q), *self._root.shape))
-        omega, pushes = self._modes(blocks.Mt, np.concatenate([blocks.Hbm, root], axis=2))
+        roots = np.broadcast_to(self._root, (len(q), *self._root.shape))
+        omega, pushes = self._modes(blocks.Mt, np.concatenate([blocks.Hbm, roots], axis=2))
         omega = np.clip(omega, _RIGID, _STIFF)
         if not self.damped:
             return ModeCouplings(pushes, omega, _DAMPING)
@@ -70,12 +74,6 @@ class BaseModes:
 
     def __reduce__(self) -> tuple[type[BaseModes], tuple[System, bool]]:
         return BaseModes, (self.system, self.damped)  # machine code is no part of a copy
-
-
-def _root(D: Array) -> Array:
-    """R (k, k) with R R^T = D, D symmetric positive semidefinite."""
-    values, vectors = np.linalg.eigh(D)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), dtype=np.float64)
 
 
 class straight_energy:  # a function with a table
@@ -114,6 +112,29 @@ class straight_energy:  # a function with a table
                 np.take_along_axis(table, low[None] + 1, 0)[0] - below
             )
         return np.asarray(_FLOOR + (share * push**2).sum(axis=1), dtype=np.float64)
+
+
+def straight_motion(task: Task, seconds: float) -> straight_energy:
+    """Return the scale of a task's straight motions, which leave the base free until its end.
+
+    Args:
+        task: whose system in space, end, tail and `damped` it is.
+        seconds: that a motion takes [s].
+    """
+    after = task.duration - seconds + task.tail
+    return straight_energy(task.system.ideal(), seconds, after, bool(task.damped))
+
+
+def least_scale(expected: Callable[[Array], Array], draws: int) -> float:
+    """Return the smallest energy that counts as one: a quarter of the median over starts [J].
+
+    Args:
+        expected: energies (k,) [J] of episodes from uniform numbers (k, draws).
+        draws: numbers per episode.
+    """
+    ordered = np.sort(expected(np.random.default_rng(0).random((_STARTS, draws))))
+    # np.median would load masked arrays
+    return _LEAST * float(ordered[(_STARTS - 1) // 2] + ordered[_STARTS // 2]) / 2
 
 
 def motion_energy(modes: BaseModes, q: Array, dt: float, tail: float) -> Array:

@@ -91,6 +91,18 @@ def natural_modes(K: Array, M: Array) -> Modes:
     return Modes(np.sqrt(np.maximum(squares, 0.0)), shapes)
 
 
+def root(K: Array, symmetric: bool = False) -> Array:
+    """R (k, k) with R^T R = K.
+
+    Args:
+        K: (k, k) symmetric and positive semidefinite.
+        symmetric: the one root that is so too; without it the rows are along the axes of K.
+    """
+    values, vectors = np.linalg.eigh(K)
+    out: Array = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    return vectors @ out if symmetric else out
+
+
 def quintic_spectrum(x: npt.ArrayLike) -> Array:
     """Return |int_0^1 e^(-j x u) s'(u) du| of the rest-to-rest quintic s, x = omega T.
 

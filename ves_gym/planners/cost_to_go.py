@@ -27,7 +27,7 @@ from scipy.stats import qmc
 from ves_gym._util.params import Array
 from ves_gym.engine.kernel.maps import InertiaMap
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.modes import natural_modes
+from ves_gym.mechanics.modes import natural_modes, root
 from ves_gym.planners.metric import Metric
 from ves_gym.system.system import System
 
@@ -56,9 +56,8 @@ class LeastLength:
             return  # it counts rotation alone, of which no part depends on the ends only
         system = metric.system
         S = least_weight(system, metric.duration if metric.kind == "qt" else None)
-        values, vectors = np.linalg.eigh(S)
-        if values[-1] > 0:
-            self._root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+        if np.linalg.eigvalsh(S)[-1] > 0:
+            self._root = root(S)
             self._inertia = InertiaMap(system, 1)
 
     def __call__(self, a: Sequence[float], b: Sequence[float]) -> float:

@@ -20,8 +20,9 @@ import scipy.linalg
 from ves_gym._util.params import Array
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.kinematics import tool_jacobian
+from ves_gym.mechanics.modes import root
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.prediction import BaseState, LinearBase, gramian, inertia_along, root
+from ves_gym.planners.prediction import BaseState, LinearBase, gramian, inertia_along
 from ves_gym.system.disturbance import mount_of
 from ves_gym.system.energy import TAIL
 from ves_gym.system.frequency_weight import FrequencyWeight

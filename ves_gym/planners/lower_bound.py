@@ -26,6 +26,7 @@ import scipy.linalg
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.modes import root
 from ves_gym.planners.barrier import Barrier
 from ves_gym.planners.conjugate import MomentumCost, conjugate, local_part, momentum_cost
 from ves_gym.planners.direct import MotionProblem
@@ -108,7 +109,8 @@ def bound_energy(
     reach = ReachableSet(start, goal, arm.column("q_min"), arm.column("q_max"), speed, T)
     sides = [reach.box(k * T / N, (k + 1) * T / N) for k in range(N)]
     low, high = np.min([b[0] for b in sides], axis=0), np.max([b[1] for b in sides], axis=0)
-    setting = Setting(reach, Shapes(arm, (low + high) / 2, (high - low) / 2), _root(cost.R), N)
+    shapes = Shapes(arm, (low + high) / 2, (high - low) / 2)
+    setting = Setting(reach, shapes, root(cost.R, symmetric=True), N)
     unit = _near(query, where)
     potential = Barrier(setting, conjugate(cost, N), unit).solve()
     energy, errors = _evaluate(setting, potential, cost, unit)
@@ -152,8 +154,3 @@ def _first_moment(query: Query, cost: MomentumCost) -> float:
     W = conjugate(cost.less(np.zeros_like(cost.R)), 2).reshape(3, 6, 3, 6)
     form = W[:, :3, :, :3].sum(axis=(0, 2))
     return (1 - _ROUNDING) * 0.5 * float(change @ scipy.linalg.solve(form, change))
-
-
-def _root(R: Array) -> Array:
-    values, vectors = np.linalg.eigh(R)
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.modes import root
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.prediction import (
@@ -22,7 +23,6 @@ from ves_gym.planners.prediction import (
     hold,
     inertia_along,
     joint_momentum,
-    root,
 )
 from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System

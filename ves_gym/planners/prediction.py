@@ -343,9 +343,3 @@ def gramian(A: Array, C: Array, span: float, doublings: int = 24) -> Array:
     )
     out: Array = (S + S.T) / 2
     return out
-
-
-def root(K: Array) -> Array:
-    """R with R^T R = K for a symmetric positive semidefinite K."""
-    values, vectors = np.linalg.eigh(K)
-    return np.sqrt(np.maximum(values, 0))[:, None] * vectors.T
