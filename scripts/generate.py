@@ -49,9 +49,12 @@ INFO = {
     "diverged": "whether the numbers ran away: the episode has failed",
     "stopped": "laboratory: whether a safety stop froze the platform: the episode has failed",
     "dump": "with the argument `dump`: run log of an episode that diverged",
+    "base/propellant": "satellites with jets or wheels: what jets have used so far [kg]",
+    "base/wheel_momentum": "momentum that each reaction wheel stores [N m s]",
     "energy/...": "at the end: the energies below",
 }
 COMMON = {
+    "base_control": "`{}`, or a table of its settings: actions command wheels and jets too",
     "context": "appends to the observation what was drawn for the episode",
     "damped": "energy scales by the vehicle's own damping, not by 5 % of every mode",
     "duration": "of an episode",

@@ -104,7 +104,12 @@ class Batch:
         self._emulated = self.system.mode == "emulated"
         self._feedforward = motor and control.servo.feedforward
         self.dt = self.system.control_dt
-        self.width = control.width(arm)
+        self.width = task.action_width
+        self._joint_width = control.width(arm)
+        if task.base_control is not None and self.sim.base_actuators is None:
+            raise ParameterError(
+                f"base_control needs backend kernel or mujoco, got {self.sim.backend_name}"
+            )
         self.scale = np.concatenate([f.scale for f in task.fields()])
         self.observations = sum(f.size for f in task.parts())
         self._observation: npt.NDArray[np.float32] | None = None  # as of the last compiled step
@@ -255,7 +260,10 @@ class Batch:
         actions = bounded(e, actions)
         before = s.energies
         remaining = np.subtract(task.duration, e.steps * self.dt, dtype=np.float64)
-        task.control.drive(self.sim, s, actions, remaining, self._command)
+        if task.base_control is not None:
+            task.base_control.drive(self.sim, actions[:, self._joint_width :])
+        joints = actions[:, : self._joint_width]
+        task.control.drive(self.sim, s, joints, remaining, self._command)
         self._update_scene()
         if task.interacts and task.interact(self.sim, s, np.arange(self.n)):
             self._update_scene()
@@ -281,6 +289,7 @@ class Batch:
         info.update((f"reward/{name}", term) for name, term in terms.items())
         info["success"], info["success_once"] = solved, e.once.copy()
         info["clipped"] = e.clipped.copy()
+        info.update(task.tell(self.sim, s))
         info.update(self.account(stopped, over))
         return reward, *outcome(task, last, failed), info
 
@@ -295,6 +304,11 @@ class Batch:
         info: dict[str, Any] = {"diverged": diverged}
         if stopped is not None:
             info["stopped"] = stopped
+        acts = self.sim.base_actuators
+        if acts is not None:
+            info["base/propellant"] = acts.propellant.copy()
+            if acts.wheels:
+                info["base/wheel_momentum"] = self.sim.wheel_speed * acts.rotors
         info.update(self.randomized())
         if self.recorder is not None:
             info.update(self.recorder.step(diverged if over is None else diverged & ~over))

@@ -12,6 +12,7 @@ from typing import Any
 
 from ves_gym._util.params import ParameterError, from_plain
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.envs.base_control import BaseControl
 from ves_gym.envs.control import Control, for_arm, get_control
 from ves_gym.envs.randomize import ranges_of
 from ves_gym.envs.task import TASKS, Task
@@ -164,7 +165,10 @@ def get_task(task: str | type[Task]) -> type[Task]:
 def _typed(cls: type[Task], settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings checked against the types of the task's fields."""
     hints = typing.get_type_hints(cls)
-    return {k: from_plain(hints[k], v, f"{cls.kind}.{k}") for k, v in settings.items()}
+    return {
+        k: v if isinstance(v, BaseControl) else from_plain(hints[k], v, f"{cls.kind}.{k}")
+        for k, v in settings.items()
+    }
 
 
 def _system(

@@ -122,7 +122,7 @@ def compiles(task: Task) -> bool:
     """Task and control say of themselves that they are formulas."""
     control, drive = type(task.control), type(task.control).drive
     says = all(vars(k).get("compiled", False) for k in (type(task), control))
-    return says and drive is Control.drive
+    return says and drive is Control.drive and task.base_control is None
 
 
 def library(shape: Shape, probe: Callable[[], bytes]) -> Library:

@@ -26,6 +26,7 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.envs.base_control import BaseControl
 from ves_gym.envs.control import Control
 from ves_gym.envs.randomize import Range
 from ves_gym.system.energy import TAIL
@@ -110,6 +111,7 @@ class Task(ABC):
     appends what was drawn for the episode (`randomize`) to the observation. `damped` takes
     scales of energy with the vehicle's own damping; without it (version 0) every mode counts
     as damped by 5 %, which is up to half of the straight line's energy too little.
+    `base_control` appends wheels and jets of a satellite to the action.
     """
 
     REGISTRY: ClassVar[dict[str, type[Task]]] = TASKS
@@ -134,6 +136,7 @@ class Task(ABC):
     randomize: tuple[Range, ...] = ()
     context: bool | None = None
     damped: bool | None = None
+    base_control: BaseControl | None = None
 
     def __post_init__(self) -> None:
         require_positive(self, "duration")
@@ -146,6 +149,8 @@ class Task(ABC):
                 f" {self.system.control_dt:g} s, got {self.duration:g} s"
             )
         self.control.check(self.system, self.duration)
+        if self.base_control is not None:
+            self.base_control.check(self.system)
         for spread in self.randomize:
             spread.check(self.system)
         if self.context and not self.randomize:
@@ -157,6 +162,13 @@ class Task(ABC):
     def steps(self) -> int:
         """Control periods of an episode."""
         return round(self.duration / self.system.control_dt)
+
+    @property
+    def action_width(self) -> int:
+        """Numbers in an action: of the joints, then of wheels and jets."""
+        base = self.base_control
+        beside = 0 if base is None else base.width(self.system)
+        return self.control.width(self.system.arm) + beside
 
     @abstractmethod
     def start(self, u: Array, **options: Array) -> Start:
@@ -219,6 +231,14 @@ class Task(ABC):
             True if a state has jumped.
         """
         return False
+
+    def tell(self, sim: Simulator, s: Scene) -> dict[str, Array]:
+        """Return entries (n, ...) of an info beside those that every task has.
+
+        Args:
+            sim, s: as the period left them.
+        """
+        return {}
 
     def remember(self, s: Scene, dt: float) -> None:  # noqa: B027
         """Bring `s.memory` up to date, once per period and before `reward` is asked."""

@@ -23,6 +23,7 @@ from ves_gym._util.params import (
 
 STANDARD_GRAVITY = 9.80665  # m/s^2: specific impulse in seconds is by definition times this
 _LEVER = 1.0  # m: a newton and a newton metre of misfit count alike
+_FULL = 1e6  # N: beyond what any jet gives
 _THRIFT = 1e-4  # weight of the forces themselves, so that no two jets blow at each other
 
 
@@ -82,6 +83,27 @@ def allocated(jets: tuple[Jet, ...], wrench: Array) -> Array:
             out[i] = scipy.optimize.nnls(rows, np.r_[scale * asked, np.zeros(k)])[0]
     over = np.max(out / most, axis=1, initial=1.0)
     return np.asarray(out / over[:, None], dtype=np.float64)
+
+
+@lru_cache(maxsize=64)
+def strongest(jets: tuple[Jet, ...], point: tuple[float, ...]) -> Array:
+    """Return the largest force and moment (6,) that jets give along each axis, either way.
+
+    Args:
+        jets: k of them.
+        point: (3,) that the moment is about, in platform axes [m].
+
+    Returns:
+        Three forces [N], three moments [N m]; read-only. 0 along an axis that they cannot push.
+    """
+    about = np.vstack([np.eye(6), -np.eye(6)])
+    asked = _FULL * about
+    asked[:, 3:] += np.cross(point, asked[:, :3])
+    given = allocated(jets, asked) @ wrench_matrix(jets).T
+    given[:, 3:] -= np.cross(point, given[:, :3])
+    out: Array = np.maximum((given * about).sum(axis=1).reshape(2, 6).min(axis=0), 0.0)
+    out.flags.writeable = False
+    return out
 
 
 def pulses(

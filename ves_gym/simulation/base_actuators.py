@@ -29,7 +29,8 @@ class BaseActuators:
 
     They are set at the start of a control period and held through it: `torque` (n, w) on the
     wheels' rotors, Coulomb friction included [N m], `wrench` (n, 6) of the jets in platform
-    axes [N, N m]; `propellant` (n,) is what the jets have used since the reset [kg].
+    axes [N, N m]; `propellant` (n,) is what the jets have used since the reset [kg]; `rotors`
+    (w,) are the wheels' inertias [kg m^2].
 
     Args:
         system: in space, on a satellite.
@@ -50,7 +51,7 @@ class BaseActuators:
         self._done = 0  # physics steps of the present control period
         self._ready = False  # the present control period has its commands
         self._axes = wheel_axes(self.wheels)  # (3, w)
-        self._rotors = np.array([wheel.inertia for wheel in self.wheels])
+        self.rotors = np.array([wheel.inertia for wheel in self.wheels])
         self._full = np.array([wheel.momentum_max for wheel in self.wheels])
 
     _names = [
@@ -146,7 +147,7 @@ class BaseActuators:
         """
         moment, torque = np.zeros((self.n, 6)), np.zeros((self.n, len(self.wheels)))
         if self.pointing is not None:
-            law, h = self.pointing, speed * self._rotors
+            law, h = self.pointing, speed * self.rotors
             q, spin, stored = state.attitude, state.spin, h @ self._axes.T
             asked = law.moment(self._inertia, self.target, q, spin, stored)
             moment[:, 3:] = asked
