@@ -397,6 +397,28 @@ class Batch:
         rows = {f.name: getattr(s, f.name) for f in dataclasses.fields(s)}
         return Scene(**{k: rng.uniform(0.1, 0.5, (2, *v.shape[1:])) for k, v in rows.items()})
 
+    def begin_at(self, scene: Scene, episodes: Episodes) -> None:
+        """Go on from where other episodes are: joints, base as measured, reference, sums.
+
+        Internal modes are carried along by the base; sensors and platform start anew.
+
+        Args:
+            scene, episodes: of n simulations with the same task and control.
+        """
+        sim, s = self.sim, scene
+        if self._period is not None:
+            self._period.ahead = False
+        self._observation = None
+        if self.system.drive == "motor":
+            sim.set_gains(s.kp, s.kd)
+        sim.reset(q=s.q, v=s.v, y=s.y_seen, yd=s.yd_seen, time=s.time)
+        tables = self._scene.table_values
+        self.scene = dataclasses.replace(s, table_values=tables, tail=np.zeros(self.n))
+        self.episodes = episodes
+        self._update_scene()
+        if self._period is not None:
+            self._period.load(np.arange(self.n))
+
     # ---------------------------------------------------------------- snapshot
 
     def get_state(self) -> Any:

@@ -17,6 +17,7 @@ from ves_gym._util.params import Mask, ParameterError
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task, require_keywords
 from ves_gym.envs.deadline import Deadline, DeadlineSpec, with_deadline
+from ves_gym.envs.fan_out import fan_out
 from ves_gym.envs.spaces import goal_space, observation_space, require_seed, split_goals
 from ves_gym.envs.task import Task
 
@@ -176,6 +177,28 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         state, self._ready, over = snapshot
         self._over = over.copy()
         self.batch.set_state(state)
+
+    def fan_out(self, source: VesVectorEnv, index: int = 0) -> Any:
+        """Put every environment of this one where one of another is, to step it as a model.
+
+        Between environments of the same settings the copy is exact. One with other settings
+        (mode, vehicle, effects, randomize) takes over what can be measured; it needs the same
+        task, control, duration and arm (`envs.fan_out`).
+
+        Args:
+            source: where the episode runs; it stays as it is.
+            index: which of its environments.
+
+        Returns:
+            The observations (num_envs, ...) there.
+
+        Raises:
+            ParameterError: another kind of task; nothing has changed then.
+        """
+        fan_out(self.batch, source.batch, index)
+        over = source._over[index : index + 1]
+        self._over, self._ready = np.repeat(over, self.num_envs), source._ready
+        return self._observation()
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()

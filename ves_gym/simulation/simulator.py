@@ -232,8 +232,9 @@ class Simulator:
         wheel_speed: npt.ArrayLike = 0.0,
         spread: Mapping[str, npt.ArrayLike] | None = None,
         ids: npt.ArrayLike | None = None,
+        time: npt.ArrayLike = 0.0,
     ) -> State:
-        """Put all or some simulations at time 0 in the given state, appendages at rest.
+        """Put all or some simulations in the given state, appendages at rest.
 
         Args:
             q, v: joint angles and rates, broadcast to (k, joints).
@@ -241,8 +242,10 @@ class Simulator:
             wheel_speed: of a satellite's reaction wheels, broadcast to (k, w) [rad/s].
             spread: standard deviation of a normal draw added to any of q, v, y, yd.
             ids: which simulations (k of them), or None for all.
+            time: that their clocks show, broadcast to (k,) [s].
         """
         index = self._ids(ids)
+        clock = self._broadcast(time, "time", (len(index),))
         values = {"q": q, "v": v, "y": y, "yd": yd}
         unknown = [key for key in spread or {} if key not in values]
         if unknown:
@@ -257,7 +260,7 @@ class Simulator:
                     full[name][row] += scale[row] * self.generators[i].standard_normal(width)
         self.backend.write(
             index,
-            np.zeros(len(index)),
+            clock,
             np.hstack([full["y"], full["q"]]),
             np.hstack([full["yd"], full["v"]]),
         )
