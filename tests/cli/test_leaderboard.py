@@ -67,7 +67,7 @@ def test_an_entry_goes_to_the_board(call, tmp_path):
         (("leaderboard", "run", "paths", "reach100-1s-quick", "direct", "refined"), "one"),
         ((*RUN, "nonsense"), "policy"),
         ((*RUN, "zero", "--seeds", "a"), "--seeds"),
-        ((*RUN, "zero", "--seeds", "1,1"), "different"),
+        ((*RUN, "zero", "--seeds", "1,1"), "0, 1, ... in order"),
         ((*RUN, "zero", "--salt", "nothing"), "cannot be read"),
         ((*RUN, "zero", "--training", "hours"), "KEY=VALUE"),
         ((*RUN, "zero", "--workers", "0"), "--workers"),

@@ -43,7 +43,7 @@ def made_entry(name="refined", scores=(0.2, 0.3, 0.4, 0.5), groups=1, **more):
         "name": name,
         "author": "ves_gym",
         "kind": "planner",
-        "level": "replayed",
+        "level": "reproduced",
         "seeds": "public",
         "bundle": "ab" * 32,
         "score": {"name": "E_mean over the straight line's", "unit": "1", "better": "lower"},

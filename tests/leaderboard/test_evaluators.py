@@ -304,21 +304,18 @@ def test_sources_of_another_track(tmp_path):
         verify(bundle.write(tmp_path / "b.zip"))
 
 
-def test_another_ves_gym_is_no_other_machine(tmp_path):
-    """Its version neither loosens nor tightens what must agree."""
+def test_another_machine_loosens_nothing(tmp_path):
+    """What is said of packages and processor changes no tolerance, and no number."""
     bundle = Bundle(path_bundle(tmp_path))
-    assert bundle.manifest["about"]["versions"]["bits"] == probes.bits(
-        get_problem("paths", "reach100-1s")
-    )
-    bundle.manifest["about"]["versions"]["ves_gym"] = "9.9.9"
-    assert verify(bundle.write(tmp_path / "b.zip")).name == "straight"
+    honest = verify(bundle.write(tmp_path / "a.zip"))
+    bundle.manifest["about"]["versions"] = {"ves_gym": "9.9.9", "numpy": "0"}
+    bundle.manifest["about"]["simd"] = "none"
     row = bundle.manifest["rows"][0]
-    for key in ("E_mean", "E_peak", "E_res"):
-        row[key] *= 1 + 1e-12
-    with pytest.raises(BundleError, match="score-differs"):  # every bit, as before
+    row["E_mean"] *= 1 - 1e-7
+    assert verify(bundle.write(tmp_path / "b.zip")).rows == honest.rows
+    row["E_mean"] *= 1 - 1e-5
+    with pytest.raises(BundleError, match="score-differs"):
         verify(bundle.write(tmp_path / "c.zip"))
-    bundle.manifest["about"]["versions"]["bits"] = "other last bits"
-    assert verify(bundle.write(tmp_path / "d.zip")).name == "straight"
 
 
 # ------------------------------------------------------------------------- new versions

@@ -51,7 +51,6 @@ def board(tmp_path_factory):
             scores = [(0.5 + 0.1 * k) * (1 + 0.02 * (7 * i % 11)) for i in range(30)]
             scores[:k] = [None] * k
             entry = make(f"planner-{k}", scores=scores, problem=problem)
-            entry["level"] = "reproduced" if k % 2 else "replayed"
             for row in entry["rows"]:
                 row["seconds"] = 10.0 - k
                 if k < 2 and row["score"] is not None:
@@ -59,6 +58,11 @@ def board(tmp_path_factory):
             append(path, entry)
     append(
         path, make("official one", scores=[0.9] * 30, problem="reach100-2s", seeds="official")
+    )
+    append(
+        path,
+        make("only replayed", scores=[0.01] * 30, problem="reach100-1s")
+        | {"level": "replayed"},
     )
     policy = {"track": "policies", "problem": "ves/PumaReach-v0", "seeds": "public"}
     for k, kind in enumerate(("policy", "policy", "controller")):
@@ -213,7 +217,7 @@ def test_every_row_has_a_cell_under_every_heading(show, track):
     page = show(f"#track={track}")
     keys = "[...document.querySelectorAll('%s > *')].map(c => c.dataset.key ?? 'name')"
     head, row = (page.do(keys % k) for k in ("#table thead tr", "#table tbody tr:first-child"))
-    assert head == row and {"rank", "score", "bar", "success", "level"} < set(head)
+    assert head == row and {"rank", "score", "bar", "success"} < set(head)
 
 
 def test_what_has_no_number_comes_last_either_way(show):
@@ -237,23 +241,28 @@ def test_the_keyboard_sorts_and_keeps_its_place(show):
 def test_typing_filters(show):
     page = show("#track=paths&problem=reach100-1s")
     page.click("#filter")
-    page.type("PLANNER reprod")
-    assert names(page) == [f"planner-{k}" for k in range(1, 10, 2)]
-    assert page.do("document.querySelector('#count').textContent") == "5 of 10 entries"
-    assert state_of(page)["filter"] == "PLANNER reprod"
+    page.type("PLANNER r-3")
+    assert names(page) == ["planner-3"]
+    assert page.do("document.querySelector('#count').textContent") == "1 of 10 entries"
+    assert state_of(page)["filter"] == "PLANNER r-3"
     page.type(" xyz")
     assert names(page) == []
     assert "No entry matches" in page.do("document.querySelector('#table').textContent")
 
 
-def test_kind_and_level_filter(show):
+def test_kind_filters(show):
     page = show("#track=policies")
     assert names(page) == ["agent-0", "agent-1", "agent-2"]
     page.do("document.querySelector('#kind').focus()")
     page.type("c")
     assert names(page) == ["agent-2"] and state_of(page)["kind"] == "controller"
-    page = show("#track=paths&problem=reach100-1s&level=reproduced")
-    assert names(page) == [f"planner-{k}" for k in range(1, 10, 2)]
+
+
+def test_what_was_only_replayed_stands_below_without_a_rank(show):
+    page = show("#track=paths&problem=reach100-1s")
+    text = page.do("document.querySelector('#shown').textContent")
+    assert "only replayed" in text and "method itself was not run again" in text
+    assert "only replayed" not in page.do("document.querySelector('#table').textContent")
 
 
 def test_intervals_stand_there_and_are_drawn_where_they_are(show, board):
@@ -293,10 +302,9 @@ def test_intervals_stand_there_and_are_drawn_where_they_are(show, board):
 
 def test_a_link_leads_to_what_it_shows(show):
     state = "#track=paths&problem=reach100-2s&seeds=public&sort=-success&filter=planner"
-    page = show(f"{state}&level=replayed")
-    assert names(page) == [f"planner-{k}" for k in range(0, 10, 2)]
+    page = show(f"{state}&kind=planner")
+    assert names(page) == [f"planner-{k}" for k in range(10)]
     assert page.do("document.querySelector('#filter').value") == "planner"
-    assert page.do("document.querySelector('#level').value") == "replayed"
     assert page.do("document.querySelector('#problems [aria-pressed=true]').textContent") == (
         "reach100-2s"
     )

@@ -64,6 +64,24 @@ def test_an_entry_that_came_again_replaces_the_first(journal):
     assert group(make_board(journal), "paths", "reach100-2s")["entries"][0]["lines"] == [5]
 
 
+def test_what_was_only_replayed_is_shown_and_replaces_nothing(
+    tmp_path, make_entry, noisy_scores
+):
+    """A false score under the name of a reproduced entry, and one of its own."""
+    path = tmp_path / "board.jsonl"
+    append(path, make_entry("ppo", scores=noisy_scores(0.5)))
+    for name in ("ppo", "other"):
+        append(path, make_entry(name, scores=noisy_scores(0.01)) | {"level": "replayed"})
+    board = make_board(read(path))
+    (only,) = group(board, "paths", "reach100-2s")["entries"]
+    assert only["name"] == "ppo" and only["lines"] == [1]
+    (shown,) = board["shown"]
+    assert shown["name"] == "other" and shown["why"].startswith("replayed")
+    append(path, make_entry("ppo", scores=noisy_scores(0.4)))  # reproduced again: that counts
+    (only,) = group(make_board(read(path)), "paths", "reach100-2s")["entries"]
+    assert only["lines"] == [4]
+
+
 def test_seeds_are_not_mixed(journal):
     (only,) = group(make_board(journal), "paths", "reach100-2s", "official")["entries"]
     assert only["lines"] == [6] and only["rank"] == [1, 1, 1]
@@ -119,7 +137,7 @@ def test_an_older_version_is_history(tmp_path, make_entry, noisy_scores):
     assert [e["name"] for e in track["groups"][0]["entries"]] == ["new", "old"]
     (past,) = board["history"]
     assert (past["line"], past["name"], past["problem"]) == (2, "old", "reach100-2s")
-    assert past["why"] == "rules 1 of the track, today 2" and past["level"] == "replayed"
+    assert past["why"] == "rules 1 of the track, today 2" and past["level"] == "reproduced"
     assert past["score"] == pytest.approx(
         statistics.score([read(path).records[1].entry]), rel=1e-5
     )

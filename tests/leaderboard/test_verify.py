@@ -1,5 +1,6 @@
 """Honest bundles of every track pass, at both levels; what they prove is computed here."""
 
+import copy
 import os
 import subprocess
 import sys
@@ -133,14 +134,37 @@ def test_a_controller_with_settings_of_its_own(folder):
 
 
 @pytest.mark.bits
-def test_another_seed_is_not_reproduced(folder, tmp_path):
-    path = make_bundle(folder / "random", *POLICY, "random", seeds=(3,))
+def test_no_seed_can_be_picked(folder, tmp_path):
+    path = make_bundle(folder / "random", *POLICY, "random")
     assert verify(path, level="reproduced").level == "reproduced"
     bundle = Bundle(path)
     bundle.manifest["method"]["seeds"] = [5]
-    other = bundle.write(tmp_path / "b.zip")
-    assert verify(other).level == "replayed"
-    assert rejection(other, level="reproduced").code is Code.NOT_REPRODUCED
+    assert rejection(bundle.write(tmp_path / "b.zip")).code is Code.WRONG_SEEDS
+    with pytest.raises(ParameterError, match=r"must be 0, 1, \.\.\. in order, got 5"):
+        make_bundle(folder / "picked", *POLICY, "random", seeds=(5,))
+
+
+@pytest.mark.parametrize("simd", [None, "none"])
+def test_motions_of_another_planner(simd, paths, folder, tmp_path):
+    """Better ones are refused, whatever the machine is said to be; worse ones do nothing."""
+    better = Bundle(path_bundle(folder, name=f"direct-{simd}", method="direct"))
+    worse = Bundle(paths)
+    forged = []
+    for mine, its in ((worse, better), (better, worse)):
+        bundle = Bundle(paths)
+        bundle.manifest = copy.deepcopy(mine.manifest)
+        bundle.manifest["rows"] = copy.deepcopy(its.manifest["rows"])
+        if simd is not None:
+            bundle.manifest["about"]["simd"] = simd
+        bundle.members["motions.npy"] = its.members["motions.npy"]
+        forged.append(bundle.write(tmp_path / f"{mine.manifest['name']}.zip"))
+    assert verify(forged[0]).level == "replayed"  # shown, not ranked
+    assert rejection(forged[0], level="reproduced").code is Code.NOT_REPRODUCED
+    entry = verify(forged[1], level="reproduced")
+    scores = [row["score"] for row in better.manifest["rows"]]
+    assert [row["score"] for row in entry.rows] == pytest.approx(scores, rel=1e-6)
+    assert entry.about["reproduction"]["equal"] == 0
+    assert entry.about["reproduction"]["largest"] > 0.1
 
 
 @pytest.mark.bits
@@ -367,8 +391,8 @@ def test_official_queries(folder):
 # -------------------------------------------------------------------------- tolerances
 
 
-def test_elsewhere_a_tolerance_holds(policy, tmp_path):
-    """Told to be of another processor: 1e-8 off is rounding, 1e-4 is not."""
+def test_a_tolerance_holds_whatever_the_machine_is_said_to_be(policy, tmp_path):
+    """A claim 1e-8 better is rounding, 1e-4 is not; a worse one is the claimant's loss."""
 
     def off(relative, simd):
         bundle = Bundle(policy)
@@ -378,10 +402,10 @@ def test_elsewhere_a_tolerance_holds(policy, tmp_path):
         return bundle.write(tmp_path / f"{relative}-{len(simd)}.zip")
 
     here = Bundle(policy).manifest["about"]["simd"]
-    assert rejection(off(1e-8, here)).code is Code.SCORE_DIFFERS
-    entry = verify(off(1e-8, "elsewhere"))
-    assert entry.rows == verify(policy).rows  # the numbers are those computed here
-    assert rejection(off(1e-4, "elsewhere")).code is Code.SCORE_DIFFERS
+    rows = verify(policy).rows  # the numbers are always those computed here
+    for simd in (here, "elsewhere"):
+        assert verify(off(-1e-8, simd)).rows == verify(off(1e-4, simd)).rows == rows
+        assert rejection(off(-1e-4, simd)).code is Code.SCORE_DIFFERS
 
 
 @pytest.mark.slow
@@ -501,7 +525,7 @@ def test_bad_usage_is_no_rejection(policy, folder):
         make_bundle(folder / "x", *PATHS, "nonsense")
     with pytest.raises(ParameterError, match="controller"):
         make_bundle(folder / "x", *POLICY, "nonsense")
-    with pytest.raises(ParameterError, match="different"):
+    with pytest.raises(ParameterError, match="in order"):
         make_bundle(folder / "x", *POLICY, "zero", seeds=(1, 1))
     with pytest.raises(ParameterError, match="empty folder"):
         policy_bundle(folder, name="")

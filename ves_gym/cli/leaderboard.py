@@ -53,7 +53,9 @@ def _add_run(actions: Any) -> None:
     parser.add_argument(
         "--bundle", metavar="PATH", help="to write: a new folder or a .zip file (in --out)"
     )
-    parser.add_argument("--seeds", metavar="A,B", default="0", help="of the method (0)")
+    parser.add_argument(
+        "--seeds", metavar="A,B", default="0", help="of the method: 0,1,... (0)"
+    )
     parser.add_argument("--name", help="on the board; default the method's")
     parser.add_argument("--author", default="", help="on the board")
     parser.add_argument("--salt", metavar="FILE", help="the maintainer's, of official seeds")

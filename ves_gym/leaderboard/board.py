@@ -14,6 +14,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.leaderboard import statistics
+from ves_gym.leaderboard.entry import LEVELS
 from ves_gym.leaderboard.evaluators import history_reason
 from ves_gym.leaderboard.journal import Journal, Record
 
@@ -25,6 +26,8 @@ TRACKS = {  # in the order of the page
     "damping": "Damping",
     "discrepancy": "Discrepancy",
 }
+RANKED = "reproduced"  # level of entries that are compared
+_SHOWN = "replayed: the method itself was not run again"
 ENERGIES = ("E_mean", "E_peak", "E_res")
 RATIOS = ("paths", "damping")  # tracks whose scores are ratios to something that is done today
 RELATIVE = ("paths",)  # tracks whose scores mean the same in every problem
@@ -40,8 +43,10 @@ def make_board(journal: Journal, history: History = history_reason) -> Plain:
     """Return plain data of schema ves-board/1.
 
     Of an entry that came again (same track, problem, seeds, author and name) the latest
-    counts. An entry that cannot be compared, for too few or other episodes, is not ranked;
-    `unranked` says why. One by an evaluator of another version than today's is in `history`.
+    counts, but none of a lower level than one before. Ranked is what was reproduced; what was
+    only replayed is in `shown`. An entry that cannot be compared, for too few or other
+    episodes, is not ranked; `unranked` says why. One by an evaluator of another version than
+    today's is in `history`.
 
     Args:
         journal: what is on the board.
@@ -49,7 +54,8 @@ def make_board(journal: Journal, history: History = history_reason) -> Plain:
     """
     unranked: list[Plain] = []
     present, past = divided(journal.records, history)
-    cells = _cells(present, unranked)
+    shown = [r for r in present if r.entry["level"] != RANKED]
+    cells = _cells([r for r in present if r.entry["level"] == RANKED], unranked)
     tracks = []
     for track, title in TRACKS.items():
         groups = [
@@ -68,6 +74,7 @@ def make_board(journal: Journal, history: History = history_reason) -> Plain:
         "newest": max((r.entry["about"]["ended"] for r in journal.records), default=None),
         "tracks": tracks,
         "unranked": unranked,
+        "shown": [_past(record, _SHOWN) for record in shown],
         "history": [_past(record, why) for record, why in past],
     }
 
@@ -77,7 +84,8 @@ def divided(
 ) -> tuple[list[Record], list[tuple[Record, str]]]:
     """Return the records that count, and those of older versions with the reason.
 
-    In both the latest of each entry, in the order of the journal.
+    In both the latest of each entry, of those with its highest level, in the order of the
+    journal.
 
     Args:
         records: of the journal.
@@ -87,13 +95,19 @@ def divided(
     for record in records:
         e, why = record.entry, history(record.entry)
         key = (*(str(e[k]) for k in ("track", "problem", "seeds", "author", "name")), why or "")
+        if key in latest and _level(record) < _level(latest[key][0]):
+            continue
         latest[key] = record, why
     ordered = sorted(latest.values(), key=lambda pair: pair[0].index)
     return [r for r, why in ordered if why is None], [(r, w) for r, w in ordered if w]
 
 
+def _level(record: Record) -> int:
+    return LEVELS.index(record.entry["level"])
+
+
 def _past(record: Record, why: str) -> Plain:
-    """Return what stays readable of an entry of an older version."""
+    """Return what stays readable of an entry that is not ranked."""
     e = record.entry
     try:
         score = _plain(statistics.score([e]))
@@ -233,15 +247,10 @@ def _identity(candidate: Candidate) -> Plain:
     alone = len(candidate) == 1
     return {
         **{key: e[key] for key in ("name", "author", "kind")},
-        # several problems are as well verified as the least verified of them
-        "level": min((r.entry["level"] for r in candidate), key=_LEVELS.index),
         "lines": [r.index + 1 for r in candidate],
         "bundle": e["bundle"] if alone else "",
         "about": dict(e["about"]) if alone else {"versions": e["about"]["versions"]},
     }
-
-
-_LEVELS = ("replayed", "reproduced")  # the second says more
 
 
 def _profiles(entries: Sequence[Sequence[Mapping[str, Any]]]) -> Plain:

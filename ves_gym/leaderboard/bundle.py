@@ -30,6 +30,7 @@ from ves_gym.leaderboard.entry import (
     text,
 )
 from ves_gym.leaderboard.errors import BundleError, Code
+from ves_gym.leaderboard.names import require_name
 from ves_gym.leaderboard.protocol import MOST_GROUPS
 
 SCHEMA = "ves-bundle/1"
@@ -91,7 +92,7 @@ def _check(plain: dict[str, Any]) -> None:
     """Every key there and of its kind; whether it is true is for `verify`."""
     table_of(plain, KEYS, "manifest")
     for name in ("track", "problem", "name", "author"):
-        text(plain[name], name, empty=name == "author")
+        require_name(text(plain[name], name, empty=name == "author"), name)
     integer(plain["protocol"], "protocol", least=1)
     if plain["kind"] not in KINDS:
         raise ParameterError(f"kind must be one of {', '.join(KINDS)}")

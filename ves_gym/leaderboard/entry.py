@@ -14,6 +14,7 @@ from datetime import datetime
 from typing import Any
 
 from ves_gym._util.params import ParameterError, canonical_json, content_hash, to_plain
+from ves_gym.leaderboard.names import require_name
 
 SCHEMA = "ves-entry/1"
 TRACKS = ("paths", "policies", "damping", "discrepancy")
@@ -21,7 +22,6 @@ KINDS = ("planner", "policy", "controller", "gains", "selector")
 LEVELS = ("replayed", "reproduced")
 SEEDS = ("public", "official")
 MEASURES = ("E_mean", "E_peak", "E_res", "E_int")  # J; E_int J s
-TEXT = re.compile(r"[^\x00-\x1f\x7f\ud800-\udfff]{0,200}")
 DIGEST = re.compile(r"[0-9a-f]{64}")
 _MOST = 200_000  # rows
 _DIGITS = 6  # of a number on the board
@@ -34,6 +34,7 @@ ROW = ("id", "seed", "group", "score", "success", "failed", "E_mean", "E_peak", 
 OPTIONAL = ("anytime", "E_int")
 ABOUT = ("versions", "cpu", "simd", "model", "evaluator", "settings", "training", "begun",
          "ended")  # fmt: skip
+REPRODUCTION = ("rows", "equal", "largest")  # of the method's run here beside that submitted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +100,9 @@ def check_entry(data: Any) -> Entry:
             )
     integer(plain_entry["protocol"], "entry.protocol", least=1)
     for name in ("problem", "name", "author"):
-        text(plain_entry[name], f"entry.{name}", empty=name == "author")
+        require_name(
+            text(plain_entry[name], f"entry.{name}", empty=name == "author"), f"entry.{name}"
+        )
     if not (isinstance(plain_entry["bundle"], str) and DIGEST.fullmatch(plain_entry["bundle"])):
         raise ParameterError(f"entry.bundle must be a SHA-256, got {plain_entry['bundle']!r}")
     score = table_of(plain_entry["score"], ("name", "unit", "better"), "entry.score")
@@ -119,7 +122,11 @@ def check_entry(data: Any) -> Entry:
                 f"entry.rows[{k}]: {row['id']} of group {key[0]} is there twice"
             )
         keys.add(key)
-    about = check_about(plain_entry["about"], ABOUT, "entry.about")
+    about = check_about(plain_entry["about"], ABOUT, "entry.about", ("reproduction",))
+    if "reproduction" in about:
+        measured = table_of(about["reproduction"], REPRODUCTION, "entry.about.reproduction")
+        for name, value in measured.items():
+            number(value, f"entry.about.reproduction.{name}")
     canonical_json(plain_entry)  # whatever else is in it
     return Entry(**{**plain_entry, "score": score, "rows": tuple(rows), "about": about})
 
@@ -160,15 +167,18 @@ def _check_curve(curve: Any, where: str) -> None:
         before = point_now
 
 
-def check_about(about: Any, names: tuple[str, ...], where: str) -> dict[str, Any]:
+def check_about(
+    about: Any, names: tuple[str, ...], where: str, optional: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """Check the account of how a result came about.
 
     Args:
         about: plain data.
         names: keys that must be there.
         where: path of the entry, for the message.
+        optional: keys that may be there.
     """
-    plain = table_of(about, names, where)
+    plain = table_of(about, names, where, optional)
     versions = plain["versions"]
     if not isinstance(versions, Mapping):
         raise ParameterError(f"{where}.versions must be a table, got {versions!r}")
@@ -209,12 +219,10 @@ def table_of(
 
 
 def text(value: Any, where: str, *, empty: bool = False, most: int = 200) -> str:
-    """A line of text."""
+    """A line of characters that can be seen: no control, no change of direction."""
     good = isinstance(value, str) and len(value) <= most and (value or empty)
-    if not good or not all(
-        TEXT.fullmatch(value[k : k + 200]) for k in range(0, len(value), 200)
-    ):
-        raise ParameterError(f"{where} must be a line of at most {most} characters")
+    if not good or not value.isprintable():
+        raise ParameterError(f"{where} must be a line of at most {most} printable characters")
     return str(value)
 
 

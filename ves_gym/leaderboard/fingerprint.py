@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -18,9 +17,6 @@ from ves_gym.envs.build import build_task
 from ves_gym.system.system import System
 
 _PACKAGES = ("numpy", "scipy", "mujoco", "llvmlite", "gymnasium", "ompl", "casadi")
-# On these the last bit depends, apart from the processor. Not on ves_gym's version: that is a
-# name for a state of the sources, and what they compute is told by `evaluators`.
-ENGINE = ("numpy", "scipy", "mujoco", "llvmlite")
 
 
 @cache
@@ -79,17 +75,3 @@ def simd() -> str:
     vector = [k for k in have if k.startswith(("avx", "fma", "sse", "neon", "sve", "vsx"))]
     vector = [k for k in vector if k not in without]
     return f"{name} {' '.join(vector)}".strip()
-
-
-def same_machine(about: Mapping[str, Any], ignore: Sequence[str] = ()) -> bool:
-    """Return True if bits must agree: the same engine, made for the same instruction sets.
-
-    Args:
-        about: of a bundle.
-        ignore: packages whose version does not matter.
-    """
-    ours = package_versions()
-    there = about["versions"]
-    return about["simd"] == simd() and all(
-        there.get(k) == ours.get(k) for k in ENGINE if k not in ignore
-    )

@@ -28,6 +28,7 @@ from typing import Any
 from ves_gym._util.params import ParameterError, canonical_json, content_hash, write_bytes
 from ves_gym.leaderboard.columnar import from_columns, to_columns
 from ves_gym.leaderboard.entry import check_entry
+from ves_gym.leaderboard.names import require_unlike
 
 FIRST = "0" * 64  # what the first line follows
 _KEYS = {"index", "previous", "entry", "hash"}
@@ -102,7 +103,8 @@ def append(path: Path_, entry: Mapping[str, Any]) -> Record:
     Writers wait for each other. Where the write fails (full disk), the file is as it was.
 
     Raises:
-        ParameterError: the entry is not one (see `check_entry`).
+        ParameterError: the entry is not one (see `check_entry`), or its name or author looks
+            like another's.
         JournalError: the chain is broken; nothing is added to it.
     """
     check_entry(entry)
@@ -111,6 +113,9 @@ def append(path: Path_, entry: Mapping[str, Any]) -> Record:
     with _locked(path) as file:
         data = file.read()
         journal = _sound(path, _checked(data, None))
+        for key in ("author", "name"):
+            others = (str(r.entry[key]) for r in journal.records)
+            require_unlike(str(entry[key]), others, key)
         end = len(data) - len(journal.torn)
         if journal.torn:
             write_bytes(_aside(path), journal.torn)

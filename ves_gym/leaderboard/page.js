@@ -13,7 +13,7 @@ const FIRST = 100; // rows shown until all are asked for
 
 // --------------------------------------------------------------------------- state
 
-const state = { track: "", problem: "", seeds: "", sort: "rank", filter: "", kind: "", level: "", open: "" };
+const state = { track: "", problem: "", seeds: "", sort: "rank", filter: "", kind: "", open: "" };
 
 /** Read the address; what it does not hold, or holds wrongly, takes its default. */
 function readState() {
@@ -69,8 +69,6 @@ const COLUMNS = [
     key, name: key, unit: "J", css: "number", by: (e) => e[key], cell: (e) => [orDash(e[key])],
   })),
   { key: "seconds", name: "time", unit: "s", css: "number", by: (e) => e.seconds, cell: (e) => [orDash(e.seconds)] },
-  { key: "level", name: "level", by: (e) => e.level,
-    cell: (e) => [el("span", { class: `level ${e.level}` }, e.level)] },
   { key: "seeds", name: "seeds", css: "number", by: (e) => e.training_seeds,
     cell: (e) => withSub(`${e.episodes}${e.training_seeds > 1 ? ` × ${e.training_seeds}` : ""}`, state.seeds) },
   { key: "versions", name: "versions", by: versionsOf, cell: (e) => withSub(...versionLines(e)) },
@@ -104,7 +102,7 @@ function prepare(g) {
   shown.columns = COLUMNS.filter(({ key, by }) => (key !== "kind" || kinds > 1)
     && (!by || g.entries.some((e) => by(e) !== undefined)));
   for (const e of g.entries) {
-    shown.words.set(e, [e.name, e.author, e.kind, e.level, e.bundle, versionsOf(e), e.about.cpu].join(" ").toLowerCase());
+    shown.words.set(e, [e.name, e.author, e.kind, e.bundle, versionsOf(e), e.about.cpu].join(" ").toLowerCase());
   }
 }
 
@@ -124,7 +122,7 @@ function rowOf(e) {
 function selected(g) {
   const terms = state.filter.toLowerCase().split(/\s+/).filter(Boolean);
   const some = g.entries.filter((e) => terms.every((term) => shown.words.get(e).includes(term))
-    && (!state.kind || e.kind === state.kind) && (!state.level || e.level === state.level));
+    && (!state.kind || e.kind === state.kind));
   const { by } = COLUMNS.find(({ key }) => key === state.sort.replace(/^-/, ""));
   const sign = state.sort.startsWith("-") ? -1 : 1;
   const missing = (value) => value === null || value === undefined;
@@ -339,7 +337,7 @@ function drawTabs() {
 const entriesOf = (t) => new Set(t.groups.flatMap((g) => g.entries.flatMap((e) => e.lines))).size;
 
 function openTrack(t, focus = document.activeElement?.getAttribute("role") === "tab") {
-  go({ track: t.track, problem: "", seeds: "", sort: "rank", kind: "", level: "", open: "" }, () => {});
+  go({ track: t.track, problem: "", seeds: "", sort: "rank", kind: "", open: "" }, () => {});
   readState();
   drawAll();
   if (focus) $(`tab-${t.track}`).focus();
@@ -382,7 +380,6 @@ function drawChoices() {
     $(id).closest("label").hidden = values.length < 2;
   };
   options("kind", [...new Set(g.entries.map((e) => e.kind))].sort(), "all");
-  options("level", [...new Set(g.entries.map((e) => e.level))].sort(), "all");
   options("seeds", track().groups.filter((k) => k.problem === state.problem).map((k) => k.seeds), null);
   if ($("filter").value !== state.filter) $("filter").value = state.filter;
 }
@@ -429,7 +426,8 @@ function drawFrame() {
     $("unranked").append(el("li", {}, `Line ${line}, ${name} on ${problem}: ${why}.`));
   }
   $("unranked-section").hidden = data.unranked.length === 0;
-  drawHistory(data.history ?? []); // a board of before has none
+  drawUnranked("shown", data.shown, "why");
+  drawUnranked("history", data.history, "version");
   const facts = [
     ["Journal", `${data.entries} lines; the hash of the last stands for all before it`],
     ["Last hash", el("code", {}, data.head)],
@@ -439,19 +437,19 @@ function drawFrame() {
   for (const [term, value] of facts) $("provenance").append(el("dt", {}, term), el("dd", {}, value));
 }
 
-/** Entries of older versions, as the journal has them: no rank, for there is nobody to rank them with. */
-function drawHistory(entries) {
-  $("history-section").hidden = entries.length === 0;
-  const head = el("tr", {}, ...["problem", "entry", "score", "level", "line", "version"].map((name) => el("th", { scope: "col" }, name)));
+/** Entries without a rank: replayed only, or of older versions, with nobody to rank them with. */
+function drawUnranked(id, entries, last) {
+  $(`${id}-section`).hidden = entries.length === 0;
+  const head = el("tr", {}, ...["problem", "entry", "score", "level", "line", last].map((name) => el("th", { scope: "col" }, name)));
   const body = entries.map((e) => el("tr", {}, el("td", {}, ...withSub(e.problem, e.track)),
     el("th", { scope: "row", class: "who" }, ...withSub(e.name, e.author)),
     el("td", { class: "number" }, ...(e.score ? withSub(amount(e.score[0]), range(e.score)) : ["–"])),
     el("td", {}, e.level), el("td", { class: "number" }, String(e.line)), el("td", {}, e.why)));
-  $("history").replaceChildren(el("thead", {}, head), el("tbody", {}, ...body));
+  $(id).replaceChildren(el("thead", {}, head), el("tbody", {}, ...body));
 }
 
 function filtered() {
-  go({ filter: $("filter").value.trim(), kind: $("kind").value, level: $("level").value }, () => { drawTable(); drawCharts(); });
+  go({ filter: $("filter").value.trim(), kind: $("kind").value }, () => { drawTable(); drawCharts(); });
 }
 
 $("filter").addEventListener("input", filtered);
@@ -460,7 +458,6 @@ $("more").addEventListener("click", () => {
   drawTable();
 });
 $("kind").addEventListener("change", filtered);
-$("level").addEventListener("change", filtered);
 $("seeds").addEventListener("change", () => go({ seeds: $("seeds").value, open: "" }));
 $("skip").addEventListener("click", (event) => { // the address holds the state
   event.preventDefault();

@@ -19,7 +19,7 @@ import gymnasium as gym
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ves_gym._util.params import Array, ParameterError, content_hash, to_plain
+from ves_gym._util.params import Array, ParameterError, to_plain
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.leaderboard import lower_bounds, protocol
@@ -43,7 +43,6 @@ RELATIVE = 1e-9
 # below what any sensor of the machine resolves, and 1e4 times the rounding of numbers about 1.
 ABSOLUTE = 1e-12
 
-BITS = "bits"  # beside the versions of packages in a bundle: see `bits`
 _SALT = "not a secret, for probes"  # shows how official seeds are derived
 _FIRST_SEED = 19_940_000  # what `Rehearsed` counts from; the probes of rules hold the seeds
 _STEPS = 48  # control periods of a short episode
@@ -512,16 +511,6 @@ def first_difference(problem: Problem) -> tuple[str, Deviation] | None:
         if not deviation.permitted:
             return name, deviation
     return None
-
-
-def bits(problem: Problem) -> str:
-    """Return a hash of every bit of the probes' results here: what a replay can repeat exactly.
-
-    The same version computes other last bits on another processor, with other packages, or
-    after its sums were written in another order.
-    """
-    full = Problem(problem.track, problem.base)
-    return content_hash({name: _once(full, name) for name in probe_names(full)})[:16]
 
 
 def require_behaviour(problem: Problem) -> None:

@@ -20,7 +20,7 @@ from ves_gym.leaderboard.archive import MANIFEST, write_members
 from ves_gym.leaderboard.bundle import SCHEMA, digest, sealed
 from ves_gym.leaderboard.errors import BundleError
 from ves_gym.leaderboard.policy_files import ARCHITECTURES, policy_names
-from ves_gym.leaderboard.probes import BITS, bits, require_behaviour
+from ves_gym.leaderboard.probes import require_behaviour
 from ves_gym.leaderboard.protocol import (
     MOST_GROUPS,
     PROTOCOL,
@@ -67,7 +67,8 @@ def make_bundle(
         method: name of a built-in planner, controller, tuner or selector; a planner or
             controller of one's own (its bundle can be replayed, not reproduced); or the files
             of policies.
-        seeds: of the method: one group of rows each. Policies: one per file, as told by them.
+        seeds: of the method, 0, 1, ... in order: one group of rows each. Policies: one per
+            file, as told by them.
         salt: of the official seeds; None for the public ones.
         training: what it took to make the method, plain data; default what policies tell.
         folder, workers: see `DiagnosisTrack` and `PathTrack`.
@@ -81,6 +82,11 @@ def make_bundle(
         require_behaviour(question)
     except BundleError as error:  # of what nobody would accept, sooner than hours later
         raise ParameterError(error.why) from None
+    if not 1 <= len(seeds) <= MOST_GROUPS or tuple(seeds) != tuple(range(len(seeds))):
+        raise ParameterError(
+            f"seeds of a method must be 0, 1, ... in order, {MOST_GROUPS} at most, got"
+            f" {', '.join(map(str, seeds)) or 'none'}: the protocol fixes them"
+        )
     rules = get_track(track, folder, workers)
     begun = _timestamp()
     with threadpool_limits(1, user_api="blas"):  # as `verify` does
@@ -108,7 +114,7 @@ def make_bundle(
         "members": {},
         "rows": answers.rows,
         "about": {
-            "versions": fingerprint.package_versions() | {BITS: bits(question)},
+            "versions": fingerprint.package_versions(),
             "cpu": fingerprint.cpu_model(),
             "simd": fingerprint.simd(),
             "settings": described.get("settings", {}),
@@ -151,8 +157,6 @@ def _answer(
     seeds: tuple[int, ...],
     on_progress: Progress,
 ) -> tuple[Answers, dict[str, Any]]:
-    if not 1 <= len(seeds) <= MOST_GROUPS or len(set(seeds)) < len(seeds):
-        raise ParameterError(f"seeds must be 1 to {MOST_GROUPS} different ones, got {seeds}")
     if isinstance(rules, PathTrack):
         planner = get_planner(method) if isinstance(method, str) else method
         chosen = Method(kind="planner", name=planner.name, seeds=seeds)

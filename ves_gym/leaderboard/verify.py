@@ -1,7 +1,10 @@
 """`leaderboard verify`: believe nothing of a bundle that can be computed.
 
 *Replayed*: the recorded actions, motions, gains or answers are simulated or scored again, and
-no submitted code runs. *Reproduced*: the method, too, is run again and must do the same.
+no submitted code runs. *Reproduced*: the method, too, is run again and must do as well.
+
+The rows of an entry are those computed here, of the method's run where it is run again. What a
+bundle says of its machine changes nothing of how strictly it is checked.
 """
 
 from __future__ import annotations
@@ -23,9 +26,8 @@ from ves_gym.leaderboard.bundle import digest, read_manifest
 from ves_gym.leaderboard.entry import LEVELS, Entry, check_entry
 from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.policy_files import policies_of, policy_names
-from ves_gym.leaderboard.probes import BITS, bits, require_behaviour
+from ves_gym.leaderboard.probes import require_behaviour
 from ves_gym.leaderboard.protocol import (
-    ABSOLUTE,
     FLIPPED,
     PROTOCOL,
     RELATIVE,
@@ -36,13 +38,17 @@ from ves_gym.leaderboard.protocol import (
     seeds_of,
 )
 from ves_gym.leaderboard.run import spec_of
-from ves_gym.leaderboard.tracks.base import Case, LeaderboardTrack, Method, Row, repeated
+from ves_gym.leaderboard.tracks.base import (
+    Case,
+    LeaderboardTrack,
+    Method,
+    Row,
+    claims_more,
+    repeated,
+)
 from ves_gym.leaderboard.tracks.policies import require_fit, require_settings
 from ves_gym.leaderboard.tracks.registry import get_track
 
-_EXACT = ("success", "failed")
-_NUMBERS = ("score", "E_mean", "E_peak", "E_res", "E_int")
-_TOLD = ("seconds", "evaluations", "anytime")  # of the method's own run: only told
 Plain = Mapping[str, Any]
 
 
@@ -88,6 +94,7 @@ def verify(
     require_behaviour(problem)  # before anything else is computed here
     rules = get_track(problem.track, folder, workers)
     method = _method(manifest)
+    _require_seeds(method)
     _require_members(manifest, members, rules.payload(problem), method)
     _require_spec(manifest, spec_of(rules, problem))
     seeds = _seeds(manifest, problem, salt, rules)
@@ -98,20 +105,20 @@ def verify(
     _require_rows(manifest["rows"], problem, seeds, method, rules)
     if method.kind == "policy":
         require_fit(problem, method, policies_of(method, members))
-    same = fingerprint.same_machine(manifest["about"])
-    same = same and manifest["about"]["versions"].get(BITS) == bits(problem)
     rules.require_possible(problem, seeds, manifest["rows"])
     data = members[rules.payload(problem)]
     with _careful(Code.BAD_ACTION):
         replayed = rules.replay(problem, seeds, method, manifest["rows"], data)
     rules.require_possible(problem, seeds, replayed)
-    _compare(manifest["rows"], replayed, same)
-    if (twice := repeated(replayed, len(method.seeds))) is not None:
-        raise BundleError(Code.REPEATED_GROUP, f"groups {twice[0]} and {twice[1]}")
-    if level == "reproduced":
-        with _careful(Code.NOT_REPRODUCIBLE):
-            rules.reproduce(problem, seeds, method, members, replayed, same)
-    return _entry(manifest, replayed, level, computed)
+    _require_claims(manifest["rows"], replayed)
+    _require_distinct(replayed, method)
+    if level == "replayed":
+        return _entry(manifest, replayed, level, computed, {})
+    with _careful(Code.NOT_REPRODUCIBLE):
+        found = rules.reproduce(problem, seeds, method, members, replayed)
+    rules.require_possible(problem, seeds, found)
+    _require_distinct(found, method)
+    return _entry(manifest, found, level, computed, _difference(replayed, found))
 
 
 @contextmanager
@@ -167,6 +174,16 @@ def _method(manifest: Plain) -> Method:
         weights=tuple(plain["weights"]),
         settings=plain["settings"],
     )
+
+
+def _require_seeds(method: Method) -> None:
+    """Seeds of what is built in are those of the protocol: none can be picked."""
+    if method.kind != "policy" and method.seeds != tuple(range(len(method.seeds))):
+        raise BundleError(
+            Code.WRONG_SEEDS,
+            f"seeds of a {method.kind} are 0, 1, ... in order, got"
+            f" {', '.join(map(str, method.seeds))}",
+        )
 
 
 def _require_members(
@@ -261,42 +278,45 @@ def _require_rows(
             )
 
 
-def _compare(claimed: Sequence[Row], replayed: Sequence[Row], same: bool) -> None:
-    """Claims against what the replay gives: every bit, or elsewhere a tolerance."""
+def _require_claims(claimed: Sequence[Row], replayed: Sequence[Row]) -> None:
+    """Refuse claims that are better than the replay; worse ones cost only whoever makes them.
+
+    1 % of the rows may cross a threshold by rounding.
+    """
     off = [
         (mine, its, name)
         for mine, its in zip(replayed, claimed, strict=True)
-        if (name := _difference(mine, its, same)) is not None
+        if (name := _claimed_better(mine, its)) is not None
     ]
-    allowed = 0 if same else int(FLIPPED * len(replayed))
-    if len(off) > allowed:
+    if len(off) > int(FLIPPED * len(replayed)):
         mine, its, name = off[0]
         raise BundleError(
             Code.SCORE_DIFFERS,
-            f"{mine['id']} of group {mine['group']}: {name} is {mine.get(name)}, told was"
+            f"{mine['id']} of group {mine['group']}: {name} is {mine.get(name)}, claimed was"
             f" {its.get(name)}",
         )
 
 
-def _difference(mine: Row, its: Row, same: bool) -> str | None:
-    """Name of the first entry that differs."""
-    for name in _EXACT:
-        if mine[name] != its[name]:
-            return name
-    for name in _NUMBERS:
-        a, b = mine.get(name), its.get(name)
-        if a is None or b is None:
-            if a is not b:
-                return name
-        elif a != b and (same or abs(a - b) > ABSOLUTE + RELATIVE * abs(a)):
-            return name
-    for name in (*_TOLD, "length"):  # taken over as told: a track that cannot have it says None
-        if mine.get(name) != its.get(name):
-            return name
-    return None
+def _claimed_better(mine: Row, its: Row) -> str | None:
+    return "length" if mine["length"] != its["length"] else claims_more(its, mine, RELATIVE)
 
 
-def _entry(manifest: Plain, rows: Sequence[Row], level: str, bundle: str) -> Entry:
+def _require_distinct(rows: Sequence[Row], method: Method) -> None:
+    if (twice := repeated(rows, len(method.seeds))) is not None:
+        raise BundleError(Code.REPEATED_GROUP, f"groups {twice[0]} and {twice[1]}")
+
+
+def _difference(replayed: Sequence[Row], found: Sequence[Row]) -> dict[str, Any]:
+    """What a run of the method here gave, beside the run that was submitted."""
+    pairs = [(a["score"], b["score"]) for a, b in zip(replayed, found, strict=True)]
+    both = [(a, b) for a, b in pairs if a is not None and b is not None]
+    largest = max((abs(a - b) / max(abs(a), abs(b), 1e-12) for a, b in both), default=0.0)
+    return {"rows": len(pairs), "equal": sum(a == b for a, b in pairs), "largest": largest}
+
+
+def _entry(
+    manifest: Plain, rows: Sequence[Row], level: str, bundle: str, measured: Plain
+) -> Entry:
     name, unit = SCORES[manifest["track"]]
     spec, about = manifest["spec"], manifest["about"]
     return check_entry(
@@ -318,6 +338,7 @@ def _entry(manifest: Plain, rows: Sequence[Row], level: str, bundle: str) -> Ent
                 "model": spec["model"],
                 "evaluator": spec["evaluator"],
                 "settings": {**about["settings"], **manifest["method"]["settings"]},
+                **({"reproduction": measured} if measured else {}),
             },
         }
     )

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-from ves_gym.leaderboard.protocol import Problem, Seeds
+from ves_gym.leaderboard.errors import BundleError, Code
+from ves_gym.leaderboard.protocol import ABSOLUTE, PLANNED, PLANNED_SHARE, Problem, Seeds
 from ves_gym.system.system import System
 
 Row = dict[str, Any]
@@ -84,12 +85,11 @@ class LeaderboardTrack(Protocol):
         method: Method,
         members: Mapping[str, bytes],
         rows: Sequence[Row],
-        same: bool,
-    ) -> None:
-        """Run the method again and compare.
+    ) -> list[Row]:
+        """Run the method again; the rows of that run.
 
         Args:
-            rows: as replayed. same: whether every bit must agree.
+            rows: as replayed.
 
         Raises:
             BundleError: NOT_REPRODUCED, NOT_REPRODUCIBLE.
@@ -125,6 +125,55 @@ def row(
     if anytime is not None:
         out["anytime"] = anytime
     return out
+
+
+NUMBERS = ("score", "E_mean", "E_peak", "E_res", "E_int")  # lower is better
+
+
+def claims_more(
+    claimed: Row, found: Row, relative: float, numbers: Sequence[str] = NUMBERS
+) -> str | None:
+    """Name of the first number in which a row claims to be better than it was found.
+
+    Args:
+        claimed, found: rows of one question.
+        relative: part of a number by which it may be lower than found.
+        numbers: those that are compared.
+    """
+    if claimed["success"] and not found["success"]:
+        return "success"
+    if found["failed"] and not claimed["failed"]:
+        return "failed"
+    for name in numbers:
+        its, mine = claimed.get(name), found.get(name)
+        if its is None:  # a failure, or not measured in this track
+            continue
+        if mine is None or its < mine - ABSOLUTE - relative * abs(mine):
+            return name
+    return None
+
+
+def require_as_good(claimed: Sequence[Row], found: Sequence[Row]) -> None:
+    """Raise a BundleError (NOT_REPRODUCED) unless a method does as well when run again.
+
+    Rounding can lead a search into another valley: 5 % of the scores may be worse by more
+    than 1 %. Which of two motions has the higher peak does not matter here.
+
+    Args:
+        claimed: rows as replayed. found: of the method's run here.
+    """
+    off = [
+        (its, mine, name)
+        for its, mine in zip(claimed, found, strict=True)
+        if (name := claims_more(its, mine, PLANNED, ("score",))) is not None
+    ]
+    if len(off) > (1 - PLANNED_SHARE) * len(found):
+        its, mine, name = off[0]
+        raise BundleError(
+            Code.NOT_REPRODUCED,
+            f"{len(off)} of {len(found)} rows are worse when the method runs again, first"
+            f" {its['id']}: {name} is {mine.get(name)}, submitted was {its.get(name)}",
+        )
 
 
 def repeated(rows: Sequence[Row], groups: int) -> tuple[int, int] | None:

@@ -20,13 +20,20 @@ from ves_gym.leaderboard import lower_bounds
 from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.npy_io import pack, unpack
 from ves_gym.leaderboard.protocol import (
-    PLANNED,
     PPED_SECONDS,
     PPED_VEHICLE,
     Problem,
     Seeds,
 )
-from ves_gym.leaderboard.tracks.base import Answers, Case, Method, Progress, Row, row
+from ves_gym.leaderboard.tracks.base import (
+    Answers,
+    Case,
+    Method,
+    Progress,
+    Row,
+    require_as_good,
+    row,
+)
 from ves_gym.leaderboard.tracks.policies import PolicyTrack, evaluated
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
@@ -119,26 +126,16 @@ class DampingTrack(PolicyTrack):
         method: Method,
         members: Mapping[str, bytes],
         rows: Sequence[Row],
-        same: bool,
-    ) -> None:
-        """See `LeaderboardTrack`. Elsewhere the gains' scores must agree, not the gains."""
+    ) -> list[Row]:
+        """See `LeaderboardTrack`. Scores of gains are compared, not gains."""
         if problem.environment is not None:
-            return super().reproduce(problem, seeds, method, members, rows, same)
+            return super().reproduce(problem, seeds, method, members, rows)
         if method.name not in TUNERS:
             raise BundleError(Code.NOT_REPRODUCIBLE, f"no tuner {method.name!r:.80}")
         tuned = self._tuned(problem, seeds, method)
-        n = tuned.shape[-1]
-        if same:
-            submitted = unpack(members[_GAINS], _GAINS, (len(rows), 2, n, n))
-            gap = float(np.abs(submitted - tuned.reshape(submitted.shape)).max())
-            if gap > 0:
-                raise BundleError(Code.NOT_REPRODUCED, f"gains are off by up to {gap:.3g}")
-            return None
-        for mine, its in zip(self._released(problem, seeds, method, tuned), rows, strict=True):
-            a, b = mine["score"], its["score"]
-            if (a is None) != (b is None) or (a is not None and abs(a - b) > PLANNED * b):
-                raise BundleError(Code.NOT_REPRODUCED, f"{its['id']}: {b} instead of {a}")
-        return None
+        mine = self._released(problem, seeds, method, tuned)
+        require_as_good(rows, mine)
+        return mine
 
     # ---------------------------------------------------------------------- rows
 

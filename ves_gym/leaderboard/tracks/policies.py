@@ -113,24 +113,20 @@ class PolicyTrack:
         method: Method,
         members: Mapping[str, bytes],
         rows: Sequence[Row],
-        same: bool,
-    ) -> None:
-        """See `LeaderboardTrack`."""
+    ) -> list[Row]:
+        """See `LeaderboardTrack`. The actions, too, must be those that were recorded."""
         recorded = _actions(members[_ACTIONS], problem, method, sum(r["length"] for r in rows))
-        actions = []
-        for controller in controllers_of(method, members):
+        ends = np.cumsum([r["length"] for r in rows])
+        mine: list[Row] = []
+        for group, controller in enumerate(controllers_of(method, members)):
             recorder = Recorded(controller)
-            lines = evaluated(recorder, problem, seeds, method.settings).rows
-            actions += [recorder.actions(result["seed"]) for result in lines]
-        acted = np.concatenate(actions)
-        if acted.shape != recorded.shape:
-            raise BundleError(
-                Code.NOT_REPRODUCED, f"{len(acted)} actions instead of {len(recorded)}"
-            )
-        gap = float(np.abs(acted - recorded).max())
-        if gap > (0.0 if same else ACTION):
-            where = np.argwhere(np.abs(acted - recorded) == gap)[0].tolist()
-            raise BundleError(Code.NOT_REPRODUCED, f"action {where} is off by {gap:.3g}")
+            evaluation = evaluated(recorder, problem, seeds, method.settings)
+            mine += self._rows(problem, seeds, method, group, evaluation)
+            first = group * problem.count
+            for k, result in enumerate(evaluation.rows, start=first):
+                its = recorded[ends[k] - rows[k]["length"] : ends[k]]
+                _require_actions(recorder.actions(result["seed"]), its, rows[k])
+        return mine
 
     # ---------------------------------------------------------------------- rows
 
@@ -264,6 +260,22 @@ def _actions(data: bytes, problem: Problem, method: Method, total: int) -> Array
             Code.BAD_ACTION, f"action {where} is {actions[tuple(where)]:g}, beyond +-1"
         )
     return actions
+
+
+def _require_actions(acted: Array, recorded: Array, row: Row) -> None:
+    where = f"{row['id']} of group {row['group']}"
+    if acted.shape != recorded.shape:
+        raise BundleError(
+            Code.NOT_REPRODUCED, f"{where}: {len(acted)} actions, {len(recorded)} recorded"
+        )
+    gap = np.abs(acted - recorded)
+    if gap.max(initial=0.0) > ACTION:
+        at = np.unravel_index(np.argmax(gap), gap.shape)
+        raise BundleError(
+            Code.NOT_REPRODUCED,
+            f"{where}: action {at[1] + 1} of period {at[0]} is {acted[at]:.6g}, recorded"
+            f" {recorded[at]:.6g}",
+        )
 
 
 def _length(k: int, received: int, result: Mapping[str, Any]) -> BundleError:
