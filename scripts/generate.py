@@ -20,6 +20,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.envs.build import build_task
 from ves_gym.envs.control import CONTROLS, Control
 from ves_gym.envs.env import VesEnv
+from ves_gym.envs.objectives import WEIGHTS, described
 from ves_gym.envs.registration import ASKED, ASKED_OF_A_MACHINE, IDS
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.vehicle import VEHICLES
@@ -185,14 +186,35 @@ def _info(env: VesEnv) -> str:
     unknown = set(keys) - set(INFO)
     assert not unknown, f"say in INFO what these are: {unknown}"
     known = [k for k in INFO if k in keys or k == "dump"]
-    terms = ", ".join(f"`{k}`" for k in told if k.startswith("reward/"))
+    names = [k.removeprefix("reward/") for k in told if k.startswith("reward/")]
+    terms = ", ".join(f"`reward/{k}`" for k in names)
     return (
         f"Terms of the reward: {terms}. `reward/failure` is -2 once, where an episode fails."
         "\n\n"
         + _table(("info", "what"), [(f"`{k}`", INFO[k]) for k in known])
         + "\n\n"
         + _table(("energy", "what"), [(f"`energy/{k}`", v) for k, v in ENERGY.items()])
+        + _objectives(env, tuple(names))
     )
+
+
+def _objectives(env: VesEnv, terms: tuple[str, ...]) -> str:
+    """What `reward="vector"` and `cost=True` add; a goal variant has no vector."""
+    text = (
+        "\n\nWith `cost=True` the info has `cost` and `cost_limits`, `cost_displacement`,"
+        " `cost_acceleration`, 1 in periods beyond a bound"
+        " ([objectives and costs](README.md#objectives-and-costs))."
+    )
+    if env.goal:
+        return text
+    rows = [
+        (f"`{name}`", f"{weight:g}", what)
+        for (name, what), weight in zip(
+            described(env.task, terms).items(), WEIGHTS, strict=True
+        )
+    ]
+    head = '\n\nWith `reward="vector"` the reward is an array:\n\n'
+    return head + _table(("objective", "weight in the scalar reward", "what"), rows) + text
 
 
 def _system(task: Task) -> str:
@@ -300,7 +322,9 @@ def _page(name: str) -> str:
         goals = (
             "\nWith `goal=True` (this id) the observation is a dictionary: `achieved_goal` is"
             f" `{achieved}`, `desired_goal` is `{desired}`, `observation` the rest."
-            " `compute_reward(achieved, desired, info)` takes any leading axes.\n"
+            " `compute_reward(achieved, desired, info)` takes any leading axes, and so do"
+            " `compute_terminated` and `compute_truncated`: with goals and info of a step they"
+            " return what it returned.\n"
         )
     kinds = [k for k in KINDS if f"ves/{name}{k}" in gym.registry]
     history = _history(name)
@@ -375,10 +399,15 @@ def _filled(text: str) -> str:
     for block in re.sub(r"\n{3,}", "\n\n", text).strip().split("\n\n"):
         keep = keep or block.startswith("```")
         prose = not keep and not block.startswith(("|", "#", "<", "!", "-", " "))
-        blocks.append(textwrap.fill(" ".join(block.split()), 96) if prose else block)
+        blocks.append(_wrapped(block) if prose else block)
         if block.rstrip().endswith("```"):
             keep = False
     return "\n\n".join(blocks) + "\n"
+
+
+def _wrapped(block: str) -> str:
+    """A paragraph in lines; links stay in one."""
+    return textwrap.fill(" ".join(block.split()), 96, break_on_hyphens=False)
 
 
 def _index() -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -15,6 +15,8 @@ from ves_gym._util.params import ParameterError
 from ves_gym.envs.batch import Batch, checked
 from ves_gym.envs.build import build_task, require_keywords
 from ves_gym.envs.deadline import DeadlineSpec, with_deadline
+from ves_gym.envs.goals import GoalFunctions
+from ves_gym.envs.objectives import WEIGHTS, Signals
 from ves_gym.envs.rendering import Renderer, render_modes, require_display
 from ves_gym.envs.spaces import (
     goal_space,
@@ -37,6 +39,8 @@ class VesEnv(gym.Env[Any, Any]):
         render_mode: None, "human" or "rgb_array".
         goal: observations of a goal-conditioned task as a dictionary (for HER).
         dump: folder for run logs of episodes that diverge (`info["dump"]` names the file).
+        reward: "scalar", or "vector" by objective (`objectives.OBJECTIVES`): `reward_space`.
+        cost: entries `cost` and `cost_...` of the info: True, or some `CostBounds` by name.
         settings: see `build_task`: mode, vehicle, effects, control, randomize, ...
     """
 
@@ -51,6 +55,8 @@ class VesEnv(gym.Env[Any, Any]):
         render_mode: str | None = None,
         goal: bool = False,
         dump: str | os.PathLike[str] | None = None,
+        reward: str = "scalar",
+        cost: Mapping[str, float] | bool | None = None,
         **settings: Any,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -61,6 +67,9 @@ class VesEnv(gym.Env[Any, Any]):
         self.task = build_task(task, **settings)
         self.render_mode, self.backend, self.goal = render_mode, backend, goal
         self._dump = dump
+        self._signals = Signals(reward, cost, goal)
+        if self._signals.vector:
+            self.reward_space, self.reward_weights = self._signals.space, np.array(WEIGHTS)
         self.batch = self._batch()
         fps = 1 / self.task.system.control_dt  # real time
         self.metadata = {"render_modes": render_modes(), "render_fps": fps}
@@ -100,14 +109,14 @@ class VesEnv(gym.Env[Any, Any]):
             self.render()
         return self._observation(), info
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """One control period; an `ActionError` leaves the state as it was."""
         if not self._ready or self._over:
             raise gym.error.ResetNeeded(
                 "the episode is over: call reset" if self._ready else "call reset before step"
             )
         actions = checked(action, (self.batch.width,))[None]
-        reward, terminated, truncated, info = self.batch.step(actions)
+        reward, terminated, truncated, info = self._signals.step(self.batch, actions)
         ended = bool(terminated[0] or truncated[0])
         self._over = ended
         flat = {
@@ -121,7 +130,7 @@ class VesEnv(gym.Env[Any, Any]):
             self.render()
         return (
             self._observation(),
-            float(reward[0]),
+            reward[0] if self._signals.vector else float(reward[0]),
             bool(terminated[0]),
             bool(truncated[0]),
             flat,
@@ -150,24 +159,23 @@ class VesEnv(gym.Env[Any, Any]):
 
     @property
     def compute_reward(self) -> Callable[[npt.ArrayLike, npt.ArrayLike, Any], Any]:
-        """Reward of goals, of a goal variant only (HER): others have no such attribute."""
+        """Reward of goals and info, of a goal variant only (HER); see `GoalFunctions`."""
+        return self._of_goals().compute_reward
+
+    @property
+    def compute_terminated(self) -> Callable[[npt.ArrayLike, npt.ArrayLike, Any], Any]:
+        """Termination by goals and info, of a goal variant only."""
+        return self._of_goals().compute_terminated
+
+    @property
+    def compute_truncated(self) -> Callable[[npt.ArrayLike, npt.ArrayLike, Any], Any]:
+        """Truncation by goals and info, of a goal variant only."""
+        return self._of_goals().compute_truncated
+
+    def _of_goals(self) -> GoalFunctions:
         if not self.goal:  # libraries ask `hasattr(env, "compute_reward")`
-            raise AttributeError(f"{self.task.kind} without goals has no compute_reward")
-        return self._goal_reward
-
-    def _goal_reward(
-        self, achieved_goal: npt.ArrayLike, desired_goal: npt.ArrayLike, info: Any
-    ) -> Any:
-        """Return the reward of goals.
-
-        Args:
-            achieved_goal, desired_goal: (..., g) in the units of the observation.
-            info: not used.
-
-        Returns:
-            (...,) rewards.
-        """
-        return self.task.goal_reward(np.asarray(achieved_goal), np.asarray(desired_goal))
+            raise AttributeError(f"{self.task.kind} without goals computes nothing of them")
+        return GoalFunctions(self.task)
 
     # ---------------------------------------------------------------- snapshot
 

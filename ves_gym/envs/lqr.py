@@ -64,6 +64,7 @@ class Lqr(Task):
 
     options: ClassVar[tuple[str, ...]] = ("q", "v", "y", "yd")
     compiled: ClassVar[bool] = True
+    energetic: ClassVar[tuple[str, ...]] = ("state",)
     memory: ClassVar[int] = 3  # J s, cost so far; this period's of the state, of the effort
     # its optimum takes a state that is measured, and internal modes are not
     system: System = System(vehicle=BENT_THESIS, physics_dt=2.5e-3)

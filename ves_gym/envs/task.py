@@ -122,6 +122,7 @@ class Task(ABC):
     options: ClassVar[tuple[str, ...]] = ()  # what `reset` lets one choose; keywords of `start`
     goal_fields: ClassVar[tuple[str, str] | None] = None  # achieved, desired (goal variants)
     memory: ClassVar[int] = 0  # columns of `Scene.memory`
+    energetic: ClassVar[tuple[str, ...]] = ("energy", "tail")  # terms of the objective energy
     # Set in a class whose `observe`, `remember`, `reward`, `success` and `failed` are formulas
     # of the scene alone, a simulation per row: the kernel then compiles them from their NumPy
     # text. It holds for the class that says so, not for those derived from it.

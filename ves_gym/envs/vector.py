@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -18,6 +18,7 @@ from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task, require_keywords
 from ves_gym.envs.deadline import Deadline, DeadlineSpec, with_deadline
 from ves_gym.envs.fan_out import fan_out
+from ves_gym.envs.objectives import WEIGHTS, Signals
 from ves_gym.envs.spaces import goal_space, observation_space, require_seed, split_goals
 from ves_gym.envs.task import Task
 
@@ -34,6 +35,7 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         dump: folder for run logs of episodes that diverge (`info["dump"]` names the files).
         max_episode_steps: truncate after so many steps, as `TimeLimit` does around a single
             environment; None or -1: nothing but the task's own end.
+        reward, cost: see `VesEnv`; `reward_space` is that of one environment.
         settings: see `build_task`.
 
     `info` holds arrays with the leading axis num_envs; what exists only at the end of an
@@ -54,6 +56,8 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         goal: bool = False,
         dump: str | os.PathLike[str] | None = None,
         max_episode_steps: int | None = None,
+        reward: str = "scalar",
+        cost: Mapping[str, float] | bool | None = None,
         **settings: Any,
     ) -> None:
         require_keywords(type(self), task, settings)
@@ -62,6 +66,9 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.task = build_task(task, **settings)
         self.num_envs, self.goal = num_envs, goal
+        self._signals = Signals(reward, cost, goal)
+        if self._signals.vector:
+            self.reward_space, self.reward_weights = self._signals.space, np.array(WEIGHTS)
         self._engine: dict[str, Any] = {"backend": backend, "threads": threads, "dump": dump}
         self.batch = Batch(self.task, num_envs, **self._engine)
         self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.batch.width,), np.float32)
@@ -132,7 +139,7 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             )
         checked = self.batch.check(actions)
         over = self._over if self._over.any() else None
-        reward, terminated, truncated, info = self.batch.step(checked, over)
+        reward, terminated, truncated, info = self._signals.step(self.batch, checked, over)
         if over is not None:  # their action was only the call for the next episode
             self.batch.reset(np.flatnonzero(over))
             info.update(self.batch.randomized())
