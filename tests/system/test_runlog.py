@@ -361,7 +361,7 @@ def test_rows_of_the_wrong_length_are_named(saved: Path) -> None:
         (
             2,
             [*table[2], "0.0"],
-            f"column pd_6: expected {width} cells, got {width + 1}",
+            f"column contact_energy_1: expected {width} cells, got {width + 1}",
         ),
         (2, [""], f"column q_cmd_1: expected {width} cells, got 1"),
     ):
@@ -376,7 +376,7 @@ def test_a_file_cut_off_inside_a_number_is_named(saved: Path) -> None:
     saved.write_bytes(saved.read_bytes()[:-3])
     refuses(
         saved,
-        "run.csv: row 5, column pd_6: expected a line end after every row",
+        "run.csv: row 5, column contact_energy_1: expected a line end after every row",
         "cut off",
     )
 

@@ -85,6 +85,8 @@ def require_alike(template: System, other: System, which: str) -> None:
     held = tuple("none" if s.payload is None else "one" for s in (template, other))
     if held[0] != held[1]:
         refuse("the payload", *held)
+    if template.contact != other.contact:
+        refuse("contact", template.contact, other.contact)
     if other.emulator is not template.emulator:
         for field in dataclasses.fields(template.emulator_settings):
             a, b = (getattr(s.emulator_settings, field.name) for s in (template, other))

@@ -112,6 +112,9 @@ class Cargo:
         self.attitude = np.zeros((n, 4))
         self.place, self.turn = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
         self.described: list[Payload] = []
+        contact = sim.system.contact
+        # where the tool can touch it, the engine moves it
+        self._touch = sim.touch if contact is not None and contact.on == "payload" else None
         self.assigned(np.arange(n))
 
     # ------------------------------------------------------------------ state
@@ -123,6 +126,8 @@ class Cargo:
         for i in ids.tolist():
             self.mass[i], self.com[i], self.inertia[i] = numbers_of(self.described[i].inertial)
         self._refit(ids[self.carried[ids]])
+        if self._touch is not None:
+            self._touch.describe(self)
 
     def reset(self, ids: Index) -> None:
         """Put payloads free at their described starts, with their described numbers."""
@@ -136,6 +141,7 @@ class Cargo:
             self.attitude[i], self.spin[i] = from_angles(payload.angles), payload.spin
         gone = set(ids.tolist())
         self.events = [event for event in self.events if event.simulation not in gone]
+        self._put(ids)
 
     def change(self, ids: Index, **values: npt.ArrayLike) -> None:
         """Set numbers of free payloads: an episode's mass, say, or where they start.
@@ -171,6 +177,7 @@ class Cargo:
             raise ParameterError("payload inertia must be positive definite")
         for name, array in new.items():
             getattr(self, name)[ids] = array
+        self._put(ids)
 
     @property
     def state(self) -> PayloadState:
@@ -200,6 +207,8 @@ class Cargo:
             getattr(self, name)[:] = array
         self.events = list(events)
         self._refit(changed)
+        if self._touch is not None:  # the engine's state has where they are
+            self._touch.describe(self)
 
     def advance(self, time: float, ids: Index | None) -> None:
         """Let free payloads fly on: straight, and turning as torque-free bodies do.
@@ -218,6 +227,9 @@ class Cargo:
         rows = np.flatnonzero(free)
         if not len(rows):
             return
+        if self._touch is not None:
+            self._touch.take(self, rows)
+            return
         com = self.position[rows] + rotate(self.attitude[rows], self.com[rows])
         com += time * self.velocity[rows]
         q, w = self.attitude[rows], self.spin[rows]
@@ -228,6 +240,17 @@ class Cargo:
         turning = self.spin[rows].any(axis=1)
         self.attitude[rows[turning]], self.spin[rows[turning]] = q[turning], w[turning]
         self.position[rows] = com - rotate(self.attitude[rows], self.com[rows])
+
+    def reframed(self, ids: Index) -> None:
+        """Follow the engine, which works in other frames now."""
+        if self._touch is not None:
+            self._touch.put(self, ids)
+
+    def _put(self, ids: Index) -> None:
+        """Have the engine's bodies where the payloads are, if it moves them."""
+        if self._touch is not None and len(ids):
+            self._touch.describe(self)
+            self._touch.put(self, ids)
 
     # ------------------------------------------------------------------ latch
 
@@ -319,9 +342,12 @@ class Cargo:
             self.place[index] = matvec(np.swapaxes(link, -1, -2), self.position[index] - tool)
             self.carried[index] = True
             self._refit(index)
+            if self._touch is not None:
+                self._touch.describe(self)
         elif not self._still:
             self.velocity[index] = out.twist[:, :3]
             self.spin[index] = rotate(conjugate(self.attitude[index]), out.twist[:, 3:])
+            self._put(index)
         sim.last_state = sim.state
         self.events += events
         return events
@@ -343,6 +369,7 @@ class Cargo:
             self.velocity[index], self.spin[index] = 0.0, 0.0
         self.carried[index] = False
         self._refit(index)
+        self._put(index)
         events = [Capture(i, float(time[i]), "release") for i in index.tolist()]
         self.events += events
         return events

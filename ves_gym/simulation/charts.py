@@ -33,24 +33,24 @@ class Charts:
     """Charts of n simulations: where they are and how they are turned."""
 
     def __init__(self, n: int) -> None:
-        self._place = np.zeros((n, 3))  # m, of the chart's origin
-        self._turn = np.tile(attitude.IDENTITY, (n, 1))  # chart axes to inertial axes
+        self.place = np.zeros((n, 3))  # m, of the chart's origin
+        self.turn = np.tile(attitude.IDENTITY, (n, 1))  # chart axes to inertial axes
         self._moved = np.zeros(n, bool)
 
     def reset(self, ids: Index) -> None:
         """Make the world the chart of simulations `ids`."""
-        self._place[ids], self._turn[ids], self._moved[ids] = 0.0, attitude.IDENTITY, False
+        self.place[ids], self.turn[ids], self._moved[ids] = 0.0, attitude.IDENTITY, False
 
     def get_state(self) -> tuple[Array, ...]:
         """Everything needed to continue exactly from here."""
-        return self._place.copy(), self._turn.copy(), self._moved.copy()
+        return self.place.copy(), self.turn.copy(), self._moved.copy()
 
     def set_state(self, state: tuple[Any, ...]) -> None:
         """Return to a state handed out by `get_state`."""
-        self._place[:], self._turn[:], self._moved[:] = state
+        self.place[:], self.turn[:], self._moved[:] = state
 
-    def recentre(self, backend: Backend, stopped: Index) -> None:
-        """Set charts where their bodies are, of all that have turned too far.
+    def recentre(self, backend: Backend, stopped: Index) -> Index:
+        """Set charts where their bodies are, of all that have turned too far; return which.
 
         Args:
             backend: the engine, with its poses in the present charts.
@@ -60,17 +60,18 @@ class Charts:
         y, yd = z[:, :6], zd[:, :6]
         far = np.abs(y[:, 4]) > LEAVE
         far[stopped] = False
-        if not far.any():
-            return
         ids = np.flatnonzero(far)
+        if not len(ids):
+            return ids
         moved = twist(y[ids], yd[ids])  # at pose zero the rates are the twist
-        q, at = self._turn[ids], y[ids, :3]
-        self._place[ids] += attitude.rotate(q, at)
-        self._turn[ids] = attitude.normalised(
+        q, at = self.turn[ids], y[ids, :3]
+        self.place[ids] += attitude.rotate(q, at)
+        self.turn[ids] = attitude.normalised(
             attitude.product(q, attitude.from_angles(y[ids, 3:]))
         )
         self._moved[ids] = True
         backend.set_base(ids, np.zeros((len(ids), 6)), moved)
+        return ids
 
     def outside(self, y: Array, yd: Array) -> tuple[Array, Array]:
         """Return inertial poses and rates.
@@ -85,8 +86,8 @@ class Charts:
             return y, yd
         ids = np.flatnonzero(self._moved)
         y_out, yd_out = y.copy(), yd.copy()
-        q, w = self._turn[ids], twist(y[ids], yd[ids])[:, 3:]
-        y_out[ids, :3] = self._place[ids] + attitude.rotate(q, y[ids, :3])
+        q, w = self.turn[ids], twist(y[ids], yd[ids])[:, 3:]
+        y_out[ids, :3] = self.place[ids] + attitude.rotate(q, y[ids, :3])
         yd_out[ids, :3] = attitude.rotate(q, yd[ids, :3])
         phi = attitude.to_angles(attitude.product(q, attitude.from_angles(y[ids, 3:])))
         y_out[ids, 3:], yd_out[ids, 3:] = phi, attitude.angle_rates(phi, w)
@@ -106,7 +107,7 @@ class Charts:
             pose, rate, np.zeros_like(rate)
         )
         out = ydd.copy()
-        out[ids, :3] = matvec(attitude.to_matrix(self._turn[ids]), ydd[ids, :3])
+        out[ids, :3] = matvec(attitude.to_matrix(self.turn[ids]), ydd[ids, :3])
         turn = rate_matrix(pose)[:, 3:, 3:]
         out[ids, 3:] = np.linalg.solve(turn, missing[:, 3:, None])[..., 0]
         return out

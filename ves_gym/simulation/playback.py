@@ -110,6 +110,7 @@ def play_motions(
         acted = {} if acts is None else acts.record()
         row: tuple[Array, ...] = (*sim.measured, tau, state.y, state.yd, ydd)
         row = (*row, *(sim.base_modes or ()), *acted.values(), *_payload_row(sim))
+        row = (*row, *_contact_row(sim))
         if extremes is not None:
             extremes.watch(edges[k * stride], row[0] - middle, row[1], tau)
         if base_watch is not None:
@@ -145,7 +146,8 @@ def play_motions(
             progress(k / records)
     modes = () if sim.base_modes is None else ("u", "ud")
     payload = () if sim.payload is None else ("p", "pd")
-    carried = (*modes, *acted, *payload)
+    contact = () if sim.touch is None else ("contact", "contact_energy")
+    carried = (*modes, *acted, *payload, *contact)
     names = ("q", "v", "tau", "y", "yd", "ydd", *carried, "w", "wg", "y_cmd")
     stacked = (np.stack(column, axis=1) for column in zip(*rows, strict=True))
     end = (len(rows) - 1) * stride + 1
@@ -201,6 +203,14 @@ def _payload_row(sim: Simulator) -> tuple[Array, ...]:
     s = sim.payload.state
     pose = np.concatenate([s.position, s.attitude], axis=1)
     return pose, np.concatenate([s.velocity, s.spin], axis=1)
+
+
+def _contact_row(sim: Simulator) -> tuple[Array, ...]:
+    """Wrench (n, 6) and energy (n, 1) of contact at the tool; nothing without it."""
+    if sim.touch is None:
+        return ()
+    wrench, energy = sim.touch.measured()
+    return wrench, energy[:, None]
 
 
 def weigh_poses(

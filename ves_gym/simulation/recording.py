@@ -108,6 +108,9 @@ class Recording:
     propellant: Array | None = None  # (n, N, 1) kg, used since the start
     p: Array | None = None  # (n, N, 7) payloads: place and attitude, None without one
     pd: Array | None = None  # (n, N, 6) velocity of the centre of mass, spin in own axes
+    # (n, N, 6) wrench of contact on the tool, at the tool, inertial axes [N, N m]
+    contact: Array | None = None
+    contact_energy: Array | None = None  # (n, N, 1) stored in its springs [J]
     captures: tuple[Capture, ...] = ()  # latches that closed and opened
     events: tuple[Event, ...] = ()  # safety stops; a run is meaningful up to its own
     backend: str = ""  # the engine that ran
@@ -266,5 +269,9 @@ class Recording:
             propellant=None if self.propellant is None else self.propellant[i, :end],
             p=None if self.p is None else self.p[i, :end],
             pd=None if self.pd is None else self.pd[i, :end],
+            contact=None if self.contact is None else self.contact[i, :end],
+            contact_energy=None
+            if self.contact_energy is None
+            else self.contact_energy[i, :end],
             meta=meta,
         )

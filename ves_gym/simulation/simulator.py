@@ -29,6 +29,7 @@ from ves_gym.simulation.joint_delays import joint_delays_of
 from ves_gym.simulation.loop_linearisation import warn_if_unstable
 from ves_gym.simulation.loop_reports import Event, Readings
 from ves_gym.simulation.stable_step import require_stable_step, steps_are_small
+from ves_gym.simulation.touch import Touch
 from ves_gym.system.deviations import Delays
 from ves_gym.system.effect import BaseEffect, DelayEffect, LaboratoryEffect, TorqueEffect
 from ves_gym.system.effect_rows import EffectRows, Given
@@ -164,6 +165,9 @@ class Simulator:
             warn_if_unstable(type(self), system, warn_at, servo)
         self.diverged = np.zeros(n, bool)
         self._last_state: State | None = None
+        self.touch: Touch | None = None  # contact at the tool
+        if self.backend.contact is not None:
+            self.touch = Touch(self.backend, self.n, self._charts)
         self.payload = None if system.payload is None else Cargo(self)
         self.reset()
 
@@ -272,6 +276,8 @@ class Simulator:
         if self.emulation_loop is not None:
             gains = self._kp[index], self._kd[index]
             self.emulation_loop.reset(index, full["q"], full["y"], full["yd"], *gains)
+        if self.touch is not None:
+            self.touch.framed(index)
         if self.payload is not None:
             self.payload.reset(index)
         self.diverged[index] = False
@@ -673,7 +679,11 @@ class Simulator:
     def _recentre(self) -> None:
         """Keep the engine's angles of free bodies away from where they end."""
         if self._charts is not None:
-            self._charts.recentre(self.backend, np.flatnonzero(self.diverged))
+            moved = self._charts.recentre(self.backend, np.flatnonzero(self.diverged))
+            if self.touch is not None and len(moved):
+                self.touch.framed(moved)
+                if self.payload is not None:
+                    self.payload.reframed(moved)
 
     def _drive(self, nodes: Array, push: Array | None) -> None:
         """In space, with delays between joint controller and drives."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +31,7 @@ from ves_gym.system.bending import (
     own_modes,
 )
 from ves_gym.system.captures import payload_energy, segments
+from ves_gym.system.contacts import contact_energies
 from ves_gym.system.effect import joint_torque
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -354,7 +355,7 @@ class EnergyBalance(Viewable):
     work: Array  # of the joint drives, and of a satellite's wheels and jets
     kinetic: Array  # change, whole system
     strain: Array  # change
-    dissipated: Array  # in the vehicle's damping, and by effects at the joints
+    dissipated: Array  # in the vehicle's damping, by effects at the joints, in contacts
     scale: float  # J that the residual is judged by
 
     @property
@@ -388,7 +389,7 @@ class EnergyBalance(Viewable):
         if log.tau is None or log.v is None or log.yd is None:
             missing = [k for k in ("tau", "v", "yd") if getattr(log, k) is None]
             raise ParameterError(f"the energy balance needs the columns {', '.join(missing)}")
-        if log.meta.get("captures"):
+        if log.meta.get("captures") or (log.contact is not None and "captures" in log.meta):
             return cls._across(log)
         system = system_of(log).actual
         if system.arm.geared:
@@ -399,7 +400,16 @@ class EnergyBalance(Viewable):
         in_joints = scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0)
         parts = log.t, log.q, log.v, log.y, log.yd
         work = _drive_work(system, log) + actuator_work(log, system)
-        return cls.close(system, *parts, work, in_joints=in_joints, internal=internal)
+        balance = cls.close(system, *parts, work, in_joints=in_joints, internal=internal)
+        if log.contact is None:
+            return balance
+        stored, lost = contact_energies(log, system)
+        return replace(
+            balance,
+            strain=balance.strain + stored,
+            dissipated=balance.dissipated + lost,
+            scale=max(balance.scale, float(np.abs(stored + lost).max())),
+        )
 
     @classmethod
     def _across(cls, log: RunLog) -> EnergyBalance:

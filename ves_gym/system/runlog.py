@@ -88,6 +88,8 @@ class RunLog(Viewable):
     propellant: Array | None = None  # (N, 1) kg, used since the start
     p: Array | None = None  # (N, 7) payload: place of its origin [m], unit quaternion
     pd: Array | None = None  # (N, 6) velocity of its centre of mass, spin in its own axes
+    contact: Array | None = None  # (N, 6) N, N m: on the tool, about it, inertial axes
+    contact_energy: Array | None = None  # (N, 1) J, stored in the contacts' springs
 
     def __post_init__(self) -> None:
         store = object.__setattr__  # the dataclass is frozen

@@ -48,6 +48,8 @@ QUANTITIES = {
     "propellant": (ONE, False),
     "p": (BODY, False),
     "pd": (POSE, False),
+    "contact": (POSE, False),
+    "contact_energy": (ONE, False),
 }
 _MOST = {POSE: BASE, ONE: 1, BODY: 7}  # columns of an axis that has a fixed number of them
 KNOWN = ", ".join(["t", *(f"{k}_1..{axis}" for k, (axis, _) in QUANTITIES.items())])

@@ -25,6 +25,7 @@ from ves_gym._util.params import (
 )
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.contact import Contact
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT, VEHICLES, BaseModel, Vehicle, altered, get_vehicle
@@ -46,6 +47,7 @@ class System:
     would by what its force sensor feels (`emulator`; the nominal machine by default).
     `effects` are deviations from what is described here. `payload` is a body that the tool
     can grasp, carry and release (`Simulator.grasp`); in the laboratory a stand holds it.
+    `contact` gives the tool, and what it meets, surfaces that push on each other.
     `drive` motor gives the joints torque-limited motors with servo gains; prescribed
     makes them follow their command exactly, whatever the base does (a perfect servo).
     The control period must be a whole number of physics steps.
@@ -61,6 +63,7 @@ class System:
     physics_dt: float = unit("s", default=1.25e-3)
     control_dt: float = unit("s", default=12.5e-3)  # 80 Hz, thesis 2.4.2
     payload: Payload | None = None
+    contact: Contact | None = None
 
     def __post_init__(self) -> None:
         require_choice(self, "mode", MODES)
@@ -90,6 +93,8 @@ class System:
                 raise ParameterError(
                     f"mode emulated knows a satellite's body, not its {name}: use mode ideal"
                 )
+        if self.contact is not None:
+            self._require_contact(self.contact)
         object.__setattr__(self, "effects", tuple(self.effects))  # a list has no hash
         for effect in self.effects:
             if not isinstance(effect, Effect):
@@ -100,6 +105,21 @@ class System:
                     f" got mode {self.mode}"
                 )
             effect.check(self)
+
+    def _require_contact(self, contact: Contact) -> None:
+        self.arm.require_rigid("contact at the tool")
+        if self.mode == "emulated":
+            raise ParameterError("System.contact needs mode ideal, got mode emulated")
+        if contact.on == "payload" and self.payload is None:
+            raise ParameterError(
+                "System.contact is on the payload, of which there is none: give"
+                " System(payload=...), or Contact(on='base') or 'space'"
+            )
+        if contact.friction and contact.slip_time < 2 * self.physics_dt:
+            raise ParameterError(
+                f"Contact.slip_time must be >= 2 physics steps = {2 * self.physics_dt:g} s, got"
+                f" {contact.slip_time:g} s"
+            )
 
     def __repr__(self) -> str:
         names = [name for name, vehicle in VEHICLES.items() if vehicle == self.vehicle]

@@ -25,6 +25,7 @@ class Backend(Protocol):
     name: str  # as in `registry.BACKENDS`
     n: int
     has_actuators: bool  # `set_actuators` and `set_carried` work
+    contact: Toucher | None  # of the tool, where the system and the engine have it
 
     def read(self) -> tuple[Array, Array, Array]:
         """Time (n,) [s], z (n, 6 + joints), zd (n, 6 + joints)."""
@@ -174,6 +175,59 @@ class Carrier(Protocol):
             mass: (k,) [kg].
             com: (k, 3) in the link's frame [m].
             inertia: (k, 3, 3) about it [kg m^2].
+        """
+
+
+class Toucher(Protocol):
+    """The body that the tool touches in n simulations. Poses in the engine's frame of space."""
+
+    def target(self, com: Array) -> tuple[Array, Array, Array, Array]:
+        """Place, attitude, velocity of the centre of mass and spin (own axes) of free bodies.
+
+        Args:
+            com: (n, 3) centres of mass in their own axes.
+        """
+
+    def set_target(
+        self, ids: Index, place: Array, turn: Array, velocity: Array, spin: Array, com: Array
+    ) -> None:
+        """Put free bodies there.
+
+        Args:
+            ids: (k,) which.
+            place, turn: (k, 3) [m], (k, 4) unit quaternions.
+            velocity, spin: (k, 3) of the centre of mass [m/s], in own axes [rad/s].
+            com: (k, 3) centres of mass in their own axes.
+        """
+
+    def set_frame(self, ids: Index, place: Array, turn: Array) -> None:
+        """Put shapes that are fixed in space where the engine's frame has them.
+
+        Args:
+            ids: (k,) which.
+            place, turn: (k, 3) [m], (k, 4) of the engine's frame in space.
+        """
+
+    def set_body(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
+        """Change mass properties of free bodies.
+
+        Args:
+            ids: (k,) which.
+            mass, com, inertia: (k,), (k, 3), (k, 3, 3) in their own axes.
+        """
+
+    def set_touching(self, ids: Index, touching: Mask) -> None:
+        """Let the shapes of simulations touch, or pass through each other.
+
+        Args:
+            ids: (k,) which.
+            touching: (k,) bool.
+        """
+
+    def measured(self) -> tuple[Array, Array]:
+        """Wrench on the tool (n, 6) about it, engine's axes, and energy stored (n,) [J].
+
+        At this instant, under the command of now.
         """
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ves_gym._util.params import Array, Index
-from ves_gym.engine.backends.base import Remembering
+from ves_gym.engine.backends.base import Remembering, Toucher
 from ves_gym.engine.batch_parameters import ParameterRows, bodies_of
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.system.effect_rows import EffectRows
@@ -22,6 +22,7 @@ class CompiledBackend(Remembering):
     """
 
     has_actuators = True
+    contact: Toucher | None = None
 
     def __init__(self, system: System, n: int) -> None:
         self.n, self.joints = n, system.arm.n

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError
-from ves_gym.engine.backends.base import MEANINGLESS, Remembering
+from ves_gym.engine.backends.base import MEANINGLESS, Remembering, Toucher
 from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.engine.mjcf import TO_Y
 from ves_gym.system.effect import TorqueEffect
@@ -23,6 +23,7 @@ class DeviceBackend(Remembering):
 
     name = "device"
     has_actuators = False
+    contact: Toucher | None = None
     state_names = ("_q", "_v", "_act", "_time", "_fault", "_bias")
 
     def __init__(self, system: System, n: int, threads: int) -> None:

@@ -13,6 +13,8 @@ from ves_gym._util.mujoco_loader import mujoco  # before its submodules
 from mujoco.batch import MODEL_FIELDS, Batch
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
+from ves_gym.engine.backends.base import Toucher
+from ves_gym.engine.backends.mujoco_contact import ContactBatch
 from ves_gym.engine.batch_parameters import Laws, bodies_of
 from ves_gym.engine.mjcf import (
     BASE_JOINTS,
@@ -24,6 +26,7 @@ from ves_gym.engine.mjcf import (
     places,
 )
 from ves_gym.engine.mjcf_carried import add_carried, add_jets
+from ves_gym.engine.mjcf_contact import add_contact
 from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.vehicle import BaseModel, ReactionWheel, blows
@@ -42,23 +45,23 @@ _BAD = [
 ]
 
 
-def compile_model(system: System, full: bool = False, jets: bool = False) -> mujoco.MjModel:
+def compile_model(system: System, full: bool = False, acting: bool = False) -> mujoco.MjModel:
     """Return the MuJoCo model of a system, as the backend runs it.
 
     Args:
-        system, full, jets: see `model_spec`.
+        system, full, acting: see `model_spec`.
     """
-    return model_spec(system, full, jets).compile()
+    return model_spec(system, full, acting).compile()
 
 
-def model_spec(system: System, full: bool = False, jets: bool = False) -> mujoco.MjSpec:
+def model_spec(system: System, full: bool = False, acting: bool = False) -> mujoco.MjSpec:
     """Return the MuJoCo specification of a system, before it is compiled.
 
     Args:
         system: what to simulate.
         full: M, D and K as six tendons each, all on all six axes, whatever their numbers are,
             so that every model of one structure has one layout.
-        jets: with actuators for those of a satellite that has any.
+        acting: with actuators for the jets of a satellite, and with what the tool touches.
     """
     if system.mode == "emulated":
         spec = build_laboratory_spec(
@@ -80,7 +83,7 @@ def model_spec(system: System, full: bool = False, jets: bool = False) -> mujoco
         if full:
             _add_whole_tendons(spec, base)
         add_carried(spec, base)
-        if jets and blows(system.vehicle):
+        if acting and blows(system.vehicle):
             add_jets(spec)
     add_hidden(spec, system.arm, system.base if system.mode == "ideal" else None)
     if system.drive == "prescribed":
@@ -89,6 +92,8 @@ def model_spec(system: System, full: bool = False, jets: bool = False) -> mujoco
             drive = spec.actuator(f"drive_{i + 1}")
             drive.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
             drive.gainprm[0] = PRESCRIBED_INERTIA  # the command is an acceleration
+    if acting and system.contact is not None:
+        add_contact(spec, system.arm, system.contact, system.payload)
     return spec
 
 
@@ -156,7 +161,7 @@ class MujocoBackend:
         self._systems = [system] * n
         self._limits = np.tile(system.arm.column("tau_max"), (n, 1))
         self._varied: set[str] = set()  # fields of the model that differ, gains apart
-        self._load(compile_model(system, jets=True))
+        self._load(compile_model(system, acting=True))
 
     def _load(self, model: mujoco.MjModel) -> None:
         """Run this model."""
@@ -172,6 +177,10 @@ class MujocoBackend:
         self._drives = slice(first, first + self.joints)
         self._bias: Array | None = None
         self._sensed = self.batch.bind("sensordata") if emulated else None
+        contact = self.system.contact
+        self.contact: Toucher | None = None
+        if contact is not None:
+            self.contact = ContactBatch(contact, model, self.batch)
 
     def read(self) -> tuple[Array, Array, Array]:
         return self._time.copy(), self._qpos[:, self._order], self._qvel[:, self._order]
@@ -185,8 +194,8 @@ class MujocoBackend:
         self._qvel[np.ix_(ids, self._order)] = zd
         for row, i in enumerate(ids.tolist() if self._carried else []):
             base, m = self._systems[i].base, self._carried  # at rest on the vehicle
-            self._qpos[i, -m:] = base.attached(z[row, :6])
-            self._qvel[i, -m:] = base.attached(zd[row, :6])
+            self._qpos[i, self._internal[-m:]] = base.attached(z[row, :6])
+            self._qvel[i, self._internal[-m:]] = base.attached(zd[row, :6])
 
     def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
         self._qvel[np.ix_(ids, self._order)] = zd
@@ -223,11 +232,11 @@ class MujocoBackend:
         others = {i for i, k in pairs if bodies_of(k) != bodies_of(self._systems[i])}
         reference = self.model
         if others and not self._full:
-            reference = compile_model(self.system, full=True, jets=True)
+            reference = compile_model(self.system, full=True, acting=True)
         changes_of: dict[tuple[int, int], dict[str, Any]] = {}  # of the arms and vehicles seen
         for i, system in pairs:
             if i in others and bodies_of(system) not in changes_of:
-                model = compile_model(system, full=True, jets=True)
+                model = compile_model(system, full=True, acting=True)
                 changes_of[bodies_of(system)] = _changes(
                     reference, model, f"system of simulation {i}"
                 )

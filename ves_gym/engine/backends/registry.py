@@ -19,17 +19,25 @@ BACKENDS = ("auto", "kernel", "mujoco", "gpu-kernel", "gpu-kernel-float32", "mjx
 def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
     """Build a backend by name; unknown names are an error that lists the known ones.
 
-    `auto` is the compiled kernel, and MuJoCo with a `BackendWarning` where a kernel cannot
-    be compiled on this machine.
+    `auto` is the compiled kernel, MuJoCo where the system has contact, and MuJoCo with a
+    `BackendWarning` where a kernel cannot be compiled on this machine.
 
     Raises:
-        ParameterError: unknown name, or `kernel` where it cannot be compiled.
+        ParameterError: unknown name, `kernel` where it cannot be compiled, or an engine that
+            has no contact for a system that has one.
     """
     if name not in BACKENDS:
         raise ParameterError(
             f"backend must be one of {', '.join(BACKENDS)}, got {name!r}"
             f"{did_you_mean(name, BACKENDS)}"
         )
+    if system.contact is not None:
+        if name not in ("auto", "mujoco"):
+            raise ParameterError(
+                f"backend {name} has no contact at the tool: use mujoco (or auto), or a system"
+                " without contact"
+            )
+        name = "mujoco"
     if name not in ("auto", "kernel", "mujoco"):
         return _on_a_device(name, system, n, threads)
     if name != "mujoco":

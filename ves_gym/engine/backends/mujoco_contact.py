@@ -1,0 +1,116 @@
+"""The body that the tool meets, and the points where they touch, in MuJoCo's batch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.mujoco_loader import mujoco  # before its submodules
+
+# isort: split
+from mujoco.batch import Batch
+
+from ves_gym._util.params import Array, Index, Mask
+from ves_gym.engine.mjcf import LEAST
+from ves_gym.engine.mjcf_contact import FIELDS, TARGET
+from ves_gym.mechanics.attitude import conjugate, from_matrix, rotate
+from ves_gym.mechanics.contact import Contact, net_wrench, spring_energy
+
+_APART = -1e6  # m, margin of pairs that shall not touch
+
+
+class ContactBatch:
+    """See `Toucher`. Poses are in the engine's frame of space.
+
+    Args:
+        contact: law and shapes.
+        model: with `mjcf_contact.add_contact`.
+        batch: its simulations.
+    """
+
+    def __init__(self, contact: Contact, model: mujoco.MjModel, batch: Batch) -> None:
+        self.contact, self.batch, self.model = contact, batch, model
+        self._qpos, self._qvel = batch.bind("qpos"), batch.bind("qvel")
+        self._sensed = batch.bind("sensordata")
+        self._tool = batch.bind("site_xpos")
+        self._site = model.site("tool").id
+        first = int(model.sensor("contact").adr[0])
+        self._data = slice(first, first + int(model.sensor("contact").dim[0]))
+
+    def target(self, com: Array) -> tuple[Array, Array, Array, Array]:
+        """Place, attitude, velocity of the centre of mass and spin (own axes) of free bodies.
+
+        Args:
+            com: (n, 3) centres of mass in their own axes.
+        """
+        place, turn = self._qpos[:, -7:-4].copy(), self._qpos[:, -4:].copy()
+        velocity, spin = self._qvel[:, -6:-3], self._qvel[:, -3:].copy()
+        return place, turn, velocity + rotate(turn, np.cross(spin, com)), spin
+
+    def set_target(
+        self, ids: Index, place: Array, turn: Array, velocity: Array, spin: Array, com: Array
+    ) -> None:
+        """Put free bodies there.
+
+        Args:
+            ids: (k,) which.
+            place, turn: (k, 3) [m], (k, 4) unit quaternions.
+            velocity, spin: (k, 3) of the centre of mass [m/s], in own axes [rad/s].
+            com: (k, 3) centres of mass in their own axes.
+        """
+        self._qpos[ids, -7:-4], self._qpos[ids, -4:] = place, turn
+        self._qvel[ids, -6:-3] = velocity - rotate(turn, np.cross(spin, com))
+        self._qvel[ids, -3:] = spin
+
+    def set_frame(self, ids: Index, place: Array, turn: Array) -> None:
+        """Put shapes that are fixed in space where the engine's frame has them.
+
+        Args:
+            ids: (k,) which.
+            place, turn: (k, 3) [m], (k, 4) of the engine's frame in space.
+        """
+        if self.contact.on != "space":
+            return
+        self.batch.bind("mocap_pos")[ids, 0] = rotate(conjugate(turn), -place)
+        self.batch.bind("mocap_quat")[ids, 0] = conjugate(turn)
+
+    def set_body(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
+        """Change mass properties of free bodies.
+
+        Args:
+            ids: (k,) which.
+            mass, com, inertia: (k,), (k, 3), (k, 3, 3) in their own axes.
+        """
+        body = self.model.body(TARGET).id
+        moments, axes = np.linalg.eigh(inertia)
+        axes = axes * np.where(np.linalg.det(axes) < 0, -1.0, 1.0)[:, None, None]
+        values = {
+            "body_mass": mass,
+            "body_ipos": com,
+            "body_iquat": from_matrix(axes),
+            "body_inertia": np.maximum(moments, LEAST),
+            "body_sameframe": np.zeros(len(ids)),
+        }
+        for name, numbers in values.items():
+            self.batch.expand(name)[ids, body] = numbers
+
+    def set_touching(self, ids: Index, touching: Mask) -> None:
+        """Let the shapes of simulations touch, or pass through each other.
+
+        Args:
+            ids: (k,) which.
+            touching: (k,) bool.
+        """
+        margin = np.where(touching, 0.0, _APART)
+        self.batch.expand("pair_margin")[ids] = margin[:, None]
+
+    def measured(self) -> tuple[Array, Array]:
+        """Wrench on the tool (n, 6), engine's frame, at the tool, and energy stored (n,) [J].
+
+        At this instant, under the command of now.
+        """
+        self.batch.forward()
+        found: Any = self._sensed[:, self._data].reshape(self.batch.nsim, -1, FIELDS)
+        wrench = net_wrench(found, self._tool[:, self._site])
+        return wrench, spring_energy(found, self.contact.stiffness)
