@@ -1,4 +1,5 @@
-"""Two machines of other people: an axis that rubs and drives that smooth their rates.
+"""Machines of other people: an axis that rubs, drives that smooth their rates, an industrial
+arm with a coupled wrist.
 
 The data are not part of the project: VES_GYM_DATA says where they are, else `shared/data`
 beside the checkout.
@@ -72,6 +73,24 @@ def test_the_low_pass_of_the_tiago_drives_is_named():
         for x in machine.residuals(run, models, ["velocity"])["velocity"]
     )
     assert (after < 0.01 * before).all()
+
+
+@pytest.mark.slow
+def test_friction_and_the_coupled_wrist_of_the_staubli_are_named():
+    """Reference: the identified values published with the data (examples/staubli)."""
+    folder = needed(DATA / "staubli_tx40")
+    example = runpy.run_path(str(ROOT / "examples" / "staubli" / "diagnose.py"))
+    found = example["main"](folder)
+    named = {(f.candidate.kind, f.candidate.slot) for f in found.explanations}
+    assert named == {
+        ("joint/friction", "all joints"),
+        ("shaft/friction", "joint_5 and joint_6"),
+    }
+    joints, shaft = example["friction"](found)
+    for law, published in example["PUBLISHED"].items():
+        assert joints[law] == pytest.approx(published, rel=0.15), law
+    for name in ("coulomb", "viscous"):
+        assert shaft[name] == pytest.approx(example["SHAFT"][name], rel=0.15)
 
 
 def test_mapping_files_read_the_columns_that_the_data_sets_document():

@@ -221,6 +221,11 @@ def from_plain(cls: Any, plain: Any, where: str = "") -> Any:
             from_plain(k, item, f"{where}[{i}]")
             for i, (k, item) in enumerate(zip(inner, plain, strict=True))
         )
+    if origin is dict:
+        if not isinstance(plain, Mapping):
+            raise ParameterError(f"{where} must be a table, got {plain!r}")
+        inner = typing.get_args(cls)[1]
+        return {k: from_plain(inner, item, f"{where}.{k}") for k, item in plain.items()}
     if cls is float and isinstance(plain, (int, float)) and not isinstance(plain, bool):
         try:
             return float(plain)

@@ -16,8 +16,8 @@ from ves_gym._util.params import Array, ParameterError
 def read_columns(path: str | os.PathLike[str]) -> dict[str, Array]:
     """Return all columns (T,) by name of a .mat or .csv file, or of all .csv files of a folder.
 
-    Columns of one name in several files of a folder must be the same. Single numbers of a
-    .mat file are columns of length 1.
+    Columns of a folder have the name "file:name", too, and only that where several files give
+    one name to different columns. Single numbers of a .mat file are columns of length 1.
 
     Raises:
         ParameterError: not there, of another format, or not numbers.
@@ -61,18 +61,28 @@ def _csv(path: Path) -> dict[str, Array]:
 
 
 def _folder(path: Path) -> dict[str, Array]:
+    """Columns under their names, and under "file:name"; a name that means two things under the
+    latter alone. Files that hold no table of numbers are left out if others do."""
     files = sorted(path.glob("*.csv"))
     if not files:
         raise ParameterError(f"{path}: no .csv file in this folder")
     out: dict[str, Array] = {}
+    ambiguous: set[str] = set()
+    refused: ParameterError | None = None
     for file in files:
-        for name, column in _csv(file).items():
+        try:
+            table = _csv(file)
+        except ParameterError as error:
+            refused = refused or error
+            continue
+        for name, column in table.items():
             if name in out and not np.array_equal(out[name], column):
-                raise ParameterError(
-                    f"{file}: column {name!r} is another than in the files before"
-                )
-            out[name] = column
-    return out
+                ambiguous.add(name)
+            out.setdefault(name, column)
+            out[f"{file.stem}:{name}"] = column
+    if refused is not None and not out:
+        raise refused
+    return {name: column for name, column in out.items() if name not in ambiguous}
 
 
 def column_of(columns: Mapping[str, Array], name: str, where: str) -> Array:

@@ -124,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
         "better": written.digest,
         **written.plain,
         "files": [path.name for path in written.files],
-        "notes": list(written.notes),
+        "notes": [*inputs.notes, *written.notes],
         "doubts": [question.sentence for question in doubts if question is not None],
         "replay_difference": written.difference,
         "free": written.free,

@@ -7,7 +7,7 @@ from ves_gym._util.lazy import lazily as _lazily
 if TYPE_CHECKING:
     from ves_gym.diagnosis import benchmark as benchmark
     from ves_gym.diagnosis.data.measured_run import run_of as run_of
-    from ves_gym.diagnosis.machines.mjcf import MjcfJoint as MjcfJoint
+    from ves_gym.diagnosis.machines.joint_library import MjcfJoint as MjcfJoint
     from ves_gym.diagnosis.machines.mjcf import MjcfVariant as MjcfVariant
     from ves_gym.diagnosis.machines.mjcf_mapping import read_machine as read_machine
     from ves_gym.diagnosis.machines.system import SystemMachine as SystemMachine
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["MjcfJoint", "MjcfVariant", "SystemMachine", "benchmark", "read_machine", "run_of"]
 
 _HOMES = {
-    "MjcfJoint": "machines.mjcf",
+    "MjcfJoint": "machines.joint_library",
     "MjcfVariant": "machines.mjcf",
     "SystemMachine": "machines.system",
     "read_machine": "machines.mjcf_mapping",

@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym._util.params import ParameterError
+from ves_gym.diagnosis.data.drive_gains import with_drive_gains
 from ves_gym.diagnosis.data.measured_run import BAND, Run, require_plausible, run_of
 from ves_gym.diagnosis.inference.cache import digest_of
 from ves_gym.diagnosis.inference.candidates import Candidate, library, without
 from ves_gym.diagnosis.machines.base import Machine
+from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.mjcf_mapping import read_machine
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.diagnosis.output.common import DescriptionFiles
@@ -45,6 +47,7 @@ class DiagnosisInputs:
         [Sequence[Any], Path, bool], DescriptionFiles
     ]  # effects, folder, free runs too
     mistakes: tuple[tuple[str, Machine], ...] = ()  # usual ones in a description
+    notes: tuple[str, ...] = ()  # what was done to the data before
 
 
 Source = RunLog | str | os.PathLike[str]  # a log, its file, or a folder of files
@@ -125,7 +128,7 @@ def mjcf_inputs(
     leave_out: Sequence[str] = (),
     band: float | None = None,
 ) -> DiagnosisInputs:
-    """Data of a machine in MJCF: each a file, or a folder whose files belong together.
+    """Data of a machine of joints: each a file, or a folder whose files belong together.
 
     Raises:
         ParameterError: as the mapping file's `read_machine`.
@@ -133,8 +136,9 @@ def mjcf_inputs(
     machine, load = read_machine(mapping, band)
     paths = [Path(text) for text in sources]
     _require_distinct(paths)
-    runs = [load(path) for path in paths]
-    fitted, held_back = _split(len(runs), (), final)
+    logged = [load(path) for path in paths]
+    fitted, held_back = _split(len(logged), (), final)
+    runs, gains = with_drive_gains(machine, logged, fitted)
 
     def write(effects: Sequence[Any], folder: Path, free: bool) -> DescriptionFiles:
         return write_machine(Path(mapping), machine, effects, folder, runs)
@@ -148,6 +152,7 @@ def mjcf_inputs(
         described=described(Path(mapping)),
         write=write,
         mistakes=tuple((text, machine.heavier(factor)) for text, factor in _MASSES),
+        notes=(*(note for run in runs for note in run.meta.get("notes", ())), *gains),
     )
 
 
@@ -194,11 +199,15 @@ def machine_inputs(
     if offered is None:
         raise ParameterError(f"{machine.name} has no candidates()")
     fitted, held_back = _split(len(runs), (), final)
+    notes: list[str] = []
+    if isinstance(machine, MjcfMachine):
+        runs, notes = with_drive_gains(machine, runs, fitted)
     return DiagnosisInputs(
         machine=machine,
         runs=tuple(runs[i] for i in fitted),
         final=tuple(runs[i] for i in held_back),
         candidates=tuple(without(offered(), leave_out)),
+        notes=tuple(notes),
         digests={run.name: digest_of(run) for run in runs},
         described=machine.name,
         write=_unwritten,

@@ -9,7 +9,8 @@ from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis.data.measured_run import require_plausible, run_of, run_of_signals
 from ves_gym.diagnosis.data.sanity_checks import require_as_logged, suspected_mistake
 from ves_gym.diagnosis.inputs import _heavier
-from ves_gym.diagnosis.machines.mjcf import MjcfJoint, MjcfMachine
+from ves_gym.diagnosis.machines.joint_library import MjcfJoint
+from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.effects import JointCoulomb
 from ves_gym.mechanics.arm_library import get_arm

@@ -13,7 +13,8 @@ from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis.inference.cache import source_digest
 from ves_gym.diagnosis.inference.candidates import left_out, library
 from ves_gym.diagnosis.machines.drift import SlowPath
-from ves_gym.diagnosis.machines.mjcf import MjcfJoint, MjcfMachine
+from ves_gym.diagnosis.machines.joint_library import MjcfJoint
+from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.presliding import Presliding
 from ves_gym.diagnosis.machines.torque_balance import scales
 from ves_gym.effects import SensorDrift

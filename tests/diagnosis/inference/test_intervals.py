@@ -6,7 +6,8 @@ import pytest
 from ves_gym.diagnosis.data.measured_run import run_of_signals
 from ves_gym.diagnosis.inference.intervals import intervals, stretches
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
-from ves_gym.diagnosis.machines.mjcf import MjcfJoint, MjcfMachine
+from ves_gym.diagnosis.machines.joint_library import MjcfJoint
+from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 
 
 def test_intervals_of_a_size_cover_it():

@@ -11,7 +11,8 @@ from ves_gym.cli.main import main
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.data.measured_run import run_of_signals
 from ves_gym.diagnosis.inference.cache import AnswerCache
-from ves_gym.diagnosis.machines.mjcf import MjcfJoint, MjcfMachine
+from ves_gym.diagnosis.machines.joint_library import MjcfJoint
+from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.mjcf_mapping import read_machine
 from ves_gym.diagnosis.output.mjcf_file import write_machine
 from ves_gym.effects import (

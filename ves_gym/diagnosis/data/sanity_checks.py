@@ -25,6 +25,7 @@ _FAR = 0.2  # of it: what is left where a mistake is found
 _GOOD = 0.3  # of a channel's movement: more is no agreement
 _SPOILED = 1.2  # of a residual: others may not get worse
 _MOVING = 0.1  # of the largest movement of its kind
+_HEARD = 3.0  # times the noise that a movement must have
 _LEAST = 0.02  # of a channel's movement: better does not count
 _SEEN = {  # port -> the signal that its residual is a part of
     "joint": "tau",
@@ -123,7 +124,9 @@ def suspected_mistake(
         The question to ask; None where no mistake stands out.
     """
     ports = testable(machine, [run])
-    current = _sizes(machine, run, [p.name for p in ports])
+    every = [p.name for p in ports]
+    tells = {name: _tells(run, _SEEN[name]) for name in every}
+    current = _sizes(machine, run, every, tells)
     bad = {name: x > _BADLY.get(name, _BAD) for name, x in current.items()}
     if not any(flags.any() for flags in bad.values()):
         return None
@@ -136,7 +139,7 @@ def suspected_mistake(
         changed = run
         if mistake.change is not None:
             changed = run.with_signals(mistake.change(run))
-        revised = _sizes(mistake.machine or machine, changed, names)
+        revised = _sizes(mistake.machine or machine, changed, names, tells)
         before, after = (
             np.concatenate([x[name] for name in names]) for x in (current, revised)
         )
@@ -155,8 +158,11 @@ def suspected_mistake(
     return None if best is None else best[1]
 
 
-def _sizes(machine: Machine, run: Run, ports: Sequence[str]) -> dict[str, Array]:
-    """Return (c,) per port: size of the residual over that of the channel's movement."""
+def _sizes(
+    machine: Machine, run: Run, ports: Sequence[str], tells: Mapping[str, Array]
+) -> dict[str, Array]:
+    """Return (c,) per port: size of the residual over that of the channel's movement; 0 where
+    a channel does not tell anything."""
     residuals = machine.residuals(run, [machine.nominal], ports)
     out = {}
     for name in ports:
@@ -167,11 +173,21 @@ def _sizes(machine: Machine, run: Run, ports: Sequence[str]) -> dict[str, Array]
         size = np.where(np.isfinite(residual_size), residual_size, np.inf) / np.maximum(
             signal_size, 1e-300
         )
-        # a channel that hardly moves beside its kind says nothing
-        if _SEEN[name] in _OF_A_BODY:
-            most = np.repeat(signal_size.reshape(2, 3).max(axis=1), 3)
-            size[signal_size < _MOVING * most] = 0.0
-        out[name] = size
+        out[name] = np.where(tells[name], size, 0.0)
+    return out
+
+
+def _tells(run: Run, signal: str) -> Array:
+    """Return (c,) True for channels of a signal, as logged, that stand out of their noise, and
+    do not hardly move beside their kind."""
+    x = _logged(run, signal)
+    size = np.linalg.norm(run.window.spectrum(x)[1:], axis=0)
+    out = np.ones(len(size), bool)
+    if signal in run.noise:  # white, as large as all of it: more than what is in the band
+        out &= size > _HEARD * run.noise[signal].std * np.sqrt(len(run.window.frequencies))
+    if signal in _OF_A_BODY:
+        most = np.repeat(size.reshape(2, 3).max(axis=1), 3)
+        out &= size >= _MOVING * most
     return out
 
 

@@ -1,4 +1,6 @@
-"""From a mapping file to a machine in MJCF and its runs; docs/diagnosis.md has an example."""
+"""From a mapping file to a machine of joints (MJCF, URDF) and its runs; docs/diagnosis.md has
+examples.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +22,19 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym._util.recordings import column_of, read_columns
+from ves_gym._util.signals import downsampled, on_uniform_clock
 from ves_gym.diagnosis.data.measured_run import BAND, Run, require_steady, run_of_signals
-from ves_gym.diagnosis.machines.mjcf import MjcfJoint, MjcfMachine, RateError, Tolerance
+from ves_gym.diagnosis.machines.joint_changes import Payload, RateError, Shaft
+from ves_gym.diagnosis.machines.joint_library import MjcfJoint
+from ves_gym.diagnosis.machines.mjcf import MjcfMachine
+from ves_gym.diagnosis.machines.rigid_bodies import RigidBodies, UrdfBodies
+from ves_gym.diagnosis.machines.tolerances import Tolerance
 from ves_gym.system.effect import Effect
 
 SCHEMA = "ves-machine/1"
 Loader = Callable[[str | os.PathLike[str]], Run]
+_MOST_PER_BAND = 100.0  # samples per period of the band's top: more say nothing more
+_PARTS = ("position", "velocity", "force")
 
 
 @dataclass(frozen=True)
@@ -50,20 +59,63 @@ class Column:
 
 
 @dataclass(frozen=True)
+class Clock:
+    """Time of the samples: a column, or a step where the file has none; what part is used."""
+
+    column: str | None = None
+    gain: float = 1.0
+    offset: float = 0.0
+    step: float | None = unit("s", default=None)
+    start: float | None = unit("s", default=None)  # rows from here
+    stop: float | None = unit("s", default=None)  # to here are used
+
+    def __post_init__(self) -> None:
+        if (self.column is None) == (self.step is None):
+            raise ParameterError("time needs a column or a step, one of them")
+        if self.step is not None:
+            require_positive(self, "step")
+
+    def of(self, columns: dict[str, Array], rows: int, where: str) -> tuple[Array, slice]:
+        """Return stamps (T,) of all rows and the rows that are used.
+
+        Args:
+            columns: of the file, by name.
+            rows: of the other columns, for a file without a clock.
+            where: the file, in messages.
+        """
+        if self.column is None:
+            t = float(self.step or 0.0) * np.arange(rows) + self.offset
+        else:
+            t = self.gain * column_of(columns, self.column, where) + self.offset
+        used = slice(
+            0 if self.start is None else int(np.searchsorted(t, self.start - 1e-9)),
+            len(t) if self.stop is None else int(np.searchsorted(t, self.stop + 1e-9)),
+        )
+        if used.stop - used.start < 2:
+            raise ParameterError(
+                f"{where}: no rows between start and stop; the clock runs from {t[0]:g} s to"
+                f" {t[-1]:g} s"
+            )
+        return np.asarray(t, float), used
+
+
+@dataclass(frozen=True)
 class JointColumns:
-    """Columns in which a joint was measured."""
+    """Columns in which a joint was measured; several parts add up."""
 
     name: str
-    position: Column
-    velocity: Column | None = None
-    force: tuple[Column, ...] = ()  # of the motor and known from outside, they add up
+    position: tuple[Column, ...]
+    velocity: tuple[Column, ...] = ()
+    force: tuple[Column, ...] = ()  # of motors and known from outside
     type: str = "hinge"
     radius: float = unit("m", default=1.0)
+    rotor: float = unit("kg m^2", default=0.0)
+    gain_unknown: bool = False
 
     @property
     def joint(self) -> MjcfJoint:
         """The joint."""
-        return MjcfJoint(self.name, self.type, self.radius)
+        return MjcfJoint(self.name, self.type, self.radius, self.rotor, self.gain_unknown)
 
 
 @dataclass(frozen=True)
@@ -91,14 +143,18 @@ class MachineFile:
 
     schema: str
     name: str
-    time: Column
+    time: Clock
     joint: tuple[JointColumns, ...]
-    model: str | None = None  # MJCF, beside the mapping file
+    model: str | None = None  # MJCF (.xml) or URDF (.urdf), found from the mapping file
+    locked: tuple[str, ...] = ()  # joints of a URDF that stand still at zero
     band: float = unit("Hz", default=BAND)
     noise: NoiseLevel = field(default_factory=NoiseLevel)
     tolerance: Tolerance = field(default_factory=Tolerance)
     effect: tuple[Effect, ...] = ()  # of the machine, beside the model; a slide on its pinion
     rate: tuple[RateError, ...] = ()  # of the log
+    payload: tuple[Payload, ...] = ()  # on the last link, beside the model
+    shaft: tuple[Shaft, ...] = ()  # that several joints turn
+    known: dict[str, float] = field(default_factory=dict)  # tolerance -> standard deviation
 
     def __post_init__(self) -> None:
         if self.schema != SCHEMA:
@@ -110,33 +166,84 @@ class MachineFile:
                 lacks = self.joint[have.index(False)].name
                 raise ParameterError(f"joint {lacks} has no {what}, others have")
 
-    def machine(self, model: mujoco.MjModel | None) -> MjcfMachine:
+    def machine(self, model: mujoco.MjModel | RigidBodies | None) -> MjcfMachine:
         """The machine."""
-        joints = [j.joint for j in self.joint]
-        return MjcfMachine(self.name, joints, model, self.tolerance, self.effect, self.rate)
+        return MjcfMachine(
+            self.name,
+            [j.joint for j in self.joint],
+            model,
+            self.tolerance,
+            (*self.effect, *self.payload, *self.shaft),
+            self.rate,
+            couplings=self.couplings,
+            known=self.known,
+        )
+
+    @property
+    def couplings(self) -> tuple[tuple[float, ...], ...]:
+        """Shafts behind columns of force that act on several joints: by virtual work such a
+        shaft turns with the same gains."""
+        gains: dict[str, dict[int, float]] = {}
+        for i, joint in enumerate(self.joint):
+            for part in joint.force:
+                row = gains.setdefault(part.column, {})
+                row[i] = row.get(i, 0.0) + part.gain
+        out = []
+        for row in gains.values():
+            if len(row) > 1:
+                most = max(row.values(), key=abs)
+                out.append(tuple(row.get(i, 0.0) / most for i in range(len(self.joint))))
+        return tuple(out)
 
     def run(self, columns: dict[str, Array], name: str) -> Run:
-        """A run from the columns of a file.
+        """A run from the columns of a file, sampled at most `_MOST_PER_BAND` times the band.
 
         Raises:
             ParameterError: columns missing, not finite or of different lengths, a clock that
                 runs backwards or has gaps, or too slow or short for the band.
         """
-        t = self.time.of(columns, name)
-        parts = {"q": [j.position.of(columns, name) for j in self.joint]}
-        if self.joint[0].velocity is not None:
-            parts["v"] = [j.velocity.of(columns, name) for j in self.joint if j.velocity]
+        parts = {"q": [sum_of(j.position, columns, name) for j in self.joint]}
+        if self.joint[0].velocity:
+            parts["v"] = [sum_of(j.velocity, columns, name) for j in self.joint]
         if self.joint[0].force:
             parts["tau"] = [sum_of(j.force, columns, name) for j in self.joint]
+        t, used = self.time.of(columns, len(parts["q"][0]), name)
         for key, series in parts.items():
             for joint, x in zip(self.joint, series, strict=True):
                 if x.shape != t.shape:
                     raise ParameterError(
                         f"{name}: {key} of {joint.name} has {len(x)} rows, the clock {len(t)}"
                     )
+        t = t[used]
         require_steady(t, name)
-        signals = {key: np.stack(series, axis=1) for key, series in parts.items()}
-        return run_of_signals(t, signals, name, self.band, {"noise_std": self.noise.by_signal})
+        signals = {key: np.stack(series, axis=1)[used] for key, series in parts.items()}
+        return sampled_run(t, signals, name, self.band, {"noise_std": self.noise.by_signal})
+
+
+def sampled_run(
+    t: Array, signals: dict[str, Array], name: str, band: float, meta: dict[str, Any]
+) -> Run:
+    """Return a run; signals sampled far faster than the band are down-sampled first.
+
+    Args:
+        t: (T,) time stamps [s].
+        signals: (T, c) each.
+        name, band, meta: as of `run_of_signals`.
+    """
+    rate = (len(t) - 1) / float(t[-1] - t[0])
+    factor = int(rate // (_MOST_PER_BAND * band))
+    if factor > 1:
+        widths = np.cumsum([x.shape[1] for x in signals.values()])[:-1]
+        dt, even = on_uniform_clock(t, np.concatenate(list(signals.values()), axis=1))
+        slow = downsampled(even, factor)
+        t = t[0] + factor * dt * np.arange(len(slow))
+        signals = dict(zip(signals, np.split(slow, widths, axis=1), strict=True))
+        text = (
+            f"{name}: down-sampled from {rate:.4g} Hz to {rate / factor:.4g} Hz, everything"
+            f" above {0.4 * rate / factor:.3g} Hz filtered out before"
+        )
+        meta = {**meta, "notes": [text]}
+    return run_of_signals(t, signals, name, band, meta)
 
 
 def sum_of(parts: tuple[Column, ...], columns: dict[str, Array], where: str) -> Array:
@@ -185,14 +292,39 @@ def machine_of(table: dict[str, Any], path: Path) -> tuple[MachineFile, MjcfMach
         ParameterError: naming file and key.
     """
     try:
-        file: MachineFile = from_plain(MachineFile, table, str(path))
-        model = None if file.model is None else read_model(path.parent / file.model)
-        return file, file.machine(model)
+        file: MachineFile = from_plain(MachineFile, _listed(table), str(path))
+        return file, file.machine(_model_of(file, path.parent))
     except ParameterError as error:
         text = str(error)
         raise ParameterError(
             text if text.startswith(str(path)) else f"{path}: {text}"
         ) from None
+
+
+def _listed(table: dict[str, Any]) -> dict[str, Any]:
+    """Return a mapping in which quantities of one column are lists of one."""
+    joints = table.get("joint")
+    if not isinstance(joints, list):
+        return table
+
+    def listed(joint: Any) -> Any:
+        if not isinstance(joint, dict):
+            return joint
+        one = {k: [joint[k]] for k in _PARTS if isinstance(joint.get(k), dict)}
+        return {**joint, **one}
+
+    return {**table, "joint": [listed(joint) for joint in joints]}
+
+
+def _model_of(file: MachineFile, folder: Path) -> mujoco.MjModel | RigidBodies | None:
+    if file.model is None:
+        return None
+    path = folder / file.model
+    if path.suffix == ".urdf":
+        return UrdfBodies(path, [(j.name, j.type) for j in file.joint], file.locked)
+    if file.locked:
+        raise ParameterError("locked joints are of a URDF; leave them out of an MJCF file")
+    return read_model(path)
 
 
 def read_model(path: Path) -> mujoco.MjModel:

@@ -1,5 +1,5 @@
-"""Effects into the files of a machine in MJCF: what MJCF can hold goes into the model, the
-rest into the mapping file.
+"""Effects into the files of a machine of joints: what MJCF can hold goes into the model, the
+rest, and all that a machine in URDF lacks, into the mapping file.
 
     joint/viscous        damping
     joint/coulomb        frictionloss
@@ -31,8 +31,10 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.machines.mjcf import MjcfMachine, RateError, joint_property
+from ves_gym.diagnosis.machines.joint_changes import Payload, RateError, Shaft, apart
+from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.mjcf_mapping import machine_of
+from ves_gym.diagnosis.machines.rigid_bodies import joint_property
 from ves_gym.diagnosis.output.common import (
     DescriptionFiles,
     difference,
@@ -48,6 +50,7 @@ _MJCF_ATTRIBUTES = {  # effect -> (its numbers, attribute of a joint, power of a
     "joint/coulomb": ("torque", "frictionloss", -1),
     "joint/rotor_inertia": ("added", "armature", -2),
 }
+_TABLES: dict[type, str] = {RateError: "rate", Payload: "payload", Shaft: "shaft"}
 _FOLDERS = ("assetdir", "meshdir", "texturedir")
 
 
@@ -63,7 +66,7 @@ class _Split:
 def write_machine(
     mapping: Path,
     machine: MjcfMachine,
-    effects: Sequence[Effect | RateError],
+    effects: Sequence[Any],
     folder: Path,
     runs: Sequence[Run],
 ) -> DescriptionFiles:
@@ -77,23 +80,25 @@ def write_machine(
         ParameterError: the folder holds the files that are read; what is read back differs.
     """
     table = read_table(mapping)
-    source = None if table.get("model") is None else mapping.parent / table["model"]
+    source = None if machine.mjcf is None else mapping.parent / table["model"]
     for name, read in ((MAPPING, mapping), (MODEL, source)):
         if read is not None and (folder / name).resolve() == read.resolve():
             raise ParameterError(f"--out {folder} would overwrite {read}: take another folder")
-    model_effects = [e for e in effects if not isinstance(e, RateError)]
-    rates = [e for e in effects if isinstance(e, RateError)]
+    changes = [e for e in apart(effects) if isinstance(e, (RateError, Payload, Shaft))]
+    model_effects = [e for e in apart(effects) if e not in changes]
     variant = machine.model(effects)
     inside = _split(source, machine, model_effects)
     beside = (
-        _Split(None, tuple(model_effects), ())
+        _Split(None, tuple(model_effects), tuple(f"{_kind(e)}: in {MAPPING}" for e in effects))
         if source is None
         else _plain(source, model_effects)
     )
     last: ParameterError | None = None
     for part in (inside, beside) if inside.model is not None else (beside,):
         try:
-            return _written(table, mapping, source, part, rates, folder, machine, variant, runs)
+            return _written(
+                table, mapping, source, part, changes, folder, machine, variant, runs
+            )
         except ParameterError as error:
             last = error
     assert last is not None
@@ -105,7 +110,7 @@ def _written(
     mapping: Path,
     source: Path | None,
     part: _Split,
-    rates: Sequence[RateError],
+    changes: Sequence[RateError | Payload | Shaft],
     folder: Path,
     machine: MjcfMachine,
     variant: Any,
@@ -113,13 +118,18 @@ def _written(
 ) -> DescriptionFiles:
     import tomli_w
 
-    additions = {
-        "effect": [*table.get("effect", ()), *map(to_plain, part.table)],
-        "rate": [*table.get("rate", ()), *map(to_plain, rates)],
+    additions: dict[str, list[Any]] = {
+        key: list(table.get(key, ())) for key in ("effect", "rate", "payload", "shaft")
     }
+    additions["effect"] += map(to_plain, part.table)
+    for change in changes:
+        additions[_TABLES[type(change)]].append(to_plain(change))
     new = {**table, **{key: entries for key, entries in additions.items() if entries}}
     if source is not None:
         new["model"] = MODEL
+    elif machine.bodies is not None:  # a URDF stays where it is
+        there = (mapping.parent / table["model"]).resolve()
+        new["model"] = Path(os.path.relpath(there, folder.resolve())).as_posix()
     text = tomli_w.dumps(new)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as inner:
         pairs = [(Path(inner) / MAPPING, folder / MAPPING)]
@@ -131,7 +141,8 @@ def _written(
             write_text(near, _text(_moved(part.model, source.parent, Path(inner))))
             pairs.insert(0, (near, folder / MODEL))
         write_text(pairs[-1][0], text)
-        reloaded = machine_of(tomllib.loads(text), pairs[-1][0])[1]
+        where = pairs[-1][0] if source is not None else folder / MAPPING
+        reloaded = machine_of(tomllib.loads(text), where)[1]
         deviation = difference(machine, variant, reloaded, reloaded.nominal, runs)
         require_same(deviation, folder / MAPPING)
         if source is not None:
@@ -169,6 +180,13 @@ def _plain(source: Path, effects: Sequence[Effect]) -> _Split:
     return _Split(_read(source), tuple(effects), notes)
 
 
+def _kind(effect: Any) -> str:
+    """Kind of an effect, or what a change of the machine is called."""
+    return getattr(effect, "kind", "") or " and ".join(
+        str(getattr(e, "kind", _TABLES.get(type(e)))) for e in apart([effect])
+    )
+
+
 def _split(source: Path | None, machine: MjcfMachine, effects: Sequence[Effect]) -> _Split:
     """The model with what it can hold."""
     if source is None or machine.mjcf is None:
@@ -193,7 +211,7 @@ def _split(source: Path | None, machine: MjcfMachine, effects: Sequence[Effect])
         additions[attribute] = additions.get(attribute, np.zeros(len(radius))) + value
         notes.append(f"{effect.kind}: {attribute} in {MODEL}")
     for attribute, value in additions.items():
-        present = joint_property(machine.mjcf, attribute)[machine.dof]
+        present = joint_property(machine.mjcf.model, attribute)[machine.mjcf.dof]
         for joint, base_value, add in zip(joints, present, value, strict=True):
             if add and joint is None:  # named by <attach> or <replicate>
                 return _Split(None, tuple(effects), ())
@@ -214,11 +232,11 @@ def _geared(root: ET.Element, machine: MjcfMachine, effect: Effect) -> list[str]
     """Scale the gears of motors by what the drives really give; names of the joints."""
     assert machine.mjcf is not None
     every = [k for part in root.iterfind("actuator") for k in part if isinstance(k.tag, str)]
-    if len(every) != machine.mjcf.nu:  # some are made by <replicate> or <attach>
+    if len(every) != machine.mjcf.model.nu:  # some are made by <replicate> or <attach>
         return []
     wrong = {j.name: e for j, e in zip(machine.joints, vars(effect)["error"], strict=True)}
     done = []
-    for actuator, gear in zip(every, machine.mjcf.actuator_gear, strict=True):
+    for actuator, gear in zip(every, machine.mjcf.model.actuator_gear, strict=True):
         error = wrong.get(actuator.get("joint", ""), 0.0)
         if actuator.tag == "motor" and error:
             actuator.set("gear", " ".join(repr(float(g) * (1 + error)) for g in gear))

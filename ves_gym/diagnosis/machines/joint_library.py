@@ -1,0 +1,271 @@
+"""Candidates of a machine of joints: the library's laws in the units of each joint, rates
+logged otherwise than they were, friction of a whole arm, coupled shafts and payloads.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError, require_positive, unit
+from ves_gym.diagnosis.inference.candidates import Candidate, library
+from ves_gym.diagnosis.machines.joint_changes import Payload, RateError, Shaft, Together
+from ves_gym.diagnosis.machines.rigid_bodies import PARAMETER_UNITS, PARAMETERS
+from ves_gym.effects import JointCoulomb, JointStribeck, JointVelocityLag, JointViscous
+from ves_gym.system.effect import EFFECTS, Effect, TorqueEffect
+
+_BESIDE_LAWS = ("joint/measurement_delay", "joint/rotor_inertia", "joint/velocity_lag")
+_LIMITS = ("joint/torque_limit",)  # a mapping file states no limit of the motors
+_ON_RACK = {  # unit of a turning joint -> unit of a slide, power of the radius between them
+    "N m": ("N", -1),
+    "N m s/rad": ("N s/m", -2),
+    "kg m^2": ("kg", -2),
+    "rad/s": ("m/s", 1),
+    "rad": ("m", 1),
+}
+_LAGS = (0.02, 0.005, 0.2)  # s, where fits of a low-pass begin
+_BREAKAWAY, _STUCK = 2.0, 30.0  # N m above Coulomb's: where fits begin, and most
+_FADED = 0.1  # rad/s: what fades later is not of standstill but Coulomb's by another name
+_ARM = 3  # joints from which friction of all of them is one cause
+_MOST = {"coulomb": 50.0, "viscous": 50.0, "inertia": 10.0}  # N m, N m s/rad, kg m^2
+_PAYLOAD = {"kg": (1.0, 0.0, 50.0), "kg m": (0.1, -20.0, 20.0), "kg m^2": (0.02, -10.0, 10.0)}
+
+
+@dataclass(frozen=True)
+class MjcfJoint:
+    """A joint as the laws of the library see it."""
+
+    name: str
+    type: str = "hinge"  # or "slide"
+    radius: float = unit("m", default=1.0)  # of the pinion that a slide is seen on
+    rotor: float = unit("kg m^2", default=0.0)  # beside the model's, at the joint; slides: kg
+    gain_unknown: bool = False  # the force logged has no scale of its own
+
+    def __post_init__(self) -> None:
+        if self.type not in ("hinge", "slide"):
+            raise ParameterError(
+                f"joint {self.name}: type must be hinge or slide, got {self.type!r}"
+            )
+        require_positive(self, "radius")
+        if not self.rotor >= 0:
+            raise ParameterError(f"joint {self.name}: rotor must be >= 0, got {self.rotor}")
+        if self.type == "hinge" and self.radius != 1.0:
+            raise ParameterError(
+                f"joint {self.name}: radius is of slides, this is a hinge, got {self.radius}"
+            )
+
+
+def is_computed(cls: type[Effect]) -> bool:
+    """Return True for what such a machine can compute; the rest is another machine's.
+
+    Args:
+        cls: effect of the library.
+    """
+    if issubclass(cls, TorqueEffect):
+        return cls.kind not in _LIMITS
+    return cls.kind in _BESIDE_LAWS
+
+
+def joint_candidates(joints: Sequence[MjcfJoint], ports: Sequence[str]) -> list[Candidate]:
+    """Return the library as far as it applies, each effect in the units of its joint.
+
+    Args:
+        joints: in the order of the columns.
+        ports: names.
+    """
+    n = len(joints)
+    every = library(n, ports)
+    slots = {f"joint {i + 1}": i for i in range(n)}
+    out = []
+    for candidate in (c for c in every if is_computed(EFFECTS[c.kind])):
+        candidate = dataclasses.replace(candidate, blurs=())  # one form of every law here
+        if candidate.kind == "joint/stribeck":
+            candidate = _excess(candidate, slots[candidate.slot], n)
+        at = slots.get(candidate.slot)
+        scaled = at is not None and joints[at].gain_unknown
+        if candidate.kind == "joint/drive_gain" and scaled:
+            continue  # it is an unknown of the description already
+        out.append(candidate if at is None else _placed(candidate, joints[at]))
+    for i, joint in enumerate(joints):
+        only = tuple(float(k == i) for k in range(n))
+        out += [_rates(kind, joint.name, only) for kind in ("gain", "delay")]
+    if n > 1:  # one firmware in all drives
+        out += [_rates(kind, "", (1.0,) * n) for kind in ("delay", "lag")]
+    return out
+
+
+def arm_friction(joints: Sequence[MjcfJoint]) -> list[Candidate]:
+    """Return viscous and Coulomb friction of all joints as one cause; none for a few joints."""
+    n = len(joints)
+    if n < _ARM:
+        return []
+    r = np.array([j.radius for j in joints])
+    into = {key: np.array([_factor(j, key) for j in joints]) for key in ("N m", "N m s/rad")}
+
+    def make(x: Array) -> Together:
+        viscous, coulomb = np.split(np.asarray(x), 2)
+        return Together(
+            (
+                JointViscous(damping=tuple(viscous / into["N m s/rad"])),
+                JointCoulomb(torque=tuple(coulomb / into["N m"])),
+            )
+        )
+
+    return [
+        Candidate(
+            kind="joint/friction",
+            slot="all joints",
+            ports=("joint",),
+            names=(
+                *(f"viscous of {j.name}" for j in joints),
+                *(f"coulomb of {j.name}" for j in joints),
+            ),
+            units=(
+                *(_unit(j, "N m s/rad") for j in joints),
+                *(_unit(j, "N m") for j in joints),
+            ),
+            starts=((*into["N m s/rad"], *(2 * into["N m"])),),
+            low=(0.0,) * (2 * n),
+            high=(*(_MOST["viscous"] / r**2), *(_MOST["coulomb"] / r)),
+            make=make,
+            factors=tuple(range(2 * n)),
+        )
+    ]
+
+
+def coupled_shaft(joints: Sequence[MjcfJoint], ratio: Sequence[float]) -> Candidate:
+    """Return friction and inertia of a shaft that several joints turn, as one cause.
+
+    Args:
+        joints: all.
+        ratio: (n,) rate of the shaft per rate of each joint.
+    """
+    names = [j.name for j, r in zip(joints, ratio, strict=True) if r]
+    turns = tuple(float(r) for r in ratio)
+    return Candidate(
+        kind="shaft/friction",
+        slot=" and ".join(names),
+        ports=("joint",),
+        names=("coulomb", "viscous", "inertia"),
+        units=("N m", "N m s/rad", "kg m^2"),
+        starts=((2.0, 1.0, 0.1),),
+        low=(0.0,) * 3,
+        high=(_MOST["coulomb"], _MOST["viscous"], _MOST["inertia"]),
+        make=lambda x: Shaft(turns, *(float(k) for k in x)),
+        factors=(0, 1, 2),
+    )
+
+
+def payload_candidate(visible: Sequence[int]) -> Candidate:
+    """Return mass, centre and inertia of a payload as one cause.
+
+    Args:
+        visible: which of `PARAMETERS` the forces can tell.
+    """
+    ranges = [_PAYLOAD[PARAMETER_UNITS[k]] for k in visible]
+
+    def make(x: Array) -> Payload:
+        every = np.zeros(10)
+        every[list(visible)] = x
+        m, mx, my, mz, *inertia = (float(value) for value in every)
+        return Payload(m, (mx, my, mz), tuple(inertia))
+
+    return Candidate(
+        kind="payload/body",
+        slot="",
+        ports=("joint",),
+        names=tuple(PARAMETERS[k] for k in visible),
+        units=tuple(PARAMETER_UNITS[k] for k in visible),
+        starts=(tuple(x[0] for x in ranges),),
+        low=tuple(x[1] for x in ranges),
+        high=tuple(x[2] for x in ranges),
+        make=make,
+        factors=tuple(range(len(visible))),
+        sparse=True,
+    )
+
+
+def _excess(candidate: Candidate, joint: int, n: int) -> Candidate:
+    """Of Stribeck friction what is beside Coulomb's, a candidate of its own: no name holds
+    another, and the simpler comes first."""
+
+    def make(x: Array) -> Effect:
+        level = tuple(float(x[0]) if i == joint else 0.0 for i in range(n))
+        return JointStribeck(coulomb=(0.0,) * n, stiction=level, fade_speed=float(x[1]))
+
+    return dataclasses.replace(
+        candidate,
+        names=("breakaway", "fade_speed"),
+        units=("N m", "rad/s"),
+        starts=((_BREAKAWAY, _FADED / 2), (_BREAKAWAY, _FADED)),
+        low=(0.0, candidate.low[-1]),
+        high=(_STUCK, _FADED),
+        make=make,
+        factors=(0,),
+    )
+
+
+def _rates(what: str, slot: str, where: tuple[float, ...]) -> Candidate:
+    """A way in which the joints marked with 1 in `where` (n,) report their rates."""
+    none = (0.0,) * len(where)
+
+    def make(x: Array) -> Any:
+        values = tuple(float(x[0]) * w for w in where)
+        if what == "lag":
+            return JointVelocityLag(time_constant=values)
+        return RateError(values, none) if what == "gain" else RateError(none, values)
+
+    name, symbol, starts, low, high = {
+        "gain": ("gain", "1", (0.05,), -0.5, 0.5),
+        "delay": ("delay", "s", (0.01, 0.1), 0.0, 0.5),
+        "lag": ("time_constant", "s", _LAGS, 0.0, 1.0),
+    }[what]
+    return Candidate(
+        kind="joint/velocity_lag" if what == "lag" else f"velocity/{what}",
+        slot=slot,
+        ports=("velocity",),
+        names=(name,),
+        units=(symbol,),
+        starts=tuple((x,) for x in starts),
+        low=(low,),
+        high=(high,),
+        make=make,
+        factors=(0,),
+    )
+
+
+def _unit(joint: MjcfJoint, symbol: str) -> str:
+    """Unit of a quantity of a turning joint, at this one."""
+    return symbol if joint.type == "hinge" else _ON_RACK.get(symbol, (symbol, 0))[0]
+
+
+def _factor(joint: MjcfJoint, symbol: str) -> float:
+    """Number at this joint per number of a turning joint."""
+    power = 0 if joint.type == "hinge" else _ON_RACK.get(symbol, (symbol, 0))[1]
+    return float(joint.radius**power)
+
+
+def _placed(candidate: Candidate, joint: MjcfJoint) -> Candidate:
+    """A candidate under its joint's name; of a slide in m and N."""
+    if joint.type == "hinge":
+        return dataclasses.replace(candidate, slot=joint.name)
+    factor = np.array([_factor(joint, u) for u in candidate.units])
+
+    def scaled(values: Sequence[float]) -> tuple[float, ...]:
+        return tuple((np.array(values) * factor).tolist())
+
+    return dataclasses.replace(
+        candidate,
+        slot=joint.name,
+        units=tuple(_unit(joint, u) for u in candidate.units),
+        starts=tuple(scaled(s) for s in candidate.starts),
+        low=scaled(candidate.low),
+        high=scaled(candidate.high),
+        make=lambda x: candidate.make(
+            np.clip(np.asarray(x) / factor, candidate.low, candidate.high)
+        ),
+    )
