@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from ves_gym._util.params import Array
+from ves_gym._util.params import Array, Mask
 from ves_gym.mechanics.attitude import rotate, to_matrix
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 from ves_gym.mechanics.tool_pose import tool_frame, tool_twists
@@ -31,7 +31,7 @@ def contact_energies(log: RunLog, system: System) -> tuple[Array, Array]:
     assert log.contact is not None and log.contact_energy is not None
     place, moving = _tool(log, system)
     if system.contact is not None and system.contact.on == "payload":
-        touching = log.contact.any(axis=1)
+        touching: Mask = np.asarray(log.contact.any(axis=1))
         steps = np.where(
             touching[1:] | touching[:-1], _from_payload(log, system, place, moving), 0
         )
