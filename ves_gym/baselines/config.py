@@ -18,7 +18,7 @@ from ves_gym._util.params import (
     to_plain,
 )
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.baselines.policy import ACTIVATIONS
+from ves_gym.baselines.policy import ACTIVATIONS, task_name
 
 CONFIGS = Path(__file__).parent / "configs"
 ALGORITHMS = ("PPO", "SAC")
@@ -98,8 +98,7 @@ class TrainConfig:
     @property
     def name(self) -> str:
         """Such as PumaRestToRest-ppo."""
-        env = self.env.rpartition("/")[2].rpartition("-v")[0]
-        return f"{env}-{self.label}"
+        return f"{task_name(self.env)}-{self.label}"
 
     @property
     def label(self) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 from gymnasium.vector import AutoresetMode
 
-from ves_gym._util.params import Array, Mask, ParameterError
+from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, rate
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.controllers import Controller
@@ -113,8 +113,52 @@ def evaluate(
         id, min(n_envs or _AT_ONCE, episodes), AutoresetMode.DISABLED, threads, **settings
     )
     rows: list[dict[str, Any]] = []
-    queue = list(range(seed, seed + episodes))[::-1]
-    running = np.full(env.num_envs, -1)  # the seed each environment is at, -1: none
+    for step in run_episodes(controller, env, range(seed, seed + episodes)):
+        if step.ended.any():
+            rows += _rows(env, step.ended, step.seeds, step.info)
+            if progress is not None:
+                progress(len(rows) / episodes)
+    env.close()
+    rows.sort(key=lambda row: row["seed"])
+    about = getattr(controller, "about", {})
+    seconds = round(time.perf_counter() - begin, 3)
+    return Evaluation(controller.name, id, settings, rows, about, seconds)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A control period of n environments, of which some wait while the last episodes end."""
+
+    seeds: Index  # (n,) of their episodes, -1: it waits
+    observation: Any  # (n, o) before it
+    actions: Array  # (n, a)
+    following: Any  # (n, o) after it, before any reset
+    reward: Array  # (n,)
+    terminated: Mask  # (n,)
+    truncated: Mask  # (n,)
+    info: Mapping[str, Any]
+
+    @property
+    def ended(self) -> Mask:
+        """(n,) episodes that end here."""
+        return (self.terminated | self.truncated) & (self.seeds >= 0)
+
+
+def run_episodes(
+    controller: Controller, env: VesVectorEnv, seeds: Iterable[int]
+) -> Iterator[Step]:
+    """Step through an episode of every seed, as many at once as there are environments.
+
+    Args:
+        controller: that acts.
+        env: with autoreset disabled; between the steps it is as the last one left it.
+        seeds: of the episodes, each begun by `env.reset(seed=...)`.
+
+    Yields:
+        The steps, until every episode has ended.
+    """
+    queue = list(seeds)[::-1]
+    running = np.full(env.num_envs, -1)
     ended = np.ones(env.num_envs, bool)
     observation: Any = None
     while True:
@@ -123,23 +167,18 @@ def evaluate(
             fresh = np.flatnonzero(ended & (running >= 0))
             if len(fresh):
                 controller.reset(env, fresh)
-        if (running < 0).all():
-            break
-        actions = controller.act(env, observation)
         idle = running < 0
+        if idle.all():
+            return
+        actions = controller.act(env, observation)
         if idle.any():
             actions = np.where(idle[:, None], 0.0, actions)
-        observation, _, terminated, truncated, info = env.step(actions)
+        before = observation
+        observation, reward, terminated, truncated, info = env.step(actions)
         ended = terminated | truncated
-        if ended.any():
-            rows += _rows(env, ended & ~idle, running, info)
-            if progress is not None:
-                progress(len(rows) / episodes)
-    env.close()
-    rows.sort(key=lambda row: row["seed"])
-    about = getattr(controller, "about", {})
-    seconds = round(time.perf_counter() - begin, 3)
-    return Evaluation(controller.name, id, settings, rows, about, seconds)
+        yield Step(
+            running.copy(), before, actions, observation, reward, terminated, truncated, info
+        )
 
 
 def spec_of(id: str) -> EnvSpec:
@@ -175,7 +214,7 @@ def make_vector(
     return env
 
 
-def _begin(env: VesVectorEnv, ended: Mask, running: Array, queue: list[int]) -> Any:
+def _begin(env: VesVectorEnv, ended: Mask, running: Index, queue: list[int]) -> Any:
     """Start the queue's next episodes where one ended; idle ones start any."""
     for i in np.flatnonzero(ended).tolist():
         running[i] = queue.pop() if queue else -1
@@ -186,7 +225,7 @@ def _begin(env: VesVectorEnv, ended: Mask, running: Array, queue: list[int]) -> 
 
 
 def _rows(
-    env: VesVectorEnv, which: Mask, running: Array, info: Mapping[str, Any]
+    env: VesVectorEnv, which: Mask, running: Index, info: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
     e = env.batch.episodes
     failed = (info["reward/failure"] < 0) | info["diverged"]

@@ -203,12 +203,17 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
     return Policy(network, weights, plain["about"], name=path.stem)
 
 
+def task_name(id: str) -> str:
+    """Return an environment's name, such as PumaReach of ves/PumaReach-v1."""
+    return id.rpartition("/")[2].rpartition("-v")[0]
+
+
 def released(id: str) -> dict[str, Path]:
     """Policies that come with the package for an environment, by name.
 
     An ...Emulated id without its own has those of its ideal twin.
     """
-    name = id.rpartition("/")[2].rpartition("-v")[0]
+    name = task_name(id)
     files = sorted((RELEASED / name).glob("*.json"))
     files = files or sorted((RELEASED / name.removesuffix("Emulated")).glob("*.json"))
     return {path.stem: path for path in files}

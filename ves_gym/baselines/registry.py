@@ -35,6 +35,8 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "straight": lambda seed: Follow("straight", "straight", seed),
     "hotspot": lambda seed: Follow("hotspot", "hotspot-qt", seed),
     "direct": lambda seed: Follow("direct", "direct", seed),
+    "refined": lambda seed: Follow("refined", "refined", seed),
+    "robust": lambda seed: Follow("robust", "robust", seed),
     "lqr": lambda seed: Optimal(),
     "lqi": lambda seed: Regulator(),
     "tuned": _tuned,

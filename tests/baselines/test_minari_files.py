@@ -1,0 +1,85 @@
+"""Data sets in Minari's own hands: read by Minari, replayed in the environment it recovers."""
+
+import json
+
+import numpy as np
+import pytest
+
+minari = pytest.importorskip("minari")
+h5py = pytest.importorskip("h5py")
+
+from ves_gym._util.params import ParameterError  # noqa: E402
+from ves_gym.baselines.dataset import Recipe, make_dataset  # noqa: E402
+from ves_gym.baselines.minari_files import (  # noqa: E402
+    read_episodes,
+    replay,
+    stored_differences,
+    write_dataset,
+)
+
+ENVS = {
+    "PumaReachGoal-v1": ("random", "resolved"),
+    "PumaDampEmulated-v1": ("random", "lqi"),
+    "PumaRestToRest-v1": ("refined",),
+}
+
+
+def recipe(env, behaviours):
+    return Recipe(
+        id=f"ves/{env}/test-v0", env=f"ves/{env}", behaviours=behaviours, episodes=2, seed=3
+    )
+
+
+@pytest.fixture(scope="module", params=ENVS)
+def made(request, tmp_path_factory):
+    root = tmp_path_factory.mktemp("sets")
+    data = make_dataset(recipe(request.param, ENVS[request.param]))
+    return root, data, write_dataset(data, root)
+
+
+def test_a_fresh_environment_replays_every_bit(made):
+    _, data, folder = made
+    again = replay(folder)
+    assert again.exact and again.steps == sum(len(e.rewards) for e in data.episodes)
+    assert stored_differences(folder) == []
+
+
+def test_minari_reads_what_was_made(made, monkeypatch):
+    root, data, _ = made
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
+    stored = minari.load_dataset(data.recipe.id)
+    assert stored.total_episodes == 2 and stored.total_steps == replay(made[2]).steps
+    env = stored.recover_environment()
+    assert env.spec.id == data.recipe.env
+    for episode, ours in zip(stored.iterate_episodes(), data.episodes, strict=True):
+        assert np.array_equal(episode.rewards, ours.rewards)
+        assert np.array_equal(episode.actions, ours.actions)
+        # by hand, as a user of Minari would
+        env.reset(seed=ours.seed)
+        assert [env.step(a)[1] for a in episode.actions] == episode.rewards.tolist()
+
+
+def test_a_changed_episode_is_seen(made, tmp_path):
+    _, data, _ = made
+    folder = write_dataset(data, tmp_path)
+    with h5py.File(folder / "data" / "main_data.hdf5", "a") as file:
+        file["episode_0"]["rewards"][5] += 1e-3
+    again = replay(folder)
+    assert not again.sound and again.rewards == pytest.approx(1e-3)
+    assert stored_differences(folder) != []
+    with h5py.File(folder / "data" / "main_data.hdf5", "a") as file:
+        del file["episode_0"].attrs["seed"]
+    with pytest.raises(ParameterError, match="seed"):
+        read_episodes(folder)
+
+
+def test_a_data_set_is_replaced_whole_and_other_folders_are_refused(made, tmp_path):
+    _, data, _ = made
+    first = write_dataset(data, tmp_path)
+    assert write_dataset(data, tmp_path) == first and replay(first).exact
+    assert [p.name for p in first.parent.iterdir()] == [first.name]
+    with pytest.raises(ParameterError, match=r"metadata\.json"):
+        replay(tmp_path)
+    (tmp_path / "metadata.json").write_text(json.dumps({"data_format": "hdf5"}))
+    with pytest.raises(ParameterError, match="no data set"):
+        replay(tmp_path)

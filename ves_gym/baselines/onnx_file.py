@@ -1,0 +1,143 @@
+"""Policies as ONNX, for engines that are not ours: written, never read.
+
+An ONNX file is a program. This package makes one from a policy's numbers, runs what it has
+made itself to compare the actions, and loads none from elsewhere: `load_policy` reads the safe
+format alone.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.optional import installed, require
+from ves_gym._util.params import Array, write_bytes
+from ves_gym.baselines.policy import Policy
+
+OPSET = 17
+TOLERANCE = 1e-6  # of an action in [-1, 1]
+
+
+def to_onnx(policy: Policy) -> bytes:
+    """Return a policy as an ONNX model, from observation (n, o) to action (n, a) in float32.
+
+    Within, numbers are in double precision, as in `Policy`. Parts of a dictionary observation
+    are one after another in the order of the entry `inputs` of the model's metadata; `hold`
+    there is the number of control periods that an action is to be held for.
+    """
+    require("a policy as ONNX", "onnx")
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    net = policy.network
+    nodes: list[Any] = []
+    numbers: list[Any] = []
+
+    def constant(name: str, value: Any) -> str:
+        numbers.append(numpy_helper.from_array(np.asarray(value, np.float64), name))
+        return name
+
+    def add(kind: str, *inputs: str, **attributes: Any) -> str:
+        name = f"x{len(nodes)}"
+        nodes.append(helper.make_node(kind, list(inputs), [name], **attributes))
+        return name
+
+    x = add("Cast", "observation", to=TensorProto.DOUBLE)
+    limit = net.observation_limit
+    x = add("Clip", x, constant("low", -limit), constant("high", limit))
+    for i, (W, b) in enumerate(policy.weights):
+        x = add("MatMul", x, constant(f"layer{i}.weight", W))
+        x = add("Add", x, constant(f"layer{i}.bias", b))
+        if i + 1 < len(policy.weights):
+            x = add("Tanh" if net.activation == "tanh" else "Relu", x)
+    if net.output == "tanh":
+        x = add("Tanh", x)
+    else:
+        x = add("Clip", x, constant("least", -1.0), constant("most", 1.0))
+    nodes.append(helper.make_node("Cast", [x], ["action"], to=TensorProto.FLOAT))
+    graph = helper.make_graph(
+        nodes,
+        policy.name,
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["n", net.sizes[0]])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["n", net.sizes[-1]])],
+        numbers,
+    )
+    model = helper.make_model(
+        graph,
+        producer_name="ves_gym",
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=8,  # of the first release with this opset: any engine of today reads it
+    )
+    about = {"env": str(policy.about.get("env", "")), "hold": str(net.hold)}
+    helper.set_model_props(model, {**about, "inputs": " ".join(net.inputs)})
+    onnx.checker.check_model(model, full_check=True)
+    data: bytes = model.SerializeToString()
+    return data
+
+
+def difference(policy: Policy, data: bytes, rows: int = 1000) -> float:
+    """Return by how much the actions of a model made by `to_onnx` differ from the policy's.
+
+    Args:
+        policy: it was made from.
+        data: of the model; run by onnxruntime where that is installed, else by the reference
+            evaluator of the package onnx.
+        rows: number of observations drawn, a part of them beyond the policy's limit.
+    """
+    draw = np.random.default_rng(0)
+    width = policy.network.sizes[0]
+    x = draw.uniform(-1.2, 1.2, (rows, width)) * policy.network.observation_limit
+    x[: rows // 2] *= 0.1
+    observation = x.astype(np.float32)
+    ours = _plain(policy, observation)
+    theirs = _run(data, observation)
+    return float(np.abs(ours - theirs).max())
+
+
+def _plain(policy: Policy, observation: Any) -> Array:
+    """Actions of rows, whether the policy takes them whole or in parts."""
+    if not policy.network.inputs:
+        return policy(observation)
+    first, *others = policy.network.inputs
+    parts = dict.fromkeys(others, observation[:, :0])
+    return policy({first: observation, **parts})
+
+
+def _run(data: bytes, observation: Any) -> Any:
+    given = {"observation": observation}
+    if installed("onnxruntime"):
+        import onnxruntime
+
+        engine: Any = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
+    else:
+        import onnx
+        from onnx.reference import ReferenceEvaluator
+
+        engine = ReferenceEvaluator(onnx.load_from_string(data))
+    (action,) = engine.run(None, given)
+    return action
+
+
+def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> float:
+    """Write a policy as ONNX, once its actions have been compared; the largest difference.
+
+    Args:
+        policy: to write.
+        path: of the file; nothing is written where the actions differ by more than
+            `TOLERANCE`.
+
+    Raises:
+        ArithmeticError: they do.
+    """
+    data = to_onnx(policy)
+    gap = difference(policy, data)
+    if not gap <= TOLERANCE:
+        raise ArithmeticError(
+            f"{path}: actions of the model differ from the policy's by {gap:.3g}, expected at"
+            f" most {TOLERANCE:g}"
+        )
+    write_bytes(Path(path), data)
+    return gap
