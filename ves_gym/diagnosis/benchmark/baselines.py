@@ -38,12 +38,13 @@ class Baselines:
         self, residuals: WhitenedResiduals, signatures: Signatures, tolerances: bool = False
     ) -> None:
         self._signatures, self._n = signatures, residuals.size
-        z, X = residuals.null, signatures.columns
+        rows = residuals.measured
+        z, X = residuals.null[rows], signatures.columns[rows]
         self._zz = float(z @ z)
         self._xz = np.asarray(X.T @ z.astype(X.dtype), float)
         self._xx = np.asarray(X.T @ X, float)
         if tolerances:
-            J = residuals.slopes
+            J = residuals.slopes[rows]
             xj = np.asarray(X.T @ J.astype(X.dtype), float)
             inside, jz = J.T @ J + np.eye(J.shape[1]), J.T @ z
             self._zz -= float(jz @ np.linalg.solve(inside, jz))

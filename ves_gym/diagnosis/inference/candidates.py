@@ -50,7 +50,9 @@ def library(
             if not _acts_in(candidate, system):
                 continue
             active = tuple(p for p in candidate.ports if p in ports)
-            candidate = dataclasses.replace(candidate, ports=active)
+            # the computer that moves an emulated vehicle passes no noise of a sensor on
+            filters = candidate.filters and active != ("admittance",)
+            candidate = dataclasses.replace(candidate, ports=active, filters=filters)
             if cls.wanders:
                 candidate = _course(candidate, i, runs)
             if cls.builds_up:

@@ -108,7 +108,7 @@ def ranked(
     ]
     unscored = [s for s in scores if not np.isfinite(s.deviance)]
     selected += [s for s in unscored if signatures.candidates[s.candidate].name in chosen]
-    none = np.zeros((residuals.size, 0))
+    none = np.zeros((residuals.length, 0))
     adjusted = null.residual + residuals.slopes @ null.nuisances
     base = _by_run(residuals, adjusted, null.size)
     out = []

@@ -80,7 +80,7 @@ def fit(
     """
     p = len(residuals.nuisances)
     if not candidates:
-        none = np.zeros((residuals.size, 0))
+        none = np.zeros((residuals.length, 0))
         solution = solve(products(residuals, residuals.null, none), p)
         return Fit(
             (), (), solution.deviance, (), solution.size, solution.x, residuals.null, none
@@ -214,7 +214,7 @@ class _FilteredNoise:
         return out
 
     def _square(self, x: Array) -> Array:
-        out = np.ones(self._residuals.size)
+        out = np.ones(self._residuals.length)
         for (_, i), at, change in zip(self.filters, self._at, self._change, strict=True):
             if at > 0:
                 out += change * (x[i] / at)
@@ -237,7 +237,7 @@ def _residual_of_form(
             for j, (c, e) in enumerate(zip(candidates, effects, strict=True))
             if port in c.ports
         ]
-        out[residuals.part(port)] = _evaluate_port(residuals, port, [tuple(at_port)])[0]
+        out[residuals.span(port)] = _evaluate_port(residuals, port, [tuple(at_port)])[0]
     return out
 
 
@@ -264,7 +264,7 @@ def evaluate_residuals(
         active = [k for k, c in enumerate(candidates) if port in c.ports]
         if active:
             sets = [tuple(row[k] for k in active) for row in effects]
-            out[:, residuals.part(port)] = _evaluate_port(residuals, port, sets)
+            out[:, residuals.span(port)] = _evaluate_port(residuals, port, sets)
     return out
 
 

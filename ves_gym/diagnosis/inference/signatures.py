@@ -40,6 +40,17 @@ class Score:
     values: Array  # (k,)
 
 
+@dataclass(frozen=True)
+class _NoiseProducts:
+    """Sums that noise alone has: of the residual z, the signatures x and the tangents b."""
+
+    zz: Array  # (G,)
+    xz: Array  # (G, p + M)
+    bz: Array  # (G, r)
+    bb: Array  # (G, r, r)
+    bx: Array  # (G, r, p + M)
+
+
 class Signatures:
     """Signatures (N, M) of candidates and their inner products.
 
@@ -71,7 +82,7 @@ class Signatures:
                 self.blocks.append(SignatureBlock(i, columns, start, factors))
                 at += len(factors)
         p = self._p = residuals.slopes.shape[1]
-        self._all_columns = np.zeros((residuals.size, p + at), np.float32)
+        self._all_columns = np.zeros((residuals.length, p + at), np.float32)
         self._all_columns[:, :p] = residuals.slopes
         self.columns = self._all_columns[:, p:]
         done = 0
@@ -86,6 +97,10 @@ class Signatures:
                     progress(done / at)
         parts = [self._all_columns[g.part] for g in residuals.groups]
         self._xx = np.stack([x.T @ x for x in parts])
+        self._noisy = [k for k, g in enumerate(residuals.groups) if g.copies]
+        self._noise_xx = [
+            residuals.noise_product(residuals.groups[k], self._all_columns) for k in self._noisy
+        ]
         self._n = np.array([g.n for g in residuals.groups], float)
         everything = self._xx.sum(axis=0).astype(float)
         J, S = slice(None, p), slice(p, None)
@@ -113,7 +128,10 @@ class Signatures:
         bz = np.stack([beside[g.part].T @ z[g.part] for g in groups])
         bb = np.stack([beside[g.part].T @ beside[g.part] for g in groups])
         bx = np.stack([beside[g.part].T @ self._all_columns[g.part] for g in groups])
-        first = self._first_pass(1 / np.maximum(size, 1.0), xz, bz, bb, bx)
+        noise = self._noise_products(z, beside)
+        share = np.minimum(size, 1.0)[:, None]  # of the noise expected that is there
+        weight = 1 / np.maximum(size, 1.0)
+        first = self._first_pass(weight, xz - share * noise.xz, bz - share * noise.bz, bb, bx)
         best: dict[int, Score] = {}
         for rank, s in enumerate(np.argsort(-first)):
             block = self.blocks[int(s)]
@@ -134,7 +152,21 @@ class Signatures:
             high = np.array([candidate.high[i] for i in block.free] + [np.inf] * r)
             if candidate.sets_in:  # as much as the start has, or twice that
                 low[0], high[0] = 0.0, 2 * block.values[0]
-            both = InnerProducts(self._n, zz, np.concatenate([xz[:, at], bz], axis=1), xx)
+            noise_xx = np.zeros_like(xx)
+            for g, products in zip(self._noisy, self._noise_xx, strict=True):
+                noise_xx[g, :k, :k] = products[np.ix_(at, at)]
+            noise_xx[:, k:, k:] = noise.bb
+            noise_xx[:, k:, :k] = noise.bx[:, :, at]
+            noise_xx[:, :k, k:] = noise.bx[:, :, at].swapaxes(1, 2)
+            both = InnerProducts(
+                self._n,
+                zz,
+                np.concatenate([xz[:, at], bz], axis=1),
+                xx,
+                noise.zz,
+                np.concatenate([noise.xz[:, at], noise.bz], axis=1),
+                noise_xx,
+            )
             solution = solve(both, p, low, high)
             previous = best.get(block.candidate)
             if previous is None or solution.deviance < previous.deviance:
@@ -143,6 +175,26 @@ class Signatures:
                     values[list(block.free)] = solution.x[p : p + len(block.free)]
                 best[block.candidate] = Score(block.candidate, solution.deviance, values)
         return [best[i] for i in range(len(self.candidates))]
+
+    def _noise_products(self, z: Array, beside: Array) -> _NoiseProducts:
+        """Return what noise alone adds to products of z (N,) and tangents (N, r), by group."""
+        G, r, m = len(self._n), beside.shape[1], self._all_columns.shape[1]
+        out = _NoiseProducts(
+            self._n.copy(),
+            np.zeros((G, m)),
+            np.zeros((G, r)),
+            np.zeros((G, r, r)),
+            np.zeros((G, r, m)),
+        )
+        product = self.residuals.noise_product
+        both, usual = np.column_stack([z, beside]), self.residuals.null[:, None]
+        for k in self._noisy:
+            group = self.residuals.groups[k]
+            inner, across = product(group, both), product(group, both, self._all_columns)
+            out.zz[k] += inner[0, 0] - product(group, usual)[0, 0]
+            out.xz[k], out.bx[k] = across[0], across[1:]
+            out.bz[k], out.bb[k] = inner[0, 1:], inner[1:, 1:]
+        return out
 
     def _first_pass(self, weight: Array, xz: Array, bz: Array, bb: Array, bx: Array) -> Array:
         """Return (blocks,) gain of each block with the groups' weights held."""

@@ -5,6 +5,13 @@ With |z_g|^2 / n_g = s_g^2 after the fit, twice the negative log-likelihood of g
 n_g s_g^2 where the residual is no larger than noise, and n_g (1 + log s_g^2) where it is
 larger: its most probable size is then s_g^2 (derived in docs/diagnosis.md). Whatever stays
 unexplained in a group thereby weakens, by itself, the weight of that group.
+
+Where columns hold noise themselves (a mass times a pose differentiated twice), the noise in
+z + X x depends on x. With its mean square V_g(x) / n_g, from draws, the residual's sum of
+squares R_g(x) is compared with V_g(x) instead of n_g: s_g^2 = R_g / V_g where it is no larger,
+and 1 + (R_g - V_g) / n_g where it is: the misfit comes on top of the noise. At the true x the
+expected slope of R_g - V_g is zero, so noise pulls no number to one side, as it does in least
+squares (Carroll et al., Measurement Error in Nonlinear Models, 2006, ch. 7: corrected scores).
 """
 
 from __future__ import annotations
@@ -18,6 +25,8 @@ from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 _PASSES = 6  # of reweighting
 _RIDGE = 1e-10
+_SAFE = 0.8  # of the noise in columns that steps take off: all of it may leave no curvature
+_QUIET = 0.05  # of the noise that a combination of columns may leave
 _FARTHEST = 5.0  # standard deviations: farther off it is no tolerance any more
 
 
@@ -29,6 +38,9 @@ class InnerProducts:
     zz: Array  # (G,)
     xz: Array  # (G, c)
     xx: Array  # (G, c, c)
+    noise: Array | None = None  # (G,) sum of squares of noise expected in z; n where None
+    noise_xz: Array | None = None  # (G, c) the same of the products; zero where None
+    noise_xx: Array | None = None  # (G, c, c)
 
 
 @dataclass(frozen=True)
@@ -48,7 +60,7 @@ def products(
 
     Args:
         residuals: whose groups and nuisances count.
-        z: (N,) residual.
+        z: (N,) residual and its copies.
         X: (N, c) columns.
         scale: (N,) size of the noise, where it is not 1.
     """
@@ -57,6 +69,9 @@ def products(
     xz, xx = np.empty((len(groups), p + c)), np.empty((len(groups), p + c, p + c))
     xx[:, :p, :p] = residuals.gram
     zz = np.empty(len(groups))
+    n = np.array([g.n for g in groups], float)
+    noise, noise_xz, noise_xx = n.copy(), np.zeros_like(xz), np.zeros_like(xx)
+    noise_xx[:, :p, :p] = residuals.noise_gram
     for k, g in enumerate(groups):
         a, J, x = z[g.part], residuals.slopes[g.part], X[g.part]
         if scale is not None and (scale[g.part] != 1).any():
@@ -68,7 +83,18 @@ def products(
         xx[k, p:, :p] = x.T @ J
         xx[k, :p, p:] = xx[k, p:, :p].T
         xx[k, p:, p:] = x.T @ x
-    return InnerProducts(np.array([g.n for g in groups], float), zz, xz, xx)
+        for part in g.copies:
+            e, J, x = z[part], residuals.slopes[part], X[part]
+            usual = residuals.null[part]
+            if scale is not None and (scale[part] != 1).any():
+                weight = 1 / scale[part]
+                e, J, x = e * weight, J * weight[:, None], x * weight[:, None]
+            columns, share = np.hstack([J, x]), 1 / len(g.copies)
+            noise[k] += share * float(e @ e - usual @ usual)
+            noise_xz[k] += share * (columns.T @ e)
+            noise_xx[k, p:] += share * (x.T @ columns)
+        noise_xx[k, :p, p:] = noise_xx[k, p:, :p].T
+    return InnerProducts(n, zz, xz, xx, noise, noise_xz, noise_xx)
 
 
 def solve(
@@ -82,6 +108,10 @@ def solve(
         low, high: (c - nuisances,) bounds of the others.
     """
     c = p.xz.shape[1]
+    none = np.zeros_like(p.xz), np.zeros_like(p.xx)
+    noise = p.n if p.noise is None else p.noise
+    noise_xz = none[0] if p.noise_xz is None else p.noise_xz
+    noise_xx = none[1] if p.noise_xx is None else p.noise_xx
     prior = np.zeros(c)
     prior[:nuisances] = 1.0
     highs = np.full(c, np.inf)
@@ -90,19 +120,30 @@ def solve(
     if low is not None and high is not None:
         lows[nuisances:], highs[nuisances:] = low, high
     x = np.zeros(c)
-    size = np.maximum(p.zz / p.n, 1e-12)
+    expected, size = noise, _sizes(p.n, p.zz, noise)
     A = np.eye(c)
     for _ in range(_PASSES):
-        weight = 1 / np.maximum(size, 1.0)
+        weight = np.where(size > 1, 1 / np.maximum(size, 1.0), p.n / expected)
+        share = weight * np.minimum(size, 1.0)  # of the noise expected that is there
         A = np.einsum("g,gij->ij", weight, p.xx) + np.diag(prior)
+        noisy = np.einsum("g,gij->ij", share, noise_xx)
+        A = A - _SAFE * noisy
         A = A + _RIDGE * np.diag(np.diag(A) + 1e-30)
-        b = -weight @ p.xz
+        b = share @ noise_xz - weight @ p.xz + (1 - _SAFE) * noisy @ x
         x = _within(A, b, np.linalg.solve(A, b), lows, highs)
         remaining = p.zz + 2 * p.xz @ x + np.einsum("i,gij,j->g", x, p.xx, x)
-        size = np.maximum(remaining / p.n, 1e-12)
+        expected = noise + 2 * noise_xz @ x + np.einsum("i,gij,j->g", x, noise_xx, x)
+        expected = np.maximum(expected, _QUIET * p.n)
+        size = _sizes(p.n, remaining, expected)
     return Solution(
         x, deviance(p.n, size) + float(prior @ x**2), size, np.asarray(np.linalg.inv(A), float)
     )
+
+
+def _sizes(n: Array, squares: Array, noise: Array) -> Array:
+    """Return (G,) mean squares in units of the noise, what is more than noise on top of it."""
+    excess = squares - noise
+    return np.maximum(np.where(excess > 0, 1 + excess / n, squares / noise), 1e-12)
 
 
 def deviance(n: Array, size: Array) -> float:

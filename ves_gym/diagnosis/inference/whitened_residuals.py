@@ -5,13 +5,18 @@ frequencies is independent; there they are divided by what the measured noise be
 port. They are sorted into groups, a channel in a range of frequencies over all runs, because
 a description is never equally good everywhere: each group's size is estimated
 (`variance_groups.py`).
+
+A port that multiplies described numbers with noisy signals (a mass with a pose differentiated
+twice) passes more or less noise on under other numbers. There every change of the residual is
+also taken on copies of the runs with more noise of the same kind, and its noise stands beside
+it in the long vector: least squares alone would take a lighter base for a better one.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +27,7 @@ from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.machines.base import Machine, Nuisance, Port, testable
 
 _DRAWS, _FEW = 12, 4  # of the noise, to learn what it becomes at a port
+_COPIES = 4  # of the noise, to learn what a change of the numbers makes of it
 QUIETEST = 0.05  # of the noise's mean square that a model may leave
 _FAINT = 0.3  # of noise: what a run may have had of its own that is not worth a number
 _POOL = 6  # neighbouring frequencies on either side that are taken together
@@ -40,6 +46,7 @@ class VarianceGroup:
     high: float
     part: slice  # of the long vector
     runs: tuple[slice, ...]  # of the long vector, run by run
+    copies: tuple[slice, ...] = ()  # of it: the same numbers of noise alone, draw by draw
 
     @property
     def n(self) -> int:
@@ -62,8 +69,10 @@ class WhitenedResiduals:
         self._copies: dict[Any, Run] = {}  # runs with noise to pass on
         self.ports: tuple[Port, ...] = testable(machine, runs)
         names = [p.name for p in self.ports]
+        self._spans: dict[str, slice] = {}  # port -> numbers and copies
         self.groups, self._rows = self._layout()
-        self.size = self.groups[-1].part.stop
+        self.size = sum(g.n for g in self.groups)  # numbers that are measured
+        self.length = max(s.stop for s in self._spans.values())  # with those of the copies
         self.memory: dict[Any, Array] = {}  # residuals already asked for, by port and effects
         self.passed: dict[Any, Array] = {}  # change of the noise's mean square, by effect
         raw = [machine.residuals(run, [machine.nominal], names) for run in self.runs]
@@ -85,9 +94,12 @@ class WhitenedResiduals:
                     for name in names
                 }
             )
-        self.null = np.concatenate(
-            [self._whitened(name, [r[name] for r in raw])[0] for name in names]
-        )
+        self.null = np.zeros(self.length)
+        for port in self.ports:
+            nominal = [r[port.name] for r in raw]
+            self.null[self.span(port.name)] = self._with_copies(
+                port, nominal, [machine.nominal]
+            )[0]
         tested = set(names)
         shared = [k for k in machine.nuisances if tested & set(k.ports)]
         per_run = [k for run in runs for k in machine.unknowns(run) if tested & set(k.ports)]
@@ -101,10 +113,11 @@ class WhitenedResiduals:
         self.slopes = np.concatenate([self._slopes_of(shared), own_slopes[:, shows]], axis=1)
         parts = [self.slopes[g.part] for g in self.groups]
         self.gram = np.stack([J.T @ J for J in parts])  # (G, p, p)
+        self.noise_gram = np.stack([self.noise_product(g, self.slopes) for g in self.groups])
 
     def _slopes_of(self, nuisances: Sequence[Nuisance]) -> Array:
         """Return (N, p) whitened residuals per usual size of nuisances."""
-        out = np.zeros((self.size, len(nuisances)))
+        out = np.zeros((self.length, len(nuisances)))
         for ports in dict.fromkeys(k.ports for k in nuisances):
             alike = [j for j, k in enumerate(nuisances) if k.ports == ports]
             moved = self.under([nuisances[j].model for j in alike], ports) - self.null
@@ -125,7 +138,7 @@ class WhitenedResiduals:
             return np.asarray(z + self.slopes @ x)
         m = self.shared
         z = z + self.slopes[:, :m] @ x[:m]
-        per_run, weight = self.slopes[:, m:], np.empty(self.size)
+        per_run, weight = self.slopes[:, m:], np.zeros(self.length)
         for g in self.groups:
             weight[g.part] = 1 / max(float(np.mean(z[g.part] ** 2)), 1.0)
         weighted = per_run.T * weight
@@ -142,6 +155,7 @@ class WhitenedResiduals:
         ]
         at = 0
         for port in self.ports:
+            first, mine = at, len(groups)
             for channel in range(len(port.channels)):
                 for low, high in itertools.pairwise(_EDGES):
                     begin, parts = at, []
@@ -162,6 +176,14 @@ class WhitenedResiduals:
                             tuple(parts),
                         )
                     )
+            n = at - first
+            for k in range(mine, len(groups) if port.differentiates else mine):
+                part = groups[k].part
+                shifts = [n * (j + 1) for j in range(_COPIES)]
+                copies = tuple(slice(part.start + s, part.stop + s) for s in shifts)
+                groups[k] = replace(groups[k], copies=copies)
+            at += n * _COPIES if port.differentiates else 0
+            self._spans[port.name] = slice(first, at)
         return groups, rows
 
     def part(self, port: str) -> slice:
@@ -169,18 +191,67 @@ class WhitenedResiduals:
         mine = [g.part for g in self.groups if g.port == port]
         return slice(mine[0].start, mine[-1].stop)
 
+    def span(self, port: str) -> slice:
+        """Return the place of a port's numbers and of their copies in the long vector."""
+        return self._spans[port]
+
+    @property
+    def measured(self) -> Index:
+        """(size,) places of what is measured, not of copies."""
+        return np.r_[*(g.part for g in self.groups)]
+
+    def noise_product(self, group: VarianceGroup, a: Array, b: Array | None = None) -> Array:
+        """Return what noise alone adds to the product of two sets of columns in a group.
+
+        Args:
+            group: of numbers.
+            a: (N, i).
+            b: (N, j); a itself by default.
+
+        Returns:
+            (i, j), the mean over the draws; zero where the port does not differentiate.
+        """
+        b = a if b is None else b
+        out = np.zeros((a.shape[1], b.shape[1]))
+        for part in group.copies:
+            out += a[part].T @ b[part] / len(group.copies)
+        return out
+
     def at_port(self, port: str, models: Sequence[Model]) -> Array:
-        """Return whitened residuals of one port.
+        """Return whitened residuals of one port, and what noise alone adds to them.
 
         Args:
             port: name.
             models: m.
 
         Returns:
-            (m, n).
+            (m, n), n that of the port's `span`.
         """
         by_run = [self.machine.residuals(run, models, [port]) for run in self.runs]
-        return self._whitened(port, [k[port] for k in by_run])
+        here = next(p for p in self.ports if p.name == port)
+        return self._with_copies(here, [k[port] for k in by_run], models)
+
+    def _with_copies(
+        self, port: Port, by_run: Sequence[Array], models: Sequence[Model]
+    ) -> Array:
+        """Return (m, n) numbers of a port, and behind them what noise adds in each copy."""
+        out = [self._whitened(port.name, by_run)]
+        if port.differentiates:
+            noisy = [
+                self.machine.residuals(copy, models, [port.name])[port.name]
+                for copy in (self._copy(i, port.exact, _COPIES) for i in range(len(self.runs)))
+            ]
+            for k in range(_COPIES):
+                out.append(self._whitened(port.name, [x[:, k] for x in noisy]) - out[0])
+        return np.concatenate(out, axis=1)
+
+    def _copy(self, i: int, exact: tuple[str, ...], draws: int) -> Run:
+        """Return a run with draws of its noise on top, the same whenever asked for."""
+        key = i, exact, draws
+        if key not in self._copies:
+            rng = np.random.default_rng([self.seed, i, 1])
+            self._copies[key] = self.runs[i].with_noise(rng, draws, exact)
+        return self._copies[key]
 
     def under(self, models: Sequence[Model], ports: Sequence[str]) -> Array:
         """Return whitened residuals; those of ports not named are the nominal ones.
@@ -194,7 +265,7 @@ class WhitenedResiduals:
         """
         out = np.tile(self.null, (len(models), 1))
         for port in (p.name for p in self.ports if p.name in ports):
-            out[:, self.part(port)] = self.at_port(port, models)
+            out[:, self.span(port)] = self.at_port(port, models)
         return out
 
     def acts(self, model: Model, ports: Sequence[str]) -> float:
@@ -226,26 +297,24 @@ class WhitenedResiduals:
             ports: at which they act.
 
         Returns:
-            (N,), relative to the description's.
+            (N,), relative to the description's, copies as what they are copies of.
         """
-        out = np.ones(self.size)
+        out = np.ones(self.length)
         for port in (p for p in self.ports if p.name in ports):
             if port.name not in self._usual:
                 self._usual[port.name] = self._power(port, self.machine.nominal)
             change = self._power(port, model) - self._usual[port.name]
-            out[self.part(port.name)] = np.maximum(1 + change, QUIETEST)
+            span = out[self.span(port.name)]
+            span[:] = np.tile(np.maximum(1 + change, QUIETEST), len(span) // len(change))
         return out
 
     def _power(self, port: Port, model: Model) -> Array:
         """Return (n,) mean square of a port's whitened noise, the same draws for any model."""
         drawn = []
         for i, run in enumerate(self.runs):
-            if (i, port.exact) not in self._copies:
-                rng = np.random.default_rng([self.seed, i, 1])
-                self._copies[i, port.exact] = run.with_noise(rng, _FEW, port.exact)
             noisy, raw = (
                 self.machine.residuals(k, [model], [port.name])[port.name][0]
-                for k in (self._copies[i, port.exact], run)
+                for k in (self._copy(i, port.exact, _FEW), run)
             )
             drawn.append(noisy - raw)
         power = np.square(self._whitened(port.name, drawn)).mean(axis=0)

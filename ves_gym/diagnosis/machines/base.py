@@ -27,6 +27,9 @@ class Port:
     units: tuple[str, ...]
     needs: tuple[str, ...]  # signals of the log
     exact: tuple[str, ...] = ()  # those of them that are what the part was given, noise and all
+    differentiates: bool = (
+        False  # described numbers multiply noisy signals: errors in variables
+    )
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,14 @@ class SystemMachine:
             )
         else:
             ports.append(
-                Port("base", "arm's wrench less what moves the vehicle", WRENCH, _N, ("y", "w"))
+                Port(
+                    "base",
+                    "arm's wrench less what moves the vehicle",
+                    WRENCH,
+                    _N,
+                    ("y", "w"),
+                    differentiates=True,
+                )
             )
         self.ports = tuple(ports)
 
