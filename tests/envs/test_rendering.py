@@ -2,6 +2,7 @@
 
 import gc
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -13,8 +14,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.display import require_opengl, virtual_display
-from tests.envs.walks import same, walk
+from tests.envs.walks import ALL, actions, same, walk
 from ves_gym.envs.rendering import Renderer
+from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.rendering import opengl as gl
 from ves_gym.rendering.opengl import Probe, RenderError
 
@@ -107,6 +109,86 @@ def test_a_diverged_episode_shows_its_last_meaningful_state(make):
     env.batch.sim.reset(q=s.q[0], v=3e9, y=s.y[0], ids=[0])
     assert env.step(np.zeros(3, np.float32))[-1]["diverged"]
     assert same(env.render(), before)
+
+
+# ------------------------------------------------------------- vectors and wrappers
+
+
+def test_a_vector_shows_every_environment_as_it_would_be_alone(make):
+    """Frames pixel by pixel those of single environments, from one drawing process."""
+    many = gym.make_vec(IDEAL, num_envs=2, render_mode="rgb_array")
+    try:
+        many.reset(seed=5)
+        for _ in range(4):
+            many.step(np.full((2, 3), 0.7, np.float32))
+            frames = many.render()
+        assert isinstance(frames, tuple) and len(frames) == 2
+        process = drawing_process(many)
+        for i, frame in enumerate(frames):
+            one = make()
+            one.reset(seed=5, options={"index": i})
+            for _ in range(4):
+                one.step(np.full(3, 0.7, np.float32))
+                alone = one.render()
+            np.testing.assert_array_equal(frame, alone)
+    finally:
+        many.close()
+    assert process.returncode is not None
+    many.close()
+    plain = gym.make_vec(IDEAL, num_envs=2)
+    assert plain.render() is None
+    with pytest.raises(ValueError, match=r"must be None or rgb_array, got 'human'"):
+        VesVectorEnv(2, render_mode="human")
+
+
+def test_a_vector_keeps_its_frames_in_a_copy(make):
+    many = gym.make_vec(IDEAL, num_envs=2, render_mode="rgb_array")
+    try:
+        many.reset(seed=5)
+        many.step(np.zeros((2, 3), np.float32))
+        first = many.render()
+        twin = pickle.loads(pickle.dumps(many.unwrapped))
+        assert same(twin.render(), first)
+        twin.close()
+    finally:
+        many.close()
+
+
+_SOME = ("ves/PumaReachGoal-v1", "ves/MacroMicro-v0", "ves/PayloadTransferEmulated-v1")
+_EACH = [k if k in _SOME else pytest.param(k, marks=pytest.mark.slow) for k in ALL]
+
+
+@pytest.mark.parametrize("name", _EACH)
+def test_observations_can_be_pictures(name, make):
+    """Gymnasium's AddRenderObservation, alone and beside what else is observed."""
+    env = gym.wrappers.AddRenderObservation(make(name), render_only=True)
+    seen = [env.reset(seed=0)[0]]
+    for action in actions(env, 8, 0):
+        seen.append(env.step(action)[0])
+    assert all(k in env.observation_space for k in seen)
+    assert env.observation_space.shape == (480, 640, 3)
+    assert not np.array_equal(seen[0], seen[-1])
+    env = gym.wrappers.AddRenderObservation(env.unwrapped, render_only=False)
+    observation, _ = env.reset(seed=0)
+    assert observation in env.observation_space
+    np.testing.assert_array_equal(observation["pixels"], seen[0])
+
+
+def test_videos_are_recorded(make, tmp_path):
+    """Gymnasium's RecordVideo, of one environment and of a vector."""
+    pytest.importorskip("moviepy")
+    many = gym.make_vec(IDEAL, num_envs=2, render_mode="rgb_array", duration=0.25)
+    for env, wrapper, folder in (
+        (make(duration=0.25), gym.wrappers.RecordVideo, tmp_path / "one"),
+        (many, gym.wrappers.vector.RecordVideo, tmp_path / "many"),
+    ):
+        video = wrapper(env, str(folder), episode_trigger=lambda k: k == 0)
+        video.reset(seed=0)
+        for _ in range(20):
+            video.step(np.zeros(env.action_space.shape, np.float32))
+        video.close()
+        (file,) = folder.iterdir()
+        assert file.suffix == ".mp4" and file.stat().st_size > 1000
 
 
 # -------------------------------------------------------------------- what it promises

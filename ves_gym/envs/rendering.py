@@ -36,7 +36,7 @@ def require_display() -> None:
 
 
 class Renderer:
-    """The first simulation of a batch: arm, whole structure and energy strip.
+    """The simulations of a batch, the first alone: arm, whole structure and energy strip.
 
     Args:
         task: what the batch is at.
@@ -73,7 +73,7 @@ class Renderer:
             title=title or f"ves_gym {task.kind}",
         )
         self.live = Live(settings)
-        self._latest: dict[str, Any] | None = None
+        self._latest: dict[int, dict[str, Any]] = {}  # of each simulation
         self._due = 0.0
 
     @property
@@ -84,9 +84,14 @@ class Renderer:
     def frame(self, batch: Batch, text: tuple[str, ...] = ()) -> npt.NDArray[np.uint8] | None:
         """The picture (height, width, 3) of the present state; None: it is in the window."""
         if self.mode == "rgb_array":
-            return self.live.picture(self._sample(batch, text))
+            return self.live.picture(self._samples(batch, text)[0])
         self.show(batch, text)
         return None
+
+    def frames(self, batch: Batch) -> tuple[npt.NDArray[np.uint8], ...]:
+        """Pictures (height, width, 3) of every simulation's present state."""
+        samples = self._samples(batch, (), batch.n)
+        return tuple(self.live.picture(sample) for sample in samples)
 
     def show(self, batch: Batch, text: tuple[str, ...] = ()) -> list[Key]:
         """Bring the window up to date, a control period after the last time.
@@ -94,37 +99,41 @@ class Renderer:
         Returns:
             Keys pressed and let go since then.
         """
-        keys = self.live.show(self._sample(batch, text))
+        keys = self.live.show(self._samples(batch, text)[0])
         self._due = max(self._due + self.dt, time.monotonic() - self.dt)  # no catching up
         time.sleep(max(0.0, self._due - time.monotonic()))
         return keys
 
-    def _sample(self, batch: Batch, text: tuple[str, ...]) -> dict[str, Any]:
+    def _samples(
+        self, batch: Batch, text: tuple[str, ...], count: int = 1
+    ) -> list[dict[str, Any]]:
+        """Samples of the first simulations, `count` of them."""
         s, e = batch.scene, batch.episodes
-        if batch.sim.diverged[0] and self._latest is not None:
-            return self._latest  # the last that can be drawn
         marker = batch.task.marker(s)
         if marker is not None:
-            marker = marker[0, :: -(-marker.shape[1] // _POINTS)].tolist()
-        modes = batch.sim.base_modes
+            marker = marker[:, :: -(-marker.shape[1] // _POINTS)]
+        modes, wrench = batch.sim.base_modes, wrench_on_base(batch)
         payload = None
         if batch.sim.payload is not None:
-            place, attitude, _, _ = (part[0] for part in batch.sim.payload.state)
-            payload = [*place.tolist(), *attitude.tolist()]
-        self._latest = {
-            "payload": payload,
-            "episode": [int(k[0]) for k in (e.root, e.index, e.number)],
-            "t": float(s.time[0]),
-            "y": s.y[0].tolist(),
-            "u": None if modes is None else modes[0][0].tolist(),
-            "q": s.q[0].tolist(),
-            "E": float(s.energy[0]),
-            "strain": float(s.strain[0]),
-            "w": wrench_on_base(batch)[0].tolist(),
-            "marker": marker,
-            "text": list(text),
-        }
-        return self._latest
+            payload = np.concatenate(batch.sim.payload.state[:2], axis=1)
+        for i in range(count):
+            if batch.sim.diverged[i] and i in self._latest:
+                continue  # the last that can be drawn
+            self._latest[i] = {
+                "row": i,
+                "payload": None if payload is None else payload[i].tolist(),
+                "episode": [int(k[i]) for k in (e.root, e.index, e.number)],
+                "t": float(s.time[i]),
+                "y": s.y[i].tolist(),
+                "u": None if modes is None else modes[0][i].tolist(),
+                "q": s.q[i].tolist(),
+                "E": float(s.energy[i]),
+                "strain": float(s.strain[i]),
+                "w": wrench[i].tolist(),
+                "marker": None if marker is None else marker[i].tolist(),
+                "text": list(text),
+            }
+        return [self._latest[i] for i in range(count)]
 
     def close(self) -> None:
         """End the drawing process; may be called again."""

@@ -19,6 +19,7 @@ from ves_gym.envs.build import build_task, require_keywords
 from ves_gym.envs.deadline import Deadline, DeadlineSpec, with_deadline
 from ves_gym.envs.fan_out import fan_out
 from ves_gym.envs.objectives import WEIGHTS, Signals
+from ves_gym.envs.rendering import Renderer
 from ves_gym.envs.spaces import goal_space, observation_space, require_seed, split_goals
 from ves_gym.envs.task import Task
 
@@ -30,6 +31,7 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         num_envs: how many.
         task: name, "package.module:Class" or `Task`.
         autoreset_mode: NextStep (Gymnasium's default), SameStep or Disabled.
+        render_mode: None, or "rgb_array": `render` returns a frame of every environment.
         backend, threads: engine and its threads, see `Simulator`.
         goal: observations of a goal-conditioned task as a dictionary.
         dump: folder for run logs of episodes that diverge (`info["dump"]` names the files).
@@ -43,7 +45,11 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     """
 
     _spec: DeadlineSpec | None = None
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata: dict[str, Any] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": 80,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
 
     def __init__(
         self,
@@ -51,6 +57,7 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         task: str | Task = "rest_to_rest",
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
         backend: str = "auto",
         threads: int = 0,
         goal: bool = False,
@@ -62,9 +69,19 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     ) -> None:
         require_keywords(type(self), task, settings)
         self._limit = _step_limit(max_episode_steps)
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(
+                f"render_mode of a vector must be None or rgb_array, got {render_mode!r}"
+            )
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.task = build_task(task, **settings)
+        self.metadata = {
+            **self.metadata,
+            "render_fps": 1 / self.task.system.control_dt,  # real time
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self.render_mode = render_mode
+        self._renderer: Renderer | None = None
         self.num_envs, self.goal = num_envs, goal
         self._signals = Signals(reward, cost, goal)
         if self._signals.vector:
@@ -209,6 +226,7 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
+        state["_renderer"] = None
         state["batch"] = self.batch.get_state()
         return state
 
@@ -217,8 +235,19 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.batch = Batch(self.task, self.num_envs, **self._engine)
         self.batch.set_state(state["batch"])
 
+    def render(self) -> tuple[Any, ...] | None:
+        """Frames (height, width, 3) of all environments, or None without a render mode."""
+        if self.render_mode is None:
+            return None
+        if self._renderer is None:
+            self._renderer = Renderer(self.task, self.render_mode)
+        return self._renderer.frames(self.batch)
+
     def close_extras(self, **kwargs: Any) -> None:
-        """Nothing outlives the arrays."""
+        """End the drawing process, where there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
 
 
 def _step_limit(limit: Any) -> int | None:

@@ -55,7 +55,8 @@ class Live:
 
     A sample is plain data: `episode` (a key that tells one from the next), `t` [s], `y` (6),
     `q` (n), `E` and `strain` [J], `w` (6) the wrench on the base, `marker` (k, 3) points in
-    space or None, `text` lines; `payload` (7) where there is one: its place and quaternion.
+    space or None, `text` lines; `payload` (7) where there is one: its place and quaternion;
+    `row` of the simulation where there are several (0).
 
     Raises:
         RenderError: nothing can be drawn here; the message says what is missing.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
@@ -39,8 +40,21 @@ _GRAY, _ENERGY, _STRAIN = (0.85, 0.88, 0.92), (0.32, 0.72, 0.98), (0.55, 0.60, 0
 _FONT = mujoco.mjtFont.mjFONT_NORMAL
 
 
+@dataclass
+class History:
+    """What has been seen of an episode."""
+
+    episode: Any = None
+    samples: list[dict[str, Any]] = field(default_factory=list)
+    magnify: float = math.inf  # of the base's motion in the picture of the whole
+
+
 class Stage:
-    """Draws the samples it is sent into the present OpenGL context."""
+    """Draws the samples it is sent into the present OpenGL context.
+
+    A sample may say of which simulation it is (`row`); each has a history of its own, and the
+    picture is of the one that the last sample was of.
+    """
 
     def __init__(self, settings: LiveSettings) -> None:
         self.settings = settings
@@ -52,9 +66,8 @@ class Stage:
         self.strip = _strip()
         self.stiff = bool(settings.system.base.K.any())  # a satellite has no strain energy
         self.fitted = 0, 0  # the size of picture that the cameras are for
-        self.samples: list[dict[str, Any]] = []
-        self.episode: Any = None
-        self.magnify = math.inf  # of the base's motion in the picture of the whole
+        self.histories: dict[int, History] = {}
+        self.history = History()
 
     # ---------------------------------------------------------------- history
 
@@ -62,8 +75,10 @@ class Stage:
         """Add a line of samples to the history; time that goes back rewrites it."""
         samples = json.loads(message)
         for sample in samples:
-            if sample["episode"] != self.episode:
-                self.samples, self.episode, self.magnify = [], sample["episode"], math.inf
+            row = sample.get("row", 0)
+            if row not in self.histories or sample["episode"] != self.histories[row].episode:
+                self.histories[row] = History(sample["episode"])
+            self.history = self.histories[row]
             while self.samples and self.samples[-1]["t"] >= sample["t"]:
                 self.samples.pop()
             self.samples.append(sample)
@@ -71,6 +86,11 @@ class Stage:
         if self.settings.rolling:
             old = time - self.settings.span
             del self.samples[: next(i for i, k in enumerate(self.samples) if k["t"] >= old)]
+
+    @property
+    def samples(self) -> list[dict[str, Any]]:
+        """Of the simulation that is shown."""
+        return self.history.samples
 
     def _all(self, name: str) -> Array:
         return np.array([k[name] for k in self.samples], float)
@@ -139,8 +159,8 @@ class Stage:
         move = max(_LEAST, float(np.linalg.norm(y[:, :3], axis=1).max()))
         turn = max(_LEAST, float(np.linalg.norm(y[:, 3:], axis=1).max()))
         most = min(_SWAY * self.extents[1] / move, _TURN / turn)
-        self.magnify = min(self.magnify, _round_down(max(1.0, most)))
-        return self.magnify
+        self.history.magnify = min(self.history.magnify, _round_down(max(1.0, most)))
+        return self.history.magnify
 
     def _wrench(self, sample: dict[str, Any], y: Array) -> None:
         """An arrow is full at what moves the arm with 0.3 m/s^2, or at the largest so far."""
@@ -175,7 +195,7 @@ class Stage:
             lines.append(("target", TARGET))
         self._column(arm, lines)
         self._column(
-            overview, [(f"base motion x {self.magnify:g}", _GRAY), ("base path", PATH)]
+            overview, [(f"base motion x {self.history.magnify:g}", _GRAY), ("base path", PATH)]
         )
 
     def _column(self, rect: mujoco.MjrRect, lines: list[tuple[str, Any]]) -> None:
