@@ -113,7 +113,9 @@ def test_report_is_strict_json_even_after_a_divergence():
 
 def test_bad_arguments_are_refused():
     zero = get_controller("zero")
-    with pytest.raises(ParameterError, match="episodes must be a whole number >= 1, got 0"):
+    with pytest.raises(
+        ParameterError, match="episodes must be a whole number from 1 to 1000000, got 0"
+    ):
         evaluate(zero, REST, episodes=0)
     with pytest.raises(ParameterError, match=r"known: ves/.*PumaRestToRest"):
         evaluate(zero, "ves/Nothing-v0", episodes=1)

@@ -488,6 +488,21 @@ def test_links_doubles_and_encryption(policy, tmp_path):
     assert code_of(tmp_path / "c.zip") is Code.UNSAFE_ARCHIVE
 
 
+def test_a_list_of_very_many_members_is_not_read(tmp_path, monkeypatch):
+    """Refused by the record at its end, and by the list's length where that one lies."""
+    place = tmp_path / "many.zip"
+    with zipfile.ZipFile(place, "w") as archive:
+        for k in range(5000):
+            archive.writestr(f"m{k}", b"")
+    monkeypatch.setattr(zipfile, "ZipFile", None)
+    assert code_of(place) is Code.UNSAFE_ARCHIVE
+    data = bytearray(place.read_bytes())
+    at = data.rindex(b"PK\x05\x06")
+    data[at + 8 : at + 12] = (5).to_bytes(2, "little") * 2
+    place.write_bytes(data)
+    assert code_of(place) is Code.UNSAFE_ARCHIVE
+
+
 def test_a_bomb(policy, tmp_path):
     """A gigabyte of zeros in a megabyte: refused by what it says, and by what it is."""
     members = Bundle(policy).members

@@ -28,6 +28,7 @@ SCHEMA = "ves-evaluate/1"
 ENERGIES = ("E_mean", "E_peak", "E_res", "E_int")
 MEASURES = ("return", *ENERGIES)
 RATES = ("success", "success_once")
+MOST_EPISODES = 1_000_000
 _AT_ONCE = 128  # environments by default: more gain no speed
 
 Progress = Callable[[float], None]
@@ -103,8 +104,11 @@ def evaluate(
         settings: other settings of the environment (see `envs.build_task`).
     """
     for name, value in (("episodes", episodes), ("n_envs", 1 if n_envs is None else n_envs)):
-        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-            raise ParameterError(f"{name} must be a whole number >= 1, got {value!r}")
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if not whole or not 1 <= value <= MOST_EPISODES:
+            raise ParameterError(
+                f"{name} must be a whole number from 1 to {MOST_EPISODES}, got {value!r:.80}"
+            )
     needs = getattr(controller, "settings", None)
     if needs is not None and id in gym.registry:
         settings = {**needs(gym.spec(id)), **settings}

@@ -256,6 +256,10 @@ def ranges_of(spec: Mapping[str, Mapping[str, Any]]) -> tuple[Range, ...]:
     A law is (low, high), {"uniform": (low, high)}, {"log_uniform": (low, high)} or
     {"normal": (mean, spread)}, the latter with "shared": a name (`Range`).
     """
+    if not isinstance(spec, Mapping):
+        raise ParameterError(
+            f"randomize must map effects to their parameters, got {str(spec)[:80]!r}"
+        )
     out = []
     for effect, parameters in spec.items():
         if not isinstance(parameters, Mapping):

@@ -11,6 +11,7 @@ from typing import Any
 from ves_gym._util.params import ParameterError, from_plain, read_table, to_plain
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.config import CONFIGS, TrainConfig, config_from_plain
+from ves_gym.baselines.evaluate import MOST_EPISODES
 from ves_gym.baselines.policy import released
 from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.experiments.units import Unit, evaluate_unit, plan_unit, train_unit
@@ -76,8 +77,10 @@ class Spec:
             if any(seed < 0 for seed in table.seeds or ()) or table.seeds == ():
                 raise ParameterError(f"seeds must be numbers >= 0, got {table.seeds}")
         for entry in self.evaluate:
-            if entry.episodes < 1:
-                raise ParameterError(f"episodes must be >= 1, got {entry.episodes}")
+            if not 1 <= entry.episodes <= MOST_EPISODES:
+                raise ParameterError(
+                    f"episodes must be 1 to {MOST_EPISODES}, got {entry.episodes}"
+                )
 
 
 def read_spec(path: str | os.PathLike[str]) -> Spec:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, as_completed
@@ -23,11 +24,13 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym._util.process_pool import JobTimeout, WorkerDied
+from ves_gym.experiments.claims import is_claimed
 from ves_gym.experiments.executors import Executor, open_executor
 from ves_gym.experiments.spec import Spec, read_spec, units_of
-from ves_gym.experiments.units import Outcome, Unit, read_result, run_unit, store
+from ves_gym.experiments.units import Elsewhere, Outcome, Unit, read_result, run_unit, store
 
 FAILURE = "ves-failure/1"
+_LOOK = 0.2  # s between looks at the claims of others
 _ORDER = ("kind", "where", "who", "seed", "unit")  # of the rows of a merged table
 
 Progress = Callable[[str, float], None]
@@ -99,7 +102,11 @@ def sweep(
         **options,
     ) as pool:
         run_units(
-            pool, todo, report, lambda n: on_progress("sweep", (len(skipped) + n) / len(units))
+            pool,
+            todo,
+            report,
+            lambda n: on_progress("sweep", (len(skipped) + n) / len(units)),
+            again=not resume,
         )
     return report
 
@@ -109,30 +116,51 @@ def run_units(
     units: Sequence[Unit],
     report: Report,
     on_progress: Callable[[int], None] = lambda count: None,
+    again: bool = False,
 ) -> None:
     """Do units and enter them in the report.
 
+    Units that another sweep in the same folder is at are waited for, and done here should
+    it die.
+
     Args:
-        tell: called with the number that have ended.
+        pool: where.
+        units: what.
+        report: filled in.
+        on_progress: called with the number that have ended.
+        again: results that are there are made anew.
     """
     folder = str(report.folder.resolve()) if pool.shares_files else None
-    running = {pool.submit(run_unit, unit, folder): unit for unit in units}
-    for count, future in enumerate(as_completed(list(running))):
-        unit = running.pop(future)  # and the outcome it may hold
-        failure = report.folder / "failed" / f"{unit.id}.json"
-        why = _why(future)
-        if why is None:
-            outcome: Outcome | None = future.result()
-            if outcome is not None:
-                store(outcome, report.folder)
-            failure.unlink(missing_ok=True)
-            report.done.append(unit.id)
-        else:
-            kind, text = why
-            record = {"schema": FAILURE, "id": unit.id, "unit": dict(unit.identity)}
-            write_text(failure, canonical_json({**record, "kind": kind, "why": text}) + "\n")
-            report.failed[unit.id] = f"{unit.label}: {text}"
-        on_progress(count + 1)
+    count, waiting = 0, list(units)
+    while waiting:
+        running = {pool.submit(run_unit, unit, folder, again): unit for unit in waiting}
+        waiting = []
+        for future in as_completed(list(running)):
+            unit = running.pop(future)  # and the outcome it may hold
+            if isinstance(future.exception(), Elsewhere):
+                waiting.append(unit)
+                continue
+            _enter(unit, future, report)
+            count += 1
+            on_progress(count)
+        while waiting and all(is_claimed(report.folder, unit.id) for unit in waiting):
+            time.sleep(_LOOK)
+
+
+def _enter(unit: Unit, future: Future[Any], report: Report) -> None:
+    """Enter a unit that has ended, and store what it came back with."""
+    failure = report.folder / "failed" / f"{unit.id}.json"
+    if (why := _why(future)) is not None:
+        kind, text = why
+        record = {"schema": FAILURE, "id": unit.id, "unit": dict(unit.identity)}
+        write_text(failure, canonical_json({**record, "kind": kind, "why": text}) + "\n")
+        report.failed[unit.id] = f"{unit.label}: {text}"
+        return
+    outcome: Outcome | bool = future.result()
+    if isinstance(outcome, Outcome):
+        store(outcome, report.folder)
+    failure.unlink(missing_ok=True)
+    (report.done if outcome else report.skipped).append(unit.id)
 
 
 def _why(future: Future[Any]) -> tuple[str, str] | None:

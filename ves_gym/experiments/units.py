@@ -8,6 +8,7 @@ to the last bit: clocks and hosts go to a file beside it.
     folder/about/ID.json      where and when it was made, how long it took
     folder/policies/ID/       the policy that a training run ends with
     folder/work/ID/           the checkpoint of a training run under way
+    folder/work/ID.claim      while a process is at it (`claims`)
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from ves_gym.baselines.evaluate import STATISTICS, evaluate
 from ves_gym.baselines.policy import load_policy, versions
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.envs.build import build_task
+from ves_gym.experiments.claims import claimed
 from ves_gym.planners.benchmark import run_query
 from ves_gym.planners.query import Query
 
@@ -146,16 +148,55 @@ def _weights(who: str) -> str | None:
 # -------------------------------------------------------------------------- running
 
 
-def run_unit(unit: Unit, folder: str | None) -> Outcome | None:
+class Elsewhere(Exception):
+    """A unit that another process is doing."""
+
+
+def run_unit(unit: Unit, folder: str | None, again: bool = False) -> Outcome | bool:
     """Do a unit's work.
 
     Args:
+        unit: what to do.
         folder: where to store the outcome; None to return it.
+        again: a result that is there is made anew.
+
+    Returns:
+        The outcome; with a folder, True for a unit that was done, False for one that another
+        sweep finished in the meantime.
+
+    Raises:
+        Elsewhere: another process is at it.
     """
+    if folder is None:
+        return _outcome(unit, None)
+    root = Path(folder)
+    with claimed(root, unit.id) as mine:
+        if not mine:
+            raise Elsewhere(f"{unit.label}: another process is at it")
+        if not again and is_sound(root, unit.id):
+            return False
+        store(_outcome(unit, root / "work" / unit.id), root)
+    return True
+
+
+def is_sound(folder: Path, id: str) -> bool:
+    """Return True if a unit has a result that is what was written.
+
+    Args:
+        folder: of the sweep.
+        id: of the unit.
+    """
+    path = folder / "results" / f"{id}.json"
+    try:
+        return path.exists() and bool(read_result(path))
+    except ParameterError:
+        return False
+
+
+def _outcome(unit: Unit, work: Path | None) -> Outcome:
     begun, begin = datetime.now(UTC), time.perf_counter()
     with tempfile.TemporaryDirectory() as scratch:
-        work = Path(scratch) if folder is None else Path(folder) / "work" / unit.id
-        answer = _RUN[unit.identity["kind"]](unit, work)
+        answer = _RUN[unit.identity["kind"]](unit, work or Path(scratch))
     body = {
         "schema": RESULT,
         "id": unit.id,
@@ -175,16 +216,12 @@ def run_unit(unit: Unit, folder: str | None) -> Outcome | None:
         "versions": versions("mujoco"),
         "clocked": answer.clocked,
     }
-    outcome = Outcome(
+    return Outcome(
         unit.id,
         canonical_json({**body, "digest": content_hash(body)}) + "\n",
         canonical_json(about) + "\n",
         answer.files,
     )
-    if folder is None:
-        return outcome
-    store(outcome, folder)
-    return None
 
 
 def store(outcome: Outcome, folder: str | os.PathLike[str]) -> None:

@@ -30,6 +30,7 @@ POLICY = re.compile(r"policy(-[1-9]|-1[0-5])?\.(json|safetensors)")
 _POLICY_LIMIT = {"json": _MIB, "safetensors": 64 * _MIB}
 TOTAL = 256 * _MIB
 _MOST = 64  # members
+_LISTED = 512  # bytes of a member in the archive's list, its name included
 
 # what zipfile and zlib raise on archives made to break them
 _BROKEN = (
@@ -110,10 +111,28 @@ def _from_zip(path: Path) -> dict[str, bytes]:
     if path.stat().st_size > TOTAL:
         raise _unsafe(f"the archive has more than {TOTAL} bytes")
     try:
+        _require_short_list(path)
         with zipfile.ZipFile(path) as archive:
             return _members(archive)
     except _BROKEN as error:
         raise _unsafe(f"no archive that can be read: {type(error).__name__}: {error}") from None
+
+
+def _require_short_list(path: Path) -> None:
+    """Read how many members an archive lists, before zipfile reads the list."""
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - 2**16 - 64))
+        tail = file.read()
+    at = tail.rfind(b"PK\x05\x06")  # the record at the end of the list
+    if at < 0 or len(tail) < at + 22:
+        raise zipfile.BadZipFile("no list of members at its end")
+    count = int.from_bytes(tail[at + 10 : at + 12], "little")
+    listed = int.from_bytes(tail[at + 12 : at + 16], "little")
+    if tail[max(0, at - 20) : at].startswith(b"PK\x06\x07"):
+        raise _unsafe("a list of members for more than 4 GiB")
+    if count > _MOST or listed > _MOST * _LISTED:
+        raise _unsafe(f"{count} members in a list of {listed} bytes, at most {_MOST} are read")
 
 
 def _members(archive: zipfile.ZipFile) -> dict[str, bytes]:
