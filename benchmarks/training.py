@@ -1,7 +1,11 @@
-"""PPO on the native vector environment against PPO on one MuJoCo simulation per environment.
+"""PPO: who steps the environments, and who learns.
 
-Both sides train the same network with the same hyper-parameters on the same task: 64
-environments, rollouts and batches of 4096 decisions. What differs is who steps them.
+`ppo`: Stable-Baselines3's PPO on the native vector environment against the same on one MuJoCo
+simulation per environment, with 64 environments, rollouts and batches of 4096 decisions.
+
+`learners`: the native learner against Stable-Baselines3's PPO, both on the native vector
+environment, with the same network and hyper-parameters; `returns`: what both have learned after
+the same number of decisions.
 """
 
 from __future__ import annotations
@@ -11,6 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 
 from benchmarks.timing import Pair, side_by_side
 
@@ -19,6 +24,13 @@ EMULATED = "ves_gym:ves/PumaRestToRestEmulated-v1"  # randomised, in the laborat
 ENVS, BATCH = 64, 4096
 ROLLOUTS = 2  # in one measurement
 RUNS = 5
+LEARNED = "ves/PumaDamp-v0"  # what the learners are compared on
+DEFAULTS: dict[str, Any] = {"n_steps": 64}  # Stable-Baselines3's but for this: 4096 decisions
+LARGE: dict[str, Any] = {  # those of the released configurations
+    "n_steps": 64, "batch_size": 1024, "n_epochs": 8, "learning_rate": 1e-3,
+    "gamma": 0.99, "gae_lambda": 0.95,
+}  # fmt: skip
+DECISIONS, SEEDS = 300_000, (0, 1, 2)  # of `returns`
 
 
 def has_sb3() -> bool:
@@ -115,10 +127,78 @@ def share(id: str = EMULATED) -> float:
         native.close()
 
 
+def _config(learner: str, hyperparameters: dict[str, Any], **changes: Any) -> Any:
+    from ves_gym.baselines.config import TrainConfig
+
+    return TrainConfig(
+        env=LEARNED, algorithm="PPO", learner=learner, n_envs=ENVS, hold=4, reward_scale=20.0,
+        hyperparameters=hyperparameters, **{"total_timesteps": 10**9, **changes},
+    )  # fmt: skip
+
+
+def learners(hyperparameters: dict[str, Any], rollouts: int = ROLLOUTS) -> Pair:
+    """Seconds per measurement of the native learner and of Stable-Baselines3's."""
+    from gymnasium.vector import AutoresetMode
+
+    from ves_gym.baselines.evaluate import make_vector
+    from ves_gym.baselines.train import make_learner, one_thread
+
+    def work(learner: str) -> Callable[[], None]:
+        config = _config(learner, hyperparameters)
+        env = make_vector(LEARNED, ENVS, AutoresetMode.SAME_STEP, threads=1)
+        trained = make_learner(config, 0, env)
+        count = rollouts * ENVS * hyperparameters["n_steps"]
+
+        def go() -> None:
+            trained.learn(trained.steps + count, lambda: None)
+
+        return go
+
+    with one_thread("native"), one_thread("sb3"):
+        return side_by_side(work("native"), work("sb3"), RUNS)
+
+
+def returns() -> tuple[list[float], list[float]]:
+    """Mean return of the last policy of every seed: native learner, Stable-Baselines3."""
+    import tempfile
+    from pathlib import Path
+
+    from ves_gym.baselines.train import train
+
+    out: dict[str, list[float]] = {"native": [], "sb3": []}
+    for learner, found in out.items():
+        config = _config(learner, LARGE, total_timesteps=DECISIONS)
+        for seed in SEEDS:
+            with tempfile.TemporaryDirectory() as folder:
+                found.append(train(config, seed, Path(folder))[-1]["return"])
+    return out["native"], out["sb3"]
+
+
+def _tell_learners() -> dict[str, object]:
+    out: dict[str, object] = {}
+    for name, chosen in (("its defaults", DEFAULTS), ("large batches", LARGE)):
+        pair = learners(chosen)
+        steps = ROLLOUTS * ENVS * chosen["n_steps"]
+        print(
+            f"native learner, {name}: {pair.processor:.1f} x Stable-Baselines3 in processor"
+            f" time, {pair.ratio:.1f} x on the clock ({pair.low:.1f}-{pair.high:.1f}),"
+            f" {steps / pair.ours:,.0f} against {steps / pair.reference:,.0f} decisions/s"
+        )
+        out[name] = vars(pair)
+    out["returns"], out["returns_reference"] = returns()
+    print(
+        f"mean return after {DECISIONS:,} decisions of {LEARNED}, a seed each:"
+        f" native {np.round(out['returns'], 3)}, Stable-Baselines3"
+        f" {np.round(out['returns_reference'], 3)}"
+    )
+    return out
+
+
 def report() -> dict[str, object]:
     """The figures, printed."""
     if not has_sb3():
         return {}
+    learned = _tell_learners()
     pair, ours, theirs = ppo()
     steps = ROLLOUTS * BATCH
     print(
@@ -129,7 +209,7 @@ def report() -> dict[str, object]:
     emulated = share()
     print(f"PPO on {EMULATED.split(':')[1]}: {emulated:.0%} of the time in env.step and reset")
     shares = {"share": ours, "share_reference": theirs, "share_emulated": emulated}
-    return {**vars(pair), **shares}
+    return {**vars(pair), **shares, "learners": learned}
 
 
 if __name__ == "__main__":

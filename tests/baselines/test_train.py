@@ -260,6 +260,10 @@ def test_an_emulated_id_is_trained_as_its_twin():
         ({"algorithm": "SAC", "relative": 0.1}, "relative must be"),
         ({"hyperparameters": {"use_sde": True}}, "cannot set use_sde"),
         ({"final_rate": 2.0}, "final_rate <= 1"),
+        ({"learner": "rust"}, "learner must be one of sb3, native"),
+        ({"learner": "native", "algorithm": "SAC"}, "native is of PPO"),
+        ({"imitate": "resolved"}, "need learner native"),
+        ({"learner": "native", "imitation": {"rounds": 2}}, "needs a controller"),
     ],
 )
 def test_a_bad_configuration_is_refused(changes, message):
@@ -282,13 +286,12 @@ def test_bad_hyperparameters_are_refused(run, hyperparameters, message, tmp_path
 
 def test_first_layers_can_begin_with_the_way_to_the_target():
     pytest.importorskip("stable_baselines3")
-    from ves_gym.baselines.sb3 import Sb3VecEnv
-    from ves_gym.baselines.train import _model
+    from ves_gym.baselines.train import make_learner
 
     def first(env, **changes):
-        venv = Sb3VecEnv(gym.make_vec(env, num_envs=8, threads=1))
-        model = _model(replace(PPO, env=env, settings={}, **changes), 0, venv)
-        return model.policy.mlp_extractor.policy_net[0].weight.detach().numpy()
+        config = replace(PPO, env=env, settings={}, **changes)
+        learner = make_learner(config, 0, gym.make_vec(env, num_envs=8, threads=1).unwrapped)
+        return learner.model.policy.mlp_extractor.policy_net[0].weight.detach().numpy()
 
     W = first("ves/PumaReachGoal-v0", relative=0.05)  # columns: achieved, desired, the rest
     both, apart = W[:, :3] + W[:, 3:6], W[:, 3:6] - W[:, :3]

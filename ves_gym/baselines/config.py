@@ -22,6 +22,7 @@ from ves_gym.baselines.policy import ACTIVATIONS, task_name
 
 CONFIGS = Path(__file__).parent / "configs"
 ALGORITHMS = ("PPO", "SAC")
+LEARNERS = ("sb3", "native")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +35,21 @@ class TrainConfig:
     which falls linearly to `final_rate` of itself. Where the network or the noise start is
     said by `layers`, `activation` and `log_std`. `her` adds hindsight replay to SAC
     on a goal variant.
+
+    `learner` native trains with `ves_gym.baselines.ppo`, which knows PPO's hyper-parameters
+    under the same names; `imitate`, `imitation` and `frames` need it. With `imitate`, the
+    policy first learns what a built-in controller does (`imitation` are the fields of
+    `ves_gym.baselines.imitation.Lessons`); its decisions count as steps.
     """
 
     env: str
     algorithm: str
     total_timesteps: int
     n_envs: int
+    learner: str = "sb3"
+    imitate: str = ""  # a controller, by its name
+    imitation: dict = field(default_factory=dict)
+    frames: int = 1  # observations that the policy sees, those of its last decisions
     hold: int = 1
     settings: dict = field(default_factory=dict)
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
@@ -59,8 +69,20 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         require_choice(self, "algorithm", ALGORITHMS)
+        require_choice(self, "learner", LEARNERS)
         require_choice(self, "activation", ACTIVATIONS)
-        for name in ("total_timesteps", "n_envs", "hold", "eval_episodes"):
+        if self.learner == "native" and self.algorithm != "PPO":
+            raise ParameterError(
+                f"TrainConfig.learner native is of PPO, got algorithm {self.algorithm}"
+            )
+        if self.learner != "native" and (self.imitate or self.imitation or self.frames != 1):
+            raise ParameterError(
+                "TrainConfig.imitate, imitation and frames need learner native, got"
+                f" {self.learner}"
+            )
+        if self.imitation and not self.imitate:
+            raise ParameterError("TrainConfig.imitation needs a controller to imitate")
+        for name in ("total_timesteps", "n_envs", "hold", "frames", "eval_episodes"):
             if getattr(self, name) < 1:
                 raise ParameterError(
                     f"TrainConfig.{name} must be >= 1, got {getattr(self, name)}"
@@ -102,8 +124,16 @@ class TrainConfig:
 
     @property
     def label(self) -> str:
-        """The algorithm's name as it appears in file names: ppo, sac or sac-her."""
-        return self.algorithm.lower() + ("-her" if self.her is not None else "")
+        """The algorithm's name in file names: ppo, sac, sac-her, ppo-native, resolved-ppo."""
+        if self.imitate:
+            return f"{self.imitate}-{self.algorithm.lower()}"
+        variant = "-her" if self.her is not None else ""
+        return self.algorithm.lower() + variant + ("-native" * (self.learner == "native"))
+
+    def decisions(self) -> dict[str, Any]:
+        """Return how decisions are made of actions and rewards, see `Decisions`."""
+        names = ("hold", "reward_scale", "endless", "smooth")
+        return {name: getattr(self, name) for name in names}
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""

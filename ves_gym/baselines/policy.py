@@ -26,6 +26,7 @@ from ves_gym._util.optional import require
 from ves_gym._util.params import (
     Array,
     Index,
+    Mask,
     ParameterError,
     from_plain,
     read_table,
@@ -55,6 +56,7 @@ class Network:
     observation_limit: float = 5.0  # observations are clipped to +- this
     inputs: tuple[str, ...] = ()  # parts of a dictionary observation, in order; none: an array
     hold: int = 1  # control periods that an action is held for
+    frames: int = 1  # observations of the last decisions that it takes, the oldest first
 
     def __post_init__(self) -> None:
         require_choice(self, "activation", ACTIVATIONS)
@@ -63,9 +65,19 @@ class Network:
             raise ParameterError(
                 f"Network.sizes must be two or more of 1 to {_LARGEST}, got {self.sizes}"
             )
-        for name in ("observation_limit", "hold"):
+        for name in ("observation_limit", "hold", "frames"):
             if not getattr(self, name) > 0:
                 raise ParameterError(f"Network.{name} must be > 0, got {getattr(self, name)}")
+        if self.sizes[0] % self.frames:
+            raise ParameterError(
+                f"Network.sizes must begin with a multiple of its {self.frames} frames, got"
+                f" {self.sizes[0]}"
+            )
+
+    @property
+    def observations(self) -> int:
+        """Numbers of one observation."""
+        return self.sizes[0] // self.frames
 
 
 @dataclass
@@ -82,6 +94,7 @@ class Policy:
     name: str = "policy"
     privileged: ClassVar[bool] = False  # it sees what the observation holds
     _action: Array | None = field(default=None, init=False, repr=False, compare=False)
+    _rows: Array | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         sizes = self.network.sizes
@@ -100,33 +113,55 @@ class Policy:
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """Nothing to prepare; an environment of other spaces is refused."""
         width = env.batch.observations, env.batch.width
-        if width != (self.network.sizes[0], self.network.sizes[-1]):
+        if width != (self.network.observations, self.network.sizes[-1]):
             raise ParameterError(
-                f"policy {self.name} takes {self.network.sizes[0]} observations to"
+                f"policy {self.name} takes {self.network.observations} observations to"
                 f" {self.network.sizes[-1]} actions, the environment has {width[0]} and"
                 f" {width[1]}"
             )
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """Actions (n, a) of observations (n, o); of the environment only its clock is read."""
-        due = env.batch.episodes.steps % self.network.hold == 0
+        steps = env.batch.episodes.steps
+        due = steps % self.network.hold == 0
         action = self._action
+        if action is not None and len(action) == len(due) and not due.any():
+            return action.copy()
+        if self.network.frames > 1:
+            observation = self._remember(self._side_by_side(observation), due, steps == 0)
         if action is None or len(action) != len(due) or due.all():
             action = self(observation)
-        elif due.any():
+        else:
             action = np.where(due[:, None], self(observation), action)
         self._action = action
         return action.copy()
 
+    def _remember(self, observation: Array, due: Mask, begun: Mask) -> Array:
+        """(n, frames * o) observations of the last decisions, this one included."""
+        fresh = np.tile(observation, self.network.frames)
+        if self._rows is None or self._rows.shape != fresh.shape:
+            self._rows = fresh
+        moved = np.concatenate([self._rows[:, observation.shape[1] :], observation], axis=1)
+        rows = np.where(due[:, None], moved, self._rows)
+        self._rows = np.where(begun[:, None], fresh, rows)
+        return self._rows
+
+    def _side_by_side(self, observation: Any) -> Any:
+        """The parts of a dictionary one after another, where they are what it takes."""
+        inputs = self.network.inputs
+        if not inputs:
+            return observation
+        if not isinstance(observation, Mapping):
+            raise ParameterError(
+                f"policy {self.name} needs a dictionary of {', '.join(inputs)}"
+            )
+        return np.concatenate([observation[k] for k in inputs], axis=-1)
+
     def __call__(self, observation: Any) -> Array:
-        """Actions (n, a) of observations (n, o), in [-1, 1]."""
+        """Actions (n, a), in [-1, 1], of observations (n, o); of `frames` in a row, each."""
         net = self.network
-        if net.inputs:
-            if not isinstance(observation, Mapping):
-                raise ParameterError(
-                    f"policy {self.name} needs a dictionary of {', '.join(net.inputs)}"
-                )
-            observation = np.concatenate([observation[k] for k in net.inputs], axis=-1)
+        if net.frames == 1:
+            observation = self._side_by_side(observation)
         x = np.asarray(observation, dtype=np.float64)
         if x.ndim != 2 or x.shape[1] != net.sizes[0]:
             raise ParameterError(

@@ -1,4 +1,6 @@
-"""`train`: one training run with Stable-Baselines3, and how it survives being killed.
+"""`train`: one training run, and how it survives being killed.
+
+The learner is Stable-Baselines3's (`sb3_learner`) or the native one (`native_learner`).
 
 A run's folder holds `curve.jsonl` (one line per evaluation), the best and the last policy in
 the safe format, and `checkpoint.safetensors`: everything the run needs to go on, taken where
@@ -8,46 +10,38 @@ weights, to the last bit, as one that was left alone (same machine, same version
 
 from __future__ import annotations
 
-import inspect
-import itertools
 import json
-import random
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
-from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
+from threadpoolctl import threadpool_limits
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError, content_hash, write_text
 from ves_gym._util.process_pool import WorkerDied, Workers, note
 from ves_gym._util.statistics import STATISTICS, bootstrap, rate
-from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.checkpoint import load_state, save_state
 from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.controllers import Zero
+from ves_gym.baselines.decisions import Decisions, Endings
 from ves_gym.baselines.evaluate import Evaluation, evaluate, make_vector, ratio
-from ves_gym.baselines.policy import Policy, from_sb3, save_policy, versions
-from ves_gym.envs.task import Task
+from ves_gym.baselines.policy import Policy, save_policy, versions
+from ves_gym.envs.vector import VesVectorEnv
 
 CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.jsonl"
-SCHEMA = "ves-checkpoint/1"
-PACKAGES = ("torch", "stable_baselines3", "safetensors")  # what training needs
+SCHEMA = "ves-checkpoint/2"
+PACKAGES: dict[str, tuple[str, ...]] = {  # what training needs, by learner
+    "sb3": ("torch", "stable_baselines3", "safetensors"),
+    "native": ("safetensors",),
+}
 TRAINING = 1_000_000  # seed of the training episodes, plus the run's own
 VALIDATION = 2_000_000  # first seed of the episodes that a run is judged by as it learns
-_ATTRIBUTES = (  # of the model, beside its parameters
-    "num_timesteps",
-    "_n_updates",
-    "_episode_num",
-    "_current_progress_remaining",
-    "_last_obs",
-    "_last_original_obs",
-    "_last_episode_starts",
-)
 
 Progress = Callable[[float, str], None]
 
@@ -73,22 +67,33 @@ def train(
             configuration's; hyper-parameters that the algorithm does not know.
         MissingPackageError: a package of `PACKAGES` is not installed.
     """
-    require("training", *PACKAGES)
-    import torch
-
+    require("training", *PACKAGES[config.learner])
     folder = Path(folder)
     _require_free(folder, resume)
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".*"):  # left by a write that was killed
         stale.unlink()
+    with one_thread(config.learner):
+        return _Run(config, seed, folder, progress or (lambda done, note: None)).learn()
+
+
+@contextmanager
+def one_thread(learner: str) -> Iterator[None]:
+    """Layers this small are slower on more threads, and sums depend on their number."""
+    if learner == "native":
+        with threadpool_limits(1):
+            yield
+        return
+    import torch
+
     threads, deterministic = (
         torch.get_num_threads(),
         torch.are_deterministic_algorithms_enabled(),
     )
-    torch.set_num_threads(1)  # layers this small are slower on more, and sums depend on it
+    torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
     try:
-        return _Run(config, seed, folder, progress or (lambda done, note: None)).learn()
+        yield
     finally:
         torch.set_num_threads(threads)
         torch.use_deterministic_algorithms(deterministic)
@@ -99,8 +104,54 @@ def _require_free(folder: Path, resume: bool) -> None:
         raise ParameterError(f"{folder} holds a run already: resume it, or choose another")
 
 
-def _versions() -> dict[str, str]:
-    return versions("torch", "stable-baselines3", "safetensors")
+class Learner(Protocol):
+    """What `train` runs, made of a configuration, a seed and an environment."""
+
+    @property
+    def steps(self) -> int:
+        """Decisions so far."""
+
+    @property
+    def decisions(self) -> Decisions:
+        """Where the decisions are made."""
+
+    def learn(self, total: int, between: Callable[[], None]) -> None:
+        """Train up to `total` decisions; `between` is called between rollouts."""
+
+    def logged(self) -> dict[str, float]:
+        """Figures of the last update."""
+
+    def policy(self, about: Mapping[str, Any]) -> Policy:
+        """Return the policy as it is now."""
+
+    def state(self) -> dict[str, Any]:
+        """Everything that training depends on from here, but the environment."""
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state."""
+
+
+def make_learner(
+    config: TrainConfig,
+    seed: int,
+    env: VesVectorEnv,
+    on_endings: Callable[[Endings], None] = lambda endings: None,
+) -> Learner:
+    """Return the learner of a configuration, at its beginning.
+
+    Args:
+        config: of the run.
+        seed: of weights, exploration and training episodes.
+        env: its environment, taken over.
+        on_endings: told of every episode that ends.
+    """
+    if config.learner == "native":
+        from ves_gym.baselines.native_learner import NativeLearner
+
+        return NativeLearner(config, seed, env, TRAINING, on_endings)
+    from ves_gym.baselines.sb3_learner import Sb3Learner
+
+    return Sb3Learner(config, seed, env, TRAINING, on_endings)
 
 
 class _Run:
@@ -113,8 +164,6 @@ class _Run:
         folder: Path,
         progress: Progress,
     ) -> None:
-        from ves_gym.baselines.sb3 import Sb3VecEnv
-
         self.config, self.seed, self.folder, self.progress = config, seed, folder, progress
         self.settings = {
             **({"goal": True} if config.her is not None else {}),
@@ -123,15 +172,7 @@ class _Run:
         env = make_vector(
             config.env, config.n_envs, AutoresetMode.SAME_STEP, threads=1, **self.settings
         )
-        self.venv = Sb3VecEnv(
-            env,
-            hold=config.hold,
-            reward_scale=config.reward_scale,
-            endless=config.endless,
-            smooth=config.smooth,
-        )
-        self.model = _model(config, seed, self.venv)
-        self.venv.seed(TRAINING + seed)
+        self.learner = make_learner(config, seed, env, self._episodes)
         self.zero = self._evaluate(Zero())  # what every evaluation is compared with
         self.rows: list[dict[str, Any]] = []
         self.best: Policy | None = None
@@ -146,6 +187,8 @@ class _Run:
             "task": content_hash(env.task),
         }
         self.references = {"task": env.task}
+        packages = (name.replace("_", "-") for name in PACKAGES[config.learner])
+        self.versions = versions(*packages)
         if (folder / CHECKPOINT).exists():
             self._restore(self._read(folder / CHECKPOINT))
         self.begin = time.perf_counter()
@@ -154,21 +197,13 @@ class _Run:
 
     def learn(self) -> list[dict[str, Any]]:
         """Train to the end."""
-        total = self.config.total_timesteps
-        remaining = total - self.model.num_timesteps
-        if remaining > 0:
-            self.model.learn(
-                remaining,
-                callback=_callback(self),
-                log_interval=None,
-                reset_num_timesteps=False,
-            )
+        self.learner.learn(self.config.total_timesteps, self.between_rollouts)
         self.between_rollouts(last=True)
         return self.rows
 
     def between_rollouts(self, last: bool = False) -> None:
         """Evaluate and save where it is time to; nothing is half collected now."""
-        steps, total = self.model.num_timesteps, self.config.total_timesteps
+        steps, total = self.learner.steps, self.config.total_timesteps
         every = self.config.eval_every or max(1, total // 20)
         done = self.rows[-1]["steps"] if self.rows else -1
         new = (last and steps > done) or steps // every > done // every
@@ -183,10 +218,10 @@ class _Run:
             note += f", return {self.rows[-1]['return']:.3f}"
         self.progress(min(1.0, steps / total), note)
 
-    def episode(self, info: dict[str, Any]) -> None:
-        """An episode of training has ended."""
-        self.returns.append(info["episode"]["r"])
-        self.solved += info["is_success"]
+    def _episodes(self, ended: Endings) -> None:
+        """Episodes of training have ended."""
+        self.returns += ended.total.tolist()
+        self.solved += int(ended.success.sum())
 
     def _evaluate(self, controller: Any) -> Evaluation:
         return evaluate(
@@ -205,9 +240,9 @@ class _Run:
             "algorithm": self.config.label,
             "seed": self.seed,
             "steps": steps,
-            "versions": _versions(),
+            "versions": self.versions,
         }
-        return from_sb3(self.model, about, self.config.label, self.config.hold)
+        return self.learner.policy(about)
 
     def _judge(self, steps: int) -> None:
         """A row of the curve, and the policies' files."""
@@ -229,10 +264,7 @@ class _Run:
         row["train_episodes"] = len(self.returns)
         row["train_return"] = float(np.mean(self.returns)) if self.returns else None
         row["train_success"] = self.solved / len(self.returns) if self.returns else None
-        logged = self.model.logger.name_to_value
-        row["train"] = {
-            k.removeprefix("train/"): _finite(v) for k, v in logged.items() if "train/" in k
-        }
+        row["train"] = {k: _finite(v) for k, v in self.learner.logged().items()}
         row["seconds"], row["seconds_stepping"] = round(seconds, 3), round(stepping, 3)
         self.returns, self.solved = [], 0
         if self.best is None or mean.value > max(r["return"] for r in self.rows):
@@ -257,37 +289,25 @@ class _Run:
         """Seconds of training so far, and those of them in the environment."""
         return (
             self.earlier + time.perf_counter() - self.begin,
-            self.stepping + self.venv.stepping,
+            self.stepping + self.learner.decisions.stepping,
         )
 
     # ---------------------------------------------------------------- checkpoint
 
     def _save(self, steps: int) -> None:
-        import torch
-
-        model: Any = self.model
         seconds, stepping = self._time()
         self.saved = steps
         state = {
             **self.identity,
-            "versions": _versions(),
+            "versions": self.versions,
             "rows": self.rows,
             "best": self.best,
             "returns": self.returns,
             "solved": self.solved,
             "seconds": seconds,
             "stepping": stepping,
-            "parameters": model.get_parameters(),
-            "variables": _variables(model),
-            "attributes": {k: getattr(model, k) for k in _ATTRIBUTES if hasattr(model, k)},
-            "buffer": _buffer(model),
-            "environment": self.venv.env.snapshot(),
-            "random": (
-                random.getstate(),
-                np.random.get_state(),  # noqa: NPY002
-                torch.get_rng_state(),
-                model.action_space.np_random.bit_generator.state,
-            ),
+            "learner": self.learner.state(),
+            "environment": self.learner.decisions.env.snapshot(),
         }
         save_state(self.folder / CHECKPOINT, state, self.references)
 
@@ -299,171 +319,23 @@ class _Run:
                     f"{path} is of another run: its {name} is {state.get(name)}, this one's"
                     f" {value}"
                 )
-        if state["versions"] != _versions():
+        if state["versions"] != self.versions:
             warnings.warn(
-                f"{path} was made by {state['versions']}, this is {_versions()}: the run goes"
+                f"{path} was made by {state['versions']}, this is {self.versions}: the run goes"
                 " on, but not as it would have",
                 stacklevel=4,
             )
         return state
 
     def _restore(self, state: dict[str, Any]) -> None:
-        import torch
-
-        model: Any = self.model
         self.rows, self.best = state["rows"], state["best"]
         self.returns, self.solved = state["returns"], state["solved"]
         self.earlier, self.stepping = state["seconds"], state["stepping"]
-        model.set_parameters(state["parameters"], device="cpu")
-        for name, value in state["variables"].items():
-            getattr(model, name).data.copy_(value)
-        for name, value in state["attributes"].items():
-            setattr(model, name, value)
-        self.saved = model.num_timesteps
-        if state["buffer"] is not None:
-            _refill(model.replay_buffer, state["buffer"])
-        self.venv.env.restore(state["environment"])
-        python, numpy, torch_state, actions = state["random"]
-        random.setstate(python)
-        np.random.set_state(numpy)  # noqa: NPY002
-        torch.set_rng_state(torch_state)
-        model.action_space.np_random.bit_generator.state = actions
+        self.learner.restore(state["learner"])
+        self.saved = self.learner.steps
+        self.learner.decisions.env.restore(state["environment"])
         if self.rows:  # the files may be of a later moment than the checkpoint
             self._write(self._policy(self.saved))
-
-
-def _model(config: TrainConfig, seed: int, venv: Any) -> Any:
-    """A new model of Stable-Baselines3."""
-    import stable_baselines3
-    import torch
-    from stable_baselines3.common.logger import Logger
-
-    cls = getattr(stable_baselines3, config.algorithm)
-    settings = dict(config.hyperparameters)
-    parameters = [k for k in inspect.signature(cls).parameters if k != "policy_kwargs"]
-    unknown = [k for k in settings if k not in parameters]
-    if unknown:
-        raise ParameterError(
-            f"{config.algorithm} has no hyper-parameter {unknown[0]!r}; known:"
-            f" {', '.join(parameters)}{did_you_mean(unknown[0], parameters)}"
-        )
-    rate, end = settings.pop("learning_rate", 3e-4), config.final_rate
-    if config.her is not None:
-        settings["replay_buffer_class"] = stable_baselines3.HerReplayBuffer
-        settings["replay_buffer_kwargs"] = config.her
-    kwargs: dict[str, Any] = {
-        "net_arch": list(config.layers),
-        "activation_fn": {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[config.activation],
-    }
-    if config.algorithm == "PPO":
-        kwargs["log_std_init"] = config.log_std
-    try:
-        model = cls(
-            "MultiInputPolicy" if venv.env.goal else "MlpPolicy",
-            venv,
-            learning_rate=lambda remaining: rate * (end + (1 - end) * max(0.0, remaining)),
-            policy_kwargs=kwargs,
-            seed=seed,
-            device="cpu",
-            **settings,
-        )
-    except (TypeError, AssertionError) as error:
-        raise ParameterError(f"{config.algorithm}: {error}") from error
-    model.set_logger(Logger(folder=None, output_formats=[]))
-    if config.relative:
-        _lean(model, venv.env.task, config.relative)
-    return model
-
-
-def _lean(model: Any, task: Task, length: float) -> None:
-    """Begin with first layers that look at the way to the target, in lengths [m].
-
-    Otherwise a network must learn first how much the last centimetres matter and, where it is
-    given two places, that their difference alone does.
-    """
-    import torch
-
-    space = model.observation_space
-    parts: dict[str, int]
-    if isinstance(space, spaces.Dict):
-        parts = {name: spaces.flatdim(box) for name, box in space.spaces.items()}
-    else:
-        parts = {field.name: field.size for field in task.parts()}
-    ends = np.cumsum([0, *parts.values()]).tolist()
-    at = {name: slice(*ab) for name, ab in zip(parts, itertools.pairwise(ends), strict=True)}
-    extractor = model.policy.mlp_extractor
-    with torch.no_grad():
-        for net in (extractor.policy_net, extractor.value_net):
-            W = net[0].weight
-            if "achieved_goal" in at:
-                extra = torch.randn(len(W), parts["achieved_goal"]) * W.std() / length
-                W[:, at["achieved_goal"]] -= extra
-                W[:, at["desired_goal"]] += extra
-            elif "to_target" in at:
-                scale = next(f.scale for f in task.fields() if f.name == "to_target")
-                W[:, at["to_target"]] *= torch.as_tensor(scale / length, dtype=W.dtype)
-            else:
-                raise ParameterError(
-                    f"TrainConfig.relative needs a task with a target, got {task.kind}"
-                )
-
-
-def _callback(run: _Run) -> Any:
-    from stable_baselines3.common.callbacks import BaseCallback
-
-    class Callback(BaseCallback):
-        def _on_rollout_start(self) -> None:
-            run.between_rollouts()
-
-        def _on_step(self) -> bool:
-            ended = self.locals["dones"]
-            if ended.any():
-                for i in np.flatnonzero(ended).tolist():
-                    run.episode(self.locals["infos"][i])
-            return True
-
-    return Callback()
-
-
-def _variables(model: Any) -> dict[str, Any]:
-    """Tensors that are learned beside the networks: SAC's entropy coefficient."""
-    names = model._get_torch_save_params()[1]
-    return {name: getattr(model, name) for name in names if getattr(model, name) is not None}
-
-
-def _buffer(model: Any) -> dict[str, Any] | None:
-    """The part of a replay buffer that is filled."""
-    buffer = getattr(model, "replay_buffer", None)
-    if buffer is None:
-        return None
-    filled = buffer.buffer_size if buffer.full else buffer.pos
-    return {
-        "pos": buffer.pos,
-        "full": buffer.full,
-        "rows": {k: v[:filled] for k, v in _stored(buffer).items()},
-        "starts": getattr(buffer, "_current_ep_start", None),  # of hindsight replay
-    }
-
-
-def _refill(buffer: Any, state: dict[str, Any]) -> None:
-    for name, array in _stored(buffer).items():
-        rows = state["rows"][name]
-        array[: len(rows)] = rows
-    buffer.pos, buffer.full = state["pos"], state["full"]
-    if state["starts"] is not None:
-        buffer._current_ep_start[:] = state["starts"]
-
-
-def _stored(buffer: Any) -> dict[str, Any]:
-    """Every array of numbers with a row per transition; parts of dictionaries by both names."""
-    flat = {}
-    for name, value in vars(buffer).items():
-        parts = value if isinstance(value, dict) else {"": value}
-        for key, array in parts.items():
-            rows = isinstance(array, np.ndarray) and array.dtype != object and array.ndim > 1
-            if rows and len(array) == buffer.buffer_size:
-                flat[f"{name}/{key}"] = array
-    return flat
 
 
 def _finite(value: Any) -> float | None:
@@ -489,7 +361,7 @@ def train_seeds(
             goes on in another, from its checkpoint.
         progress: called with the seed, the fraction done and a few words.
     """
-    require("training", *PACKAGES)
+    require("training", *PACKAGES[config.learner])
     report = progress or (lambda seed, done, note: None)
     folder = Path(folder)
     for seed in seeds:  # before the first is trained for an hour

@@ -11,7 +11,7 @@ from typing import Any
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
-from ves_gym.baselines.config import TrainConfig, choose_config
+from ves_gym.baselines.config import LEARNERS, TrainConfig, choose_config
 from ves_gym.baselines.training_result import TrainingResult
 from ves_gym.cli.common import (
     add_arm_argument,
@@ -29,6 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--algo", metavar="A", help="ppo, sac or sac-her; default the first known"
+    )
+    parser.add_argument(
+        "--learner",
+        choices=LEARNERS,
+        help="native: PPO in NumPy, faster; default the configuration's",
+    )
+    parser.add_argument(
+        "--imitate", metavar="C", help="a controller whose actions are learned first (native)"
     )
     parser.add_argument("--steps", type=int, metavar="N", help="instead of the configuration's")
     parser.add_argument(
@@ -48,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     seeds = [s + args.seed for s in config.seeds]
     from ves_gym.baselines.train import PACKAGES, train_seeds
 
-    require("training", *PACKAGES)
+    require("training", *PACKAGES[config.learner])
     with _bars() as on_progress:
         folder = out_dir(args, f"out/train/{config.name}")
         curves = train_seeds(
@@ -70,6 +78,10 @@ def _config(args: argparse.Namespace) -> TrainConfig:
     changes: dict[str, Any] = {}
     if args.effect or args.arm is not None:
         changes["settings"] = with_effects(config.env, config.settings, args.effect, args.arm)
+    if args.imitate is not None:
+        changes["imitate"], changes["learner"] = args.imitate, "native"
+    if args.learner is not None:
+        changes["learner"] = args.learner
     if args.steps is not None:
         changes["total_timesteps"] = args.steps
     if args.seeds is not None:

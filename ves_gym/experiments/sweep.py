@@ -85,10 +85,12 @@ def sweep(
     report.skipped.extend(u.id for u in units if resume and finished(root, u))
     skipped = set(report.skipped)
     todo = [u for u in units if u.id not in skipped]
-    if any(u.identity["kind"] == "train" for u in todo):
+    trained = [u.identity["config"] for u in todo if u.identity["kind"] == "train"]
+    if trained:
         from ves_gym.baselines.train import PACKAGES
 
-        require("training", *PACKAGES)
+        for plain in trained:
+            require("training", *PACKAGES[plain.get("learner", "sb3")])
     on_progress = progress or (lambda stage, done: None)
     if not todo:
         on_progress("sweep", 1.0)

@@ -240,7 +240,7 @@ def require_fit(problem: Problem, method: Method, policies: Sequence[Policy]) ->
     task = _task(problem, method.settings)
     expected = sum(f.size for f in task.fields()), task.control.width(task.system.arm)
     for policy in policies:
-        have = policy.network.sizes[0], policy.network.sizes[-1]
+        have = policy.network.observations, policy.network.sizes[-1]
         if have != expected:
             raise BundleError(
                 Code.BAD_WEIGHTS, f"{have} inputs and actions, the environment has {expected}"

@@ -1,0 +1,362 @@
+"""The native learner: it computes what Stable-Baselines3 computes, and what calculus says."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from ves_gym._util.params import ParameterError, from_plain
+from ves_gym.baselines.config import config_from_plain
+from ves_gym.baselines.controllers import Zero
+from ves_gym.baselines.decisions import Decisions
+from ves_gym.baselines.evaluate import evaluate
+from ves_gym.baselines.imitation import Imitation, Lessons
+from ves_gym.baselines.perceptron import ActorCritic, Adam
+from ves_gym.baselines.policy import load_policy
+from ves_gym.baselines.ppo import PPO, Rollout, Settings, Sight, flat
+
+SHORT = {"duration": 0.5, "tail": 0.5}  # 40 periods
+
+
+def decisions(id="ves/PumaReach-v1", n=4, seed=0, settings=SHORT, **choices):
+    env = gym.make_vec(id, num_envs=n, autoreset_mode="SameStep", threads=1, **settings)
+    env.reset(seed=seed)
+    return Decisions(env.unwrapped, **choices)
+
+
+def learner(env, frames=1, layers=(16, 16), seed=0, activation="tanh", **settings):
+    rng = np.random.default_rng(seed)
+    size = flat(env.observe()).shape[1]
+    agent = ActorCritic((size * frames, *layers, env.env.batch.width), activation, -0.5, rng)
+    return PPO(env, agent, Sight(size, frames), Settings(**settings), rng)
+
+
+# ------------------------------------------------------------ Stable-Baselines3
+
+
+def weights(model):
+    """Actor's and critic's layers of a model of Stable-Baselines3, and the actions' noise."""
+    p = model.policy
+    nets = (
+        [p.mlp_extractor.policy_net[0], p.mlp_extractor.policy_net[2], p.action_net],
+        [p.mlp_extractor.value_net[0], p.mlp_extractor.value_net[2], p.value_net],
+    )
+    layers = [
+        [(k.weight.detach().numpy().T, k.bias.detach().numpy()) for k in net] for net in nets
+    ]
+    return layers, p.log_std.detach().numpy()
+
+
+def copied(agent, model):
+    layers, log_std = weights(model)
+    for net, theirs in zip((agent.actor, agent.critic), layers, strict=True):
+        for ours, other in zip(net.layers, theirs, strict=True):
+            for a, b in zip(ours, other, strict=True):
+                a[:] = b
+    agent.log_std[:] = log_std
+
+
+def furthest(agent, model):
+    layers, log_std = weights(model)
+    gaps = [np.abs(agent.log_std - log_std).max()]
+    for net, theirs in zip((agent.actor, agent.critic), layers, strict=True):
+        for ours, other in zip(net.layers, theirs, strict=True):
+            gaps += [np.abs(a - b).max() for a, b in zip(ours, other, strict=True)]
+    return max(gaps)
+
+
+@pytest.mark.parametrize("id", ["ves/PumaReach-v1", "ves/PumaDamp-v0"])
+def test_an_update_gives_the_weights_that_stable_baselines3_gives(id, monkeypatch):
+    """Reference: `PPO.train` of Stable-Baselines3, from the same weights, data and order.
+
+    Tolerance: float32 rounding over 20 steps of Adam at a rate of 1e-3.
+    """
+    pytest.importorskip("stable_baselines3")
+    import stable_baselines3
+
+    from ves_gym.baselines.sb3 import Sb3VecEnv
+
+    k = {"n_steps": 50, "batch_size": 60, "n_epochs": 5, "gamma": 0.97, "gae_lambda": 0.9}
+    k |= {"ent_coef": 0.01, "clip_range": 0.1}
+    n = 6
+    venv = Sb3VecEnv(decisions(id, n).env, hold=2)
+    model = stable_baselines3.PPO(
+        "MlpPolicy", venv, learning_rate=1e-3, seed=3, device="cpu",
+        policy_kwargs={"net_arch": [16, 16]}, **k,
+    )  # fmt: skip
+    ours = learner(decisions(id, n, hold=2), **k)
+    copied(ours.agent, model)
+    _, callback = model._setup_learn(10**6, callback=None)
+    model.collect_rollouts(model.env, callback, model.rollout_buffer, k["n_steps"])
+
+    b = model.rollout_buffer
+    over = np.zeros((k["n_steps"], n), bool)
+    over[:-1] = b.episode_starts[1:].astype(bool)
+    over[-1] = model._last_episode_starts
+    assert over.any()
+    import torch
+
+    with torch.no_grad():
+        following = model.policy.predict_values(torch.as_tensor(model._last_obs))[:, 0].numpy()
+    rollout = Rollout(
+        b.observations, b.actions, b.log_probs, b.values, b.rewards, over, following
+    )
+    advantages = rollout.advantages(k["gamma"], k["gae_lambda"])
+    np.testing.assert_allclose(advantages, b.advantages, rtol=1e-5, atol=1e-6)
+
+    # theirs lie environment after environment, ours decision after decision
+    count = n * k["n_steps"]
+    rng = np.random.default_rng(0)
+    orders = [rng.permutation(count) for _ in range(k["n_epochs"])]
+    theirs = iter([o % n * k["n_steps"] + o // n for o in orders])
+    monkeypatch.setattr(np.random, "permutation", lambda size: next(theirs))
+    before = ours.agent.numbers.copy()
+    model.train()
+    ours.update(rollout, 1e-3, orders)
+    gap, moved = furthest(ours.agent, model), np.abs(ours.agent.numbers - before).max()
+    print(f"{id}: apart by {gap:.1e} after moving by {moved:.1e}")
+    assert gap < 1e-5 and moved > 5e-3
+    logged = model.logger.name_to_value
+    for name in ("approx_kl", "clip_fraction", "value_loss", "policy_gradient_loss", "std"):
+        assert ours.logged[name] == pytest.approx(logged[f"train/{name}"], rel=1e-3, abs=1e-6)
+    assert ours.logged["explained_variance"] == pytest.approx(
+        logged["train/explained_variance"], abs=1e-5
+    )
+
+
+# ----------------------------------------------------------------------- calculus
+
+
+@pytest.mark.parametrize("activation", ["tanh", "relu"])
+def test_derivatives_are_those_of_differences(activation):
+    """Reference: central differences, in float64 (the arrays are replaced by such)."""
+    rng = np.random.default_rng(1)
+    agent = ActorCritic((5, 7, 6, 2), activation, 0.0, rng)
+    net = agent.actor
+    x, wanted = rng.standard_normal((9, 5)), rng.standard_normal((9, 2))
+    net.layers = [(W.astype(float), rng.standard_normal(len(b))) for W, b in net.layers]
+    x32 = x.astype(np.float32)
+
+    def loss():
+        h = x
+        for k, (W, b) in enumerate(net.layers):
+            h = h @ W + b
+            if k < 2:
+                h = np.tanh(h) if activation == "tanh" else np.maximum(h, 0)
+        return ((h - wanted) ** 2).sum()
+
+    out = net(x32)
+    net.backward((2 * (out - wanted)).astype(np.float32))
+    for layer, slopes in zip(net.layers, net.slopes, strict=True):
+        for array, slope in zip(layer, slopes, strict=True):
+            for at in list(np.ndindex(array.shape))[:12]:
+                kept = array[at]
+                ends = []
+                for h in (-1e-5, 1e-5):
+                    array[at] = kept + h
+                    ends.append(loss())
+                array[at] = kept
+                assert slope[at] == pytest.approx(
+                    (ends[1] - ends[0]) / 2e-5, rel=1e-3, abs=1e-3
+                )
+
+
+def test_adam_goes_to_the_minimum_of_a_bowl():
+    at, slope = np.array([3.0, -2.0], np.float32), np.empty(2, np.float32)
+    adam = Adam(2)
+    for _ in range(2000):
+        slope[:] = 2 * (at - [1.0, 0.5])
+        adam.step(at, slope, 0.01)
+    np.testing.assert_allclose(at, [1.0, 0.5], atol=1e-3)
+
+
+def test_the_scale_of_observations_is_their_mean_and_spread_and_changes_no_action():
+    rng = np.random.default_rng(0)
+    rows = (rng.standard_normal((500, 4)) * [1, 0.01, 5, 2] + [0, 3, -2, 0]).astype(np.float32)
+    sight, agent = Sight(4, 1), ActorCritic((4, 8, 2), "tanh", 0.0, rng)
+    wanted = agent.actor(rows).copy()
+    for part in np.split(rows, [100, 250]):
+        agent.rescale(*sight.learn(sight.scaled(part)))
+    np.testing.assert_allclose(sight.mean, rows.mean(axis=0), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(sight.spread, np.sqrt(rows.var(axis=0) + 1e-6), rtol=1e-4)
+    np.testing.assert_allclose(agent.actor(sight.scaled(rows)), wanted, atol=2e-5)
+
+
+def test_what_a_time_limit_cut_off_counts_and_a_deadline_does_not():
+    env = decisions("ves/PumaReach-v1", 3)
+    for endless in (False, True):
+        env.endless = endless
+        ours = learner(env, n_steps=40, gamma=0.5)
+        env.env.reset(seed=7)
+        ours.restart()
+        told = []
+        ours.on_endings = told.append
+        rollout = ours.collect()
+        (ended,) = told
+        worth = ours.agent.critic(flat(ended.final))[:, 0]
+        total = rollout.reward.sum(axis=0) - ended.total
+        np.testing.assert_allclose(total, endless * 0.5 * worth, atol=1e-4)
+        assert rollout.over[-1].all() and rollout.over.sum() == 3
+
+
+def test_an_update_stops_where_the_policy_has_moved_too_far():
+    env = decisions()
+    steps = []
+    for target in (None, 1e-3):
+        ours = learner(env, n_steps=40, batch_size=20, n_epochs=4, target_kl=target)
+        ours.update(ours.collect(), 1e-2)
+        steps.append(ours.optimiser.steps)
+    assert steps[0] == 32 and 0 < steps[1] < 32
+
+
+def test_the_critic_can_learn_first():
+    ours = learner(decisions(), n_steps=40, batch_size=40, critic_first=1)
+    before = ours.agent.numbers.copy()
+    ours.update(ours.collect(), 1e-2)
+    critic = ours.agent.critic.layers[0][0].size
+    same = ours.agent.numbers == before
+    actor = sum(W.size + b.size for W, b in ours.agent.actor.layers) + 3
+    assert same[:actor].all() and not same[actor:].any() and critic
+    ours.update(ours.collect(), 1e-2)
+    assert not np.isclose(ours.agent.numbers[:actor], before[:actor]).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"n_step": 3}, "unknown key 'n_step'"),
+        ({"batch_size": 1}, "batch_size must be > 1"),
+        ({"gamma": 1.1}, "gamma must be 0 to 1"),
+        ({"n_epochs": 0}, "n_epochs must be >= 1"),
+    ],
+)
+def test_bad_hyperparameters_are_refused(changes, message):
+    with pytest.raises(ParameterError, match=message):
+        from_plain(Settings, changes, "PPO")
+
+
+# ------------------------------------------------------------------------ imitation
+
+
+def test_a_policy_learns_what_a_controller_does():
+    """The distance to the action that the controller takes, before and after."""
+    env = decisions(
+        n=16,
+        settings={"duration": 1.0, "tail": 0.5, "control": "guided"},
+        id="ves/PumaRestToRest-v0",
+    )
+    ours = learner(env, layers=(32,))
+
+    class Wave(Zero):
+        def act(self, env, observation):
+            return 0.8 * np.sin(env.batch.observe()[:, :3] * 3)
+
+    lessons = Lessons(rounds=6, shown=1, batch_size=64, recall=3)
+    taught = Imitation(env, ours.agent, ours.sight, Wave(), lessons, np.random.default_rng(0))
+    errors = []
+    while not taught.over:
+        assert taught.advance() == 16 * 80
+        errors.append(taught.logged["imitation_error"])
+    print("root mean square error by round", np.round(errors, 3))
+    assert errors[-1] < 0.4 * errors[0] and len(taught.memory) == 0
+
+
+# -------------------------------------------------------------------------- training
+
+SMALL = config_from_plain(
+    {
+        "env": "ves/PumaReach-v1",
+        "algorithm": "PPO",
+        "learner": "native",
+        "imitate": "resolved",
+        "total_timesteps": 1000,
+        "n_envs": 8,
+        "hold": 2,
+        "frames": 3,
+        "eval_every": 400,
+        "settings": SHORT,
+        "layers": [8, 8],
+        "eval_episodes": 4,
+        "imitation": {"rounds": 3, "batch_size": 64, "recall": 2},
+        "hyperparameters": {
+            "n_steps": 16, "batch_size": 64, "n_epochs": 2, "normalise": True, "critic_first": 1
+        },
+    }
+)  # fmt: skip
+PLAIN = replace(
+    SMALL, imitate="", imitation={}, frames=1, env="ves/PumaReachGoal-v1", relative=0.1,
+    settings={"duration": 0.5, "hold": 0.1}, smooth=0.05,
+)  # fmt: skip
+
+
+class Stopped(Exception):
+    pass
+
+
+def run(config, folder, stop=2.0, **options):
+    from ves_gym.baselines.train import train
+
+    def progress(done, note):
+        if done > stop:
+            raise Stopped
+
+    try:
+        return train(config, 0, folder, progress=progress, **options)
+    except Stopped:
+        return None
+
+
+def numbers(folder, name):
+    return [a for layer in load_policy(folder / f"{name}.json").weights for a in layer]
+
+
+@pytest.mark.parametrize("config", [SMALL, PLAIN], ids=lambda c: c.label)
+def test_a_stopped_run_ends_as_if_it_had_not_been(config, tmp_path):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    rows = run(config, whole)
+    for stop in (0.3, 0.6, 2.0):
+        assert (run(config, parts, stop, resume=True) is None) == (stop < 1)
+    for name in ("last", "best"):
+        for a, b in zip(numbers(whole, name), numbers(parts, name), strict=True):
+            np.testing.assert_array_equal(a, b)
+    assert rows[-1]["steps"] >= config.total_timesteps and rows[0]["steps"] == 0
+    assert {"std", "value_loss", "explained_variance"} <= rows[-1]["train"].keys()
+
+
+def test_the_policy_file_acts_as_the_learner_did(tmp_path):
+    """The scale is in the first layer, and frames are remembered by the file's policy."""
+    from ves_gym.baselines.train import make_learner
+
+    config = replace(SMALL, total_timesteps=700)
+    run(config, tmp_path)
+    env = decisions(n=5, seed=3).env
+    ours = make_learner(config, 0, env)
+    from ves_gym.baselines.checkpoint import load_state
+
+    state = load_state(tmp_path / "checkpoint.safetensors", {"task": env.task})
+    ours.agent.numbers[:] = state["learner"]["ppo"]["numbers"]
+    sight = ours.sight
+    sight.mean, sight.variance, sight.count = state["learner"]["ppo"]["sight"]
+    policy = load_policy(tmp_path / "last.json")
+    assert policy.network.frames == 3 and policy.network.observations == sight.size
+    ours.ppo.restart()
+    for _ in range(35):  # decisions of two periods, into the second episode
+        theirs = policy.act(env, env.batch.observe())
+        action = np.clip(ours.agent.actor(sight.scaled(ours.ppo.rows)), -1, 1)
+        np.testing.assert_allclose(theirs, action, atol=2e-5)
+        ours.ppo._step(action)
+    found = evaluate(policy, config.env, episodes=3, **SHORT)
+    again = evaluate(policy, config.env, episodes=3, n_envs=1, **SHORT)
+    assert [r["return"] for r in found.rows] == pytest.approx([r["return"] for r in again.rows])
+
+
+@pytest.mark.slow
+def test_it_learns_what_stable_baselines3_learns(tmp_path):
+    """Same task, hyper-parameters and number of decisions: returns within the seeds' spread."""
+    from benchmarks.training import returns
+
+    ours, theirs = returns()
+    print("returns", ours, theirs)
+    spread = max(np.ptp(ours), np.ptp(theirs))
+    assert abs(np.mean(ours) - np.mean(theirs)) < spread

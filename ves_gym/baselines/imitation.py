@@ -1,0 +1,155 @@
+"""Learning what a controller does before learning from rewards.
+
+DAgger (Ross, Gordon & Bagnell 2011, arXiv:1011.0686): the controller acts in the first rounds,
+the policy in the later ones, and in all of them the controller says what it would have done
+there. So the policy sees the states that its own mistakes lead to, with what mends them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import ParameterError
+from ves_gym.baselines.controllers import Controller
+from ves_gym.baselines.decisions import Decisions
+from ves_gym.baselines.perceptron import ActorCritic, Adam, Floats, clipped
+from ves_gym.baselines.ppo import Sight, flat
+
+_NORM = 1.0  # largest norm of the derivatives
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lessons:
+    """How long to imitate, and how."""
+
+    rounds: int = 20  # each an episode of every environment
+    shown: int = 2  # rounds in which the controller acts; in the others the policy
+    noise: float = 0.1  # standard deviation of what is added to the actions
+    recall: int = 10  # rounds that are learned from, the latest
+    epochs: int = 4  # per round
+    batch_size: int = 1024
+    learning_rate: float = 1e-3  # falls linearly to a tenth
+
+    def __post_init__(self) -> None:
+        for name in ("rounds", "shown", "recall", "epochs", "batch_size"):
+            if getattr(self, name) < 1:
+                raise ParameterError(
+                    f"imitation: {name} must be >= 1, got {getattr(self, name)}"
+                )
+        if not self.learning_rate > 0 or not self.noise >= 0:
+            raise ParameterError(
+                "imitation needs learning_rate > 0 and noise >= 0, got"
+                f" {self.learning_rate} and {self.noise}"
+            )
+
+
+class Imitation:
+    """Rounds of lessons.
+
+    Args:
+        env: where.
+        agent: whose actor learns.
+        sight: how it sees; its scale is that of the first round from then on.
+        expert: says what to do.
+        lessons: how many.
+        rng: of noise and of the batches' order.
+    """
+
+    def __init__(
+        self,
+        env: Decisions,
+        agent: ActorCritic,
+        sight: Sight,
+        expert: Controller,
+        lessons: Lessons,
+        rng: np.random.Generator,
+    ) -> None:
+        self.env, self.agent, self.sight, self.expert = env, agent, sight, expert
+        self.lessons, self.rng = lessons, rng
+        self.optimiser = Adam(len(agent.numbers))
+        self.round = 0
+        self.memory: list[tuple[Floats, Floats]] = []  # seen, wanted: of the latest rounds
+        self.logged: dict[str, float] = {}
+
+    @property
+    def over(self) -> bool:
+        """All rounds are done."""
+        return self.round >= self.lessons.rounds
+
+    def advance(self) -> int:
+        """One round; the decisions that it took."""
+        seen, wanted = self._episode(self.round < self.lessons.shown)
+        if not self.sight.count:
+            self.sight.learn(seen)
+        self.memory = [*self.memory, (seen, wanted)][-self.lessons.recall :]
+        share = self.round / max(1, self.lessons.rounds - 1)
+        self._learn(self.lessons.learning_rate * (1 - 0.9 * share))
+        self.round += 1
+        if self.over:
+            self.memory = []
+        return len(seen)
+
+    def _episode(self, shown: bool) -> tuple[Floats, Floats]:
+        """One episode per environment: raw observations (k, o) and the expert's actions."""
+        env, decisions = self.env.env, -(-self.env.env.task.steps // self.env.hold)
+        everyone = np.arange(env.num_envs)
+        env.reset()
+        self.expert.reset(env, everyone)
+        rows = self.sight.first(flat(self.env.observe()))
+        seen, wanted = [], []
+        for _ in range(decisions):
+            target = np.clip(self.expert.act(env, None), -1.0, 1.0).astype(np.float32)
+            seen.append(rows)
+            wanted.append(target)
+            action = target if shown else self.agent.actor(self.sight.scaled(rows))
+            noise = self.rng.standard_normal(target.shape, np.float32)
+            moved = action + np.float32(self.lessons.noise) * noise
+            observation, _, over, _ = self.env.step(np.clip(moved, -1.0, 1.0))
+            new = flat(observation)
+            rows = self.sight.after(rows, new)
+            if over.any():
+                ids = np.flatnonzero(over)
+                rows[ids] = self.sight.first(new[ids])
+                self.expert.reset(env, ids)
+        return np.concatenate(seen), np.concatenate(wanted)
+
+    def _learn(self, rate: float) -> None:
+        """Least squares, over what is remembered."""
+        k, agent = self.lessons, self.agent
+        seen = self.sight.scaled(np.concatenate([rows for rows, _ in self.memory]))
+        wanted = np.concatenate([rows for _, rows in self.memory])
+        agent.slopes[:] = 0  # the critic's stay so
+        errors = []
+        for _ in range(k.epochs):
+            order = self.rng.permutation(len(seen))
+            for start in range(0, len(seen), k.batch_size):
+                at = order[start : start + k.batch_size]
+                gap = agent.actor(seen[at]) - wanted[at]
+                errors.append(float(np.square(gap).mean()))
+                gap *= np.float32(2 / gap.size)
+                agent.actor.backward(gap)
+                clipped(agent.slopes, _NORM)
+                self.optimiser.step(agent.numbers, agent.slopes, rate)
+        share = len(errors) // k.epochs
+        self.logged = {
+            "imitation_error": float(np.sqrt(np.mean(errors[-share:]))),
+            "learning_rate": rate,
+        }
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the next round depends on, but agent, sight and environment."""
+        return {
+            "round": self.round,
+            "memory": self.memory,
+            "optimiser": (self.optimiser.steps, self.optimiser.mean, self.optimiser.square),
+            "logged": self.logged,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state."""
+        self.round, self.memory, self.logged = state["round"], state["memory"], state["logged"]
+        self.optimiser.steps, mean, square = state["optimiser"]
+        self.optimiser.mean[:], self.optimiser.square[:] = mean, square

@@ -1,0 +1,134 @@
+"""`NativeLearner`: imitation, then PPO, in NumPy, as `train` runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from ves_gym._util.params import from_plain
+from ves_gym.baselines.config import TrainConfig
+from ves_gym.baselines.decisions import Decisions, Endings
+from ves_gym.baselines.imitation import Imitation, Lessons
+from ves_gym.baselines.perceptron import ActorCritic
+from ves_gym.baselines.policy import Network, Policy
+from ves_gym.baselines.ppo import PPO, Settings, Sight, flat
+from ves_gym.baselines.registry import get_controller
+from ves_gym.baselines.relative import lean
+from ves_gym.envs.vector import VesVectorEnv
+
+
+class NativeLearner:
+    """`PPO`, after `Imitation` where the configuration names a controller.
+
+    Args:
+        config: of the run.
+        seed: of weights, exploration and, plus `episodes`, the episodes.
+        env: its environment, taken over.
+        episodes: seed of the training episodes, less the run's.
+        on_endings: told of every episode that ends while rewards are learned from.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        seed: int,
+        env: VesVectorEnv,
+        episodes: int,
+        on_endings: Callable[[Endings], None],
+    ) -> None:
+        settings: Settings = from_plain(Settings, config.hyperparameters, "PPO")
+        self.config, self.settings, self.steps = config, settings, 0
+        env.reset(seed=episodes + seed)
+        self.decisions = Decisions(env, **config.decisions())
+        rng = np.random.default_rng(seed)
+        size = flat(self.decisions.observe()).shape[1]
+        self.sight = Sight(size, config.frames)
+        sizes = (size * config.frames, *config.layers, env.batch.width)
+        self.agent = ActorCritic(sizes, config.activation, config.log_std, rng)
+        if config.relative:
+            for net in (self.agent.actor, self.agent.critic):
+                newest = net.layers[0][0][-size:]
+                space = env.single_observation_space
+                lean(
+                    newest, env.task, space, config.relative, lambda *k: rng.standard_normal(k)
+                )
+        self.ppo = PPO(self.decisions, self.agent, self.sight, settings, rng, on_endings)
+        self.imitation: Imitation | None = None
+        if config.imitate:
+            expert = get_controller(config.imitate, seed)
+            lessons: Lessons = from_plain(Lessons, config.imitation, "imitation")
+            self.imitation = Imitation(
+                self.decisions, self.agent, self.sight, expert, lessons, rng
+            )
+
+    def learn(self, total: int, between: Callable[[], None]) -> None:
+        """Train up to `total` decisions; `between` is called between rollouts."""
+        while self.steps < total:
+            between()
+            if self._imitating:
+                self._imitate()
+            else:
+                self._reinforce(total)
+
+    @property
+    def _imitating(self) -> bool:
+        return self.imitation is not None and not self.imitation.over
+
+    def _imitate(self) -> None:
+        assert self.imitation is not None
+        self.steps += self.imitation.advance()
+        if self.imitation.over:
+            self.decisions.env.reset()
+            self.ppo.restart()
+
+    def _reinforce(self, total: int) -> None:
+        rollout = self.ppo.collect()
+        self.steps += rollout.over.size
+        left, end = max(0.0, 1 - self.steps / total), self.config.final_rate
+        rate = self.settings.learning_rate * (end + (1 - end) * left)
+        self.ppo.update(rollout, rate)
+
+    def logged(self) -> dict[str, float]:
+        """Figures of the last update."""
+        started = self.imitation is not None and not self.ppo.updates
+        return self.imitation.logged if started else self.ppo.logged  # type: ignore[union-attr]
+
+    def policy(self, about: Mapping[str, Any]) -> Policy:
+        """Return the policy as it is now, scaling included in its first layer."""
+        config, space = self.config, self.decisions.env.single_observation_space
+        layers = [(W.astype(float), b.astype(float)) for W, b in self.agent.actor.layers]
+        W, b = layers[0]
+        layers[0] = (
+            W / self.sight.spread[:, None],
+            b - (self.sight.mean / self.sight.spread) @ W,
+        )
+        network = Network(
+            sizes=(len(W), *(len(b) for _, b in layers)),
+            activation=config.activation,
+            observation_limit=self.decisions.env.task.CLIP,
+            inputs=tuple(space.spaces) if isinstance(space, spaces.Dict) else (),
+            hold=config.hold,
+            frames=config.frames,
+        )
+        return Policy(network, tuple(layers), dict(about), config.label)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that training depends on from here, but the environment."""
+        return {
+            "steps": self.steps,
+            "ppo": self.ppo.state(),
+            "imitation": self.imitation.state() if self._imitating else None,  # type: ignore[union-attr]
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state."""
+        self.steps = state["steps"]
+        self.ppo.restore(state["ppo"])
+        if self.imitation is not None:
+            if state["imitation"] is None:
+                self.imitation.round = self.imitation.lessons.rounds
+            else:
+                self.imitation.restore(state["imitation"])
