@@ -12,7 +12,7 @@ from ves_gym.cli.main import main
 from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.payload import Payload
-from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING, get_vehicle
 from ves_gym.rendering.render import View, render
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.captures import segments
@@ -103,3 +103,21 @@ def test_the_payload_is_drawn(tmp_path):
     bare = replace(log, p=None, pd=None)
     render(bare, tmp_path / "bare.gif", view)
     assert (tmp_path / "with.gif").read_bytes() != (tmp_path / "bare.gif").read_bytes()
+
+
+def test_a_satellites_panels_are_drawn():
+    require_opengl()
+    from ves_gym.rendering.drawing import Drawing
+
+    system = System(vehicle=get_vehicle("servicer-flexible"))
+    drawing = Drawing(system, 100, 80)
+    drawn = {drawing.model.body(int(k)).name for k in drawing.model.geom_bodyid}
+    panels = [k for k, part in enumerate(system.base.carried, 1) if part.kind == "appendage"]
+    assert panels
+    assert {f"carried_{k}" for k in panels} <= drawn
+    last, u = f"carried_{panels[0]}", np.zeros(system.base.hidden)
+    drawing.pose(np.zeros(6), np.zeros(3), u)
+    rest = drawing.data.body(last).xmat.copy()
+    u[panels[0] - 1] = 0.3
+    drawing.pose(np.zeros(6), np.zeros(3), u)
+    assert np.abs(drawing.data.body(last).xmat - rest).max() > 0.01

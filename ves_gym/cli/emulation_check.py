@@ -18,6 +18,7 @@ from ves_gym.cli.common import (
 )
 from ves_gym.cli.motions import GAINS, joint_angles
 from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.vehicle import vehicle_name
 from ves_gym.simulation.stability import EmulationCheck, check_emulation
 from ves_gym.system.system import System
 
@@ -76,7 +77,7 @@ def _print(system: System, check: EmulationCheck, searched: bool) -> None:
     console = Console(width=None if sys.stdout.isatty() else 100, markup=False)
     verdict = "stable" if check.stable else "UNSTABLE"
     console.print(
-        f"{verdict}: {system.arm.name} on {system.vehicle.source}, emulated at"
+        f"{verdict}: {system.arm.name} on {vehicle_name(system.vehicle)}, emulated at"
         f" {1 / system.control_dt:.4g} Hz"
     )
     rows = [

@@ -22,6 +22,7 @@ from ves_gym.cli.common import (
 from ves_gym.cli.motions import duration_from, joint_angles
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.tool_pose import ToolPose
+from ves_gym.mechanics.vehicle import vehicle_name
 from ves_gym.planners.comparison import simulate_motions
 from ves_gym.planners.objective import WEIGHTS, parse_weights
 from ves_gym.planners.obstacles import read_surroundings
@@ -267,7 +268,8 @@ def _print_table(
     from rich.table import Table
 
     table = Table(
-        title=f"{plan.planner}: {plan.query.duration:g} s on {plan.query.system.vehicle.source}"
+        title=f"{plan.planner}: {plan.query.duration:g} s on"
+        f" {vehicle_name(plan.query.system.vehicle)}"
     )
     for name in ("measure", "predicted", "simulated", "straight line", "ratio"):
         table.add_column(name, justify="left" if name == "measure" else "right")

@@ -24,6 +24,7 @@ from ves_gym.cli.common import (
 )
 from ves_gym.cli.motions import disturbance, joint_angles
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
+from ves_gym.mechanics.vehicle import vehicle_name
 from ves_gym.planners.damping_map import (
     Configuration,
     DampingMap,
@@ -281,7 +282,7 @@ def _print(
 
     console = Console(width=None if sys.stdout.isatty() else 120, markup=False)
     console.print(
-        f"{system.arm.name} at {_listed(np.rad2deg(q))} deg on {system.vehicle.source};"
+        f"{system.arm.name} at {_listed(np.rad2deg(q))} deg on {vehicle_name(system.vehicle)};"
         f" let go from {0.5 * y @ system.base.K @ y:.4g} J"
     )
     table = Table(title="what the gains leave in the base")

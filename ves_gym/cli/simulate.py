@@ -30,6 +30,7 @@ from ves_gym.cli.motions import (
 from ves_gym.mechanics.limits import check_reference, limits_of
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
+from ves_gym.mechanics.vehicle import vehicle_name
 from ves_gym.simulation.gravity_learning import learn_gravity
 from ves_gym.simulation.playback import play_motions, weigh_poses
 from ves_gym.simulation.recording import Recording
@@ -42,7 +43,10 @@ SCHEMA = "ves-simulate/1"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    motion = parser.add_argument_group("motion (default: 60,40,-30 deg in 2 s)")
+    motion = parser.add_argument_group(
+        "motion (default: in 2 s to 60,40,-30 deg; of other than three joints, within half of"
+        " the arm's limits)"
+    )
     motion.add_argument("--start", metavar="A,B,C", help="joint angles [deg] (default 0,0,0)")
     motion.add_argument("--goal", metavar="A,B,C", help="joint angles [deg]")
     motion.add_argument("--via", metavar="A,B,C", action="append", help="way-point; repeatable")
@@ -148,6 +152,7 @@ def run(args: argparse.Namespace) -> int:
         "tail": min(TAIL, args.settle),
         "energies": None if measured is None else measured.to_dict(),
         "ledger_residual": residual,
+        "propellant": None if log.propellant is None else float(log.propellant[-1, 0]),
         "limits": {"reference": reference.to_dict(), "simulated": simulated.to_dict()},
         "warnings": warnings,
         "files": [str(p) for p in written + ([Path(args.json)] if args.json else [])],
@@ -358,7 +363,9 @@ def _print_table(
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"{system.arm.name} on {system.vehicle.source}, {motion.duration:g} s")
+    table = Table(
+        title=f"{system.arm.name} on {vehicle_name(system.vehicle)}, {motion.duration:g} s"
+    )
     table.add_column("measure")
     table.add_column("value" if ideal is None else "laboratory", justify="right")
     if ideal is not None:
@@ -377,6 +384,9 @@ def _print_table(
         every = 1e3 * float(log.t[1] - log.t[0])
         what = f"relative residual of the energy account, records every {every:g} ms"
         table.add_row("ledger", *cells, "1", what)
+    if log.propellant is not None:
+        used = _text(float(log.propellant[-1, 0]))
+        table.add_row("propellant", used, "kg", "that the satellite's jets have used")
     Console(width=None if sys.stdout.isatty() else 120, markup=False).print(table)
 
 

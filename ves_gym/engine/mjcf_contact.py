@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.mujoco_loader import mujoco
+from ves_gym._util.params import Array
 from ves_gym.engine.mjcf import set_inertial
 from ves_gym.mechanics.contact import Contact, ContactShape
 from ves_gym.mechanics.payload import Payload
@@ -71,11 +72,11 @@ def add_contact(
         # with a body on it the engine takes any numbers for its inertia (`set_body`)
         target.add_body(name="fixture", pos=list(payload.grip.position))
     link = spec.body(f"link_{arm.n}")
-    place, turn = _tool_in_link(arm)
+    place, turn = tool_in_link(arm)
     for i, shape in enumerate(contact.tool, start=1):
-        _add_geom(link, f"tool_{i}", shape, place, turn)
+        add_shape(link, shape, place, turn, name=f"tool_{i}")
     for i, shape in enumerate(contact.target, start=1):
-        _add_geom(target, f"target_{i}", shape, np.zeros(3), np.eye(3))
+        add_shape(target, shape, np.zeros(3), np.eye(3), name=f"target_{i}")
     pairs = [
         _add_pair(spec, contact, i, j)
         for i in range(1, len(contact.tool) + 1)
@@ -97,31 +98,46 @@ def add_contact(
         pair.solreffriction = [-1e-12, -IMPEDANCE / contact.slip_time]
 
 
-def _tool_in_link(arm: SerialChain) -> tuple[Any, Any]:
-    """Place and axes of the tool in the engine's frame of the last link."""
+def tool_in_link(arm: SerialChain) -> tuple[Array, Array]:
+    """Return place (3,) and axes (3, 3) of the tool in the engine's frame of the last link."""
     rotation, place = arm.links[-1].far_end
     return place, rotation @ arm.tool_rotation
 
 
-def _add_geom(body: Any, name: str, shape: ContactShape, place: Any, turn: Any) -> None:
+def geom_of(shape: ContactShape) -> tuple[Any, Array]:
+    """Return MuJoCo's type of a shape, and its size (3,) [m]."""
     size = np.zeros(3)
     size[: len(shape.size)] = shape.size
     if shape.form == "box":
         size /= 2
     elif shape.form != "sphere":
         size[1] /= 2
+    return _GEOMS[shape.form], size
+
+
+def add_shape(
+    body: Any, shape: ContactShape, place: Array, turn: Array, **options: Any
+) -> None:
+    """Add a shape without mass, which touches in its pairs only.
+
+    Args:
+        body: of the model, written.
+        shape: in axes of its own body.
+        place, turn: (3,) and (3, 3) of these axes in those of `body`.
+        options: further attributes, such as a name.
+    """
+    form, size = geom_of(shape)
     quat = np.zeros(4)
-    axes = np.ascontiguousarray(turn @ shape.place.rotation)
-    mujoco.mju_mat2Quat(quat, axes.ravel())
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(turn @ shape.place.rotation).ravel())
     body.add_geom(
-        name=name,
-        type=_GEOMS[shape.form],
+        type=form,
         size=size.tolist(),
         pos=(place + turn @ np.array(shape.place.position)).tolist(),
         quat=quat.tolist(),
         mass=0.0,
-        contype=0,  # touches in its pairs only
+        contype=0,
         conaffinity=0,
+        **options,
     )
 
 

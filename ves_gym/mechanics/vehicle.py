@@ -354,6 +354,12 @@ def vehicle_from_plain(plain: Any, where: str = "vehicle") -> Vehicle:
     return vehicle
 
 
+def vehicle_name(vehicle: Vehicle) -> str:
+    """Return the name of a vehicle that comes with the package, else its kind."""
+    names = [name for name, shipped in VEHICLES.items() if shipped == vehicle]
+    return names[0] if names else vehicle.kind
+
+
 def get_vehicle(name: str | os.PathLike[str]) -> Vehicle:
     """A vehicle by name, or from a .toml or .json file.
 

@@ -21,6 +21,13 @@ from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Beam, FlexibleBase, beam_line
+from ves_gym.rendering.attached import (
+    add_appendages,
+    add_payload_shapes,
+    add_surfaces,
+    appendage_corners,
+    equal_box,
+)
 from ves_gym.system.system import System
 
 ARROW = 1.2  # m, of the longest force or moment arrow
@@ -103,6 +110,9 @@ class Drawing:
         )
         self._add_base(spec)
         self._add_arm(spec)
+        if self.feet is None:
+            add_appendages(spec, system.base)
+        add_surfaces(spec, system)
         return spec.compile()
 
     def _add_base(self, spec: Any) -> None:
@@ -124,7 +134,7 @@ class Drawing:
             _rod(spec.worldbody, "CYLINDER", *plate, size, _DARK)
             return
         if body is not None:
-            _box(platform, np.array(body.com), *_equal_box(body), _METAL)
+            _box(platform, np.array(body.com), *equal_box(body), _METAL)
         if self.rest_beam is not None:
             clamp, along = self.rest_beam[0], self.rest_beam[1] - self.rest_beam[0]
             along = along / np.linalg.norm(along)
@@ -183,8 +193,8 @@ class Drawing:
         Args:
             y: (6,) base pose [m, rad].
             q: (n,) joint angles [rad].
-            u: (p + m,) deflections of the arm's flexures [rad], then internal modes of the
-                base; None: links are straight.
+            u: (p + c + m,) deflections of the arm's flexures [rad], of what a satellite
+                carries, then internal modes of the base; None: links are straight.
         """
         motors, passive = places(self.system.arm)
         bends = self.system.arm.bends
@@ -192,6 +202,11 @@ class Drawing:
         self.data.qpos[motors] = q
         if bends:
             self.data.qpos[passive[-bends:]] = 0.0 if u is None else u[:bends]
+        carried = 0 if self.feet is not None else len(self.system.base.carried)
+        if carried:
+            first = 6 + len(motors) + len(passive)
+            at = 0.0 if u is None else u[bends : bends + carried]
+            self.data.qpos[first : first + carried] = at
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
@@ -259,7 +274,7 @@ class Drawing:
                 connect(scene, "CAPSULE", a, b, radius, _BEAM)
 
     def add_payload(self, scene: Any, pose: Array) -> None:
-        """Add the payload as a box, its grapple fixture as a ball.
+        """Add the payload as its surfaces, or a box, its grapple fixture as a ball.
 
         Args:
             scene: MuJoCo's, of this frame.
@@ -269,12 +284,13 @@ class Drawing:
         if payload is None:
             return
         turn = to_matrix(pose[3:])
-        geom, shape = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_BOX
-        middle = pose[:3] + turn @ np.array(payload.inertial.com)
-        colour = np.array(_PAYLOAD, np.float32)
-        half = np.ascontiguousarray(payload.edges / 2)
-        mujoco.mjv_initGeom(geom, shape, half, middle, turn.ravel(), colour)
-        scene.ngeom += 1
+        if not add_payload_shapes(scene, self.system, pose, turn, _PAYLOAD):
+            geom, shape = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_BOX
+            middle = pose[:3] + turn @ np.array(payload.inertial.com)
+            colour = np.array(_PAYLOAD, np.float32)
+            half = np.ascontiguousarray(payload.edges / 2)
+            mujoco.mjv_initGeom(geom, shape, half, middle, turn.ravel(), colour)
+            scene.ngeom += 1
         fixture = pose[:3] + turn @ np.array(payload.grip.position)
         ball(scene, fixture, 0.12 * float(payload.edges.min()), TOOL)
 
@@ -379,8 +395,9 @@ class Drawing:
         if centreline is not None:
             return np.vstack([arm, centreline.reshape(-1, 3)]), margin
         if body is not None:
-            margin += float(_equal_box(body)[0].max())
-            return np.vstack([arm, y[:, :3] + np.array(body.com)]), margin
+            margin += float(equal_box(body)[0].max())
+            corners = y[0, :3] + appendage_corners(self.system.base) @ rotation(y[0]).T
+            return np.vstack([arm, y[:, :3] + np.array(body.com), corners]), margin
         return arm, margin
 
 
@@ -445,12 +462,3 @@ def _frame_along(x: Array) -> Array:
     y = np.cross(helper, x)
     y /= np.linalg.norm(y)
     return np.stack([x, y, np.cross(x, y)], axis=1)
-
-
-def _equal_box(body: Any) -> tuple[Array, Array]:
-    """Half sizes (3,) [m] and axes (3, 3) of the homogeneous box with a body's inertia."""
-    moments, axes = np.linalg.eigh(np.array(body.inertia))
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1
-    squares = 6 / max(body.mass, 1e-9) * (moments.sum() - 2 * moments)
-    return np.sqrt(np.maximum(squares, 1e-4)) / 2, axes

@@ -28,7 +28,14 @@ from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.contact import Contact
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import BENT, VEHICLES, BaseModel, Vehicle, altered, get_vehicle
+from ves_gym.mechanics.vehicle import (
+    BENT,
+    BaseModel,
+    Vehicle,
+    altered,
+    get_vehicle,
+    vehicle_name,
+)
 from ves_gym.system.effect import EFFECTS, ArmEffect, BaseEffect, Effect
 from ves_gym.system.emulator_settings import NOMINAL, EmulatorSettings
 
@@ -91,7 +98,9 @@ class System:
         for name in ("wheels", "jets", "appendages"):
             if self.mode == "emulated" and getattr(self.vehicle, name, None):
                 raise ParameterError(
-                    f"mode emulated knows a satellite's body, not its {name}: use mode ideal"
+                    f"mode emulated knows a satellite's body, not its {name}: the arm's wrench"
+                    " is all that moves its platform; use mode ideal, or a vehicle of the body"
+                    " alone, Satellite(body=vehicle.body)"
                 )
         if self.contact is not None:
             self._require_contact(self.contact)
@@ -122,8 +131,8 @@ class System:
             )
 
     def __repr__(self) -> str:
-        names = [name for name, vehicle in VEHICLES.items() if vehicle == self.vehicle]
-        vehicle = f"{names[0]} ({self.vehicle.kind})" if names else self.vehicle.kind
+        name, kind = vehicle_name(self.vehicle), self.vehicle.kind
+        vehicle = kind if name == kind else f"{name} ({kind})"
         effects = "".join(f", {effect}" for effect in self.effects)
         payload = "" if self.payload is None else f", payload {self.payload.inertial.mass:g} kg"
         return f"<System: {self.arm.name} on {vehicle}, {self.mode}{payload}{effects}>"

@@ -56,6 +56,13 @@ def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
 
 
 def _on_a_device(name: str, system: System, n: int, threads: int) -> Backend:
+    for part in ("wheels", "jets", "appendages", "pointing"):
+        if name in ("mjx", "warp") and getattr(system.vehicle, part, None):
+            raise ParameterError(
+                f"backend {name} has no {part} of a satellite, which act anew in every control"
+                " period: use kernel, mujoco or gpu-kernel, or a vehicle of the body alone,"
+                " Satellite(body=vehicle.body)"
+            )
     if name == "mjx":
         require("backend mjx", "jax", "mujoco.mjx")
         from ves_gym.engine.backends.mjx import MjxBackend
