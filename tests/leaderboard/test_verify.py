@@ -124,6 +124,27 @@ def test_a_group_told_twice(policy, tmp_path):
     assert rejection(bundle.write(tmp_path / "b.zip")).code is Code.REPEATED_GROUP
 
 
+@pytest.mark.parametrize("trick", ["noise", "order of hidden units"])
+def test_a_copy_of_a_policy_is_no_other_training(trick, policy, folder, tmp_path):
+    from ves_gym.baselines.policy import load_policy, released, save_policy
+
+    copied = load_policy(released("ves/PumaRestToRest-v0")["ppo"])
+    files = [save_policy(copied, tmp_path / "first.json")]
+    (W0, b0), (W1, b1), *last = copied.weights
+    draw = np.random.default_rng(0)
+    if trick == "noise":
+        W0 = (W0 + 1e-5 * draw.standard_normal(W0.shape)).astype(W0.dtype)
+    else:
+        turn = draw.permutation(len(b0))
+        rows = W0.shape[0] == len(b0)
+        W0, b0 = (W0[turn] if rows else W0[:, turn]), b0[turn]
+        W1 = W1[:, turn] if rows else W1[turn]
+    copied.weights = ((W0, b0), (W1, b1), *last)
+    files.append(save_policy(copied, tmp_path / "second.json"))
+    with pytest.raises(ParameterError, match="do the same"):
+        make_bundle(folder / f"copy-{trick[:5]}", *POLICY, files)
+
+
 @pytest.mark.slow
 def test_a_controller_with_settings_of_its_own(folder):
     path = make_bundle(folder / "direct", *POLICY, "direct")
@@ -140,7 +161,7 @@ def test_no_seed_can_be_picked(folder, tmp_path):
     bundle = Bundle(path)
     bundle.manifest["method"]["seeds"] = [5]
     assert rejection(bundle.write(tmp_path / "b.zip")).code is Code.WRONG_SEEDS
-    with pytest.raises(ParameterError, match=r"must be 0, 1, \.\.\. in order, got 5"):
+    with pytest.raises(ParameterError, match=r"in order, 16 at most, got 5"):
         make_bundle(folder / "picked", *POLICY, "random", seeds=(5,))
 
 

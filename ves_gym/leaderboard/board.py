@@ -17,6 +17,7 @@ from ves_gym.leaderboard import statistics
 from ves_gym.leaderboard.entry import LEVELS
 from ves_gym.leaderboard.evaluators import history_reason
 from ves_gym.leaderboard.journal import Journal, Record
+from ves_gym.leaderboard.tracks.base import NEAR, difference
 
 SCHEMA = "ves-board/1"
 ALL = "all problems"
@@ -206,8 +207,11 @@ def _group(problem: str, seeds: str, candidates: list[Candidate]) -> Plain:
                 "score": _plain(place.score),
                 **summary(group_entries),
                 **_identity(c),
+                "same": _same(k, entries),
             }
-            for c, group_entries, place in zip(candidates, entries, stand, strict=True)
+            for k, (c, group_entries, place) in enumerate(
+                zip(candidates, entries, stand, strict=True)
+            )
         ],
         "reference": 1.0 if first["track"] in RATIOS else None,
         "statistic": statistics.STATISTIC[first["track"]],
@@ -220,6 +224,21 @@ def _group(problem: str, seeds: str, candidates: list[Candidate]) -> Plain:
         ],
         "anytime": _anytime(entries),
     }
+
+
+def _same(k: int, entries: Sequence[Sequence[Mapping[str, Any]]]) -> list[str]:
+    """Names of the entries that do what entry k does in most episodes."""
+    if len(entries[k]) > 1:
+        return []
+    (mine,) = entries[k]
+    out = []
+    for j, (other, *more) in enumerate(entries):
+        if j == k or more or len(other["rows"]) != len(mine["rows"]):
+            continue
+        apart = difference(mine["rows"], other["rows"])
+        if apart is not None and apart <= NEAR:
+            out.append(str(other["name"]))
+    return out
 
 
 def summary(entries: Sequence[Mapping[str, Any]]) -> Plain:

@@ -24,7 +24,7 @@ class Code(Enum):
     )
     WRONG_SEEDS = "not the seeds of the problem"
     MISSING_EPISODE = "an episode, query or case has no row"
-    REPEATED_GROUP = "two trainings or seeds are one: it would count twice"
+    REPEATED_GROUP = "two trainings or seeds do the same: one would count twice"
     EXTRA_EPISODE = "a row is of no episode, query or case of the problem, or there twice"
     EPISODE_LENGTH = "actions, control points or answers are more or fewer than the rows need"
     BAD_ACTION = (

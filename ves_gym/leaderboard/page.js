@@ -193,6 +193,7 @@ function detail(e) {
   const facts = [
     ["score", `${amount(e.score[0])} (95 %: ${range(e.score)})`],
     ["by training seed", e.by_training_seed.map(amount).join(", ")],
+    ["in most episodes the same as", e.same.join(", ")],
     ["failed", e.failed ? `${e.failed} of ${e.episodes * e.training_seeds}` : "none"],
     ["cost evaluations", e.evaluations === undefined ? "" : amount(e.evaluations)],
     ["bundle (SHA-256)", e.bundle && el("code", {}, e.bundle)],
@@ -201,6 +202,8 @@ function detail(e) {
     ["processor", [about.cpu, about.simd].filter(Boolean).join("; ")],
     ["model (SHA-256)", about.model && el("code", {}, about.model)],
     ["evaluator (SHA-256)", about.evaluator && el("code", {}, about.evaluator)],
+    ["submitted run", about.reproduction && `${about.reproduction.equal} of ${about.reproduction.rows} scores equal to the `
+      + `last bit, largest difference ${number(about.reproduction.largest)}`],
     ["settings", json(about.settings)],
     ["training", json(about.training)],
     ["evaluated", about.begun ? `${about.begun} to ${about.ended}` : ""],

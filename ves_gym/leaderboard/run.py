@@ -91,10 +91,10 @@ def make_bundle(
     begun = _timestamp()
     with threadpool_limits(1, user_api="blas"):  # as `verify` does
         answers, described = _answer(rules, question, drawn, method, tuple(seeds), progress)
-    if (twice := repeated(answers.rows, len(answers.method.seeds))) is not None:
+    if (twice := repeated(answers.rows, answers.method)) is not None:
         raise ParameterError(
-            f"groups {twice[0]} and {twice[1]} are the same to the last bit, and one of them"
-            " would count twice: leave it out"
+            f"groups {twice[0]} and {twice[1]} do the same, and one of them would count twice:"
+            " leave it out"
         )
     manifest = {
         "schema": SCHEMA,

@@ -302,8 +302,8 @@ def _claimed_better(mine: Row, its: Row) -> str | None:
 
 
 def _require_distinct(rows: Sequence[Row], method: Method) -> None:
-    if (twice := repeated(rows, len(method.seeds))) is not None:
-        raise BundleError(Code.REPEATED_GROUP, f"groups {twice[0]} and {twice[1]}")
+    if (twice := repeated(rows, method)) is not None:
+        raise BundleError(Code.REPEATED_GROUP, f"groups {twice[0]} and {twice[1]} do the same")
 
 
 def _difference(replayed: Sequence[Row], found: Sequence[Row]) -> dict[str, Any]:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.protocol import ABSOLUTE, PLANNED, PLANNED_SHARE, Problem, Seeds
 from ves_gym.system.system import System
@@ -127,6 +129,7 @@ def row(
     return out
 
 
+NEAR = 1e-3  # median relative difference of results below which two policies are one
 NUMBERS = ("score", "E_mean", "E_peak", "E_res", "E_int")  # lower is better
 
 
@@ -176,21 +179,52 @@ def require_as_good(claimed: Sequence[Row], found: Sequence[Row]) -> None:
         )
 
 
-def repeated(rows: Sequence[Row], groups: int) -> tuple[int, int] | None:
-    """Two groups with the same results to the last bit, which would count one of them twice.
+def repeated(rows: Sequence[Row], method: Method) -> tuple[int, int] | None:
+    """Two groups with the same results, which would count one of them twice.
 
-    Groups without any energy or score do not count.
+    The same: to the last bit, and of policies within `NEAR`, for a copy with noise on its
+    weights, or with its hidden units in another order, does what the original does. Groups
+    without any energy or score do not count.
+
+    Args:
+        rows: of all groups, one group after another.
+        method: whose they are.
     """
+    groups = len(method.seeds)
     if len(rows) % groups:
         return None
-    size, groups_of = len(rows) // groups, dict[tuple[Any, ...], int]()
-    for group in range(groups):
-        part = rows[group * size : (group + 1) * size]
-        key = tuple(r.get(k) for r in part for k in ("score", "E_mean", "E_peak", "E_res"))
-        if key in groups_of and any(value is not None for value in key):
-            return groups_of[key], group
-        groups_of[key] = group
+    size, within = len(rows) // groups, NEAR if method.kind == "policy" else 0.0
+    parts = [rows[k * size : (k + 1) * size] for k in range(groups)]
+    for k, part in enumerate(parts):
+        for earlier in range(k):
+            apart = difference(parts[earlier], part)
+            if apart is not None and apart <= within:
+                return earlier, k
     return None
+
+
+def difference(
+    some: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]]
+) -> float | None:
+    """Return how far results of the same questions are apart, relative to their size.
+
+    The median of E_mean and E_peak of the simulations; the largest of the scores where there
+    are no energies. A question that only one of them solves counts as 1. None where neither has
+    a number.
+    """
+    simulated = any(r.get("E_mean") is not None for r in some)
+    names = ("E_mean", "E_peak") if simulated else ("score",)
+    apart = []
+    for a, b in zip(some, others, strict=True):
+        for name in names:
+            x, y = a.get(name), b.get(name)
+            if x is not None and y is not None:
+                apart.append(abs(x - y) / max(abs(x), abs(y), 1e-300))
+            elif x is not y:
+                apart.append(1.0)
+    if not apart:
+        return None
+    return float(np.median(apart) if simulated else np.max(apart))
 
 
 def finite_or_none(value: float | None) -> float | None:
