@@ -26,6 +26,12 @@ def _receding(seed: int) -> Controller:
     return Receding(seed)
 
 
+def _adaptive(seed: int) -> Controller:
+    from ves_gym.baselines.adaptive import Adaptive
+
+    return Adaptive(seed)
+
+
 CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "zero": lambda seed: Zero(),
     "random": Random,
@@ -37,6 +43,7 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "direct": lambda seed: Follow("direct", "direct", seed),
     "refined": lambda seed: Follow("refined", "refined", seed),
     "robust": lambda seed: Follow("robust", "robust", seed),
+    "adaptive": _adaptive,
     "lqr": lambda seed: Optimal(),
     "lqi": lambda seed: Regulator(),
     "tuned": _tuned,

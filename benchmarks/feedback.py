@@ -1,0 +1,115 @@
+"""Controllers of PumaRestToRest on machines that are less and less as described.
+
+    python -m benchmarks.feedback --episodes 100 --controllers ppo,refined,adaptive
+
+A row per machine and controller, the same episodes in every row of a machine:
+
+- ratio: E_mean over the straight line's on the same machine: median, mean, worst decile;
+- arrived: at the goal and at rest there, by the environment's own tolerances (1 deg of each
+  joint; 5 deg/s in space, 8 deg/s in the laboratory);
+- solved: arrived with E_mean at most half the straight line's on the same machine;
+- s: seconds per episode, planning and simulation.
+
+Machines: `known` in space without errors; the laboratories `nominal`, `lab`, `hard` and
+`held-out`; `unknown` and, in space, `unknown-space`: a payload of up to 10 kg, stiffness within
+30 % and up to 5 N m of Coulomb friction on every joint; in the laboratory besides a platform up
+to 10 % faster or slower, noise and drift of the nominal budget.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.baselines.comparison import line_up
+from ves_gym.baselines.controllers import Controller
+from ves_gym.baselines.evaluate import Evaluation, evaluate
+
+SPACE, LABORATORY = "ves/PumaRestToRest-v1", "ves/PumaRestToRestEmulated-v1"
+# Success is to arrive; energies are compared with the straight line on the same machine.
+ARRIVAL: dict[str, Any] = {"saving": None}
+UNKNOWN: dict[str, Any] = {
+    "payload/mass": {"mass": [0.0, 10.0]},
+    "base/stiffness": {"error": [-0.3, 0.3]},
+    "joint/coulomb": {"torque": [[0.0] * 3, [5.0] * 3]},
+}
+_PLATFORM = {"platform/bandwidth": {"error": [-0.1, 0.1]}}
+MACHINES: dict[str, tuple[str, dict[str, Any]]] = {
+    "known": (SPACE, {}),
+    "nominal": (LABORATORY, {"laboratory": "nominal"}),
+    "lab": (LABORATORY, {}),
+    "hard": (LABORATORY, {"laboratory": "hard"}),
+    "held-out": (LABORATORY, {"laboratory": "held-out"}),
+    "unknown-space": (SPACE, {"randomize": UNKNOWN}),
+    "unknown": (LABORATORY, {"randomize": {**UNKNOWN, **_PLATFORM}}),
+}
+SAVING = 0.5  # of the straight line's energy
+
+
+class Row(NamedTuple):
+    """Results of a controller on a machine."""
+
+    ratio: Array  # (episodes,) E_mean over the straight line's
+    arrived: float  # share of the episodes
+    solved: float
+    seconds: float  # per episode
+
+    def __str__(self) -> str:
+        middle, mean = np.median(self.ratio), self.ratio.mean()
+        worst = np.quantile(self.ratio, 0.9)
+        return (
+            f"{middle:7.3f} {mean:7.3f} {worst:7.3f} {self.arrived:8.0%} {self.solved:8.0%}"
+            f" {self.seconds:8.2f}"
+        )
+
+
+def on_machine(machine: str, controller: Controller, episodes: int, seed: int) -> Evaluation:
+    """Return the episodes of a controller on one of MACHINES.
+
+    Args:
+        machine: name.
+        controller: whose.
+        episodes, seed: as `evaluate`.
+    """
+    id, settings = MACHINES[machine]
+    return evaluate(
+        controller, id, episodes=episodes, seed=seed, threads=1, **ARRIVAL | settings
+    )
+
+
+def row(mine: Evaluation, straight: Evaluation) -> Row:
+    """Return the results of a controller beside the straight line on the same episodes.
+
+    Args:
+        mine, straight: of `on_machine`.
+    """
+    ratio = np.array(
+        [a["E_mean"] / b["E_mean"] for a, b in zip(mine.rows, straight.rows, strict=True)]
+    )
+    arrived = np.array([k["success"] for k in mine.rows])
+    solved = arrived & (ratio <= SAVING)
+    return Row(ratio, arrived.mean(), solved.mean(), mine.seconds / len(ratio))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--controllers", default="ppo,direct,refined,adaptive")
+    parser.add_argument("--machines", default=",".join(MACHINES))
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=20_000)
+    args = parser.parse_args()
+    print("machine        controller     median    mean  decile  arrived   solved        s")
+    for machine in args.machines.split(","):
+        id, _ = MACHINES[machine]
+        straight = on_machine(machine, line_up(id, ["zero"])[0][1][0], args.episodes, args.seed)
+        for label, group in line_up(id, args.controllers.split(",")):
+            mine = on_machine(machine, group[0], args.episodes, args.seed)
+            print(f"{machine:14s} {label:12s} {row(mine, straight)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

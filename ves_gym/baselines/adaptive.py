@@ -1,0 +1,245 @@
+"""A plan followed on a machine that is not as described: payload and friction are estimated.
+
+The arm's equation is linear in what is unknown of it (Slotine and Li, Int. J. Robotics Research
+6(3), 1987; Siciliano et al., Robotics, 2009, 7.2.1): with a payload of mass m at the tool and
+Coulomb friction f,
+
+    tau - tau_described(q, v, a) = m phi(q, v, a) - f sign(v),
+
+phi the torque that one kilogram more needs, base motion as measured. Recursive least squares
+finds (m, f) while the arm moves; what the servo's feed-forward then lacks is supplied through
+its gains, and the remaining motion is planned anew for the arm with that payload. The base from
+which it is planned is that of the linear model under the motion so far, not the measured one:
+in the laboratory that one also carries the payload's weight, which no plan can take away.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+
+from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym.baselines.braced import base_torque
+from ves_gym.baselines.controllers import reference_action
+from ves_gym.effects.payload_mass import PayloadMass
+from ves_gym.envs.rest_to_rest import RestToRest
+from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
+from ves_gym.mechanics.motion import Motion
+from ves_gym.planners.direct import Direct
+from ves_gym.planners.observer import BaseObserver
+from ves_gym.planners.prediction import BaseState
+from ves_gym.planners.query import Query, on_one_thread, solve
+
+_SETTLE = 0.1  # s between the end of a plan with a payload and the deadline
+_REPLAN = (0.35, 0.7, 1.05)  # s after the start, at which the motion is planned anew
+_DELAY = 0.1  # s from a measurement to the plan that it leads to
+_PRIOR = (5.0, 3.0)  # kg, N m: standard deviations of payload and friction before any motion
+_NOISE = 2.0  # N m of torque that the equation leaves unexplained
+_HEAVIEST = 15.0  # kg
+_SIGN = 0.02  # rad/s over which friction builds up
+_HEAVY = 1.0  # kg more on the tool, for the slope phi
+_FASTER = 1.05  # times a speed limit that a new plan may ask: it begins where the old one is
+
+
+class Adaptive:
+    """Plans, finds the payload and the friction on the way, compensates and plans anew.
+
+    Reads joint angles and rates and the base as measured; the machine's drawn errors stay
+    hidden from it.
+    """
+
+    name = "adaptive"
+    privileged = True
+
+    def __init__(self, seed: int = 0) -> None:
+        self.seed = seed
+        self._plan: Array = np.empty(
+            (0, 0, 3, 0)
+        )  # (n, steps + 1, 3, joints), without the shift
+        self._shift: Array = np.empty(0)  # (2, n, joints) what is added to it, and its rate
+        self._before: list[Array] = []  # q, v, torque, y, yd a period ago
+        self._periods: Array = np.empty(0)  # (n,) since the first, -1 at a start
+        self._information: Array = np.empty(0)  # (n, 1 + joints, 1 + joints)
+        self._evidence: Array = np.empty(0)  # (n, 1 + joints)
+        self._planned_for: Array = np.empty(0)  # (n,) kg
+
+    def settings(self, spec: EnvSpec) -> dict[str, Any]:
+        """See `Controller`."""
+        if "control" in spec.kwargs or spec.kwargs.get("task") != "rest_to_rest":
+            return {}
+        return {"control": {"kind": "guided", "jerk": 400.0}}
+
+    @property
+    def payload(self) -> Array:
+        """(n,) mass at the tool as estimated [kg]."""
+        return np.clip(self._estimate[:, 0], 0.0, _HEAVIEST)
+
+    @property
+    def _estimate(self) -> Array:
+        out: Array = np.linalg.solve(self._information, self._evidence[..., None])[..., 0]
+        return out
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        task, s = env.task, env.batch.scene
+        arm, n, control = task.system.arm, env.num_envs, task.control
+        if not isinstance(task, RestToRest) or control.level != "reference":
+            raise ParameterError(
+                f"controller {self.name} leads the reference of task rest_to_rest, got task"
+                f" {task.kind} through control {control.kind}"
+            )
+        if self._plan.shape[:2] != (n, task.steps + 1):
+            self._plan = np.zeros((n, task.steps + 1, 3, arm.n))
+            self._shift = np.zeros((2, n, arm.n))
+            self._information = np.zeros((n, 1 + arm.n, 1 + arm.n))
+            self._evidence, self._planned_for = np.zeros((n, 1 + arm.n)), np.zeros(n)
+            self._periods = np.full(n, -1.0)
+            self._before = [np.zeros((n, k)) for k in (arm.n, arm.n, arm.n, 6, 6)]
+        weights: Array = np.r_[_PRIOR[0], np.full(arm.n, _PRIOR[1])] ** -2.0
+        self._information[ids], self._evidence[ids] = np.diag(weights), 0.0
+        self._shift[:, ids], self._planned_for[ids], self._periods[ids] = 0.0, 0.0, -1
+        for i in ids.tolist():
+            query = self._query(env, arm, i, task.duration, s.q[i])
+            self._take(env, i, 0, solve(Direct(), query, self.seed).motion or query.straight)
+        for kept, value in zip(self._before, self._measured(env), strict=True):
+            kept[ids] = value[ids]
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        self._learn(env)
+        steps, dt = env.batch.episodes.steps, env.batch.dt
+        # whole kilograms: the planner compiles its maps for every arm that it is given
+        payload = np.round(self.payload)
+        with on_one_thread():
+            for i, k in enumerate(steps.tolist()):
+                due = any(round(t / dt) == k for t in _REPLAN)
+                if due and payload[i] != self._planned_for[i]:
+                    self._replan(env, i, k, float(payload[i]))
+        at = np.minimum(steps + 1, env.task.steps)
+        target = self._plan[np.arange(env.num_envs), at]
+        return reference_action(env, env.task.control, target + self._lacking(env, target))
+
+    # ------------------------------------------------------------------ estimation
+
+    def _measured(self, env: VesVectorEnv) -> list[Array]:
+        """Angles, rates, servo torque, pose of the base and its rate, (n, ...) each."""
+        s, arm = env.batch.scene, env.task.system.arm
+        q, v, a = s.ref.swapaxes(0, 1)
+        tau = s.kp * (q - s.q) + s.kd * (v - s.v) + inverse_dynamics(arm, q, v, a)[0]
+        return [k.copy() for k in (s.q, s.v, tau, s.y_seen, s.yd_seen)]
+
+    def _learn(self, env: VesVectorEnv) -> None:
+        """Take the last period into account."""
+        arm, dt, last = env.task.system.arm, env.batch.dt, self._before
+        now = self._before = self._measured(env)
+        q, v, tau, y = ((a + b) / 2 for a, b in zip(last[:4], now[:4], strict=True))
+        a = (now[1] - last[1]) / dt
+        yd = (now[3] - last[3]) / dt  # the pose is measured better than its rate
+        ydd = np.where(self._periods[:, None] > 0, (yd - last[4]) / dt, 0.0)
+        now[4][:] = yd
+        needed = [
+            inverse_dynamics(k, q, v, a)[0] + base_torque(k, q, v, y, yd, ydd)
+            for k in (arm, loaded(arm, _HEAVY))
+        ]
+        begun = env.batch.episodes.steps > 0
+        self._periods = self._periods + 1
+        left = np.where(begun[:, None], tau - needed[0], 0.0)
+        slope = np.zeros((len(q), arm.n, 1 + arm.n))
+        slope[:, :, 0] = (needed[1] - needed[0]) / _HEAVY
+        slope[:, :, 1:] = np.tanh(v / _SIGN)[:, :, None] * np.eye(arm.n)
+        slope *= begun[:, None, None] / _NOISE
+        across = np.swapaxes(slope, 1, 2)
+        self._information += across @ slope
+        self._evidence += (across @ (left / _NOISE)[..., None])[..., 0]
+
+    def _lacking(self, env: VesVectorEnv, target: Array) -> Array:
+        """Shift (n, 3, joints) of the reference that gives what the feed-forward lacks.
+
+        M s'' + kd s' + kp s = the torque of payload and friction along the plan.
+        """
+        s, dt, arm = env.batch.scene, env.batch.dt, env.task.system.arm
+        q, v, a = target.swapaxes(0, 1)
+        friction = np.clip(self._estimate[:, 1:], 0.0, None)
+        plain, heavy = (inverse_dynamics(k, q, v, a)[0] for k in (arm, loaded(arm, _HEAVY)))
+        missing = self.payload[:, None] * (heavy - plain) / _HEAVY
+        missing = missing + friction * np.tanh(v / _SIGN)
+        M = inertia(arm, q)[:, 6:, 6:]
+        place, rate = self._shift[0], self._shift[1]
+        resists = M + (dt * s.kd + dt**2 * s.kp)[:, None] * np.eye(arm.n)
+        push = (M @ rate[..., None])[..., 0] + dt * (missing - s.kp * place)
+        after = np.linalg.solve(resists, push[..., None])[..., 0]
+        bent = (after - rate) / dt
+        self._shift = np.stack([place + dt * after, after])
+        return np.stack([self._shift[0], after, bent], axis=1)
+
+    # -------------------------------------------------------------------- planning
+
+    def _query(
+        self, env: VesVectorEnv, arm: Arm, i: int, duration: float, start: Array, **moving: Any
+    ) -> Query:
+        system, n = env.task.system.ideal(), env.task.system.arm.n
+        low, high = arm.column("q_min"), arm.column("q_max")
+        return Query(
+            system=system.replace(arm=arm),
+            start=tuple(np.clip(start, low, high).tolist()),
+            goal=tuple(env.batch.scene.goal[i, :n].tolist()),
+            duration=duration,
+            v_max=tuple(arm.column("v_max").tolist()),
+            servo=env.task.control.servo_for(arm),
+            **moving,
+        )
+
+    def _take(self, env: VesVectorEnv, i: int, begin: int, motion: Motion) -> None:
+        times = np.arange(self._plan.shape[1] - begin) * env.batch.dt
+        samples = motion.at(times)
+        self._plan[i, begin:] = np.stack([samples.q, samples.v, samples.a], axis=1)
+
+    def _replan(self, env: VesVectorEnv, i: int, k: int, payload: float) -> None:
+        """Plan the motion from `_DELAY` on for the arm with its payload."""
+        dt = env.batch.dt
+        arm = loaded(env.task.system.arm, payload)
+        begin = k + round(_DELAY / dt)
+        q, v, a = self._plan[i, begin]
+        moving = {
+            "base": self._base_at(env, arm, i, begin),
+            "start_rate": tuple(v.tolist()),
+            "start_acceleration": tuple(a.tolist()),
+        }
+        left = env.task.duration - (_SETTLE if payload else 0.0) - begin * dt
+        query = self._query(env, arm, i, left, q, **moving)
+        plan = solve(Direct(), query, self.seed)
+        if plan.motion is not None and _slow_enough(plan.motion, arm):
+            self._take(env, i, begin, plan.motion)
+            self._planned_for[i] = payload
+
+    def _base_at(self, env: VesVectorEnv, arm: Arm, i: int, begin: int) -> BaseState:
+        """Motion of the base when a plan begins, by the linear model from the start on."""
+        q, v, _ = self._plan[i, : begin + 1].swapaxes(0, 1)
+        u = (inertia(arm, q)[:, :6, 6:] @ v[..., None])[..., 0]
+        system = env.task.system.ideal().replace(arm=arm)
+        observer = BaseObserver(system, q[begin], env.batch.dt)
+        state = observer.s
+        for before, after in pairwise(u):
+            state = observer.ahead(state, before[None], after[None])
+        return observer.base_state(0, state[0], u[-1])
+
+
+def _slow_enough(motion: Motion, arm: Arm) -> bool:
+    """Return True if a motion keeps the speed limits, nearly."""
+    v = motion.at(np.linspace(0.0, motion.duration, 100)).v
+    return bool((np.abs(v) <= _FASTER * arm.column("v_max")).all())
+
+
+def loaded(arm: Arm, mass: float) -> Arm:
+    """Return the arm with a point mass at its tool.
+
+    Args:
+        arm: as described.
+        mass: [kg].
+    """
+    return PayloadMass(mass=mass).arm(arm)
