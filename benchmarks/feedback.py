@@ -27,6 +27,7 @@ from ves_gym._util.params import Array
 from ves_gym.baselines.comparison import line_up
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.evaluate import Evaluation, evaluate
+from ves_gym.baselines.policy import Policy
 
 SPACE, LABORATORY = "ves/PumaRestToRest-v1", "ves/PumaRestToRestEmulated-v1"
 # Success is to arrive; energies are compared with the straight line on the same machine.
@@ -75,9 +76,10 @@ def on_machine(machine: str, controller: Controller, episodes: int, seed: int) -
         episodes, seed: as `evaluate`.
     """
     id, settings = MACHINES[machine]
-    return evaluate(
-        controller, id, episodes=episodes, seed=seed, threads=1, **ARRIVAL | settings
-    )
+    settings = ARRIVAL | settings
+    if isinstance(controller, Policy):  # those released have learned with version 0's jerk
+        settings = settings | {"control": {"kind": "guided"}}
+    return evaluate(controller, id, episodes=episodes, seed=seed, threads=1, **settings)
 
 
 def row(mine: Evaluation, straight: Evaluation) -> Row:

@@ -81,8 +81,8 @@ class Adaptive:
 
     @property
     def _estimate(self) -> Array:
-        out: Array = np.linalg.solve(self._information, self._evidence[..., None])[..., 0]
-        return out
+        means = np.linalg.solve(self._information, self._evidence[..., None])
+        return np.asarray(means[..., 0], dtype=np.float64)
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""

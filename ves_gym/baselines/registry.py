@@ -8,6 +8,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.braced import Braced
 from ves_gym.baselines.controllers import Controller, Follow, Hold, Optimal, Random, Zero
+from ves_gym.baselines.mppi import Mppi
 from ves_gym.baselines.regulator import Regulator
 from ves_gym.baselines.resolved import Resolved
 from ves_gym.baselines.resolved_pose import ResolvedPose
@@ -44,6 +45,7 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "refined": lambda seed: Follow("refined", "refined", seed),
     "robust": lambda seed: Follow("robust", "robust", seed),
     "adaptive": _adaptive,
+    "mppi": Mppi,
     "lqr": lambda seed: Optimal(),
     "lqi": lambda seed: Regulator(),
     "tuned": _tuned,

@@ -1,0 +1,196 @@
+"""Model-predictive control by sampling: futures of a model, averaged by what they cost.
+
+Information-theoretic model-predictive control (MPPI; Williams, Wagener, Goldfain, Drews, Rehg,
+Boots and Theodorou, IEEE Int. Conf. on Robotics and Automation 2017): around the present
+sequence of actions U, sequences U + B e_k with normal e_k are played on a model, and
+
+    U <- U + B sum_k w_k e_k,    w_k ~ exp(-(S_k - min S) / lambda),
+
+S_k the negative return of the rest of the episode. Here B are cubic B-splines in time, so that
+the sampled actions are smooth, and lambda is a share of the spread of S, whatever the reward's
+scale.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym.baselines.controllers import Follow
+from ves_gym.envs.rest_to_rest import RestToRest
+from ves_gym.envs.task import Task
+from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.motion import basis
+
+_FADES = 0.85  # of the noise, from one iteration to the next of the same decision
+_LEAST = 1e-9  # spread of the returns below which all sequences are alike
+
+
+class Mppi:
+    """Plays sampled futures on a model in space without errors, every so often, from now on.
+
+    The model is an environment of `lanes` simulations that `VesVectorEnv.fan_out` puts where
+    the episode is, as measured. Between two decisions the actions found last go on.
+
+    Args:
+        seed: of the noise.
+        lanes: sampled sequences per iteration.
+        first, later: iterations of an episode's first decision and of each one after it.
+        period: between decisions [s].
+        knots: splines per episode.
+        noise: standard deviation of their coefficients in the first iteration.
+        temperature: lambda over the standard deviation of the returns.
+        start: "straight" (no action) or a planner whose motion the first actions follow.
+    """
+
+    name = "mppi"
+    privileged = True
+
+    def __init__(
+        self,
+        seed: int = 0,
+        *,
+        lanes: int = 64,
+        first: int = 24,
+        later: int = 2,
+        period: float = 0.25,
+        knots: int = 12,
+        noise: float = 0.15,
+        temperature: float = 0.2,
+        start: str = "straight",
+    ) -> None:
+        if min(lanes, first) < 2 or later < 0 or knots < 4:
+            raise ParameterError(
+                "mppi needs lanes >= 2, first >= 2, later >= 0 and knots >= 4, got"
+                f" {lanes}, {first}, {later} and {knots}"
+            )
+        if min(period, noise, temperature) <= 0:
+            raise ParameterError(
+                "mppi needs period, noise and temperature > 0, got"
+                f" {period:g}, {noise:g} and {temperature:g}"
+            )
+        self.seed, self.lanes, self.first, self.later = seed, lanes, first, later
+        self.period, self.knots = period, knots
+        self.noise, self.temperature, self.start = noise, temperature, start
+        self._model: VesVectorEnv | None = None
+        self._of: Task | None = None
+        self._splines: Array = np.empty((0, 0))  # (steps, knots)
+        self._actions: Array = np.empty((0, 0, 0))  # (n, steps, width)
+        self._rng: list[np.random.Generator] = []
+        self._decisions, self._seconds = 0, 0.0
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Decisions so far and their mean duration [s]."""
+        mean = self._seconds / max(self._decisions, 1)
+        return {"decisions": self._decisions, "seconds_per_decision": round(mean, 4)}
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        task = env.task
+        if not isinstance(task, RestToRest) or task.control.level != "reference":
+            raise ParameterError(
+                f"controller {self.name} leads the reference of task rest_to_rest, got task"
+                f" {task.kind} through control {task.control.kind}"
+            )
+        if self._of != task or len(self._actions) != env.num_envs:
+            self._model, self._of = believed(env, self.lanes), task
+            self._splines = basis(self.knots, np.linspace(0.0, 1.0, task.steps), 0)
+            self._actions = np.zeros((env.num_envs, task.steps, env.batch.width))
+            self._rng = [np.random.default_rng()] * env.num_envs
+        e = env.batch.episodes
+        for i in ids.tolist():
+            key = (self.seed, int(e.root[i]), int(e.index[i]), int(e.number[i]))
+            self._rng[i] = np.random.default_rng(key)
+            self._actions[i] = 0.0
+            if self.start != "straight":
+                self._actions[i] = followed(self._model, env, i, self.start, self.seed)
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        every = max(round(self.period / env.batch.dt), 1)
+        steps = env.batch.episodes.steps
+        for i, k in enumerate(steps.tolist()):
+            if k % every == 0 and k < env.task.steps:
+                begin = time.perf_counter()
+                self._improve(env, i, k)
+                self._seconds += time.perf_counter() - begin
+                self._decisions += 1
+        at = np.minimum(steps, env.task.steps - 1)
+        return np.clip(self._actions[np.arange(env.num_envs), at], -1.0, 1.0)
+
+    def _improve(self, env: VesVectorEnv, i: int, k: int) -> None:
+        """Decide anew on the actions of environment i from period k on."""
+        model, rest = self._model, self._actions[i, k:]
+        assert model is not None
+        splines, scale = self._splines[k:], self.noise
+        for _ in range(self.later if k else self.first):
+            shape = (self.lanes, self.knots, rest.shape[1])
+            e = scale * self._rng[i].standard_normal(shape)
+            e[0] = 0.0  # the present sequence itself
+            model.fan_out(env, i)
+            cost = -returns(model, np.clip(rest + splines @ e, -1.0, 1.0))
+            spread = float(cost.std())
+            if not spread > _LEAST:
+                break
+            weights = np.exp(-(cost - cost.min()) / (self.temperature * spread))
+            weights /= weights.sum()
+            rest += splines @ np.einsum("k,kmj->mj", weights, e)
+            scale *= _FADES
+
+
+def believed(env: VesVectorEnv, lanes: int) -> VesVectorEnv:
+    """Return a model of an environment: in space, without errors, begun.
+
+    Args:
+        env: whose task it has.
+        lanes: simulations.
+    """
+    task = replace(env.task, system=env.task.system.ideal(), randomize=())
+    model = VesVectorEnv(lanes, task, threads=1)
+    model.reset(seed=0)
+    return model
+
+
+def returns(model: VesVectorEnv, actions: Array) -> Array:
+    """Return what every environment of a model earns to the end of its episode (lanes,).
+
+    Args:
+        model: where the episodes are; it is played on.
+        actions: (lanes, periods, width) to the end.
+    """
+    total, running = np.zeros(model.num_envs), np.ones(model.num_envs, bool)
+    for k in range(actions.shape[1]):
+        reward, last, truncated, _ = model.batch.step(actions[:, k], ~running)
+        total += np.where(running, reward, 0.0)
+        running &= ~(last | truncated)
+        if not running.any():
+            break
+    return total
+
+
+def followed(
+    model: VesVectorEnv | None, env: VesVectorEnv, i: int, planner: str, seed: int
+) -> Array:
+    """Return the actions (steps, width) that follow a planner's motion on the model.
+
+    Args:
+        model: is played on.
+        env: just begun.
+        i: which of its environments.
+        planner, seed: see `Follow`.
+    """
+    assert model is not None
+    follow = Follow(planner, planner, seed)
+    model.fan_out(env, i)
+    follow.reset(model, np.arange(1))
+    follow._plan = np.repeat(follow._plan[:1], model.num_envs, axis=0)
+    out = []
+    for _ in range(env.task.steps):
+        out.append(follow.act(model, None))
+        model.batch.step(out[-1])
+    return np.stack(out, axis=1)[0]
