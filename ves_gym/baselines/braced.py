@@ -20,10 +20,8 @@ class Braced(Resolved):
     whose servos are soft; where they are stiff it changes little.
     """
 
-    name = "braced"
-
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__("braced")
         self._rate = np.empty(0)  # (n, 6) of the base, a period ago
         self._shift = np.empty(0)  # (2, n, joints) s and its rate
 

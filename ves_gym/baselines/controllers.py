@@ -22,7 +22,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo, own_gains
 
 _PLANNED_JERK = 4000.0  # rad/s^3: twice what planners begin their motions with
-_FOLLOW = 24.0  # 1/s: how fast a follower takes back its distance from the plan
+FOLLOW = 24.0  # 1/s: how fast a follower takes back its distance from the plan, by default
 _TORQUE_FOLLOW = 12.0  # 1/s: slower, for its torque is held over a control period
 
 
@@ -201,12 +201,23 @@ class Follow:
         return reference_action(env, control, target)
 
 
-def reference_action(env: VesVectorEnv, control: Control, target: Array) -> Array:
-    """Actions that lead the reference to `target` (n, 3, joints) at the period's end.
+def reference_action(
+    env: VesVectorEnv, control: Control, target: Array, follow: float = FOLLOW
+) -> Array:
+    """Actions that lead the reference to a target at the period's end.
 
     Within a period the reference moves linearly with the action. One number per joint cannot
     set angle, rate and acceleration at once: it sets a + 2 c v + c^2 q, so that what is left
     of all three dies away like exp(-c t).
+
+    Args:
+        env: in the middle of its episodes.
+        control: theirs.
+        target: (n, 3, joints) angle, rate, acceleration.
+        follow: c [1/s].
+
+    Returns:
+        (n, a) in [-1, 1].
     """
     s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
     if not control.per_joint:
@@ -220,7 +231,7 @@ def reference_action(env: VesVectorEnv, control: Control, target: Array) -> Arra
         moving = SimpleNamespace(time=s.time, q=s.q, v=s.v, ref=s.ref.copy(), goal=s.goal)
         control.advance(moving, middle + small, arm, dt, remaining)
         ends.append(moving.ref)
-    c = _FOLLOW
+    c = follow
     mix = np.array([c * c, 2 * c, 1.0])
     if control.kind == "pd_target":  # it sets the angle and nothing else
         mix = np.array([1.0, 0.0, 0.0])

@@ -1,8 +1,8 @@
 """Learning what a controller does before learning from rewards.
 
-DAgger (Ross, Gordon & Bagnell 2011, arXiv:1011.0686): the controller acts in the first rounds,
-the policy in the later ones, and in all of them the controller says what it would have done
-there. So the policy sees the states that its own mistakes lead to, with what mends them.
+DAgger (Ross, Gordon & Bagnell 2011, arXiv:1011.0686): first the controller acts, then now the
+controller and now the policy, then the policy, and always the controller says what it would do.
+So the policy sees the states that its own mistakes lead to, with what mends them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Lessons:
     """How long to imitate, and how."""
 
     rounds: int = 20  # each an episode of every environment
-    shown: int = 2  # rounds in which the controller acts; in the others the policy
+    shown: int = 10  # rounds over which the controller's share of the actions falls to none
     noise: float = 0.1  # standard deviation of what is added to the actions
     recall: int = 10  # rounds that are learned from, the latest
     epochs: int = 4  # per round
@@ -81,7 +81,7 @@ class Imitation:
 
     def advance(self) -> int:
         """One round; the decisions that it took."""
-        seen, wanted = self._episode(self.round < self.lessons.shown)
+        seen, wanted = self._episode(max(0.0, 1 - self.round / self.lessons.shown))
         if not self.sight.count:
             self.sight.learn(seen)
         self.memory = [*self.memory, (seen, wanted)][-self.lessons.recall :]
@@ -92,8 +92,12 @@ class Imitation:
             self.memory = []
         return len(seen)
 
-    def _episode(self, shown: bool) -> tuple[Floats, Floats]:
-        """One episode per environment: raw observations (k, o) and the expert's actions."""
+    def _episode(self, share: float) -> tuple[Floats, Floats]:
+        """One episode per environment: raw observations (k, o) and the expert's actions.
+
+        Args:
+            share: of the actions that are the expert's.
+        """
         env, decisions = self.env.env, -(-self.env.env.task.steps // self.env.hold)
         everyone = np.arange(env.num_envs)
         env.reset()
@@ -104,7 +108,9 @@ class Imitation:
             target = np.clip(self.expert.act(env, None), -1.0, 1.0).astype(np.float32)
             seen.append(rows)
             wanted.append(target)
-            action = target if shown else self.agent.actor(self.sight.scaled(rows))
+            action = self.agent.actor(self.sight.scaled(rows))
+            shown = self.rng.random(len(action)) < share
+            action = np.where(shown[:, None], target, action)
             noise = self.rng.standard_normal(target.shape, np.float32)
             moved = action + np.float32(self.lessons.noise) * noise
             observation, _, over, _ = self.env.step(np.clip(moved, -1.0, 1.0))

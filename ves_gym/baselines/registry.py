@@ -8,6 +8,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.braced import Braced
 from ves_gym.baselines.controllers import Controller, Follow, Hold, Optimal, Random, Zero
+from ves_gym.baselines.homing import Homing
 from ves_gym.baselines.mppi import Mppi
 from ves_gym.baselines.regulator import Regulator
 from ves_gym.baselines.resolved import Resolved
@@ -51,6 +52,8 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "tuned": _tuned,
     "receding": _receding,
     "resolved": lambda seed: Resolved(),
+    "resolved-gentle": lambda seed: Resolved("resolved-gentle", 16.0),
+    "homing": lambda seed: Homing(),
     "braced": lambda seed: Braced(),
     "resolved-pose": lambda seed: ResolvedPose(),
 }

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError
-from ves_gym.baselines.controllers import reference_action
+from ves_gym.baselines.controllers import FOLLOW, reference_action
 from ves_gym.envs.free_flyer import FreeFlyerReach
 from ves_gym.envs.payload_transfer import PayloadTransfer
 from ves_gym.envs.reach import Reach
@@ -35,10 +35,10 @@ class Resolved:
     Systems 10(2), 1969).
     """
 
-    name = "resolved"
     privileged = True
 
-    def __init__(self) -> None:
+    def __init__(self, name: str = "resolved", follow: float = FOLLOW) -> None:
+        self.name, self.follow = name, follow  # 1/s, see `reference_action`
         self._plan = np.empty(0)  # (n, steps + 2, joints) rad
         self._path = np.empty(0)  # (n, steps + 2, 3) of the tool in space [m]
 
@@ -61,7 +61,8 @@ class Resolved:
             plan = [q]
             for point in np.swapaxes(path[:, 1:], 0, 1):
                 gap = point - joint_positions(arm, plan[-1])[:, -1]
-                plan.append(plan[-1] + matvec(_inverse(tool_jacobian(arm, plan[-1])), gap))
+                inverse = damped_inverse(tool_jacobian(arm, plan[-1]))
+                plan.append(plan[-1] + matvec(inverse, gap))
             along = np.stack(plan, axis=1)
         elif isinstance(task, PayloadTransfer):
             along = q[:, None]
@@ -84,7 +85,7 @@ class Resolved:
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
-        return reference_action(env, env.task.control, self.lead(env))
+        return reference_action(env, env.task.control, self.lead(env), self.follow)
 
     def lead(self, env: VesVectorEnv) -> Array:
         """Return where the reference is to be at the period's end (n, 3, joints).
@@ -103,7 +104,7 @@ class Resolved:
         wanted = matvec(np.swapaxes(rotation(y), -1, -2), offset)  # in the base's axes
         base = twist(y, s.yd_seen)
         drift = base[:, :3] + np.cross(base[:, 3:], reach)  # of the tool with the base
-        inverse = _inverse(tool_jacobian(arm, present))
+        inverse = damped_inverse(tool_jacobian(arm, present))
         angles = present + matvec(inverse, wanted - reach)
         # once more: damping leaves up to a fifth of the gap where the arm is least dexterous
         angles += matvec(inverse, wanted - joint_positions(arm, angles)[:, -1])
@@ -115,8 +116,8 @@ class Resolved:
         return np.stack(reference, axis=1)
 
 
-def _inverse(J: Array) -> Array:
-    """(..., n, 3) damped pseudo-inverse of (..., 3, n)."""
+def damped_inverse(J: Array) -> Array:
+    """Return damped pseudo-inverses (..., n, 3) of Jacobians of places (..., 3, n)."""
     across = np.swapaxes(J, -1, -2)
     out: Array = across @ np.linalg.inv(J @ across + _DAMPING**2 * np.eye(3))
     return out
