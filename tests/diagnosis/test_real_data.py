@@ -17,7 +17,7 @@ from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.data.measured_run import run_of_signals
 from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inference.model_selection import Thresholds
-from ves_gym.diagnosis.machines.mjcf_mapping import read_machine
+from ves_gym.diagnosis.machines.mapping import read_machine
 
 ROOT = Path(__file__).parents[2]
 DATA = Path(os.environ.get("VES_GYM_DATA", ROOT.parent / "shared" / "data"))

@@ -16,11 +16,13 @@ from ves_gym.diagnosis.data.measured_run import BAND, Run, require_plausible, ru
 from ves_gym.diagnosis.inference.cache import digest_of
 from ves_gym.diagnosis.inference.candidates import Candidate, library, without
 from ves_gym.diagnosis.machines.base import Machine
+from ves_gym.diagnosis.machines.mapping import read_machine
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
-from ves_gym.diagnosis.machines.mjcf_mapping import read_machine
+from ves_gym.diagnosis.machines.plant import PlantMachine
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.diagnosis.output.common import DescriptionFiles
 from ves_gym.diagnosis.output.mjcf_file import described, write_machine
+from ves_gym.diagnosis.output.plant_file import write_plant
 from ves_gym.diagnosis.output.system_file import write_system
 from ves_gym.mechanics.arm import Arm, Inertial
 from ves_gym.system.effect import Effect
@@ -128,7 +130,8 @@ def mjcf_inputs(
     leave_out: Sequence[str] = (),
     band: float | None = None,
 ) -> DiagnosisInputs:
-    """Data of a machine of joints: each a file, or a folder whose files belong together.
+    """Data of a machine with a mapping file: each a file, or a folder whose files belong
+    together.
 
     Raises:
         ParameterError: as the mapping file's `read_machine`.
@@ -138,9 +141,15 @@ def mjcf_inputs(
     _require_distinct(paths)
     logged = [load(path) for path in paths]
     fitted, held_back = _split(len(logged), (), final)
-    runs, gains = with_drive_gains(machine, logged, fitted)
+    runs, gains = logged, list[str]()
+    mistakes: tuple[tuple[str, Machine], ...] = ()
+    if isinstance(machine, MjcfMachine):
+        runs, gains = with_drive_gains(machine, logged, fitted)
+        mistakes = tuple((text, machine.heavier(factor)) for text, factor in _MASSES)
 
     def write(effects: Sequence[Any], folder: Path, free: bool) -> DescriptionFiles:
+        if isinstance(machine, PlantMachine):
+            return write_plant(Path(mapping), machine, effects, folder, runs)
         return write_machine(Path(mapping), machine, effects, folder, runs)
 
     return DiagnosisInputs(
@@ -151,7 +160,7 @@ def mjcf_inputs(
         digests={run.name: digest_of(run) for run in runs},
         described=described(Path(mapping)),
         write=write,
-        mistakes=tuple((text, machine.heavier(factor)) for text, factor in _MASSES),
+        mistakes=mistakes,
         notes=(*(note for run in runs for note in run.meta.get("notes", ())), *gains),
     )
 

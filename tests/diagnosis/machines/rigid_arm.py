@@ -11,9 +11,15 @@ LINKS = (  # mass, centre, joint's place, axis
 JOINTS = ("waist", "shoulder", "elbow")
 
 
-def urdf(mesh=""):
-    """The arm; `mesh` is a file that need not be there."""
-    text = ['<robot name="small"><link name="base"/>']
+BASE = (
+    '<link name="base"><inertial><mass value="20"/><origin xyz="0 0 0.1"/>'
+    '<inertia ixx="0.5" iyy="0.6" izz="0.4" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+
+
+def urdf(mesh="", base='<link name="base"/>'):
+    """The arm on a base; `mesh` is a file that need not be there."""
+    text = [f'<robot name="small">{base}']
     parent = "base"
     shape = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>' if mesh else ""
     for name, (mass, centre, place, axis) in zip(JOINTS, LINKS, strict=True):
@@ -28,6 +34,27 @@ def urdf(mesh=""):
         )
         parent = f"{name}_link"
     return "".join(text) + "</robot>"
+
+
+def on_six_joints():
+    """A base with mass on three slides and three hinges, for engines that weld it else."""
+    tiny = (
+        '<inertial><mass value="1e-9"/><inertia ixx="1e-9" iyy="1e-9" izz="1e-9" ixy="0"'
+        ' ixz="0" iyz="0"/></inertial>'
+    )
+    text, parent = ['<link name="ground"/>'], "ground"
+    for name in ("x", "y", "z", "rx", "ry", "rz"):
+        kind = "revolute" if name[0] == "r" else "prismatic"
+        axis = " ".join(str(int(k == name[-1])) for k in "xyz")
+        child = "base" if name == "rz" else f"at_{name}"
+        text.append(BASE if name == "rz" else f'<link name="{child}">{tiny}</link>')
+        text.append(
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/>'
+            f'<child link="{child}"/><axis xyz="{axis}"/>'
+            '<limit lower="-1" upper="1" effort="1e6" velocity="1e3"/></joint>'
+        )
+        parent = child
+    return urdf(base="".join(text))
 
 
 def mjcf():

@@ -125,7 +125,7 @@ def suspected_mistake(
     """
     ports = testable(machine, [run])
     every = [p.name for p in ports]
-    tells = {name: _tells(run, _SEEN[name]) for name in every}
+    tells = {p.name: _tells(run, p.signal or _SEEN[p.name]) for p in ports}
     current = _sizes(machine, run, every, tells)
     bad = {name: x > _BADLY.get(name, _BAD) for name, x in current.items()}
     if not any(flags.any() for flags in bad.values()):
@@ -164,11 +164,12 @@ def _sizes(
     """Return (c,) per port: size of the residual over that of the channel's movement; 0 where
     a channel does not tell anything."""
     residuals = machine.residuals(run, [machine.nominal], ports)
+    seen = {p.name: p.signal or _SEEN.get(p.name, "") for p in machine.ports}
     out = {}
     for name in ports:
         residual_size, signal_size = (
             np.linalg.norm(run.window.spectrum(x)[1:], axis=0)
-            for x in (residuals[name][0], _logged(run, _SEEN[name]))
+            for x in (residuals[name][0], _logged(run, seen[name]))
         )
         size = np.where(np.isfinite(residual_size), residual_size, np.inf) / np.maximum(
             signal_size, 1e-300
@@ -199,7 +200,7 @@ def _mistakes(
 ) -> Iterator[_Mistake]:
     for text, other in others:
         yield _Mistake(text, frozenset(), machine=other)
-    n = run["q"].shape[1]
+    n = run["q"].shape[1] if "q" in run else 0
     for keys, name in _TOGETHER:
         have = tuple(k for k in keys if k in run)
         if not have or (name != "joint" and name not in have):
@@ -215,7 +216,7 @@ def _mistakes(
             for i in range(n) if n > 1 else ():
                 yield _scaled(have, slice(i, i + 1), factor, f"is {labels[i]} in {wording}")
     angles = tuple(k for k in _JOINT[:4] if k in run)
-    for factor, wording in _ANGLE:
+    for factor, wording in _ANGLE if angles else ():
         yield _scaled(angles, slice(None), factor, f"are all joint angles in {wording}")
     for keys, name in ((("y",), "y"), (("y_cmd",), "y_cmd"), (("y", "y_cmd"), "y and y_cmd")):
         if not all(k in run for k in keys):

@@ -30,6 +30,7 @@ class Port:
     differentiates: bool = (
         False  # described numbers multiply noisy signals: errors in variables
     )
+    signal: str = ""  # that the residual is a part of, where the port's name does not say it
 
 
 @dataclass(frozen=True)
