@@ -17,11 +17,12 @@ import gymnasium as gym
 import numpy as np
 
 from ves_gym._util.params import ParameterError
+from ves_gym.envs.base_control import BaseControl
 from ves_gym.envs.build import build_task
 from ves_gym.envs.control import CONTROLS, Control
 from ves_gym.envs.env import VesEnv
 from ves_gym.envs.objectives import WEIGHTS, described
-from ves_gym.envs.registration import ASKED, ASKED_OF_A_MACHINE, IDS
+from ves_gym.envs.registration import ASKED, ASKED_OF_A_MACHINE, IDS, IN_SPACE_ONLY
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.vehicle import VEHICLES
 
@@ -39,6 +40,7 @@ SAME_BASE = {
     "Emulated-v1": HISTORY["Emulated-v1"].partition(";")[0],
 }  # of tasks whose base is no such beam
 
+_JETS = 6  # numbers of an action that are the jets' wrench
 KINDS = ("-v0", "-v1", "Emulated-v0", "Emulated-v1")
 
 INFO = {
@@ -52,6 +54,11 @@ INFO = {
     "dump": "with the argument `dump`: run log of an episode that diverged",
     "base/propellant": "satellites with jets or wheels: what jets have used so far [kg]",
     "base/wheel_momentum": "momentum that each reaction wheel stores [N m s]",
+    "capture/carried": "whether the target is carried",
+    "capture/lost": "at the end: energy that the latch took [J]",
+    "capture/momentum": "at the end: linear and angular momentum (6) of arm, base and target,"
+    " about the inertial origin [kg m/s, kg m^2/s]",
+    "capture/energy": "at the end: their kinetic energy, that of the wheels included [J]",
     "energy/...": "at the end: the energies below",
 }
 COMMON = {
@@ -117,6 +124,8 @@ def _comment(cls: type, field: str) -> str:
 def _default(value: Any) -> str:
     if value is None:
         return "none"
+    if isinstance(value, BaseControl):
+        return "`{}`"
     if isinstance(value, (str, bool)):
         return str(value)
     return _number(value)
@@ -158,7 +167,27 @@ def _controls(task: Task) -> str:
                 ", ".join(settings),
             )
         )
-    return _table(("control", "entries", "an action is", "settings"), rows)
+    return _table(("control", "entries", "an action is", "settings"), rows) + _beside(task)
+
+
+def _beside(task: Task) -> str:
+    """What an action holds beside the joints' numbers."""
+    base = task.base_control
+    if base is None:
+        return ""
+    scale, jets = base.scale(task.system), _JETS * base.jets
+    wheels = len(scale) - jets
+    rows = [
+        ("wheels", wheels, "torque of each wheel's motor", f"{_number(scale[:wheels])} N m")
+    ]
+    most = f"{_number(scale[wheels:][:3])} N, {_number(scale[wheels:][3:])} N m"
+    what = "force and moment about the centre of mass of the satellite's body, made by pulses"
+    rows.append(("jets", jets, what, most))
+    return (
+        "\n\nBehind them, with `base_control` ([wheels and jets"
+        "](../spacecraft.md#wheels-and-jets-as-actions)):\n\n"
+        + _table(("of", "entries", "what", "1 is"), [row for row in rows if row[1]])
+    )
 
 
 def _settings(task: Task) -> str:
@@ -257,6 +286,8 @@ def _asked(settings: dict[str, Any]) -> str:
 
 def _history(name: str) -> dict[str, str]:
     """What changed with each version."""
+    if name in IN_SPACE_ONLY:
+        return {"v0": SAME_BASE["v0"]}
     if f"ves/{name}-v1" not in gym.registry:
         return SAME_BASE
     history = HISTORY if _env(name, version=1).task.system.base.m else SAME_BASE
@@ -326,9 +357,9 @@ def _page(name: str) -> str:
             " `compute_terminated` and `compute_truncated`: with goals and info of a step they"
             " return what it returned.\n"
         )
+    laboratory = name not in IN_SPACE_ONLY
     kinds = [k for k in KINDS if f"ves/{name}{k}" in gym.registry]
     history = _history(name)
-    machine = ASKED_OF_A_MACHINE.get(name, {})
     text = f"""<!-- written by scripts/generate.py: change the code instead -->
 # {", ".join(f"ves/{name}{k}" for k in kinds)}
 
@@ -353,7 +384,7 @@ shape, is an `ActionError` and changes nothing.
 
 ## Reward and info
 
-{_info(_env(name, emulated=True, duration=0.25))}
+{_info(_env(name, emulated=laboratory, duration=0.25))}
 
 ## End
 
@@ -370,7 +401,18 @@ Any of `gym.make`'s and `gym.make_vec`'s keyword arguments: those below, and `sy
 {_settings(task)}
 
 {_later(name, task)}
-## ves/{name}Emulated-v0
+{_machines(name) if laboratory else ""}
+## Versions
+
+{_table(("version", "what changed"), history.items())}
+"""
+    return _filled(text)
+
+
+def _machines(name: str) -> str:
+    """Sections of the ids in the laboratory."""
+    asked = {**ASKED.get(name, {}), **ASKED_OF_A_MACHINE.get(name, {})}
+    return f"""## ves/{name}Emulated-v0
 
 {_laboratory(_env(name, emulated=True).task)}
 
@@ -378,13 +420,8 @@ Any of `gym.make`'s and `gym.make_vec`'s keyword arguments: those below, and `sy
 
 {_laboratory(_env(name, emulated=True, version=1).task)} `laboratory="nominal"`, `"hard"`
 and `"held-out"` are [the
-others](../laboratory.md#7-named-laboratories).{_asked({**ASKED.get(name, {}), **machine})}
-
-## Versions
-
-{_table(("version", "what changed"), history.items())}
+others](../laboratory.md#7-named-laboratories).{_asked(asked)}
 """
-    return _filled(text)
 
 
 def _sentence(doc: str | None) -> str:

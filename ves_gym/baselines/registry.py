@@ -13,6 +13,7 @@ from ves_gym.baselines.mppi import Mppi
 from ves_gym.baselines.regulator import Regulator
 from ves_gym.baselines.resolved import Resolved
 from ves_gym.baselines.resolved_pose import ResolvedPose
+from ves_gym.baselines.servicer import Servicer
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 
 
@@ -56,6 +57,7 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "homing": lambda seed: Homing(),
     "braced": lambda seed: Braced(),
     "resolved-pose": lambda seed: ResolvedPose(),
+    "servicer": lambda seed: Servicer(),
 }
 
 

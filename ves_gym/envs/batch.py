@@ -289,7 +289,7 @@ class Batch:
         info.update((f"reward/{name}", term) for name, term in terms.items())
         info["success"], info["success_once"] = solved, e.once.copy()
         info["clipped"] = e.clipped.copy()
-        info.update(task.tell(self.sim, s))
+        info.update(task.tell(self.sim, s, ended))
         info.update(self.account(stopped, over))
         return reward, *outcome(task, last, failed), info
 

@@ -33,6 +33,7 @@ _FILES = (
     "pose_reach",
     "lqr",
     "payload_transfer",
+    "servicer_capture",
 )  # of `ves_gym.envs`
 
 # What the v0 ids draw: a gravity estimate that is wrong by up to half a percent (thesis 3.2.2).

@@ -66,8 +66,13 @@ IDS: dict[str, tuple[str, dict[str, Any]]] = {
     "BeamLQR": ("lqr", {}),
     "PoseReach": ("pose_reach", {}),
     "PayloadTransfer": ("payload_transfer", {}),
+    "ServicerCapture": ("servicer_capture", {}),
 }
 
+
+# Tasks that no laboratory has: its platform emulates a satellite's body, neither wheels nor
+# jets, and a stand holds what is grasped until then, so that nothing tumbles.
+IN_SPACE_ONLY = ("ServicerCapture",)
 
 # Control periods of an episode of default settings: no task's module is loaded to tell them.
 STEPS = {
@@ -81,6 +86,7 @@ STEPS = {
     "BeamLQR": 320,
     "PoseReach": 400,
     "PayloadTransfer": 800,
+    "ServicerCapture": 600,
 }
 
 
@@ -91,11 +97,13 @@ def register() -> None:
     for name, (task, settings) in IDS.items():
         first, second = (_THESIS, _FINITE_ELEMENTS) if name in _ON_A_BEAM else ({}, {})
         second = {**second, **ASKED.get(name, {})}
-        variants = {"-v0": first, "Emulated-v0": {**first, **_LABORATORY[0]}}
+        variants = {"-v0": first}
         if second:
             variants["-v1"] = second
-        machine = ASKED_OF_A_MACHINE.get(name, {})
-        variants["Emulated-v1"] = {**second, **machine, **_LABORATORY[1]}
+        if name not in IN_SPACE_ONLY:
+            machine = ASKED_OF_A_MACHINE.get(name, {})
+            variants["Emulated-v0"] = {**first, **_LABORATORY[0]}
+            variants["Emulated-v1"] = {**second, **machine, **_LABORATORY[1]}
         for suffix, added in variants.items():
             id = f"ves/{name}{suffix}"
             if id not in gym.registry:

@@ -233,11 +233,12 @@ class Task(ABC):
         """
         return False
 
-    def tell(self, sim: Simulator, s: Scene) -> dict[str, Array]:
+    def tell(self, sim: Simulator, s: Scene, ended: Mask) -> dict[str, Any]:
         """Return entries (n, ...) of an info beside those that every task has.
 
         Args:
             sim, s: as the period left them.
+            ended: (n,) episodes that end; the mask of what is told of them alone.
         """
         return {}
 

@@ -94,8 +94,7 @@ def wheel_torques(wheels: tuple[ReactionWheel, ...], moment: Array) -> Array:
     Returns:
         (n, k) on the rotors [N m].
     """
-    out: Array = -moment @ shares(wheels).T
-    return out
+    return -matvec(shares(wheels), moment)
 
 
 @lru_cache(maxsize=64)

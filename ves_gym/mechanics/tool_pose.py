@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +12,7 @@ from scipy.stats import qmc
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import Vec, add, cross, dot, frames, scale
+from ves_gym.mechanics.dynamics import Frame, Vec, add, cross, dot, frames, scale
 from ves_gym.mechanics.kinematics import tool_jacobian
 from ves_gym.mechanics.spatial import matvec, numbers, rotation
 
@@ -106,6 +107,43 @@ def tool_speeds(arm: Arm, q: Array, v: Array, base: Array) -> Array:
     Returns:
         (..., 2) [m^2/s^2, rad^2/s^2].
     """
+    _, moving, turning = _moving(arm, q, v, base)
+    return np.stack([dot(moving, moving), dot(turning, turning)], axis=-1)
+
+
+class ToolState(NamedTuple):
+    """Where the tool is and how it moves in space, in the platform's axes."""
+
+    place: Array  # (..., 3) from the platform's origin [m]
+    turn: Array  # (..., 3, 3) from the tool's axes
+    twist: Array  # (..., 6) [m/s, rad/s]
+
+
+def tool_state(arm: Arm, q: Array, v: Array, base: Array) -> ToolState:
+    """Return pose and twist of the tool.
+
+    Args:
+        arm: the arm.
+        q: (..., n) joint angles [rad].
+        v: (..., n) joint rates [rad/s].
+        base: (..., 6) twist of the base in its own axes [m/s, rad/s] (`spatial.twist`).
+    """
+    last, moving, turning = _moving(arm, q, v, base)
+    place, turn = np.empty((*q.shape[:-1], 3)), np.empty((*q.shape[:-1], 3, 3))
+    motion = np.empty((*q.shape[:-1], 6))
+    for i in range(3):
+        place[..., i], motion[..., i], motion[..., 3 + i] = (
+            last.position[i],
+            moving[i],
+            turning[i],
+        )
+        for j, axis in enumerate(last.rotation):
+            turn[..., i, j] = axis[i]
+    return ToolState(place, turn @ arm.tool_rotation, motion)
+
+
+def _moving(arm: Arm, q: Array, v: Array, base: Array) -> tuple[Frame, Vec, Vec]:
+    """Frame of the last link, velocity of its end, its angular velocity, platform axes."""
     parts = [base[..., i] for i in range(6)]
     chain = frames(arm, list(np.moveaxis(q, -1, 0)))
     turning: Vec = (parts[3], parts[4], parts[5])
@@ -114,7 +152,7 @@ def tool_speeds(arm: Arm, q: Array, v: Array, base: Array) -> Array:
         lever = add(chain[-1].position, scale(-1.0, frame.origin))
         moving = add(moving, scale(v[..., j], cross(frame.axis, lever)))
         turning = add(turning, scale(v[..., j], frame.axis))
-    return np.stack([dot(moving, moving), dot(turning, turning)], axis=-1)
+    return chain[-1], moving, turning
 
 
 def pose_dexterity(arm: Arm, q: npt.ArrayLike, lever: float) -> Array:

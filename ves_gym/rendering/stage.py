@@ -145,6 +145,9 @@ class Stage:
         links, ways = self.settings.system.arm.links, np.vstack([np.eye(3), -np.eye(3)])
         shoulder, below = np.array([0.0, 0.0, links[0].d]), np.array([0.0, 0.0, -_ARROW])
         reach = sum(math.hypot(k.a, k.d) for k in links[1:])
+        payload = self.settings.system.payload
+        if payload is not None:
+            reach += float(payload.edges.max())
         plate = 0.5 * reach * ways[[0, 1, 3, 4]]
         around = np.vstack([shoulder + reach * ways, plate, below])
         points, room = self.drawing.framing(around, np.zeros((1, 6)))

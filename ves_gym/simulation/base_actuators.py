@@ -16,6 +16,7 @@ from ves_gym.mechanics.pointing import (
     wheel_torques,
     within_limits,
 )
+from ves_gym.mechanics.spatial import matvec  # row by row: a product of all rows rounds by n
 from ves_gym.mechanics.vehicle import Satellite
 from ves_gym.system.system import System
 
@@ -148,12 +149,12 @@ class BaseActuators:
         moment, torque = np.zeros((self.n, 6)), np.zeros((self.n, len(self.wheels)))
         if self.pointing is not None:
             law, h = self.pointing, speed * self.rotors
-            q, spin, stored = state.attitude, state.spin, h @ self._axes.T
+            q, spin, stored = state.attitude, state.spin, matvec(self._axes, h)
             asked = law.moment(self._inertia, self.target, q, spin, stored)
             moment[:, 3:] = asked
             if self.wheels:
                 torque = self._limited(wheel_torques(self.wheels, asked), speed)
-                moment[:, 3:] += torque @ self._axes.T  # what wheels cannot do
+                moment[:, 3:] += matvec(self._axes, torque)  # what wheels cannot do
                 self._dumping |= (np.abs(h) > law.dump_above * self._full).any(axis=1)
                 self._dumping &= (np.abs(h) > law.dump_below * self._full).any(axis=1)
                 dumping = self._dumping[:, None] / law.dump_time
@@ -161,7 +162,7 @@ class BaseActuators:
                 moment[:, 3:] += dumped
                 # the wheels answer the mean of the pulses, not each
                 torque = wheel_torques(self.wheels, asked - dumped)
-                unmoved = h - h @ (shares(self.wheels) @ self._axes).T
+                unmoved = h - matvec(shares(self.wheels) @ self._axes, h)
                 torque = torque - unmoved * dumping
         self._blow(moment)
         self._drive(torque, speed)
@@ -206,5 +207,5 @@ class BaseActuators:
         dt = self.system.control_dt
         force = allocated(self.jets, wrench)
         given, self._owed, self._left = pulses(self.jets, self._owed, self._left, force, dt)
-        self.wrench[:] = given @ wrench_matrix(self.jets).T / dt
+        self.wrench[:] = matvec(wrench_matrix(self.jets), given) / dt
         self.propellant += propellant(self.jets, given)

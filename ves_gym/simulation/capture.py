@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -32,14 +31,15 @@ from ves_gym.mechanics.latch import (
     tool_motion,
 )
 from ves_gym.mechanics.payload import Payload, angle_between, numbers_of, with_body
-from ves_gym.mechanics.spatial import matvec, rate_matrix, twist
+from ves_gym.mechanics.spatial import matvec, rate_matrix, rotation, twist
+from ves_gym.mechanics.tool_pose import ToolState, tool_state
 from ves_gym.system.effect import ArmEffect, BaseEffect
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 if TYPE_CHECKING:
     from ves_gym.simulation.simulator import Simulator
 
-_STEPS = 4  # of a free body's attitude per control period: 1e-13 rad each at 1 rad/s
+_TURN = 3.2e-3  # rad, the most that a free body turns in a step: 1e-13 rad of error
 
 
 @dataclass(frozen=True)
@@ -188,8 +188,7 @@ class Cargo:
             return PayloadState(*(part.copy() for part in parts))
         position, attitude = self.position.copy(), self.attitude.copy()
         velocity, spin = self.velocity.copy(), self.spin.copy()
-        motion, rates = self._motion(held)
-        turn, origin, twist = self._carried(held, motion, rates)
+        turn, origin, twist = self._carried(held, self._tool(held))
         position[held], attitude[held] = origin, from_matrix(turn)
         velocity[held] = twist[:, :3]
         spin[held] = matvec(np.swapaxes(turn, -1, -2), twist[:, 3:])
@@ -232,13 +231,13 @@ class Cargo:
             return
         com = self.position[rows] + rotate(self.attitude[rows], self.com[rows])
         com += time * self.velocity[rows]
-        q, w = self.attitude[rows], self.spin[rows]
-        steps = math.ceil(_STEPS * time / self.sim.system.control_dt - 1e-9)
-        if w.any():
-            for _ in range(steps):
-                q, w = torque_free_step(q, w, self.inertia[rows], time / steps)
-        turning = self.spin[rows].any(axis=1)
-        self.attitude[rows[turning]], self.spin[rows[turning]] = q[turning], w[turning]
+        steps = np.ceil(np.linalg.norm(self.spin[rows], axis=1) * time / _TURN).astype(int)
+        for count in sorted(set(steps.tolist()) - {0}):  # a body's steps are its own
+            alike = rows[steps == count]
+            q, w, J = self.attitude[alike], self.spin[alike], self.inertia[alike]
+            for _ in range(count):
+                q, w = torque_free_step(q, w, J, time / count)
+            self.attitude[alike], self.spin[alike] = q, w
         self.position[rows] = com - rotate(self.attitude[rows], self.com[rows])
 
     def reframed(self, ids: Index) -> None:
@@ -257,8 +256,7 @@ class Cargo:
     def gap(self, ids: npt.ArrayLike | None = None) -> tuple[Array, Array]:
         """Return how far the tool is from the fixture (k,) [m], and the turn missing [rad]."""
         index = self.sim._ids(ids)
-        motion, _ = self._motion(index)
-        _, distance, angle = self._gap(index, motion)
+        _, distance, angle = self._gap(index, self._tool(index))
         return distance, angle
 
     def closes(self, ids: Index) -> Mask:
@@ -283,8 +281,9 @@ class Cargo:
     def relative(self, ids: npt.ArrayLike | None = None) -> Array:
         """Return the twist (k, 6) of the tool against the fixture, inertial axes."""
         index = self.sim._ids(ids)
-        motion, rates = self._motion(index)
-        return self._impulse(index, motion, rates, None).relative
+        tool = self._tool(index)
+        _, motion, com = self._bodies(index)
+        return tool.twist - matvec(to_point(com, tool.place), motion)
 
     def grasp(
         self, ids: npt.ArrayLike | None = None, *, directions: object = None
@@ -306,7 +305,7 @@ class Cargo:
         self._require(index, carried=False)
         closed = directions_of(directions)
         motion, rates = self._motion(index)
-        turn, distance, angle = self._gap(index, motion)
+        turn, distance, angle = self._gap(index, self._tool(index))
         for k in np.flatnonzero(~self.closes(index)).tolist():
             i, payload = int(index[k]), self.described[index[k]]
             raise ParameterError(
@@ -435,6 +434,30 @@ class Cargo:
         place, turn, J, mass, rates = (np.stack(k) for k in zip(*parts, strict=True))
         return ToolMotion(place, turn, J, mass), rates
 
+    def _tool(self, ids: Index) -> ToolState:
+        """Tools of some simulations in space, inertial axes, without any mass matrix."""
+        sim, state = self.sim, self.sim.state
+        at, rate = sim.internal_state
+        _, z, zd = sim.backend.read()
+        base = twist(z[:, :6], zd[:, :6])  # in its own axes: whatever frame the angles are in
+        parts: list[Any] = [None] * len(ids)
+        for system, rows in self._alike(ids):
+            arm, which = system.arm, ids[rows]
+            q, v, geared = state.q[which], state.v[which], list(arm.geared)
+            q[:, geared] += at[which, : len(geared)]  # the links turn further than the rotors
+            v[:, geared] += rate[which, : len(geared)]
+            tool = tool_state(arm, q, v, base[which])
+            R = rotation(state.y[which])
+            linear, angular = matvec(R, tool.twist[:, :3]), matvec(R, tool.twist[:, 3:])
+            place = state.y[which, :3] + matvec(R, tool.place)
+            motion = np.concatenate([linear, angular], axis=1)
+            found = ToolState(place, R @ tool.turn, motion)
+            if len(rows) == len(ids):
+                return found
+            for k, row in enumerate(rows.tolist()):
+                parts[row] = tuple(part[k] for part in found)
+        return ToolState(*(np.stack(k) for k in zip(*parts, strict=True)))
+
     def _alike(self, ids: Index) -> list[tuple[System, Index]]:
         """Systems as they really are, with the rows of ids that share arm and vehicle."""
         template = self.sim.system
@@ -454,7 +477,7 @@ class Cargo:
             groups.setdefault(key, (actual, []))[1].append(row)
         return [(system, np.array(rows)) for system, rows in groups.values()]
 
-    def _gap(self, ids: Index, motion: ToolMotion) -> tuple[Array, Array, Array]:
+    def _gap(self, ids: Index, tool: ToolState) -> tuple[Array, Array, Array]:
         """Payloads' axes in space (k, 3, 3), distance of the tool (k,), and angle (k,)."""
         grips = [self.described[i].grip for i in ids.tolist()]
         place = np.array([grip.position for grip in grips])
@@ -462,9 +485,8 @@ class Cargo:
         turn = to_matrix(state.attitude)
         fixture = state.position + matvec(turn, place)
         axes = turn @ np.array([grip.rotation for grip in grips])
-        tool = motion.turn @ self.sim.system.arm.tool_rotation
-        distance: Array = np.linalg.norm(fixture - motion.place, axis=1)
-        return turn, distance, angle_between(axes, tool)
+        distance: Array = np.linalg.norm(fixture - tool.place, axis=1)
+        return turn, distance, angle_between(axes, tool.turn)
 
     def _impulse(
         self, ids: Index, motion: ToolMotion, rates: Array, closed: Array | None
@@ -474,15 +496,14 @@ class Cargo:
         driven = 6 if self._still else 0  # the platform moves as it is told
         return inelastic(motion.mass, rates, motion.J, M, twist, X, closed, driven)
 
-    def _carried(
-        self, ids: Index, motion: ToolMotion, rates: Array
-    ) -> tuple[Array, Array, Array]:
+    def _carried(self, ids: Index, tool: ToolState) -> tuple[Array, Array, Array]:
         """Axes (k, 3, 3), origins (k, 3) and twists of the centres of mass (k, 6) in space."""
-        turn = motion.turn @ self.turn[ids]
-        origin = motion.place + matvec(motion.turn, self.place[ids])
+        link = tool.turn @ self.sim.system.arm.tool_rotation.T
+        turn = link @ self.turn[ids]
+        origin = tool.place + matvec(link, self.place[ids])
         com = origin + matvec(turn, self.com[ids])
-        twist = matvec(motion.J, rates)
-        twist[:, :3] += np.cross(twist[:, 3:], com - motion.place)
+        twist = tool.twist.copy()
+        twist[:, :3] += np.cross(twist[:, 3:], com - tool.place)
         return turn, origin, twist
 
     def _refit(self, ids: Index) -> None:

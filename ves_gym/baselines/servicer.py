@@ -1,0 +1,289 @@
+"""A servicer that catches a tumbling target: computed torque, wheels, and jets for the rest."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym.baselines.controllers import torque_action
+from ves_gym.envs.control import Acceleration, Torque
+from ves_gym.envs.servicer_capture import ServicerCapture, meeting
+from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.attitude import (
+    IDENTITY,
+    from_angles,
+    rotate,
+    to_matrix,
+    torque_free_step,
+)
+from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.latch import free_mass, to_point, tool_motion
+from ves_gym.mechanics.pointing import AttitudeControl, wheel_axes, wheel_torques, within_limits
+from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.tool_pose import tool_frame, tool_twists
+
+_HORIZON = 0.6  # s: how far ahead a fixture is aimed at when its meeting is due
+_FLIGHT = 2.0  # s, step of the target's flight that is foreseen
+_ROUNDS = 2  # of Newton's method per period
+_DAMPING = 0.02  # m/rad, of the least squares near singular configurations
+_LEVER = 0.3  # m per radian, of turn beside place
+_STIFF = 5.0, 2.0  # rad/s of the joints' error, before the capture and after it
+_FADE = 5.0  # s in which the joints stop after the capture
+_LAW = AttitudeControl(bandwidth=0.03, damping_ratio=0.9, spin_max=0.03, moment_max=12.0)
+_IDLE = 0.3  # N m left to the wheels: only what is asked beyond it is worth a pulse
+
+
+class Servicer:
+    """Meets the fixture where the episode was drawn, and takes the tumble over.
+
+    Reads the true state, the target's mass and inertia included. Before the capture the joints
+    follow the quintic from where they are led to the configuration that meets the fixture as it
+    will be (torque-free flight), on the base as it will be (momentum of what the arm has
+    still to do), moving with it; it is made anew in every period. After it the joints fade
+    to rest. Either way the torque is that of the desired acceleration with the inertia of arm,
+    floating base and target. The base is turned back by a quaternion law with the inertia of
+    everything: wheels first, jets what wheels cannot.
+    """
+
+    name = "servicer"
+    privileged = True
+
+    def __init__(self) -> None:
+        self._led = np.empty(0)  # (n, 3, joints) angles, rates, accelerations wanted
+        self._fades = np.empty(0)  # (n,) s since the capture, negative before
+        self._caught = np.empty(0)  # (n, joints) rates at the capture
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        task, s = env.task, env.batch.scene
+        if not isinstance(task, ServicerCapture):
+            raise ParameterError(
+                f"controller servicer acts on task servicer_capture, got task {task.kind}"
+            )
+        if not isinstance(task.control, (Acceleration, Torque)):
+            raise ParameterError(
+                "controller servicer asks for torques through control acceleration or torque,"
+                f" got {task.control.kind}"
+            )
+        shape = (env.num_envs, 3, task.system.arm.n)
+        if self._led.shape != shape:
+            self._led, self._caught = np.zeros(shape), np.zeros(shape[::2])
+            self._fades = np.full(env.num_envs, -1.0)
+        self._led[ids, 0], self._led[ids, 1:] = s.q[ids], 0.0
+        self._fades[ids] = -1.0
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        s, dt = env.batch.scene, env.batch.dt
+        cargo = env.batch.sim.payload
+        assert cargo is not None
+        begun = cargo.carried & (self._fades < 0)
+        self._caught[begun] = s.v[begun]
+        self._led[begun, 0], self._led[begun, 1] = s.q[begun], s.v[begun]
+        self._fades[begun] = 0.0
+        self._fades[cargo.carried] += dt
+        masses = _masses(env)
+        free, held = np.flatnonzero(~cargo.carried), np.flatnonzero(cargo.carried)
+        if len(free):
+            self._lead(env, free, masses.arm[free])
+        if len(held):
+            x = np.minimum(self._fades[held] / _FADE, 1.0)[:, None]
+            rate = self._caught[held] * (1 - x**3 * (10 - 15 * x + 6 * x * x))
+            slope = -self._caught[held] * (30 * x * x * (1 - x) ** 2) / _FADE
+            self._led[held, 0] += dt * (self._led[held, 1] + rate) / 2
+            self._led[held, 1], self._led[held, 2] = rate, slope
+        joints = self._joint_action(env, masses)
+        if env.task.base_control is None:  # the vehicle points by itself
+            return joints
+        return np.concatenate([joints, _base_action(env, masses.all)], axis=1)
+
+    def _lead(self, env: VesVectorEnv, ids: Index, mass: Array) -> None:
+        """Move what is wanted of the joints on by a period, towards the meeting."""
+        s, task, dt = env.batch.scene, env.task, env.batch.dt
+        assert isinstance(task, ServicerCapture)
+        arm, n = task.system.arm, task.system.arm.n
+        angles, clock = meeting(s, n)
+        horizon = np.maximum(clock[ids] - s.time[ids], _HORIZON)
+        place, turn, motion = _fixture_after(env, ids, horizon)
+        led = self._led[ids]
+        early = (horizon > _HORIZON)[:, None]
+        q = np.where(early, angles[ids], led[:, 0])  # of a meeting that is due: those of now
+        # twist of the base per joint rate, appendages locked
+        moved: Array = -np.linalg.solve(mass[:, :6, :6], mass[:, :6, 6 : 6 + n]).astype(float)
+        y, Y = s.y[ids], twist(s.y[ids], s.yd[ids])
+        for _ in range(_ROUNDS):
+            shift = matvec(moved, q - s.q[ids])  # of the base until then, its axes
+            base_turn = rotation(y) @ Rotation.from_rotvec(shift[:, 3:]).as_matrix()
+            base = y[:, :3] + matvec(rotation(y), shift[:, :3])
+            back = np.swapaxes(base_turn, -1, -2)
+            at, turned = tool_frame(arm, q)
+            missing = back @ turn @ np.swapaxes(turned, -1, -2)
+            error = [matvec(back, place - base) - at, Rotation.from_matrix(missing).as_rotvec()]
+            J = tool_twists(arm, q) + _lifted(at) @ moved  # with the base that gives way
+            q = q + matvec(_inverse(J), np.concatenate(error, axis=1))
+        wanted = np.concatenate([matvec(back, motion[:, :3]), matvec(back, motion[:, 3:])], 1)
+        residual = Y - matvec(moved, s.v[ids])  # what the base does besides the arm's momentum
+        v = matvec(_inverse(J), wanted - matvec(_lifted(at), residual))
+        self._led[ids] = _quintic(led, q, v, horizon, dt)
+
+    def _joint_action(self, env: VesVectorEnv, masses: Masses) -> Array:
+        """(n, joints) that give the torque which the wanted motion takes."""
+        s, task, dt = env.batch.scene, env.task, env.batch.dt
+        arm, control = task.system.arm, task.control
+        q, v, a = self._led.swapaxes(0, 1)
+        w = np.where(self._fades < 0, *_STIFF)[:, None]
+        wanted: Array = a + 2 * w * (v - s.v) + w * w * (q - s.q - dt * s.v)
+        mass, joints = masses.all, slice(6, 6 + arm.n)
+        whole, base, across = mass[:, joints, joints], mass[:, :6, :6], mass[:, :6, joints]
+        whole = whole - np.swapaxes(across, -1, -2) @ np.linalg.solve(base, across)
+        most = 0.9 * arm.column("tau_max")
+        tau: Array = np.clip(matvec(whole, wanted), -most, most)
+        if isinstance(control, Torque):
+            tau = tau + inverse_dynamics(arm, s.q, s.v, np.zeros_like(v))[0]
+            return torque_action(env, control, tau)
+        return _acceleration_for(env, tau, masses.arm[:, joints, joints])
+
+
+def _acceleration_for(env: VesVectorEnv, tau: Array, M: Array) -> Array:
+    """Actions whose moved reference makes the servos give a torque at the period's end.
+
+    With the acceleration a there, angle and rate of the reference are linear in a, and so is
+    the torque kp (angle - q) + kd (rate - v) + M a beside what the rates take.
+
+    Args:
+        env: through control acceleration.
+        tau: (n, joints) beside what the rates take, which the feed-forward gives [N m].
+        M: (n, joints, joints) inertia of the arm, which the servos' feed-forward knows.
+    """
+    s, control, dt = env.batch.scene, env.task.control, env.batch.dt
+    arm = env.task.system.arm
+    assert isinstance(control, Acceleration)
+    q, v, a = s.ref.swapaxes(0, 1)
+    angle, rate = q + dt * v + dt * dt / 3 * a, v + dt / 2 * a  # with a = 0 there
+    gain = (s.kp * dt * dt / 6 + s.kd * dt / 2)[..., None] * np.eye(arm.n) + M
+    given = s.kp * (angle - s.q - dt * s.v) + s.kd * (rate - s.v)
+    wanted = np.linalg.solve(gain, (tau - given)[..., None])[..., 0]
+    return np.clip(wanted / control.limits(arm), -1.0, 1.0)
+
+
+def _base_action(env: VesVectorEnv, mass: Array) -> Array:
+    """(n, k) torques of the wheels and wrench of the jets that turn the base back."""
+    s, task, sim = env.batch.scene, env.task, env.batch.sim
+    control, acts = task.base_control, sim.base_actuators
+    assert control is not None and acts is not None
+    total, first = mass[:, 0, 0], mass[:, 3:6, :3]
+    J = mass[:, 3:6, 3:6] + first @ first / total[:, None, None]
+    axes, speed = wheel_axes(acts.wheels), sim.wheel_speed
+    stored = (speed * acts.rotors) @ axes.T
+    attitude, spin = from_angles(s.y[:, 3:]), twist(s.y, s.yd)[:, 3:]
+    target = np.tile(IDENTITY, (len(J), 1))
+    moment = _LAW.moment(J, target, attitude, spin, stored)
+    out = np.zeros((len(J), control.width(task.system)))
+    w = len(acts.wheels) if control.wheels else 0
+    left = moment
+    if w:
+        torque = within_limits(
+            acts.wheels, wheel_torques(acts.wheels, moment), speed, env.batch.dt
+        )
+        out[:, :w] = torque
+        left = moment + torque @ axes.T
+    if control.jets:
+        size = np.linalg.norm(left, axis=1, keepdims=True)
+        out[:, w + 3 :] = left * np.maximum(1 - _IDLE / np.maximum(size, _IDLE), 0.0)
+    return np.clip(out / control.scale(task.system), -1.0, 1.0)
+
+
+class Masses(NamedTuple):
+    """Inertia (n, N, N) of base, arm and what the base carries."""
+
+    arm: Array  # the hand empty
+    all: Array  # with the target where it is carried
+
+
+def _masses(env: VesVectorEnv) -> Masses:
+    s, sim, system = env.batch.scene, env.batch.sim, env.task.system
+    motion = tool_motion(system.arm, system.base, s.y, s.q, sim.internal_state[0])
+    cargo, mass = sim.payload, motion.mass.copy()
+    assert cargo is not None
+    held = np.flatnonzero(cargo.carried)
+    if len(held):
+        target = cargo.state
+        turn = to_matrix(target.attitude[held])
+        com = target.position[held] + matvec(turn, cargo.com[held])
+        body = free_mass(cargo.mass[held], cargo.inertia[held], turn)
+        J = np.linalg.solve(to_point(com, motion.place[held]), motion.J[held])
+        mass[held] += np.swapaxes(J, -1, -2) @ body @ J
+    return Masses(motion.mass, mass)
+
+
+def _fixture_after(env: VesVectorEnv, ids: Index, time: Array) -> tuple[Array, Array, Array]:
+    """Return where fixtures will be, and how they will move.
+
+    Args:
+        env: whose targets are free.
+        ids: (k,) which.
+        time: (k,) from now [s].
+
+    Returns:
+        Place (k, 3) in space [m], axes (k, 3, 3), twist (k, 6) in inertial axes.
+    """
+    cargo, payload = env.batch.sim.payload, env.task.system.payload
+    assert cargo is not None and payload is not None
+    state = cargo.state
+    q, w, J = state.attitude[ids], state.spin[ids], cargo.inertia[ids]
+    com = state.position[ids] + rotate(q, cargo.com[ids]) + time[:, None] * state.velocity[ids]
+    steps = int(np.ceil(time.max() / _FLIGHT))
+    part = (time / steps)[:, None]
+    for _ in range(steps):  # unit steps at part times the rate
+        q, w = torque_free_step(q, w * part, J, 1.0)
+        w = w / part
+    turn = to_matrix(q)
+    arm = matvec(turn, np.array(payload.grip.position) - cargo.com[ids])
+    spin = matvec(turn, w)
+    motion = np.concatenate([state.velocity[ids] + np.cross(spin, arm), spin], axis=1)
+    return com + arm, turn @ payload.grip.rotation, motion
+
+
+def _lifted(place: Array) -> Array:
+    """(k, 6, 6) from the twist of the base to that of its point at a place (k, 3)."""
+    return to_point(np.zeros_like(place), place)
+
+
+def _inverse(J: Array) -> Array:
+    """(k, joints, 6) damped inverse."""
+    weighted = J.copy()
+    weighted[:, 3:] *= _LEVER
+    across = np.swapaxes(weighted, -1, -2)
+    out: Array = across @ np.linalg.inv(weighted @ across + _DAMPING**2 * np.eye(6))
+    out[..., 3:] *= _LEVER
+    return out
+
+
+def _quintic(led: Array, q: Array, v: Array, time: Array, dt: float) -> Array:
+    """Return the motion a period later, on the quintic that ends without acceleration.
+
+    Args:
+        led: (k, 3, joints) angles, rates and accelerations now.
+        q, v: (k, joints) angles and rates at its end [rad, rad/s].
+        time: (k,) until then [s].
+        dt: period [s].
+
+    Returns:
+        (k, 3, joints).
+    """
+    x, xd, xdd = led.swapaxes(0, 1)
+    T = time[:, None]
+    gap = q - x - T * xd - T * T / 2 * xdd
+    slope = T * (v - xd - T * xdd)
+    bend = -T * T * xdd
+    c3 = 10 * gap - 4 * slope + bend / 2
+    c4 = -15 * gap + 7 * slope - bend
+    c5 = 6 * gap - 3 * slope + bend / 2
+    k = dt / T
+    angle = x + dt * xd + dt * dt / 2 * xdd + k**3 * (c3 + k * (c4 + k * c5))
+    rate = xd + dt * xdd + k * k * (3 * c3 + k * (4 * c4 + k * 5 * c5)) / T
+    bent = xdd + k * (6 * c3 + k * (12 * c4 + k * 20 * c5)) / T**2
+    return np.stack([angle, rate, bent], axis=1)

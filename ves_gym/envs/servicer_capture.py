@@ -1,0 +1,470 @@
+"""Catch a tumbling satellite with a free-flying servicer, and bring both to rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ves_gym._util.params import (
+    Array,
+    Index,
+    Mask,
+    ParameterError,
+    Vector,
+    finite,
+    require_positive,
+    unit,
+)
+from ves_gym.envs.base_control import BaseControl
+from ves_gym.envs.control import Acceleration, Control
+from ves_gym.envs.joints import drawn_joints, joint_box, rate_fields, rates, require_control
+from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.mechanics.arm import Inertial, Mount, diagonal
+from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.attitude import from_matrix, rotate, to_matrix, torque_free_step
+from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.payload import Payload
+from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.tool_pose import pose_dexterity, tool_frame
+from ves_gym.mechanics.vehicle import SERVICER_FLEXIBLE, Satellite
+from ves_gym.system.system import System
+
+if TYPE_CHECKING:
+    from ves_gym.simulation.capture import PayloadState
+    from ves_gym.simulation.simulator import Simulator
+
+_TRIES = 32  # candidate meetings per episode; the first that is clear and dexterous counts
+_JOINTS = 6  # fewer cannot take a fixture as it turns
+_LEVER = 0.3  # m per radian, of turn beside place in `dexterous`
+_NEAR = 0.1  # m: only then the latch is looked at more closely
+_FLIGHT = 200  # steps of the target's motion back from the meeting: below 1e-9 rad in all
+_MORE = 5  # numbers drawn beside joint angles: time, mass, spin and its direction
+
+# Columns of the memory; wheels come last
+_CARRIED, _HELD, _DISTANCE, _TURN, _LOST, _FUEL = range(6)
+_FIXTURE, _MISSING, _CLOSING = slice(6, 9), slice(9, 12), slice(12, 18)  # inertial axes
+_SPIN, _CENTRE = slice(18, 21), slice(21, 24)
+_WHEELS = 24
+_MEETING = 11  # first column of the goal that tells of it
+
+_BOTH = BaseControl()
+_EDGES = (0.9, 0.7, 0.8)  # m
+
+
+def _box(mass: float) -> tuple[tuple[float, ...], ...]:
+    a, b, c = (k * k for k in _EDGES)
+    return diagonal(*(mass / 12 * k for k in (b + c, c + a, a + b)))
+
+
+CLIENT = Payload(
+    inertial=Inertial(mass=120.0, com=(0.0, 0.0, 0.0), inertia=_box(120.0)),
+    grip=Mount(position=(0.0, 0.0, -0.5)),
+    latch_distance=0.02,
+    latch_angle=float(np.deg2rad(5.0)),
+    size=_EDGES,
+    source="this project: a homogeneous box of 0.9 x 0.7 x 0.8 m, its mass drawn anew",
+)
+SERVICER = replace(
+    SERVICER_FLEXIBLE, pointing=None, source=f"{SERVICER_FLEXIBLE.source}, no pointing law"
+)
+
+
+@register_task("servicer_capture")
+@dataclass(frozen=True, kw_only=True)
+class ServicerCapture(Task):
+    """Catch a tumbling satellite with a free-flying servicer, and bring both to rest.
+
+    The target is a rigid body of its own that nothing acts on: its centre of mass rests, and
+    it tumbles as its inertia has it. The latch closes by itself once the tool is within its
+    reach of the grapple fixture (2 cm and 5 deg, the tool's axes along the fixture's), slower
+    against it than `catch` and turning slower than `catch_turn`: an exact inelastic impulse,
+    which conserves momentum. From then on the last link carries the target, and arm and wheels
+    have to take its angular momentum over. Wheels store it; jets take it out, for propellant.
+
+    Solved: the target has been carried for the last `hold` seconds while it and the base turned
+    slower than `rest` in space and the joints slower than `settled`, the base's attitude was
+    within `pointing` of that of the start, and no wheel stored more than the share `full`.
+
+    Drawn: where the arm starts, and a meeting: at a time in `meet` the fixture is at the tool's
+    pose of joint angles from zero +- `span` that are `dexterous`, with the target beyond the
+    tool and clear of the base; there it turns about any axis at a rate in `spin`. Its state at
+    the start follows by flying back. The mass, drawn from the ends of `mass` on a logarithmic
+    scale, is not observed, nor is the inertia, that of the described target per mass; servo,
+    feed-forward and energies E know the arm alone.
+
+    Reward, summed over an episode: minus the mean of what is missing to the capture (distance
+    in `far`, and sine of half the angle), minus `tumble` times the mean rate of the target in
+    the largest of `spin`, minus `turn` times the mean angle of the base, minus `energy` times
+    the mean of its energy E, minus `fuel` times the propellant.
+
+    `info` tells whether the target is carried, the energy that the latch took, the momentum
+    of arm, base and target about the inertial origin, which only jets change, and their
+    kinetic energy, that of the wheels included, besides propellant and wheels.
+
+    The vehicle is `servicer-flexible` without its pointing law: two solar arrays and sloshing
+    propellant answer to what the base does. With `vehicle="servicer-flexible"` and
+    `base_control=None` the law commands wheels and jets, and the action is the joints' alone.
+
+    Measured, 100 starts of seed 0: the controller servicer solves 99, returns -0.52 and uses
+    2.4 g of propellant; no motion and random actions solve none and return -1.79 and -6.1.
+
+    Only in mode ideal: in the laboratory a stand holds a payload until it is grasped, so that
+    nothing can tumble there, and the platform emulates a satellite's body alone, neither wheels
+    nor jets.
+    """
+
+    options: ClassVar[tuple[str, ...]] = ("q",)
+    interacts: ClassVar[bool] = True
+    system: System = System(
+        arm=get_arm("puma560-wrist"),
+        vehicle=SERVICER,
+        physics_dt=2.5e-3,
+        control_dt=50e-3,
+        payload=CLIENT,
+    )
+    control: Control = Acceleration()
+    base_control: BaseControl | None = _BOTH
+    duration: float = unit("s", default=30.0)
+    tail: float = unit("s", default=0.0)
+    span: Vector = unit(
+        "rad", default=tuple(np.deg2rad([120.0, 60.0, 120.0, 90.0, 80.0, 120.0]).tolist())
+    )
+    meet: Vector = unit("s", default=(8.0, 12.0))  # from, to
+    mass: Vector = unit("kg", default=(60.0, 200.0))  # from, to
+    spin: Vector = unit("rad/s", default=(0.05, 0.12))  # from, to
+    dexterous: float = unit("m/rad", default=0.05)  # least `tool_pose.pose_dexterity`
+    away: float = unit("m", default=0.9)  # least, from the tool's start to the target's centre
+    catch: float = unit("m/s", default=0.03)  # of the tool against the fixture, at most
+    catch_turn: float = unit("rad/s", default=0.05)  # of the tool against the fixture, at most
+    rest: float = unit("rad/s", default=2e-3)  # of target and base in space
+    settled: float = unit("rad/s", default=0.01)  # of each joint
+    pointing: float = unit("rad", default=float(np.deg2rad(1.0)))  # of the base
+    full: float = unit("1", default=0.9)  # share of what a wheel can store
+    hold: float = unit("s", default=2.0)
+    tumbled: float = unit("rad", default=float(np.deg2rad(45.0)))  # angle of the base: failed
+    far: float = unit("m", default=2.0)  # distance that counts as one
+    tumble: float = unit("1", default=0.5)
+    turn: float = unit("1/rad", default=10.0)
+    energy: float = unit("1/J", default=3.0)
+    fuel: float = unit("1/kg", default=3.0)
+
+    @property
+    def memory(self) -> int:  # type: ignore[override]
+        """See `Task`."""
+        return _WHEELS + self._wheels
+
+    @property
+    def _wheels(self) -> int:
+        return len(getattr(self.system.vehicle, "wheels", None) or ())
+
+    @property
+    def draws(self) -> int:  # type: ignore[override]
+        """See `Task`."""
+        return drawn_joints(self.system.arm) * (1 + _TRIES) + _MORE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        system = self.system
+        if system.mode != "ideal":
+            raise ParameterError(
+                f"{self.kind} needs mode ideal, got {system.mode}: in the laboratory a stand"
+                " holds the target, which tumbles freely here"
+            )
+        if not isinstance(system.vehicle, Satellite):
+            raise ParameterError(
+                f"{self.kind} needs a satellite as its vehicle, got {system.vehicle.kind}"
+            )
+        if system.payload is None:
+            raise ParameterError(
+                f"{self.kind} needs a system with a payload, such as system.replace(payload="
+                "ves_gym.envs.servicer_capture.CLIENT), got one without"
+            )
+        if system.arm.n < _JOINTS:
+            raise ParameterError(
+                f"{self.kind} needs an arm of {_JOINTS} joints or more, which can follow a"
+                f" fixture that turns, got {system.arm.name} with {system.arm.n}"
+            )
+        require_control(self, "acceleration", "joint_velocity", "pd_target", "torque")
+        require_positive(
+            self, "dexterous", "away", "catch", "catch_turn", "rest", "settled", "pointing",
+            "full", "hold", "tumbled", "far",
+        )  # fmt: skip
+        require_positive(self, "tumble", "turn", "energy", "fuel", zero=True)
+        joint_box(self, (0.0,), self.span)
+        for name in ("meet", "mass", "spin"):
+            low, high = finite(getattr(self, name), (2,), f"{type(self).__name__}.{name}")
+            if not 0 < low <= high:
+                raise ParameterError(
+                    f"{self.kind}.{name} must be 0 < from <= to, got {low:g} to {high:g}"
+                )
+
+    # ------------------------------------------------------------------ episodes
+
+    def start(self, u: Array, **options: Array) -> Start:
+        """See `Task`.
+
+        Goal: the target's place (3) [m], attitude (4), spin in its own axes (3) [rad/s] and
+        mass [kg] at the start; joint angles (joints) [rad] and time [s] of the meeting.
+        """
+        q, meeting = self._meeting(u, options.get("q"))
+        drawn, k = u[:, -_MORE:], len(u)
+        clock = self.meet[0] + (self.meet[1] - self.meet[0]) * drawn[:, 0]
+        mass = self.mass[0] * (self.mass[1] / self.mass[0]) ** drawn[:, 1]
+        fast = self.spin[0] + (self.spin[1] - self.spin[0]) * drawn[:, 2]
+        up, round_ = 2 * drawn[:, 3] - 1, 2 * np.pi * drawn[:, 4]
+        flat = np.sqrt(1 - up * up)
+        axis = np.stack([flat * np.cos(round_), flat * np.sin(round_), up], axis=1)
+        place, turn = tool_frame(self.system.arm, meeting)
+        grip, centre = self._fixture
+        turn = turn @ grip.T
+        attitude, spin = from_matrix(turn), fast[:, None] * axis
+        inertia = np.tile(self._shape, (k, 1, 1))
+        for _ in range(_FLIGHT):
+            back = -clock / _FLIGHT
+            attitude, spin = _flown(attitude, spin, inertia, back)
+        at = place + matvec(turn, centre)  # of the centre of mass, which rests
+        goal = [at, attitude, spin, mass, meeting, clock]
+        return Start(q, np.column_stack(goal))
+
+    @cached_property
+    def _fixture(self) -> tuple[Array, Array]:
+        """Axes (3, 3) of the fixture, and from it to the centre of mass (3,) [m]."""
+        payload = self.system.payload
+        assert payload is not None
+        to_centre = np.array(payload.inertial.com) - np.array(payload.grip.position)
+        return payload.grip.rotation, to_centre
+
+    @cached_property
+    def _shape(self) -> Array:
+        """(3, 3) inertia of the target per mass [m^2]."""
+        payload = self.system.payload
+        assert payload is not None
+        return np.array(payload.inertial.inertia) / payload.inertial.mass
+
+    def _meeting(self, u: Array, q: Array | None) -> tuple[Array, Array]:
+        """Joint angles (k, joints) at the start (q, if given) and at the meeting [rad]."""
+        arm, payload, rows = self.system.arm, self.system.payload, np.arange(len(u))
+        assert payload is not None
+        low, high = joint_box(self, (0.0,), self.span)
+        share = u[:, :-_MORE].reshape(len(u), 1 + _TRIES, -1)[..., : arm.n]
+        angles = low + (high - low) * share
+        q, ends = angles[:, 0] if q is None else q, angles[:, 1:]
+        place, turn = tool_frame(arm, ends)
+        grip, to_centre = self._fixture
+        centre = place + matvec(turn @ grip.T, np.broadcast_to(to_centre, place.shape))
+        shoulder = joint_positions(arm, ends)[..., 1, :]
+        beyond = np.linalg.norm(centre - shoulder, axis=-1)
+        beyond -= np.linalg.norm(place - shoulder, axis=-1)
+        size = np.linalg.norm(payload.edges) / 2
+        tool = joint_positions(arm, q)[:, None, -1]
+        able = pose_dexterity(arm, ends, _LEVER)
+        good = (able >= self.dexterous) & (centre[..., 2] >= size)
+        good &= beyond >= np.linalg.norm(to_centre) / 2
+        good &= np.linalg.norm(centre - tool, axis=-1) >= self.away
+        pick = np.where(good.any(axis=1), good.argmax(axis=1), able.argmax(axis=1))
+        return q, ends[rows, pick]
+
+    def set_up(self, sim: Simulator, ids: Index, goal: Array) -> None:
+        """See `Task`. The target begins to fly."""
+        cargo, payload = sim.payload, self.system.payload
+        assert cargo is not None and payload is not None
+        com = np.array(payload.inertial.com)
+        mass, attitude = goal[:, 10], goal[:, 3:7]
+        offset = matvec(to_matrix(attitude), np.tile(com, (len(ids), 1)))
+        cargo.change(
+            ids,
+            mass=mass,
+            inertia=mass[:, None, None] * self._shape,
+            position=goal[:, :3] - offset,
+            attitude=attitude,
+            velocity=np.zeros((len(ids), 3)),
+            spin=goal[:, 7:10],
+        )
+
+    def interact(self, sim: Simulator, s: Scene, ids: Index) -> bool:
+        """See `Task`. The latch closes."""
+        cargo, memory = sim.payload, s.memory
+        assert cargo is not None
+        ids = ids[~sim.diverged[ids]]
+        target = cargo.state
+        free = ids[~cargo.carried[ids]]
+        gap = np.linalg.norm(s.tool[free] - self._grip_of(target)[free], axis=1)
+        caught = free[gap <= _NEAR]
+        if len(caught):
+            relative = cargo.relative(caught)
+            slow = np.linalg.norm(relative[:, :3], axis=1) <= self.catch
+            slow &= np.linalg.norm(relative[:, 3:], axis=1) <= self.catch_turn
+            caught = caught[slow & cargo.closes(caught)]
+            for event in sim.grasp(caught):
+                memory[event.simulation, _LOST] = event.lost
+        self._look(sim, s, ids, cargo.state if len(caught) else target)
+        return bool(len(caught))
+
+    def _grip_of(self, target: PayloadState) -> Array:
+        """(n, 3) places of the fixtures in space [m]."""
+        payload = self.system.payload
+        assert payload is not None
+        grip = np.broadcast_to(payload.grip.position, target.position.shape)
+        out: Array = target.position + rotate(target.attitude, grip)
+        return out
+
+    def _look(self, sim: Simulator, s: Scene, ids: Index, target: PayloadState) -> None:
+        """Write into the memory what the formulas need of target and wheels."""
+        cargo, memory = sim.payload, s.memory
+        assert cargo is not None
+        turn, held = to_matrix(target.attitude[ids]), cargo.carried[ids]
+        grip, to_centre = self._fixture
+        fixture = self._grip_of(target)[ids]
+        _, tool = tool_frame(sim.system.arm, s.q[ids])
+        missing = turn @ grip @ np.swapaxes(rotation(s.y[ids]) @ tool, -1, -2)
+        vectors = Rotation.from_matrix(missing).as_rotvec()
+        closing = np.zeros((len(ids), 6))
+        free = np.flatnonzero(~held)
+        if len(free):
+            closing[free] = cargo.relative(ids[free])  # of the target where the tool is
+            lever = s.tool[ids[free]] - fixture[free]
+            spin = matvec(turn[free], target.spin[ids[free]])
+            closing[free, :3] += np.cross(spin, lever)
+        memory[ids, _CARRIED] = held
+        memory[ids, _FIXTURE], memory[ids, _MISSING] = fixture, vectors
+        memory[ids, _CLOSING] = closing
+        memory[ids, _SPIN] = matvec(turn, target.spin[ids])
+        memory[ids, _CENTRE] = matvec(turn, np.tile(to_centre, (len(ids), 1)))
+        memory[ids, _DISTANCE] = np.linalg.norm(fixture - s.tool[ids], axis=1)
+        memory[ids, _TURN] = np.sin(np.linalg.norm(vectors, axis=1) / 2)
+        acts = sim.base_actuators
+        if acts is None:
+            return
+        memory[ids, _FUEL] = acts.propellant[ids]
+        if acts.wheels:
+            speeds = np.array([wheel.speed_max for wheel in acts.wheels])
+            memory[ids, _WHEELS:] = sim.wheel_speed[ids] / speeds
+
+    def remember(self, s: Scene, dt: float) -> None:
+        """See `Task`."""
+        memory = s.memory
+        still = (memory[:, _CARRIED] > 0) & (np.abs(s.v) <= self.settled).all(axis=1)
+        still &= np.linalg.norm(memory[:, _SPIN], axis=1) <= self.rest
+        still &= np.linalg.norm(twist(s.y, s.yd)[:, 3:], axis=1) <= self.rest
+        still &= _angle(s) <= self.pointing
+        still &= (np.abs(memory[:, _WHEELS:]) <= self.full).all(axis=1)
+        memory[:, _HELD] = np.where(still, memory[:, _HELD] + dt, 0.0)
+
+    def success(self, s: Scene) -> Mask:
+        """Target, arm and base have come to rest together, and the base points as it did."""
+        at_rest: Mask = s.memory[:, _HELD] >= self.hold - 1e-9
+        return at_rest
+
+    def failed(self, s: Scene) -> Mask:
+        """The base has turned by more than `tumbled`, or a joint limit is broken."""
+        return super().failed(s) | (_angle(s) > self.tumbled)
+
+    def tell(self, sim: Simulator, s: Scene, ended: Mask) -> dict[str, Any]:
+        """See `Task`."""
+        cargo = sim.payload
+        assert cargo is not None
+        told: dict[str, Any] = {"capture/carried": cargo.carried.copy()}
+        if ended.any():
+            with np.errstate(all="ignore"):  # of what diverged
+                at_end = {
+                    "capture/lost": s.memory[:, _LOST].copy(),
+                    "capture/momentum": cargo.momentum,
+                    "capture/energy": np.add(*cargo.energy),
+                }
+            told |= at_end | {f"_{name}": ended for name in at_end}
+        return told
+
+    # --------------------------------------------------------------- observation
+
+    def fields(self) -> tuple[Field, ...]:
+        """See `Task`."""
+        arm, w = self.system.arm, self._wheels
+        wheels = [Field("wheels", "1", np.ones(w), "speed of each wheel in its largest")] * (
+            w > 0
+        )
+        return (
+            Field("joint_angle", "rad", np.full(arm.n, np.pi), "joint angles"),
+            *rate_fields(self.control, arm),
+            Field("base_pose", "m, rad", np.full(6, 0.2), "pose of the base as measured"),
+            Field("base_rate", "m/s, rad/s", np.full(6, 0.02), "its rate as measured"),
+            *wheels,
+            Field("to_fixture", "m", np.full(3, self.far / 2), "fixture less tool"),
+            Field("to_turn", "rad", np.full(3, np.pi), "rotation from the tool to the fixture"),
+            Field("closing", "m/s", np.full(3, 0.1), "of the tool against the fixture"),
+            Field("turning", "rad/s", np.full(3, 0.2), "of the tool against the fixture"),
+            Field("target_spin", "rad/s", np.full(3, self.spin[1]), "of the target"),
+            Field("centre", "m", np.full(3, 0.5), "from the fixture to the target's centre"),
+            Field("time_left", "s", np.array([self.duration]), "until the deadline"),
+        )
+
+    def observe(self, s: Scene) -> tuple[Array, ...]:
+        """See `Task`. What is of tool and target is in the base's axes."""
+        memory, to_base = s.memory, np.swapaxes(rotation(s.y_seen), -1, -2)
+        closing = memory[:, _CLOSING]
+        wheels = [memory[:, _WHEELS:]] if self._wheels else []
+        vectors = (
+            memory[:, _FIXTURE] - s.tool_seen,
+            memory[:, _MISSING],
+            closing[:, :3],
+            closing[:, 3:],
+            memory[:, _SPIN],
+            memory[:, _CENTRE],
+        )
+        return (
+            s.q,
+            *rates(self.control, s),
+            s.y_seen,
+            s.yd_seen,
+            *wheels,
+            *(matvec(to_base, part) for part in vectors),
+            (self.duration - s.time)[:, None],
+        )
+
+    # -------------------------------------------------------------------- reward
+
+    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        """See `Task`."""
+        memory, share = s.memory, dt / self.duration
+        missing = memory[:, _DISTANCE] / self.far + memory[:, _TURN]
+        spin = np.linalg.norm(memory[:, _SPIN], axis=1) / self.spin[1]
+        return {
+            "approach": np.where(memory[:, _CARRIED] > 0, 0.0, -share * missing),
+            "tumble": -share * self.tumble * spin,
+            "turn": -share * self.turn * _angle(s),
+            "energy": -share * self.energy * s.energy,
+            "fuel": np.where(last, -self.fuel * memory[:, _FUEL], 0.0),
+        }
+
+    def marker(self, s: Scene) -> Array:
+        """The fixture."""
+        out: Array = s.memory[:, None, _FIXTURE]
+        return out
+
+
+def meeting(s: Scene, joints: int) -> tuple[Array, Array]:
+    """Return joint angles (n, joints) [rad] and times (n,) [s] of the meetings drawn.
+
+    Args:
+        s: every simulation of the task.
+        joints: of the arm.
+    """
+    return s.goal[:, _MEETING : _MEETING + joints], s.goal[:, _MEETING + joints]
+
+
+def _angle(s: Scene) -> Array:
+    """(n,) angle by which the base has turned since the start [rad]."""
+    turn = rotation(s.y)
+    cosine = (np.trace(turn, axis1=-2, axis2=-1) - 1) / 2
+    out: Array = np.arccos(np.clip(cosine, -1.0, 1.0))
+    return out
+
+
+def _flown(attitude: Array, spin: Array, inertia: Array, time: Array) -> tuple[Any, Any]:
+    """Attitude and spin of free bodies after a time (k,) of their own [s]."""
+    # a step of t at w is one of t / T at T w: every body makes unit steps at its own rate
+    q, w = torque_free_step(attitude, spin * time[:, None], inertia, 1.0)
+    return q, w / time[:, None]
