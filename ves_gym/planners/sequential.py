@@ -9,15 +9,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym.mechanics.motion import Motion
+from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.objective import Objective
-
-if TYPE_CHECKING:
-    from ves_gym.planners.direct import MotionProblem
 
 _ROUNDS = 4  # of looking for torque between samples
 _PATHS = 2  # that the tool's error is linearised about, after the straight line
@@ -29,6 +28,28 @@ _MISSED = 1e-8  # of a limit by which a step may break what it did not mind
 _RIDGE = 1e-7  # of the mean curvature, on flat directions
 _BARELY = 1e-4  # of a limit: less is nothing to tell optimisations apart by
 _ACCEPTED = 1e-6  # of a limit by which an answer may break it; `_SHARE` is for that
+
+
+class Problem(Protocol):
+    """Motions by the decision x (free n,) [rad], a quadratic form of momenta, and limits."""
+
+    energy: MeanEnergy | Objective
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest x."""
+
+    def momentum(self, x: Array) -> tuple[Array, Array]:
+        """What the energy is a form of, and its derivative by x."""
+
+    def limits(self, x: Array) -> tuple[Array, Array]:
+        """Shares of the limits less 1, <= 0 where they hold, and their derivative by x."""
+
+    def motion(self, x: Array) -> Motion:
+        """The motion of x."""
+
+    def add_torque_samples(self, x: Array) -> bool:
+        """Sample torques at their peaks between samples too; True if one is passed there."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +95,7 @@ class _Point(NamedTuple):
 
 
 def minimise(
-    problem: MotionProblem, x0: Array, iterations: int = 60, tolerance: float = 1e-4
+    problem: Problem, x0: Array, iterations: int = 60, tolerance: float = 1e-4
 ) -> Minimum:
     """Find the least E_mean from x0 by steps in a trust region that an exact penalty judges.
 
@@ -100,7 +121,7 @@ def minimise(
     return replace(minimum, iterations=done, evaluations=evaluations)
 
 
-def about_itself(problem: MotionProblem, minimum: Minimum, iterations: int = 60) -> Minimum:
+def about_itself(problem: Problem, minimum: Minimum, iterations: int = 60) -> Minimum:
     """Minimise again with the tool on the path that was found, where its error counts.
 
     Args:
@@ -119,7 +140,7 @@ def about_itself(problem: MotionProblem, minimum: Minimum, iterations: int = 60)
     return replace(minimum, iterations=done, evaluations=evaluations)
 
 
-def _minimise(problem: MotionProblem, x0: Array, iterations: int, tolerance: float) -> Minimum:
+def _minimise(problem: Problem, x0: Array, iterations: int, tolerance: float) -> Minimum:
     low, high = problem.bounds
 
     def at(x: Array) -> _Point:
