@@ -26,6 +26,7 @@ COMMANDS = {  # name -> what it does; the module of the same name is loaded when
     "policy": "policies as ONNX for other engines, and their model cards",
     "leaderboard": "bundles that prove a result, their verification, and the board",
     "sweep": "many units of work, on this machine or a cluster; goes on where it stopped",
+    "matrix": "methods x machines x tasks x seeds: one page with intervals; goes on",
     "search": "the settings of a sweep that do best, found with Optuna",
     "merge": "one table of the results of sweeps",
     "pped": "joint gains that take vibration out of the base (thesis 4.3)",

@@ -1,0 +1,91 @@
+"""`ves-gym matrix`: methods x machines x tasks x seeds, one page with intervals."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from pathlib import Path
+
+from ves_gym._util.optional import installed
+from ves_gym._util.params import write_text
+from ves_gym.cli.common import progress, write_json
+from ves_gym.cli.sweep import add_executor_arguments, executor_options
+
+SCHEMA = "ves-matrix/1"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("matrix", metavar="FILE", help="a .toml file (docs/sweeps.md)")
+    parser.add_argument("--episodes", type=int, metavar="N", help="instead of the file's")
+    parser.add_argument("--seeds", type=int, metavar="N", help="only the first N of the file's")
+    parser.add_argument(
+        "--cost-from", metavar="DIR",
+        help="run nothing: the hours that FILE takes, from the units of a finished run of it in"
+        " DIR with the --episodes and --seeds given here",
+    )  # fmt: skip
+    add_executor_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do what has no result yet; write page, picture and figures once all is done."""
+    from ves_gym.experiments.matrix import cost, entries, read_matrix, run_matrix
+    from ves_gym.report.matrix_page import crossover_figure, matrix_page
+
+    whole = read_matrix(args.matrix)
+    matrix = dataclasses.replace(
+        whole,
+        episodes=whole.episodes if args.episodes is None else args.episodes,
+        seeds=whole.seeds if args.seeds is None else whole.seeds[: args.seeds],
+    )
+    if args.cost_from is not None:
+        hours = cost(whole, matrix, args.cost_from)
+        print(
+            f"training {hours['train']:.2f} h, evaluation {hours['evaluate']:.2f} h:"
+            f" {hours['total']:.2f} h on two workers"
+        )
+        write_json(args.json, {"schema": SCHEMA, "hours": hours})
+        return 0
+    folder = Path(args.out or f"out/matrix/{Path(args.matrix).stem}")
+    with progress() as on_progress:
+        report = run_matrix(matrix, folder, progress=on_progress, **executor_options(args))
+    print(
+        f"{len(report.done)} units done, {len(report.skipped)} were done before,"
+        f" {len(report.failed)} failed: {folder}"
+    )
+    for text in list(report.failed.values())[:10]:
+        print(f"failed: {text}", file=sys.stderr)
+    found = entries(matrix, folder) if report.complete else []
+    if report.complete:
+        hours = cost(matrix, matrix, folder)
+        title = "Methods on machines that are not as described"
+        write_text(folder / "matrix.md", matrix_page(matrix, found, title, hours))
+        if installed("matplotlib"):
+            from ves_gym.report.figures import write_figure
+
+            write_figure(crossover_figure(matrix, found), folder / "crossover.png")
+        print(folder / "matrix.md")
+    write_json(
+        args.json,
+        {
+            "schema": SCHEMA,
+            "folder": str(folder),
+            "done": report.done,
+            "skipped": report.skipped,
+            "failed": report.failed,
+            "entries": [_plain(entry) for entry in found],
+        },
+    )
+    return 0 if report.complete else 1
+
+
+def _plain(entry: object) -> dict[str, object]:
+    """Figures as plain data; what is infinite becomes null."""
+    out: dict[str, object] = {}
+    for field in dataclasses.fields(entry):  # type: ignore[arg-type]
+        value = getattr(entry, field.name)
+        if isinstance(value, tuple):
+            value = [x if abs(x) < float("inf") else None for x in value]
+        out[field.name] = value
+    return out

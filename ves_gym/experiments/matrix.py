@@ -1,0 +1,376 @@
+"""The matrix: methods x machines x tasks x seeds, as units of a sweep.
+
+Trainings come first, as one sweep; evaluations of what came of them and of built-in controllers
+come second, as another in the same folder. Both skip units that have a result, so that a
+matrix that was killed goes on and ends with the same bits. Every method of a task answers the
+same episodes on a machine.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from ves_gym._util.optional import require
+from ves_gym._util.params import Array, ParameterError, from_plain, read_table
+from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, rate
+from ves_gym.baselines.config import CONFIGS, config_from_plain
+from ves_gym.baselines.policy import released
+from ves_gym.baselines.registry import get_controller
+from ves_gym.experiments.executors import open_executor
+from ves_gym.experiments.sweep import Report, finished, run_units
+from ves_gym.experiments.units import Unit, evaluate_unit, read_result, train_unit
+
+_APART = 1_000_000  # between the first episodes of two seeds: no episode is shared
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Machine:
+    """Where methods are tried: the ideal system in space, or a laboratory's machine."""
+
+    name: str
+    emulated: bool = False
+    settings: dict = field(default_factory=dict)  # of the environment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """What acts: one of a controller, a released policy, and a configuration to train."""
+
+    name: str
+    controller: str | None = None
+    released: str | None = None  # name of a policy of the package, such as ppo
+    train: str | None = None  # name of a configuration of the package, a policy per seed
+    machine: str | None = None  # that it is trained on; None: the first
+    changes: dict = field(default_factory=dict)  # entries of the configuration
+
+    def __post_init__(self) -> None:
+        kinds = [self.controller, self.released, self.train]
+        if sum(kind is not None for kind in kinds) != 1:
+            raise ParameterError(
+                f"method {self.name} needs one of controller, released and train, got {kinds}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskRow:
+    """A task and the methods for it; energies are told over those of the first method."""
+
+    env: str  # name without Emulated and version, such as PumaReach
+    methods: tuple[Method, ...]
+    version: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matrix:
+    """What is compared, and on how much."""
+
+    tasks: tuple[TaskRow, ...]
+    machines: tuple[Machine, ...]
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    episodes: int = 20  # of each seed in every cell
+    seconds: float | None = None  # that a unit may take
+
+    def __post_init__(self) -> None:
+        if not (self.tasks and self.machines and self.seeds) or self.episodes < 1:
+            raise ParameterError("a matrix needs tasks, machines, seeds and episodes >= 1")
+        names = [machine.name for machine in self.machines]
+        for task in self.tasks:
+            methods = [method.name for method in task.methods]
+            for kind, some in (("machine", names), (f"method of {task.env}", methods)):
+                if len(set(some)) < len(some) or not some:
+                    raise ParameterError(f"each {kind} needs a name of its own, got {some}")
+            for method in task.methods:
+                if method.machine not in (None, *names):
+                    raise ParameterError(
+                        f"method {method.name} is trained on one of {', '.join(names)}, got"
+                        f" {method.machine!r}"
+                    )
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Where a unit of evaluation belongs."""
+
+    task: str
+    machine: str
+    method: str
+    seed: int
+    unit: Unit
+
+
+def read_matrix(path: str | os.PathLike[str]) -> Matrix:
+    """A matrix from a TOML or JSON file; unknown keys are an error."""
+    matrix: Matrix = from_plain(Matrix, read_table(path), str(path))
+    return matrix
+
+
+def environment_of(task: TaskRow, machine: Machine) -> str:
+    """Return the id of a task on a machine; version 0 where the task has no other."""
+    name = f"ves/{task.env}{'Emulated' if machine.emulated else ''}"
+    for version in (task.version, 0):
+        if f"{name}-v{version}" in gym.registry:
+            return f"{name}-v{version}"
+    raise ParameterError(f"{name}-v{task.version} is no environment of ves_gym")
+
+
+# --------------------------------------------------------------------------- units
+
+
+def trainings(matrix: Matrix) -> dict[tuple[str, str, int], Unit]:
+    """Return the training units by task, method and seed."""
+    machines = {machine.name: machine for machine in matrix.machines}
+    out = {}
+    for task in matrix.tasks:
+        for method in task.methods:
+            if method.train is None:
+                continue
+            machine = machines[method.machine or matrix.machines[0].name]
+            path = CONFIGS / f"{method.train}.toml"
+            table = read_table(path)
+            changes = dict(method.changes)
+            settings = {
+                **table.get("settings", {}),
+                **machine.settings,
+                **changes.pop("settings", {}),
+            }
+            env = environment_of(task, machine)
+            config = config_from_plain(
+                {**table, **changes, "env": env, "settings": settings}, str(path)
+            )
+            for seed in matrix.seeds:
+                out[task.env, method.name, seed] = train_unit(config, seed)
+    return out
+
+
+def cells(matrix: Matrix, folder: Path) -> list[Cell]:
+    """Return the units of evaluation, once every training has a result.
+
+    Args:
+        matrix: what is compared.
+        folder: of the results, where trained policies lie.
+    """
+    trained = trainings(matrix)
+    return [
+        Cell(
+            task.env,
+            machine.name,
+            method.name,
+            seed,
+            evaluate_unit(
+                environment_of(task, machine),
+                _who(task, method, seed, trained, folder),
+                _APART * seed,
+                matrix.episodes,
+                machine.settings,
+            ),
+        )
+        for task in matrix.tasks
+        for machine in matrix.machines
+        for method in task.methods
+        for seed in matrix.seeds
+    ]
+
+
+def _who(
+    task: TaskRow,
+    method: Method,
+    seed: int,
+    trained: Mapping[tuple[str, str, int], Unit],
+    folder: Path,
+) -> str:
+    """A controller's name, or the file of the policy that acts with a seed."""
+    if method.controller is not None:
+        get_controller(method.controller)
+        return method.controller
+    if method.released is not None:
+        policies = released(f"ves/{task.env}-v{task.version}")
+        if method.released not in policies:
+            raise ParameterError(
+                f"method {method.name}: policies of {task.env} are"
+                f" {', '.join(policies) or 'none'}, got {method.released!r}"
+            )
+        return str(policies[method.released])
+    unit = trained[task.env, method.name, seed]
+    return str((folder / "policies" / unit.id / "best.json").resolve())
+
+
+# ------------------------------------------------------------------------- running
+
+
+def run_matrix(
+    matrix: Matrix,
+    folder: str | os.PathLike[str],
+    *,
+    executor: str = "local",
+    workers: int | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Report:
+    """Do the units of a matrix that have no result yet, trainings first.
+
+    Args:
+        matrix: what is compared.
+        folder: of the results.
+        executor, workers, options: see `sweep`.
+        progress: called with what is done and the fraction of it.
+
+    Returns:
+        What was done, skipped and failed. Where a training failed nothing is evaluated: the
+        next run tries again.
+    """
+    root = Path(folder)
+    report = Report(root)
+    on_progress = progress or (lambda stage, done: None)
+    stages: tuple[tuple[str, Callable[[], Iterator[Unit]]], ...] = (
+        ("train", lambda: iter(trainings(matrix).values())),
+        ("evaluate", lambda: (cell.unit for cell in cells(matrix, root))),
+    )
+    for stage, expand in stages:
+        units = list({unit.id: unit for unit in expand()}.values())
+        todo = [unit for unit in units if not finished(root, unit)]
+        left = {unit.id for unit in todo}
+        report.skipped.extend(unit.id for unit in units if unit.id not in left)
+        if todo:
+            if stage == "train":
+                from ves_gym.baselines.train import PACKAGES  # loads torch where it is
+
+                require("training", *PACKAGES)
+            with open_executor(
+                executor,
+                workers=min(workers or os.cpu_count() or 1, len(todo)),
+                folder=root,
+                seconds=matrix.seconds,
+                **options,
+            ) as pool:
+                before = len(units) - len(todo)
+
+                def tell(
+                    n: int, stage: str = stage, k: int = before, m: int = len(units)
+                ) -> None:
+                    on_progress(stage, (k + n) / m)
+
+                run_units(pool, todo, report, tell)
+        on_progress(stage, 1.0)
+        if report.failed:
+            break
+    return report
+
+
+# ------------------------------------------------------------------------- figures
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Figures of a method on a machine."""
+
+    task: str
+    machine: str
+    method: str
+    success: Estimate
+    ret: Estimate  # interquartile mean of the returns
+    energy: Estimate | None  # interquartile mean of E_mean over the first method's
+    failed: int
+    episodes: int  # of each seed
+    seconds: float  # of processor time of all seeds, with the time of others on the machine
+
+
+def entries(matrix: Matrix, folder: str | os.PathLike[str]) -> list[Entry]:
+    """Return the figures of a finished matrix, in its order.
+
+    Intervals are stratified bootstraps: seeds are strata, of each as many episodes are drawn
+    as it has.
+
+    Args:
+        matrix: what was compared.
+        folder: of its results.
+
+    Raises:
+        ParameterError: a unit has no result.
+    """
+    root = Path(folder)
+    rows: dict[tuple[str, str, str], list[list[dict[str, Any]]]] = {}
+    spent: dict[tuple[str, str, str], float] = {}
+    for cell in cells(matrix, root):
+        key = cell.task, cell.machine, cell.method
+        path = root / "results" / f"{cell.unit.id}.json"
+        if not path.exists():
+            raise ParameterError(f"{folder}: no result yet of {' '.join(key)}: run it again")
+        rows.setdefault(key, []).append(read_result(path)["rows"])
+        about = read_table(root / "about" / f"{cell.unit.id}.json")
+        spent[key] = spent.get(key, 0.0) + float(about["seconds"])
+    first = {task.env: task.methods[0].name for task in matrix.tasks}
+    return [
+        _entry(key, seeds, rows[key[0], key[1], first[key[0]]], spent[key])
+        for key, seeds in rows.items()
+    ]
+
+
+def _entry(
+    key: tuple[str, str, str],
+    seeds: list[list[dict[str, Any]]],
+    reference: list[list[dict[str, Any]]],
+    seconds: float,
+) -> Entry:
+    strata = [_column(rows, "return") for rows in seeds]
+    success = np.concatenate([_column(rows, "success") for rows in seeds])
+    ratios = [
+        _column(rows, "E_mean") / _column(over, "E_mean")
+        for rows, over in zip(seeds, reference, strict=True)
+        if np.all(_column(over, "E_mean") > 0)
+    ]
+    usable = len(ratios) == len(seeds) and not any(np.isnan(r).any() for r in ratios)
+    return Entry(
+        *key,
+        success=rate(success > 0),
+        ret=bootstrap(strata, STATISTICS["iqm"]),
+        energy=bootstrap(ratios, STATISTICS["iqm"]) if usable else None,
+        failed=int(sum(_column(rows, "failed").sum() for rows in seeds)),
+        episodes=len(seeds[0]),
+        seconds=seconds,
+    )
+
+
+def _column(rows: list[dict[str, Any]], name: str) -> Array:
+    """Values of a measure, episode by episode; what is missing is infinite."""
+    return np.array([np.inf if row[name] is None else row[name] for row in rows], float)
+
+
+def cost(
+    matrix: Matrix, measured: Matrix, folder: str | os.PathLike[str], workers: int = 2
+) -> dict[str, float]:
+    """Return the hours that a matrix takes, from the seconds of another one's units.
+
+    Args:
+        matrix: to be done.
+        measured: a finished one with the same tasks, machines and methods, of any seeds,
+            episodes and steps of training.
+        folder: of its results.
+        workers: units at once.
+
+    Returns:
+        Hours of `train` and of `evaluate`, and of both on that many workers (`total`). A unit
+        counts in proportion to its episodes or steps, which is too much for small ones.
+    """
+    root = Path(folder)
+    hours = {"train": 0.0, "evaluate": 0.0}
+    steps: dict[tuple[str, str], list[float]] = {}
+    for (task, method, _), unit in trainings(measured).items():
+        about = read_table(root / "about" / f"{unit.id}.json")
+        done = float(unit.identity["config"]["total_timesteps"])
+        steps.setdefault((task, method), []).append(float(about["seconds"]) / done)
+    for (task, method, _), unit in trainings(matrix).items():
+        rate_of = float(np.mean(steps[task, method]))
+        hours["train"] += rate_of * unit.identity["config"]["total_timesteps"] / 3600
+    for entry in entries(measured, folder):
+        each = entry.seconds / len(measured.seeds) / entry.episodes
+        hours["evaluate"] += each * matrix.episodes * len(matrix.seeds) / 3600
+    return {**hours, "total": sum(hours.values()) / workers}

@@ -1,0 +1,131 @@
+"""The matrix as a Markdown page and a picture: where plans break and where feedback holds."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ves_gym._util.statistics import Estimate
+from ves_gym.experiments.matrix import Entry, Matrix
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_MARKERS = "osD^vPX*"
+
+
+def matrix_page(
+    matrix: Matrix, entries: Sequence[Entry], title: str, hours: Mapping[str, float] | None
+) -> str:
+    """Return the page: a table per task, methods down, machines across.
+
+    Args:
+        matrix: what was compared.
+        entries: its figures.
+        title: of the page.
+        hours: what `cost` gives of it, if that is to be said.
+    """
+    parts = [f"# {title}", _what(matrix)]
+    for task in matrix.tasks:
+        parts.append(f"## {task.env}\n\n{_table(matrix, entries, task.env)}")
+    parts.append(
+        "Each cell: success (Wilson's interval); interquartile mean of E_mean over that of the"
+        " table's first method in the same episode, and of the return. In brackets 95 %"
+        " intervals, by bootstrap with seeds as strata."
+    )
+    if hours is not None:
+        parts.append(
+            f"Units took {hours['train']:.2f} h of training and {hours['evaluate']:.2f} h of"
+            f" evaluation, {hours['total']:.2f} h on two workers."
+        )
+    return "\n\n".join(parts) + "\n"
+
+
+def _what(matrix: Matrix) -> str:
+    count = len(matrix.seeds) * matrix.episodes
+    machines = "\n".join(
+        f"- **{m.name}**: {'emulated' if m.emulated else 'in space'}"
+        + (f", {_plain(m.settings)}" if m.settings else "")
+        for m in matrix.machines
+    )
+    return (
+        f"{len(matrix.seeds)} seeds with {matrix.episodes} episodes each in every cell"
+        f" ({count} episodes), the same for all methods. A trained method has a policy of its"
+        f" own per seed. Machines:\n\n{machines}"
+    )
+
+
+def _plain(settings: Mapping[str, Any]) -> str:
+    return ", ".join(
+        f"{k} ({_plain(v)})" if isinstance(v, Mapping) else f"{k} {v}"
+        for k, v in settings.items()
+    )
+
+
+def _table(matrix: Matrix, entries: Sequence[Entry], task: str) -> str:
+    by = {(e.method, e.machine): e for e in entries if e.task == task}
+    machines = [m.name for m in matrix.machines]
+    lines = ["| method | " + " | ".join(machines) + " |", "|---" * (len(machines) + 1) + "|"]
+    for method in dict.fromkeys(k for k, _ in by):
+        cells = (_cell(by[method, machine]) for machine in machines)
+        lines.append(f"| {method} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _cell(e: Entry) -> str:
+    energy = "" if e.energy is None else f"E {_estimate(e.energy, '.3g')}<br>"
+    return f"{_estimate(e.success, '.0%')}<br>{energy}return {_estimate(e.ret, '.3g')}"
+
+
+def _estimate(e: Estimate, form: str) -> str:
+    return f"{e.value:{form}} ({e.low:{form}} to {e.high:{form}})"
+
+
+def crossover_figure(matrix: Matrix, entries: Sequence[Entry]) -> Figure:
+    """Success and energy of every method against the machines, a column per task."""
+    from matplotlib.figure import Figure
+
+    tasks = [task.env for task in matrix.tasks]
+    machines = [machine.name for machine in matrix.machines]
+    figure = Figure(figsize=(1.5 + 4.2 * len(tasks), 6.0), layout="constrained")
+    axes = figure.subplots(2, len(tasks), squeeze=False, sharex="col")
+    for column, task in enumerate(tasks):
+        some = [e for e in entries if e.task == task]
+        methods = list(dict.fromkeys(e.method for e in some))
+        for k, (method, marker) in enumerate(zip(methods, itertools.cycle(_MARKERS))):
+            of = {e.machine: e for e in some if e.method == method}
+            shift = 0.08 * (k - (len(methods) - 1) / 2)
+            x = [i + shift for i in range(len(machines))]
+            _draw(axes[0][column], x, [of[m].success for m in machines], method, marker)
+            energies = [of[m].energy for m in machines]
+            if not any(e is None for e in energies):
+                _draw(axes[1][column], x, energies, method, marker)
+        axes[0][column].set_title(task, fontsize=10)
+        axes[0][column].set_ylim(-0.03, 1.03)
+        axes[1][column].set_yscale("log")
+        axes[1][column].set_xticks(range(len(machines)), machines, fontsize=8)
+        for row in (0, 1):
+            axes[row][column].grid(alpha=0.3)
+            axes[row][column].tick_params(labelsize=8)
+        axes[0][column].legend(fontsize=7)
+    axes[0][0].set_ylabel("success", fontsize=9)
+    axes[1][0].set_ylabel("E_mean over the first method's", fontsize=9)
+    return figure
+
+
+def _draw(
+    axes: Any, x: Sequence[float], values: Sequence[Any], label: str, marker: str
+) -> None:
+    """Values with their intervals; infinite ones are left out."""
+    shown = [(a, v) for a, v in zip(x, values, strict=True) if v.value < float("inf")]
+    if not shown:
+        return
+    at = [a for a, _ in shown]
+    y = [v.value for _, v in shown]
+    most = max(y)
+    low = [max(v.value - v.low, 0.0) for _, v in shown]
+    high = [max(min(v.high, 100 * most) - v.value, 0.0) for _, v in shown]
+    axes.errorbar(
+        at, y, yerr=[low, high], label=label, marker=marker, markersize=4, capsize=2, lw=1.1
+    )
