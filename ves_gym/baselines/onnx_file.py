@@ -26,7 +26,8 @@ def to_onnx(policy: Policy) -> bytes:
 
     Within, numbers are in double precision, as in `Policy`. Parts of a dictionary observation
     are one after another in the order of the entry `inputs` of the model's metadata; `hold`
-    there is the number of control periods that an action is to be held for.
+    there is the number of control periods that an action is to be held for, `frames` that of
+    the observations of the last decisions that it takes, the oldest first.
     """
     require("a policy as ONNX", "onnx")
     import onnx
@@ -72,7 +73,8 @@ def to_onnx(policy: Policy) -> bytes:
         ir_version=8,  # of the first release with this opset: any engine of today reads it
     )
     about = {"env": str(policy.about.get("env", "")), "hold": str(net.hold)}
-    helper.set_model_props(model, {**about, "inputs": " ".join(net.inputs)})
+    about |= {"frames": str(net.frames), "inputs": " ".join(net.inputs)}
+    helper.set_model_props(model, about)
     onnx.checker.check_model(model, full_check=True)
     data: bytes = model.SerializeToString()
     return data
@@ -99,7 +101,7 @@ def difference(policy: Policy, data: bytes, rows: int = 1000) -> float:
 
 def _plain(policy: Policy, observation: Any) -> Array:
     """Actions of rows, whether the policy takes them whole or in parts."""
-    if not policy.network.inputs:
+    if policy.network.frames > 1 or not policy.network.inputs:
         return policy(observation)
     first, *others = policy.network.inputs
     parts = dict.fromkeys(others, observation[:, :0])

@@ -21,16 +21,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, metavar="N", help="instead of the file's")
     parser.add_argument("--seeds", type=int, metavar="N", help="only the first N of the file's")
     parser.add_argument(
+        "--steps", type=int, metavar="N", help="of every training, instead of its own"
+    )
+    parser.add_argument(
         "--cost-from", metavar="DIR",
         help="run nothing: the hours that FILE takes, from the units of a finished run of it in"
-        " DIR with the --episodes and --seeds given here",
+        " DIR with the --episodes, --seeds and --steps given here",
     )  # fmt: skip
     add_executor_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Do what has no result yet; write page, picture and figures once all is done."""
-    from ves_gym.experiments.matrix import cost, entries, read_matrix, run_matrix
+    from ves_gym.experiments.matrix import cost, entries, read_matrix, run_matrix, shortened
     from ves_gym.report.matrix_page import crossover_figure, matrix_page
 
     whole = read_matrix(args.matrix)
@@ -38,6 +41,7 @@ def run(args: argparse.Namespace) -> int:
         whole,
         episodes=whole.episodes if args.episodes is None else args.episodes,
         seeds=whole.seeds if args.seeds is None else whole.seeds[: args.seeds],
+        tasks=whole.tasks if args.steps is None else shortened(whole, args.steps),
     )
     if args.cost_from is not None:
         hours = cost(whole, matrix, args.cost_from)

@@ -9,27 +9,23 @@ same episodes on a machine.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError, from_plain, read_table
 from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, rate
 from ves_gym.baselines.config import CONFIGS, config_from_plain
 from ves_gym.baselines.policy import released
 from ves_gym.baselines.registry import get_controller
-from ves_gym.experiments.executors import open_executor
-from ves_gym.experiments.sweep import Report, finished, run_units
+from ves_gym.experiments.sweep import Report, do_units
 from ves_gym.experiments.units import Unit, evaluate_unit, read_result, train_unit
 
 _APART = 1_000_000  # between the first episodes of two seeds: no episode is shared
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +107,25 @@ def read_matrix(path: str | os.PathLike[str]) -> Matrix:
     """A matrix from a TOML or JSON file; unknown keys are an error."""
     matrix: Matrix = from_plain(Matrix, read_table(path), str(path))
     return matrix
+
+
+def shortened(matrix: Matrix, steps: int) -> tuple[TaskRow, ...]:
+    """Return the tasks of a matrix with so many steps in every training.
+
+    Args:
+        matrix: whose tasks.
+        steps: at least 1.
+    """
+    changes = {"total_timesteps": steps}
+
+    def shorter(method: Method) -> Method:
+        if method.train is None:
+            return method
+        return replace(method, changes={**method.changes, **changes})
+
+    return tuple(
+        replace(task, methods=tuple(map(shorter, task.methods))) for task in matrix.tasks
+    )
 
 
 def environment_of(task: TaskRow, machine: Machine) -> str:
@@ -209,10 +224,6 @@ def _who(
 def run_matrix(
     matrix: Matrix,
     folder: str | os.PathLike[str],
-    *,
-    executor: str = "local",
-    workers: int | None = None,
-    progress: Progress | None = None,
     **options: Any,
 ) -> Report:
     """Do the units of a matrix that have no result yet, trainings first.
@@ -220,49 +231,31 @@ def run_matrix(
     Args:
         matrix: what is compared.
         folder: of the results.
-        executor, workers, options: see `sweep`.
-        progress: called with what is done and the fraction of it.
+        options: see `do_units`.
 
     Returns:
         What was done, skipped and failed. Where a training failed nothing is evaluated: the
         next run tries again.
     """
-    root = Path(folder)
-    report = Report(root)
-    on_progress = progress or (lambda stage, done: None)
-    stages: tuple[tuple[str, Callable[[], Iterator[Unit]]], ...] = (
-        ("train", lambda: iter(trainings(matrix).values())),
-        ("evaluate", lambda: (cell.unit for cell in cells(matrix, root))),
+    report = do_units(
+        list(trainings(matrix).values()),
+        folder,
+        stage="train",
+        seconds=matrix.seconds,
+        **options,
     )
-    for stage, expand in stages:
-        units = list({unit.id: unit for unit in expand()}.values())
-        todo = [unit for unit in units if not finished(root, unit)]
-        left = {unit.id for unit in todo}
-        report.skipped.extend(unit.id for unit in units if unit.id not in left)
-        if todo:
-            if stage == "train":
-                from ves_gym.baselines.train import PACKAGES  # loads torch where it is
-
-                require("training", *PACKAGES)
-            with open_executor(
-                executor,
-                workers=min(workers or os.cpu_count() or 1, len(todo)),
-                folder=root,
-                seconds=matrix.seconds,
-                **options,
-            ) as pool:
-                before = len(units) - len(todo)
-
-                def tell(
-                    n: int, stage: str = stage, k: int = before, m: int = len(units)
-                ) -> None:
-                    on_progress(stage, (k + n) / m)
-
-                run_units(pool, todo, report, tell)
-        on_progress(stage, 1.0)
-        if report.failed:
-            break
-    return report
+    if not report.complete:
+        return report
+    units = {cell.unit.id: cell.unit for cell in cells(matrix, Path(folder))}
+    answers = do_units(
+        list(units.values()), folder, stage="evaluate", seconds=matrix.seconds, **options
+    )
+    return Report(
+        report.folder,
+        report.done + answers.done,
+        report.skipped + answers.skipped,
+        answers.failed,
+    )
 
 
 # ------------------------------------------------------------------------- figures

@@ -80,9 +80,42 @@ def sweep(
     if not isinstance(spec, Spec):
         base = Path(spec).parent
         spec = read_spec(spec)
-    units = _part(units_of(spec, base), part)
-    report = Report(root)
-    report.skipped.extend(u.id for u in units if resume and finished(root, u))
+    return do_units(
+        _part(units_of(spec, base), part),
+        root,
+        executor=executor,
+        workers=workers,
+        resume=resume,
+        seconds=spec.seconds,
+        deaths=spec.deaths,
+        progress=progress,
+        **options,
+    )
+
+
+def do_units(
+    units: Sequence[Unit],
+    folder: str | os.PathLike[str],
+    *,
+    executor: str = "local",
+    workers: int | None = None,
+    resume: bool = True,
+    progress: Progress | None = None,
+    stage: str = "sweep",
+    **options: Any,
+) -> Report:
+    """Do those of some units that have no result yet, see `sweep`.
+
+    Args:
+        units: what.
+        folder: of the results.
+        executor, workers, options: see `open_executor`.
+        resume: skip finished units; otherwise they are done again.
+        progress: called with `stage` and the fraction done.
+        stage: name of what is done.
+    """
+    report = Report(Path(folder))
+    report.skipped.extend(u.id for u in units if resume and finished(report.folder, u))
     skipped = set(report.skipped)
     todo = [u for u in units if u.id not in skipped]
     trained = [u.identity["config"] for u in todo if u.identity["kind"] == "train"]
@@ -93,21 +126,19 @@ def sweep(
             require("training", *PACKAGES[plain.get("learner", "sb3")])
     on_progress = progress or (lambda stage, done: None)
     if not todo:
-        on_progress("sweep", 1.0)
+        on_progress(stage, 1.0)
         return report
     with open_executor(
         executor,
         workers=min(workers or os.cpu_count() or 1, len(todo)),
-        folder=root,
-        seconds=spec.seconds,
-        deaths=spec.deaths,
+        folder=report.folder,
         **options,
     ) as pool:
         run_units(
             pool,
             todo,
             report,
-            lambda n: on_progress("sweep", (len(skipped) + n) / len(units)),
+            lambda n: on_progress(stage, (len(skipped) + n) / len(units)),
             again=not resume,
         )
     return report
