@@ -1,0 +1,171 @@
+"""The matrix: cells of the same episodes, trained policies among them; killed, it goes on."""
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from tests.experiments.sweeps import files
+from ves_gym._util.params import ParameterError
+from ves_gym.baselines.evaluate import evaluate
+from ves_gym.baselines.registry import get_controller
+from ves_gym.experiments.matrix import (
+    Machine,
+    Matrix,
+    Method,
+    TaskRow,
+    cells,
+    cost,
+    entries,
+    environment_of,
+    read_matrix,
+    run_matrix,
+    shortened,
+    trainings,
+)
+from ves_gym.report.matrix_page import matrix_page
+
+FILE = """
+seeds = [0, 1]
+episodes = 2
+
+[[machines]]
+name = "space"
+
+[[machines]]
+name = "lab"
+emulated = true
+settings = { laboratory = "lab" }
+
+[[tasks]]
+env = "BeamLQR"
+methods = [
+    { name = "zero", controller = "zero" },
+    { name = "optimum", controller = "lqr" },
+    { name = "trained", train = "BeamLQR-ppo", machine = "lab", changes = { learner = "native", total_timesteps = 200, n_envs = 5, eval_episodes = 2, hyperparameters = { n_steps = 20, batch_size = 50 } } },
+]
+"""  # noqa: E501
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("matrix") / "matrix.toml"
+    path.write_text(FILE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def done(file, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("done")
+    report = run_matrix(read_matrix(file), folder, workers=1)
+    assert report.complete and len(report.done) == 2 + 3 * 2 * 2
+    return folder
+
+
+def test_a_cell_is_the_evaluation_that_one_would_make_by_hand(file, done):
+    matrix = read_matrix(file)
+    (entry,) = [e for e in entries(matrix, done) if (e.method, e.machine) == ("optimum", "lab")]
+    hand = [
+        evaluate(
+            get_controller("lqr"),
+            "ves/BeamLQREmulated-v1",
+            episodes=2,
+            seed=seed,
+            threads=1,
+            laboratory="lab",
+        )
+        for seed in (0, 1_000_000)
+    ]
+    returns = np.concatenate([e.values("return")[0] for e in hand])
+    # of four values the interquartile mean leaves out the least and the largest
+    assert entry.ret.value == pytest.approx(np.sort(returns)[1:3].mean(), rel=1e-12)
+    assert entry.ret.low <= entry.ret.value <= entry.ret.high
+    assert entry.episodes == 2 and entry.energy is not None and entry.energy.value < 1
+
+
+def test_the_first_method_is_the_scale_of_energies_and_policies_differ_by_seed(file, done):
+    matrix = read_matrix(file)
+    for entry in entries(matrix, done):
+        if entry.method == "zero":
+            assert entry.energy is not None and entry.energy[:3] == (1.0, 1.0, 1.0)
+    weights = {c.unit.identity["weights"] for c in cells(matrix, done) if c.method == "trained"}
+    assert len(weights) == 2  # one policy per seed, the same on both machines
+    episodes = {(c.machine, c.seed, c.unit.identity["seed"]) for c in cells(matrix, done)}
+    assert len(episodes) == 4  # the methods share them
+
+
+def test_what_is_missing_is_done_again_with_the_same_bits(file, done, tmp_path):
+    """A finished matrix without some of its results, a trained policy's among them."""
+    before, policies = files(done), {p.name for p in (done / "policies").iterdir()}
+    lost = [*policies][:1] + [n.removesuffix(".json") for n in sorted(before)[::3]]
+    for id in lost:
+        (done / "results" / f"{id}.json").unlink(missing_ok=True)
+    report = run_matrix(read_matrix(file), done, workers=1)
+    assert set(report.done) == set(lost) and files(done) == before
+
+
+@pytest.mark.slow
+def test_killed_and_gone_on_is_bit_equal(file, done, tmp_path):
+    """By SIGKILL to the whole group, several times, with whatever is half written."""
+    words = ["matrix", str(file), "--workers", "1", "--out", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "ves_gym.cli.main", *words]
+    for _ in range(4):
+        process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL)
+        end = time.monotonic() + 4.0
+        while process.poll() is None and time.monotonic() < end:
+            time.sleep(0.05)
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+    assert subprocess.run(command, stdout=subprocess.DEVNULL).returncode == 0
+    assert files(tmp_path / "out") == files(done)
+
+
+def test_the_page_and_the_cost(file, done):
+    matrix = read_matrix(file)
+    hours = cost(matrix, matrix, done)
+    twice = dataclasses.replace(matrix, episodes=4)
+    assert cost(twice, matrix, done)["evaluate"] == pytest.approx(2 * hours["evaluate"])
+    longer = dataclasses.replace(matrix, tasks=shortened(matrix, 600))
+    assert cost(longer, matrix, done)["train"] == pytest.approx(3 * hours["train"])
+    text = matrix_page(matrix, entries(matrix, done), "Title", hours)
+    assert "| optimum | " in text and "4 episodes" in text and "95 %" in text
+    assert len({unit.id for unit in trainings(matrix).values()}) == 2
+
+
+def test_bad_matrices_are_refused(tmp_path, file):
+    path = tmp_path / "m.toml"
+    path.write_text(FILE.replace('controller = "lqr"', 'controller = "lqr", released = "ppo"'))
+    with pytest.raises(ParameterError, match="one of controller, released and train"):
+        read_matrix(path)
+    path.write_text(FILE.replace('machine = "lab"', 'machine = "moon"'))
+    with pytest.raises(ParameterError, match="moon"):
+        read_matrix(path)
+    path.write_text(FILE.replace('name = "lab"', 'name = "space"'))
+    with pytest.raises(ParameterError, match="name of its own"):
+        read_matrix(path)
+    zero = Method(name="a", controller="zero")
+    with pytest.raises(ParameterError, match="no environment"):
+        environment_of(TaskRow(env="Nothing", methods=(zero,)), Machine(name="space"))
+    with pytest.raises(ParameterError, match="no result yet"):
+        entries(
+            Matrix(
+                tasks=(TaskRow(env="BeamLQR", methods=(zero,)),),
+                machines=(Machine(name="space"),),
+            ),
+            tmp_path,
+        )
+    released = Method(name="a", released="sac")
+    with pytest.raises(ParameterError, match="ppo"):
+        cells(
+            Matrix(
+                tasks=(TaskRow(env="BeamLQR", methods=(released,)),),
+                machines=(Machine(name="space"),),
+            ),
+            tmp_path,
+        )
