@@ -400,6 +400,14 @@ def flat_observations(observations: Any) -> Float32:
     return np.asarray(observations)
 
 
+def _plain_network(policy: Policy) -> dict[str, Any]:
+    """A network without `frames` where it is one: policies of before it stay what they are."""
+    plain: dict[str, Any] = to_plain(policy.network)
+    if plain["frames"] == 1:
+        del plain["frames"]
+    return plain
+
+
 def identity_of(recipe: Recipe) -> str:
     """Return the SHA-256 of all that decides the content: recipe, task, weights of policies.
 
@@ -412,7 +420,7 @@ def identity_of(recipe: Recipe) -> str:
     given = {**spec.kwargs, **settings}
     goal = bool(given.pop("goal", False))
     weights = [
-        [to_plain(c.network), [[W.tolist(), b.tolist()] for W, b in c.weights]]
+        [_plain_network(c), [[W.tolist(), b.tolist()] for W, b in c.weights]]
         if isinstance(c, Policy)
         else None
         for c in controllers
