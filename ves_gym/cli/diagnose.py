@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ves_gym._util.optional import lacking
-from ves_gym._util.params import ParameterError, write_text
+from ves_gym._util.params import ParameterError, from_plain, read_table, write_text
 from ves_gym.cli.common import (
     add_arm_argument,
     add_effect_argument,
@@ -47,6 +48,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--machine",
         metavar="FILE",
         help="a machine in MJCF: mapping file that says which columns of the data are what",
+    )
+    parser.add_argument(
+        "--describe",
+        action="store_true",
+        help="write a commented mapping file for one's own data (mapping.toml in --out):"
+        " columns guessed by name, unit and range, and what is missing",
+    )
+    parser.add_argument(
+        "--tolerances",
+        metavar="FILE",
+        help="sizes of tolerances and noise of a System, where they are not the usual ones",
+    )
+    parser.add_argument(
+        "--model", metavar="FILE", help="with --describe: the robot in URDF or MJCF"
     )
     parser.add_argument(
         "--final",
@@ -87,6 +102,10 @@ def run(args: argparse.Namespace) -> int:
     from ves_gym.diagnosis.inference.cache import AnswerCache
     from ves_gym.diagnosis.inference.model_selection import Thresholds
 
+    if args.describe:
+        return _describe(args)
+    if args.model is not None:
+        raise ParameterError("--model goes with --describe; else the mapping file names it")
     inputs = _inputs(args)
     if not 1 <= args.most <= _MOST:
         raise ParameterError(f"--most must be 1 to {_MOST}, got {args.most}")
@@ -145,15 +164,45 @@ def run(args: argparse.Namespace) -> int:
     return 1 if diagnosis.verdict in (d.UNKNOWN, d.MORE, d.WEAK) else 0
 
 
+def _describe(args: argparse.Namespace) -> int:
+    """Write a mapping file to be corrected."""
+    from ves_gym._util.recordings import read_columns
+    from ves_gym.diagnosis.data.describe import describe
+
+    if len(args.logs) != 1 or args.machine or args.system:
+        raise ParameterError("--describe takes one data file or folder, and no description")
+    folder = out_dir(args, "out/diagnose")
+    path = folder / "mapping.toml"
+    if path.exists():
+        raise ParameterError(f"{path} is there already: take another --out, or remove it")
+    if args.model is not None:
+        near = Path(os.path.relpath(Path(args.model).resolve(), folder.resolve()))
+        text = describe(read_columns(args.logs[0]), args.logs[0], Path(args.model), near)
+    else:
+        text = describe(read_columns(args.logs[0]), args.logs[0])
+    write_text(path, text)
+    for row in text.splitlines():
+        if row.startswith("#   - "):
+            print(f"missing: {row[6:]}")
+    print(path)
+    return 0
+
+
 def _inputs(args: argparse.Namespace) -> DiagnosisInputs:
     from ves_gym.diagnosis.inputs import mjcf_inputs, system_inputs
+    from ves_gym.diagnosis.machines.tolerances import StatedErrors
 
     how: dict[str, Any] = {"final": args.final, "leave_out": args.without, "band": args.band}
     effects = [parse_effect(text) for text in args.effect]
     if args.machine is None:
         system = get_system(args.system) if args.system else None
         arm = None if args.arm is None else get_arm(args.arm)
-        return system_inputs(args.logs, system, arm=arm, effects=effects, **how)
+        stated = None
+        if args.tolerances is not None:
+            stated = from_plain(StatedErrors, read_table(args.tolerances), args.tolerances)
+        return system_inputs(args.logs, system, arm=arm, effects=effects, stated=stated, **how)
+    if args.tolerances is not None:
+        raise ParameterError("--tolerances is of a System; a mapping file has its own")
     if effects:
         raise ParameterError(
             f"--effect {effects[0].kind} belongs to a described System: leave it out, or"

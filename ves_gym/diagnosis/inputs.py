@@ -20,6 +20,7 @@ from ves_gym.diagnosis.machines.mapping import read_machine
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.plant import PlantMachine
 from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.diagnosis.machines.tolerances import StatedErrors
 from ves_gym.diagnosis.output.common import DescriptionFiles
 from ves_gym.diagnosis.output.mjcf_file import described, write_machine
 from ves_gym.diagnosis.output.plant_file import write_plant
@@ -64,6 +65,7 @@ def system_inputs(
     final: int | None = None,
     leave_out: Sequence[str] = (),
     band: float | None = None,
+    stated: StatedErrors | None = None,
 ) -> DiagnosisInputs:
     """Read run logs of a system, and folders of them.
 
@@ -75,6 +77,8 @@ def system_inputs(
         final: how many of the last logs to hold back; without a number those that say
             `held_back`, else the last third.
         leave_out: kinds of effects.
+        band: compare up to [Hz].
+        stated: tolerances and noise, where they are not the usual ones.
 
     Raises:
         ParameterError: logs that cannot be of one machine as it stands.
@@ -86,13 +90,14 @@ def system_inputs(
         described = described.replace(arm=arm)
     if effects:
         described = described.replace(effects=(*described.effects, *effects))
-    machine = SystemMachine(described)
+    machine = SystemMachine(described, stated)
+    _ = machine.nuisances  # a name that no tolerance has is refused before logs are looked at
     for log, path in zip(logs, paths, strict=True):
         require_plausible(log, machine.system, path.name)
     marked = [i for i, log in enumerate(logs) if log.meta.get("held_back")]
     fitted, held_back = _split(len(logs), marked, final)
     runs = [
-        run_of(log, path.name, BAND if band is None else band)
+        run_of(_with_noise(log, stated), path.name, BAND if band is None else band)
         for log, path in zip(logs, paths, strict=True)
     ]
     nominal, ports = machine.system, [p.name for p in machine.ports]
@@ -221,6 +226,14 @@ def machine_inputs(
         described=machine.name,
         write=_unwritten,
     )
+
+
+def _with_noise(log: RunLog, stated: StatedErrors | None) -> RunLog:
+    """The log with the noise that is stated in place of its own."""
+    if stated is None or not stated.noise:
+        return log
+    noise = {**log.meta.get("noise_std", {}), **stated.noise}
+    return replace(log, meta={**log.meta, "noise_std": noise})
 
 
 def _unwritten(effects: Sequence[Any], folder: Path, free: bool) -> DescriptionFiles:

@@ -292,3 +292,49 @@ def test_a_plants_mapping_is_read_or_refused_by_its_key(tmp_path, old, new, matc
     assert same["output"] == pytest.approx(run["output"], abs=1e-9)
     found = d.diagnose(machine, [same], candidates=machine.candidates())
     assert set(named(found)) == {"plant/gain"}, found.sentence
+
+
+@pytest.mark.parametrize(
+    ("changes", "verdict"),
+    [
+        ({}, d.NAMED),
+        ({"tolerance": {"gain": 0.02}}, d.NOTHING),
+        ({"known": {"gain": 0.02}}, d.NOTHING),
+        ({"tolerance": {"gain": 0.02}, "known": {"gain": 0.002}}, d.NAMED),
+        ({"noise": 0.03}, d.NOTHING),
+    ],
+    ids=["narrow", "wide", "known badly", "known well", "noisy"],
+)
+def test_a_small_error_is_named_or_not_by_what_tolerances_and_noise_say(
+    tmp_path, changes, verdict
+):
+    """A gain 2 % off: ten of its tolerances, or one."""
+    t = np.arange(1200) * 0.01
+    rng = np.random.default_rng(0)
+    u = scipy.signal.lfilter(*scipy.signal.butter(3, 0.15), 50 * rng.standard_normal(len(t)))
+    _, y, _ = scipy.signal.lsim(([1.02], [1.0, 2.0, 100.0]), u, t)
+    rows = np.column_stack([t, u, y + 1e-4 * rng.standard_normal(len(t))])
+    np.savetxt(tmp_path / "run.csv", rows, "%.9g", ",", header="t,u,y", comments="")
+    table = {
+        "schema": "ves-plant/1",
+        "name": "mass on a spring",
+        "time": {"column": "t"},
+        "input": [{"column": "u"}],
+        "output": [{"name": "y", "column": "y"}],
+        "structure": {
+            "M": [[1.0]],
+            "D": [[2.0]],
+            "K": [[100.0]],
+            "force": [[1.0]],
+            "output": [[1.0]],
+        },
+        "noise": 1e-4,
+        **changes,
+    }
+    (tmp_path / "plant.json").write_text(json.dumps(table))
+    machine, load = read_machine(tmp_path / "plant.json")
+    run = load(tmp_path / "run.csv")
+    candidates = [c for c in machine.candidates() if c.kind in ("plant/gain", "plant/delay")]
+    found = d.diagnose(machine, [run], candidates=candidates)
+    assert found.verdict == verdict, found.sentence
+    assert set(named(found)) == ({"plant/gain"} if verdict == d.NAMED else set())

@@ -29,6 +29,7 @@ from ves_gym.diagnosis.machines.nuisance_priors import system_nuisances
 from ves_gym.diagnosis.machines.platform import followed, platform_gap
 from ves_gym.diagnosis.machines.presliding import Presliding
 from ves_gym.diagnosis.machines.ringing import loop_rings
+from ves_gym.diagnosis.machines.tolerances import StatedErrors, with_known
 from ves_gym.diagnosis.machines.torque_balance import torque_residual
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inverse_dynamics, newton_euler
@@ -68,8 +69,9 @@ class SystemVariant:
 class SystemMachine:
     """Ports of a system in either mode."""
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, stated: StatedErrors | None = None) -> None:
         system.arm.require_rigid("a diagnosis")
+        self._stated = stated or StatedErrors()
         self.system = system
         self.nominal = SystemVariant(system)
         n = system.arm.n
@@ -177,10 +179,11 @@ class SystemMachine:
     @cached_property
     def nuisances(self) -> tuple[Nuisance, ...]:
         """Small errors of any description of such a machine."""
-        return tuple(
+        usual = (
             dataclasses.replace(k, model=SystemVariant(k.model))
             for k in system_nuisances(self.system)
         )
+        return with_known(usual, self._stated.known, self._stated.scale)
 
     def unknowns(self, run: Run) -> tuple[Nuisance, ...]:
         """Return the courses that a described drift of the force sensor may have taken."""

@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 import fnmatch
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ves_gym._util.params import ParameterError, require_positive, unit
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.diagnosis.machines.base import Nuisance
 
+SCHEMA = "ves-tolerances/1"
+_MEASURED = ("q", "v", "tau", "y", "yd", "w")  # signals of a run log
 LEAST = 1e-3  # of a channel's own movement: no description is better
 
 
@@ -30,6 +32,27 @@ class Tolerance:
             if not getattr(self, name) >= 0:
                 raise ParameterError(
                     f"tolerance {name} must be >= 0, got {getattr(self, name)}"
+                )
+
+
+@dataclass(frozen=True)
+class StatedErrors:
+    """How well a `System` is described and measured, where that is not the usual way."""
+
+    schema: str = SCHEMA
+    scale: float = 1.0  # of all tolerances
+    known: dict[str, float] = field(default_factory=dict)  # tolerance -> standard deviation
+    noise: dict[str, float] = field(default_factory=dict)  # signal of the log -> the same
+
+    def __post_init__(self) -> None:
+        if self.schema != SCHEMA:
+            raise ParameterError(f"schema must be {SCHEMA!r}, got {self.schema!r}")
+        require_positive(self, "scale")
+        for name, std in self.noise.items():
+            if name not in _MEASURED or not std > 0:
+                raise ParameterError(
+                    f"noise: expected one of {', '.join(_MEASURED)} and a number > 0, got"
+                    f" {name} = {std}"
                 )
 
 

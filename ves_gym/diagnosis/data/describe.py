@@ -1,0 +1,311 @@
+"""A first mapping file for one's own data: columns guessed by name, unit and range.
+
+Nothing of it is believed without being read: every guess stands in the file with its grounds,
+and what is missing is said at the top.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.diagnosis.data.measured_run import BAND
+from ves_gym.diagnosis.machines.mjcf_mapping import SCHEMA, read_model
+
+_WORDS = {  # what a part of a column's name says
+    "clock": ("t", "time", "timestamp", "stamp", "sec", "secs", "seconds"),
+    "position": ("q", "pos", "position", "angle", "theta", "qpos", "joint", "actual"),
+    "velocity": ("v", "dq", "qd", "vel", "velocity", "rate", "speed", "qvel"),
+    "force": ("tau", "torque", "effort", "eff", "force", "current", "curr", "i", "cur", "load"),
+    "command": (
+        "cmd",
+        "command",
+        "des",
+        "desired",
+        "ref",
+        "reference",
+        "target",
+        "goal",
+        "set",
+    ),
+}
+_AMPERE = ("current", "curr", "i", "cur")
+_FILLER = ("read", "data", "meas", "measured", "motor", "m", "raw", "log")
+_TURNS = 13.0  # rad: more than two turns looks like degrees
+_STILL = 1e-3  # rad, m: less is no motion
+_UNEVEN = 0.05  # of a step
+_GAP = 3.0  # usual steps, as `require_steady`
+_DEGREES = np.pi / 180
+
+
+@dataclass
+class _Guess:
+    """Columns of a joint."""
+
+    columns: dict[str, str] = field(default_factory=dict)  # quantity -> column
+    ampere: bool = False
+
+
+@dataclass(frozen=True)
+class _Time:
+    text: str  # of the key `time`
+    step: float  # s
+    remarks: tuple[str, ...]
+
+
+def describe(
+    columns: Mapping[str, Array],
+    source: str,
+    model: Path | None = None,
+    written: Path | None = None,
+) -> str:
+    """Return a commented mapping file for measured columns.
+
+    Args:
+        columns: (T,) by name, as `read_columns` gives them.
+        source: name of the data, for the comments.
+        model: MJCF or URDF, for the names and types of joints.
+        written: the model as the mapping file is to name it.
+
+    Raises:
+        ParameterError: no column looks like the position of a joint; the model.
+    """
+    whole = {k: x for k, x in columns.items() if len(x) > 1 and np.isfinite(x).all()}
+    whole = _once(whole)
+    clock = _clock(whole)
+    joints = _joints([k for k in whole if k != clock])
+    if not joints:
+        raise ParameterError(
+            f"{source}: no column looks like the position of a joint; it has"
+            f" {', '.join(columns)}"
+        )
+    time = _time(whole, clock)
+    named = _names(list(joints), model)
+    missing = [*time.remarks]
+    for what, consequence in (
+        ("velocity", "port `velocity` (rates logged) is not tested"),
+        ("force", "port `joint` (friction, payload, drives) is not tested"),
+    ):
+        lacks = [name for name, guess in joints.items() if what not in guess.columns]
+        if lacks and len(lacks) < len(joints):
+            missing.append(f"{what} of {', '.join(lacks)}: give it, or take it from all joints")
+        elif lacks:
+            missing.append(f"{what} of all joints: {consequence}")
+    if model is None:
+        missing.append(
+            'a model: `model = "robot.urdf"` or .xml; without it only rates are tested'
+        )
+    used = {c for g in joints.values() for c in g.columns.values()} | {clock or ""}
+    left = [k for k in whole if k not in used]
+    lines = [f"# Mapping of {source}: check every guess, then run", "#"]
+    lines += [f"#   ves-gym diagnose {source} --machine THIS_FILE", "#"]
+    lines += ["# Missing:", *(f"#   - {text}" for text in missing)] if missing else []
+    if left:
+        lines.append(f"# Columns not used: {', '.join(left)}")
+    rate = 1 / time.step
+    band = min(BAND, float(f"{rate / 5:.2g}"))
+    lines += ["", f'schema = "{SCHEMA}"', 'name = "my robot"']
+    lines.append(
+        '# model = "robot.urdf"'
+        if model is None
+        else f"model = {_text((written or model).as_posix())}"
+    )
+    lines.append(f"band = {band:g} # Hz compared; the log has {rate:.4g} Hz")
+    lines += [time.text, "", *_SETTINGS]
+    for (key, guess), (name, kind) in zip(joints.items(), named, strict=True):
+        lines += ["", *_joint_lines(whole, key, guess, name, kind, time.step)]
+    return "\n".join(lines) + "\n"
+
+
+_SETTINGS = (
+    "# Errors that a description may have without being called wrong (standard deviations).",
+    "# Larger: fewer and surer names, small effects are not seen. Smaller: the reverse.",
+    "[tolerance]",
+    "inertia = 0.05 # of every link: 0.006 weighed, 0.05 from CAD, 0.2 from drawings",
+    "# centre = 0.005 # m, of mass of every link",
+    "# gain = 0.0006 # of torques: 0.05 for currents times a data sheet's constant",
+    "# friction = 0.03 # N m: less is not worth a name",
+    "# unexplained = 0.05 # of a torque that no simple law explains: 0.1 for geared robots",
+    "",
+    "# Noise, where the data hide it (it is estimated from what is faster than motion).",
+    "# [noise]",
+    "# position = 1e-5 # rad",
+    "# force = 0.1 # N m",
+    "",
+    "# Facts that are better known than that, by the name of the tolerance.",
+    "# [known]",
+    '# "inertia of link_3" = 0.003 # weighed to 0.3 %',
+)
+
+
+def _once(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Columns that a folder gives under two names ("x" and "file:x") under the shorter."""
+    return {
+        name: x
+        for name, x in columns.items()
+        if ":" not in name or name.split(":", 1)[1] not in columns
+    }
+
+
+def _parts(name: str) -> list[str]:
+    """Words and numbers of a column's name, small letters."""
+    spaced = re.sub(r"([a-z])([A-Z])", r"\1_\2", name)
+    return [k for k in re.findall(r"[a-z]+|\d+", spaced.lower()) if k]
+
+
+def _clock(columns: Mapping[str, Array]) -> str | None:
+    rising = [k for k, x in columns.items() if (np.diff(x) > 0).all()]
+    by_name = [k for k in rising if set(_parts(k)) & set(_WORDS["clock"])]
+    return by_name[0] if by_name else None
+
+
+def _time(columns: Mapping[str, Array], clock: str | None) -> _Time:
+    if clock is None:
+        text = "time = { step = 0.01 } # s: NOT MEASURED, say the step of the samples"
+        return _Time(text, 0.01, ("a clock: say the step of the samples under `time`",))
+    t = columns[clock]
+    steps = np.diff(t)
+    usual = float(np.median(steps))
+    unit, gain = ("s", 1.0)
+    for name, scale, longest in (("ns", 1e-9, 1e5), ("us", 1e-6, 2e2), ("ms", 1e-3, 0.5)):
+        if usual >= longest:
+            unit, gain = name, scale
+            break
+    remarks = []
+    late = int(np.argmax(steps))
+    if steps[late] > _GAP * usual:
+        remarks.append(
+            f"a whole clock: row {late + 3} is {gain * steps[late]:.3g} s after the one before;"
+            " cut the log there, or give start and stop"
+        )
+    uneven = float(np.abs(steps / usual - 1).max()) > _UNEVEN
+    keys = f'column = "{clock}"'
+    if gain != 1.0 or abs(gain * t[0]) > 1e3:
+        keys += f", gain = {gain:g}, offset = {-gain * float(t[0])!r}"
+    how = f"{unit}; {'uneven' if uneven else 'even'} steps of {1e3 * gain * usual:.4g} ms"
+    return _Time(f"time = {{ {keys} }} # {how}", gain * usual, tuple(remarks))
+
+
+def _joints(names: Sequence[str]) -> dict[str, _Guess]:
+    """Columns by joint, in the order in which their positions come."""
+    out: dict[str, _Guess] = {}
+    for quantity in ("position", "velocity", "force"):
+        for name in names:
+            parts = _parts(name)
+            kind = _kind(parts)
+            if kind != quantity:
+                continue
+            drop = {*_WORDS[kind], *_FILLER, *_WORDS["position"]}
+            key = "_".join(k for k in parts if k not in drop) or "joint"
+            if quantity != "position" and key not in out:
+                continue
+            guess = out.setdefault(key, _Guess())
+            guess.columns.setdefault(quantity, name)
+            guess.ampere |= quantity == "force" and bool(set(parts) & set(_AMPERE))
+    return out
+
+
+def _kind(parts: Sequence[str]) -> str:
+    """Return the quantity that a name speaks of; a plain "joint" is the weakest word."""
+    found = [kind for kind, words in _WORDS.items() if set(parts) & set(words)]
+    for kind in ("command", "velocity", "force", "position"):
+        if kind in found:
+            return kind
+    return ""
+
+
+def _names(keys: Sequence[str], model: Path | None) -> list[tuple[str, str]]:
+    """Names and types of joints, from the model where it has as many."""
+    if model is None:
+        return [(k if not k.isdigit() else f"joint_{k}", "hinge") for k in keys]
+    inside = _of_model(model)
+    if len(inside) != len(keys):
+        raise ParameterError(
+            f"{model} has {len(inside)} joints ({', '.join(n for n, _ in inside)}), the data"
+            f" {len(keys)} ({', '.join(keys)}): name the columns alike, or write the mapping"
+        )
+    by_name = {"_".join(_parts(name)): (name, kind) for name, kind in inside}
+    alike = [
+        next((v for k, v in by_name.items() if k == key or k.endswith(f"_{key}")), None)
+        for key in keys
+    ]
+    if all(alike) and len({v for v in alike if v}) == len(keys):
+        return [v for v in alike if v]
+    return inside
+
+
+def _of_model(model: Path) -> list[tuple[str, str]]:
+    if model.suffix == ".urdf":
+        try:
+            root = ElementTree.fromstring(model.read_bytes())
+        except (OSError, ElementTree.ParseError) as error:
+            raise ParameterError(f"model {model}: cannot be read: {error}") from None
+        kinds = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
+        found = [(j.get("name", ""), kinds.get(j.get("type", ""))) for j in root.iter("joint")]
+        return [(name, kind) for name, kind in found if kind]
+    compiled = read_model(model)
+    slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
+    return [
+        (compiled.joint(i).name, "slide" if int(compiled.jnt_type[i]) == slide else "hinge")
+        for i in range(compiled.njnt)
+    ]
+
+
+def _joint_lines(
+    columns: Mapping[str, Array], key: str, guess: _Guess, name: str, kind: str, step: float
+) -> list[str]:
+    """Entries of a joint, each with its grounds."""
+    position = columns[guess.columns["position"]]
+    low, high = float(position.min()), float(position.max())
+    out = ["[[joint]]", f"name = {_text(name)}"]
+    if kind == "slide":
+        out += ['type = "slide"', "radius = 0.1 # m: of the pinion that friction sees"]
+    far = max(abs(low), abs(high))
+    gain, remark = 1.0, f"{low:.4g} to {high:.4g}"
+    if kind == "hinge" and far > _TURNS:
+        gain, remark = _DEGREES, f"{remark}: degrees? else take gain away"
+    if kind == "slide" and far > 5.0:
+        gain, remark = 1e-3, f"{remark}: mm? else take gain away"
+    if high - low < _STILL / gain:
+        remark += "; hardly moves, so nothing can be told of this joint"
+    out.append(_quantity("position", guess.columns["position"], gain, remark))
+    if "velocity" in guess.columns:
+        rate = np.gradient(gain * position, step)
+        logged = columns[guess.columns["velocity"]]
+        ratio = float(rate @ logged) / max(float(logged @ logged), 1e-300)
+        scale = min(
+            (1.0, _DEGREES, 1e-3), key=lambda s: abs(np.log(max(abs(ratio), 1e-12) / s))
+        )
+        remark = f"rate of the position over it {ratio:.4g}"
+        out.append(_quantity("velocity", guess.columns["velocity"], scale, remark))
+    if "force" in guess.columns:
+        force = columns[guess.columns["force"]]
+        remark = f"{force.min():.4g} to {force.max():.4g}"
+        if guess.ampere:
+            remark += (
+                "; a current? its gain is found from the load, or give N m per unit as gain"
+            )
+        out.append(_quantity("force", guess.columns["force"], 1.0, remark))
+        if guess.ampere:
+            out.append("gain_unknown = true")
+    out.append(
+        "# rotor = 0.0 # kg m^2 at the joint, beside the model's: gear ratio^2 x motor's"
+    )
+    return out
+
+
+def _quantity(what: str, column: str, gain: float, remark: str) -> str:
+    scaled = "" if gain == 1.0 else f", gain = {gain!r}"
+    return f"{what} = {{ column = {_text(column)}{scaled} }} # {remark}"
+
+
+def _text(value: str) -> str:
+    """TOML string."""
+    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
