@@ -21,6 +21,7 @@ from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.data.quality import Fault, faults
 from ves_gym.diagnosis.inference.cache import AnswerCache, CachedResiduals
 from ves_gym.diagnosis.inference.candidates import Candidate
+from ves_gym.diagnosis.inference.dependence import Dependence, dependences
 from ves_gym.diagnosis.inference.explanations import (
     Experiment,
     RankedCandidate,
@@ -30,8 +31,8 @@ from ves_gym.diagnosis.inference.explanations import (
     ranked,
     residual_over_time,
 )
-from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals
-from ves_gym.diagnosis.inference.intervals import intervals, stretches
+from ves_gym.diagnosis.inference.held_back import CLEAR, gaps, unexplained_there, withdrawn
+from ves_gym.diagnosis.inference.held_back import Gap as Gap
 from ves_gym.diagnosis.inference.model_selection import (
     Rival,
     Selection,
@@ -53,7 +54,6 @@ VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK)
 # What any motion of a joint that is worth the name shows; where it does not, others may hide.
 _BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_inertia")
 _LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
-WORSE = 1.02  # of its gap before, or of noise: a channel that is worse
 WIDE = 1.645  # standard deviations to either side of a 90 % interval
 _COMPARED = 10  # candidates whose likeness is told
 
@@ -76,29 +76,6 @@ class Explanation:
         return tuple(dict.fromkeys(r.candidate.kind for r in self.rivals))
 
 
-@dataclass(frozen=True)
-class Gap:
-    """Disagreement of a channel, in standard deviations of the noise (root mean square)."""
-
-    port: str
-    channel: str
-    before: float
-    after: float
-    before_interval: tuple[float, float] = (0.0, np.inf)  # 95 %
-    after_interval: tuple[float, float] = (0.0, np.inf)
-    ratio_interval: tuple[float, float] = (0.0, np.inf)  # of after over before, or over noise
-
-    @property
-    def ratio(self) -> float:
-        """After over before, or over noise where that is more."""
-        return self.after / max(self.before, 1.0)
-
-    @property
-    def worse(self) -> bool:
-        """True where the effects added spoil this channel."""
-        return self.ratio > WORSE
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Viewable):
     """Verdict on a machine: what its description lacks, and how sure that is."""
@@ -116,6 +93,7 @@ class Diagnosis(Viewable):
     signatures: Signatures
     limits: Thresholds = field(default_factory=Thresholds)
     seconds: dict[str, float] = field(default_factory=dict)
+    depends: tuple[Dependence, ...] = ()  # of what has no name, the best curve first
 
     def __repr__(self) -> str:
         return f"<Diagnosis: {self.sentence}>"
@@ -163,7 +141,8 @@ class Diagnosis(Viewable):
                 " is too weak."
             )
         if self.verdict == UNKNOWN:
-            return f"Something is missing, and it is not in the library{why}."
+            on = "".join(f"; {d.sentence}" for d in self.depends[:1])
+            return f"Something is missing, and it is not in the library{why}{on}."
         if self.verdict == MORE:
             return f"Missing: {names}; more remains that is not in the library{why}."
         return f"Missing: {names}."
@@ -235,6 +214,13 @@ def diagnose(
     lap("screen")
     selection = select(residuals, signatures, limits, lambda text: progress(0.7, text))
     lap("name")
+    progress(0.9, "runs held back")
+    last = WhitenedResiduals(machine, final, seed + 1) if final else None
+    doubted = 0.0  # deviance that withdrawn names had explained on the runs fitted
+    if last is not None:
+        before_gate = selection.fit.deviance
+        selection = withdrawn(selection, residuals, last)
+        doubted = selection.fit.deviance - before_gate
     explanations = tuple(
         _explanation(selection, i, limits) for i in range(len(selection.rivals))
     )
@@ -243,7 +229,9 @@ def diagnose(
     faint = [
         c
         for i, c in enumerate(signatures.candidates)
-        if c.kind in _BASIC and tested & set(c.ports) and signatures.visible(i) < limits.power
+        if c.kind in _BASIC
+        and tested & set(c.ports)
+        and _is_faint(signatures, i, selection.fit.size, limits)
     ]
     weak = tuple(c.name for c in faint)
     hidden = any(f.candidate.slot in _motionless_joints(faint) for f in explanations)
@@ -253,23 +241,27 @@ def diagnose(
     verdict = _verdict(explanations, remaining, share, bool(weak), hidden, limits)
     if faulty:
         verdict = _verdict_despite_faults(verdict, faulty, explanations, machine)
-    progress(0.9, "runs held back")
     chosen = selection.fit if verdict in NAMING_VERDICTS else selection.null
-    gaps = _gaps(residuals, chosen, chosen.nuisances, selection.null.nuisances)
     after: tuple[Gap, ...] = ()
-    if final:
-        last = WhitenedResiduals(machine, final, seed + 1)
-        after = _gaps(last, chosen, chosen.nuisances, selection.null.nuisances, False)
+    if last is not None:
+        after = gaps(last, chosen, selection.null, False)
         much = verdict == MORE and remaining > limits.more  # not but a tone beside
         if much and _remaining_share(after) > limits.held_back:  # names that do not hold
-            verdict, without = UNKNOWN, selection.null
-            gaps = _gaps(residuals, without, without.nuisances, without.nuisances)
-            after = _gaps(last, without, without.nuisances, without.nuisances, False)
+            verdict, chosen = UNKNOWN, selection.null
+            after = gaps(last, chosen, selection.null, False)
+        there = unexplained_there(last, chosen, limits.imperfect)
+        silent = verdict in (NOTHING, WEAK) and not explanations
+        if silent and (there > limits.remains or doubted > CLEAR):
+            verdict, remaining = UNKNOWN, max(remaining, there)
+    before = gaps(residuals, chosen, selection.null)
+    depends: tuple[Dependence, ...] = ()
+    if last is not None and verdict == UNKNOWN:
+        depends = dependences(residuals, last, selection.null)
     lap("verify")
     return Diagnosis(
         verdict=verdict,
         explanations=explanations,
-        gaps=gaps,
+        gaps=before,
         final=after,
         untestable=untestable(machine, runs),
         weak=weak,
@@ -280,6 +272,7 @@ def diagnose(
         signatures=signatures,
         limits=limits,
         seconds=seconds,
+        depends=depends,
     )
 
 
@@ -309,6 +302,11 @@ def _verdict(
     if remaining > limits.more:
         return MORE
     return ONE_OF if any(len(f.kinds) > 1 for f in explanations) else NAMED
+
+
+def _is_faint(signatures: Signatures, i: int, size: Array, limits: Thresholds) -> bool:
+    """Return True if candidate i, of its usual size, would not show in these runs."""
+    return max(signatures.visible(i), signatures.visible_above(i, size)) < limits.power
 
 
 def _motionless_joints(faint: Sequence[Candidate]) -> set[str]:
@@ -344,27 +342,6 @@ def _remaining_share(gaps: Sequence[Gap]) -> float:
         sum(max(getattr(g, side) ** 2 - 1, 0.0) for g in gaps) for side in ("before", "after")
     )
     return after / before if before else 0.0
-
-
-def _gaps(
-    residuals: WhitenedResiduals, fit: Fit, eta: Array, eta0: Array, fitted: bool = True
-) -> tuple[Gap, ...]:
-    """Before and after per channel, effects and nuisances as they were found.
-
-    `fitted` on these runs; else what single runs have of their own is found on them.
-    """
-    z = evaluate_residuals(residuals, fit.candidates, [fit.values])[0]
-    before = residuals.less_nuisances(residuals.null, eta0, fitted)
-    after = residuals.less_nuisances(z, eta, fitted)
-    out = []
-    for port in residuals.ports:
-        for i, channel in enumerate(port.channels):
-            groups = [g for g in residuals.groups if (g.port, g.channel) == (port.name, i)]
-            count = sum(g.n for g in groups)
-            sums = [np.concatenate(stretches(residuals, groups, x)) for x in (before, after)]
-            rms = [float(np.sqrt(s.sum() / count)) for s in sums]
-            out.append(Gap(port.name, channel, rms[0], rms[1], *intervals(count, sums)))
-    return tuple(out)
 
 
 def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
@@ -430,6 +407,9 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
             port: [_LOGGED.get(k, k) for k in lacks]
             for port, lacks in diagnosis.untestable.items()
         },
+        "depends": [
+            {**dataclasses.asdict(d), "sentence": d.sentence} for d in diagnosis.depends
+        ],
         "weak": list(diagnosis.weak),
         "faults": [{**dataclasses.asdict(f), "sentence": f.sentence} for f in diagnosis.faults],
         "steps": diagnosis.selection.steps,

@@ -163,6 +163,25 @@ def _without(residuals: WhitenedResiduals, full: Fit, i: int) -> Fit:
     return fit(residuals, others, [v for j, v in enumerate(full.values) if j != i])
 
 
+def reduced_selection(
+    residuals: WhitenedResiduals, selection: Selection, i: int, step: str
+) -> Selection:
+    """Return the selection without the effect in place i, the others fitted again.
+
+    Args:
+        residuals: of the runs fitted.
+        selection: the answer.
+        i: place.
+        step: what to tell of it.
+    """
+    return Selection(
+        selection.null,
+        _without(residuals, selection.fit, i),
+        selection.rivals[:i] + selection.rivals[i + 1 :],
+        [*selection.steps, step],
+    )
+
+
 def _candidate_fits(
     residuals: WhitenedResiduals,
     signatures: Signatures,

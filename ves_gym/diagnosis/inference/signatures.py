@@ -15,7 +15,7 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.variance_groups import InnerProducts, solve
-from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.diagnosis.inference.whitened_residuals import QUIETEST, WhitenedResiduals
 
 _CHUNK = 24  # models evaluated at once
 _EXACT = 30  # shapes whose score is worth the exact sizes of the groups
@@ -252,4 +252,25 @@ class Signatures:
             at = list(s.columns)
             usual = np.array(s.values)[list(s.free)]
             largest = max(largest, float(usual @ self.inner[np.ix_(at, at)] @ usual))
+        return float(np.sqrt(largest))
+
+    def visible_above(self, i: int, size: Array) -> float:
+        """Return the standard deviations by which candidate i exceeds what is left in a fit.
+
+        A group that is left quieter than its noise was estimated has less noise than that: a
+        loop that rings is taken for a noisy one.
+
+        Args:
+            i: index of the candidate.
+            size: (G,) mean squares that a fit leaves.
+        """
+        weight, p, largest = 1 / np.clip(size, QUIETEST, 1.0), self._p, 0.0
+        J = np.einsum("g,gij->ij", weight, self._xx[:, :p, :p], dtype=float) + np.eye(p)
+        for s in (s for s in self.blocks if s.candidate == i):
+            at = [p + c for c in s.columns]
+            usual = np.array(s.values)[list(s.free)]
+            alone = np.einsum("g,gij->ij", weight, self._xx[:, at][:, :, at], dtype=float)
+            across = np.einsum("g,gij->ij", weight, self._xx[:, :p, at], dtype=float)
+            inner = alone - across.T @ np.linalg.solve(J, across)
+            largest = max(largest, float(usual @ inner @ usual))
         return float(np.sqrt(largest))

@@ -120,7 +120,7 @@ def solve(
     if low is not None and high is not None:
         lows[nuisances:], highs[nuisances:] = low, high
     x = np.zeros(c)
-    expected, size = noise, _sizes(p.n, p.zz, noise)
+    expected, size = noise, sizes(p.n, p.zz, noise)
     A = np.eye(c)
     for _ in range(_PASSES):
         weight = np.where(size > 1, 1 / np.maximum(size, 1.0), p.n / expected)
@@ -134,14 +134,20 @@ def solve(
         remaining = p.zz + 2 * p.xz @ x + np.einsum("i,gij,j->g", x, p.xx, x)
         expected = noise + 2 * noise_xz @ x + np.einsum("i,gij,j->g", x, noise_xx, x)
         expected = np.maximum(expected, _QUIET * p.n)
-        size = _sizes(p.n, remaining, expected)
+        size = sizes(p.n, remaining, expected)
     return Solution(
         x, deviance(p.n, size) + float(prior @ x**2), size, np.asarray(np.linalg.inv(A), float)
     )
 
 
-def _sizes(n: Array, squares: Array, noise: Array) -> Array:
-    """Return (G,) mean squares in units of the noise, what is more than noise on top of it."""
+def sizes(n: Array, squares: Array, noise: Array) -> Array:
+    """Return (G,) mean squares in units of the noise, what is more than noise on top of it.
+
+    Args:
+        n: (G,) numbers in each group.
+        squares: (G,) sums of squares.
+        noise: (G,) those that noise alone would have.
+    """
     excess = squares - noise
     return np.maximum(np.where(excess > 0, 1 + excess / n, squares / noise), 1e-12)
 

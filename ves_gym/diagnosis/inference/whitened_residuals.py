@@ -235,14 +235,14 @@ class WhitenedResiduals:
         self, port: Port, by_run: Sequence[Array], models: Sequence[Model]
     ) -> Array:
         """Return (m, n) numbers of a port, and behind them what noise adds in each copy."""
-        out = [self._whitened(port.name, by_run)]
+        out = [self.whitened(port.name, by_run)]
         if port.differentiates:
             noisy = [
                 self.machine.residuals(copy, models, [port.name])[port.name]
                 for copy in (self._copy(i, port.exact, _COPIES) for i in range(len(self.runs)))
             ]
             for k in range(_COPIES):
-                out.append(self._whitened(port.name, [x[:, k] for x in noisy]) - out[0])
+                out.append(self.whitened(port.name, [x[:, k] for x in noisy]) - out[0])
         return np.concatenate(out, axis=1)
 
     def _copy(self, i: int, exact: tuple[str, ...], draws: int) -> Run:
@@ -317,7 +317,7 @@ class WhitenedResiduals:
                 for k in (self._copy(i, port.exact, _FEW), run)
             )
             drawn.append(noisy - raw)
-        power = np.square(self._whitened(port.name, drawn)).mean(axis=0)
+        power = np.square(self.whitened(port.name, drawn)).mean(axis=0)
         span = self.part(port.name)
         for rows in self._rows:
             for take, part, _ in rows[port.name]:
@@ -327,7 +327,7 @@ class WhitenedResiduals:
                 power[at] = np.tile(smooth, 2)
         return power
 
-    def _whitened(self, port: str, by_run: Sequence[Array]) -> Array:
+    def whitened(self, port: str, by_run: Sequence[Array]) -> Array:
         """Return (m, n) numbers of a port from residuals (m, T, c) of every run."""
         span = self.part(port)
         out = np.empty((len(by_run[0]), span.stop - span.start))

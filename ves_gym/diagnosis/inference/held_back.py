@@ -1,0 +1,158 @@
+"""Runs held back decide: names that they contradict are withdrawn, silence that they contradict
+is no silence.
+
+A name has been chosen among a whole library by its gain on the runs fitted. On runs that no fit
+has seen nothing was chosen: an effect that is there gains again, in proportion to the runs'
+length, and one that is not there, or has numbers of its own in every run, loses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals
+from ves_gym.diagnosis.inference.intervals import intervals, stretches
+from ves_gym.diagnosis.inference.model_selection import Selection, reduced_selection
+from ves_gym.diagnosis.inference.variance_groups import deviance, sizes
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+
+CLEAR = (
+    100.0  # gain on the runs fitted that is no chance, though runs held back have none of it
+)
+LOSS = 2.0  # of deviance: less is no contradiction, as where a limit is not reached
+WORSE = 1.02  # of its gap before, or of noise: a channel that is worse
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Disagreement of a channel, in standard deviations of the noise (root mean square)."""
+
+    port: str
+    channel: str
+    before: float
+    after: float
+    before_interval: tuple[float, float] = (0.0, np.inf)  # 95 %
+    after_interval: tuple[float, float] = (0.0, np.inf)
+    ratio_interval: tuple[float, float] = (0.0, np.inf)  # of after over before, or over noise
+
+    @property
+    def ratio(self) -> float:
+        """After over before, or over noise where that is more."""
+        return self.after / max(self.before, 1.0)
+
+    @property
+    def worse(self) -> bool:
+        """True where the effects added spoil this channel."""
+        return self.ratio > WORSE
+
+    @property
+    def surely_worse(self) -> bool:
+        """True where it is worse and its interval has no place for being as good."""
+        return self.worse and self.ratio_interval[0] > 1.0
+
+
+def gaps(
+    residuals: WhitenedResiduals, after: Fit, before: Fit, fitted: bool = True
+) -> tuple[Gap, ...]:
+    """Return the gap of every channel, effects and nuisances as they were found.
+
+    Args:
+        residuals: of the runs to judge by.
+        after: with effects.
+        before: the fit of the description as it is.
+        fitted: on these runs; else what single runs have of their own is found on them.
+    """
+    left = [_left(residuals, f, fitted) for f in (before, after)]
+    out = []
+    for port in residuals.ports:
+        for i, channel in enumerate(port.channels):
+            groups = [g for g in residuals.groups if (g.port, g.channel) == (port.name, i)]
+            count = sum(g.n for g in groups)
+            sums = [np.concatenate(stretches(residuals, groups, x)) for x in left]
+            rms = [float(np.sqrt(s.sum() / count)) for s in sums]
+            out.append(Gap(port.name, channel, rms[0], rms[1], *intervals(count, sums)))
+    return tuple(out)
+
+
+def withdrawn(
+    selection: Selection, residuals: WhitenedResiduals, last: WhitenedResiduals
+) -> Selection:
+    """Return the selection less the names that runs held back contradict.
+
+    A name is contradicted where the runs held back are more probable without it, or where its
+    port has a channel that is surely worse. One whose course is another in every run (a drift)
+    has no numbers to hold, and a limit that is not reached gains and loses nothing.
+
+    Args:
+        selection: found on the runs fitted.
+        residuals: of those.
+        last: of the runs held back.
+    """
+    while selection.fit.candidates:
+        losses = _losses(selection, residuals, last)
+        worst = max(range(len(losses)), key=losses.__getitem__)
+        spoilt = {
+            g.port for g in gaps(last, selection.fit, selection.null, False) if g.surely_worse
+        }
+        hurt = [i for i, c in enumerate(selection.fit.candidates) if spoilt & set(c.ports)]
+        if losses[worst] > LOSS:
+            out, why = worst, f"{losses[worst]:.1f} of deviance worse with it"
+        elif hurt:
+            out = max(hurt, key=losses.__getitem__)
+            why = f"worse by more than {100 * (WORSE - 1):.0f} % at {', '.join(sorted(spoilt))}"
+        else:
+            break
+        name = selection.fit.candidates[out].name
+        selection = reduced_selection(
+            residuals, selection, out, f"{name}: withdrawn, runs held back are {why}"
+        )
+    return selection
+
+
+def unexplained_there(last: WhitenedResiduals, fit: Fit, imperfect: float) -> float:
+    """Return the deviance above that of noise which a fit leaves on runs held back.
+
+    Args:
+        last: of those runs.
+        fit: found on others.
+        imperfect: mean square that is still taken for noise.
+    """
+    n, size = _sizes(last, fit)
+    return float((n * np.log(np.maximum(size / imperfect, 1.0))).sum())
+
+
+def _losses(
+    selection: Selection, residuals: WhitenedResiduals, last: WhitenedResiduals
+) -> list[float]:
+    """Return by how much the runs held back are less probable with each name than without."""
+    full = deviance(*_sizes(last, selection.fit))
+    out = []
+    for i, candidate in enumerate(selection.fit.candidates):
+        if candidate.counts is not None:  # a course of its own in every run
+            out.append(0.0)
+            continue
+        without = reduced_selection(residuals, selection, i, "").fit
+        out.append(full - deviance(*_sizes(last, without)))
+    return out
+
+
+def _sizes(last: WhitenedResiduals, fit: Fit) -> tuple[Array, Array]:
+    """Return counts and mean squares (G,) of the groups, in units of the fit's noise."""
+    left = _left(last, fit, False)
+    n = np.array([g.n for g in last.groups], float)
+    squares = np.array([left[g.part] @ left[g.part] for g in last.groups])
+    noise = n.copy()
+    for k, g in enumerate(last.groups):
+        for part in g.copies:
+            usual = last.null[part]
+            noise[k] += float(left[part] @ left[part] - usual @ usual) / len(g.copies)
+    return n, sizes(n, squares, np.maximum(noise, 0.05 * n))
+
+
+def _left(residuals: WhitenedResiduals, fit: Fit, fitted: bool) -> Array:
+    """Return what a fit leaves (N,), tolerances as it has them."""
+    z = evaluate_residuals(residuals, fit.candidates, [fit.values])[0]
+    return residuals.less_nuisances(z, fit.nuisances, fitted)
