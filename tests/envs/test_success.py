@@ -1,4 +1,4 @@
-"""Ids of version 1: doing nothing solves nothing, and the reference controller solves.
+"""Every id: doing nothing solves nothing, and the reference controller solves.
 
 The reference is no competitor: it knows the nominal machine and reads the true state.
 """
@@ -6,8 +6,10 @@ The reference is no competitor: it knows the nominal machine and reads the true 
 import numpy as np
 import pytest
 
+from tests.envs.walks import ALL
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
+from ves_gym.envs.registration import IDS as NAMES
 
 REFERENCES = {
     "PumaRestToRest": "direct",
@@ -16,15 +18,47 @@ REFERENCES = {
     "PumaTrack": "resolved",
     "PumaDamp": "lqi",
     "BeamLQR": "lqr",
+    "FreeFlyerReach": "resolved",
+    "MacroMicro": "resolved",
+    "PoseReach": "resolved-pose",
+    "PayloadTransfer": "resolved",
 }
-IN_NOISE = "ves/BeamLQREmulated-v1"  # starts of millimetres against the laboratory's errors
-IDS = [
-    (f"ves/{name}{suffix}", controller)
-    for name, controller in REFERENCES.items()
-    for suffix in ("-v1", "Emulated-v1")
-    if f"ves/{name}{suffix}" != IN_NOISE
-]
-IDS += [("ves/FreeFlyerReach-v0", "resolved"), ("ves/FreeFlyerReachEmulated-v1", "resolved")]
+LONG = ("PoseReach", "PayloadTransfer")  # their own tests are of fewer episodes
+# Shares of 100 episodes solved by zero, random and reference. Version 0 is why there is a
+# version 1; in BeamLQREmulated-v1 no share of the optimum tells the optimal feedback from doing
+# nothing, for starts are of millimetres against the laboratory's errors.
+MISSES = {
+    "ves/PumaRestToRest-v0": (1.0, 1.0, 0.99),
+    "ves/PumaRestToRestEmulated-v0": (1.0, 1.0, 0.84),
+    "ves/PumaDamp-v0": (0.50, 0.39, 0.88),
+    "ves/PumaDampEmulated-v0": (0.50, 0.39, 0.88),
+    "ves/BeamLQR-v0": (0.0, 0.0, 0.43),
+    "ves/BeamLQREmulated-v0": (0.0, 0.0, 0.15),
+    "ves/PayloadTransferEmulated-v0": (0.0, 0.0, 0.93),
+    "ves/BeamLQREmulated-v1": (0.05, 0.0, 0.92),
+}
+
+
+def name_of(id):
+    """Of an id's task."""
+    return id.removeprefix("ves/").rpartition("-")[0].removesuffix("Emulated")
+
+
+def cases():
+    """(id, reference, episodes): 100 among the slow tests, 20 of the latest versions."""
+    for id in ALL:
+        name = name_of(id)
+        if id in MISSES:
+            continue
+        later = id.removesuffix("-v0") + "-v1"
+        if name not in LONG and (id == later or later not in ALL):
+            yield pytest.param(id, REFERENCES[name], 20)
+        yield pytest.param(id, REFERENCES[name], 100, marks=pytest.mark.slow)
+
+
+def test_every_id_is_tested():
+    assert set(REFERENCES) == set(NAMES)
+    assert {case.values[0] for case in cases()} | set(MISSES) == set(ALL)
 
 
 def success(controller, id, episodes):
@@ -33,8 +67,7 @@ def success(controller, id, episodes):
     return float(np.mean([row["success"] for row in result.rows]))
 
 
-@pytest.mark.parametrize("episodes", [20, pytest.param(100, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("id", "reference"), IDS)
+@pytest.mark.parametrize(("id", "reference", "episodes"), list(cases()))
 def test_only_doing_something_right_solves(id, reference, episodes):
     """Zero and random below 5 %, the reference at 95 % or more."""
     shares = {name: success(name, id, episodes) for name in ("zero", "random", reference)}
@@ -45,8 +78,9 @@ def test_only_doing_something_right_solves(id, reference, episodes):
 
 
 @pytest.mark.slow
-def test_starts_of_millimetres_are_half_hidden_by_the_laboratory():
-    """No share of the optimum tells the optimal feedback from doing nothing: 92 % and 5 %."""
-    assert success("lqr", IN_NOISE, 100) >= 0.9
-    assert success("zero", IN_NOISE, 100) <= 0.05
-    assert success("random", IN_NOISE, 100) < 0.05
+@pytest.mark.parametrize("id", MISSES)
+def test_what_misses_that_is_as_stated(id):
+    """Zero, random and reference, to what 100 episodes on another processor may differ by."""
+    shares = [success(name, id, 100) for name in ("zero", "random", REFERENCES[name_of(id)])]
+    print(id, shares)
+    np.testing.assert_allclose(shares, MISSES[id], atol=0.03)

@@ -20,6 +20,8 @@ from ves_gym.mechanics.spatial import matvec, rotation, twist
 
 _MOVE = 0.7  # share of an episode that the way to a target takes
 _LEGS = ((0.0, 0.37), (0.45, 0.8))  # the same of the two legs of payload_transfer
+_CALM = 0.1  # s before the joints have to be at rest by which they slow down
+_REST = 0.8  # of the rate that counts as rest, the most that they then have
 _DAMPING = 0.05  # m/rad, of the least squares near singular configurations
 
 
@@ -32,7 +34,8 @@ class Resolved:
     and to the berth. In every period the plan is corrected by what the Jacobian says of the
     distance between path and tool, on the base as measured, and of the rate at which the base
     carries the tool along (resolved motion rate control: Whitney, IEEE Trans. Man-Machine
-    Systems 10(2), 1969).
+    Systems 10(2), 1969). At the end of free_flyer, whose joints must be at rest on a satellite
+    that turns, they take back no more of that than `rest` allows.
     """
 
     privileged = True
@@ -113,7 +116,26 @@ class Resolved:
             (then - before) / (2 * dt) - matvec(inverse, drift),
             (then - 2 * present + before) / dt**2,
         ]
-        return np.stack(reference, axis=1)
+        out = np.stack(reference, axis=1)
+        if isinstance(env.task, FreeFlyerReach):
+            left = env.task.duration - step * dt
+            calm = left <= env.task.hold + _CALM
+            out[calm] = _slowly(s.ref[calm], out[calm], _REST * env.task.rest, dt)
+        return out
+
+
+def _slowly(ref: Array, then: Array, rate: float, dt: float) -> Array:
+    """Return where references are to be at the period's end if no joint may be faster.
+
+    Args:
+        ref: (k, 3, joints) angle, rate and acceleration now.
+        then: (k, 3, joints) where they were to be.
+        rate: largest of a joint [rad/s].
+        dt: period [s].
+    """
+    angle = np.clip(then[:, 0], ref[:, 0] - rate * dt, ref[:, 0] + rate * dt)
+    slow = np.clip(then[:, 1], -rate, rate)
+    return np.stack([angle, slow, np.zeros_like(slow)], axis=1)
 
 
 def damped_inverse(J: Array) -> Array:
