@@ -27,6 +27,7 @@ from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.policy import load_policy
 
 ROOT = Path(__file__).parents[2]
+EXAMPLES = sorted((ROOT / "examples" / "training").glob("*.toml"))
 SMALL = {"settings": {"duration": 0.5, "tail": 0.5}, "layers": [8, 8], "eval_episodes": 4}
 PPO = config_from_plain(
     {
@@ -237,6 +238,17 @@ TASKS = (
     "FreeFlyerReach",
     "BeamLQR",
 )
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_recipes_among_the_examples_can_be_trained(path):
+    from ves_gym.baselines.train import make_learner
+
+    config = read_config(path)
+    env = gym.make_vec(config.env, num_envs=4, threads=1, **config.settings).unwrapped
+    learner = make_learner(config, 0, env)
+    assert config.learner == "native" and learner.imitation.expert.name == config.imitate
+    learner.imitation.expert.reset(env, np.arange(4))
 
 
 def test_an_emulated_id_is_trained_as_its_twin():
