@@ -19,7 +19,8 @@ from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals
 from ves_gym.diagnosis.inference.variance_groups import deviance
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
-from ves_gym.diagnosis.machines.base import Port
+from ves_gym.diagnosis.machines.base import WRENCH, Port
+from ves_gym.mechanics.spatial import AXES
 
 _SPLINES, _DEGREE = 12, 1
 _CHANNELS = 4  # with the most unexplained
@@ -80,8 +81,9 @@ def _quantities(
 ) -> Iterator[tuple[str, Quantity]]:
     """Yield what the residual of a channel may depend on, as far as all runs have it."""
     logged = {k for k in ("q", "tau", "y", "w") if all(k in run for run in runs)}
-    own = port.channels[i].startswith("tau_") or len(port.channels) != 6
-    if own and "q" in logged:
+    width = runs[0]["q"].shape[-1] if "q" in logged else 0
+    own = set(port.channels).isdisjoint(AXES + WRENCH) and width == len(port.channels)
+    if own:
         yield f"angle of joint {i + 1}", lambda run: run.joints.x[:, i]
         yield f"speed of joint {i + 1}", lambda run: run.joints.v[:, i]
     machine = residuals.machine
@@ -95,12 +97,12 @@ def _quantities(
 
     if own and "tau" in logged:
         yield f"load of joint {i + 1}", as_described("tau")
-    if not own and "y" in logged:
+    if port.channels in (AXES, WRENCH) and "y" in logged:
         yield f"pose coordinate {i + 1}", lambda run: run.base.x[:, i]
         yield f"rate of pose coordinate {i + 1}", lambda run: run.base.v[:, i]
-    if not own and "w" in logged:
+    if port.channels == WRENCH and "w" in logged:
         yield f"load {port.channels[i]}", as_described("w")
-    for j in range(runs[0]["q"].shape[1] if not own and "q" in logged else 0):
+    for j in range(0 if own else width):
         yield f"angle of joint {j + 1}", lambda run, j=j: run.joints.x[:, j]  # type: ignore[misc]
     yield "time elapsed", lambda run: np.asarray(run.dt * np.arange(run.length), float)
 
