@@ -313,8 +313,8 @@ BAD = {
         "joint 'elbow' to link 'fore' mimics 'shoulder'",
     ),
     "prismatic": (
-        two(kind="prismatic"),
-        "joint 'elbow' to link 'fore' is prismatic: an arm has revolute",
+        "<limits".join(two(kind="prismatic").rsplit("<limit", 1)),
+        "joint 'elbow' is prismatic and has no <limit",
     ),
     "planar": (two(kind="planar"), "joint 'elbow' to link 'fore' is planar"),
     "floating": (two(kind="floating"), "joint 'elbow' to link 'fore' is floating"),

@@ -44,7 +44,7 @@ def _motion_through(args: argparse.Namespace, arm: Arm) -> Motion:
     if args.goal is None and args.via:
         raise ParameterError("--via needs --goal: way-points lie between start and goal")
     duration = duration_from(args.duration)
-    if args.goal is None and arm.n != len(_GOAL):
+    if args.goal is None and (arm.n != len(_GOAL) or arm.sliding):
         goal = default_goal(arm, start, duration)
     else:
         goal = joint_angles(args.goal, arm, "--goal", args.angle_unit, _GOAL)
@@ -87,7 +87,8 @@ def joint_angles(
     """Return joint angles [rad] inside the arm's limits.
 
     Args:
-        text: what was given: numbers with commas between them; None: the default.
+        text: what was given: numbers with commas between them, [m] of joints that slide; None:
+            the default.
         arm: whose joints they are.
         name: of the option.
         unit: `args.angle_unit`: degrees, radians, or None: degrees, and a note on stderr if
@@ -95,10 +96,14 @@ def joint_angles(
         default: angles [deg] of an arm with as many joints; zeros otherwise.
     """
     if text is None:
-        angles = np.deg2rad(default) if default and len(default) == arm.n else np.zeros(arm.n)
+        angles = np.clip(0.0, arm.column("q_min"), arm.column("q_max"))
+        if default is not None and len(default) == arm.n and not arm.sliding:
+            angles = np.deg2rad(default)
         return arm.require_within_limits(angles, name)
     values = numbers(text, arm.n, name, f"angles in {unit or 'degrees'}", "0,-45,90")
     angles = np.array(values) if unit == "radians" else np.deg2rad(values)
+    slides = list(arm.sliding)
+    angles[slides] = np.array(values)[slides]  # m
     out = arm.require_within_limits(angles, name)
     if unit is None and (note := radians_note(text, name)):
         print(f"ves-gym: note: {note}", file=sys.stderr)

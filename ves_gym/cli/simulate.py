@@ -421,17 +421,20 @@ def _picture(
             dashed = {"color": curve.get_color(), "lw": 0.8, "ls": "--"}
             place.plot(space.t, 1e3 * space.y[0, :, k], **dashed)
             turn.plot(space.t, np.rad2deg(space.y[0, :, 3 + k]), **dashed)
-    for k in range(log.n_joints):
-        (curve,) = joint.plot(log.t, np.rad2deg(log.q[:, k]), label=f"$q_{k + 1}$", lw=1)
-        joint.plot(log.t, np.rad2deg(log.q_cmd[:, k]), "--", color=curve.get_color(), lw=1)
-        error.plot(log.t, np.rad2deg(log.q_cmd - log.q)[:, k], label=f"$q_{k + 1}$", lw=1)
+    for k, link in enumerate(system.arm.links):
+        name, factor = f"$q_{k + 1}$", 100.0 if link.slides else math.degrees(1)
+        (curve,) = joint.plot(log.t, factor * log.q[:, k], label=name, lw=1)
+        joint.plot(log.t, factor * log.q_cmd[:, k], "--", color=curve.get_color(), lw=1)
+        error.plot(log.t, factor * (log.q_cmd - log.q)[:, k], label=name, lw=1)
     energy.plot(log.t, E.total, label="total", lw=1.2)
     energy.plot(log.t, E.strain, label="strain", lw=0.8)
     if space is not None:
         motion = space.q[0], space.y[0], space.yd[0]
         total = base_energy(space.system, *motion, space.internal(0)).total
         energy.plot(space.t, total, "--", color="0.4", label="total in space", lw=1)
-    labels = ("base [mm]", "base [deg]", "joints [deg]", "joint error [deg]", "base energy [J]")
+    shown = "deg, cm" if system.arm.sliding else "deg"
+    joints = f"joints [{shown}]", f"joint error [{shown}]"
+    labels = ("base [mm]", "base [deg]", *joints, "base energy [J]")
     for axes, label in zip((place, turn, joint, error, energy), labels, strict=True):
         axes.set_ylabel(label)
         axes.legend(loc="upper right", ncols=3, fontsize="small")

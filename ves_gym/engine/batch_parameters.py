@@ -20,7 +20,7 @@ from ves_gym.system.effect import Effect, TorqueEffect, joint_torque
 from ves_gym.system.system import System
 
 _SETTINGS = ("mode", "drive", "integrator", "physics_dt", "control_dt")
-_GEOMETRY = ("d", "a", "alpha", "beta", "offset")
+_GEOMETRY = ("d", "a", "alpha", "beta", "offset", "slides")
 
 
 def require_alike(template: System, other: System, which: str) -> None:

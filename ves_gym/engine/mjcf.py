@@ -244,7 +244,7 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
         )
         body.add_joint(
             name=f"q_{i}" if driven else f"f_{bent}",
-            type=mujoco.mjtJoint.mjJNT_HINGE,
+            type=mujoco.mjtJoint.mjJNT_SLIDE if link.slides else mujoco.mjtJoint.mjJNT_HINGE,
             axis=[0, 0, 1],
             armature=link.rotor_inertia,
         )
@@ -387,7 +387,8 @@ def pinocchio_model(arm: Arm, base: BaseModel) -> pinocchio.Model:
         driven = place in chain.driven
         bent += not driven
         name = f"q_{place + 1 - bent}" if driven else f"f_{bent}"
-        joint = model.addJoint(joint, pin.JointModelRZ(), placement * turn, name)
+        moves = pin.JointModelPZ() if link.slides else pin.JointModelRZ()
+        joint = model.addJoint(joint, moves, placement * turn, name)
         model.appendBodyToJoint(joint, _pin_inertia(link.inertial_at_joint), pin.SE3.Identity())
         placement = pin.SE3(*link.far_end)
     model.armature[6:] = chain.arm.column("rotor_inertia")

@@ -100,6 +100,8 @@ def urdf_text(arm: SerialChain) -> str:
     for i, (R, p) in enumerate(placements(arm)):
         moves = i < arm.n
         kind = "revolute" if moves else "fixed"
+        if moves and arm.links[i].slides:
+            kind = "prismatic"
         joint = SubElement(robot, "joint", name=joints[i], type=kind)
         SubElement(joint, "parent", link=names[i])
         SubElement(joint, "child", link=names[i + 1] if moves else "tool")
@@ -196,6 +198,7 @@ def mjcf_text(arm: SerialChain) -> str:
             body,
             "joint",
             name=names[i],
+            type="slide" if link.slides else "hinge",
             axis="0 0 1",
             range=_text((link.q_min, link.q_max)),
             armature=repr(link.rotor_inertia),
@@ -286,7 +289,8 @@ def pinocchio_arm(arm: SerialChain) -> pinocchio.Model:
     joint, places = 0, [pin.SE3(R, p) for R, p in placements(arm)]
     for link, name, place in zip(arm.links, joint_names(arm), places, strict=False):
         one = [np.array([k]) for k in (link.tau_max, link.v_max, link.q_min, link.q_max)]
-        joint = model.addJoint(joint, pin.JointModelRZ(), place, name, *one)
+        moves = pin.JointModelPZ() if link.slides else pin.JointModelRZ()
+        joint = model.addJoint(joint, moves, place, name, *one)
         model.appendBodyToJoint(joint, inertia(link.inertial_at_joint), pin.SE3.Identity())
     model.armature[:] = arm.column("rotor_inertia")
     model.addFrame(pin.Frame("tool", joint, places[-1], pin.FrameType.OP_FRAME))

@@ -25,6 +25,7 @@ ENDLESS = 2 * math.pi  # rad either way, the range taken for a joint without lim
 _NOTHING = 1e-13  # of m c^2
 _ZERO = 1e-13  # m, rad: rounding of a file's angles
 _SPEED = math.pi  # rad/s, v_max where a file gives none
+_SLIDE_SPEED = 0.5  # m/s, the same of a joint that slides
 _PACE = 20.0  # 1/s, a_max over v_max at most, where a file gives none; the PUMA has 7 to 19
 _CREEP = 0.01  # rad/s over which Coulomb friction builds up (`joint/coulomb`)
 _DECAY = 400.0  # 1/s, the fastest that a joint's friction may be: rk4 at 1.25 ms takes 2200
@@ -102,7 +103,7 @@ class LinkMass(NamedTuple):
 
 @dataclass
 class Joint:
-    """A revolute joint at zero and what it moves up to the next one, in the root's axes."""
+    """A joint at zero and what it moves up to the next one, in the root's axes."""
 
     name: str
     origin: Array  # (3,) [m]
@@ -116,6 +117,7 @@ class Joint:
     tau_max: float | None = None  # N m
     damping: float | None = None  # N m s/rad
     friction: float | None = None  # N m
+    slides: bool = False  # along its axis; then m and N instead of rad and N m
 
 
 def given_rotors(joints: Sequence[Joint], rotors: Mapping[str, float]) -> list[str]:
@@ -321,7 +323,7 @@ def _link(joint: Joint, shape: dict[str, float]) -> Link:
     if not joint.q_min < joint.q_max:
         raise ParameterError(
             f"joint {joint.name!r}: its lower limit must be below the upper one, got"
-            f" {joint.q_min:g} and {joint.q_max:g} rad"
+            f" {joint.q_min:g} and {joint.q_max:g} {'m' if joint.slides else 'rad'}"
         )
     return Link(
         d=shape["d"],
@@ -339,6 +341,7 @@ def _link(joint: Joint, shape: dict[str, float]) -> Link:
         damping=joint.damping or None,
         friction=joint.friction or None,
         name=joint.name,
+        slides=True if joint.slides else None,
     )
 
 
@@ -367,7 +370,8 @@ def _with_limits(arm: SerialChain, joints: list[Joint]) -> SerialChain:
             )
     links, notes = [], []
     for link, joint, J in zip(arm.links, joints, most, strict=True):
-        tau, v_max = joint.tau_max or _down(_PUSH * J), joint.v_max or _SPEED
+        tau = joint.tau_max or _down(_PUSH * J)
+        v_max = joint.v_max or (_SLIDE_SPEED if joint.slides else _SPEED)
         links.append(
             replace(
                 link,
@@ -377,8 +381,8 @@ def _with_limits(arm: SerialChain, joints: list[Joint]) -> SerialChain:
             )
         )
     for field_name, text in (
-        ("v_max", "pi rad/s"),
-        ("tau_max", f"{_PUSH:g} rad/s^2 times the largest inertia"),
+        ("v_max", f"pi rad/s, or {_SLIDE_SPEED:g} m/s"),
+        ("tau_max", f"{_PUSH:g} rad/s^2 (m/s^2) times the largest inertia"),
         ("a_max", f"tau_max over the largest inertia, at most {_PACE:g}/s times v_max"),
     ):
         missing = [joint.name for joint in joints if not getattr(joint, field_name)]

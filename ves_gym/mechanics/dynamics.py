@@ -101,6 +101,13 @@ class Frame(NamedTuple):
     position: Vec  # m
     axis: Vec  # joint axis
     origin: Vec  # a point on the joint axis [m]
+    slides: bool = False  # the joint moves along its axis
+
+    def moved(self, point: Vec) -> tuple[Vec, Vec]:
+        """Return velocity of a point beyond the joint and angular velocity, per joint rate."""
+        if self.slides:
+            return self.axis, ZERO
+        return cross(self.axis, add(point, scale(-1.0, self.origin))), self.axis
 
 
 def start(arm: SerialChain) -> tuple[Rotation, Vec]:
@@ -129,21 +136,24 @@ def frames(arm: SerialChain, q: list[Scalar], xp: Any = np) -> list[Frame]:
     """
     out = []
     R, p = start(arm)
-    for link, angle in zip(arm.links, q, strict=True):
-        if link.offset:
-            angle = angle + link.offset
-        c, s = xp.cos(angle), xp.sin(angle)
-        axis, origin = R.z, p
+    for link, value in zip(arm.links, q, strict=True):
+        axis, origin, d = R.z, p, link.d
+        if link.slides:
+            c, s = round(math.cos(link.offset), 15), round(math.sin(link.offset), 15)
+            d = d + value
+        else:
+            angle = value + link.offset if link.offset else value
+            c, s = xp.cos(angle), xp.sin(angle)
         x = add(scale(c, R.x), scale(s, R.y))
         y = add(scale(-s, R.x), scale(c, R.y))
-        p = add(p, scale(link.d, axis), scale(link.a, x))
+        p = add(p, scale(d, axis), scale(link.a, x))
         ca, sa = round(math.cos(link.alpha), 15), round(math.sin(link.alpha), 15)
         R = Rotation(x, add(scale(ca, y), scale(sa, axis)), add(scale(-sa, y), scale(ca, axis)))
         if link.beta:
             cb, sb = round(math.cos(link.beta), 15), round(math.sin(link.beta), 15)
             x, z = R.x, R.z
             R = Rotation(add(scale(cb, x), scale(-sb, z)), R.y, add(scale(sb, x), scale(cb, z)))
-        out.append(Frame(R, p, axis, origin))
+        out.append(Frame(R, p, axis, origin, bool(link.slides)))
     return out
 
 
@@ -255,17 +265,27 @@ def inertia_entries(arm: SerialChain, q: list[Scalar], xp: Any = np) -> InertiaE
         body = _body(link.inertial.mass, com, frame.rotation, link.inertial.inertia)
         composite = body if composite is None else composite.plus(body)
         # unit rate of joint j: linear and angular momentum (about the origin) of what it moves
-        slide = cross(frame.origin, frame.axis)
-        linear = add(scale(composite.mass, slide), cross(frame.axis, composite.moment))
-        angular = add(cross(composite.moment, slide), composite.turn(frame.axis))
+        if frame.slides:
+            linear = scale(composite.mass, frame.axis)
+            angular = cross(composite.moment, frame.axis)
+        else:
+            slide = cross(frame.origin, frame.axis)
+            linear = add(scale(composite.mass, slide), cross(frame.axis, composite.moment))
+            angular = add(cross(composite.moment, slide), composite.turn(frame.axis))
         across[j] = [*linear, *angular]
         for i in range(j + 1):
-            axis, origin = chain[i].axis, chain[i].origin
-            value = _add(dot(axis, angular), dot(cross(origin, axis), linear))
+            value = _along(chain[i], linear, angular)
             joints[i][j] = joints[j][i] = value
         joints[j][j] = _add(joints[j][j], link.rotor_inertia)
     assert composite is not None  # an Arm has at least one link
     return InertiaEntries(_spatial(composite.plus(_base_body(arm))), across, joints)
+
+
+def _along(joint: Frame, force: Vec, moment: Vec) -> Scalar:
+    """Force, or moment about the origin, that a joint's coordinate feels."""
+    if joint.slides:
+        return dot(joint.axis, force)
+    return _add(dot(joint.axis, moment), dot(cross(joint.origin, joint.axis), force))
 
 
 def inertia(arm: SerialChain, q: npt.ArrayLike) -> Array:
@@ -368,8 +388,11 @@ def newton_euler(
     accel = moved(accel, w, dw, point)
     for i, frame in enumerate(chain):
         rate = scale(v[i], frame.axis)
-        dw = add(dw, scale(a[i], frame.axis), cross(w, rate))
-        w = add(w, rate)
+        if frame.slides:
+            accel = add(accel, scale(a[i], frame.axis), scale(2.0, cross(w, rate)))
+        else:
+            dw = add(dw, scale(a[i], frame.axis), cross(w, rate))
+            w = add(w, rate)
         x, y, z = arm.links[i].inertial.com
         com = add(frame.position, frame.rotation.apply((x, y, z)))
         at_com = moved(accel, w, dw, add(com, scale(-1.0, point)))
@@ -381,9 +404,8 @@ def newton_euler(
     force, moment = ZERO, ZERO  # what the links from i outwards need
     for i in reversed(range(arm.n)):
         force, moment = add(force, forces[i + 1][0]), add(moment, forces[i + 1][1])
-        axis, origin = chain[i].axis, chain[i].origin
-        about_axis = _add(dot(axis, moment), dot(cross(origin, axis), force))
-        tau[i] = _add(about_axis, _mul(arm.links[i].rotor_inertia, a[i]))
+        along = _along(chain[i], force, moment)
+        tau[i] = _add(along, _mul(arm.links[i].rotor_inertia, a[i]))
     return tau, add(force, forces[0][0]), add(moment, forces[0][1])
 
 

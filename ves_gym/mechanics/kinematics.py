@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import add, cross, frames, joint_positions, scale
+from ves_gym.mechanics.dynamics import frames, joint_positions
 from ves_gym.mechanics.spatial import matvec
 
 _ROUNDS = 40
@@ -35,8 +35,7 @@ def tool_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
     chain = frames(arm, list(np.moveaxis(angles, -1, 0)))
     out = np.empty((*angles.shape[:-1], 3, arm.n))
     for j, frame in enumerate(chain):
-        lever = add(chain[-1].position, scale(-1.0, frame.origin))
-        for k, value in enumerate(cross(frame.axis, lever)):
+        for k, value in enumerate(frame.moved(chain[-1].position)[0]):
             out[..., k, j] = value
     return out
 

@@ -31,6 +31,14 @@ _UNITS = {  # unit in messages, and its factor
 }
 
 
+_SLIDING = {
+    "position": ("mm", 1e3),
+    "velocity": ("mm/s", 1e3),
+    "acceleration": ("m/s^2", 1.0),
+    "torque": ("N", 1.0),
+}
+
+
 class LimitError(ValueError):
     """A motion breaks a joint limit; the message names joint, time and value."""
 
@@ -44,6 +52,7 @@ class Extreme:
     time: float  # s
     value: float  # rad, rad/s, rad/s^2 or N m; of a position from the middle of its range
     limit: float
+    slides: bool = False  # m, m/s, m/s^2 or N instead
 
     @property
     def ratio(self) -> float:
@@ -63,7 +72,7 @@ class Extreme:
         return f"{self.kind} of joint {self.joint} reaches {ratio} of its limit"
 
     def __str__(self) -> str:
-        symbol, factor = _UNITS[self.kind]
+        symbol, factor = (_SLIDING if self.slides else _UNITS)[self.kind]
         middle = " from the middle of its range" if self.kind == "position" else ""
         return (
             f"{self.short} at t = {self.time:.3f} s ({self.value * factor:.1f} {symbol},"
@@ -152,7 +161,10 @@ def middle_of_range(arm: Arm) -> Array:
 
 
 def check_limits(
-    limits: Mapping[str, Array], t: npt.ArrayLike, values: Mapping[str, Array]
+    limits: Mapping[str, Array],
+    t: npt.ArrayLike,
+    values: Mapping[str, Array],
+    sliding: Sequence[int] = (),
 ) -> LimitCheck:
     """Compare what joints do with what they may do.
 
@@ -160,6 +172,7 @@ def check_limits(
         limits: (n,) by kind, see `limits_of`; only these kinds are checked.
         t: (N,) times [s], or (N, n) where each joint has its own.
         values: (N, n) by kind; positions from the middle of the range.
+        sliding: joints (from 0) that slide.
     """
     times = np.asarray(t, float)
     extremes = []
@@ -168,7 +181,8 @@ def check_limits(
         ratio = np.abs(x) / limit
         k, j = (int(i) for i in np.unravel_index(int(ratio.argmax()), ratio.shape))
         time = float(times[k] if times.ndim == 1 else times[k, j])
-        extremes.append(Extreme(kind, j + 1, time, float(x[k, j]), float(limit[j])))
+        value, most = float(x[k, j]), float(limit[j])
+        extremes.append(Extreme(kind, j + 1, time, value, most, j in sliding))
     return LimitCheck(tuple(extremes))
 
 
@@ -183,7 +197,8 @@ def check_reference(
         limits: see `limits_of`; default the arm's own, driven by motors.
     """
     s = motion.at(np.linspace(0, motion.duration, _SAMPLES))
-    return check_limits(limits_of(arm) if limits is None else limits, s.t, _values(arm, s))
+    allowed = limits_of(arm) if limits is None else limits
+    return check_limits(allowed, s.t, _values(arm, s), arm.sliding)
 
 
 def _values(arm: Arm, s: Samples) -> dict[str, Array]:
@@ -224,7 +239,7 @@ def require_limits(
     limits = limits_of(arm, a_max=tuple(arm.column("a_max")))
     check = check_reference(arm, motion, {k: limits[k] for k in limits if k in names})
     for e in check.broken:
-        symbol, factor = _UNITS[e.kind]
+        symbol, factor = (_SLIDING if e.slides else _UNITS)[e.kind]
         raise LimitError(
             f"motion breaks the {e.kind} limit of joint {e.joint} at t = {e.time:.3f} s:"
             f" {e.value * factor:.1f} {symbol}, allowed +-{e.limit * factor:.1f} {symbol}"

@@ -71,7 +71,7 @@ class _Reader:
         for j in hinges:
             self._require_hinge(j)
         if not hinges:
-            raise ParameterError(f"no hinge lies between its root and {tip or end!r}")
+            raise ParameterError(f"no hinge or slide lies between its root and {tip or end!r}")
         self._require_free(hinges, chain)
         d.qpos[:] = m.qpos0
         for j in hinges:
@@ -214,15 +214,16 @@ class _Reader:
     def _require_hinge(self, j: int) -> None:
         kinds = ("free", "ball", "slide", "hinge")
         kind = kinds[int(self.model.jnt_type[j])]
-        if kind == "hinge":
+        if kind == "hinge" or (kind == "slide" and self.model.jnt_limited[j]):
             return
         name, body = self._name("joint", j), self._name("body", self.model.jnt_bodyid[j])
         hint = {
             "free": f"root={body!r} stands it on the platform",
-            "slide": f"locked={{{name!r}: 0.0}} holds it",
+            "slide": f"give it a range, or locked={{{name!r}: 0.0}} holds it",
         }.get(kind, "a root below it leaves it out (root=BODY)")
         raise ParameterError(
-            f"joint {name!r} of body {body!r} is a {kind} joint: an arm has hinges; {hint}"
+            f"joint {name!r} of body {body!r} is a {kind} joint: an arm has hinges, and slides"
+            f" with a range; {hint}"
         )
 
     def _require_free(self, hinges: list[int], chain: list[int]) -> None:
@@ -282,6 +283,7 @@ class _Reader:
             tau_max=self._torque(j),
             damping=_first(m.dof_damping[dof]),
             friction=_first(m.dof_frictionloss[dof]),
+            slides=int(m.jnt_type[j]) == int(self.mj.mjtJoint.mjJNT_SLIDE),
         )
 
     def _torque(self, j: int) -> float | None:

@@ -1,4 +1,4 @@
-"""A chain of revolute joints as data: Denavit-Hartenberg links with mass properties."""
+"""A chain of joints that turn or slide as data: Denavit-Hartenberg links with masses."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ class Mount:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """One revolute joint and the link it moves; the frame sits at the link's far end.
+    """One joint and the link it moves; the frame sits at the link's far end.
 
     DH: frame i-1 -> i is Rot_z(q + offset) Trans_z(d) Trans_x(a) Rot_x(alpha), and Rot_y(beta)
     where one is given: the frame may then sit at any point of the next joint's axis, also
@@ -170,6 +170,9 @@ class Link:
     shape: tuple[Capsule, ...] | None = None  # None: capsules along d and a
     flexures: tuple[Flexure, ...] | None = None  # where it bends, joint to far end
     name: str | None = None  # of the joint, where it has another than its number
+    # True: the joint slides along its axis, by d + q; its numbers are then in m, m/s, m/s^2, N,
+    # kg (rotor_inertia), N s/m (damping) and N (friction)
+    slides: bool | None = None
 
     def __post_init__(self) -> None:
         finite((self.d, self.a, self.alpha, self.offset, self.q_min, self.q_max), (6,), "Link")
@@ -182,6 +185,10 @@ class Link:
         if self.gear is not None and self.rotor_inertia == 0:
             raise ParameterError(
                 "a Link with a gear needs rotor_inertia > 0 kg m^2: the gear turns against it"
+            )
+        if self.slides and (self.gear is not None or self.flexures):
+            raise ParameterError(
+                "a Link whose joint slides must have neither gear nor flexures"
             )
         if not self.q_min < self.q_max:
             raise ParameterError(f"Link needs q_min < q_max, got {self.q_min} and {self.q_max}")
@@ -265,6 +272,27 @@ class SerialChain:
         return tuple(i for i, link in enumerate(self.links) if link.gear is not None)
 
     @property
+    def sliding(self) -> tuple[int, ...]:
+        """Joints (from 0) that slide: q in m, tau in N."""
+        return tuple(i for i, link in enumerate(self.links) if link.slides)
+
+    def require_turning(self, what: str) -> None:
+        """Refuse joints that slide.
+
+        Args:
+            what: it is that takes all joints for revolute.
+
+        Raises:
+            ParameterError: names the joints.
+        """
+        if self.sliding:
+            names = ", ".join(self.links[i].name or f"joint {i + 1}" for i in self.sliding)
+            raise ParameterError(
+                f"{what} takes revolute joints, got {self.name} with {names} that slide:"
+                " simulate it in mode ideal, or lock them (locked=)"
+            )
+
+    @property
     def bends(self) -> int:
         """Number of flexures: passive joints between the driven ones."""
         parts = (self.base_flexures, *(link.flexures for link in self.links))
@@ -307,9 +335,14 @@ class SerialChain:
         array = finite(q, (self.n,), name)
         for i, link in enumerate(self.links):
             if not link.q_min - 1e-9 <= array[i] <= link.q_max + 1e-9:
+                symbol = "m" if link.slides else "deg"
+                low, high, got = (
+                    f"{k:.4g}" if link.slides else f"{math.degrees(k):.1f}"
+                    for k in (link.q_min, link.q_max, array[i])
+                )
                 raise ParameterError(
-                    f"{name}: joint {i + 1} must be within {math.degrees(link.q_min):.1f} to"
-                    f" {math.degrees(link.q_max):.1f} deg, got {math.degrees(array[i]):.1f} deg"
+                    f"{name}: joint {i + 1} must be within {low} to {high} {symbol}, got {got}"
+                    f" {symbol}"
                 )
         return array
 

@@ -91,7 +91,7 @@ def tool_twists(arm: Arm, q: npt.ArrayLike) -> Array:
     out[..., :3, :] = linear
     for j, frame in enumerate(frames(arm, list(np.moveaxis(angles, -1, 0)))):
         for i in range(3):
-            out[..., 3 + i, j] = frame.axis[i]
+            out[..., 3 + i, j] = 0.0 if frame.slides else frame.axis[i]
     return out
 
 
@@ -149,9 +149,9 @@ def _moving(arm: Arm, q: Array, v: Array, base: Array) -> tuple[Frame, Vec, Vec]
     turning: Vec = (parts[3], parts[4], parts[5])
     moving = add((parts[0], parts[1], parts[2]), cross(turning, chain[-1].position))
     for j, frame in enumerate(chain):
-        lever = add(chain[-1].position, scale(-1.0, frame.origin))
-        moving = add(moving, scale(v[..., j], cross(frame.axis, lever)))
-        turning = add(turning, scale(v[..., j], frame.axis))
+        way, turn = frame.moved(chain[-1].position)
+        moving = add(moving, scale(v[..., j], way))
+        turning = add(turning, scale(v[..., j], turn))
     return chain[-1], moving, turning
 
 

@@ -31,7 +31,8 @@ from ves_gym.mechanics.urdf_numbers import HERE, Pose, about, number, origin_of,
 from ves_gym.mechanics.urdf_shapes import capsules_of
 
 _TURNS = ("revolute", "continuous")
-_MOVES = (*_TURNS, "prismatic", "floating", "planar")
+_DRIVEN = (*_TURNS, "prismatic")
+_MOVES = (*_DRIVEN, "floating", "planar")
 
 
 @dataclass
@@ -89,11 +90,13 @@ def _read(path: Path, choice: ChainChoice) -> SerialChain:
         raise ParameterError(
             f"locked: no joint {unknown[0]!r}; there are {', '.join(tree.joints)}"
         )
-    free = [j for j in chain if j.kind in _TURNS and j.name not in locked]
+    free = [j for j in chain if j.kind in _DRIVEN and j.name not in locked]
     for joint in chain:
         _require_usable(joint, locked)
     if not free:
-        raise ParameterError(f"no revolute joint lies between {root!r} and {tip!r}")
+        raise ParameterError(
+            f"no revolute or prismatic joint lies between {root!r} and {tip!r}"
+        )
     poses: dict[str, Pose] = {}
     bodies: dict[str, str | None] = {}  # link -> free joint that moves it
     still: list[str] = []
@@ -157,7 +160,7 @@ def _parsed(path: Path) -> _Tree:
         kind = element.get("type", "")
         if kind not in ("fixed", *_MOVES):
             raise ParameterError(f"{where}: no such type of joint: {kind!r}")
-        if kind in (*_TURNS, "prismatic"):
+        if kind in _DRIVEN:
             if not np.linalg.norm(axis) > 0:
                 raise ParameterError(f"{where}: its axis must not be zero")
             axis = axis / np.linalg.norm(axis)
@@ -238,13 +241,12 @@ def _chain(tree: _Tree, root: str, tip: str) -> list[_Joint]:
 
 def _require_usable(joint: _Joint, locked: Mapping[str, float]) -> None:
     """Refuse what an Arm cannot have between its root and its tip."""
-    if joint.name in locked and joint.kind in (*_TURNS, "prismatic"):
+    if joint.name in locked and joint.kind in _DRIVEN:
         return
-    if joint.kind not in ("fixed", *_TURNS):
-        hint = f"; locked={{{joint.name!r}: 0.0}} holds it" if joint.kind == "prismatic" else ""
+    if joint.kind not in ("fixed", *_DRIVEN):
         raise ParameterError(
             f"joint {joint.name!r} to link {joint.child!r} is {joint.kind}: an arm has revolute"
-            f" joints{hint or ', a root below it leaves it out (root=LINK)'}"
+            " and prismatic joints, a root below it leaves it out (root=LINK)"
         )
     if joint.mimic is not None and joint.kind != "fixed":
         raise ParameterError(
@@ -324,9 +326,9 @@ def _joint(joint: _Joint, poses: Mapping[str, Pose]) -> Joint:
         ElementTree.Element("none") if k is None else k for k in (joint.limit, joint.dynamics)
     )
     low, high = -ENDLESS, ENDLESS
-    if joint.kind == "revolute":
+    if joint.kind in ("revolute", "prismatic"):
         if limit.get("lower") is None and limit.get("upper") is None:
-            raise ParameterError(f"{where} is revolute and has no <limit lower= upper=>")
+            raise ParameterError(f"{where} is {joint.kind} and has no <limit lower= upper=>")
         low, high = (number(limit, key, where, 0.0) for key in ("lower", "upper"))
     return Joint(
         name=joint.name,
@@ -341,6 +343,7 @@ def _joint(joint: _Joint, poses: Mapping[str, Pose]) -> Joint:
         tau_max=number(limit, "effort", where, 0.0, least=0.0),
         damping=number(dynamics, "damping", where, 0.0, least=0.0),
         friction=number(dynamics, "friction", where, 0.0, least=0.0),
+        slides=joint.kind == "prismatic",
     )
 
 

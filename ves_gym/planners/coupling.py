@@ -55,6 +55,7 @@ def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
         (..., n, n) [J/rad^2].
     """
     system.arm.require_rigid("a coupling matrix")
+    system.arm.require_turning("a coupling matrix")
     angles = np.asarray(q, float)
     if angles.ndim and angles.shape[-1] == system.arm.n and angles.size >= _MANY:
         flat = angles.reshape(-1, system.arm.n)

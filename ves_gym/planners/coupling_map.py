@@ -147,6 +147,7 @@ def require_section(
         ParameterError: no two joints of the arm, too few points, or a joint beyond its limits.
     """
     system.arm.require_rigid("a coupling map")
+    system.arm.require_turning("a coupling map")
     n = system.arm.n
     i, j = joints
     if not (0 <= i < n and 0 <= j < n and i != j):

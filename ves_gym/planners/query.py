@@ -81,6 +81,7 @@ class Query:
         require_positive(self, "duration")
         arm = self.system.arm
         arm.require_rigid("a planner's query")
+        arm.require_turning("a planner's query")
         for end in ("start", "goal"):
             arm.require_within_limits(getattr(self, end), end)
         for name, symbol in (("v_max", "rad/s"), ("a_max", "rad/s^2")):

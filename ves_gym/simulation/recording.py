@@ -211,7 +211,7 @@ class Recording:
         if self.extremes is not None:
             times, parts = self.extremes.time[:, i], self.extremes.value[:, i]
             found = [
-                check_limits({k: limits[k]}, t[None], {k: x[None]}).extremes
+                check_limits({k: limits[k]}, t[None], {k: x[None]}, arm.sliding).extremes
                 for k, t, x in zip(WATCHED, times, parts, strict=True)
                 if k in limits
             ]
@@ -219,7 +219,7 @@ class Recording:
         end = self.records(i)
         q, v, tau = (part[i, :end] for part in (self.q, self.v, self.tau))
         values = dict(zip(WATCHED, (q - middle_of_range(arm), v, tau), strict=True))
-        return check_limits(limits, self.t[:end], values)
+        return check_limits(limits, self.t[:end], values, arm.sliding)
 
     def log(self, i: int, note: str = "") -> RunLog:
         """Return a run as a log that can be saved: up to its safety stop, if it had one.

@@ -95,6 +95,8 @@ class System:
                 f"mode emulated needs an arm of rigid links, got {self.arm.name} with"
                 f" {self.arm.bends} flexures: emulate its boom as the vehicle (Boom.at)"
             )
+        if self.mode == "emulated":
+            self.arm.require_turning("mode emulated")
         for name in ("wheels", "jets", "appendages"):
             if self.mode == "emulated" and getattr(self.vehicle, name, None):
                 raise ParameterError(

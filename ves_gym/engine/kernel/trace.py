@@ -246,6 +246,7 @@ def _link(link: Any, inertial: Any, rotor_inertia: Expression) -> Any:
         alpha=link.alpha,
         beta=link.beta,
         offset=link.offset,
+        slides=link.slides,
         inertial=inertial,
         rotor_inertia=rotor_inertia,
     )
@@ -285,7 +286,9 @@ def replaced(part: Carried) -> tuple[Any, ...]:
 
 def geometry(arm: Arm) -> str:
     """Return a digest of an arm's lengths and angles: its code depends on no weight."""
-    lengths = [(k.d, k.a, k.alpha, k.beta, k.offset) for k in arm.links]
+    lengths: list[Any] = [(k.d, k.a, k.alpha, k.beta, k.offset) for k in arm.links]
+    if arm.sliding:
+        lengths.append(arm.sliding)
     if arm.bends:
         chain = unfold(arm)
         lengths += [(k.d, k.a, k.alpha, k.beta, k.offset) for k in chain.arm.links]

@@ -1,0 +1,193 @@
+"""Joints that slide: read, computed and simulated as Pinocchio and MuJoCo do, or refused."""
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ves_gym._util.params import ParameterError
+from ves_gym.cli.main import main
+from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.mechanics.arm import Arm, Inertial, diagonal
+from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
+from ves_gym.mechanics.limits import LimitError, require_limits
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.payload import Payload
+from ves_gym.mechanics.tool_pose import tool_frame, tool_twists
+from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING
+from ves_gym.planners.coupling_map import coupling_map
+from ves_gym.planners.query import Query
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.energy import EnergyBalance
+from ves_gym.system.system import System
+
+INERTIA = '<inertia ixx="0.2" iyy="0.3" izz="0.25" ixy="0.01" ixz="-0.02" iyz="0.03"/>'
+# turn, slide along an oblique axis, turn, slide
+JOINTS = (
+    ("revolute", "0 0 1", "0 0 0.3", "0.1 0 0", -2.0, 2.0),
+    ("prismatic", "0.6 0 0.8", "0.2 0.1 0.1", "0 0.2 0", -0.4, 0.5),
+    ("revolute", "0 1 0", "0.4 0 0", "0 0 0.4", -2.0, 2.0),
+    ("prismatic", "1 0 0", "0.3 -0.1 0", "0.1 0.1 0.1", 0.0, 0.6),
+)
+
+
+def urdf() -> str:
+    parts = [f'<link name="l0"><inertial><mass value="5"/>{INERTIA}</inertial></link>']
+    for i, (kind, axis, xyz, rpy, low, high) in enumerate(JOINTS, 1):
+        parts.append(
+            f'<link name="l{i}"><inertial><origin xyz="0.1 0.02 -0.03" rpy="0.3 0 0.1"/>'
+            f'<mass value="{5 - i}"/>{INERTIA}</inertial></link>'
+            f'<joint name="j{i}" type="{kind}"><parent link="l{i - 1}"/><child link="l{i}"/>'
+            f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
+            f'<limit lower="{low}" upper="{high}" effort="80" velocity="1"/></joint>'
+        )
+    return f'<robot name="slider">{"".join(parts)}</robot>'
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory) -> Arm:
+    path = tmp_path_factory.mktemp("arm") / "slider.urdf"
+    path.write_text(urdf())
+    return Arm.from_urdf(path, tip="l4")
+
+
+def states(n: int = 6) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(2)
+    return rng.uniform(0, 0.4, (n, 4)), rng.normal(size=(n, 4))
+
+
+def same(ours: Arm, model: pin.Model, frame: str) -> float:
+    """Largest difference of inertia, bias, tool Jacobian and place."""
+    data, worst = model.createData(), 0.0
+    model.gravity.linear[:] = 0.0
+    for q, v in zip(*states(), strict=True):
+        M = pin.crba(model, data, q)
+        M = np.triu(M) + np.triu(M, 1).T
+        bias = pin.nonLinearEffects(model, data, q, v)
+        J = pin.computeFrameJacobian(
+            model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED
+        )
+        pin.framesForwardKinematics(model, data, q)
+        place = data.oMf[model.getFrameId(frame)].translation
+        for a, b in (
+            (inertia(ours, q)[6:, 6:], M),
+            (inverse_dynamics(ours, q, v, 0 * v)[0], bias),
+            (tool_twists(ours, q), J),
+            (tool_frame(ours, q)[0], place),
+        ):
+            worst = max(worst, np.abs(a - b).max())
+    return worst
+
+
+def test_read_from_urdf_and_back_as_pinocchio_reads_the_original(arm, tmp_path):
+    assert arm.sliding == (1, 3)
+    original = same(arm, pin.buildModelFromXML(urdf()), "l4")
+    arm.to_urdf(tmp_path / "again.urdf")
+    again = same(Arm.from_urdf(tmp_path / "again.urdf"), pin.buildModelFromXML(urdf()), "l4")
+    own = same(arm, arm.to_pinocchio(), "tool")
+    print(f"{original:.1e}, {again:.1e}, {own:.1e}")
+    assert max(original, again, own) <= 1e-10
+    assert Arm.from_urdf(tmp_path / "again.urdf").column("q_max")[1] == 0.5
+
+
+def test_through_mjcf_as_mujoco_has_it(arm, tmp_path):
+    arm.to_mjcf(tmp_path / "arm.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    data, M = mujoco.MjData(model), np.zeros((4, 4))
+    model.opt.gravity[:] = 0
+    back = Arm.from_mjcf(tmp_path / "arm.xml")
+    assert back.sliding == arm.sliding
+    assert np.abs(back.column("tau_max") - 80.0).max() == 0.0
+    for q, v in zip(*states(), strict=True):
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, M)
+        for ours in (arm, back):
+            assert np.abs(inertia(ours, q)[6:, 6:] - M).max() <= 1e-10
+            bias = inverse_dynamics(ours, q, v, 0 * v)[0]
+            assert np.abs(bias - data.qfrc_bias).max() <= 1e-10
+            assert np.abs(tool_frame(ours, q)[0] - data.site("tool").xpos).max() <= 1e-10
+
+
+def test_accelerations_on_a_free_base_are_pinocchios(arm):
+    system = System(arm=arm, vehicle=FREE_FLOATING)
+    model = pinocchio_model(arm, system.base)
+    data = model.createData()
+    rng = np.random.default_rng(5)
+    for backend in ("kernel", "mujoco"):
+        sim = Simulator(system, 4, backend=backend, servo=None)
+        y, yd = 0.3 * rng.normal(size=(2, 4, 6))
+        q, v = states(4)
+        tau = rng.normal(size=(4, 4))
+        sim.reset(q=q, v=v, y=y, yd=yd)
+        _, z, zd = sim.backend.read()
+        _, found = sim.backend.evaluate(tau)
+        for k in range(4):
+            order = np.r_[TO_Y, 6 + np.arange(4)]
+            true = pin.aba(model, data, z[k][order], zd[k][order], np.r_[np.zeros(6), tau[k]])
+            error = np.abs(found[k] - true[np.argsort(order)]).max()
+            assert error <= 1e-10 * max(1.0, np.abs(true).max())
+
+
+@pytest.mark.parametrize("vehicle", [FREE_FLOATING, BENT], ids=["satellite", "bent"])
+def test_a_run_is_the_same_on_both_engines_and_its_ledger_closes(arm, vehicle):
+    system = System(arm=arm, vehicle=vehicle)
+    motion = Motion.straight([0.0, 0.0, 0.0, 0.1], [0.5, 0.3, -0.4, 0.5], 1.0)
+    logs = [
+        play_motions(
+            system, [motion], settle=0.5, record_dt=system.physics_dt, backend=name
+        ).log(0)
+        for name in ("kernel", "mujoco")
+    ]
+    for name in ("q", "v", "tau", "y", "yd", "w"):
+        a, b = (getattr(log, name) for log in logs)
+        assert np.abs(a - b).max() <= 1e-9 * max(1.0, np.abs(a).max()), name
+    balance = EnergyBalance.of(logs[0])
+    print(balance)
+    assert balance.relative <= 1e-5
+    assert np.abs(logs[0].q - logs[0].q_cmd)[-1].max() < 0.01  # its own servo holds it
+
+
+def test_a_latch_conserves_momentum(arm):
+    body = Inertial(mass=6.0, com=(0.1, 0.0, 0.05), inertia=diagonal(0.2, 0.3, 0.25))
+    payload = Payload(inertial=body, spin=(0.3, -0.2, 0.5), latch_distance=9.0)
+    sim = Simulator(System(arm=arm, vehicle=FREE_FLOATING, payload=payload))
+    q, v = states(1)
+    sim.reset(q=q, v=v, y=[0.1, 0.2, 0.0, 0.3, -0.2, 0.1], yd=[0.1, 0.0, 0.2, 0.1, 0.3, -0.2])
+    momentum, energy = sim.payload.momentum, np.add(*sim.payload.energy)
+    (event,) = sim.grasp()
+    assert np.abs(sim.payload.momentum - momentum).max() <= 1e-11
+    assert (energy - np.add(*sim.payload.energy))[0] == pytest.approx(event.lost, rel=1e-9)
+    for _ in range(20):
+        sim.step()
+    assert np.abs(sim.payload.momentum - momentum).max() <= 1e-8
+
+
+def test_units_and_refusals(arm, tmp_path, capsys):
+    with pytest.raises(
+        ParameterError, match=r"joint 2 must be within -0.4 to 0.5 m, got 0.9 m"
+    ):
+        arm.require_within_limits([0, 0.9, 0, 0.1])
+    with pytest.raises(
+        LimitError, match=r"position limit of joint 4 .* mm, allowed \+-300.0 mm"
+    ):
+        require_limits(arm, Motion.straight([0, 0, 0, 0], [0, 0, 0, 0.8], 2.0), ("position",))
+    system = System(arm=arm)
+    for refused in (
+        lambda: System(arm=arm, mode="emulated"),
+        lambda: Query(system=system, start=(0.0,) * 4, goal=(0.1,) * 4, duration=1.0),
+        lambda: coupling_map(system, (0, 2), [0.0] * 4),
+    ):
+        with pytest.raises(
+            ParameterError, match="takes revolute joints, got slider with j2, j4"
+        ):
+            refused()
+    path = tmp_path / "slider.urdf"
+    path.write_text(urdf().replace('lower="0.0" upper="0.6" ', ""))
+    with pytest.raises(ParameterError, match="'j4' is prismatic and has no <limit"):
+        Arm.from_urdf(path, tip="l4")
+    path.write_text(urdf())
+    words = ["simulate", "--arm", f"{path}#l4", "--goal", "20,0.3,-10,0.4", "--settle", "0.2"]
+    assert main([*words, "--duration", "1", "--out", str(tmp_path / "out")]) == 0
+    assert "slider on bent, 1 s" in capsys.readouterr().out
