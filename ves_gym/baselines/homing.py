@@ -26,8 +26,8 @@ class Homing:
     acceleration (Flash & Hogan, J. Neuroscience 5(7), 1985) to rest at the joint angles that
     bring the tool to the target on the base as measured, in the time that is left of the way,
     at least `_LEAST`. The action is its acceleration shortly after. Unlike `Resolved` it
-    follows no plan made at the start: two episodes that look alike ask for the same action,
-    which is what a policy can imitate.
+    follows no plan: but for which of several configurations it goes to, chosen at the start,
+    two episodes that look alike ask for the same action.
     """
 
     name = "homing"
