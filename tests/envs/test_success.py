@@ -22,8 +22,13 @@ REFERENCES = {
     "MacroMicro": "resolved",
     "PoseReach": "resolved-pose",
     "PayloadTransfer": "resolved",
+    "ServicerCapture": "servicer",
 }
-LONG = ("PoseReach", "PayloadTransfer")  # their own tests are of fewer episodes
+LONG = (
+    "PoseReach",
+    "PayloadTransfer",
+    "ServicerCapture",
+)  # their own tests are of fewer episodes
 # Shares of 100 episodes solved by zero, random and reference. Version 0 is why there is a
 # version 1; in BeamLQREmulated-v1 no share of the optimum tells the optimal feedback from doing
 # nothing, for starts are of millimetres against the laboratory's errors.
