@@ -15,7 +15,7 @@ from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.data.drive_gains import with_drive_gains
 from ves_gym.diagnosis.data.measured_run import run_of_signals
 from ves_gym.diagnosis.data.sanity_checks import suspected_mistake
-from ves_gym.diagnosis.machines.joint_changes import Payload, Shaft
+from ves_gym.diagnosis.machines.joint_changes import CarriedBody, Shaft
 from ves_gym.diagnosis.machines.joint_library import MjcfJoint
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.mjcf_mapping import read_machine
@@ -96,7 +96,7 @@ def test_a_payload_is_one_cause_with_mass_and_centre(bodies, kind):
 
 
 def test_nothing_is_missing_where_the_description_has_it_all(bodies):
-    body = Payload(1.0, (0.1, 0.0, 0.0), (0.0, 0.0, 0.01, 0.0, 0.0, 0.01))
+    body = CarriedBody(1.0, (0.1, 0.0, 0.0), (0.0, 0.0, 0.01, 0.0, 0.0, 0.01))
     effects = [body, Shaft(SHAFT, 2.0, 0.5), JointViscous(damping=(2.0, 2.0, 2.0))]
     machine = MjcfMachine("arm", JOINTS, bodies, effects=effects)
     run = logged(7, 2.0, 0.0, (2.0, 0.5, 0.0), seconds=20.0, mass=1.0, centre=(0.1, 0.0, 0.0))

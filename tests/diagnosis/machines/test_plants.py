@@ -18,7 +18,7 @@ from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.data.measured_run import run_of_signals
 from ves_gym.diagnosis.data.sanity_checks import suspected_mistake
 from ves_gym.diagnosis.machines.force_plate import ForcePlateArm
-from ves_gym.diagnosis.machines.linear_plant import LinearPlant, StateSpace, structure
+from ves_gym.diagnosis.machines.linear_plant import LinearMachine, StateSpace, structure
 from ves_gym.diagnosis.machines.mapping import read_machine
 from ves_gym.diagnosis.machines.static_poses import StaticTool, static_run
 
@@ -93,7 +93,7 @@ def pushed(M, D, K, delay=0.0, gain=1.0, seed=0, rate=100.0, start=None):
 def plant(**options):
     M, D, K = two_masses()
     described = structure(M, D, K, np.eye(2)[:, :1], np.eye(2)[1:], "displacement")
-    return LinearPlant("carriages", described, [("x2", "m")], **options)
+    return LinearMachine("carriages", described, [("x2", "m")], **options)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_plant_by_its_matrices_lacks_a_mode():
         np.array([[1.0, 0.0]]),
         np.zeros((1, 1)),
     )
-    machine = LinearPlant("one mode", first, [("x2", "m")])
+    machine = LinearMachine("one mode", first, [("x2", "m")])
     found = d.diagnose(machine, [pushed(M, D, K)], candidates=machine.candidates())
     hertz = np.sqrt(values[1]) / (2 * np.pi)
     assert named(found)["plant/extra_mode"][0] == pytest.approx(hertz, rel=0.02)

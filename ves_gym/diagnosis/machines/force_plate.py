@@ -19,7 +19,7 @@ from ves_gym._util.params import Array, ParameterError, require_positive, unit
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.machines.base import WRENCH, Nuisance, Port
-from ves_gym.diagnosis.machines.joint_changes import Payload
+from ves_gym.diagnosis.machines.joint_changes import CarriedBody
 from ves_gym.diagnosis.machines.plant import (
     Effects,
     PlantEffect,
@@ -40,7 +40,7 @@ _LARGE = 1e3  # usual size of the wrench at rest in N, N m: nobody knows it
 @plant_effect("plate/payload")
 @dataclass(frozen=True)
 class PlatePayload(PlantEffect):
-    """A body fixed to the last link, by the numbers of `Payload`."""
+    """A body fixed to the last link, by the numbers of `CarriedBody`."""
 
     mass: float
     moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -48,8 +48,8 @@ class PlatePayload(PlantEffect):
 
     @property
     def parameters(self) -> Array:
-        """(10,) as of `Payload`."""
-        return Payload(self.mass, self.moment, self.inertia).parameters
+        """(10,) as of `CarriedBody`."""
+        return CarriedBody(self.mass, self.moment, self.inertia).parameters
 
 
 @plant_effect("mount/stiffness")

@@ -22,7 +22,7 @@ class RateError:
 
 
 @dataclass(frozen=True)
-class Payload:
+class CarriedBody:
     """A body fixed to the last link, by the ten numbers in which forces are linear."""
 
     mass: float  # kg

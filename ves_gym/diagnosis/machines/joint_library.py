@@ -13,7 +13,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, require_positive, unit
 from ves_gym.diagnosis.inference.candidates import Candidate, library
-from ves_gym.diagnosis.machines.joint_changes import Payload, RateError, Shaft, Together
+from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft, Together
 from ves_gym.diagnosis.machines.rigid_bodies import PARAMETER_UNITS, PARAMETERS
 from ves_gym.effects import JointCoulomb, JointStribeck, JointVelocityLag, JointViscous
 from ves_gym.system.effect import EFFECTS, Effect, TorqueEffect
@@ -168,11 +168,11 @@ def payload_candidate(visible: Sequence[int]) -> Candidate:
     """
     ranges = [_PAYLOAD[PARAMETER_UNITS[k]] for k in visible]
 
-    def make(x: Array) -> Payload:
+    def make(x: Array) -> CarriedBody:
         every = np.zeros(10)
         every[list(visible)] = x
         m, mx, my, mz, *inertia = (float(value) for value in every)
-        return Payload(m, (mx, my, mz), tuple(inertia))
+        return CarriedBody(m, (mx, my, mz), tuple(inertia))
 
     return Candidate(
         kind="payload/body",

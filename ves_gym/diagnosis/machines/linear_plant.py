@@ -156,7 +156,7 @@ class PlantTolerance:
         require_positive(self, "gain", "frequency", "damping")
 
 
-class LinearPlant(PlantMachine):
+class LinearMachine(PlantMachine):
     """Port `output` of a linear plant.
 
     Args:

@@ -23,7 +23,7 @@ from ves_gym._util.signals import differentiated
 from ves_gym.diagnosis.data.measured_run import Kinematics, Run
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.machines.base import Nuisance, Port
-from ves_gym.diagnosis.machines.joint_changes import Payload, RateError, Shaft, apart
+from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft, apart
 from ves_gym.diagnosis.machines.joint_library import (
     MjcfJoint,
     arm_friction,
@@ -59,18 +59,18 @@ class MjcfVariant:
     effects: tuple[Effect, ...] = ()
     bodies: tuple[BodyChange, ...] = ()
     rates: tuple[RateError, ...] = ()
-    payloads: tuple[Payload, ...] = ()
+    payloads: tuple[CarriedBody, ...] = ()
     shafts: tuple[Shaft, ...] = ()
 
     def added(self, effects: Sequence[Any]) -> MjcfVariant:
         """Return the description with effects added."""
         every = apart(effects)
-        beside = (RateError, Payload, Shaft)
+        beside = (RateError, CarriedBody, Shaft)
         return dataclasses.replace(
             self,
             effects=(*self.effects, *(e for e in every if not isinstance(e, beside))),
             rates=(*self.rates, *(e for e in every if isinstance(e, RateError))),
-            payloads=(*self.payloads, *(e for e in every if isinstance(e, Payload))),
+            payloads=(*self.payloads, *(e for e in every if isinstance(e, CarriedBody))),
             shafts=(*self.shafts, *(e for e in every if isinstance(e, Shaft))),
         )
 
@@ -84,7 +84,7 @@ class MjcfMachine:
             no port `joint`. Its `damping`, `frictionloss` and `armature` are taken by the laws
             of the library: friction as MuJoCo's solver has it depends on the step.
         effects: what the description has besides the model: effects of the library,
-            `RateError`, `Payload`, `Shaft`.
+            `RateError`, `CarriedBody`, `Shaft`.
         rates: `RateError` beside them.
         couplings: (n,) each, rates of shafts that several joints turn per rate of each joint.
         known: standard deviations of single tolerances, see `with_known`.

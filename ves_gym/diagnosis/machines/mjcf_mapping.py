@@ -24,7 +24,7 @@ from ves_gym._util.params import (
 from ves_gym._util.recordings import column_of, read_columns
 from ves_gym._util.signals import downsampled, on_uniform_clock
 from ves_gym.diagnosis.data.measured_run import BAND, Run, require_steady, run_of_signals
-from ves_gym.diagnosis.machines.joint_changes import Payload, RateError, Shaft
+from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft
 from ves_gym.diagnosis.machines.joint_library import MjcfJoint
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.rigid_bodies import RigidBodies, UrdfBodies
@@ -152,7 +152,7 @@ class MachineFile:
     tolerance: Tolerance = field(default_factory=Tolerance)
     effect: tuple[Effect, ...] = ()  # of the machine, beside the model; a slide on its pinion
     rate: tuple[RateError, ...] = ()  # of the log
-    payload: tuple[Payload, ...] = ()  # on the last link, beside the model
+    payload: tuple[CarriedBody, ...] = ()  # on the last link, beside the model
     shaft: tuple[Shaft, ...] = ()  # that several joints turn
     known: dict[str, float] = field(default_factory=dict)  # tolerance -> standard deviation
 

@@ -13,7 +13,7 @@ from ves_gym._util.params import Array, ParameterError, from_plain, require_posi
 from ves_gym.diagnosis.data.measured_run import BAND, Run, require_steady
 from ves_gym.diagnosis.machines.force_plate import ForcePlateArm, PlateTolerance
 from ves_gym.diagnosis.machines.linear_plant import (
-    LinearPlant,
+    LinearMachine,
     PlantTolerance,
     StateSpace,
     structure,
@@ -83,7 +83,7 @@ class PlantFile:
         if (self.structure is None) == (self.matrices is None):
             raise ParameterError("give [structure] (M, D, K) or [matrices] (A, B, C, D)")
 
-    def machine(self, folder: Path) -> LinearPlant:
+    def machine(self, folder: Path) -> LinearMachine:
         """The machine."""
         if self.structure is not None:
             s = self.structure
@@ -97,7 +97,7 @@ class PlantFile:
             raise ParameterError(
                 f"{plant.B.shape[1]} inputs are described, {len(self.input)} have columns"
             )
-        return LinearPlant(
+        return LinearMachine(
             self.name,
             plant,
             [(o.name, o.unit) for o in self.output],

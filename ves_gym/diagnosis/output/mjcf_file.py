@@ -31,7 +31,7 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.machines.joint_changes import Payload, RateError, Shaft, apart
+from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft, apart
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.mjcf_mapping import machine_of
 from ves_gym.diagnosis.machines.rigid_bodies import joint_property
@@ -50,7 +50,7 @@ _MJCF_ATTRIBUTES = {  # effect -> (its numbers, attribute of a joint, power of a
     "joint/coulomb": ("torque", "frictionloss", -1),
     "joint/rotor_inertia": ("added", "armature", -2),
 }
-_TABLES: dict[type, str] = {RateError: "rate", Payload: "payload", Shaft: "shaft"}
+_TABLES: dict[type, str] = {RateError: "rate", CarriedBody: "payload", Shaft: "shaft"}
 _FOLDERS = ("assetdir", "meshdir", "texturedir")
 
 
@@ -84,7 +84,7 @@ def write_machine(
     for name, read in ((MAPPING, mapping), (MODEL, source)):
         if read is not None and (folder / name).resolve() == read.resolve():
             raise ParameterError(f"--out {folder} would overwrite {read}: take another folder")
-    changes = [e for e in apart(effects) if isinstance(e, (RateError, Payload, Shaft))]
+    changes = [e for e in apart(effects) if isinstance(e, (RateError, CarriedBody, Shaft))]
     model_effects = [e for e in apart(effects) if e not in changes]
     variant = machine.model(effects)
     inside = _split(source, machine, model_effects)
@@ -110,7 +110,7 @@ def _written(
     mapping: Path,
     source: Path | None,
     part: _Split,
-    changes: Sequence[RateError | Payload | Shaft],
+    changes: Sequence[RateError | CarriedBody | Shaft],
     folder: Path,
     machine: MjcfMachine,
     variant: Any,
