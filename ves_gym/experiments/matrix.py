@@ -273,7 +273,7 @@ class Entry:
     energy: Estimate | None  # interquartile mean of E_mean over the first method's
     failed: int
     episodes: int  # of each seed
-    seconds: float  # of processor time of all seeds, with the time of others on the machine
+    seconds: float  # of processor time, all seeds together
 
 
 def entries(matrix: Matrix, folder: str | os.PathLike[str]) -> list[Entry]:
@@ -299,7 +299,7 @@ def entries(matrix: Matrix, folder: str | os.PathLike[str]) -> list[Entry]:
             raise ParameterError(f"{folder}: no result yet of {' '.join(key)}: run it again")
         rows.setdefault(key, []).append(read_result(path)["rows"])
         about = read_table(root / "about" / f"{cell.unit.id}.json")
-        spent[key] = spent.get(key, 0.0) + float(about["seconds"])
+        spent[key] = spent.get(key, 0.0) + _seconds(about)
     first = {task.env: task.methods[0].name for task in matrix.tasks}
     return [
         _entry(key, seeds, rows[key[0], key[1], first[key[0]]], spent[key])
@@ -332,6 +332,11 @@ def _entry(
     )
 
 
+def _seconds(about: Mapping[str, Any]) -> float:
+    """Processor time of a unit; of results from before it was told, time by the clock."""
+    return float(about.get("processor_seconds", about["seconds"]))
+
+
 def _column(rows: list[dict[str, Any]], name: str) -> Array:
     """Values of a measure, episode by episode; what is missing is infinite."""
     return np.array([np.inf if row[name] is None else row[name] for row in rows], float)
@@ -359,7 +364,7 @@ def cost(
     for (task, method, _), unit in trainings(measured).items():
         about = read_table(root / "about" / f"{unit.id}.json")
         done = float(unit.identity["config"]["total_timesteps"])
-        steps.setdefault((task, method), []).append(float(about["seconds"]) / done)
+        steps.setdefault((task, method), []).append(_seconds(about) / done)
     for (task, method, _), unit in trainings(matrix).items():
         rate_of = float(np.mean(steps[task, method]))
         hours["train"] += rate_of * unit.identity["config"]["total_timesteps"] / 3600

@@ -194,7 +194,7 @@ def is_sound(folder: Path, id: str) -> bool:
 
 
 def _outcome(unit: Unit, work: Path | None) -> Outcome:
-    begun, begin = datetime.now(UTC), time.perf_counter()
+    begun, begin, worked = datetime.now(UTC), time.perf_counter(), time.process_time()
     with tempfile.TemporaryDirectory() as scratch:
         answer = _RUN[unit.identity["kind"]](unit, work or Path(scratch))
     body = {
@@ -213,6 +213,7 @@ def _outcome(unit: Unit, work: Path | None) -> Outcome:
         "begun": begun.isoformat(timespec="milliseconds"),
         "ended": datetime.now(UTC).isoformat(timespec="milliseconds"),
         "seconds": round(time.perf_counter() - begin, 3),
+        "processor_seconds": round(time.process_time() - worked, 3),
         "versions": versions("mujoco"),
         "clocked": answer.clocked,
     }

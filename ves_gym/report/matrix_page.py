@@ -36,8 +36,8 @@ def matrix_page(
     )
     if hours is not None:
         parts.append(
-            f"Units took {hours['train']:.2f} h of training and {hours['evaluate']:.2f} h of"
-            f" evaluation, {hours['total']:.2f} h on two workers."
+            f"Processor time: {hours['train']:.2f} h of training and {hours['evaluate']:.2f} h"
+            f" of evaluation, {hours['total']:.2f} h on two workers."
         )
     return "\n\n".join(parts) + "\n"
 
@@ -108,7 +108,7 @@ def crossover_figure(matrix: Matrix, entries: Sequence[Entry]) -> Figure:
         for row in (0, 1):
             axes[row][column].grid(alpha=0.3)
             axes[row][column].tick_params(labelsize=8)
-        axes[0][column].legend(fontsize=7)
+        axes[0][column].legend(fontsize=7, loc="center right", framealpha=0.6)
     axes[0][0].set_ylabel("success", fontsize=9)
     axes[1][0].set_ylabel("E_mean over the first method's", fontsize=9)
     return figure
@@ -123,9 +123,10 @@ def _draw(
         return
     at = [a for a, _ in shown]
     y = [v.value for _, v in shown]
-    most = max(y)
+    top = 100 * max(y)  # in place of an infinite end
     low = [max(v.value - v.low, 0.0) for _, v in shown]
-    high = [max(min(v.high, 100 * most) - v.value, 0.0) for _, v in shown]
+    ends = [v.high if v.high < float("inf") else top for _, v in shown]
+    high = [max(end - value, 0.0) for end, value in zip(ends, y, strict=True)]
     axes.errorbar(
         at, y, yerr=[low, high], label=label, marker=marker, markersize=4, capsize=2, lw=1.1
     )
