@@ -44,7 +44,12 @@ def test_a_few_samples_pay() -> None:
     """
     straight = evaluate(get_controller("straight"), REST, episodes=1, threads=1)
     twice = [
-        evaluate(Mppi(3, lanes=32, first=10, later=0), REST, episodes=1, threads=1)
+        evaluate(
+            Mppi(3, lanes=32, first=10, later=0, noise=0.15, start="straight"),
+            REST,
+            episodes=1,
+            threads=1,
+        )
         for _ in range(2)
     ]
     assert twice[0].rows[0]["E_mean"] == twice[1].rows[0]["E_mean"]

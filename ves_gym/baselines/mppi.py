@@ -6,9 +6,9 @@ sequence of actions U, sequences U + B e_k with normal e_k are played on a model
 
     U <- U + B sum_k w_k e_k,    w_k ~ exp(-(S_k - min S) / lambda),
 
-S_k the negative return of the rest of the episode. Here B are cubic B-splines in time, so that
-the sampled actions are smooth, and lambda is a share of the spread of S, whatever the reward's
-scale.
+S_k the negative return of the rest of the episode and a price of joints that move at its end.
+Here B are cubic B-splines in time, so that the sampled actions are smooth, and lambda is a
+share of the spread of S, whatever the reward's scale.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.motion import basis
 
 _FADES = 0.85  # of the noise, from one iteration to the next of the same decision
+AT_REST = 30.0  # s^2/rad^2: price of half the squared joint rates at the end
 _LEAST = 1e-9  # spread of the returns below which all sequences are alike
 
 
@@ -55,13 +56,13 @@ class Mppi:
         seed: int = 0,
         *,
         lanes: int = 64,
-        first: int = 24,
-        later: int = 2,
+        first: int = 6,
+        later: int = 1,
         period: float = 0.25,
         knots: int = 12,
-        noise: float = 0.15,
+        noise: float = 0.02,
         temperature: float = 0.2,
-        start: str = "straight",
+        start: str = "direct",
     ) -> None:
         if min(lanes, first) < 2 or later < 0 or knots < 4:
             raise ParameterError(
@@ -134,6 +135,7 @@ class Mppi:
             e[0] = 0.0  # the present sequence itself
             model.fan_out(env, i)
             cost = -returns(model, np.clip(rest + splines @ e, -1.0, 1.0))
+            cost += unrest(model)
             spread = float(cost.std())
             if not spread > _LEAST:
                 break
@@ -171,6 +173,16 @@ def returns(model: VesVectorEnv, actions: Array) -> Array:
         if not running.any():
             break
     return total
+
+
+def unrest(model: VesVectorEnv) -> Array:
+    """Return a price of joints that still move (lanes,), which the reward does not have.
+
+    Args:
+        model: at the end of its episodes.
+    """
+    out: Array = AT_REST / 2 * (model.batch.scene.v**2).sum(axis=1)
+    return np.nan_to_num(out, nan=np.inf)
 
 
 def followed(

@@ -35,6 +35,12 @@ def _adaptive(seed: int) -> Controller:
     return Adaptive(seed)
 
 
+def _ilqr(seed: int) -> Controller:
+    from ves_gym.baselines.ilqr import Ilqr
+
+    return Ilqr(seed)
+
+
 CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "zero": lambda seed: Zero(),
     "random": Random,
@@ -48,6 +54,7 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "robust": lambda seed: Follow("robust", "robust", seed),
     "adaptive": _adaptive,
     "mppi": Mppi,
+    "ilqr": _ilqr,
     "lqr": lambda seed: Optimal(),
     "lqi": lambda seed: Regulator(),
     "tuned": _tuned,

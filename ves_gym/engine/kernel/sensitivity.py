@@ -41,6 +41,7 @@ def rollout_gradients(
     x0: npt.ArrayLike = 0.0,
     wrt: tuple[str, ...] = (),
     along: npt.ArrayLike | None = None,
+    starts: npt.ArrayLike | None = None,
     servo: JointServo | None = OWN_GAINS,
     values: npt.ArrayLike | None = None,
 ) -> Rollout:
@@ -49,10 +50,11 @@ def rollout_gradients(
     Args:
         system: mode ideal, integrator rk4; what runs is `system.actual`.
         commands: (n, k + 1, joints) drive commands at the physics steps, linear between.
-        x0: start (n, 2 s) as `Rollout.x`, broadcast; it does not depend on the directions.
+        x0: start (n, 2 s) as `Rollout.x`, broadcast.
         wrt: parameters by name (`parameters(system.actual)[0]`): K11, link2.mass, kp1, ... A
             number that is zero in the system is structural and has no derivative.
         along: (n, k + 1, c, joints) directions of the commands, c of them.
+        starts: (n, c, 2 s) how the start moves along each of these; None: not at all.
         servo: gains of the motors; None for bare torque.
         values: (n, len(parameters)) of p per run; default the system's own, with the gains.
 
@@ -103,6 +105,13 @@ def rollout_gradients(
     x[:, : 2 * size] = np.broadcast_to(np.asarray(x0, float), (n, 2 * size))
     u = np.zeros((n, nodes, 1 + c, 6 + joints))
     u[:, :, 0, 6:], u[:, :, 1:, 6:] = samples, push
+    if starts is not None:
+        first = np.asarray(starts, float)
+        if first.shape != (n, c, 2 * size):
+            raise ParameterError(
+                f"starts must have shape ({n}, {c}, {2 * size}), got {first.shape}"
+            )
+        x.reshape(n, 1 + m, width)[:, 1 + len(wrt) :, : 2 * size] = first
     out = _advance(system, wrt, c, x, u.reshape(n, nodes, -1), p)
     parts, time = out.reshape(n, 1 + m, width), (nodes - 1) * system.physics_dt
     return Rollout(
