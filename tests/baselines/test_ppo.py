@@ -14,7 +14,7 @@ from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.imitation import Imitation, Lessons
 from ves_gym.baselines.perceptron import ActorCritic, Adam
 from ves_gym.baselines.policy import load_policy
-from ves_gym.baselines.ppo import PPO, Rollout, Settings, Sight, flat
+from ves_gym.baselines.ppo import PPO, Experience, Settings, Sight, flat
 
 SHORT = {"duration": 0.5, "tail": 0.5}  # 40 periods
 
@@ -99,7 +99,7 @@ def test_an_update_gives_the_weights_that_stable_baselines3_gives(id, monkeypatc
 
     with torch.no_grad():
         following = model.policy.predict_values(torch.as_tensor(model._last_obs))[:, 0].numpy()
-    rollout = Rollout(
+    rollout = Experience(
         b.observations, b.actions, b.log_probs, b.values, b.rewards, over, following
     )
     advantages = rollout.advantages(k["gamma"], k["gae_lambda"])

@@ -8,6 +8,7 @@ import pytest
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.main import main
 from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.envs.build import build_task
 from ves_gym.mechanics.arm import Arm, Inertial, diagonal
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.limits import LimitError, require_limits
@@ -178,6 +179,7 @@ def test_units_and_refusals(arm, tmp_path, capsys):
         lambda: System(arm=arm, mode="emulated"),
         lambda: Query(system=system, start=(0.0,) * 4, goal=(0.1,) * 4, duration=1.0),
         lambda: coupling_map(system, (0, 2), [0.0] * 4),
+        lambda: build_task("reach", arm=arm),
     ):
         with pytest.raises(
             ParameterError, match="takes revolute joints, got slider with j2, j4"

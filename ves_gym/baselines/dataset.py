@@ -60,7 +60,7 @@ Float32 = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """What a data set is made of; episode k begins with `env.reset(seed=seed + k)`."""
+    """Recipe of a data set; episode k begins with `env.reset(seed=seed + k)`."""
 
     id: str  # of the data set, such as ves/PumaReach-v1/mixed-v0
     env: str
@@ -111,7 +111,7 @@ class Dataset:
 
     @cached_property
     def fingerprint(self) -> dict[str, Any]:
-        """What is committed of the content, see `fingerprint_of`."""
+        """Fingerprint of the content, as committed (`fingerprint_of`)."""
         return fingerprint_of(self.identity, self.episodes)
 
 

@@ -130,7 +130,7 @@ def evaluate(
 
 
 @dataclass(frozen=True)
-class Step:
+class EpisodePeriod:
     """A control period of n environments, of which some wait while the last episodes end."""
 
     seeds: Index  # (n,) of their episodes, -1: it waits
@@ -150,7 +150,7 @@ class Step:
 
 def run_episodes(
     controller: Controller, env: VesVectorEnv, seeds: Iterable[int]
-) -> Iterator[Step]:
+) -> Iterator[EpisodePeriod]:
     """Step through an episode of every seed, as many at once as there are environments.
 
     Args:
@@ -180,7 +180,7 @@ def run_episodes(
         before = observation
         observation, reward, terminated, truncated, info = env.step(actions)
         ended = terminated | truncated
-        yield Step(
+        yield EpisodePeriod(
             running.copy(), before, actions, observation, reward, terminated, truncated, info
         )
 

@@ -61,8 +61,8 @@ class Settings:
 
 
 @dataclass
-class Rollout:
-    """What was collected: leading axes (n_steps, n)."""
+class Experience:
+    """Decisions collected for an update: leading axes (n_steps, n)."""
 
     seen: Floats  # observations as the networks take them
     action: Floats  # as drawn, not clipped
@@ -100,7 +100,7 @@ class Sight:
 
     @property
     def spread(self) -> np.ndarray:
-        """What counts as one."""
+        """(inputs,) unit of each entry."""
         return np.sqrt(self.variance + _LEAST) if self.count else np.ones_like(self.mean)
 
     def first(self, observation: Floats) -> Floats:
@@ -182,7 +182,7 @@ class PPO:
 
     # ------------------------------------------------------------------ collect
 
-    def collect(self) -> Rollout:
+    def collect(self) -> Experience:
         """Act for `n_steps` decisions in every environment."""
         k, n, agent = self.settings, self.env.env.num_envs, self.agent
         inputs, width = self.rows.shape[1], len(agent.log_std)
@@ -199,7 +199,7 @@ class PPO:
             reward[t], over[t] = self._step(np.clip(action[t], -1.0, 1.0))
         chance = -0.5 * np.square(noise).sum(axis=2) - self._volume()
         following = agent.critic(self.sight.scaled(self.rows))[:, 0].copy()
-        return Rollout(seen, action, chance, value, reward, over, following)
+        return Experience(seen, action, chance, value, reward, over, following)
 
     def _volume(self) -> np.float32:
         """Minus the logarithm of the density of the mean action."""
@@ -225,7 +225,7 @@ class PPO:
     # ------------------------------------------------------------------- update
 
     def update(
-        self, rollout: Rollout, rate: float, orders: Iterable[Index] | None = None
+        self, rollout: Experience, rate: float, orders: Iterable[Index] | None = None
     ) -> None:
         """Learn from a rollout.
 

@@ -105,7 +105,7 @@ def _require_free(folder: Path, resume: bool) -> None:
 
 
 class Learner(Protocol):
-    """What `train` runs, made of a configuration, a seed and an environment."""
+    """Learner as `train` runs it, made of a configuration, a seed and an environment."""
 
     @property
     def steps(self) -> int:

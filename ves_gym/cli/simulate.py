@@ -262,7 +262,7 @@ def _play(
 
 
 def _latch(args: argparse.Namespace) -> list[tuple[float, str]]:
-    """What the latch is to do, and when."""
+    """Commands of the latch, and their instants."""
     parts = (("grasp", args.grasp), ("release", args.release))
     return [(time, what) for what, times in parts for time in times or ()]
 

@@ -20,7 +20,7 @@ _AXES = 6  # numbers of a wrench
 
 @dataclass(frozen=True, kw_only=True)
 class BaseControl:
-    """What an action asks of wheels and jets: a torque per wheel, then a wrench of the jets.
+    """Part of an action for wheels and jets: a torque per wheel, then a wrench of the jets.
 
     A wheel's number is its motor's torque in `torque_max`, held over the period. The jets'
     six are force along the platform's axes and moment about the centre of mass of the

@@ -39,8 +39,8 @@ class CostBounds:
         require_positive(self, "displacement", "acceleration")
 
 
-class Outcome(NamedTuple):
-    """What a batch of n tells of a control period."""
+class PeriodOutcome(NamedTuple):
+    """Reward, ends and info of a control period of n simulations."""
 
     reward: Array  # (n,), or (n, 3) by objective
     terminated: Mask  # (n,)
@@ -89,7 +89,7 @@ class Signals:
         low, low[at], high[at] = -low, -1.0, 0.0
         return gym.spaces.Box(low, high, dtype=np.float64)
 
-    def step(self, batch: Batch, actions: Array, over: Mask | None = None) -> Outcome:
+    def step(self, batch: Batch, actions: Array, over: Mask | None = None) -> PeriodOutcome:
         """Bring a batch on by a period.
 
         Args:
@@ -103,7 +103,7 @@ class Signals:
             info.update(self._costs(batch, before, over))
         if self.vector:
             reward = objectives(batch, info, over)
-        return Outcome(reward, terminated, truncated, info)
+        return PeriodOutcome(reward, terminated, truncated, info)
 
     def _costs(self, batch: Batch, before: Array, over: Mask | None) -> dict[str, Array]:
         """Entries (n,) of an info.

@@ -143,6 +143,7 @@ class Task(ABC):
         require_positive(self, "duration")
         require_positive(self, "tail", zero=True)
         self.system.arm.require_rigid(f"task {self.kind}")
+        self.system.arm.require_turning(f"task {self.kind}")
         steps = self.duration / self.system.control_dt
         if abs(steps - round(steps)) > 1e-9 * steps:
             raise ParameterError(

@@ -307,7 +307,7 @@ def _require_distinct(rows: Sequence[Row], method: Method) -> None:
 
 
 def _difference(replayed: Sequence[Row], found: Sequence[Row]) -> dict[str, Any]:
-    """What a run of the method here gave, beside the run that was submitted."""
+    """Compare a run of the method here with the run that was submitted."""
     pairs = [(a["score"], b["score"]) for a, b in zip(replayed, found, strict=True)]
     both = [(a, b) for a, b in pairs if a is not None and b is not None]
     largest = max((abs(a - b) / max(abs(a), abs(b), 1e-12) for a, b in both), default=0.0)

@@ -90,7 +90,7 @@ class Appendage:
 
     @property
     def inertia(self) -> float:
-        """What its spring moves, the satellite at rest [kg m^2, kg]."""
+        """Inertia that its spring moves, the satellite at rest [kg m^2, kg]."""
         return float(inertia_of(self, 0.0, math).joint)
 
     @property

@@ -197,7 +197,7 @@ def _lump(inertial: Inertial, sign: float = 1.0) -> Lump:
 def _remaining(
     whole: Inertial, flexures: tuple[Flexure, ...], frame: _Frame, what: str
 ) -> Inertial:
-    """What is left of a link before its first flexure, in a frame."""
+    """Part of a link before its first flexure, in a frame."""
     lump = _lump(whole)
     for flexure in flexures:
         part = _lump(flexure.beyond, -1.0)

@@ -25,7 +25,7 @@ DIRECTIONS = ("x", "y", "z", "about_x", "about_y", "about_z")  # of a relative t
 
 
 class Impulse(NamedTuple):
-    """What a latch does. Leading axes = simulation."""
+    """Impulse of a latch and its effect. Leading axes = simulation."""
 
     rates: Array  # (..., N) of the arm with its base after it
     twist: Array  # (..., 6) of the target's centre of mass after it, inertial axes

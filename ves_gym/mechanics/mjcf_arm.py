@@ -304,7 +304,7 @@ class _Reader:
         return float(min(limits)) if limits else None
 
     def _numbers(self, n: int) -> dict[str, list[float]]:
-        """What `Arm.to_mjcf` writes beside what MJCF knows."""
+        """Numbers that `Arm.to_mjcf` writes beside what MJCF has elements for."""
         m, out = self.model, {}
         for name in NUMBERS:
             k = int(self.mj.mj_name2id(m, self.mj.mjtObj.mjOBJ_NUMERIC, name))

@@ -94,7 +94,7 @@ class LinearResponse:
         return E[:, :n, :n], E[:, :n, n:]
 
     def _low(self, k: int) -> slice:
-        """Where in the state the k-th low-pass of the base's coordinates stands."""
+        """Rows of the state that hold the k-th low-pass of the base's coordinates."""
         begin = 2 * self.linear.size + k * self.linear.b
         return slice(begin, begin + self.linear.b)
 

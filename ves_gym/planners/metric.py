@@ -69,7 +69,7 @@ class Metric:
 
     @property
     def least(self) -> float:
-        """What is added to the diagonal [unit of `squares` per rad^2]."""
+        """Number added to the diagonal [unit of `squares` per rad^2]."""
         return float(self._p[-1])
 
     def _least(self) -> float:

@@ -33,7 +33,7 @@ _ROWS = 6  # of H
 
 @dataclass(frozen=True, eq=False)
 class ReachableSet:
-    """Where and how fast joints can be between two instants of rest."""
+    """Angles and speeds that joints can have between two instants of rest."""
 
     start: Array  # (n,) rad
     goal: Array  # (n,) rad
@@ -219,7 +219,7 @@ class Potential:
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What a potential is judged by."""
+    """Criteria that a potential is judged by."""
 
     reach: ReachableSet
     shapes: Shapes

@@ -28,7 +28,7 @@ _FREE = 24  # control points of a relaxed motion
 
 
 class PathCost(Protocol):
-    """What a path costs."""
+    """Cost of a path."""
 
     relaxes: bool  # whether `relax` does anything
 

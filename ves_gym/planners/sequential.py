@@ -30,7 +30,7 @@ _BARELY = 1e-4  # of a limit: less is nothing to tell optimisations apart by
 _ACCEPTED = 1e-6  # of a limit by which an answer may break it; `_SHARE` is for that
 
 
-class Problem(Protocol):
+class DecisionProblem(Protocol):
     """Motions by the decision x (free n,) [rad], a quadratic form of momenta, and limits."""
 
     energy: MeanEnergy | Objective
@@ -40,7 +40,7 @@ class Problem(Protocol):
         """Lowest and highest x."""
 
     def momentum(self, x: Array) -> tuple[Array, Array]:
-        """What the energy is a form of, and its derivative by x."""
+        """Samples of the momentum that the energy is a form of, and their derivative by x."""
 
     def limits(self, x: Array) -> tuple[Array, Array]:
         """Shares of the limits less 1, <= 0 where they hold, and their derivative by x."""
@@ -95,7 +95,7 @@ class _Point(NamedTuple):
 
 
 def minimise(
-    problem: Problem, x0: Array, iterations: int = 60, tolerance: float = 1e-4
+    problem: DecisionProblem, x0: Array, iterations: int = 60, tolerance: float = 1e-4
 ) -> Minimum:
     """Find the least E_mean from x0 by steps in a trust region that an exact penalty judges.
 
@@ -121,7 +121,7 @@ def minimise(
     return replace(minimum, iterations=done, evaluations=evaluations)
 
 
-def about_itself(problem: Problem, minimum: Minimum, iterations: int = 60) -> Minimum:
+def about_itself(problem: DecisionProblem, minimum: Minimum, iterations: int = 60) -> Minimum:
     """Minimise again with the tool on the path that was found, where its error counts.
 
     Args:
@@ -140,7 +140,9 @@ def about_itself(problem: Problem, minimum: Minimum, iterations: int = 60) -> Mi
     return replace(minimum, iterations=done, evaluations=evaluations)
 
 
-def _minimise(problem: Problem, x0: Array, iterations: int, tolerance: float) -> Minimum:
+def _minimise(
+    problem: DecisionProblem, x0: Array, iterations: int, tolerance: float
+) -> Minimum:
     low, high = problem.bounds
 
     def at(x: Array) -> _Point:

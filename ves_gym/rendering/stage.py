@@ -42,7 +42,7 @@ _FONT = mujoco.mjtFont.mjFONT_NORMAL
 
 @dataclass
 class History:
-    """What has been seen of an episode."""
+    """Samples of an episode so far."""
 
     episode: Any = None
     samples: list[dict[str, Any]] = field(default_factory=list)

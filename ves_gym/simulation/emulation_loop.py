@@ -88,7 +88,7 @@ class EmulationLoop:
             self.memory.take_over(earlier.copied(names), self._carried)
 
     def _asked(self) -> Needs:
-        """What parameters and table ask of the blocks."""
+        """Requirements of parameters and table on the blocks."""
         return Needs.of(
             self.parameters,
             self.dt,

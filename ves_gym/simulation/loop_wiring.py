@@ -37,7 +37,7 @@ _WATCHED = ("reading", "weight", "y_measured", "command", "command_sent", "froze
 
 @dataclass(frozen=True)
 class Needs:
-    """What the parameters of a loop's simulations ask of its blocks."""
+    """Requirements of a loop's parameters on its blocks."""
 
     commands: int = 0  # to look back over; none where every platform hears at once
     estimates: int = 0  # of the weight to look back over

@@ -170,7 +170,7 @@ def play_motions(
 def _latched(
     system: System, latch: Sequence[tuple[float, str]], interval: float, records: int
 ) -> dict[int, str]:
-    """What the latch does at records, by their numbers."""
+    """Commands of the latch at records, by their numbers."""
     if latch and system.payload is None:
         raise ParameterError("a latch needs a system with a payload, got one without")
     out: dict[int, str] = {}

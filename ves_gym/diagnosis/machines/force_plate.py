@@ -72,7 +72,7 @@ class MountDamping(PlantEffect):
 
 @dataclass(frozen=True)
 class RestWrench(PlantEffect):
-    """What plate and springs carry in the pose that counts as zero, in a run."""
+    """Load of plate and springs in the pose that counts as zero, in a run."""
 
     kind = "mount/rest"
     run: str

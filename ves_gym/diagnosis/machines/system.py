@@ -257,7 +257,7 @@ class SystemMachine:
         return np.asarray(run["w"] - self._sensed(system, wrench, self._between(run), run.dt))
 
     def _between(self, run: Run) -> BetweenSamples:
-        """What the swing of the platform as described does between the samples of a log."""
+        """Effect of the platform's swing, as described, between the samples of a log."""
         key = Derived("between samples", frozenset({*followed(run, self.system), "q"}))
         near = run.memory.get(NEAR, {})  # noise hardly moves it
         if key in near:

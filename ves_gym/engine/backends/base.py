@@ -156,7 +156,7 @@ class Backend(Protocol):
 
 @runtime_checkable
 class Carrier(Protocol):
-    """What an engine can do besides whose simulations grasp and carry payloads."""
+    """An engine whose simulations grasp and carry payloads."""
 
     def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
         """Let the rates of some simulations jump, nothing else (`mechanics/latch.py`).

@@ -210,7 +210,7 @@ def _model(system: System, read: _Numbers) -> Model:
 
 
 def _bending(system: System, read: _Numbers, rigid: list[Any]) -> dict[str, Any]:
-    """What a model has of an arm whose links bend: the whole chain, and its springs."""
+    """The whole chain of an arm whose links bend, and its springs."""
     chain = unfold(system.arm)
     rotors = {
         place: link.rotor_inertia for place, link in zip(chain.driven, rigid, strict=True)
