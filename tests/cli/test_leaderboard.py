@@ -1,6 +1,9 @@
 """`ves-gym leaderboard`: bundles made, checked and refused from the shell."""
 
 import json
+import shutil
+import subprocess
+import zipfile
 
 import pytest
 
@@ -103,3 +106,43 @@ def test_import_sb3_says_what_it_trusts(call, refused, tmp_path):
     status, _, _, _ = call(*RUN, tmp_path / "p.json", "--bundle", tmp_path / "b")
     assert status == 0
     assert call("leaderboard", "verify", tmp_path / "b", "--level", "reproduced")[0] == 0
+
+
+@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="OpenSSH is not installed")
+def test_a_signed_name_on_the_board(call, tmp_path):
+    """Signed and registered; the same author without the key, or with another, is refused."""
+    for name in ("mine", "theirs"):
+        subprocess.run(
+            ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", tmp_path / name], check=True
+        )
+    bundle, board = tmp_path / "b.zip", tmp_path / "board.jsonl"
+    call(*RUN, "zero", "--author", "A. Name", "--bundle", bundle)
+    verify = ("leaderboard", "verify", bundle, "--board", board)
+    status, out, _, _ = call(*verify)
+    assert status == 0 and out.endswith("not signed\n")
+
+    def refused(*words):
+        (tmp_path / "result.json").unlink(missing_ok=True)
+        status, out, err, result = call(*words)
+        assert status == 2 and out == "" and result is None, out + err
+        assert err.startswith("ves-gym: error: ") and err.count("\n") == 1
+        return err
+
+    sign = ("leaderboard", "sign", bundle, "--key")
+    assert "no such key file" in refused(*sign, tmp_path / "none")
+    status, out, _, result = call(*sign, tmp_path / "mine")
+    assert status == 0 and result["schema"] == "ves-leaderboard-sign/1"
+    assert out == f"signed {bundle} by {result['key']}\n"
+    assert "unsigned entries" in refused(*verify)
+    assert "--board" in refused("leaderboard", "verify", bundle, "--adopt")
+    status, out, _, _ = call(*verify, "--adopt")
+    assert status == 0 and out.endswith(f"signed by {result['key']}\n")
+
+    call(*sign, tmp_path / "theirs")
+    assert "signs with" in refused(*verify)
+    assert [r.entry["about"].get("key") for r in check(board).records] == [None, result["key"]]
+
+    with zipfile.ZipFile(bundle, "a") as archive:
+        archive.writestr("manifest.json.sig2", b"")
+    status, _, err, _ = call(*sign, tmp_path / "mine")
+    assert status == 1 and err.startswith("ves-gym: rejected: unsafe-archive: ")

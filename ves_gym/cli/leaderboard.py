@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action_name", metavar="ACTION", required=True)
     _add_run(actions)
     _add_verify(actions)
+    _add_sign(actions)
     _add_import(actions)
     add_render(actions)
     for action in actions.choices.values():  # what every command takes, after the action too
@@ -76,8 +77,23 @@ def _add_verify(actions: Any) -> None:
     parser.add_argument("--salt", metavar="FILE", help="the maintainer's, of official seeds")
     parser.add_argument("--digest", metavar="SHA256", help="that the manifest must have")
     parser.add_argument("--board", metavar="FILE", help="journal to append the entry to")
+    parser.add_argument(
+        "--adopt", action="store_true",
+        help="the maintainer's: the author's unsigned entries on the board are the signer's",
+    )  # fmt: skip
     _add_blind(parser)
     parser.set_defaults(action=_verify)
+
+
+def _add_sign(actions: Any) -> None:
+    parser = actions.add_parser(
+        "sign",
+        help="sign a bundle with an SSH key: its author's name is then that key's",
+        description="Uses the program ssh-keygen. `ssh-keygen -t ed25519` makes a key.",
+    )
+    parser.add_argument("bundle", help="folder or .zip file")
+    parser.add_argument("--key", metavar="FILE", required=True, help="private Ed25519 key")
+    parser.set_defaults(action=_sign)
 
 
 def _add_import(actions: Any) -> None:
@@ -154,6 +170,8 @@ def _verify(args: argparse.Namespace) -> int:
     from ves_gym.leaderboard.journal import append
     from ves_gym.leaderboard.verify import verify
 
+    if args.adopt and args.board is None:
+        raise ParameterError("--adopt is of the board: give --board FILE")
     try:
         entry = verify(
             args.bundle,
@@ -166,11 +184,28 @@ def _verify(args: argparse.Namespace) -> int:
     except BundleError as refused:
         print(f"ves-gym: rejected: {refused}", file=sys.stderr)
         return _NEGATIVE
-    write_json(args.json, entry.to_dict())
     if args.board is not None:
-        append(args.board, entry.shortened())
+        append(args.board, entry.shortened(), adopt=args.adopt)
+    write_json(args.json, entry.to_dict())
     print(f"{entry.level}: {entry.name} on {entry.problem}: {_summary(entry.rows)}")
     print(f"manifest {entry.bundle}")
+    print(f"signed by {entry.about['key']}" if "key" in entry.about else "not signed")
+    return 0
+
+
+def _sign(args: argparse.Namespace) -> int:
+    from ves_gym.leaderboard.errors import BundleError
+    from ves_gym.leaderboard.signature import sign_bundle
+
+    try:
+        key = sign_bundle(args.bundle, args.key)
+    except BundleError as refused:
+        print(f"ves-gym: rejected: {refused}", file=sys.stderr)
+        return _NEGATIVE
+    write_json(
+        args.json, {"schema": "ves-leaderboard-sign/1", "bundle": args.bundle, "key": key}
+    )
+    print(f"signed {args.bundle} by {key}")
     return 0
 
 

@@ -6,6 +6,7 @@ together up to a size. Names are names, never paths.
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import stat
@@ -17,10 +18,12 @@ from ves_gym._util.params import ParameterError, write_bytes
 from ves_gym.leaderboard.errors import BundleError, Code
 
 MANIFEST = "manifest.json"
+SIGNATURE = "manifest.json.sig"  # of the manifest's bytes (signature.py)
 _MIB = 2**20
 # what a bundle may hold, and the most bytes of it
 LIMITS = {
     MANIFEST: 16 * _MIB,
+    SIGNATURE: 2**12,
     "actions.npy": 128 * _MIB,
     "motions.npy": 32 * _MIB,
     "gains.npy": 4 * _MIB,
@@ -177,13 +180,34 @@ def write_members(path: str | os.PathLike[str], members: dict[str, bytes]) -> Pa
         for name in sorted(members, key=lambda k: (k == MANIFEST, k)):
             write_bytes(path / name, members[name])
         return path
-    import io
+    write_bytes(path, _zipped(members))
+    return path
 
+
+def add_member(
+    path: str | os.PathLike[str], members: dict[str, bytes], name: str, data: bytes
+) -> None:
+    """Add a file to a bundle, or replace it.
+
+    Args:
+        path: folder or .zip file.
+        members: what it holds.
+        name: of the file.
+        data: its bytes.
+    """
+    path = Path(path)
+    _require(name, len(data))
+    if path.is_dir():
+        write_bytes(path / name, data)
+    else:
+        write_bytes(path, _zipped({**members, name: data}))
+
+
+def _zipped(members: dict[str, bytes]) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in sorted(members):
             info = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
             info.external_attr = (stat.S_IFREG | 0o644) << 16
             archive.writestr(info, members[name], zipfile.ZIP_DEFLATED)
-    write_bytes(path, buffer.getvalue())
-    return path
+    return buffer.getvalue()

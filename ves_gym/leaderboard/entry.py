@@ -23,6 +23,7 @@ LEVELS = ("replayed", "reproduced")
 SEEDS = ("public", "official")
 MEASURES = ("E_mean", "E_peak", "E_res", "E_int")  # J; E_int J s
 DIGEST = re.compile(r"[0-9a-f]{64}")
+FINGERPRINT = re.compile(r"SHA256:[A-Za-z0-9+/]{43}")  # of a key, as ssh-keygen writes it
 _MOST = 200_000  # rows
 _DIGITS = 6  # of a number on the board
 _DEPTH = 8  # of nested plain data
@@ -122,11 +123,15 @@ def check_entry(data: Any) -> Entry:
                 f"entry.rows[{k}]: {row['id']} of group {key[0]} is there twice"
             )
         keys.add(key)
-    about = check_about(plain_entry["about"], ABOUT, "entry.about", ("reproduction",))
+    about = check_about(plain_entry["about"], ABOUT, "entry.about", ("reproduction", "key"))
     if "reproduction" in about:
         measured = table_of(about["reproduction"], REPRODUCTION, "entry.about.reproduction")
         for name, value in measured.items():
             number(value, f"entry.about.reproduction.{name}")
+    if "key" in about:
+        key = about["key"]
+        if not (isinstance(key, str) and FINGERPRINT.fullmatch(key)):
+            raise ParameterError(f"entry.about.key must be SHA256:..., got {key!r:.80}")
     canonical_json(plain_entry)  # whatever else is in it
     return Entry(**{**plain_entry, "score": score, "rows": tuple(rows), "about": about})
 

@@ -13,6 +13,7 @@ class Code(Enum):
     EXTRA_MEMBER = "a file that does not belong to the bundle is in it"
     MALFORMED_MANIFEST = "manifest.json is no canonical JSON of the schema"
     HASH_MISMATCH = "a file or the manifest is not what its digest says"
+    BAD_SIGNATURE = "the signature is none, of other contents, or by a key of another kind"
     OLD_PROTOCOL = "made for another version of the track's rules"
     UNKNOWN_PROBLEM = "no such track, problem or kind of method"
     OLD_ENVIRONMENT = "made for another version or other settings of the environment"

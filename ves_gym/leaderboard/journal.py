@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym._util.params import ParameterError, canonical_json, content_hash, write_bytes
+from ves_gym.leaderboard.authors import key_of, misfit, require_author
 from ves_gym.leaderboard.columnar import from_columns, to_columns
 from ves_gym.leaderboard.entry import check_entry
 from ves_gym.leaderboard.names import require_unlike
@@ -97,14 +98,19 @@ def read(path: Path_) -> Journal:
     return _sound(path, check(path))
 
 
-def append(path: Path_, entry: Mapping[str, Any]) -> Record:
+def append(path: Path_, entry: Mapping[str, Any], *, adopt: bool = False) -> Record:
     """Add an entry at the end; when this returns, it is on the disk.
 
     Writers wait for each other. Where the write fails (full disk), the file is as it was.
 
+    Args:
+        path: the journal.
+        entry: plain data of an `Entry`.
+        adopt: the author's unsigned entries are the signer's, says the maintainer.
+
     Raises:
-        ParameterError: the entry is not one (see `check_entry`), or its name or author looks
-            like another's.
+        ParameterError: the entry is not one (see `check_entry`), its name or author looks
+            like another's, or its author's name is of another key (see `require_author`).
         JournalError: the chain is broken; nothing is added to it.
     """
     check_entry(entry)
@@ -116,6 +122,7 @@ def append(path: Path_, entry: Mapping[str, Any]) -> Record:
         for key in ("author", "name"):
             others = (str(r.entry[key]) for r in journal.records)
             require_unlike(str(entry[key]), others, key)
+        require_author(entry, (r.entry for r in journal.records), adopt=adopt)
         end = len(data) - len(journal.torn)
         if journal.torn:
             write_bytes(_aside(path), journal.torn)
@@ -150,6 +157,7 @@ def _checked(data: bytes, head: str | None) -> Journal:
     *lines, torn = data.split(b"\n")
     records: list[Record] = []
     problems: list[str] = []
+    keys: dict[str, str] = {}  # of authors
     previous, index = FIRST, 0
     for number, raw in enumerate(lines, 1):
         record = _parse(raw)
@@ -157,11 +165,13 @@ def _checked(data: bytes, head: str | None) -> Journal:
             problems.append(f"line {number}: {record}")
             previous, index = "", index + 1
             continue
-        problem = _problem(record, index, previous)
+        problem = _problem(record, index, previous) or misfit(record.entry, keys)
         if problem:
             problems.append(f"line {number}: {problem}")
         elif not problems:
             records.append(record)
+            if (key := key_of(record.entry)) is not None:
+                keys.setdefault(record.entry["author"], key)
         previous, index = record.hash, record.index + 1
     if head is not None and previous != head:
         problems.append(

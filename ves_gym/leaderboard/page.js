@@ -202,6 +202,7 @@ function detail(e) {
     ["processor", [about.cpu, about.simd].filter(Boolean).join("; ")],
     ["model (SHA-256)", about.model && el("code", {}, about.model)],
     ["evaluator (SHA-256)", about.evaluator && el("code", {}, about.evaluator)],
+    ["author's key", about.key && el("code", {}, about.key)],
     ["submitted run", about.reproduction && `${about.reproduction.equal} of ${about.reproduction.rows} scores equal to the `
       + `last bit, largest difference ${number(about.reproduction.largest)}`],
     ["settings", json(about.settings)],

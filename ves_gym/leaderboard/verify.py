@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.leaderboard import evaluators, fingerprint
-from ves_gym.leaderboard.archive import MANIFEST, read_members
+from ves_gym.leaderboard.archive import MANIFEST, SIGNATURE, read_members
 from ves_gym.leaderboard.bundle import digest, read_manifest
 from ves_gym.leaderboard.entry import LEVELS, Entry, check_entry
 from ves_gym.leaderboard.errors import BundleError, Code
@@ -38,6 +38,7 @@ from ves_gym.leaderboard.protocol import (
     seeds_of,
 )
 from ves_gym.leaderboard.run import spec_of
+from ves_gym.leaderboard.signature import signer
 from ves_gym.leaderboard.tracks.base import (
     Case,
     LeaderboardTrack,
@@ -89,6 +90,7 @@ def verify(
     if expect is not None and computed != expect:
         raise BundleError(Code.HASH_MISMATCH, f"{MANIFEST} is {computed}, expected {expect}")
     manifest = read_manifest(members[MANIFEST])
+    key = _signer(members)
     problem = _problem(manifest)
     evaluators.require_same(problem, manifest["spec"]["evaluator"])
     require_behaviour(problem)  # before anything else is computed here
@@ -113,12 +115,13 @@ def verify(
     _require_claims(manifest["rows"], replayed)
     _require_distinct(replayed, method)
     if level == "replayed":
-        return _entry(manifest, replayed, level, computed, {})
+        return _entry(manifest, replayed, level, computed, key)
     with _careful(Code.NOT_REPRODUCIBLE):
         found = rules.reproduce(problem, seeds, method, members, replayed)
     rules.require_possible(problem, seeds, found)
     _require_distinct(found, method)
-    return _entry(manifest, found, level, computed, _difference(replayed, found))
+    measured = {"reproduction": _difference(replayed, found)}
+    return _entry(manifest, found, level, computed, {**key, **measured})
 
 
 @contextmanager
@@ -140,6 +143,13 @@ def bundle_manifest(path: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes
     if MANIFEST not in members:
         raise BundleError(Code.MISSING_MEMBER, f"there is no {MANIFEST}")
     return read_manifest(members[MANIFEST]), members[MANIFEST]
+
+
+def _signer(members: Mapping[str, bytes]) -> dict[str, str]:
+    """The key of an entry's account, nothing for a bundle that is not signed."""
+    if SIGNATURE not in members:
+        return {}
+    return {"key": signer(members[MANIFEST], members[SIGNATURE])}
 
 
 def _problem(manifest: Plain) -> Problem:
@@ -193,7 +203,7 @@ def _require_members(
     expected = {payload}
     for group in range(len(method.weights)):
         expected |= set(policy_names(group))
-    for there in (set(manifest["members"]), set(members) - {MANIFEST}):
+    for there in (set(manifest["members"]), set(members) - {MANIFEST, SIGNATURE}):
         if missing := sorted(expected - there):
             raise BundleError(Code.MISSING_MEMBER, missing[0])
         if extra := sorted(there - expected):
@@ -315,7 +325,7 @@ def _difference(replayed: Sequence[Row], found: Sequence[Row]) -> dict[str, Any]
 
 
 def _entry(
-    manifest: Plain, rows: Sequence[Row], level: str, bundle: str, measured: Plain
+    manifest: Plain, rows: Sequence[Row], level: str, bundle: str, computed: Plain
 ) -> Entry:
     name, unit = SCORES[manifest["track"]]
     spec, about = manifest["spec"], manifest["about"]
@@ -338,7 +348,7 @@ def _entry(
                 "model": spec["model"],
                 "evaluator": spec["evaluator"],
                 "settings": {**about["settings"], **manifest["method"]["settings"]},
-                **({"reproduction": measured} if measured else {}),
+                **computed,
             },
         }
     )
