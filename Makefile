@@ -6,11 +6,12 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 RUN = $(VENV)/.installed-run
 DEV = $(VENV)/.installed-dev
+SITE = $(VENV)/.installed-site
 PIP = $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv benchmark policies leaderboard test test-all test-processors test-ecosystem test-oldest check format bench constraints platforms clean
+.PHONY: help venv benchmark policies leaderboard site test test-all test-processors test-ecosystem test-oldest check format bench constraints platforms clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' Makefile
@@ -33,6 +34,11 @@ $(DEV): $(RUN) constraints.txt
 	$(PIP) check
 	@touch $@
 
+$(SITE): $(RUN) constraints-site.txt
+	$(PIP) install --require-hashes -r constraints-site.txt
+	$(PIP) check
+	@touch $@
+
 benchmark: ARGS ?= --quick
 benchmark: $(RUN) ## run the planning benchmark; the whole of it: make benchmark ARGS=
 	$(BIN)/ves-gym benchmark $(ARGS)
@@ -43,6 +49,9 @@ policies: $(DEV) ## train every released policy again, going on where it stopped
 
 leaderboard: $(DEV) ## answer, verify and enter what the board lacks; write its page
 	$(BIN)/python scripts/leaderboard.py $(ARGS)
+
+site: $(SITE) ## build the documentation site in out/site, warnings are errors
+	$(BIN)/python scripts/site.py $(ARGS)
 
 # One thread per worker: two workers share the cores, and results do not depend on a BLAS pool.
 test test-all test-processors test-oldest: export OMP_NUM_THREADS = 1
@@ -83,7 +92,9 @@ COMPILE = pip compile --quiet --universal --python-version 3.11 --fork-strategy 
 constraints: ## rewrite the known-good versions, keeping what still fits; newest: ARGS=--upgrade
 	@$(UV) $(COMPILE) --extra dev --output-file constraints.txt $(ARGS) && \
 		"$$tools/bin/uv" $(COMPILE) --extra build --extra report \
-		--constraint constraints.txt --output-file constraints-run.txt
+		--constraint constraints.txt --output-file constraints-run.txt && \
+		"$$tools/bin/uv" $(COMPILE) --extra build --extra report --extra docs \
+		--constraint constraints.txt --output-file constraints-site.txt
 
 platforms: $(DEV) ## write the README's table of what has wheels where
 	@$(UV) --version && $(BIN)/python scripts/platforms.py "$$tools/bin/uv"

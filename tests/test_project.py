@@ -81,7 +81,7 @@ def test_extras_are_declared():
     assert {"rl", "report", "movie", "parquet", "pinocchio", "scale", "dev", "all"} <= extras
 
 
-KNOWN_GOOD = ("constraints.txt", "constraints-run.txt")  # everything; what a benchmark needs
+KNOWN_GOOD = ("constraints.txt", "constraints-run.txt", "constraints-site.txt")
 
 
 def known_good(file: str) -> dict[str, tuple[str, set[str]]]:
@@ -106,8 +106,9 @@ def test_known_good_versions_carry_hashes_and_no_address(file):
 
 
 def test_what_the_benchmark_needs_is_part_of_everything():
-    everything, lean = (known_good(file) for file in KNOWN_GOOD)
-    assert lean.items() <= everything.items()
+    everything, lean, site = (known_good(file) for file in KNOWN_GOOD)
+    assert lean.items() <= everything.items() and lean.items() <= site.items()
+    assert not {"sphinx", "furo", "myst-parser"} & {*everything, *lean}  # `make site` only
 
     project = declared()
     texts = [*project["dependencies"], *project["optional-dependencies"]["report"]]
