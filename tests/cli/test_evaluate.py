@@ -75,7 +75,7 @@ def test_a_released_policy_is_taken_by_name(call):
         ((ID, "--policy", "model.zip"), "pickles are not read"),
         ((ID, "--policy", "genius"), "none released"),
         ((ID, "--policy", "."), "no seed-*/best.json"),
-        ((ID, "--episodes", "0"), "episodes must be a whole number >= 1"),
+        ((ID, "--episodes", "0"), "episodes must be a whole number from 1"),
     ],
 )
 def test_bad_input_is_one_line(refused, words, message):

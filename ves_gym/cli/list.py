@@ -193,7 +193,7 @@ def _environments() -> Rows:
                 "version": spec.version,
                 "task": task.kind,
                 "observation": shapes if goal else shapes[""],
-                "action": [task.control.width(task.system.arm)],
+                "action": [task.action_width],
                 "max_episode_steps": spec.max_episode_steps,
             }
         )

@@ -232,13 +232,13 @@ def require_settings(problem: Problem, settings: Mapping[str, Any]) -> None:
 def width_of(problem: Problem, settings: Mapping[str, Any]) -> int:
     """Numbers in an action."""
     task = _task(problem, settings)
-    return task.control.width(task.system.arm)
+    return task.action_width
 
 
 def require_fit(problem: Problem, method: Method, policies: Sequence[Policy]) -> None:
     """Raise a BundleError (BAD_WEIGHTS) unless policies take what the environment shows."""
     task = _task(problem, method.settings)
-    expected = sum(f.size for f in task.fields()), task.control.width(task.system.arm)
+    expected = sum(f.size for f in task.fields()), task.action_width
     for policy in policies:
         have = policy.network.observations, policy.network.sizes[-1]
         if have != expected:
