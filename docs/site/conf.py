@@ -36,10 +36,11 @@ highlight_language = "none"
 
 def plain(app, what, name, obj, options, lines):
     """Escape what reStructuredText would read as markup in docstrings of plain text."""
-    lines[:] = [
-        re.sub(r"(?<![`\\])([*|])(?!`)|(?<=\w)_(?=[\s,.;)\]]|$)", r"\\\g<0>", line)
-        for line in lines
-    ]
+    markup = r"(?<![`\\])([*|])(?!`)|(?<=\w)_(?=[\s,.;)\]]|$)"
+    lines[:] = [re.sub(markup, r"\\\g<0>", line) for line in lines]
+    if what in ("attribute", "property") and ": " in lines[0]:
+        # napoleon takes `text: more` for a type and a description, unless a line ends between
+        lines[:1] = lines[0].replace(": ", ":\n", 1).split("\n")
 
 
 class Short:
