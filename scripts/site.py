@@ -7,6 +7,7 @@ where one leads nowhere.
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import time
@@ -65,6 +66,11 @@ def build(folder: Path) -> int:
     """Build the site in a folder; return the exit status."""
     start = time.perf_counter()
     folder = folder.resolve()
+    if folder.exists():  # pages of an earlier build would hide links that lead nowhere now
+        if any(folder.iterdir()) and not (folder / ".buildinfo").is_file():
+            print(f"{folder} holds something else than a site: name another", file=sys.stderr)
+            return 2
+        shutil.rmtree(folder)
     api_pages.write(ROOT / "docs" / "site" / "api")
     # all pages every time (-E -a): one that is not read again does not warn again
     options = ["-b", "html", "-E", "-a", "-q", "-W", "--keep-going"]

@@ -52,6 +52,13 @@ def test_a_dead_link_and_a_dead_anchor_are_found(tmp_path):
     ]
 
 
+def test_a_folder_with_something_else_is_left_alone(tmp_path, capsys):
+    (tmp_path / "thesis.txt").write_text("mine")
+    assert site.build(tmp_path) == 2
+    assert "something else" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
 def test_the_citation_has_the_version_of_the_package():
     with open(ROOT / "pyproject.toml", "rb") as file:
         project = tomllib.load(file)["project"]
