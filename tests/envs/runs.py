@@ -14,7 +14,8 @@ EMULATED = {"mode": "emulated", "effects": "laboratory"}
 class Blind(Resolved):
     """The plan of resolved motion, which takes back nothing of what the base does."""
 
-    name = "blind"
+    def __init__(self):
+        super().__init__("blind")
 
     def act(self, env, observation):
         scene = env.batch.scene

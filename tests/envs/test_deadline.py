@@ -41,7 +41,8 @@ def test_settings_change_the_number(name):
         env, vector = gym.make(name, **settings), gym.make_vec(name, num_envs=2, **settings)
         for made in (env, vector):
             assert made.spec.max_episode_steps == made.unwrapped.task.steps
-            assert made.spec.max_episode_steps == round(settings["duration"] / 0.0125)
+            period = made.unwrapped.task.system.control_dt
+            assert made.spec.max_episode_steps == round(settings["duration"] / period)
             assert "max_episode_steps" not in made.spec.kwargs
 
 

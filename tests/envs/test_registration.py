@@ -155,7 +155,5 @@ def test_unknown_ids_and_settings_are_refused_by_name():
             make(IDS[0], durations=1.0)
     with pytest.raises(TypeError, match=r"'back_end'; known: .*\bbackend.*mean \"backend\""):
         gym.make(IDS[0], back_end="kernel")
-    with pytest.raises(TypeError, match=r"'render_mode'; known: (?!.*render_mode)"):
-        gym.make_vec(IDS[0], render_mode="rgb_array")
     with pytest.raises(Exception, match="task must be one of rest_to_rest"):
         gym.make(IDS[0], task="dance")

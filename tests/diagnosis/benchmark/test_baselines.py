@@ -24,7 +24,8 @@ def problem():
 
     def residuals(*size):
         z = rng.standard_normal(500) - columns @ np.array(size)
-        return SimpleNamespace(size=500, null=z, slopes=10.0 * columns[:, 2:].astype(float))
+        slopes = 10.0 * columns[:, 2:].astype(float)
+        return SimpleNamespace(size=500, null=z, slopes=slopes, measured=slice(None))
 
     return signatures, residuals
 

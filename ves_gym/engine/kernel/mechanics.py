@@ -127,7 +127,14 @@ def unfolded(model: Model) -> Model:
     for place, link in enumerate(arm.links):
         if place in geared:
             nothing = SimpleNamespace(mass=0.0, com=(0.0, 0.0, 0.0), inertia=zero)
-            shape = {"d": 0.0, "a": 0.0, "alpha": 0.0, "beta": None, "offset": 0.0}
+            shape = {
+                "d": 0.0,
+                "a": 0.0,
+                "alpha": 0.0,
+                "beta": None,
+                "offset": 0.0,
+                "slides": False,
+            }
             rotor = link.rotor_inertia
             links.append(SimpleNamespace(**shape, inertial=nothing, rotor_inertia=rotor))
             link = SimpleNamespace(**{**vars(link), "rotor_inertia": 0.0})
