@@ -15,9 +15,9 @@ from ves_gym._util.params import ParameterError
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
 from ves_gym.experiments.matrix import (
-    Machine,
     Matrix,
-    Method,
+    MatrixMachine,
+    MatrixMethod,
     TaskRow,
     cells,
     cost,
@@ -149,23 +149,23 @@ def test_bad_matrices_are_refused(tmp_path, file):
     path.write_text(FILE.replace('name = "lab"', 'name = "space"'))
     with pytest.raises(ParameterError, match="name of its own"):
         read_matrix(path)
-    zero = Method(name="a", controller="zero")
+    zero = MatrixMethod(name="a", controller="zero")
     with pytest.raises(ParameterError, match="no environment"):
-        environment_of(TaskRow(env="Nothing", methods=(zero,)), Machine(name="space"))
+        environment_of(TaskRow(env="Nothing", methods=(zero,)), MatrixMachine(name="space"))
     with pytest.raises(ParameterError, match="no result yet"):
         entries(
             Matrix(
                 tasks=(TaskRow(env="BeamLQR", methods=(zero,)),),
-                machines=(Machine(name="space"),),
+                machines=(MatrixMachine(name="space"),),
             ),
             tmp_path,
         )
-    released = Method(name="a", released="sac")
+    released = MatrixMethod(name="a", released="sac")
     with pytest.raises(ParameterError, match="ppo"):
         cells(
             Matrix(
                 tasks=(TaskRow(env="BeamLQR", methods=(released,)),),
-                machines=(Machine(name="space"),),
+                machines=(MatrixMachine(name="space"),),
             ),
             tmp_path,
         )

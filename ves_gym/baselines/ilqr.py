@@ -37,7 +37,7 @@ _AT_ONCE = 2  # directions per program: more take long to compile
 _ENOUGH = 1e-3  # relative decrease of the cost below which a decision is made
 
 
-class Motion(NamedTuple):
+class ControlledMotion(NamedTuple):
     """A motion of the model with its gains, from a period on."""
 
     first: int  # period
@@ -72,7 +72,7 @@ class Ilqr:
         self.seed, self.first, self.later, self.period = seed, first, later, period
         self._of: Task | None = None
         self._model: VesVectorEnv | None = None
-        self._motion: list[Motion] = []
+        self._motion: list[ControlledMotion] = []
         self._decisions, self._seconds = 0, 0.0
 
     @property
@@ -94,7 +94,7 @@ class Ilqr:
             width = env.batch.width
             still = np.zeros((task.steps, width))
             size = state_of(self._model, measured=False).shape[1]
-            none = Motion(
+            none = ControlledMotion(
                 0, np.zeros((task.steps + 1, size)), still, np.zeros((task.steps, width, size))
             )
             self._still, self._motion = none, [none] * env.num_envs
@@ -130,7 +130,7 @@ class Ilqr:
         if k < old.first:  # an episode that nobody asked for
             old = self._still
         done = k - old.first
-        motion = Motion(k, old.x[done:], old.u[done:], old.gain[done:])
+        motion = ControlledMotion(k, old.x[done:], old.u[done:], old.gain[done:])
         push, best = np.zeros_like(motion.u), np.inf
         for count in range(iterations + 1):  # the first plays the present actions
             model.fan_out(env, i)
@@ -140,7 +140,7 @@ class Ilqr:
             if count and not better > 0:
                 break
             best = cost[lane]
-            motion = Motion(k, x[:, lane], u[:, lane], motion.gain)
+            motion = ControlledMotion(k, x[:, lane], u[:, lane], motion.gain)
             gain, push = gains(model, motion)
             motion = motion._replace(gain=gain)
             if count and better < _ENOUGH * abs(best):
@@ -169,7 +169,9 @@ def state_of(env: VesVectorEnv, measured: bool) -> Array:
     return np.concatenate([y, s.q, u, yd, s.v, ud, s.ref.reshape(len(s.q), -1)], axis=1)
 
 
-def play(model: VesVectorEnv, motion: Motion, push: Array) -> tuple[Array, Array, Array]:
+def play(
+    model: VesVectorEnv, motion: ControlledMotion, push: Array
+) -> tuple[Array, Array, Array]:
     """Play a motion with its gains on every lane, alpha times a push added.
 
     Args:
@@ -192,7 +194,7 @@ def play(model: VesVectorEnv, motion: Motion, push: Array) -> tuple[Array, Array
     return np.nan_to_num(cost, nan=np.inf), np.stack(states), np.stack(actions)
 
 
-def gains(model: VesVectorEnv, motion: Motion) -> tuple[Array, Array]:
+def gains(model: VesVectorEnv, motion: ControlledMotion) -> tuple[Array, Array]:
     """Return the gains K (periods, width, size) and pushes k (periods, width) of a motion.
 
     Args:
@@ -221,7 +223,7 @@ def gains(model: VesVectorEnv, motion: Motion) -> tuple[Array, Array]:
     return K, push
 
 
-def derivatives(model: VesVectorEnv, motion: Motion) -> tuple[Array, Array]:
+def derivatives(model: VesVectorEnv, motion: ControlledMotion) -> tuple[Array, Array]:
     """Return A (periods, size, size) and B (periods, size, width) along a motion.
 
     Args:
@@ -303,7 +305,7 @@ def reference_slopes(model: VesVectorEnv, first: int, N: int) -> tuple[Array, Ar
     return both[:, :, : 3 * n], both[:, :, 3 * n :]
 
 
-def costs(model: VesVectorEnv, motion: Motion) -> tuple[Array, Array]:
+def costs(model: VesVectorEnv, motion: ControlledMotion) -> tuple[Array, Array]:
     """Return weights of the states after each period (N, size, size), and that of the tail.
 
     The cost is half of x^T W x: the base's energy, in the tail too, over that of the straight

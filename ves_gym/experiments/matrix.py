@@ -29,7 +29,7 @@ _APART = 1_000_000  # between the first episodes of two seeds: no episode is sha
 
 
 @dataclass(frozen=True, kw_only=True)
-class Machine:
+class MatrixMachine:
     """Where methods are tried: the ideal system in space, or a laboratory's machine."""
 
     name: str
@@ -38,7 +38,7 @@ class Machine:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Method:
+class MatrixMethod:
     """What acts: one of a controller, a released policy, and a configuration to train."""
 
     name: str
@@ -61,7 +61,7 @@ class TaskRow:
     """A task and the methods for it; energies are told over those of the first method."""
 
     env: str  # name without Emulated and version, such as PumaReach
-    methods: tuple[Method, ...]
+    methods: tuple[MatrixMethod, ...]
     version: int = 1
 
 
@@ -70,7 +70,7 @@ class Matrix:
     """What is compared, and on how much."""
 
     tasks: tuple[TaskRow, ...]
-    machines: tuple[Machine, ...]
+    machines: tuple[MatrixMachine, ...]
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     episodes: int = 20  # of each seed in every cell
     seconds: float | None = None  # that a unit may take
@@ -118,7 +118,7 @@ def shortened(matrix: Matrix, steps: int) -> tuple[TaskRow, ...]:
     """
     changes = {"total_timesteps": steps}
 
-    def shorter(method: Method) -> Method:
+    def shorter(method: MatrixMethod) -> MatrixMethod:
         if method.train is None:
             return method
         return replace(method, changes={**method.changes, **changes})
@@ -128,7 +128,7 @@ def shortened(matrix: Matrix, steps: int) -> tuple[TaskRow, ...]:
     )
 
 
-def environment_of(task: TaskRow, machine: Machine) -> str:
+def environment_of(task: TaskRow, machine: MatrixMachine) -> str:
     """Return the id of a task on a machine; version 0 where the task has no other."""
     name = f"ves/{task.env}{'Emulated' if machine.emulated else ''}"
     for version in (task.version, 0):
@@ -197,7 +197,7 @@ def cells(matrix: Matrix, folder: Path) -> list[Cell]:
 
 def _who(
     task: TaskRow,
-    method: Method,
+    method: MatrixMethod,
     seed: int,
     trained: Mapping[tuple[str, str, int], Unit],
     folder: Path,
@@ -262,7 +262,7 @@ def run_matrix(
 
 
 @dataclass(frozen=True)
-class Entry:
+class MatrixEntry:
     """Figures of a method on a machine."""
 
     task: str
@@ -276,7 +276,7 @@ class Entry:
     seconds: float  # of processor time, all seeds together
 
 
-def entries(matrix: Matrix, folder: str | os.PathLike[str]) -> list[Entry]:
+def entries(matrix: Matrix, folder: str | os.PathLike[str]) -> list[MatrixEntry]:
     """Return the figures of a finished matrix, in its order.
 
     Intervals are stratified bootstraps: seeds are strata, of each as many episodes are drawn
@@ -312,7 +312,7 @@ def _entry(
     seeds: list[list[dict[str, Any]]],
     reference: list[list[dict[str, Any]]],
     seconds: float,
-) -> Entry:
+) -> MatrixEntry:
     strata = [_column(rows, "return") for rows in seeds]
     success = np.concatenate([_column(rows, "success") for rows in seeds])
     ratios = [
@@ -321,7 +321,7 @@ def _entry(
         if np.all(_column(over, "E_mean") > 0)
     ]
     usable = len(ratios) == len(seeds) and not any(np.isnan(r).any() for r in ratios)
-    return Entry(
+    return MatrixEntry(
         *key,
         success=rate(success > 0),
         ret=bootstrap(strata, STATISTICS["iqm"]),

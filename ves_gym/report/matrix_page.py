@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ves_gym._util.statistics import Estimate
-from ves_gym.experiments.matrix import Entry, Matrix
+from ves_gym.experiments.matrix import Matrix, MatrixEntry
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -16,7 +16,10 @@ _MARKERS = "osD^vPX*"
 
 
 def matrix_page(
-    matrix: Matrix, entries: Sequence[Entry], title: str, hours: Mapping[str, float] | None
+    matrix: Matrix,
+    entries: Sequence[MatrixEntry],
+    title: str,
+    hours: Mapping[str, float] | None,
 ) -> str:
     """Return the page: a table per task, methods down, machines across.
 
@@ -63,7 +66,7 @@ def _plain(settings: Mapping[str, Any]) -> str:
     )
 
 
-def _table(matrix: Matrix, entries: Sequence[Entry], task: str) -> str:
+def _table(matrix: Matrix, entries: Sequence[MatrixEntry], task: str) -> str:
     by = {(e.method, e.machine): e for e in entries if e.task == task}
     machines = [m.name for m in matrix.machines]
     lines = ["| method | " + " | ".join(machines) + " |", "|---" * (len(machines) + 1) + "|"]
@@ -73,7 +76,7 @@ def _table(matrix: Matrix, entries: Sequence[Entry], task: str) -> str:
     return "\n".join(lines)
 
 
-def _cell(e: Entry) -> str:
+def _cell(e: MatrixEntry) -> str:
     energy = "" if e.energy is None else f"E {_estimate(e.energy, '.3g')}<br>"
     return f"{_estimate(e.success, '.0%')}<br>{energy}return {_estimate(e.ret, '.3g')}"
 
@@ -82,9 +85,10 @@ def _estimate(e: Estimate, form: str) -> str:
     return f"{e.value:{form}} ({e.low:{form}} to {e.high:{form}})"
 
 
-def crossover_figure(matrix: Matrix, entries: Sequence[Entry]) -> Figure:
+def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
     """Success and energy of every method against the machines, a column per task."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     tasks = [task.env for task in matrix.tasks]
     machines = [machine.name for machine in matrix.machines]
@@ -104,11 +108,13 @@ def crossover_figure(matrix: Matrix, entries: Sequence[Entry]) -> Figure:
         axes[0][column].set_title(task, fontsize=10)
         axes[0][column].set_ylim(-0.03, 1.03)
         axes[1][column].set_yscale("log")
+        axes[1][column].yaxis.set_minor_formatter(NullFormatter())
         axes[1][column].set_xticks(range(len(machines)), machines, fontsize=8)
         for row in (0, 1):
             axes[row][column].grid(alpha=0.3)
             axes[row][column].tick_params(labelsize=8)
-        axes[0][column].legend(fontsize=7, loc="center right", framealpha=0.6)
+        below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
+        axes[1][column].legend(fontsize=7, ncols=3, **below)
     axes[0][0].set_ylabel("success", fontsize=9)
     axes[1][0].set_ylabel("E_mean over the first method's", fontsize=9)
     return figure
