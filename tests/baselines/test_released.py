@@ -1,12 +1,12 @@
 """The policies that come with the package: safe to read, better than nothing, documented."""
 
-import importlib.util
 import pickle
 import zipfile
 from pathlib import Path
 
 import pytest
 
+from scripts import training
 from ves_gym.baselines.config import CONFIGS, read_config
 from ves_gym.baselines.controllers import Random, Zero
 from ves_gym.baselines.evaluate import beats, evaluate
@@ -15,14 +15,6 @@ from ves_gym.envs.registration import IDS
 
 ROOT = Path(__file__).parents[2]
 EVERY = [read_config(path) for path in sorted(CONFIGS.glob("*.toml"))]
-
-
-@pytest.fixture(scope="module")
-def training():
-    spec = importlib.util.spec_from_file_location("training", ROOT / "scripts" / "training.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 UNTRAINED = {
@@ -49,7 +41,7 @@ def test_nothing_but_numbers_and_json_is_shipped():
 
 
 @pytest.mark.parametrize("config", EVERY, ids=lambda c: c.name)
-def test_a_policy_is_what_its_configuration_makes(config, training, monkeypatch):
+def test_a_policy_is_what_its_configuration_makes(config, monkeypatch):
     pytest.importorskip("safetensors")
 
     def refuse(*arguments, **more):
@@ -81,6 +73,6 @@ def test_a_policy_beats_doing_nothing_and_chance(config):
     assert beats(found, evaluate(Random(), config.env, **some))
 
 
-def test_the_page_is_up_to_date(training):
+def test_the_page_is_up_to_date():
     """Else: `python scripts/training.py`."""
     assert (ROOT / "docs" / "training.md").read_text("utf-8") == training.page()

@@ -1,21 +1,12 @@
 """`ves-gym leaderboard render`: page and tables from a journal, or a line that says why not."""
 
-import importlib.util
 import json
-from pathlib import Path
 
 import pytest
 
+from tests.entries import made_entry
 from ves_gym.cli.main import main
 from ves_gym.leaderboard.journal import append, read
-
-
-def made_entry(*args, **more):
-    path = Path(__file__).parents[1] / "leaderboard" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("entries", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.made_entry(*args, **more)
 
 
 @pytest.fixture

@@ -1,10 +1,10 @@
 """docs/environments is what the code says."""
 
-import importlib.util
 from pathlib import Path
 
 import pytest
 
+from scripts import generate
 from ves_gym.envs.registration import IDS
 
 ROOT = Path(__file__).parents[2]
@@ -14,10 +14,7 @@ PLACE = ROOT / "docs" / "environments"
 @pytest.fixture(scope="module")
 def pages():
     """File name -> text, as the generator writes it."""
-    spec = importlib.util.spec_from_file_location("generate", ROOT / "scripts" / "generate.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.pages()
+    return generate.pages()
 
 
 def test_there_is_a_page_per_id(pages):

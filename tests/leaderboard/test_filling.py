@@ -1,6 +1,5 @@
 """`make leaderboard`: the table names what there is, and filling goes on where it stopped."""
 
-import importlib.util
 import os
 import subprocess
 import sys
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from scripts import leaderboard as filling
 from ves_gym.leaderboard.journal import read
 from ves_gym.leaderboard.protocol import get_problem, problems
 from ves_gym.planners.registry import PLANNERS
@@ -16,17 +16,7 @@ ROOT = Path(__file__).parents[2]
 PROGRAM = ROOT / "scripts/leaderboard.py"
 
 
-@pytest.fixture(scope="module")
-def filling():
-    spec = importlib.util.spec_from_file_location("leaderboard_script", PROGRAM)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look there
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
-
-
-def test_the_table_has_every_problem_and_nothing_twice(filling):
+def test_the_table_has_every_problem_and_nothing_twice():
     table = filling.table(blind=True)
     assert len({str(w) for w in table}) == len({w.bundle for w in table}) == len(table)
     for wanted in table:

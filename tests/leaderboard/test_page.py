@@ -2,13 +2,13 @@
 
 import copy
 import html.parser
-import importlib.util
 import json
 import time
 from pathlib import Path
 
 import pytest
 
+from tests.entries import made_entry
 from ves_gym._util.params import ParameterError
 from ves_gym.leaderboard.board import make_board
 from ves_gym.leaderboard.journal import append, read
@@ -20,31 +20,10 @@ HOSTILE = (
 NUMBER = 0.02  # of a pixel in the bars
 
 
-def _module(name):
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-chromium = _module("browser")
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    path = chromium.find_browser()
-    if path is None:
-        pytest.skip(f"no browser: looked for {', '.join(chromium.NAMES)}")
-    driven = chromium.Browser(path, tmp_path_factory.mktemp("profile"))
-    driven.screen(1280, 900)
-    yield driven
-    driven.close()
-
-
 @pytest.fixture(scope="module")
 def board(tmp_path_factory):
     """Ten planners on two problems, one of them hostile; three policies; a share."""
-    make = _module("conftest").made_entry
+    make = made_entry
     path = tmp_path_factory.mktemp("journal") / "board.jsonl"
     for problem in ("reach100-1s", "reach100-2s"):
         for k in range(10):

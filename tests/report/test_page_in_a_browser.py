@@ -1,20 +1,6 @@
 """The page of a benchmark runs: every part of it is drawn, and no script stops."""
 
-import pytest
-
-from tests.leaderboard import browser as chromium
 from ves_gym.report.page import write_page
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    path = chromium.find_browser()
-    if path is None:
-        pytest.skip(f"no browser: looked for {', '.join(chromium.NAMES)}")
-    driven = chromium.Browser(path, tmp_path_factory.mktemp("profile"))
-    driven.screen(1280, 900)
-    yield driven
-    driven.close()
 
 
 def test_every_part_is_drawn_and_nothing_is_fetched(browser, make_result, tmp_path):
