@@ -12,8 +12,9 @@ ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md"))
 PAGES = ["README.md", *DOCS]
+SLOW = "docs/extending.md"  # arms and effects that nobody has compiled yet
 SNIPPETS = [
-    pytest.param(text, id=f"{page}-{i}")
+    pytest.param(text, id=f"{page}-{i}", marks=[pytest.mark.slow] if page == SLOW else [])
     for page in PAGES
     for i, text in enumerate(
         re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)

@@ -482,3 +482,22 @@ def test_written_files_follow_the_umask(tmp_path):
     finally:
         os.umask(before)
     assert (tmp_path / "f").stat().st_mode & 0o777 == 0o640
+
+
+def test_lists_and_arrays_become_tuples_that_can_be_hashed():
+    inertia = np.diag([1.0, 1.0, 1.0])
+    body = Inertial(mass=1.0, com=[0.0, 0.0, 0.1], inertia=inertia)
+    assert body == Inertial(mass=1.0, com=(0.0, 0.0, 0.1), inertia=diagonal(1.0, 1.0, 1.0))
+    assert hash(body) == hash(dataclasses.replace(body))
+    inertia[0, 0] = 9.0  # the caller's array is no longer the body's
+    assert body.inertia[0][0] == 1.0
+    arm = dataclasses.replace(PUMA_560, links=list(PUMA_560.links))
+    assert arm == PUMA_560
+    assert hash(arm) == hash(PUMA_560)
+
+
+def test_tuples_are_left_as_they_are():
+    links = PUMA_560.links
+    assert params.nested_tuples(links) is links
+    mixed = ((1.0, [2.0]), np.zeros((1, 2)))
+    assert params.nested_tuples(mixed) == ((1.0, (2.0,)), ((0.0, 0.0),))

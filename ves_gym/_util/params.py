@@ -79,6 +79,29 @@ def finite(value: object, shape: tuple[int, ...], name: str) -> Array:
     return array
 
 
+def freeze_arrays(params: object) -> None:
+    """Store lists and arrays in the fields of a frozen dataclass as nested tuples.
+
+    Those have a hash and cannot be changed afterwards; call it first in `__post_init__`.
+    """
+    for field in dataclasses.fields(params):  # type: ignore[arg-type]
+        value = getattr(params, field.name)
+        frozen = nested_tuples(value)
+        if frozen is not value:
+            object.__setattr__(params, field.name, frozen)
+
+
+def nested_tuples(value: Any) -> Any:
+    """Lists and arrays within a value as tuples; the value itself where there are none."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if type(value) not in (list, tuple):
+        return value
+    out = tuple(map(nested_tuples, value))
+    same = type(value) is tuple and all(a is b for a, b in zip(out, value, strict=True))
+    return value if same else out
+
+
 def require_positive(params: object, *names: str, zero: bool = False) -> None:
     """Check that each named field is a finite number > 0.
 

@@ -22,6 +22,7 @@ from ves_gym._util.params import (
     Matrix,
     ParameterError,
     finite,
+    freeze_arrays,
     from_plain,
     read_table,
     require_positive,
@@ -55,10 +56,10 @@ class Stewart:
     source: str = "user"
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         require_positive(self, "home_height", "length_min", "length_max", "speed_max")
         for name in ("base", "top"):
-            points = finite(getattr(self, name), (6, 3), f"Stewart.{name}")
-            object.__setattr__(self, name, tuple(map(tuple, points.tolist())))
+            finite(getattr(self, name), (6, 3), f"Stewart.{name}")
         if self.length_min >= self.length_max:
             raise ParameterError(
                 f"Stewart.length_min must be < length_max {self.length_max} m,"

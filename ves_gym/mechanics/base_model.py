@@ -19,6 +19,7 @@ from ves_gym._util.params import (
     ParameterError,
     Vector,
     finite,
+    freeze_arrays,
     require_positive,
     unit,
     write_table,
@@ -50,6 +51,7 @@ class Oscillator:
     direction: Vector = unit("1")  # (3,) unit vector
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         require_positive(self, "mass", "stiffness")
         require_positive(self, "damping", zero=True)
         length = float(np.linalg.norm(finite(self.direction, (3,), "Oscillator.direction")))

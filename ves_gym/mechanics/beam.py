@@ -12,6 +12,7 @@ from ves_gym._util.params import (
     Matrix,
     ParameterError,
     finite,
+    freeze_arrays,
     require_choice,
     require_positive,
     unit,
@@ -46,6 +47,7 @@ class Beam(Saved):
     source: str = "user"
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         require_positive(self, "outer_diameter", "wall")
         require_positive(self, "damping_ratio", zero=True)
         require_choice(self, "mass_model", ("thesis", "consistent"))

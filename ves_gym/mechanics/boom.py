@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
+from ves_gym._util.params import Array, ParameterError, Vector, finite, freeze_arrays, unit
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.boom_member import (
     BoomJoint,
@@ -62,7 +62,7 @@ class Boom:
     source: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "members", tuple(self.members))
+        freeze_arrays(self)
         if not self.members:
             raise ParameterError("Boom.members must hold at least one, got none")
 

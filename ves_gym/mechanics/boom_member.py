@@ -8,7 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
+from ves_gym._util.params import (
+    Array,
+    ParameterError,
+    Vector,
+    finite,
+    freeze_arrays,
+    require_positive,
+    unit,
+)
 from ves_gym.mechanics.chain import LinkMass, Lump
 from ves_gym.mechanics.section import Material, Section, Tube
 from ves_gym.mechanics.serial_chain import Inertial
@@ -32,6 +40,7 @@ class BoomJoint:
     name: str | None = None
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         require_positive(self, "radius", "v_max", "a_max", "tau_max", "stiffness")
         require_positive(self, "mass", "damping", "rotor_inertia", zero=True)
         if not np.linalg.norm(finite(self.axis, (3,), "BoomJoint.axis")) > 0:
@@ -54,7 +63,7 @@ class BoomMember:
     loss: float = unit("s", default=0.0)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "joints", tuple(self.joints))  # a list has no hash
+        freeze_arrays(self)
         if not np.linalg.norm(finite(self.vector, (3,), "BoomMember.vector")) > 0:
             raise ParameterError("BoomMember.vector must not have zero length")
         require_positive(self, "loss", zero=True)

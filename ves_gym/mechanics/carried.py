@@ -19,6 +19,7 @@ from ves_gym._util.params import (
     ParameterError,
     Vector,
     finite,
+    freeze_arrays,
     require_choice,
     require_positive,
     unit,
@@ -51,6 +52,7 @@ class ReactionWheel:
     coulomb: float = unit("N m", default=0.0)
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         _require_unit(self.axis, "ReactionWheel.axis")
         require_positive(self, "inertia", "torque_max", "momentum_max")
         require_positive(self, "viscous", "coulomb", zero=True)
@@ -78,6 +80,7 @@ class Appendage:
     damping: float = unit("N m s/rad, N s/m", default=0.0)
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         require_choice(self, "joint", ("hinge", "slide"))
         _require_unit(self.axis, "Appendage.axis")
         finite(self.point, (3,), "Appendage.point")

@@ -17,6 +17,7 @@ from ves_gym._util.params import (
     ParameterError,
     Vector,
     finite,
+    freeze_arrays,
     require_choice,
     require_positive,
     unit,
@@ -41,6 +42,7 @@ class ContactShape:
     place: Mount = _AT_ORIGIN  # of its centre and axes in those of the body
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         require_choice(self, "form", tuple(FORMS))
         numbers = finite(self.size, (FORMS[self.form],), f"ContactShape.size of a {self.form}")
         if not (numbers > 0).all():
@@ -78,12 +80,12 @@ class Contact:
     slip_time: float = unit("s", default=0.01)
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         require_choice(self, "on", CARRIERS)
         require_positive(self, "stiffness", "slip_time")
         require_positive(self, "damping", "friction", zero=True)
         for name in ("tool", "target"):
-            shapes = tuple(getattr(self, name))
-            object.__setattr__(self, name, shapes)  # a list has no hash
+            shapes = getattr(self, name)
             if not shapes or not all(isinstance(k, ContactShape) for k in shapes):
                 raise ParameterError(
                     f"Contact.{name} must be one shape (ContactShape) or more, got {shapes!r}"

@@ -20,6 +20,7 @@ from ves_gym._util.params import (
     ParameterError,
     Vector,
     finite,
+    freeze_arrays,
     require_positive,
     symmetric,
     unit,
@@ -46,6 +47,7 @@ class Strut:
     material: Material = ALUMINIUM
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         if np.linalg.norm(finite(self.vector, (3,), "Strut.vector")) == 0:
             raise ParameterError("Strut.vector must not have zero length")
 
@@ -67,8 +69,7 @@ class Polyline:
     bodies: tuple[CornerBody, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "members", tuple(self.members))  # a list has no hash
-        object.__setattr__(self, "bodies", tuple(self.bodies))
+        freeze_arrays(self)
         if not self.members:
             raise ParameterError("Polyline.members must hold at least one, got none")
         for body in self.bodies:
@@ -136,6 +137,7 @@ class Reduced:
     diameter: float | None = unit("m", default=None)  # to draw it with
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         m = len(self.omega)
         symmetric(self.K, "Reduced.K")
         symmetric(self.M, "Reduced.M")
@@ -255,6 +257,7 @@ class FlexibleBase(Saved):
     source: str = "user"
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         require_positive(self, "fastest")
         most = 120 if isinstance(self.structure, Polyline) else len(self.structure.omega)
         if isinstance(self.modes, bool) or not 0 <= self.modes <= most:

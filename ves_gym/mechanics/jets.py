@@ -17,6 +17,7 @@ from ves_gym._util.params import (
     ParameterError,
     Vector,
     finite,
+    freeze_arrays,
     require_positive,
     unit,
 )
@@ -42,6 +43,7 @@ class Jet:
     min_impulse: float = unit("N s", default=0.0)
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         finite(self.position, (3,), "Jet.position")
         length = float(np.linalg.norm(finite(self.direction, (3,), "Jet.direction")))
         if abs(length - 1) > 1e-9:

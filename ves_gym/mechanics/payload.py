@@ -9,7 +9,15 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
+from ves_gym._util.params import (
+    Array,
+    ParameterError,
+    Vector,
+    finite,
+    freeze_arrays,
+    require_positive,
+    unit,
+)
 from ves_gym.mechanics.arm import Arm, Inertial, Mount, matrix
 
 _ZERO = (0.0, 0.0, 0.0)
@@ -41,6 +49,7 @@ class Payload:
     source: str = "stated"
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         for name in ("position", "angles", "velocity", "spin"):
             finite(getattr(self, name), (3,), f"Payload.{name}")
         require_positive(self, "latch_distance")

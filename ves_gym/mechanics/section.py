@@ -7,7 +7,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from ves_gym._util.params import ParameterError, Vector, finite, require_positive, unit
+from ves_gym._util.params import (
+    ParameterError,
+    Vector,
+    finite,
+    freeze_arrays,
+    require_positive,
+    unit,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +59,7 @@ class Section:
     up: Vector | None = unit("1", default=None)
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         require_positive(self, "area", "second_y", "second_z", "torsion")
         for name in ("shear_y", "shear_z", "fibre"):
             if getattr(self, name) is not None:

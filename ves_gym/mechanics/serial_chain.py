@@ -15,6 +15,7 @@ from ves_gym._util.params import (
     ParameterError,
     Vector,
     finite,
+    freeze_arrays,
     require_positive,
     unit,
 )
@@ -33,6 +34,7 @@ class Inertial:
     inertia: Matrix = unit("kg m^2")  # (3, 3) about the centre of mass
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         require_positive(self, "mass", zero=True)
         finite(self.com, (3,), "Inertial.com")
         moments = finite(self.inertia, (3, 3), "Inertial.inertia")
@@ -94,6 +96,7 @@ class Flexure:
     beyond: Inertial
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         finite(self.origin, (3,), "Flexure.origin")
         length = float(np.linalg.norm(finite(self.axis, (3,), "Flexure.axis")))
         if abs(length - 1) > 1e-9:
@@ -111,6 +114,7 @@ class Capsule:
     radius: float = unit("m")
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         finite(self.start, (3,), "Capsule.start")
         finite(self.end, (3,), "Capsule.end")
         require_positive(self, "radius")
@@ -124,6 +128,7 @@ class Mount:
     angles: Vector = unit("rad", default=(0.0, 0.0, 0.0))  # about its x, then y, then z
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         finite(self.position, (3,), "Mount.position")
         finite(self.angles, (3,), "Mount.angles")
 
@@ -175,6 +180,7 @@ class Link:
     slides: bool | None = None
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         finite((self.d, self.a, self.alpha, self.offset, self.q_min, self.q_max), (6,), "Link")
         finite(self.beta or 0.0, (), "Link.beta")
         require_positive(self, "v_max", "a_max", "tau_max")
@@ -232,6 +238,7 @@ class SerialChain:
     source: str  # where this whole set comes from
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         if not self.links:
             raise ParameterError("Arm.links must hold at least one link, got none")
         finite(self.tool_angle or 0.0, (), "Arm.tool_angle")

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, Vector, unit
+from ves_gym._util.params import Array, ParameterError, Vector, freeze_arrays, unit
 from ves_gym.mechanics.dynamics import drawn_configurations, inertia, inverse_dynamics
 from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.motion import Samples
@@ -29,6 +29,7 @@ class JointServo:
     source: str = "user"
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         for name in ("kp", "kd"):
             gains = getattr(self, name)
             try:

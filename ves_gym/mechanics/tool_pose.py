@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
+from ves_gym._util.params import Array, ParameterError, Vector, finite, freeze_arrays, unit
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import Frame, Vec, add, cross, dot, frames, scale
 from ves_gym.mechanics.kinematics import tool_jacobian
@@ -30,6 +30,7 @@ class ToolPose:
     angles: Vector | None = unit("rad", default=None)  # Z-Y-X fixed, as the base's; None = any
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         finite(self.position, (3,), "ToolPose.position")
         if self.angles is not None:
             finite(self.angles, (3,), "ToolPose.angles")

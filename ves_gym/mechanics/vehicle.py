@@ -20,6 +20,7 @@ from ves_gym._util.params import (
     ParameterError,
     Vector,
     finite,
+    freeze_arrays,
     from_plain,
     read_table,
     symmetric,
@@ -66,6 +67,7 @@ class MatrixVehicle(Saved):
     source: str = "user"
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         for name in ("M", "D", "K"):
             symmetric(getattr(self, name), f"MatrixVehicle.{name}")
         self._modes()  # refuses what does not fit together
@@ -119,6 +121,7 @@ class Satellite(Saved):
     source: str = "user"
 
     def __post_init__(self) -> None:
+        freeze_arrays(self)
         if self.thrusters and self.jets:
             raise ParameterError(
                 "Satellite: thrusters = true is any wrench; leave it out where jets are given"

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 
 from ves_gym._util.on_demand import load
-from ves_gym._util.params import Array, ParameterError, to_plain, unit
+from ves_gym._util.params import Array, ParameterError, nested_tuples, to_plain, unit
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.system.candidate import Candidate, Scope, derived
 
@@ -98,7 +98,7 @@ class Effect:
                     f" [{low:g}, {high:g}]{symbol}, got {value!r}"
                 )
             # lists and arrays become what can be compared and hashed
-            object.__setattr__(self, field.name, _nested(array.astype(float).tolist()))
+            object.__setattr__(self, field.name, nested_tuples(array.astype(float)))
 
     def check(self, system: System) -> None:
         """Raise ParameterError if the effect would do nothing in this system, or not fit it."""
@@ -269,13 +269,9 @@ def parameter(
     """
     if default is dataclasses.MISSING and null is not None and None not in shape:
         filled = np.full(tuple(k for k in shape if k is not None), null)
-        default = _nested(filled.tolist())
+        default = nested_tuples(filled)
     said = {"start": start, "search": search, "name": name}
     return unit(symbol, default=default, bounds=bounds, null=null, shape=shape, **said)
-
-
-def _nested(value: Any) -> Any:
-    return tuple(_nested(v) for v in value) if isinstance(value, list) else value
 
 
 E = TypeVar("E", bound=type[Effect])
