@@ -265,7 +265,7 @@ def diagnose(
     final: int | None = None,
     candidates: Sequence[Candidate] = (),
     leave_out: Sequence[str] = (),
-    most: int = 3,
+    most: int | None = None,
     band: float | None = None,
     as_logged: bool = False,
     seed: int = 0,
@@ -282,7 +282,7 @@ def diagnose(
         candidates: what is considered beside the library of effects, and in place of what it
             has of the same kinds.
         leave_out: kinds of effects that are not considered.
-        most: effects to name at most.
+        most: effects to name at most; by default as many as the evidence bears.
         band: frequency up to which log and description are compared [Hz]; default 12.
         as_logged: ask no questions about units, signs and exchanged channels.
         seed: of the noise draws.
@@ -303,8 +303,10 @@ def diagnose(
     sources: list[Any] = [logs] if single else list(logs)  # type: ignore[arg-type]
     if not sources:
         raise ParameterError("diagnose needs at least one run log, got none")
-    if isinstance(most, bool) or not isinstance(most, int) or not 1 <= most <= 8:
-        raise ParameterError(f"most must be 1 to 8 effects, got {most!r}")
+    if most is not None and (
+        isinstance(most, bool) or not isinstance(most, int) or not most >= 1
+    ):
+        raise ParameterError(f"most must be an integer of 1 and more, got {most!r}")
     if system is None or isinstance(system, System):
         for source in sources:
             if not isinstance(source, (RunLog, str, os.PathLike)):

@@ -80,7 +80,7 @@ SIZES: dict[str, tuple] = {  # kind -> place, numbers of its candidate
     "platform/damping": ("", 2.6),
     "platform/delay": ("", 0.0178),
     "platform/stroke": ("", 0.9741),
-    "sensor/bias": ("F_y", 0.44),
+    "sensor/bias": ("", 0.0, 0.44, 0.0, 0.0, 0.0, 0.0),
     "sensor/calibration": ("F_y", 0.0, 0.0, 0.0, 0.0, 0.0073, 0.0),
     "sensor/drift": ("M_y", 3.0),
     "sensor/lag": ("", -0.67),

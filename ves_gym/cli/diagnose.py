@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 SCHEMA = "ves-diagnose/1"
 _SHOWN = 12  # channels in the table
-_MOST = 8  # effects that --most may ask for
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,7 +80,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--band", metavar="HZ", type=float, help="compare up to (default 12, or the mapping's)"
     )
     parser.add_argument(
-        "--most", metavar="N", type=int, default=3, help="effects to name at most (default 3)"
+        "--most",
+        metavar="N",
+        type=int,
+        help="effects to name at most (default: as many as the evidence bears)",
     )
     parser.add_argument(
         "--no-free-run", action="store_true", help="skip the simulation of the whole loop"
@@ -107,8 +109,8 @@ def run(args: argparse.Namespace) -> int:
     if args.model is not None:
         raise ParameterError("--model goes with --describe; else the mapping file names it")
     inputs = _inputs(args)
-    if not 1 <= args.most <= _MOST:
-        raise ParameterError(f"--most must be 1 to {_MOST}, got {args.most}")
+    if args.most is not None and args.most < 1:
+        raise ParameterError(f"--most must be 1 and more, got {args.most}")
     if not args.as_logged:
         require_as_logged(inputs.machine, inputs.runs, inputs.mistakes)
     folder = out_dir(args, "out/diagnose")

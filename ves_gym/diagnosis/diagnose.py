@@ -43,6 +43,7 @@ from ves_gym.diagnosis.inference.model_selection import (
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine, untestable
+from ves_gym.diagnosis.machines.causes import apart
 from ves_gym.diagnosis.machines.drift import SlowPath
 from ves_gym.system.system import System
 
@@ -55,6 +56,7 @@ VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK)
 _BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_inertia")
 _LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
 WIDE = 1.645  # standard deviations to either side of a 90 % interval
+_CLEAR = 1.5  # stated standard deviations from zero; they are twice those of a perfect fit
 _COMPARED = 10  # candidates whose likeness is told
 
 Progress = Callable[[float, str], None]
@@ -156,9 +158,15 @@ def _named(explanation: Explanation) -> str:
     path = c.effect(explanation.values)
     if isinstance(path, SlowPath):
         return f"{c.name} (root mean square {path.size:.3g} {c.units[0]})"
+    shown = np.abs(explanation.values) > _CLEAR * explanation.std
+    if not (c.sparse and shown.any()):  # of coordinates those that are not about zero
+        shown = np.ones(c.k, bool)
     values = ", ".join(
         f"{name} {value:.4g}{'' if unit == '1' else ' ' + unit}"
-        for name, value, unit in zip(c.names, explanation.values, c.units, strict=True)
+        for name, value, unit, clear in zip(
+            c.names, explanation.values, c.units, shown, strict=True
+        )
+        if clear
     )
     return f"{c.name} ({values})"
 
@@ -352,7 +360,8 @@ def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
     if diagnosis.verdict not in NAMING_VERDICTS:
         return ()
     return tuple(
-        e.effect if isinstance(e, SlowPath) else e for e in diagnosis.selection.fit.effects
+        e.effect if isinstance(e, SlowPath) else e
+        for e in apart(diagnosis.selection.fit.effects)
     )
 
 

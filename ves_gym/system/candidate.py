@@ -57,6 +57,8 @@ class Candidate:
     within: str = ""  # a simpler kind that is a case of this one
     counts: int | None = None  # numbers it costs, where that is not k
     sparse: bool = False  # coordinates of a thing: those that are about zero cost nothing
+    # a cause: kind and slot of the candidate that each of its numbers is when alone
+    parts: tuple[tuple[str, str], ...] = ()
 
     @property
     def name(self) -> str:
@@ -70,8 +72,15 @@ class Candidate:
 
     @property
     def price(self) -> int:
-        """Least number of parameters it counts as."""
+        """Least number of parameters it counts as; of a cause one a place."""
+        if self.parts:
+            return len({slot for _, slot in self.parts})
         return 1 if self.sparse else self.k if self.counts is None else self.counts
+
+    @property
+    def places(self) -> frozenset[str]:
+        """Slots in which it acts; none where there is only one place."""
+        return frozenset({self.slot, *(slot for _, slot in self.parts)} - {""})
 
     def effect(self, values: Array) -> Any:
         """Return the effect with these numbers (k,), clipped to their ranges."""

@@ -164,7 +164,8 @@ def test_confusion_has_columns_for_no_name():
 @pytest.mark.parametrize(
     ("label", "given"),
     [
-        (("sensor/bias", "m_y", {}), ("sensor/bias", "M_y", {"bias": 1.0})),
+        (("sensor/bias", "m_y", {}), ("sensor/bias", "M_y", {"bias": 1.0})),  # of before
+        (("sensor/bias", "m_y", {}), ("sensor/bias", "", {"F_x": 0.01, "M_y": -1.0})),
         (("base/extra_mode", "x", {}), ("base/extra_mode", "x", {"mass": 1.0})),
         (
             ("gravity/tilt", "y", {}),

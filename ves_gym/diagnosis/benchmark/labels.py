@@ -14,8 +14,8 @@ Plain = Mapping[str, Any]
 _SIGNALS = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 # slots that are called otherwise; all the rest have the same names on both sides
 SLOTS = dict(zip(_SIGNALS, WRENCH, strict=True))
-# one candidate with three numbers stands for three slots: the clearest says which
-BY_AXIS = ("payload/com", "sensor/rotation", "gravity/tilt")
+# one candidate with a number per axis stands for all slots: the clearest says which
+BY_AXIS = ("payload/com", "sensor/rotation", "gravity/tilt", "sensor/bias")
 INTERVAL = 1.645  # standard deviations to either side, 90 %
 
 
@@ -28,7 +28,7 @@ def label_name(effect: Plain) -> Name:
 def answer_name(effect: Plain) -> Name:
     """Return kind and slot of an answer's effect; its axis is that of the clearest number."""
     kind, value, std = str(effect["kind"]), effect["value"], effect.get("std") or {}
-    if kind in BY_AXIS:
+    if kind in BY_AXIS and not effect["slot"]:  # answers of before had a bias per axis
         return kind, max(value, key=lambda axis: abs(value[axis]) / (std.get(axis) or 1.0))
     return kind, str(effect["slot"])
 
@@ -51,13 +51,12 @@ def numbers(label: Plain, answer: Plain) -> list[tuple[float, float, float | Non
     out: list[tuple[float, float, float | None]] = []
     for name, true in label["parameters"].items():
         if kind in BY_AXIS:
-            out.append((true, value[slot], std.get(slot)))
+            at = slot if slot in value else "bias"  # as before all axes were one cause
+            out.append((true, value[at], std.get(at)))
         elif kind == "sensor/calibration":
             if name == "error":
                 column = WRENCH[_source(label)]
                 out.append((true, value[column], std.get(column)))
-        elif kind == "sensor/bias":
-            out.append((true, value["bias"], std.get("bias")))
         elif (kind, name) == ("joint/stribeck", "stiction"):
             out.append((true, value["coulomb"] * (1 + value["breakaway"]), None))
         elif (kind, name) == ("joint/ripple", "amplitude"):

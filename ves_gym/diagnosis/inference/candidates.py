@@ -14,6 +14,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.diagnosis.machines.causes import apart, arm_friction
 from ves_gym.diagnosis.machines.drift import WAVES, SlowPath
 from ves_gym.diagnosis.machines.presliding import Presliding
 from ves_gym.system.candidate import Candidate as Candidate
@@ -58,6 +59,9 @@ def library(
             if cls.builds_up:
                 candidate = dataclasses.replace(candidate, blurs=(*cls.forms, Presliding))
             out.append(candidate)
+    if "joint" in ports:
+        causes = arm_friction([f"joint {i + 1}" for i in range(n)], builds_up=True)
+        out += [c for c in causes if _acts_in(c, system)]
     return tuple(out)
 
 
@@ -98,7 +102,8 @@ def _acts_in(candidate: Candidate, system: System | None) -> bool:
     if system is None:
         return True
     try:
-        candidate.effect(np.array(candidate.starts[0])).check(system)
+        for effect in apart([candidate.effect(np.array(candidate.starts[0]))]):
+            effect.check(system)
     except ParameterError:
         return False
     return True

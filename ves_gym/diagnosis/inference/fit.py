@@ -49,8 +49,7 @@ class Fit:
         candidate, count = self.candidates[i], self.candidates[i].price
         choice = 0.0
         if candidate.sparse:
-            clear = np.abs(self.values[i]) > _CLEAR * self.std[i]
-            count = max(count, int(np.count_nonzero(clear)))
+            count = max(count, int(np.count_nonzero(self.clear(i))))
             choice = 2 * float(np.log(math.comb(candidate.k, count)))
         return count * float(np.log(size)) + choice
 
@@ -60,10 +59,19 @@ class Fit:
         return tuple(c.effect(v) for c, v in zip(self.candidates, self.values, strict=True))
 
     def on_bound(self, i: int) -> bool:
-        """Return True if a size of the effect in place i ended at the edge of its range."""
+        """Return True if a size of the effect in place i ended at the edge of its range.
+
+        A part that a cause does not have is at zero, which is no edge of the cause.
+        """
         c, at = self.candidates[i], list(self.candidates[i].factors)
         v, low, high = self.values[i][at], np.array(c.low)[at], np.array(c.high)[at]
-        return bool(((v <= low) | (v >= high)).any())
+        least = v <= low
+        absent = least & (low == 0) if c.parts and not least.all() else np.zeros_like(least)
+        return bool(((least & ~absent) | (v >= high)).any())
+
+    def clear(self, i: int) -> Array:
+        """Return (k,) which numbers of the effect in place i are clearly not zero."""
+        return np.asarray(np.abs(self.values[i]) > _CLEAR * self.std[i])
 
 
 def fit(

@@ -7,7 +7,7 @@ that could take its place.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +15,7 @@ import scipy
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.candidates import Candidate
+from ves_gym.diagnosis.inference.causes import single_parts
 from ves_gym.diagnosis.inference.fit import Fit, fit
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.variance_groups import products, solve
@@ -35,7 +36,8 @@ class Thresholds:
     chance: float = 0.005  # that anything of the library is named where nothing is missing
     gain: float = 30.0  # least gain in deviance beyond the numbers it costs
     echo: float = 0.1  # least gain beside another effect of the same joint, in parts of its own
-    most: int = 3  # effects
+    most: int | None = None  # effects; None: as many as the evidence bears
+    few: int = 3  # effects that are named on the usual evidence
     alike: float = 6.0  # difference in cost below which two candidates are one class
     remains: float = 400.0  # unexplained deviance that is more than noise
     more: float = 1000.0  # and beside a name
@@ -88,7 +90,9 @@ def select(
     """
     null = current = fit(residuals, (), ())
     steps: list[str] = []
-    while (at := len(current.candidates)) < limits.most:
+    came: list[tuple[Candidate, float]] = []
+    while limits.most is None or len(current.candidates) < limits.most:
+        at = len(current.candidates)
         tried = _candidate_fits(
             residuals, signatures, current, at, {c.name for c in current.candidates}, FINALISTS
         )
@@ -97,16 +101,21 @@ def select(
         best = min(tried, key=lambda f: cost(f, residuals))
         gained, needed = (
             current.deviance - best.deviance,
-            _required_gain(residuals, signatures, limits, best, at),
+            max(
+                _required_gain(residuals, signatures, limits, best, at),
+                _required_of_many(limits, best.candidates[at], came),
+            ),
         )
         new = best.candidates[at].name
         steps.append(f"{new}: gain {gained:.1f} of {needed:.1f} needed")
         report(steps[-1])
         if gained < needed:
             break
+        came.append((best.candidates[at], gained))
         current = best
         for i in range(at):  # what came in before may now be another
             current = _alternatives(residuals, signatures, limits, current, i, _OTHERS)[0]
+    current = single_parts(residuals, signatures.candidates, current, limits.most)
     for i in reversed(range(len(current.candidates))):  # or none at all
         reduced = _without(residuals, current, i)
         lost, needed = (
@@ -133,16 +142,37 @@ def _required_gain(
         scipy.stats.chi2.isf(limits.chance / len(signatures.candidates), candidate.k)
     )
     # No law is quite the machine's: what one leaves behind is not another effect.
-    near = [j for j, c in enumerate(f.candidates) if j != i and c.slot == candidate.slot != ""]
+    near = [j for j, c in enumerate(f.candidates) if j != i and c.places & candidate.places]
     echo = 0.0
     if near:
         reduced = _without(residuals, f, i)
-        alone = [_without(residuals, reduced, j - (j > i)).deviance for j in near]
-        echo = limits.echo * (max(alone) - reduced.deviance)
+        explained = [
+            (_without(residuals, reduced, j - (j > i)).deviance - reduced.deviance)
+            / max(len({slot for _, slot in f.candidates[j].parts}), 1)
+            for j in near
+        ]
+        echo = limits.echo * max(explained)
     guard = (
         0.0 if candidate.kind in _COMPUTED and "admittance" in candidate.ports else limits.gain
     )
     return max(by_chance, echo, guard + f.price(i, residuals.size) / 2)
+
+
+def _required_of_many(
+    limits: Thresholds, candidate: Candidate, came: Sequence[tuple[Candidate, float]]
+) -> float:
+    """Return the gain in deviance that one more of many names needs.
+
+    What the first few leave at their ports of a law that none of them is comes in ever smaller
+    pieces; what is really there beside them is about as large as they are.
+
+    Args:
+        limits: thresholds.
+        candidate: the one more.
+        came: names so far, with what each gained.
+    """
+    gains = [gained for c, gained in came if set(c.ports) & set(candidate.ports)]
+    return limits.echo * sum(gains) / len(gains) if gains and len(came) >= limits.few else 0.0
 
 
 def unexplained(f: Fit, residuals: WhitenedResiduals, imperfect: float = 1.0) -> float:

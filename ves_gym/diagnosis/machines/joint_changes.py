@@ -1,11 +1,10 @@
 """What a machine of joints may have besides the laws of the library: a payload, shafts that
-several joints turn, rates logged otherwise than they were, several effects as one cause.
+several joints turn, rates logged otherwise than they were.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -65,18 +64,3 @@ class Shaft:
         rate = v @ ratio
         torque = self.coulomb * np.tanh(rate / CREEP) + self.viscous * rate
         return np.asarray((torque + self.inertia * (a @ ratio))[..., None] * ratio)
-
-
-@dataclass(frozen=True)
-class Together:
-    """Effects that are one physical cause."""
-
-    effects: tuple[Any, ...]
-
-
-def apart(effects: Any) -> tuple[Any, ...]:
-    """Return effects with those inside `Together` one by one."""
-    out: list[Any] = []
-    for effect in effects:
-        out += apart(effect.effects) if isinstance(effect, Together) else [effect]
-    return tuple(out)

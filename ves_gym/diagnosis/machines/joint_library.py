@@ -1,5 +1,5 @@
 """Candidates of a machine of joints: the library's laws in the units of each joint, rates
-logged otherwise than they were, friction of a whole arm, coupled shafts and payloads.
+logged otherwise than they were, coupled shafts and payloads.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, require_positive, unit
 from ves_gym.diagnosis.inference.candidates import Candidate, library
-from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft, Together
+from ves_gym.diagnosis.machines.causes import arm_friction
+from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft
 from ves_gym.diagnosis.machines.rigid_bodies import PARAMETER_UNITS, PARAMETERS
-from ves_gym.effects import JointCoulomb, JointStribeck, JointVelocityLag, JointViscous
+from ves_gym.effects import JointStribeck, JointVelocityLag
 from ves_gym.system.effect import EFFECTS, Effect, TorqueEffect
 
 _BESIDE_LAWS = ("joint/measurement_delay", "joint/rotor_inertia", "joint/velocity_lag")
@@ -30,7 +31,6 @@ _ON_RACK = {  # unit of a turning joint -> unit of a slide, power of the radius 
 _LAGS = (0.02, 0.005, 0.2)  # s, where fits of a low-pass begin
 _BREAKAWAY, _STUCK = 2.0, 30.0  # N m above Coulomb's: where fits begin, and most
 _FADED = 0.1  # rad/s: what fades later is not of standstill but Coulomb's by another name
-_ARM = 3  # joints from which friction of all of them is one cause
 _MOST = {"coulomb": 50.0, "viscous": 50.0, "inertia": 10.0}  # N m, N m s/rad, kg m^2
 _PAYLOAD = {"kg": (1.0, 0.0, 50.0), "kg m": (0.1, -20.0, 20.0), "kg m^2": (0.02, -10.0, 10.0)}
 
@@ -81,7 +81,7 @@ def joint_candidates(joints: Sequence[MjcfJoint], ports: Sequence[str]) -> list[
     every = library(n, ports)
     slots = {f"joint {i + 1}": i for i in range(n)}
     out = []
-    for candidate in (c for c in every if is_computed(EFFECTS[c.kind])):
+    for candidate in (c for c in every if c.kind in EFFECTS and is_computed(EFFECTS[c.kind])):
         candidate = dataclasses.replace(candidate, blurs=())  # one form of every law here
         if candidate.kind == "joint/stribeck":
             candidate = _excess(candidate, slots[candidate.slot], n)
@@ -95,46 +95,9 @@ def joint_candidates(joints: Sequence[MjcfJoint], ports: Sequence[str]) -> list[
         out += [_rates(kind, joint.name, only) for kind in ("gain", "delay")]
     if n > 1:  # one firmware in all drives
         out += [_rates(kind, "", (1.0,) * n) for kind in ("delay", "lag")]
+    if "joint" in ports:
+        out += arm_friction([j.name for j in joints], [j.radius for j in joints])
     return out
-
-
-def arm_friction(joints: Sequence[MjcfJoint]) -> list[Candidate]:
-    """Return viscous and Coulomb friction of all joints as one cause; none for a few joints."""
-    n = len(joints)
-    if n < _ARM:
-        return []
-    r = np.array([j.radius for j in joints])
-    into = {key: np.array([_factor(j, key) for j in joints]) for key in ("N m", "N m s/rad")}
-
-    def make(x: Array) -> Together:
-        viscous, coulomb = np.split(np.asarray(x), 2)
-        return Together(
-            (
-                JointViscous(damping=tuple(viscous / into["N m s/rad"])),
-                JointCoulomb(torque=tuple(coulomb / into["N m"])),
-            )
-        )
-
-    return [
-        Candidate(
-            kind="joint/friction",
-            slot="all joints",
-            ports=("joint",),
-            names=(
-                *(f"viscous of {j.name}" for j in joints),
-                *(f"coulomb of {j.name}" for j in joints),
-            ),
-            units=(
-                *(_unit(j, "N m s/rad") for j in joints),
-                *(_unit(j, "N m") for j in joints),
-            ),
-            starts=((*into["N m s/rad"], *(2 * into["N m"])),),
-            low=(0.0,) * (2 * n),
-            high=(*(_MOST["viscous"] / r**2), *(_MOST["coulomb"] / r)),
-            make=make,
-            factors=tuple(range(2 * n)),
-        )
-    ]
 
 
 def coupled_shaft(joints: Sequence[MjcfJoint], ratio: Sequence[float]) -> Candidate:

@@ -23,10 +23,10 @@ from ves_gym._util.signals import differentiated
 from ves_gym.diagnosis.data.measured_run import Kinematics, Run
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.machines.base import Nuisance, Port
-from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft, apart
+from ves_gym.diagnosis.machines.causes import apart
+from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft
 from ves_gym.diagnosis.machines.joint_library import (
     MjcfJoint,
-    arm_friction,
     coupled_shaft,
     is_computed,
     joint_candidates,
@@ -184,7 +184,6 @@ class MjcfMachine:
         """Return the library as far as it applies, each effect in the units of its joint."""
         out = joint_candidates(self.joints, [p.name for p in self.ports])
         if self.bodies is not None:
-            out += arm_friction(self.joints)
             out += [coupled_shaft(self.joints, ratio) for ratio in self.couplings]
             out.append(payload_candidate(visible_parameters(self.bodies, len(self.joints))))
         return tuple(out)

@@ -24,6 +24,7 @@ from ves_gym.diagnosis.machines.between_samples import (
     between_samples,
     butterworth,
 )
+from ves_gym.diagnosis.machines.causes import Together, apart
 from ves_gym.diagnosis.machines.drift import SlowPath, courses
 from ves_gym.diagnosis.machines.nuisance_priors import system_nuisances
 from ves_gym.diagnosis.machines.platform import followed, platform_gap
@@ -142,8 +143,11 @@ class SystemMachine:
             )
         self.ports = tuple(ports)
 
-    def model(self, effects: Sequence[Effect | SlowPath | Presliding]) -> SystemVariant:
+    def model(
+        self, effects: Sequence[Effect | SlowPath | Presliding | Together]
+    ) -> SystemVariant:
         """Return the description with effects added."""
+        effects = apart(effects)
         paths = tuple(e for e in effects if isinstance(e, SlowPath))
         grown = tuple(e for e in effects if isinstance(e, Presliding))
         added = tuple(e for e in effects if isinstance(e, Effect))

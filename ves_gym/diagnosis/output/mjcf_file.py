@@ -31,7 +31,8 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft, apart
+from ves_gym.diagnosis.machines.causes import apart
+from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.mjcf_mapping import machine_of
 from ves_gym.diagnosis.machines.rigid_bodies import joint_property
