@@ -3,6 +3,8 @@
 Whatever the laboratory does, on any vehicle and platform, with and without noise: a port is
 the loop's own computation, so only rounding, derivatives and noise are left. The slow test
 draws 200 of them; `python tests/diagnosis/test_exact_descriptions.py 0 200` tells each one.
+From 200 on vehicles are of finite elements or free, in space as often as not, and some arms
+have seven joints.
 """
 
 import itertools
@@ -19,11 +21,16 @@ from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import (
+    BENT,
     BENT_THESIS,
     DECOUPLED,
     FREE_FLOATING,
     FREE_FLYING,
+    STRAIGHT_HORIZONTAL,
+    STRAIGHT_VERTICAL,
     STRAIGHT_VERTICAL_THESIS,
     Oscillator,
 )
@@ -47,15 +54,22 @@ VEHICLES = (
     FREE_FLOATING,
     FREE_FLYING,
 )
+WIDER = (BENT, STRAIGHT_VERTICAL, STRAIGHT_HORIZONTAL, FREE_FLOATING, FREE_FLYING)
+NARROW = 200  # seeds of the thesis's arm on condensed vehicles
 FRICTION = (E.JointCoulomb(torque=(3.0, 2.0, 1.0)), E.JointViscous(damping=(2.0, 2.0, 1.0)))
 ERRORS = ((), FRICTION, E.LABORATORY_ERRORS, (*FRICTION, *E.LABORATORY_ERRORS))
 
 
-def drawn(rng):
+def drawn(rng, wider=False):
     """A system, and how far apart its records are [s]."""
-    vehicle, errors = VEHICLES[rng.integers(len(VEHICLES))], ERRORS[rng.integers(len(ERRORS))]
-    if rng.random() < 0.1:  # in space, at the control period or the physics step
-        system = System(vehicle=vehicle, effects=tuple(e for e in errors if "ideal" in e.modes))
+    vehicles = WIDER if wider else VEHICLES
+    vehicle, errors = vehicles[rng.integers(len(vehicles))], ERRORS[rng.integers(len(ERRORS))]
+    arm = PUMA_560
+    if wider and rng.random() < 0.15:
+        arm, errors = get_arm("iiwa14"), () if errors in ((), FRICTION) else E.LABORATORY_ERRORS
+    if rng.random() < (0.5 if wider else 0.1):  # in space, at control period or physics step
+        errors = tuple(e for e in errors if "ideal" in e.modes)
+        system = System(arm=arm, vehicle=vehicle, effects=errors)
         return system, system.control_dt if rng.random() < 0.5 else system.physics_dt
     servos = PoseServo(), PoseServo(rate_feedforward=False), FILTERED
     platform = servos[rng.choice(3, p=[0.6, 0.3, 0.1])]
@@ -69,6 +83,7 @@ def drawn(rng):
     )
     system = System(
         mode="emulated",
+        arm=arm,
         vehicle=vehicle,
         emulator=emulator,
         effects=errors,
@@ -101,7 +116,7 @@ def case(seed):
     """The description of a seed and two logs; draws whose platform stops are drawn again."""
     rng = np.random.default_rng([21, seed])
     while True:
-        system, record_dt = drawn(rng)
+        system, record_dt = drawn(rng, seed >= NARROW)
         try:
             logs = recorded(system, record_dt, seed, count=2)
         except ArithmeticError:  # it diverged
@@ -119,6 +134,7 @@ def told(system, *logs):
 def in_words(system):
     lab, vehicle = system.emulator, system.vehicle
     name = f"{vehicle.kind} ({vehicle.source.split(':')[0]}), {len(system.effects)} effects"
+    name = f"{system.arm.n} joints, {name}"
     if lab is None:
         return f"ideal, {name}"
     compensation = "" if lab.payload_compensation else "no "

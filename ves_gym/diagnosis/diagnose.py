@@ -324,8 +324,11 @@ def _motionless_joints(faint: Sequence[Candidate]) -> set[str]:
 
 
 def _described(fault: Fault, machine: Machine, runs: Sequence[Run]) -> bool:
-    """Return True for a tone of several signals at which the machine as described rings."""
-    ringing = fault.kind == "tone" and fault.shared and fault.frequency is not None
+    """Return True for a tone at which the machine as described rings.
+
+    A mode that hardly moves one signal may stand out of another alone.
+    """
+    ringing = fault.kind == "tone" and fault.frequency is not None
     return ringing and machine.rings(runs, float(fault.frequency or 0.0))
 
 

@@ -19,6 +19,7 @@ from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     DECOUPLED,
     FREE_FLOATING,
+    STRAIGHT_VERTICAL,
     STRAIGHT_VERTICAL_THESIS,
     Oscillator,
 )
@@ -157,3 +158,7 @@ def test_a_loop_rings_at_its_own_modes_alone():
     assert not loop_rings(lab(), gains, home, 25.8)
     assert not loop_rings(lab(operation="position"), gains, home, 25.8)
     assert not loop_rings(System(vehicle=BENT_THESIS), gains, home, 25.8)
+    tube = System(vehicle=STRAIGHT_VERTICAL)  # in space, of finite elements
+    assert loop_rings(tube, gains, home, 26.7)  # `in_space` says 26.60 and 26.82 Hz
+    assert not loop_rings(tube, gains, home, 30.0)
+    assert not loop_rings(tube, None, home, 30.0)

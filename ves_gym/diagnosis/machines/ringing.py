@@ -1,4 +1,4 @@
-"""A loop that rings just as it is described: no fault of its recording."""
+"""A loop or a vehicle that rings just as it is described: no fault of its recording."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.servo import JointServo
-from ves_gym.simulation.stability import transition
+from ves_gym.simulation.stability import in_space, poles_in_space, transition
 from ves_gym.system.system import System
 
 _NEAR = 0.03  # by which a mode's frequency may differ from that of a tone, relative
@@ -17,22 +17,33 @@ _DAMPED = 0.05  # ratio: a mode with more rings too briefly to be taken for a to
 
 
 def loop_rings(
-    system: System, gains: Mapping[str, Any], angles: Sequence[Array], frequency: float
+    system: System,
+    gains: Mapping[str, Any] | None,
+    angles: Sequence[Array],
+    frequency: float,
 ) -> bool:
-    """Return True if the linearised emulation loop has a hardly damped mode at a frequency.
+    """Return True if the linearised system has a hardly damped mode at a frequency.
+
+    In mode emulated that of the loop over a control period, in mode ideal that of base,
+    servo-held joints and internal modes.
 
     Args:
         system: as described.
-        gains: kp and kd of the joint servo, (joints,) each.
+        gains: kp and kd of the joint servo, (joints,) each; None where the drive has none.
         angles: (joints,) configurations at which to look [rad].
         frequency: Hz.
     """
-    if system.mode != "emulated" or system.emulator_settings.operation == "position":
+    servo = None if gains is None else JointServo(kp=tuple(gains["kp"]), kd=tuple(gains["kd"]))
+    if system.mode == "emulated" and (
+        servo is None or system.emulator_settings.operation == "position"
+    ):
         return False
-    servo = JointServo(kp=tuple(gains["kp"]), kd=tuple(gains["kd"]))
     for q in angles:
-        z = np.linalg.eigvals(transition(system, q, servo=servo)).astype(complex)
-        poles = np.log(z[np.abs(z) > 1e-9]) / system.control_dt
+        if system.mode == "emulated":
+            z = np.linalg.eigvals(transition(system, q, servo=servo)).astype(complex)
+            poles = np.log(z[np.abs(z) > 1e-9]) / system.control_dt
+        else:
+            poles = poles_in_space(*in_space(system, q, servo=servo))
         near = np.abs(np.abs(poles.imag) / (2 * np.pi * frequency) - 1) < _NEAR
         if (near & (poles.real > -_DAMPED * np.abs(poles))).any():
             return True

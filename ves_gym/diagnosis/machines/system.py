@@ -165,10 +165,10 @@ class SystemMachine:
         return share * np.concatenate([np.full(len(k), max(k.max(), 1e-12)) for k in kinds])
 
     def rings(self, runs: Sequence[Run], frequency: float) -> bool:
-        """Return True if the laboratory as described rings at a frequency."""
+        """Return True if the system as described rings at a frequency."""
         gains = runs[0].meta["controller"] if "controller" in runs[0] else None
         angles = [run["q"][k] for run in runs for k in (0, -1)]
-        return gains is not None and loop_rings(self.system, gains, angles, frequency)
+        return loop_rings(self.system, gains, angles, frequency)
 
     def stretch(self, runs: Sequence[Run]) -> float:
         """Return the part of its stroke that a leg uses at most in the runs; 0 without legs."""
