@@ -1,16 +1,16 @@
 """Fill the board in docs/leaderboard: `python scripts/leaderboard.py [--workers N]`.
 
 Every entry of the table below is answered, bundled (in out/leaderboard/bundles), verified and
-appended to docs/leaderboard/board.jsonl; then docs/leaderboard/index.html is written. What is
-on the board already, for the present version of its problem, is left alone, so it can be
-stopped at any moment and goes on where it was; without board.jsonl it begins with nothing.
+added to docs/leaderboard/entries; then docs/leaderboard/index.html is written. What is on the
+board already, for the present version of its problem, is left alone, so it can be stopped at
+any moment and goes on where it was.
 
     --track T       only entries of this track; repeatable
     --problem P     only entries of this problem; repeatable
     --skip WORD     no method whose name begins so; repeatable
     --quick         a tenth of every problem, to try it out on another --board
     --blind DIR     enter the track discrepancy too: its logs and labels, made there if need be
-    --board FILE    another journal; the page is written beside it
+    --board DIR     another folder of entries; the page is written beside it
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def missing(wanted: Sequence[Wanted], board: Path) -> list[Wanted]:
 
     Args:
         wanted: entries that the board should have.
-        board: its journal.
+        board: the folder of its entries.
     """
     there = {
         (e["track"], e["problem"], e["name"])
@@ -196,7 +196,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--skip", action="append", default=[])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--blind", type=Path)
-    parser.add_argument("--board", type=Path, default=PLACE / "board.jsonl")
+    parser.add_argument("--board", type=Path, default=PLACE / "entries")
     args = parser.parse_args(words)
     wanted = [
         replace(w, problem=w.problem + QUICK) if args.quick else w
@@ -213,7 +213,7 @@ def main(words: Sequence[str]) -> int:
         page = args.board.with_name("index.html")
         journal = read(args.board)
         write_page(make_board(journal), page)
-        print(f"{len(journal.records)} entries, last hash {journal.head}; written {page}")
+        print(f"{len(journal.records)} entries, hash {journal.head}; written {page}")
 
 
 if __name__ == "__main__":

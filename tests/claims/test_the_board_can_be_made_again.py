@@ -1,6 +1,6 @@
 """Claim: what stands on the committed board is what anybody gets who makes it again.
 
-The page is that of the journal, the journal's chain holds, and entries made anew from their
+The page is that of the entries, their files hold, and entries made anew from their
 problem and method alone have the rows of the board (which holds six digits): all of them for
 episodes and releases, 95 % of searched paths, where rounding may lead elsewhere.
 """
@@ -23,17 +23,17 @@ from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.verify import verify
 
 PLACE = Path(__file__).parents[2] / "docs/leaderboard"
-NUMBERS = ("score", "E_mean", "E_peak", "E_res", "E_int")
+NUMBERS = ("score", "E_mean", "E_decay", "E_peak", "E_res", "E_int")
 TOLERANCE = 1e-5  # relative; six digits are on the board
 
 
 @pytest.fixture(scope="module")
 def journal():
-    return check(PLACE / "board.jsonl")
+    return check(PLACE / "entries")
 
 
-def test_the_chain_holds_and_everything_was_verified(journal):
-    assert journal.problems == () and not journal.torn
+def test_the_files_hold_and_everything_was_verified(journal):
+    assert journal.problems == ()
     entries = [record.entry for record in divided(journal.records)[0]]
     assert len(entries) >= 100
     assert {e["track"] for e in entries} >= {"paths", "policies", "damping"}
@@ -46,7 +46,7 @@ def test_every_entry_belongs_to_the_evaluator_of_its_version(journal):
         e = record.entry
         problem = get_problem(e["track"], e["problem"])
         version = resolve(e["track"], problem.base, e["about"]["evaluator"])
-        assert version == version_of(problem), f"line {record.index + 1}"
+        assert version == version_of(problem), record.name
         assert version.protocol == e["protocol"]
     present, past = divided(journal.records)
     assert len(present) == 168 and past == []

@@ -52,7 +52,7 @@ def test_a_rejection_is_one_line_and_status_1(call, tmp_path):
 
 def test_an_entry_goes_to_the_board(call, tmp_path):
     call(*RUN, "zero", "--bundle", tmp_path / "b")
-    board = tmp_path / "board.jsonl"
+    board = tmp_path / "entries"
     status, _, _, entry = call("leaderboard", "verify", tmp_path / "b", "--board", board)
     assert status == 0
     (record,) = check(board).records
@@ -115,7 +115,7 @@ def test_a_signed_name_on_the_board(call, tmp_path):
         subprocess.run(
             ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", tmp_path / name], check=True
         )
-    bundle, board = tmp_path / "b.zip", tmp_path / "board.jsonl"
+    bundle, board = tmp_path / "b.zip", tmp_path / "entries"
     call(*RUN, "zero", "--author", "A. Name", "--bundle", bundle)
     verify = ("leaderboard", "verify", bundle, "--board", board)
     status, out, _, _ = call(*verify)

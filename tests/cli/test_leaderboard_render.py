@@ -1,6 +1,7 @@
 """`ves-gym leaderboard render`: page and tables from a journal, or a line that says why not."""
 
 import json
+import subprocess
 
 import pytest
 
@@ -11,7 +12,7 @@ from ves_gym.leaderboard.journal import append, read
 
 @pytest.fixture
 def board(tmp_path):
-    path = tmp_path / "board.jsonl"
+    path = tmp_path / "entries"
     for k in range(3):
         append(path, made_entry(f"planner {k}", scores=[1.0 + k] * 20))
     return path
@@ -45,35 +46,49 @@ def test_entries_that_cannot_be_ranked_are_named(call, board):
     append(board, made_entry("few"))
     status, out, _, _ = call("leaderboard", "render", board)
     assert status == 0
-    assert "not ranked: line 4, few: track paths needs at least 20 episodes, got 4" in out
+    entry = read(board).records[3].id
+    assert f"not ranked: {entry}, few: track paths needs at least 20 episodes, got 4" in out
 
 
-def test_a_torn_line_is_told_and_the_rest_rendered(call, board):
-    with open(board, "ab") as file:
-        file.write(b'{"entry":')
-    status, out, err, _ = call("leaderboard", "render", board)
-    assert status == 0 and out.startswith("3 entries")
-    assert "the last line was cut short (9 bytes)" in err
-
-
-@pytest.mark.parametrize("fault", ["changed", "removed", "head", "missing"])
-def test_a_broken_journal_renders_nothing(call, board, tmp_path, fault):
-    lines = board.read_bytes().splitlines(keepends=True)
-    words, where = [], "line 2"
+@pytest.mark.parametrize("fault", ["changed", "alien", "head", "missing", "older"])
+def test_a_broken_board_renders_nothing(call, board, tmp_path, fault):
+    first = min(board.iterdir())
+    words, where, place = [], first.name, board
     if fault == "changed":
-        lines[1] = lines[1].replace(b"2.0", b"0.1")
-    elif fault == "removed":
-        del lines[1]
+        first.write_bytes(first.read_bytes().replace(b"0.5", b"0.1"))
+    elif fault == "alien":
+        first.rename(board / "x.json")
+        where = "x.json"
     elif fault == "head":
-        words, where = ["--head", "0" * 64], "line 3"
-    board.write_bytes(b"".join(lines))
-    if fault == "missing":
-        board.unlink()
-        where = "no such journal"
-    status, out, err, result = call("leaderboard", "render", board, *words)
+        words, where = ["--head", "0" * 64], "3 entries have the hash"
+    elif fault == "missing":
+        place, where = tmp_path / "none", "no such board"
+    else:
+        place, where = tmp_path / "board.jsonl", "a board is a folder"
+        place.write_text("")
+    status, out, err, result = call("leaderboard", "render", place, *words)
     assert (status, out, result) == (2, "", None)
     assert where in err
     assert not (tmp_path / "out").exists()
+
+
+def test_check_names_files_and_commits(call, board):
+    """Outside of git there is no history to check: said in one line."""
+    status, out, err, _ = call("leaderboard", "check", board)
+    assert (status, out) == (2, "") and "git" in err and err.count("\n") == 1
+    subprocess.run(["git", "init", "-q", str(board.parent)], check=True)
+    status, _, err, _ = call("leaderboard", "check", board)
+    assert status == 2 and "git says" in err  # no commit yet
+    who = ["-c", "user.name=a", "-c", "user.email=a@example.org"]
+    subprocess.run(["git", "-C", str(board), "add", "."], check=True)
+    subprocess.run(["git", "-C", str(board), *who, "commit", "-qm", "x"], check=True)
+    status, out, err, result = call("leaderboard", "check", board, "--since", "HEAD")
+    assert (status, err, result["faults"]) == (0, "", [])
+    assert out.startswith("3 entries, 0 faults")
+    first = min(board.iterdir())
+    first.write_bytes(first.read_bytes() + b" ")
+    status, _, err, result = call("leaderboard", "check", board)
+    assert status == 1 and len(result["faults"]) == 2 and err.count(first.name) >= 2
 
 
 def test_options_before_and_after_the_action(board, tmp_path, capsys):

@@ -180,8 +180,8 @@ def test_a_package_that_does_not_load_is_told_from_one_that_is_missing():
 
 
 def test_windows_has_no_posix_locks(command, tmp_path):
-    (tmp_path / "board.jsonl").write_text("")
-    status, out, err = command("fcntl", "leaderboard", "render", "board.jsonl")
+    (tmp_path / "search.toml").write_text("")
+    status, out, err = command("fcntl", "search", "search.toml")
     assert (status, out) == (2, "") and err.count("\n") == 1 and "on Windows" in err
 
 

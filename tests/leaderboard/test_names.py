@@ -70,7 +70,7 @@ def test_characters_that_cannot_be_seen_or_have_two_spellings(name, make_entry):
 
 
 def test_the_journal_takes_no_look_alike(tmp_path, make_entry):
-    path = tmp_path / "board.jsonl"
+    path = tmp_path / "entries"
     append(path, make_entry("ppo"))
     for change in ({"author": "vеs_gym"}, {"name": "рро"}):
         with pytest.raises(ParameterError, match="looks like"):

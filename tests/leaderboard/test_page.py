@@ -24,7 +24,7 @@ NUMBER = 0.02  # of a pixel in the bars
 def board(tmp_path_factory):
     """Ten planners on two problems, one of them hostile; three policies; a share."""
     make = made_entry
-    path = tmp_path_factory.mktemp("journal") / "board.jsonl"
+    path = tmp_path_factory.mktemp("journal") / "entries"
     for problem in ("reach100-1s", "reach100-2s"):
         for k in range(10):
             scores = [(0.5 + 0.1 * k) * (1 + 0.02 * (7 * i % 11)) for i in range(30)]
@@ -94,11 +94,11 @@ def test_entries_of_older_versions_stay_readable(show, board):
     page = show()
     assert page.do("document.getElementById('history-section').hidden") is True
     past = {
-        "line": 7, "track": "paths", "problem": "reach100-1s", "seeds": "public",
+        "id": "0" * 16, "track": "paths", "problem": "reach100-1s", "seeds": "public",
         "name": HOSTILE, "author": "someone", "level": "reproduced", "bundle": "ab" * 32,
         "score": [0.5, 0.4, None], "why": "version 1.1 of the problem, today 1.2",
     }  # fmt: skip
-    rows = [past, {**past, "line": 9, "name": "old", "score": None}]
+    rows = [past, {**past, "id": "1" * 16, "name": "old", "score": None}]
     write_page({**board, "history": rows}, Path(page.do("location.pathname")))
     page = show()
     assert page.do("document.getElementById('history-section').hidden") is False
@@ -107,7 +107,7 @@ def test_entries_of_older_versions_stay_readable(show, board):
     )
     assert len(cells) == 2 and HOSTILE in cells[0][1]
     assert "0.5" in cells[0][2] and "0.400 to ∞" in cells[0][2] and cells[1][2].strip() == "–"
-    assert [row[4:] for row in cells] == [["7", past["why"]], ["9", past["why"]]]
+    assert [row[4:] for row in cells] == [["0" * 16, past["why"]], ["1" * 16, past["why"]]]
     assert page.do("window.hacked") is None
 
 
@@ -155,7 +155,7 @@ def test_the_page_holds_the_board_unchanged(board):
 
 
 def test_what_is_no_board_is_refused(board, tmp_path):
-    with pytest.raises(ParameterError, match="schema must be 'ves-board/1'"):
+    with pytest.raises(ParameterError, match="schema must be 'ves-board/2'"):
         render_page({**board, "schema": "ves-benchmark/1"})
     bad = copy.deepcopy(board)
     bad["tracks"][0]["groups"][0]["entries"][0]["score"][0] = float("nan")
@@ -330,7 +330,7 @@ def test_a_name_opens_all_that_is_known(show, board):
     text = page.do("document.querySelector('tr.detail').innerText")
     e = group(board, "policies", "ves/PumaReach-v0")["entries"][1]
     assert e["bundle"] in text and "by training seed" in text and '"budget": 10' in text
-    assert f"line {e['lines'][0]}" in text and "numpy 2.3.0" in text
+    assert e["ids"][0] in text and "numpy 2.3.0" in text
     assert page.do("document.activeElement.getAttribute('aria-expanded')") == "true"
     page.press("Enter")
     assert page.do("document.querySelector('tr.detail')") is None
@@ -391,7 +391,7 @@ def test_a_hostile_address_is_text_as_well(show):
 
 
 def test_an_empty_board_says_so(show, tmp_path):
-    page = show(shown=make_board(read(tmp_path / "none.jsonl")))
+    page = show(shown=make_board(read(tmp_path / "none")))
     assert "No entry has been verified yet" in page.do(
         "document.querySelector('main').innerText"
     )
@@ -406,7 +406,7 @@ def test_five_hundred_entries_are_quick(show, board):
     ]
     entries, curves = one["entries"], one["profiles"]["curves"]
     one["entries"] = [
-        {**entries[k % 10], "name": f"entry {k}", "rank": [k + 1] * 3, "lines": [k + 1]}
+        {**entries[k % 10], "name": f"entry {k}", "rank": [k + 1] * 3, "ids": [str(k)]}
         for k in range(500)
     ]
     one["profiles"]["curves"] = [curves[k % 10] for k in range(500)]

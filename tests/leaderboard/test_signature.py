@@ -4,7 +4,6 @@ The signatures are OpenSSH's, made by its program; faults are put into their byt
 """
 
 import base64
-import json
 import shutil
 import subprocess
 import zipfile
@@ -12,12 +11,13 @@ import zipfile
 import pytest
 
 from tests.leaderboard.bundles import POLICY, Bundle
-from ves_gym._util.params import ParameterError, content_hash
+from ves_gym._util.params import ParameterError
 from ves_gym.leaderboard import signature
 from ves_gym.leaderboard.archive import LIMITS, MANIFEST, SIGNATURE, read_members
 from ves_gym.leaderboard.entry import check_entry
 from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.journal import JournalError, append, check, read
+from ves_gym.leaderboard.record import made_record
 from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.signature import NAMESPACE, sign, sign_bundle, signer
 from ves_gym.leaderboard.verify import verify
@@ -284,7 +284,7 @@ def by(make_entry):
 @pytest.fixture
 def board(tmp_path, by):
     """A. Name has a key, B. Name has none."""
-    path = tmp_path / "board.jsonl"
+    path = tmp_path / "entries"
     for entry in (by("A. Name", MINE), by("B. Name"), by("A. Name", MINE, "another")):
         append(path, entry)
     return path
@@ -301,11 +301,11 @@ def board(tmp_path, by):
     ],
 )
 def test_a_name_is_of_its_key_alone(board, by, author, key, why):
-    before = board.read_bytes()
+    before = sorted(board.iterdir())
     with pytest.raises(ParameterError) as refused:
         append(board, by(author, key, "new"))
     assert why in str(refused.value)
-    assert board.read_bytes() == before
+    assert sorted(board.iterdir()) == before
 
 
 def test_names_without_a_key_stay_free(board, by):
@@ -336,25 +336,29 @@ def test_a_key_is_a_fingerprint(by, key):
         check_entry(entry)
 
 
-@pytest.mark.parametrize("line", [0, 2])
+@pytest.mark.parametrize("which", [0, 2])
 @pytest.mark.parametrize("forged_key", [THEIRS, None])
-def test_an_edited_line_of_the_journal_is_named(board, line, forged_key):
-    """Without and with a hash of its own; the last one, too, though nothing follows it."""
-    lines = board.read_bytes().splitlines(keepends=True)
-    plain = json.loads(lines[line])
-    if forged_key is None:
-        del plain["entry"]["about"]["key"]
-    else:
-        plain["entry"]["about"]["key"] = forged_key
-    for hashed in (False, True):
-        if hashed:
-            body = {k: plain[k] for k in ("index", "previous", "entry")}
-            plain["hash"] = content_hash(body)
-        text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
-        forged = [*lines[:line], text.encode() + b"\n", *lines[line + 1 :]]
-        board.write_bytes(b"".join(forged))
-        assert (
-            check(board).problems[0].startswith(("line 1", "line 2") if line == 0 else "line 3")
-        )
+def test_an_edited_file_of_the_board_is_named(board, which, forged_key):
+    """As it is; written anew under the name that fits it; with an earlier time of entering."""
+    record = read(board).records[which]
+    about = {k: v for k, v in record.entry["about"].items() if k != "key"}
+    if forged_key is not None:
+        about["key"] = forged_key
+    for entered in (record.entered, "2020-01-01T00:00:00.000000+00:00"):
+        forged, data = made_record({**record.entry, "about": about}, entered)
+        (board / record.name).write_bytes(data)
+        assert check(board).problems[0].startswith(f"{record.name}: changed or renamed")
+        (board / record.name).rename(board / forged.name)
+        assert any("signs with" in problem for problem in check(board).problems)
         with pytest.raises(JournalError):
             read(board)
+        (board / forged.name).rename(board / record.name)
+
+
+def test_what_was_adopted_is_named_and_nothing_beside_it(board, by):
+    """Unsigned entries slipped in later, with an early time, are not the signer's."""
+    append(board, by("B. Name", THEIRS), adopt=True)
+    forged, data = made_record(by("B. Name", name="late"), "2020-01-01T00:00:00.000000+00:00")
+    (board / forged.name).write_bytes(data)
+    (problem,) = check(board).problems
+    assert problem.startswith(forged.name) and "the entry is not signed" in problem

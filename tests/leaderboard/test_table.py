@@ -15,8 +15,8 @@ from ves_gym.leaderboard.table import make_tables, write_parquet, write_sqlite
 
 @pytest.fixture
 def journal(tmp_path, make_entry, noisy_scores):
-    """Nine lines: two problems, two kinds of seeds, one that came again, two that cannot be."""
-    path = tmp_path / "board.jsonl"
+    """Nine entries: two problems, two kinds of seeds, one that came again, two unranked."""
+    path = tmp_path / "entries"
     curve = {"anytime": [[0.1, 4.0], [0.4, 1.0]]}
     for problem in ("reach100-1s", "reach100-2s"):
         for k, name in enumerate(("refined", "straight")):
@@ -33,6 +33,10 @@ def journal(tmp_path, make_entry, noisy_scores):
     policy = {"track": "policies", "problem": "ves/PumaReach-v0", "kind": "policy"}
     append(path, make_entry("ppo", scores=noisy_scores(2.0, n=60), groups=3, **policy))
     return read(path)
+
+
+def ids(journal, *places):
+    return [journal.records[k].id for k in places]
 
 
 def group(board, track, problem, seeds="public"):
@@ -57,40 +61,43 @@ def test_the_board_ranks_by_score_lowest_first(journal):
         statistics.score([journal.records[0].entry]), rel=1e-5
     )
     assert second["failed"] == 2 and second["success"][0] == pytest.approx(28 / 30)
-    assert second["lines"] == [2] and first["bundle"] == "ab" * 32
+    assert second["ids"] == ids(journal, 1) and first["bundle"] == "ab" * 32
 
 
 def test_an_entry_that_came_again_replaces_the_first(journal):
-    assert group(make_board(journal), "paths", "reach100-2s")["entries"][0]["lines"] == [5]
+    first = group(make_board(journal), "paths", "reach100-2s")["entries"][0]
+    assert first["ids"] == ids(journal, 4)
 
 
 def test_what_was_only_replayed_is_shown_and_replaces_nothing(
     tmp_path, make_entry, noisy_scores
 ):
     """A false score under the name of a reproduced entry, and one of its own."""
-    path = tmp_path / "board.jsonl"
+    path = tmp_path / "entries"
     append(path, make_entry("ppo", scores=noisy_scores(0.5)))
     for name in ("ppo", "other"):
         append(path, make_entry(name, scores=noisy_scores(0.01)) | {"level": "replayed"})
     board = make_board(read(path))
     (only,) = group(board, "paths", "reach100-2s")["entries"]
-    assert only["name"] == "ppo" and only["lines"] == [1]
+    assert only["name"] == "ppo" and only["ids"] == ids(read(path), 0)
     (shown,) = board["shown"]
     assert shown["name"] == "other" and shown["why"].startswith("replayed")
     append(path, make_entry("ppo", scores=noisy_scores(0.4)))  # reproduced again: that counts
     (only,) = group(make_board(read(path)), "paths", "reach100-2s")["entries"]
-    assert only["lines"] == [4]
+    assert only["ids"] == ids(read(path), 3)
 
 
 def test_seeds_are_not_mixed(journal):
     (only,) = group(make_board(journal), "paths", "reach100-2s", "official")["entries"]
-    assert only["lines"] == [6] and only["rank"] == [1, 1, 1]
+    assert only["ids"] == ids(journal, 5) and only["rank"] == [1, 1, 1]
 
 
 def test_all_problems_are_one_table_where_scores_are_relative(journal):
     whole = group(make_board(journal), "paths", ALL)
     assert [e["name"] for e in whole["entries"]] == ["refined", "straight"]
-    assert whole["entries"][0]["episodes"] == 60 and whole["entries"][0]["lines"] == [1, 5]
+    assert whole["entries"][0]["episodes"] == 60 and whole["entries"][0]["ids"] == ids(
+        journal, 0, 4
+    )
     both = [journal.records[k].entry for k in (0, 4)]
     assert whole["entries"][0]["score"] == pytest.approx(statistics.score(both), rel=1e-5)
 
@@ -98,14 +105,14 @@ def test_all_problems_are_one_table_where_scores_are_relative(journal):
 def test_what_cannot_be_compared_is_named_not_ranked(journal):
     board = make_board(journal)
     few, more = board["unranked"]
-    assert few["line"] == 7 and "at least 20 episodes, got 5" in few["why"]
-    assert more["line"] == 8 and more["why"] == "other episodes than the rest"
+    assert [few["id"]] == ids(journal, 6) and "at least 20 episodes, got 5" in few["why"]
+    assert [more["id"]] == ids(journal, 7) and more["why"] == "other episodes than the rest"
     names = {e["name"] for t in board["tracks"] for g in t["groups"] for e in g["entries"]}
     assert names == {"refined", "straight", "ppo"}
 
 
 def test_scores_of_different_scales_are_not_pooled(tmp_path, make_entry, noisy_scores):
-    path = tmp_path / "board.jsonl"
+    path = tmp_path / "entries"
     for problem in ("ves/PumaReach-v0", "ves/BeamLQR-v0"):
         append(path, make_entry(scores=noisy_scores(1.0), problem=problem, track="policies"))
     (track,) = make_board(read(path))["tracks"]
@@ -114,15 +121,15 @@ def test_scores_of_different_scales_are_not_pooled(tmp_path, make_entry, noisy_s
 
 def test_a_share_has_no_profile(tmp_path, make_entry):
     entry = make_entry(scores=[0.0, 1.0] * 60, track="discrepancy", problem="blind-development")
-    append(tmp_path / "board.jsonl", entry)
-    (only,) = make_board(read(tmp_path / "board.jsonl"))["tracks"][0]["groups"]
+    append(tmp_path / "entries", entry)
+    (only,) = make_board(read(tmp_path / "entries"))["tracks"][0]["groups"]
     assert (only["statistic"], only["profiles"]) == ("mean", None)
     assert only["entries"][0]["score"][0] == 0.5
 
 
 def test_an_older_version_is_history(tmp_path, make_entry, noisy_scores):
     """Not ranked, not among those that count, and still there to be read with its reason."""
-    path = tmp_path / "board.jsonl"
+    path = tmp_path / "entries"
     append(path, make_entry("old", scores=noisy_scores(0.1)))
     append(path, make_entry("old", scores=noisy_scores(0.2)))  # came again in its time
     append(path, make_entry("old", scores=noisy_scores(0.6), protocol=2))
@@ -136,7 +143,11 @@ def test_an_older_version_is_history(tmp_path, make_entry, noisy_scores):
     assert track["protocol"] == 2
     assert [e["name"] for e in track["groups"][0]["entries"]] == ["new", "old"]
     (past,) = board["history"]
-    assert (past["line"], past["name"], past["problem"]) == (2, "old", "reach100-2s")
+    assert ([past["id"]], past["name"], past["problem"]) == (
+        ids(read(path), 1),
+        "old",
+        "reach100-2s",
+    )
     assert past["why"] == "rules 1 of the track, today 2" and past["level"] == "reproduced"
     assert past["score"] == pytest.approx(
         statistics.score([read(path).records[1].entry]), rel=1e-5
@@ -162,7 +173,7 @@ def test_curves_belong_to_who_told_of_them(journal):
 
 
 def test_an_empty_journal_is_an_empty_board(tmp_path):
-    board = make_board(read(tmp_path / "none.jsonl"))
+    board = make_board(read(tmp_path / "none"))
     assert board["tracks"] == [] and board["newest"] is None
 
 
@@ -180,14 +191,17 @@ def test_sqlite_holds_every_row(journal, tmp_path):
         ).fetchone()
         assert rows == (4 * 30 + 2 * 30 + 5 + 31 + 180, 4 * 30 - 4 + 2 * 30 + 5 + 31 + 180, 4)
         score, low, current = base.execute(
-            "SELECT score, score_low, current FROM entries WHERE line = 5"
+            "SELECT score, score_low, current FROM entries WHERE entry = ?",
+            ids(journal, 4),
         ).fetchone()
         assert (score, low) == tuple(statistics.score([journal.records[4].entry]))[:2]
         assert current == 1
-        (past,) = base.execute("SELECT line FROM entries WHERE NOT current").fetchall()
-        assert past == (3,)
+        (past,) = base.execute("SELECT entry FROM entries WHERE NOT current").fetchall()
+        assert list(past) == ids(journal, 2)
         assert base.execute("SELECT count(*) FROM anytime").fetchone() == (2 * 30 * 2,)
-        about = base.execute("SELECT about FROM entries LIMIT 1").fetchone()[0]
+        about = base.execute(
+            "SELECT about FROM entries WHERE entry = ?", ids(journal, 0)
+        ).fetchone()[0]
         assert json.loads(about) == journal.records[0].entry["about"]
 
 
@@ -215,8 +229,8 @@ def test_parquet_and_sqlite_agree(journal, tmp_path):
 def test_names_are_data_not_commands(tmp_path, make_entry):
     """A name that would end a statement, were it put into one."""
     name = "'); DROP TABLE episodes; --"
-    append(tmp_path / "board.jsonl", make_entry(name, scores=[1.0] * 20))
-    write_sqlite(read(tmp_path / "board.jsonl"), tmp_path / "board.sqlite")
+    append(tmp_path / "entries", make_entry(name, scores=[1.0] * 20))
+    write_sqlite(read(tmp_path / "entries"), tmp_path / "board.sqlite")
     base = sqlite3.connect(tmp_path / "board.sqlite")
     assert base.execute("SELECT name FROM entries").fetchall() == [(name,)]
     assert base.execute("SELECT count(*) FROM episodes").fetchone() == (20,)

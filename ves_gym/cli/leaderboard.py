@@ -76,7 +76,9 @@ def _add_verify(actions: Any) -> None:
     )
     parser.add_argument("--salt", metavar="FILE", help="the maintainer's, of official seeds")
     parser.add_argument("--digest", metavar="SHA256", help="that the manifest must have")
-    parser.add_argument("--board", metavar="FILE", help="journal to append the entry to")
+    parser.add_argument(
+        "--board", metavar="ENTRIES", help="folder of the board to add the entry to"
+    )
     parser.add_argument(
         "--adopt", action="store_true",
         help="the maintainer's: the author's unsigned entries on the board are the signer's",
@@ -171,7 +173,7 @@ def _verify(args: argparse.Namespace) -> int:
     from ves_gym.leaderboard.verify import verify
 
     if args.adopt and args.board is None:
-        raise ParameterError("--adopt is of the board: give --board FILE")
+        raise ParameterError("--adopt is of the board: give --board ENTRIES")
     try:
         entry = verify(
             args.bundle,

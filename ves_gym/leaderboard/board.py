@@ -16,10 +16,11 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.leaderboard import statistics
 from ves_gym.leaderboard.entry import LEVELS
 from ves_gym.leaderboard.evaluators import history_reason
-from ves_gym.leaderboard.journal import Journal, Record
+from ves_gym.leaderboard.journal import Journal
+from ves_gym.leaderboard.record import Record
 from ves_gym.leaderboard.tracks.base import NEAR, difference
 
-SCHEMA = "ves-board/1"
+SCHEMA = "ves-board/2"
 ALL = "all problems"
 TRACKS = {  # in the order of the page
     "paths": "Paths",
@@ -29,7 +30,7 @@ TRACKS = {  # in the order of the page
 }
 RANKED = "reproduced"  # level of entries that are compared
 _SHOWN = "replayed: the method itself was not run again"
-ENERGIES = ("E_mean", "E_peak", "E_res")
+ENERGIES = ("E_mean", "E_decay", "E_peak", "E_res")
 RATIOS = ("paths", "damping")  # tracks whose scores are ratios to something that is done today
 RELATIVE = ("paths",)  # tracks whose scores mean the same in every problem
 _COMPARED = 12  # entries in the matrix of improvements: the best
@@ -41,7 +42,7 @@ History = Callable[[Mapping[str, Any]], str | None]
 
 
 def make_board(journal: Journal, history: History = history_reason) -> Plain:
-    """Return plain data of schema ves-board/1.
+    """Return plain data of schema ves-board/2.
 
     Of an entry that came again (same track, problem, seeds, author and name) the latest
     counts, but none of a lower level than one before. Ranked is what was reproduced; what was
@@ -85,8 +86,8 @@ def divided(
 ) -> tuple[list[Record], list[tuple[Record, str]]]:
     """Return the records that count, and those of older versions with the reason.
 
-    In both the latest of each entry, of those with its highest level, in the order of the
-    journal.
+    In both the latest of each entry, of those with its highest level, in the order in which
+    they were entered.
 
     Args:
         records: of the journal.
@@ -99,7 +100,7 @@ def divided(
         if key in latest and _level(record) < _level(latest[key][0]):
             continue
         latest[key] = record, why
-    ordered = sorted(latest.values(), key=lambda pair: pair[0].index)
+    ordered = sorted(latest.values(), key=lambda pair: pair[0].order)
     return [r for r, why in ordered if why is None], [(r, w) for r, w in ordered if w]
 
 
@@ -115,7 +116,7 @@ def _past(record: Record, why: str) -> Plain:
     except ParameterError:  # too few episodes for an interval
         score = None
     return {
-        "line": record.index + 1,
+        "id": record.id,
         **{k: e[k] for k in ("track", "problem", "seeds", "name", "author", "level", "bundle")},
         "score": score,
         "why": why,
@@ -181,7 +182,7 @@ def _over_all(problems: list[list[Candidate]]) -> list[Candidate]:
 def _why(record: Record, reason: str) -> Plain:
     e = record.entry
     reason = reason.removeprefix(f"{e['name']} on {e['problem']}: ")
-    return {"line": record.index + 1, "name": e["name"], "problem": e["problem"], "why": reason}
+    return {"id": record.id, "name": e["name"], "problem": e["problem"], "why": reason}
 
 
 # -------------------------------------------------------------------------- a group
@@ -266,7 +267,7 @@ def _identity(candidate: Candidate) -> Plain:
     alone = len(candidate) == 1
     return {
         **{key: e[key] for key in ("name", "author", "kind")},
-        "lines": [r.index + 1 for r in candidate],
+        "ids": [r.id for r in candidate],
         "bundle": e["bundle"] if alone else "",
         "about": dict(e["about"]) if alone else {"versions": e["about"]["versions"]},
     }

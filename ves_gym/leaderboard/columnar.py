@@ -1,4 +1,4 @@
-"""Rows of an entry as columns: how the journal writes them, at a third of the length.
+"""Rows of an entry as columns: how the board's files hold them, at a third of the length.
 
 A column is a list with a value per row, or a single value that all rows have. What a row
 lacks is null.

@@ -21,7 +21,7 @@ TRACKS = ("paths", "policies", "damping", "discrepancy")
 KINDS = ("planner", "policy", "controller", "gains", "selector")
 LEVELS = ("replayed", "reproduced")
 SEEDS = ("public", "official")
-MEASURES = ("E_mean", "E_peak", "E_res", "E_int")  # J; E_int J s
+MEASURES = ("E_mean", "E_peak", "E_res", "E_int", "E_decay")  # J; E_int J s
 DIGEST = re.compile(r"[0-9a-f]{64}")
 FINGERPRINT = re.compile(r"SHA256:[A-Za-z0-9+/]{43}")  # of a key, as ssh-keygen writes it
 _MOST = 200_000  # rows
@@ -32,7 +32,8 @@ Plain = Mapping[str, Any]
 
 ROW = ("id", "seed", "group", "score", "success", "failed", "E_mean", "E_peak", "E_res",
        "seconds", "evaluations")  # fmt: skip
-OPTIONAL = ("anytime", "E_int")
+OPTIONAL = ("anytime", "E_int", "E_decay")
+DECAYS = ("damping",)  # tracks whose episodes begin with a base that vibrates
 ABOUT = ("versions", "cpu", "simd", "model", "evaluator", "settings", "training", "begun",
          "ended")  # fmt: skip
 REPRODUCTION = ("rows", "equal", "largest")  # of the method's run here beside that submitted
@@ -134,6 +135,25 @@ def check_entry(data: Any) -> Entry:
             raise ParameterError(f"entry.about.key must be SHA256:..., got {key!r:.80}")
     canonical_json(plain_entry)  # whatever else is in it
     return Entry(**{**plain_entry, "score": score, "rows": tuple(rows), "about": about})
+
+
+def with_named_measures(entry: Plain) -> dict[str, Any]:
+    """Return an entry whose mean energy has the name of what it is.
+
+    Elsewhere `E_mean` is what motions bring into the base. On track damping the base has its
+    energy at the start, and the mean while it decays is `E_decay`. Bundles, and entries of
+    before, call both E_mean.
+
+    Args:
+        entry: plain data of an `Entry`.
+    """
+    if entry["track"] not in DECAYS:
+        return dict(entry)
+    rows = [
+        row if row.get("E_mean") is None else {**row, "E_mean": None, "E_decay": row["E_mean"]}
+        for row in entry["rows"]
+    ]
+    return {**entry, "rows": type(entry["rows"])(rows)}
 
 
 def checked_row(row: Any, where: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -65,7 +65,7 @@ const COLUMNS = [
   { key: "bar", name: "95 % interval", css: "picture", cell: (e) => [scoreBar(e.score, shown.axis)] },
   { key: "success", name: "success", css: "number", by: (e) => e.success[0],
     cell: (e) => withSub(share(e.success[0]), `${share(e.success[1])} to ${share(e.success[2])}`) },
-  ...["E_mean", "E_peak", "E_res"].map((key) => ({
+  ...["E_mean", "E_decay", "E_peak", "E_res"].map((key) => ({
     key, name: key, unit: "J", css: "number", by: (e) => e[key], cell: (e) => [orDash(e[key])],
   })),
   { key: "seconds", name: "time", unit: "s", css: "number", by: (e) => e.seconds, cell: (e) => [orDash(e.seconds)] },
@@ -85,7 +85,7 @@ function nameCell(e) {
   const button = el("button", { type: "button", title: e.name, "aria-expanded": "false" }, e.name);
   button.addEventListener("click", () => {
     const open = button.getAttribute("aria-expanded") !== "true";
-    go({ open: open ? String(e.lines[0]) : "" }, drawTable);
+    go({ open: open ? e.ids[0] : "" }, drawTable);
   });
   return [button, e.author ? el("span", { class: "sub", title: e.author }, e.author) : null];
 }
@@ -108,7 +108,7 @@ function prepare(g) {
 
 function rowOf(e) {
   if (!shown.rows.has(e)) {
-    const line = el("tr", { class: e.rank[0] === 1 ? "entry best" : "entry", "data-line": e.lines[0] });
+    const line = el("tr", { class: e.rank[0] === 1 ? "entry best" : "entry", "data-id": e.ids[0] });
     for (const { key, css, cell } of shown.columns) {
       line.append(key === "name" ? el("th", { scope: "row", class: css }, ...cell(e))
         : el("td", { class: css ?? null, "data-key": key }, ...cell(e)));
@@ -171,7 +171,7 @@ function drawTable() {
   const visible = shown.all ? shown.entries : shown.entries.slice(0, FIRST);
   for (const e of visible) {
     const line = rowOf(e);
-    const open = state.open === String(e.lines[0]);
+    const open = state.open === e.ids[0];
     line.querySelector("th button").setAttribute("aria-expanded", open);
     lines.push(line);
     if (open) lines.push(detail(e));
@@ -197,7 +197,7 @@ function detail(e) {
     ["failed", e.failed ? `${e.failed} of ${e.episodes * e.training_seeds}` : "none"],
     ["cost evaluations", e.evaluations === undefined ? "" : amount(e.evaluations)],
     ["bundle (SHA-256)", e.bundle && el("code", {}, e.bundle)],
-    ["journal", e.lines.map((k) => `line ${k}`).join(", ")],
+    ["entry", el("code", {}, e.ids.join(", "))],
     ["versions", Object.entries(about.versions ?? {}).map((pair) => pair.join(" ")).join(", ")],
     ["processor", [about.cpu, about.simd].filter(Boolean).join("; ")],
     ["model (SHA-256)", about.model && el("code", {}, about.model)],
@@ -338,7 +338,7 @@ function drawTabs() {
   $("panel").setAttribute("aria-labelledby", `tab-${state.track}`);
 }
 
-const entriesOf = (t) => new Set(t.groups.flatMap((g) => g.entries.flatMap((e) => e.lines))).size;
+const entriesOf = (t) => new Set(t.groups.flatMap((g) => g.entries.flatMap((e) => e.ids))).size;
 
 function openTrack(t, focus = document.activeElement?.getAttribute("role") === "tab") {
   go({ track: t.track, problem: "", seeds: "", sort: "rank", kind: "", open: "" }, () => {});
@@ -422,19 +422,19 @@ function drawAll() {
 
 function drawFrame() {
   $("eyebrow").textContent = ["Leaderboard of ves_gym", `${data.entries} ${data.entries === 1 ? "entry" : "entries"}`,
-    ...(data.newest ? [`newest ${data.newest.slice(0, 10)}`] : []), `chain ${data.head.slice(0, 12)}`].join(" · ");
+    ...(data.newest ? [`newest ${data.newest.slice(0, 10)}`] : []), `hash ${data.head.slice(0, 12)}`].join(" · ");
   $("nothing").hidden = data.tracks.length > 0;
   $("panel").hidden = $("tabs").hidden = data.tracks.length === 0;
   if (data.tracks.length === 0) $("verdict").textContent = "The board is empty.";
-  for (const { line, name, problem, why } of data.unranked) {
-    $("unranked").append(el("li", {}, `Line ${line}, ${name} on ${problem}: ${why}.`));
+  for (const { id, name, problem, why } of data.unranked) {
+    $("unranked").append(el("li", {}, `${name} on ${problem} (${id}): ${why}.`));
   }
   $("unranked-section").hidden = data.unranked.length === 0;
   drawUnranked("shown", data.shown, "why");
   drawUnranked("history", data.history, "version");
   const facts = [
-    ["Journal", `${data.entries} lines; the hash of the last stands for all before it`],
-    ["Last hash", el("code", {}, data.head)],
+    ["Entries", `${data.entries} files, only added to; git has their history`],
+    ["Hash of all", el("code", {}, data.head)],
     ["Protocols", data.tracks.map((t) => `${t.title.toLowerCase()} ${t.protocol}`).join(", ") || "–"],
     ["Schema", el("code", {}, data.schema)],
   ];
@@ -444,11 +444,11 @@ function drawFrame() {
 /** Entries without a rank: replayed only, or of older versions, with nobody to rank them with. */
 function drawUnranked(id, entries, last) {
   $(`${id}-section`).hidden = entries.length === 0;
-  const head = el("tr", {}, ...["problem", "entry", "score", "level", "line", last].map((name) => el("th", { scope: "col" }, name)));
+  const head = el("tr", {}, ...["problem", "entry", "score", "level", "entry", last].map((name) => el("th", { scope: "col" }, name)));
   const body = entries.map((e) => el("tr", {}, el("td", {}, ...withSub(e.problem, e.track)),
     el("th", { scope: "row", class: "who" }, ...withSub(e.name, e.author)),
     el("td", { class: "number" }, ...(e.score ? withSub(amount(e.score[0]), range(e.score)) : ["–"])),
-    el("td", {}, e.level), el("td", { class: "number" }, String(e.line)), el("td", {}, e.why)));
+    el("td", {}, e.level), el("td", {}, el("code", {}, e.id)), el("td", {}, e.why)));
   $(id).replaceChildren(el("thead", {}, head), el("tbody", {}, ...body));
 }
 

@@ -1,7 +1,7 @@
 """The journal as tables: SQLite and Parquet, derived and written anew each time.
 
-`entries`: one line each, with the statistics of the board; `episodes`: every row of every
-entry; `anytime`: the curves of searches. `line` is the line of the journal, counted from 1.
+`entries`: one row each, with the statistics of the board; `episodes`: every row of every
+entry; `anytime`: the curves of searches. `entry` is the id in the name of the entry's file.
 """
 
 from __future__ import annotations
@@ -16,14 +16,16 @@ from ves_gym._util.params import ParameterError, canonical_json, write_bytes
 from ves_gym.leaderboard import statistics
 from ves_gym.leaderboard.board import ENERGIES, History, divided, summary
 from ves_gym.leaderboard.evaluators import history_reason
-from ves_gym.leaderboard.journal import Journal, Record
+from ves_gym.leaderboard.journal import Journal
+from ves_gym.leaderboard.record import Record
 from ves_gym.system.runlog_files import load_pyarrow
 
 Row = dict[str, Any]
 Columns = Mapping[str, type]
 
 _OF_ENTRY: Columns = {
-    "line": int,
+    "entry": str,
+    "entered": str,
     "hash": str,
     "current": bool,
     "track": str,
@@ -45,7 +47,7 @@ _OF_ENTRY: Columns = {
     **dict.fromkeys((*ENERGIES, "seconds", "evaluations"), float),
     "about": str,
 }
-_EPISODE: Columns = {"line": int, "id": str, "seed": int, "training_seed": int}
+_EPISODE: Columns = {"entry": str, "id": str, "seed": int, "training_seed": int}
 _OF_EPISODE: Columns = {
     **_EPISODE,
     "score": float,
@@ -68,9 +70,9 @@ def make_tables(journal: Journal, history: History = history_reason) -> dict[str
         journal: what is on the board.
         history: why an entry is not of today's version, None where it is.
     """
-    counts = {r.index for r in divided(journal.records, history)[0]}
+    counts = {r.hash for r in divided(journal.records, history)[0]}
     return {
-        "entries": [_entry(r, r.index in counts) for r in journal.records],
+        "entries": [_entry(r, r.hash in counts) for r in journal.records],
         "episodes": [row for r in journal.records for row in _episodes(r)],
         "anytime": [row for r in journal.records for row in _anytime(r)],
     }
@@ -79,7 +81,8 @@ def make_tables(journal: Journal, history: History = history_reason) -> dict[str
 def _entry(record: Record, counts: bool) -> Row:
     e = record.entry
     out: Row = dict.fromkeys(_OF_ENTRY)
-    out |= {"line": record.index + 1, "hash": record.hash, "current": counts}
+    out |= {"entry": record.id, "entered": record.entered}
+    out |= {"hash": record.hash, "current": counts}
     out |= {key: e[key] for key in _OF_ENTRY if key in e and key != "score"}
     out |= {"score_name": e["score"]["name"], "score_unit": e["score"]["unit"]}
     out["about"] = canonical_json(e["about"])
@@ -100,14 +103,14 @@ def _entry(record: Record, counts: bool) -> Row:
 def _episodes(record: Record) -> Iterator[Row]:
     for row in record.entry["rows"]:
         values = {key: row.get(key) for key in _OF_EPISODE}
-        yield values | {"line": record.index + 1, "training_seed": row["group"]}
+        yield values | {"entry": record.id, "training_seed": row["group"]}
 
 
 def _anytime(record: Record) -> Iterator[Row]:
     for row in record.entry["rows"]:
         of = {"id": row["id"], "seed": row["seed"], "training_seed": row["group"]}
         for seconds, cost in row.get("anytime") or ():
-            yield {"line": record.index + 1, **of, "seconds": seconds, "cost": cost}
+            yield {"entry": record.id, **of, "seconds": seconds, "cost": cost}
 
 
 # ---------------------------------------------------------------------------- files
@@ -116,7 +119,7 @@ def _anytime(record: Record) -> Iterator[Row]:
 def write_sqlite(journal: Journal, path: str | os.PathLike[str]) -> None:
     """Write the tables as an SQLite database, completely or not at all.
 
-    The table `journal` holds the hash and the number of the lines it was made from.
+    The table `journal` holds the hash and the number of the entries it was made from.
     """
     kinds = {int: "INTEGER", bool: "INTEGER", float: "REAL", str: "TEXT"}
     base = sqlite3.connect(":memory:")
@@ -140,7 +143,7 @@ def write_sqlite(journal: Journal, path: str | os.PathLike[str]) -> None:
 def write_parquet(journal: Journal, folder: str | os.PathLike[str]) -> list[Path]:
     """Write `entries.parquet`, `episodes.parquet` and `anytime.parquet`.
 
-    The schema's metadata holds the hash of the journal's last line.
+    The schema's metadata holds the hash of all entries.
 
     Raises:
         ValueError: pyarrow is not installed.

@@ -23,7 +23,7 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.leaderboard import evaluators, fingerprint
 from ves_gym.leaderboard.archive import MANIFEST, SIGNATURE, read_members
 from ves_gym.leaderboard.bundle import digest, read_manifest
-from ves_gym.leaderboard.entry import LEVELS, Entry, check_entry
+from ves_gym.leaderboard.entry import LEVELS, Entry, check_entry, with_named_measures
 from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.policy_files import policies_of, policy_names
 from ves_gym.leaderboard.probes import require_behaviour
@@ -330,25 +330,27 @@ def _entry(
     name, unit = SCORES[manifest["track"]]
     spec, about = manifest["spec"], manifest["about"]
     return check_entry(
-        {
-            "schema": "ves-entry/1",
-            "track": manifest["track"],
-            "protocol": manifest["protocol"],
-            "problem": manifest["problem"],
-            "name": manifest["name"],
-            "author": manifest["author"],
-            "kind": manifest["kind"],
-            "level": level,
-            "seeds": manifest["seeds"]["which"],
-            "bundle": bundle,
-            "score": {"name": name, "unit": unit, "better": "lower"},
-            "rows": [{k: v for k, v in row.items() if k != "length"} for row in rows],
-            "about": {
-                **about,
-                "model": spec["model"],
-                "evaluator": spec["evaluator"],
-                "settings": {**about["settings"], **manifest["method"]["settings"]},
-                **computed,
-            },
-        }
+        with_named_measures(
+            {
+                "schema": "ves-entry/1",
+                "track": manifest["track"],
+                "protocol": manifest["protocol"],
+                "problem": manifest["problem"],
+                "name": manifest["name"],
+                "author": manifest["author"],
+                "kind": manifest["kind"],
+                "level": level,
+                "seeds": manifest["seeds"]["which"],
+                "bundle": bundle,
+                "score": {"name": name, "unit": unit, "better": "lower"},
+                "rows": [{k: v for k, v in row.items() if k != "length"} for row in rows],
+                "about": {
+                    **about,
+                    "model": spec["model"],
+                    "evaluator": spec["evaluator"],
+                    "settings": {**about["settings"], **manifest["method"]["settings"]},
+                    **computed,
+                },
+            }
+        )
     )

@@ -208,12 +208,13 @@ def difference(
 ) -> float | None:
     """Return how far results of the same questions are apart, relative to their size.
 
-    The median of E_mean and E_peak of the simulations; the largest of the scores where there
+    The median of mean and peak energy of the simulations; the largest of the scores where there
     are no energies. A question that only one of them solves counts as 1. None where neither has
     a number.
     """
-    simulated = any(r.get("E_mean") is not None for r in some)
-    names = ("E_mean", "E_peak") if simulated else ("score",)
+    means = ("E_mean", "E_decay")
+    simulated = any(r.get(name) is not None for r in some for name in means)
+    names = (*means, "E_peak") if simulated else ("score",)
     apart = []
     for a, b in zip(some, others, strict=True):
         for name in names:
