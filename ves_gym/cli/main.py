@@ -19,6 +19,7 @@ COMMANDS = {  # name -> what it does; the module of the same name is loaded when
     "benchmark": "planners x queries x durations: table, figures, HTML report",
     "simulate": "play one motion on one system and record a run log",
     "plan": "find one path with one planner",
+    "studio": "draw a path in a page, and the energy of the base follows",
     "map": "coupling-map pictures and arrays",
     "train": "learn policies for an environment with PPO or SAC",
     "evaluate": "controllers and policies side by side on the same episodes",

@@ -13,11 +13,13 @@ from ves_gym.report.planner_styles import css, script
 SCHEMA = "ves-benchmark/1"
 _SCRIPTS = (
     "dom.js",
+    "drawing.js",
     "page.js",
     "tables.js",
     "charts.js",
     "scene.js",
     "player.js",
+    "scenes.js",
 )  # one module, in this order
 
 

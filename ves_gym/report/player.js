@@ -1,4 +1,5 @@
-// Clock, camera and controls of the animation.
+// Clock, camera and controls of the animation. `film.around`: what the views must show, where
+// that is not what is moving.
 
 /** Magnification that makes the largest base displacement about a twelfth of the structure. */
 function defaultStep(scene) {
@@ -83,7 +84,7 @@ function zoom(factor) {
 
 function magnified() {
   const m = STEPS[$("scene-magnify").value];
-  const both = extents(film.item, m);
+  const both = extents(film.around ?? film.item, m);
   for (const view of film.views) view.extents = both;
   $("scene-magnify-out").textContent = m === 1 ? "true scale" : `× ${m}`;
   drawScene();
@@ -111,11 +112,10 @@ function advance(stamp) {
   requestAnimationFrame(advance);
 }
 
-if (choices("scene", $("scene-pick"), scenes.map(caseLabel), "animation")) {
+/** Let the controls of the page act. */
+function connectPlayer() {
   $("scene-magnify").max = STEPS.length - 1;
-  showScene(scenes[0]);
   redraws.push(drawScene);
-  $("scene-pick").addEventListener("change", (event) => showScene(scenes[event.target.value]));
   $("scene-magnify").addEventListener("input", magnified);
   $("scene-time").addEventListener("input", (event) => seek(Number(event.target.value)));
   $("scene-play").addEventListener("click", () => play(!film.playing));

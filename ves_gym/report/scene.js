@@ -4,12 +4,16 @@ const scenes = data.scenes ?? [];
 const STEPS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000]; // magnification of base motion
 const HOME = { yaw: -1.15, pitch: 0.22, zoom: 1 };
 const film = { item: null, t: 0, playing: false, last: 0, swap: false, views: [], end: 1, peak: 1 };
+const followers = []; // called with the time whenever it is drawn
 const camera = { ...HOME };
 
 // ------------------------------------------------------------------------- geometry
 
 const plus = (a, b, k = 1) => a.map((v, i) => v + k * b[i]);
 const mix = (a, b, u) => a.map((v, i) => v + u * (b[i] - v));
+
+/** The beam at rest: of the run's own machine, or that of all. */
+const restBeam = (run) => run.rest_beam ?? film.item.rest_beam;
 
 /** Arm, beam and energy of a run at time t, base displacement magnified by m. */
 function pose(run, t, m) {
@@ -18,7 +22,7 @@ function pose(run, t, m) {
   const j = Math.min(i + 1, run.arm.length - 1);
   const between = (frames) => frames[i].map((p, k) => mix(p, frames[j][k], place - i));
   const shift = mix(run.base[i], run.base[j], place - i).slice(0, 3).map((v) => (m - 1) * v);
-  const rest = film.item.rest_beam;
+  const rest = restBeam(run);
   return {
     shift, frame: i,
     E: run.E[i] + (place - i) * (run.E[j] - run.E[i]),
@@ -190,7 +194,7 @@ function structure(ctx, view, box, now, closeUp, { size = 1, low = false, clip =
   ctx.beginPath();
   ctx.rect(clip.x, clip.y, clip.w, clip.h);
   ctx.clip();
-  const rest = film.item.rest_beam;
+  const rest = restBeam(view.run);
   if (rest) stroke(ctx, rest.map(to), width, ink("--ghost"));
   if (rest && rest.length > 1) wall(ctx, to, rest);
   if (now.beam) tube(ctx, now.beam.map(to), width);
@@ -245,7 +249,7 @@ function drawView(view) {
   const inset = film.swap // where the large picture leaves room
     ? { x: 0.62 * w, y: 0.64 * h, w: 0.38 * w - 8, h: 0.36 * h - 8 }
     : { x: 0.56 * w, y: 8, w: 0.44 * w - 8, h: 0.42 * h };
-  if (film.item.rest_beam) drawInset(ctx, view, inset, now);
+  if (restBeam(view.run)) drawInset(ctx, view, inset, now);
   ruler(ctx, frame.scale, film.swap ? inset.x : w, h);
   view.now.textContent = `${number(now.E)} J`;
 }
@@ -274,4 +278,5 @@ function drawScene() {
   $("scene-time").value = film.t;
   const phase = film.t < film.item.duration ? "moving" : "holding";
   $("scene-clock").textContent = `${film.t.toFixed(2)} s of ${film.end.toFixed(1)} s · ${phase}`;
+  for (const follow of followers) follow(film.t);
 }

@@ -1,0 +1,158 @@
+"""The studio's own dynamics against Python's and Pinocchio's, and its energies."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.report.studio_page import open_page, ready
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import get_vehicle
+from ves_gym.planners.coupling import band_limited, coupling_matrix, modes
+from ves_gym.planners.query import Query
+from ves_gym.report.studio import machine_data, playable, render_studio, studio_data
+from ves_gym.system.system import System
+
+
+def query(vehicle="bent", arm="puma560", duration=2.0):
+    system = System(arm=get_arm(arm), vehicle=get_vehicle(vehicle))
+    low, high = system.arm.column("q_min"), system.arm.column("q_max")
+    start = np.clip(np.full(system.arm.n, 0.1), low, high)
+    goal = np.clip(start + 0.5, low, high)
+    return Query(system=system, start=tuple(start), goal=tuple(goal), duration=duration)
+
+
+@pytest.fixture(scope="module")
+def data():
+    asked = query()
+    return studio_data(asked, [(np.array(asked.start) + asked.goal) / 2 - 0.3])
+
+
+def evaluate(browser, expression, **values):
+    """An expression of the page's functions (`s`) at numbers of Python's."""
+    plain = {name: np.asarray(v).tolist() for name, v in values.items()}
+    names = ", ".join(plain)
+    return browser.do(f"(({{{names}}}, s) => {expression})({json.dumps(plain)}, vesStudio)")
+
+
+@pytest.mark.parametrize("arm", ["puma560", "ur5e", "canadarm2"])
+def test_inverse_dynamics_and_inertia_are_pinocchio_s(browser, data, arm, tmp_path):
+    pin = pytest.importorskip("pinocchio")
+    model = get_arm(arm).to_pinocchio()
+    model.gravity = pin.Motion.Zero()
+    rng = np.random.default_rng(3)
+    machine = machine_data(playable(query(arm=arm).system))
+    open_page(browser, {**data, "machine": machine, **ends(machine)}, tmp_path)
+    for _ in range(3):
+        q, v, a = rng.uniform(-1, 1, (3, model.nq))
+        found = evaluate(
+            browser, "s.inverseDynamics(s.data.machine.arm, q, v, a)", q=q, v=v, a=a
+        )
+        theirs = pin.rnea(model, model.createData(), q, v, a)
+        scale = np.abs(theirs).max()
+        assert np.abs(found["tau"] - theirs).max() < 1e-9 * scale
+        H = evaluate(browser, "[...s.inertiaMatrix(s.data.machine.arm, q)]", q=q)
+        ours = inertia(get_arm(arm), q)
+        np.testing.assert_allclose(
+            np.reshape(H, ours.shape), ours, rtol=0, atol=1e-9 * ours.max()
+        )
+
+
+def ends(machine):
+    """A start and a goal of any arm, and no references, which are of another."""
+    n = len(machine["arm"]["links"])
+    ends = {"start": [0.1] * n, "goal": [0.4] * n, "via": []}
+    return {**ends, "references": []}
+
+
+def test_energies_in_the_page_are_the_simulator_s(browser, data, tmp_path):
+    open_page(browser, data, tmp_path)
+    ready(browser)
+    assert len(data["references"]) >= 4
+    worst = 0.0
+    for reference in data["references"]:
+        run = browser.do(
+            f"(({{E_mean, E_peak}}) => ({{E_mean, E_peak}}))(vesStudio.simulateMotion("
+            f"vesStudio.data.machine, {json.dumps(reference['motion'])}))"
+        )
+        for name in ("E_mean", "E_peak"):
+            worst = max(worst, abs(run[name] / reference[name] - 1))
+    print(f"largest difference {100 * worst:.2f} %")
+    assert worst < 0.01
+    said = browser.do("document.getElementById('truth').textContent")
+    assert float(said.removesuffix(" %")) == pytest.approx(100 * worst, abs=0.011)
+    assert browser.do("document.querySelectorAll('#references tr').length") == len(
+        data["references"]
+    )
+
+
+def test_paths_maps_and_modes_are_python_s(browser, data, tmp_path):
+    open_page(browser, data, tmp_path)
+    asked = query()
+    system, rng = asked.system, np.random.default_rng(0)
+    points = np.vstack([asked.start, rng.uniform(-0.5, 0.5, (3, 3)), asked.goal])
+    for way in (points, points[:3], points[:2]):
+        control = evaluate(browser, "s.motionThrough(way, 2).control", way=way)
+        ours = np.array(Motion.through(way, 2.0).control)
+        np.testing.assert_allclose(control, ours, rtol=0, atol=1e-9)
+    q = points[1]
+    omega = evaluate(browser, "s.baseModes(s.data.machine, q).omega", q=q)
+    np.testing.assert_allclose(omega, modes(system, q).omega, rtol=1e-7)
+    raw, banded = evaluate(
+        browser,
+        "[null, 2].map((T) => s.couplingBlock(s.couplingCell(s.data.machine, q, [0, 2]), T))",
+        q=q,
+    )
+    for block, Q in ((raw, coupling_matrix(system, q)), (banded, band_limited(system, q, 2.0))):
+        expected = [Q[0, 0], Q[0, 2], Q[2, 2]]
+        np.testing.assert_allclose(block, expected, rtol=1e-6, atol=1e-9 * Q.max())
+
+
+def test_a_dragged_point_moves_energies_and_asks_no_one(browser, data, tmp_path):
+    address = open_page(browser, data, tmp_path)
+    before = [browser.do(f"document.getElementById('{k}-mean').textContent") for k in KINDS]
+    drag(browser, "[data-point='1']", 40, -60)
+    after = [browser.do(f"document.getElementById('{k}-mean').textContent") for k in KINDS]
+    assert after[0] == before[0] and after[1] != before[1]
+    drag(browser, "[data-point='2']", -30, 30)
+    assert browser.do("document.getElementById('straight-mean').textContent") != before[0]
+    assert browser.errors == []
+    assert browser.requests == [address]
+
+
+KINDS = ("straight", "drawn")
+
+
+def drag(browser, selector, right, down):
+    x, y = browser.do(
+        f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
+        " e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"
+        " return [r.x + r.width / 2, r.y + r.height / 2]; })()"
+    )
+    mouse = {"button": "left", "clickCount": 1}
+    browser.send("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, **mouse)
+    browser.send(
+        "Input.dispatchMouseEvent",
+        type="mouseMoved",
+        x=x + right,
+        y=y + down,
+        buttons=1,
+        **mouse,
+    )
+    browser.send(
+        "Input.dispatchMouseEvent", type="mouseReleased", x=x + right, y=y + down, **mouse
+    )
+    browser.do("new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(go)))")
+
+
+def test_machines_that_the_page_cannot_simulate_are_refused():
+    for vehicle in ("servicer", "servicer-flexible"):
+        with pytest.raises(
+            ParameterError, match="studio simulates a rigid arm on a linear base"
+        ):
+            playable(System(vehicle=get_vehicle(vehicle)))
+    with pytest.raises(ParameterError, match="ves-studio/1"):
+        render_studio({"schema": "ves-other/1"})

@@ -1,0 +1,284 @@
+"""The studio: one HTML file in which a path is drawn and the base's energy follows.
+
+The page simulates by itself, from the description of arm and base that stands in it; it shows
+how far its energies are from those of the simulator for the motions that came with it.
+"""
+
+from __future__ import annotations
+
+import html
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.base_model import BaseModel
+from ves_gym.mechanics.limits import limit_ratios
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.serial_chain import Inertial
+from ves_gym.mechanics.servo import OWN_GAINS
+from ves_gym.mechanics.vehicle import beam_line, vehicle_name
+from ves_gym.planners.prediction import predict
+from ves_gym.planners.query import Query
+from ves_gym.report.pages import assemble, embedded, part
+from ves_gym.report.planner_styles import css, script
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.energy import TAIL
+from ves_gym.system.system import System
+
+SCHEMA = "ves-studio/1"
+_SCRIPTS = (
+    "dom.js",
+    "drawing.js",
+    "studio_dynamics.js",
+    "studio_motion.js",
+    "studio_base.js",
+    "scene.js",
+    "player.js",
+    "studio_map.js",
+    "studio_charts.js",
+    "studio_files.js",
+    "studio.js",
+)  # one module, in this order
+_RECORD = 0.0125  # s between samples of the motions that the page's energies are compared with
+_SHARES = {"position": 1.0, "velocity": 1.0, "torque": 0.7}  # of limits
+_SLOWER = (1.0, 1.5)  # durations of these, over that of the motion shown
+
+
+def quiet_via(query: Query) -> list[Array]:
+    """Return a way-point for the page to begin with: of a few detours the calmest.
+
+    Args:
+        query: system, ends and duration.
+    """
+    system = playable(query.system)
+    arm, (start, goal) = system.arm, query.ends
+    low, high = arm.column("q_min"), arm.column("q_max")
+    best = None
+    for joint, size in itertools.product(range(min(arm.n, 3)), (-0.5, -0.25, 0.25, 0.5)):
+        via = (start + goal) / 2
+        via[joint] += size
+        via = np.clip(via, low, high)
+        motion = Motion.through([start, via, goal], query.duration)
+        if _possible(arm, motion):
+            energy = predict(system, motion, OWN_GAINS.for_arm(arm)).E_mean
+            if best is None or energy < best[0]:
+                best = energy, via
+    return [] if best is None else [best[1]]
+
+
+def playable(system: System) -> System:
+    """Return a system as the page simulates it: in space, nominal, without effects.
+
+    Args:
+        system: arm and vehicle.
+
+    Raises:
+        ParameterError: links or gears that give way, joints that slide, wheels or appendages
+            on the base, or a base with quadratic drag.
+    """
+    arm, base = system.arm, system.base
+    arm.require_rigid("the studio")
+    arm.require_turning("the studio")
+    for what, there in (
+        ("gears that give way", arm.geared),
+        ("friction in its joints", arm.rubs),
+        ("wheels or appendages on its base", base.carried),
+        ("a base with quadratic drag", base.drag is not None),
+    ):
+        if there:
+            raise ParameterError(
+                f"the studio simulates a rigid arm on a linear base, got {system!r} with {what}"
+            )
+    nominal = system.ideal() if system.mode != "ideal" else system
+    return nominal.replace(effects=()) if nominal.effects else nominal
+
+
+def machine_data(system: System) -> dict[str, Any]:
+    """Describe arm, base, servo and beam as plain numbers.
+
+    Args:
+        system: as `playable` returns it.
+
+    Returns:
+        SI units; the base's matrices over (Y, internal modes).
+    """
+    arm, base = system.arm, system.base
+    M, D, K = base.full()
+    servo = OWN_GAINS.for_arm(arm) if system.drive == "motor" else None
+    return {
+        "name": f"{arm.name} on {vehicle_name(system.vehicle)}",
+        "hash": system.hash,
+        "arm": _arm(arm),
+        "base": {"M": M.tolist(), "D": D.tolist(), "K": K.tolist()},
+        "servo": None if servo is None else {"kp": list(servo.kp), "kd": list(servo.kd)},
+        "beam": _beam(system.vehicle, base),
+    }
+
+
+def _arm(arm: Arm) -> dict[str, Any]:
+    R = np.eye(3) if arm.mount is None else arm.mount.rotation
+    p = (0.0, 0.0, 0.0) if arm.mount is None else arm.mount.position
+    links = []
+    for k, link in enumerate(arm.links):
+        turns = {
+            f"{trig.__name__[0]}{name[0]}": round(trig(getattr(link, name) or 0.0), 15)
+            for name in ("alpha", "beta")
+            for trig in (math.cos, math.sin)
+        }
+        links.append(
+            {
+                "name": link.name or f"joint {k + 1}",
+                "d": link.d,
+                "a": link.a,
+                **turns,
+                "offset": link.offset,
+                "slides": bool(link.slides),
+                **_inertial(link.inertial),
+                "rotor": link.rotor_inertia,
+                **{x: getattr(link, x) for x in ("q_min", "q_max", "v_max", "tau_max")},
+            }
+        )
+    return {
+        "name": arm.name,
+        "mount": {"R": R.T.ravel().tolist(), "p": list(p)},
+        "base": _inertial(arm.base),
+        "links": links,
+    }
+
+
+def _inertial(body: Inertial) -> dict[str, Any]:
+    return {
+        "mass": body.mass,
+        "com": list(body.com),
+        "inertia": [list(r) for r in body.inertia],
+    }
+
+
+def _beam(vehicle: Any, base: BaseModel) -> dict[str, Any] | None:
+    """Centreline at rest (k, 3) and its displacement per coordinate of the base (k, 3, b)."""
+    still = beam_line(vehicle, np.zeros((1, 6)), np.zeros((1, base.m)))
+    if still is None:
+        return None
+    unit = np.eye(6 + base.m)
+    bent = beam_line(vehicle, unit[:, :6], unit[:, 6:])
+    assert bent is not None
+    return {
+        "rest": still[0].round(5).tolist(),
+        "shape": np.moveaxis(bent - still, 0, -1).round(9).tolist(),
+    }
+
+
+def reference_motions(
+    system: System, start: Array, goal: Array, duration: float
+) -> list[tuple[str, Motion]]:
+    """Return motions to compare the page's energies with: straight ones and through points.
+
+    Args:
+        system: arm and vehicle.
+        start, goal: (n,) joint angles that the page begins with [rad].
+        duration: of the motion that it begins with [s].
+    """
+    arm = system.arm
+    low, high = arm.column("q_min"), arm.column("q_max")
+    middle = (start + goal) / 2
+    side = np.where(np.arange(arm.n) % 2, -1.0, 1.0) * np.minimum(0.25, (high - low) / 8)
+    detour = np.clip(middle + side, low, high)
+    other = np.clip(middle - 2 * side, low, high)
+    back = np.clip(2 * start - goal, low, high)
+    out = []
+    for T in (duration * k for k in _SLOWER):
+        out += [
+            (f"straight, {T:g} s", Motion.straight(start, goal, T)),
+            (f"straight to the other side, {T:g} s", Motion.straight(start, back, T)),
+            (f"through one point, {T:g} s", Motion.through([start, detour, goal], T)),
+            (
+                f"through two points, {T:g} s",
+                Motion.through([start, detour, other, goal], T),
+            ),
+        ]
+    return [(name, motion) for name, motion in out if _possible(arm, motion)]
+
+
+def _possible(arm: Arm, motion: Motion) -> bool:
+    """True if joints and motors keep their limits, with room for what the base adds."""
+    ratios = limit_ratios(arm, motion)
+    return all(float(ratios[k].max()) <= most for k, most in _SHARES.items())
+
+
+def references(system: System, motions: Sequence[tuple[str, Motion]]) -> list[dict[str, Any]]:
+    """Simulate motions and return their energies beside what the page needs to play them.
+
+    Args:
+        system: as `playable` returns it.
+        motions: with their names.
+    """
+    out: list[dict[str, Any]] = []
+    for T in dict.fromkeys(motion.duration for _, motion in motions):
+        group = [(name, motion) for name, motion in motions if motion.duration == T]
+        dt = system.physics_dt
+        run = play_motions(
+            system,
+            [motion for _, motion in group],
+            servo=OWN_GAINS,
+            settle=TAIL,
+            record_dt=max(1, round(_RECORD / dt)) * dt,
+        )
+        for (name, motion), energies in zip(group, run.energies(), strict=True):
+            out.append(
+                {
+                    "name": name,
+                    "motion": motion.to_dict(),
+                    "E_mean": energies.E_mean,
+                    "E_peak": energies.E_peak,
+                }
+            )
+    return out
+
+
+def studio_data(
+    query: Query,
+    via: Sequence[Array] = (),
+    opened: Sequence[dict[str, Any]] = (),
+) -> dict[str, Any]:
+    """Return all that the page holds.
+
+    Args:
+        query: system, ends and duration of the motion that it begins with.
+        via: (n,) way-points between the ends [rad].
+        opened: files, as `ves_gym.report.studio_files` reads them.
+    """
+    system = playable(query.system)
+    start, goal = query.ends
+    motions = reference_motions(system, start, goal, query.duration)
+    return {
+        "schema": SCHEMA,
+        "machine": machine_data(system),
+        "start": start.tolist(),
+        "goal": goal.tolist(),
+        "via": [np.asarray(q, float).tolist() for q in via],
+        "duration": query.duration,
+        "references": references(system, motions),
+        "opened": list(opened),
+    }
+
+
+def render_studio(data: dict[str, Any]) -> str:
+    """Return the text of the page: template, style, scripts and data in one.
+
+    Args:
+        data: as `studio_data` returns it.
+    """
+    if data.get("schema") != SCHEMA:
+        raise ParameterError(f"data.schema must be {SCHEMA!r}, got {data.get('schema')!r}")
+    parts = {
+        "title": html.escape(f"Studio: {data['machine']['name']}"),
+        "style": css() + part("page.css") + part("studio.css"),
+        "script": "\n".join([script(), *(part(name) for name in _SCRIPTS)]),
+        "data": embedded(data),
+    }
+    return assemble(part("studio.html"), parts)

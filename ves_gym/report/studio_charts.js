@@ -1,0 +1,223 @@
+// Two motions side by side: charts of what they do, on one time cursor.
+
+const MODES = 4; // strongest ones that are drawn
+const LINE_COLOURS = [3, 1, 4, 2, 5, 6, 0]; // of joints and modes, places in the palette
+const LINE_DASHES = [[], [7, 3], [2, 2], [9, 3, 2, 3], [], [7, 3], [2, 2]];
+const BORDER = { left: 52, right: 8, top: 8, bottom: 20 };
+const norm3 = (v) => Math.hypot(v[0], v[1], v[2]);
+
+/** Index of the last time at or before t. */
+function placeAt(times_, t) {
+  let [low, high] = [0, times_.length - 1];
+  while (low < high) {
+    const middle = Math.ceil((low + high) / 2);
+    if (times_[middle] <= t) low = middle;
+    else high = middle - 1;
+  }
+  return low;
+}
+
+/** A column of a track at time t, between its samples. */
+function columnAt(track, name, t) {
+  const rows = track[name];
+  const i = placeAt(track.t, t);
+  const j = Math.min(i + 1, track.t.length - 1);
+  if (i === j || t <= track.t[i]) return rows[i];
+  const u = Math.min((t - track.t[i]) / (track.t[j] - track.t[i]), 1);
+  if (typeof rows[i] === "number") return rows[i] + u * (rows[j] - rows[i]);
+  return Array.from(rows[i], (value, k) => value + u * (rows[j][k] - value));
+}
+
+// ------------------------------------------------------------------------ what is drawn
+
+const perJoint = (key, factor) => (track) => (track[key] === null ? []
+  : track[key][0].map((_, j) => ({ name: jointName(j, track), values: track[key].map((row) => factor * row[j]) })));
+
+const limitsOf = (low, high, factor) => (track) => machineOf(track).arm.links
+  .map((link) => [factor * low(link), factor * high(link)]);
+
+const CHARTS = [
+  { key: "E", label: "Energy of the base", unit: "J", floor: true,
+    lines: (track) => [{ name: "E", values: track.E }] },
+  { key: "modes", label: "Energy by mode of the base", unit: "J", floor: true, lines: modeLines },
+  { key: "q", label: "Joint angles", unit: "deg", lines: perJoint("q", DEG),
+    limits: limitsOf((l) => l.q_min, (l) => l.q_max, DEG) },
+  { key: "v", label: "Joint speeds", unit: "deg/s", lines: perJoint("v", DEG),
+    limits: limitsOf((l) => -l.v_max, (l) => l.v_max, DEG) },
+  { key: "tau", label: "Motor torques", unit: "N m", lines: perJoint("tau", 1),
+    limits: limitsOf((l) => -l.tau_max, (l) => l.tau_max, 1) },
+  { key: "y", label: "Base displacement", unit: "mm", floor: true,
+    lines: (track) => [{ name: "|Y|", values: track.y.map((row) => 1e3 * norm3(row)) }] },
+  { key: "ydd", label: "Base acceleration", unit: "m/s²", floor: true,
+    lines: (track) => (track.ydd === null ? []
+      : [{ name: "|Y″|", values: track.ydd.map(norm3) }]) },
+];
+
+/** The strongest modes of a track, by their frequency. */
+function modeLines(track) {
+  if (!track.modes) return [];
+  const peak = (k) => track.modes.reduce((most, row) => Math.max(most, row[k]), 0);
+  return track.omega.map((omega, k) => ({ k, omega, peak: peak(k) }))
+    .sort((a, b) => b.peak - a.peak).slice(0, MODES).sort((a, b) => a.omega - b.omega)
+    .map(({ k, omega }) => ({ name: `${number(omega / (2 * Math.PI), 2)} Hz`, values: track.modes.map((row) => row[k]) }));
+}
+
+// ------------------------------------------------------------------------------ views
+
+const charts = []; // rows: { spec, cells: [{ canvas, cursor, values, lines, scale }] }
+
+function makeCharts() {
+  for (const spec of CHARTS) {
+    const row = { spec, cells: [0, 1].map((side) => chartCell(spec, side)) };
+    charts.push(row);
+    $("charts").append(...row.cells.map((cell) => cell.figure));
+  }
+  followers.push(moveCursors);
+}
+
+function chartCell(spec, side) {
+  const canvas = el("canvas", { role: "img" });
+  const cursor = el("div", { class: "cursor" });
+  const values = el("span", { class: "legend" });
+  const plot = el("div", {
+    class: "plotted", tabindex: 0, role: "slider", "aria-valuemin": 0,
+    "aria-label": `${spec.label}, motion ${"AB"[side]}: time`,
+  }, canvas, cursor);
+  const figure = el("figure", { class: "chart" },
+    el("figcaption", {}, el("strong", {}, spec.label, el("span", { class: "unit" }, ` [${spec.unit}]`)), values), plot);
+  const cell = { canvas, cursor, values, plot, figure, lines: [], scale: null };
+  const scrub = (event) => {
+    if (event.buttons && cell.scale) seek(cell.scale.time(event.clientX - canvas.getBoundingClientRect().x));
+  };
+  plot.addEventListener("pointerdown", (event) => {
+    plot.setPointerCapture(event.pointerId);
+    scrub(event);
+  });
+  plot.addEventListener("pointermove", scrub);
+  plot.addEventListener("keydown", (event) => {
+    const step = event.shiftKey ? 0.5 : 0.05;
+    const to = { ArrowLeft: film.t - step, ArrowRight: film.t + step, Home: 0, End: film.end }[event.key];
+    if (to === undefined) return;
+    seek(to);
+    event.preventDefault();
+  });
+  return cell;
+}
+
+/** Draw the rows that are seen; the others when they come into view. */
+function drawCharts() {
+  for (const row of charts) {
+    const box = row.cells[0].figure.getBoundingClientRect();
+    const other = row.cells[1].figure.getBoundingClientRect();
+    row.stale = true;
+    if (Math.max(box.bottom, other.bottom) > -200 && Math.min(box.top, other.top) < innerHeight + 200) drawRow(row);
+  }
+}
+
+function drawStaleCharts() {
+  if (charts.some((row) => row.stale)) charts.filter((row) => row.stale).forEach(drawRow);
+}
+
+function drawRow(row) {
+  row.stale = false;
+  row.cells.forEach((cell, side) => { cell.lines = row.spec.lines(shown[side]); });
+  const [low, high] = extentOf(row);
+  row.cells.forEach((cell, side) => drawCell(row, cell, shown[side], low, high));
+  moveCursors(film.t);
+}
+
+/** One vertical range for both motions; limits are in it where the motion comes near. */
+function extentOf({ spec, cells }) {
+  let [low, high] = [spec.floor ? 0 : Infinity, -Infinity];
+  cells.forEach((cell, side) => {
+    for (const { values } of cell.lines) for (const value of values) {
+      low = Math.min(low, value);
+      high = Math.max(high, value);
+    }
+    (spec.limits?.(shown[side]) ?? []).forEach(([least, most], j) => {
+      const values = cell.lines[j]?.values ?? [];
+      const near = 0.15 * (most - least);
+      if (values.some((value) => value > most - near)) high = Math.max(high, most);
+      if (values.some((value) => value < least + near)) low = Math.min(low, least);
+    });
+  });
+  if (!(high > low)) return [0, 1];
+  const margin = 0.06 * (high - low);
+  return [spec.floor ? 0 : low - margin, high + margin];
+}
+
+function drawCell({ spec }, cell, track, low, high) {
+  const { ctx, w, h } = sharp(cell.canvas);
+  const room = { w: w - BORDER.left - BORDER.right, h: h - BORDER.top - BORDER.bottom };
+  const x = (t) => BORDER.left + room.w * t / film.end;
+  const y = (value) => BORDER.top + room.h * (1 - (value - low) / (high - low));
+  cell.scale = { x, time: (at) => (at - BORDER.left) / room.w * film.end };
+  Object.assign(ctx, { font: "11px system-ui, sans-serif", fillStyle: ink("--wash") });
+  ctx.fillRect(x(0), BORDER.top, x(Math.min(track.duration, film.end)) - x(0), room.h);
+  limitBands(ctx, spec, track, y, room);
+  ctx.textAlign = "right";
+  for (const mark of ticks(low, high, 4).filter((value) => value <= high)) {
+    stroke(ctx, [[BORDER.left, y(mark)], [w - BORDER.right, y(mark)]], 1, ink("--line"));
+    ctx.fillStyle = ink("--soft");
+    ctx.fillText(String(Number(mark.toPrecision(3))).replace("-", "−"), BORDER.left - 6, y(mark) + 4);
+  }
+  ctx.textAlign = "center";
+  const marks = ticks(0, film.end, Math.min(8, w / 60));
+  for (const t of marks) ctx.fillText(t === marks.at(-1) ? `${t} s` : String(t), x(t), h - 5);
+  cell.lines.forEach(({ values }, k) => {
+    ctx.setLineDash(LINE_DASHES[k % LINE_DASHES.length]);
+    stroke(ctx, values.map((value, i) => [x(track.t[i]), y(value)]), 1.7, lineColour(spec, track, k));
+  });
+  ctx.setLineDash([]);
+  if (cell.lines.length === 0) ctx.fillText("not recorded", w / 2, h / 2);
+}
+
+const lineColour = (spec, track, k) => (spec.lines(track).length === 1 ? ink(`--s${styleOf(track.name)[0]}`)
+  : ink(`--s${LINE_COLOURS[k % LINE_COLOURS.length]}`));
+
+/** Shade what lies beyond the limits of each joint. */
+function limitBands(ctx, spec, track, y, room) {
+  (spec.limits?.(track) ?? []).forEach(([least, most], j) => {
+    const hue = ink(`--s${LINE_COLOURS[j % LINE_COLOURS.length]}`);
+    const inside = (at) => Math.min(Math.max(at, BORDER.top), BORDER.top + room.h);
+    for (const [limit, edge] of [[most, BORDER.top], [least, BORDER.top + room.h]]) {
+      const at = inside(y(limit));
+      if (at === edge) continue;
+      Object.assign(ctx, { fillStyle: hue, globalAlpha: 0.14 });
+      ctx.fillRect(BORDER.left, Math.min(at, edge), room.w, Math.abs(edge - at));
+      ctx.globalAlpha = 1;
+      ctx.setLineDash([3, 3]);
+      stroke(ctx, [[BORDER.left, at], [BORDER.left + room.w, at]], 1, hue);
+      ctx.setLineDash([]);
+    }
+  });
+}
+
+/** The time cursor of all charts, and the values there. */
+function moveCursors(t) {
+  for (const { spec, cells, stale } of charts) {
+    cells.forEach((cell, side) => {
+      if (!cell.scale || stale) return;
+      const track = shown[side];
+      cell.cursor.style.transform = `translateX(${cell.scale.x(t)}px)`;
+      cell.plot.setAttribute("aria-valuenow", t.toFixed(2));
+      cell.plot.setAttribute("aria-valuemax", film.end.toFixed(2));
+      const i = placeAt(track.t, t);
+      const texts = cell.lines.map(({ name, values }) => `${name} ${number(values[i])}`);
+      cell.plot.setAttribute("aria-valuetext", `${t.toFixed(2)} s: ${texts.join(", ")}`);
+      if (cell.values.children.length !== texts.length || cell.named !== track.name) {
+        cell.named = track.name;
+        cell.values.replaceChildren(...texts.map((_, k) => el("span", {}, lineSwatch(cell.lines, track, k), el("span", {}))));
+      }
+      texts.forEach((text, k) => { cell.values.children[k].lastChild.textContent = text; });
+    });
+  }
+}
+
+function lineSwatch(lines, track, k) {
+  const place = lines.length === 1 ? styleOf(track.name)[0] : LINE_COLOURS[k % LINE_COLOURS.length];
+  return svg("svg", { class: "swatch", viewBox: "0 0 22 12", "aria-hidden": "true" }, svg("line", {
+    x1: 0, x2: 22, y1: 6, y2: 6, "stroke-width": 3, style: `stroke:var(--s${place})`,
+    "stroke-dasharray": LINE_DASHES[k % LINE_DASHES.length].join(" "),
+  }));
+}

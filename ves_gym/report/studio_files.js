@@ -1,0 +1,118 @@
+// Files that are opened in the studio: motions and plans are played here, run logs and episodes
+// come converted by `ves-gym studio --open`, a diagnosis is shown and its machine can be driven.
+
+const PALETTE = [[1, ""], [2, ""], [4, ""], [5, ""], [6, ""]];
+const opened = []; // { name, track } of logs, { name, motion } of motions
+
+const machineOf = (track) => track.machine ?? data.machine;
+
+/** What a JSON file holds: items of kind motion, log or diagnosis. */
+function readItems(name, table) {
+  const label = name.replace(/\.json$/i, "");
+  switch (table.format ?? table.schema) {
+    case "ves-motion/1":
+      return [{ kind: "motion", name: label, motion: table }];
+    case "ves-plan-file/1":
+      if (table.motion === null) throw new Error(`${name}: ${table.planner} found no motion: ${table.failure}`);
+      return [{ kind: "motion", name: `${label} (${table.planner})`, motion: table.motion }];
+    case "ves-plan/1":
+      if (!table.control) throw new Error(`${name}: ${table.planner} found no motion: ${table.failure}`);
+      return [{ kind: "motion", name: `${label} (${table.planner})`, motion: table }];
+    case "ves-diagnose/1":
+      return [{ kind: "diagnosis", name: label, diagnosis: table }];
+    case "ves-studio/1":
+      return table.opened;
+    default:
+      throw new Error(`${name}: expected a motion, a plan, a diagnosis or what \`ves-gym studio --json\` `
+        + `writes, got ${table.format ?? table.schema ?? "JSON without format or schema"}. Run logs and `
+        + "episodes (.parquet, .csv) are opened by ves-gym studio --open FILE.");
+  }
+}
+
+/** Take an item in; what it can be shown as, or null. */
+function takeItem(item) {
+  if (item.kind === "diagnosis") {
+    showDiagnosis(item);
+    if (!item.machine) return null;
+    const name = `drawn path, ${item.name}`;
+    return enter({ name, machine: item.machine, live: true });
+  }
+  const machine = item.machine ?? data.machine;
+  const n = machine.arm.links.length;
+  if (item.kind === "log") return enter({ name: item.name, track: { ...item.track, name: item.name, machine } });
+  const { control, duration } = item.motion;
+  if (!Array.isArray(control) || !control.every((row) => Array.isArray(row) && row.length === n
+    && row.every(Number.isFinite)) || control.length < DEGREE + 1 || !(duration > 0)) {
+    throw new Error(`${item.name}: expected control points of ${n} joints and a duration > 0 s`);
+  }
+  return enter({ name: item.name, motion: { control, duration }, machine: item.machine });
+}
+
+function enter(entry) {
+  const same = opened.findIndex((one) => one.name === entry.name);
+  const at = same >= 0 ? same : opened.length;
+  opened[at] = entry;
+  STYLES[entry.name] = PALETTE[at % PALETTE.length];
+  return entry;
+}
+
+function showDiagnosis({ name, diagnosis }) {
+  const text = (value) => (Array.isArray(value) ? value.map((v) => number(v)).join(", ") : number(value));
+  const rows = (diagnosis.effects ?? []).flatMap((effect) => Object.entries(effect.value).map(([key, value]) => {
+    const ends = effect.interval?.[key];
+    const unit = effect.unit?.[key] ?? "1";
+    return el("tr", {}, el("td", {}, effect.name), el("td", {}, key),
+      el("td", { class: "number" }, text(value)),
+      el("td", { class: "number" }, ends ? `${text(ends[0])} – ${text(ends[1])}` : "–"),
+      el("td", {}, unit === "1" ? "" : unit),
+      el("td", { class: "number" }, number(effect.probability, 2)));
+  }));
+  const head = ["effect", "parameter", "estimate", "90 % interval", "unit", "probability"];
+  $("diagnoses").append(el("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": `Diagnosis ${name}` },
+    el("table", {}, el("caption", {}, `${name}: ${diagnosis.sentence ?? diagnosis.verdict}`),
+      el("thead", {}, el("tr", {}, ...head.map((word) => el("th", { scope: "col" }, word)))),
+      el("tbody", {}, ...rows))));
+}
+
+// ----------------------------------------------------------------------- in the page
+
+function sayOfFiles(text, bad = false) {
+  $("files-note").textContent = text;
+  $("files-note").classList.toggle("bad", bad);
+}
+
+/** Open files that were chosen; the first that can be shown is put beside the drawn path. */
+async function openFiles(files) {
+  const names_ = [];
+  let first = null;
+  for (const file of files) {
+    try {
+      let table;
+      try {
+        table = JSON.parse(await file.text());
+      } catch {
+        table = {};
+      }
+      for (const item of readItems(file.name, table ?? {})) {
+        const entry = takeItem(item);
+        first ??= entry;
+      }
+      names_.push(file.name);
+    } catch (error) {
+      sayOfFiles(error.message, true);
+      return;
+    }
+  }
+  sayOfFiles(names_.length ? `Opened: ${names_.join(", ")}.` : "");
+  fillChoices();
+  if (first) choose(0, first.name);
+}
+
+/** The drawn path as a file that `ves-gym simulate --motion` plays. */
+function saveDrawn() {
+  const { duration, control } = path.motions[DRAWN];
+  const text = JSON.stringify({ format: "ves-motion/1", duration, control });
+  const address = URL.createObjectURL(new Blob([text], { type: "application/json" }));
+  el("a", { href: address, download: "motion.json" }).click();
+  setTimeout(() => URL.revokeObjectURL(address), 1000);
+}

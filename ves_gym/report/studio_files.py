@@ -1,0 +1,176 @@
+"""Files that the studio opens: run logs and episodes, motions, plans, diagnoses."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError, read_table
+from ves_gym.mechanics.modes import natural_modes
+from ves_gym.mechanics.motion import FORMAT as MOTION
+from ves_gym.mechanics.motion import Motion
+from ves_gym.planners.coupling import blocks
+from ves_gym.planners.query import SCHEMA as PLAN
+from ves_gym.planners.query import Plan
+from ves_gym.planners.uncertainty import DIAGNOSIS, read_uncertainty
+from ves_gym.report.studio import machine_data, playable
+from ves_gym.system.energy import (
+    base_rate,
+    internal_of,
+    log_base_energy,
+    log_energies,
+    motion_end,
+    system_of,
+)
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
+
+PLANNED = "ves-plan/1"  # what `ves-gym plan --json` writes
+_LOGS = (".csv", ".parquet")
+_SHOWN = 4.0  # s after the motion that are drawn
+_RECORDS = 600  # samples of a log, at most
+_DIGITS = 5
+
+
+def open_file(path: str | os.PathLike[str], system: System) -> dict[str, Any]:
+    """Read a file into what the page shows of it.
+
+    Args:
+        path: a run log or episode (.csv, .parquet), a motion or plan (.json, .toml), the
+            diagnosis.json of `ves-gym diagnose`.
+        system: of the page, for files that name none.
+
+    Returns:
+        An item: its `kind` is log, motion or diagnosis.
+
+    Raises:
+        ParameterError: it is none of these, or its arm has another number of joints.
+    """
+    file = Path(path)
+    if file.suffix.lower() in _LOGS:
+        return _opened_log(file, system)
+    table = read_table(file)
+    kind = table.get("format", table.get("schema"))
+    if kind == DIAGNOSIS:
+        return _opened_diagnosis(file, table)
+    if kind == PLAN:
+        plan = Plan.load(file)
+        if plan.motion is None:
+            raise ParameterError(f"{path}: {plan.planner} found no motion: {plan.failure}")
+        return _motion(f"{file.stem} ({plan.planner})", plan.motion, plan.query.system, system)
+    if kind == PLANNED:
+        if "control" not in table:
+            raise ParameterError(f"{path}: {table.get('planner')} found no motion")
+        plain = {"format": MOTION, "duration": table["duration"], "control": table["control"]}
+        motion = Motion.from_dict(plain, str(path))
+        return _motion(f"{file.stem} ({table['planner']})", motion, None, system)
+    if kind == MOTION:
+        return _motion(file.stem, Motion.load(file), None, system)
+    raise ParameterError(
+        f"{path}: expected a run log (.csv, .parquet), {MOTION}, {PLAN}, {PLANNED} or"
+        f" {DIAGNOSIS}, got {kind!r}"
+    )
+
+
+def _motion(name: str, motion: Motion, own: System | None, shown: System) -> dict[str, Any]:
+    arm = (own or shown).arm
+    if motion.n != arm.n:
+        raise ParameterError(f"{name}: {arm.name} has {arm.n} joints, got {motion.n}")
+    if motion.moving:
+        raise ParameterError(f"{name}: the studio plays motions that begin at rest")
+    item = {"kind": "motion", "name": name, "motion": motion.to_dict()}
+    return item | _machine(own, shown)
+
+
+def _machine(own: System | None, shown: System) -> dict[str, Any]:
+    """The machine of a file, where it is another than the page's."""
+    if own is None or own.hash == shown.hash:
+        return {}
+    return {"machine": machine_data(playable(own))}
+
+
+def _opened_log(path: Path, shown: System) -> dict[str, Any]:
+    log = RunLog.load(path)
+    system = system_of(log) if "system" in log.meta else None
+    machine = _machine(system, shown)
+    system = playable(system or shown)
+    if log.n_joints != system.arm.n:
+        raise ParameterError(
+            f"{path}: {system.arm.name} has {system.arm.n} joints, the log has {log.n_joints}"
+        )
+    clock = log.t - log.t[0]
+    last = int(np.searchsorted(clock, motion_end(log) + _SHOWN, side="right"))
+    at = np.unique(np.linspace(0, last - 1, min(last, _RECORDS)).round().astype(int))
+    rate, internal = base_rate(log), internal_of(system, log)
+    omega, modes = _by_mode(log, system, rate, internal)
+    columns: dict[str, Array | None] = {
+        "t": clock,
+        "q": log.q,
+        "v": np.gradient(log.q, clock, axis=0) if log.v is None else log.v,
+        "tau": log.tau,
+        "y": log.y,
+        "u": None if internal is None else internal[0],
+        "ydd": np.gradient(rate, clock, axis=0),
+        "E": log_base_energy(log, system).total,
+        "modes": modes,
+    }
+    track: dict[str, Any] = {
+        name: None if values is None else _rounded(values[at])
+        for name, values in columns.items()
+    }
+    if omega is not None:
+        omega = omega.tolist()
+    track |= {"duration": motion_end(log), "omega": omega, **_energies(log, system)}
+    return {"kind": "log", "name": path.stem, "track": track} | machine
+
+
+def _energies(log: RunLog, system: System) -> dict[str, float | None]:
+    """E_mean and E_peak; None of a log that ends before the mean's time does."""
+    try:
+        energies = log_energies(log)
+    except ParameterError:
+        peak = float(log_base_energy(log, system).total.max())
+        return {"E_mean": None, "E_peak": peak}
+    return {"E_mean": energies.E_mean, "E_peak": energies.E_peak}
+
+
+def _by_mode(
+    log: RunLog, system: System, rate: Array, internal: tuple[Array, Array] | None
+) -> tuple[Array | None, Array | None]:
+    """Frequencies (b,) [rad/s] of the base under the arm as it ends, energies (N, b) [J]."""
+    K = system.base.full()[2]
+    if not K.any():
+        return None, None
+    inertia = blocks(system, log.q[-1]).Mt
+    found = natural_modes(K, inertia)
+    x, xd = log.y, rate
+    if internal is not None:
+        x, xd = np.hstack([x, internal[0]]), np.hstack([xd, internal[1]])
+    rows = inertia @ found.shapes
+    return found.omega, 0.5 * ((xd @ rows) ** 2 + (x @ rows * found.omega) ** 2)
+
+
+def _opened_diagnosis(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
+    keys = ("schema", "verdict", "sentence", "effects")
+    shown = {key: table[key] for key in keys if key in table}
+    item: dict[str, Any] = {"kind": "diagnosis", "name": path.stem, "diagnosis": shown}
+    try:
+        machine = read_uncertainty(path).estimate
+    except ParameterError:  # nothing of arm or base: the described machine moves as before
+        machine = None
+    if machine is not None:
+        item["machine"] = machine_data(playable(machine))
+    return item
+
+
+def _rounded(values: Array) -> Any:
+    """Significant digits that a picture needs, as plain numbers."""
+    return json.loads(
+        json.dumps(values.tolist()),
+        parse_float=lambda text: float(f"{float(text):.{_DIGITS}g}"),
+    )
