@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.leaderboard import browser as chromium
-
 PLANNERS = {
     "straight": ("straight joint line, quintic time law", 1.0),
     "hotspot-q": ("path along the coupling map of raw Q", 1.3),
@@ -256,20 +254,3 @@ def make_emulated() -> Callable[..., Result]:
 @pytest.fixture
 def make_result() -> Callable[..., Result]:
     return fake_result
-
-
-@pytest.fixture(scope="session")
-def session_browser(tmp_path_factory):
-    path = chromium.find_browser()
-    if path is None:
-        pytest.skip(f"no browser: looked for {', '.join(chromium.NAMES)}")
-    driven = chromium.Browser(path, tmp_path_factory.mktemp("profile"))
-    yield driven
-    driven.close()
-
-
-@pytest.fixture
-def browser(session_browser):
-    """A headless Chromium with a window of 1280 x 900."""
-    session_browser.screen(1280, 900)
-    return session_browser
