@@ -41,6 +41,9 @@ RIVALS: dict[str, tuple[str, ...]] = {
     "FreeFlyerReach": ("zero", "random"),
     "BeamLQR": ("zero", "random", "lqr"),
 }
+# Of tasks that have policies of two versions: beside those of the second, which act through
+# another control than the built-in controllers, so that these keep the task's own.
+SECOND_RIVALS = ("resolved", "zero", "random")
 FPS, WIDTH, COLOURS = 10, 480, 64  # of the animations
 EPISODE = 3  # that they show
 
@@ -55,6 +58,11 @@ def configs() -> list[TrainConfig]:
 def task(config: TrainConfig) -> str:
     """Such as PumaDamp."""
     return config.env.rpartition("/")[2].rpartition("-v")[0]
+
+
+def title(config: TrainConfig) -> str:
+    """Such as PumaDamp, or PumaReach-v1 of a later version."""
+    return config.env.rpartition("/")[2].removesuffix("-v0")
 
 
 # ------------------------------------------------------------------------- release
@@ -99,9 +107,11 @@ def measure(config: TrainConfig, runs: Path) -> None:
     seeds = [
         load_policy(runs / config.name / f"seed-{seed}" / "best.json") for seed in config.seeds
     ]
-    settings = best.settings(gym.spec(config.env))
+    second = config.algorithm == "DAgger"
+    settings = {} if second else best.settings(gym.spec(config.env))
     columns: list[tuple[str, Sequence[Controller]]] = [
-        (name, [get_controller(name)]) for name in RIVALS[task(config)]
+        (name, [get_controller(name)])
+        for name in (SECOND_RIVALS if second else RIVALS[task(config)])
     ]
     columns += [(config.label, [best]), (f"{config.label}, {len(seeds)} seeds", seeds)]
     result = _compared(config.env, columns, EPISODES, settings)
@@ -190,7 +200,7 @@ def draw_curves(found: Sequence[TrainConfig]) -> None:
         axes.axhline(zero, color="0.4", linewidth=1, linestyle="--")
         axes.axhline(random, color="0.4", linewidth=1, linestyle=":")
         axes.set_ylim(zero - 0.5 * (best - zero), best + 0.1 * (best - zero))
-        axes.set_title(f"{task(config)}, {config.label}", fontsize=9)
+        axes.set_title(f"{title(config)}, {config.label}", fontsize=9)
         axes.tick_params(labelsize=7)
         axes.grid(alpha=0.3)
     figure.supxlabel("decisions, millions", fontsize=9)
@@ -239,7 +249,7 @@ def _runs(found: Sequence[TrainConfig]) -> str:
         best = [max(row["return"] for row in c) for c in curves(config).values()]
         rows.append(
             (
-                f"[{task(config)}](environments/{task(config)}.md)",
+                f"[{title(config)}](environments/{task(config)}.md)",
                 config.label,
                 f"{steps:,}",
                 f"{config.hold}",
@@ -275,7 +285,7 @@ def _figures(found: Sequence[TrainConfig]) -> str:
             is_policy = name == config.label
             rows.append(
                 (
-                    task(config) if one is result["controllers"][0] else "",
+                    title(config) if one is result["controllers"][0] else "",
                     f"**{name}**" if is_policy else name,
                     _estimate(s["return"]["iqm"], ".3f"),
                     _estimate(s["success"], ".0%"),

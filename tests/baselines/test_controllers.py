@@ -122,6 +122,20 @@ def test_homing_reaches_every_target_and_spares_the_base(machine):
     assert ratio(homing, resolved).value < 0.75
 
 
+def test_closing_reaches_every_target_and_spares_the_base():
+    """Claim: so does the law that the released policies of PumaReach have learned.
+
+    Tolerance: 0.7 of `resolved`'s energy, median of 40 episodes.
+    """
+    id, episodes = "ves/PumaReach-v1", 20
+    closing, resolved = (
+        evaluate(get_controller(name), id, episodes=episodes, threads=1)
+        for name in ("closing", "resolved")
+    )
+    assert all(row["success"] for row in closing.rows)
+    assert ratio(closing, resolved).value < 0.9
+
+
 @pytest.mark.parametrize(
     ("name", "id", "settings", "message"),
     [
@@ -132,6 +146,8 @@ def test_homing_reaches_every_target_and_spares_the_base(machine):
         ("resolved", REST, {}, "tasks reach, track, free_flyer and payload"),
         ("homing", REST, {}, "acts on tasks reach and reach_goal"),
         ("homing", "ves/PumaReach-v1", {"control": "pd_target"}, "got task reach through"),
+        ("closing", REST, {}, "got task rest_to_rest through"),
+        ("closing", "ves/PumaTrack-v1", {"control": "acceleration"}, "track through tool_vel"),
     ],
 )
 def test_a_controller_refuses_what_it_cannot_do(name, id, settings, message):

@@ -45,7 +45,7 @@ def test_released_policies_act_alike(name):
     policy = load_policy(name)
     data = to_onnx(policy)
     assert difference(policy, data) <= 1e-6
-    x = np.random.default_rng(0).uniform(-6, 6, (50, policy.network.sizes[0]))
+    x = np.random.default_rng(0).uniform(-6, 6, (50, policy.network.entries))
     x = x.astype(np.float32)
     ours = policy(parts(policy, x) if policy.network.inputs else x)
     assert np.abs(reference(data, x) - ours).max() <= 1e-6

@@ -290,6 +290,14 @@ PLAIN = replace(
 )  # fmt: skip
 
 
+DAGGER = replace(
+    SMALL, algorithm="DAgger", imitate="closing", features="arm", frames=1,
+    settings={"duration": 0.5, "hold": 0.1, "control": "joint_velocity"}, eval_every=200,
+    total_timesteps=8 * 20 * 5, hyperparameters={},
+    imitation={"rounds": 5, "batch_size": 64, "batches": 9, "late": 2.0},
+)  # fmt: skip
+
+
 class Stopped(Exception):
     pass
 
@@ -311,7 +319,7 @@ def numbers(folder, name):
     return [a for layer in load_policy(folder / f"{name}.json").weights for a in layer]
 
 
-@pytest.mark.parametrize("config", [SMALL, PLAIN], ids=lambda c: c.label)
+@pytest.mark.parametrize("config", [SMALL, PLAIN, DAGGER], ids=lambda c: c.label)
 def test_a_stopped_run_ends_as_if_it_had_not_been(config, tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     rows = run(config, whole)
@@ -321,7 +329,16 @@ def test_a_stopped_run_ends_as_if_it_had_not_been(config, tmp_path):
         for a, b in zip(numbers(whole, name), numbers(parts, name), strict=True):
             np.testing.assert_array_equal(a, b)
     assert rows[-1]["steps"] >= config.total_timesteps and rows[0]["steps"] == 0
-    assert {"std", "value_loss", "explained_variance"} <= rows[-1]["train"].keys()
+    logged = {"std", "value_loss", "explained_variance"}
+    if config.algorithm == "DAgger":
+        logged = {"imitation_error"}
+        assert rows[-1]["steps"] == config.total_timesteps
+    assert logged <= rows[-1]["train"].keys()
+
+
+def test_dagger_is_as_long_as_its_rounds(tmp_path):
+    with pytest.raises(ParameterError, match="those of its rounds, 800, got 900"):
+        run(replace(DAGGER, total_timesteps=900), tmp_path)
 
 
 def test_the_policy_file_acts_as_the_learner_did(tmp_path):

@@ -5,7 +5,12 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.kinematics import dexterity, joints_for, tool_jacobian
+from ves_gym.mechanics.kinematics import (
+    dexterity,
+    every_joints_for,
+    joints_for,
+    tool_jacobian,
+)
 from ves_gym.mechanics.puma import PUMA_560
 
 LOW, HIGH = PUMA_560.column("q_min"), PUMA_560.column("q_max")
@@ -65,3 +70,26 @@ def test_joints_for_comes_close_to_what_is_out_of_reach():
     _, miss = joints_for(PUMA_560, far, np.zeros((1, 3)))
     reach = np.linalg.norm(tool(np.zeros(3)) - shoulder)
     assert miss[0] == pytest.approx(5.0 - reach, abs=1e-2)
+
+
+def test_every_configuration_of_a_place():
+    """The PUMA has two elbows and two shoulders: up to four, less what the limits forbid."""
+    arm = PUMA_560
+    draw = np.random.default_rng(4)
+    q = draw.uniform(-1.0, 1.0, (30, arm.n))
+    near = draw.uniform(-1.0, 1.0, (30, arm.n))
+    points = joint_positions(arm, q)[:, -1]
+    found = every_joints_for(arm, points, near)
+    counts = (~np.isnan(found[..., 0])).sum(axis=1)
+    assert counts.min() >= 1 and counts.max() in (2, 3, 4)
+    nearest, _ = joints_for(arm, points, near)
+    np.testing.assert_allclose(found[:, 0], nearest, atol=1e-6)
+    for i, count in enumerate(counts):
+        ends = found[i, :count]
+        places = joint_positions(arm, ends)[:, -1]
+        np.testing.assert_allclose(places, np.tile(points[i], (count, 1)), atol=2e-6)
+        apart = np.abs(ends[:, None] - ends).max(axis=-1) + np.eye(count)
+        assert apart.min() > 1e-3
+        assert np.abs(ends - q[i]).max(axis=1).min() < 1e-3  # the one it was made from
+    beyond = every_joints_for(arm, [[5.0, 0.0, 0.0]], near[:1])
+    assert (~np.isnan(beyond[..., 0])).sum() == 1

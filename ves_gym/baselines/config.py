@@ -21,7 +21,8 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.policy import ACTIVATIONS, task_name
 
 CONFIGS = Path(__file__).parent / "configs"
-ALGORITHMS = ("PPO", "SAC")
+ALGORITHMS = ("PPO", "SAC", "DAgger")
+FEATURES = ("", "arm")
 LEARNERS = ("sb3", "native")
 
 
@@ -33,8 +34,8 @@ class TrainConfig:
     `settings` go to the environment (see `envs.build_task`), `hyperparameters` to the
     algorithm's constructor in Stable-Baselines3 under its names, but for the learning rate,
     which falls linearly to `final_rate` of itself. Where the network or the noise start is
-    said by `layers`, `activation` and `log_std`. `her` adds hindsight replay to SAC
-    on a goal variant.
+    said by `layers`, `activation` and `log_std`. `her` adds hindsight replay to SAC on a goal
+    variant. Algorithm DAgger imitates and does no more.
 
     `learner` native trains with `ves_gym.baselines.ppo`, which knows PPO's hyper-parameters
     under the same names; `imitate`, `imitation` and `frames` need it. With `imitate`, the
@@ -50,6 +51,7 @@ class TrainConfig:
     imitate: str = ""  # a controller, by its name
     imitation: dict = field(default_factory=dict)
     frames: int = 1  # observations that the policy sees, those of its last decisions
+    features: str = ""  # arm: further inputs, see `arm_features.ArmFeatures`
     hold: int = 1
     settings: dict = field(default_factory=dict)
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
@@ -71,15 +73,19 @@ class TrainConfig:
         require_choice(self, "algorithm", ALGORITHMS)
         require_choice(self, "learner", LEARNERS)
         require_choice(self, "activation", ACTIVATIONS)
-        if self.learner == "native" and self.algorithm != "PPO":
+        require_choice(self, "features", FEATURES)
+        if self.learner == "native" and self.algorithm == "SAC":
             raise ParameterError(
                 f"TrainConfig.learner native is of PPO, got algorithm {self.algorithm}"
             )
-        if self.learner != "native" and (self.imitate or self.imitation or self.frames != 1):
+        ours = self.imitate or self.imitation or self.frames != 1 or self.features
+        if self.learner != "native" and (ours or self.algorithm == "DAgger"):
             raise ParameterError(
-                "TrainConfig.imitate, imitation and frames need learner native, got"
-                f" {self.learner}"
+                "TrainConfig.imitate, imitation, frames, features and DAgger need learner"
+                f" native, got {self.learner}"
             )
+        if self.algorithm == "DAgger" and not self.imitate:
+            raise ParameterError("TrainConfig.algorithm DAgger needs a controller to imitate")
         if self.imitation and not self.imitate:
             raise ParameterError("TrainConfig.imitation needs a controller to imitate")
         for name in ("total_timesteps", "n_envs", "hold", "frames", "eval_episodes"):
@@ -106,12 +112,12 @@ class TrainConfig:
                 "TrainConfig.smooth must be >= 0, and 0 with hindsight replay, whose rewards"
                 f" are those of the task; got {self.smooth}"
             )
-        if not self.relative >= 0 or (self.relative and self.algorithm != "PPO"):
+        if not self.relative >= 0 or (self.relative and self.algorithm == "SAC"):
             raise ParameterError(
                 f"TrainConfig.relative must be >= 0, and 0 but for PPO, got {self.relative}"
             )
-        ours = {"policy", "env", "seed", "device", "verbose", "policy_kwargs", "use_sde"}
-        taken = ours & set(self.hyperparameters)
+        reserved = {"policy", "env", "seed", "device", "verbose", "policy_kwargs", "use_sde"}
+        taken = reserved & set(self.hyperparameters)
         if taken:
             raise ParameterError(
                 f"TrainConfig.hyperparameters cannot set {', '.join(sorted(taken))}"

@@ -7,18 +7,20 @@ So the policy sees the states that its own mistakes lead to, with what mends the
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import ParameterError
+from ves_gym._util.params import Index, ParameterError
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.decisions import Decisions
 from ves_gym.baselines.perceptron import ActorCritic, Adam, Floats, clipped
 from ves_gym.baselines.ppo import Sight, flat
 
 _NORM = 1.0  # largest norm of the derivatives
+_LATE = 0.6  # share of an episode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +31,9 @@ class Lessons:
     shown: int = 10  # rounds over which the controller's share of the actions falls to none
     noise: float = 0.1  # standard deviation of what is added to the actions
     recall: int = 10  # rounds that are learned from, the latest
-    epochs: int = 4  # per round
+    epochs: int = 4  # per round, of what is remembered
+    batches: int = 0  # per round, drawn from what is remembered; 0: its epochs
+    late: float = 0.0  # how much more counts what is seen after `_LATE` of an episode
     batch_size: int = 1024
     learning_rate: float = 1e-3  # falls linearly to a tenth
 
@@ -39,11 +43,13 @@ class Lessons:
                 raise ParameterError(
                     f"imitation: {name} must be >= 1, got {getattr(self, name)}"
                 )
-        if not self.learning_rate > 0 or not self.noise >= 0:
-            raise ParameterError(
-                "imitation needs learning_rate > 0 and noise >= 0, got"
-                f" {self.learning_rate} and {self.noise}"
-            )
+        for name in ("noise", "batches", "late"):
+            if not getattr(self, name) >= 0:
+                raise ParameterError(
+                    f"imitation: {name} must be >= 0, got {getattr(self, name)}"
+                )
+        if not self.learning_rate > 0:
+            raise ParameterError(f"imitation needs learning_rate > 0, got {self.learning_rate}")
 
 
 class Imitation:
@@ -79,6 +85,16 @@ class Imitation:
         """All rounds are done."""
         return self.round >= self.lessons.rounds
 
+    @property
+    def decisions(self) -> int:
+        """Decisions of a round."""
+        return self._periods * self.env.env.num_envs
+
+    @property
+    def _periods(self) -> int:
+        """Decisions of an episode."""
+        return -(-self.env.env.task.steps // self.env.hold)
+
     def advance(self) -> int:
         """One round; the decisions that it took."""
         seen, wanted = self._episode(max(0.0, 1 - self.round / self.lessons.shown))
@@ -98,13 +114,13 @@ class Imitation:
         Args:
             share: of the actions that are the expert's.
         """
-        env, decisions = self.env.env, -(-self.env.env.task.steps // self.env.hold)
+        env = self.env.env
         everyone = np.arange(env.num_envs)
         env.reset()
         self.expert.reset(env, everyone)
         rows = self.sight.first(flat(self.env.observe()))
         seen, wanted = [], []
-        for _ in range(decisions):
+        for _ in range(self._periods):
             target = np.clip(self.expert.act(env, None), -1.0, 1.0).astype(np.float32)
             seen.append(rows)
             wanted.append(target)
@@ -127,23 +143,33 @@ class Imitation:
         k, agent = self.lessons, self.agent
         seen = self.sight.scaled(np.concatenate([rows for rows, _ in self.memory]))
         wanted = np.concatenate([rows for _, rows in self.memory])
+        late = np.arange(len(seen)) % self.decisions >= _LATE * self.decisions
+        weight = np.where(late, 1 + k.late, 1).astype(np.float32)
+        weight /= weight.mean()
         agent.slopes[:] = 0  # the critic's stay so
         errors = []
-        for _ in range(k.epochs):
-            order = self.rng.permutation(len(seen))
-            for start in range(0, len(seen), k.batch_size):
-                at = order[start : start + k.batch_size]
-                gap = agent.actor(seen[at]) - wanted[at]
-                errors.append(float(np.square(gap).mean()))
-                gap *= np.float32(2 / gap.size)
-                agent.actor.backward(gap)
-                clipped(agent.slopes, _NORM)
-                self.optimiser.step(agent.numbers, agent.slopes, rate)
-        share = len(errors) // k.epochs
+        for at in self._batches(len(seen)):
+            gap = agent.actor(seen[at]) - wanted[at]
+            errors.append(float(np.square(gap).mean()))
+            gap *= np.float32(2 / gap.size) * weight[at][:, None]
+            agent.actor.backward(gap)
+            clipped(agent.slopes, _NORM)
+            self.optimiser.step(agent.numbers, agent.slopes, rate)
+        last = -(-len(errors) // k.epochs)
         self.logged = {
-            "imitation_error": float(np.sqrt(np.mean(errors[-share:]))),
+            "imitation_error": float(np.sqrt(np.mean(errors[-last:]))),
             "learning_rate": rate,
         }
+
+    def _batches(self, count: int) -> Iterator[Index]:
+        """Rows of the batches of a round, of so many rows."""
+        k = self.lessons
+        for _ in range(k.batches):
+            yield self.rng.integers(0, count, k.batch_size)
+        for _ in range(0 if k.batches else k.epochs):
+            order = self.rng.permutation(count)
+            for start in range(0, count, k.batch_size):
+                yield order[start : start + k.batch_size]
 
     def state(self) -> dict[str, Any]:
         """Everything that the next round depends on, but agent, sight and environment."""

@@ -1,4 +1,4 @@
-"""`NativeLearner`: imitation, then PPO, in NumPy, as `train` runs them."""
+"""`NativeLearner`: imitation, PPO, or one after the other, in NumPy, as `train` runs them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from ves_gym._util.params import from_plain
+from ves_gym._util.params import ParameterError, from_plain
+from ves_gym.baselines.arm_features import arm_features
 from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.decisions import Decisions, Endings
 from ves_gym.baselines.imitation import Imitation, Lessons
@@ -45,7 +46,9 @@ class NativeLearner:
         self.decisions = Decisions(env, **config.decisions())
         rng = np.random.default_rng(seed)
         size = flat(self.decisions.observe()).shape[1]
-        self.sight = Sight(size, config.frames)
+        features = arm_features(env.task, env.goal) if config.features else None
+        size += features.size if features else 0
+        self.sight = Sight(size, config.frames, features)
         sizes = (size * config.frames, *config.layers, env.batch.width)
         self.agent = ActorCritic(sizes, config.activation, config.log_std, rng)
         if config.relative:
@@ -63,6 +66,12 @@ class NativeLearner:
             self.imitation = Imitation(
                 self.decisions, self.agent, self.sight, expert, lessons, rng
             )
+            whole = lessons.rounds * self.imitation.decisions
+            if config.algorithm == "DAgger" and whole != config.total_timesteps:
+                raise ParameterError(
+                    f"TrainConfig.total_timesteps of DAgger are those of its rounds, {whole},"
+                    f" got {config.total_timesteps}"
+                )
 
     def learn(self, total: int, between: Callable[[], None]) -> None:
         """Train up to `total` decisions; `between` is called between rollouts."""
@@ -112,6 +121,7 @@ class NativeLearner:
             inputs=tuple(space.spaces) if isinstance(space, spaces.Dict) else (),
             hold=config.hold,
             frames=config.frames,
+            features=self.sight.features,
         )
         return Policy(network, tuple(layers), dict(about), config.label)
 

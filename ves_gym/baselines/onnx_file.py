@@ -8,6 +8,7 @@ format alone.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,13 @@ def to_onnx(policy: Policy) -> bytes:
     x = add("Cast", "observation", to=TensorProto.DOUBLE)
     limit = net.observation_limit
     x = add("Clip", x, constant("low", -limit), constant("high", limit))
+    if net.features is not None:
+        split = [f"entry{i}" for i in range(net.entries)]
+        nodes.append(helper.make_node("Split", [x], split, axis=1))
+        graph_of = _Formulas(add, constant)
+        columns = [_Column(name, graph_of) for name in split]
+        more = net.features.formulas(columns, graph_of, graph_of.clip)
+        x = add("Concat", x, *(k.name for k in more), axis=1)
     for i, (W, b) in enumerate(policy.weights):
         x = add("MatMul", x, constant(f"layer{i}.weight", W))
         x = add("Add", x, constant(f"layer{i}.bias", b))
@@ -62,7 +70,7 @@ def to_onnx(policy: Policy) -> bytes:
     graph = helper.make_graph(
         nodes,
         policy.name,
-        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["n", net.sizes[0]])],
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["n", net.entries])],
         [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["n", net.sizes[-1]])],
         numbers,
     )
@@ -80,6 +88,70 @@ def to_onnx(policy: Policy) -> bytes:
     return data
 
 
+class _Formulas:
+    """Makes nodes of the operations on columns: the namespace of `ArmFeatures.formulas`.
+
+    Args:
+        add: adds a node, by its kind and inputs; the name of its output.
+        constant: adds a number, by its name.
+    """
+
+    def __init__(self, add: Callable[..., str], constant: Callable[[str, float], str]) -> None:
+        self._add, self._constant = add, constant
+        self._numbers: dict[float, str] = {}
+
+    def __call__(self, kind: str, *inputs: _Column | float) -> _Column:
+        """Return the column (n, 1) that a node makes of columns and numbers."""
+        names = [k.name if isinstance(k, _Column) else self.number(k) for k in inputs]
+        return _Column(self._add(kind, *names), self)
+
+    def number(self, value: float) -> str:
+        """Return the name of a constant, one for every value."""
+        if value not in self._numbers:
+            name = f"number{len(self._numbers)}"
+            self._numbers[value] = self._constant(name, float(value))
+        return self._numbers[value]
+
+    def sin(self, x: _Column) -> _Column:
+        """Sine."""
+        return self("Sin", x)
+
+    def cos(self, x: _Column) -> _Column:
+        """Cosine."""
+        return self("Cos", x)
+
+    def clip(self, x: _Column, low: float, high: float) -> _Column:
+        """Return x brought into low to high."""
+        return self("Clip", x, low, high)
+
+
+class _Column:
+    """A column (n, 1) of the graph, with the operators of a number."""
+
+    def __init__(self, name: str, formulas: _Formulas) -> None:
+        self.name, self.formulas = name, formulas
+
+    def __add__(self, other: _Column | float) -> _Column:
+        return self.formulas("Add", self, other)
+
+    def __mul__(self, other: _Column | float) -> _Column:
+        return self.formulas("Mul", self, other)
+
+    def __sub__(self, other: _Column | float) -> _Column:
+        return self.formulas("Sub", self, other)
+
+    def __neg__(self) -> _Column:
+        return self.formulas("Neg", self)
+
+    def __rsub__(self, other: float) -> _Column:
+        return -self + other
+
+    def __rtruediv__(self, other: float) -> _Column:
+        return self.formulas("Div", other, self)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
 def difference(policy: Policy, data: bytes, rows: int = 1000) -> float:
     """Return by how much the actions of a model made by `to_onnx` differ from the policy's.
 
@@ -90,7 +162,7 @@ def difference(policy: Policy, data: bytes, rows: int = 1000) -> float:
         rows: number of observations drawn, a part of them beyond the policy's limit.
     """
     draw = np.random.default_rng(0)
-    width = policy.network.sizes[0]
+    width = policy.network.entries
     x = draw.uniform(-1.2, 1.2, (rows, width)) * policy.network.observation_limit
     x[: rows // 2] *= 0.1
     observation = x.astype(np.float32)

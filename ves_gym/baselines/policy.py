@@ -36,6 +36,7 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym._util.version import __version__
+from ves_gym.baselines.arm_features import ArmFeatures
 from ves_gym.envs.vector import VesVectorEnv
 
 SCHEMA = "ves-policy/1"
@@ -48,7 +49,7 @@ _LARGEST = 4096  # units of a layer: larger is no policy of ours
 
 @dataclass(frozen=True, kw_only=True)
 class Network:
-    """A multi-layer perceptron from observation to deterministic action."""
+    """A multi-layer perceptron from observation, or it and `features`, to an action."""
 
     sizes: tuple[int, ...]  # observation, hidden layers, action
     activation: str = "tanh"
@@ -57,6 +58,7 @@ class Network:
     inputs: tuple[str, ...] = ()  # parts of a dictionary observation, in order; none: an array
     hold: int = 1  # control periods that an action is held for
     frames: int = 1  # observations of the last decisions that it takes, the oldest first
+    features: ArmFeatures | None = None  # further inputs, after the observation's entries
 
     def __post_init__(self) -> None:
         require_choice(self, "activation", ACTIVATIONS)
@@ -68,6 +70,13 @@ class Network:
         for name in ("observation_limit", "hold", "frames"):
             if not getattr(self, name) > 0:
                 raise ParameterError(f"Network.{name} must be > 0, got {getattr(self, name)}")
+        if self.features is not None and (
+            self.frames > 1 or self.observations != len(self.features.scales)
+        ):
+            raise ParameterError(
+                f"Network.features are of one observation of {len(self.features.scales)}"
+                f" entries, got {self.frames} of {self.observations}"
+            )
         if self.sizes[0] % self.frames:
             raise ParameterError(
                 f"Network.sizes must begin with a multiple of its {self.frames} frames, got"
@@ -77,7 +86,12 @@ class Network:
     @property
     def observations(self) -> int:
         """Numbers of one observation."""
-        return self.sizes[0] // self.frames
+        return self.entries // self.frames
+
+    @property
+    def entries(self) -> int:
+        """Numbers that a call takes: the observations of `frames` decisions."""
+        return self.sizes[0] - (self.features.size if self.features else 0)
 
 
 @dataclass
@@ -163,11 +177,14 @@ class Policy:
         if net.frames == 1:
             observation = self._side_by_side(observation)
         x = np.asarray(observation, dtype=np.float64)
-        if x.ndim != 2 or x.shape[1] != net.sizes[0]:
+        if x.ndim != 2 or x.shape[1] != net.entries:
             raise ParameterError(
-                f"policy {self.name} needs observations (n, {net.sizes[0]}), got {x.shape}"
+                f"policy {self.name} needs observations (n, {net.entries}), got {x.shape}"
             )
-        x = np.clip(x, -net.observation_limit, net.observation_limit)[:, None, :]
+        x = np.clip(x, -net.observation_limit, net.observation_limit)
+        if net.features is not None:
+            x = np.concatenate([x, net.features(x)], axis=1)
+        x = x[:, None, :]
         for W, b in self.weights[:-1]:
             x = x @ W + b
             x = np.tanh(x) if net.activation == "tanh" else np.maximum(x, 0.0)
@@ -246,12 +263,20 @@ def task_name(id: str) -> str:
 def released(id: str) -> dict[str, Path]:
     """Policies that come with the package for an environment, by name.
 
-    An ...Emulated id without its own has those of its ideal twin.
+    Those that were trained for its version or an earlier one. An ...Emulated id without its
+    own has those of its ideal twin.
     """
     name = task_name(id)
     files = sorted((RELEASED / name).glob("*.json"))
     files = files or sorted((RELEASED / name.removesuffix("Emulated")).glob("*.json"))
-    return {path.stem: path for path in files}
+    made = {path: str(read_table(path)["about"]["env"]) for path in files}
+    return {path.stem: path for path, env in made.items() if _version(env) <= _version(id)}
+
+
+def _version(id: str) -> int:
+    """Return the version in an environment's id; 0 of one that has none."""
+    number = id.rpartition("-v")[2]
+    return int(number) if number.isdecimal() else 0
 
 
 def _json(path: str | os.PathLike[str]) -> Path:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
+from ves_gym.baselines.arm_features import ArmFeatures
 from ves_gym.baselines.decisions import Decisions, Endings
 from ves_gym.baselines.perceptron import ActorCritic, Adam, Floats, clipped
 
@@ -87,13 +88,14 @@ class Sight:
     """Observations as the networks take them: `frames` of them in a row, normalised.
 
     Args:
-        size: numbers of one observation.
+        size: numbers of one observation, its features included.
         frames: how many of the last decisions' are seen, the oldest first; an episode begins
             with so many times the same.
+        features: further inputs.
     """
 
-    def __init__(self, size: int, frames: int) -> None:
-        self.size, self.frames = size, frames
+    def __init__(self, size: int, frames: int, features: ArmFeatures | None = None) -> None:
+        self.size, self.frames, self.features = size, frames, features
         self.mean = np.zeros(size * frames)
         self.variance = np.ones(size * frames)
         self.count = 0
@@ -105,13 +107,20 @@ class Sight:
 
     def first(self, observation: Floats) -> Floats:
         """Rows (k, frames * size) at the beginning of episodes."""
-        return np.tile(observation, self.frames)
+        return np.tile(self._whole(observation), self.frames)
 
     def after(self, rows: Floats, observation: Floats) -> Floats:
         """Rows after the next observation (k, size)."""
         if self.frames == 1:
+            return self._whole(observation)
+        return np.concatenate([rows[:, self.size :], self._whole(observation)], axis=1)
+
+    def _whole(self, observation: Floats) -> Floats:
+        """Observations with their features."""
+        if self.features is None:
             return observation
-        return np.concatenate([rows[:, self.size :], observation], axis=1)
+        more = self.features(observation)
+        return np.concatenate([observation, more], axis=1, dtype=np.float32)
 
     def scaled(self, rows: Floats) -> Floats:
         """Rows by mean and spread."""

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "config", metavar="CONFIG", help="a .toml file, or an environment: ves/PumaDamp-v0"
     )
     parser.add_argument(
-        "--algo", metavar="A", help="ppo, sac or sac-her; default the first known"
+        "--algo", metavar="A", help="ppo, sac, sac-her or another label of a configuration"
     )
     parser.add_argument(
         "--learner",

@@ -17,6 +17,8 @@ _STEP = 0.3  # rad, the most a joint moves per round
 _DAMPING = 1e-2  # of the least squares, times the squared error
 _GUESSES = (1 / 6, 1 / 2, 5 / 6)  # of every joint's range
 _CLOSE = 1e-6  # m from the point: solved
+_SAME = 1e-3  # rad between two solutions that count as one
+MOST = 8  # solutions told apart
 
 
 def tool_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
@@ -77,6 +79,51 @@ def joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> tuple[Ar
         q (k, n) and how far from the points that is (k,) [m]: what is out of reach is
         approached.
     """
+    q, miss, way = _candidates(arm, points, near)
+    # the best, and of the solved ones the soonest
+    pick = np.where(miss <= _CLOSE, -1 / (1 + way), miss).argmin(axis=1)
+    rows = np.arange(len(q))
+    return q[rows, pick], miss[rows, pick]
+
+
+def every_joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> Array:
+    """All configurations within the limits that bring the tool to points, base at rest.
+
+    Of arms with as many joints as a place has coordinates; of others those that the search
+    comes upon.
+
+    Args:
+        arm: the arm.
+        points: (k, 3) in the platform frame [m].
+        near: (k, n) [rad], where the search begins.
+
+    Returns:
+        (k, `MOST`, n) [rad], those soonest reached from `near` first, NaN beyond the last;
+        where there is none, what comes closest.
+    """
+    q, miss, way = _candidates(arm, points, near)
+    out = np.full((len(q), MOST, arm.n), np.nan)
+    for found, ends, lack, seconds in zip(out, q, miss, way, strict=True):
+        solved = np.flatnonzero(lack <= _CLOSE)
+        ranked = solved[seconds[solved].argsort()] if len(solved) else [lack.argmin()]
+        count = 0
+        for end in ends[ranked]:
+            if count < MOST and not (np.abs(found[:count] - end).max(axis=1) < _SAME).any():
+                found[count] = end
+                count += 1
+    return out
+
+
+def _candidates(
+    arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Ends q (k, m, n) of searches from several starts, their miss (k, m) and way (k, m).
+
+    Args:
+        arm: the arm.
+        points: (k, 3) [m].
+        near: (k, n), the first start; the way from it is in seconds at full speed.
+    """
     low, high = arm.column("q_min"), arm.column("q_max")
     grid = low + (high - low) * np.array(list(itertools.product(_GUESSES, repeat=arm.n)))
     start = np.asarray(near, float)[:, None]
@@ -94,8 +141,5 @@ def joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> tuple[Ar
         fastest = np.abs(step).max(axis=-1, keepdims=True)
         q = np.clip(q + step * (_STEP / np.maximum(fastest, _STEP)), low, high)
     miss = np.linalg.norm(goal - joint_positions(arm, q)[..., -1, :], axis=-1)
-    # the best, and of the solved ones the soonest
     way = (np.abs(q - start) / arm.column("v_max")).max(axis=-1)
-    pick = np.where(miss <= _CLOSE, -1 / (1 + way), miss).argmin(axis=1)
-    rows = np.arange(len(q))
-    return q[rows, pick], miss[rows, pick]
+    return q, miss, way

@@ -1,0 +1,106 @@
+"""Inputs that the arm's kinematics give: right, alone in their row, and in the file."""
+
+import itertools
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from ves_gym._util.params import ParameterError
+from ves_gym.baselines.arm_features import arm_features
+from ves_gym.baselines.policy import Network, Policy, load_policy, save_policy
+from ves_gym.baselines.ppo import flat
+from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.spatial import rotation
+
+
+def moving(id, n=12):
+    """Environments in the middle of random motions, and what is observed."""
+    env = gym.make_vec(id, num_envs=n, threads=1)
+    observation, _ = env.reset(seed=5)
+    draw = np.random.default_rng(0)
+    for _ in range(40):
+        observation, *_ = env.step(draw.uniform(-1, 1, (n, 3)))
+    return env, flat(observation)
+
+
+@pytest.mark.parametrize("id", ["ves/PumaReach-v1", "ves/PumaReachGoal-v1"])
+def test_they_are_the_joint_motion_that_is_missing(id):
+    """Against differences of the tool's place: no Jacobian, no cofactors."""
+    env, rows = moving(id)
+    features = arm_features(env.task, env.goal)
+    s, arm = env.batch.scene, env.task.system.arm
+    near, far, taken, sines, cosines, tool = np.split(
+        features(rows), np.arange(3, features.size, 3), axis=1
+    )
+    q, turn = s.q, np.swapaxes(rotation(s.y_seen), -1, -2)
+    place = joint_positions(arm, q)[:, -1]
+    step = 1e-6 * np.eye(3)
+    J = np.stack([(joint_positions(arm, q + k)[:, -1] - place) / 1e-6 for k in step], axis=-1)
+    for i in range(len(q)):
+        # least squares with damping: rows of the damping below those of the Jacobian
+        A = np.concatenate([J[i], 0.05 * np.eye(3)])
+        wanted = turn[i] @ (s.goal[i, :3] - s.tool_seen[i])
+        left = np.linalg.lstsq(A, np.concatenate([wanted, np.zeros(3)]), rcond=None)[0]
+        np.testing.assert_allclose(far[i], np.clip(left, -2, 2), atol=2e-4)
+        np.testing.assert_allclose(near[i], np.clip(left, -0.25, 0.25) * 4, atol=1e-3)
+        y, ahead = s.y_seen[i], s.y_seen[i] + 1e-6 * s.yd_seen[i]
+        gone = ahead[:3] + rotation(ahead) @ place[i] - y[:3] - rotation(y) @ place[i]
+        carried = turn[i] @ gone / 1e-6
+        rates = np.linalg.lstsq(A, np.concatenate([carried, np.zeros(3)]), rcond=None)[0]
+        np.testing.assert_allclose(taken[i], np.clip(2 * rates, -1, 1), atol=2e-4)
+    np.testing.assert_allclose(tool, place, atol=1e-5)
+    np.testing.assert_allclose(np.arctan2(sines, cosines), q, atol=1e-5)
+
+
+def some_policy(features, hidden=16):
+    sizes = (len(features.scales) + features.size, hidden, 3)
+    draw = np.random.default_rng(0)
+    weights = tuple(
+        (draw.normal(size=(a, b)).astype(np.float32).astype(float), np.zeros(b))
+        for a, b in itertools.pairwise(sizes)
+    )
+    return Policy(Network(sizes=sizes, features=features), weights, {"env": "x"})
+
+
+@pytest.mark.bits
+def test_a_row_does_not_depend_on_its_neighbours():
+    env, rows = moving("ves/PumaReach-v1")
+    policy = some_policy(arm_features(env.task))
+    whole = policy(rows)
+    for n in (1, 7):
+        np.testing.assert_array_equal(policy(rows[:n]), whole[:n])
+
+
+def test_a_file_says_them_and_an_onnx_model_computes_them(tmp_path):
+    pytest.importorskip("safetensors")
+    env, rows = moving("ves/PumaReachGoal-v1")
+    policy = some_policy(arm_features(env.task, env.goal))
+    again = load_policy(save_policy(policy, tmp_path / "p.json"))
+    assert again.network == policy.network and again.network.observations == 28
+    np.testing.assert_array_equal(again(rows), policy(rows))
+    pytest.importorskip("onnx")
+    from ves_gym.baselines.onnx_file import difference, to_onnx
+
+    assert difference(policy, to_onnx(policy)) <= 1e-6
+
+
+def test_what_does_not_fit_is_refused():
+    env, _ = moving("ves/PumaReach-v1", 1)
+    features = arm_features(env.task)
+    with pytest.raises(ParameterError, match="features are of one observation of 26"):
+        Network(sizes=(45, 3), features=features)
+    with pytest.raises(ParameterError, match="got 2 of"):
+        Network(sizes=(44, 3), features=features, frames=2)
+    plain = {"arm": "puma560", "scales": (1.0,) * 20, "base_pose": 3, "base_rate": 9}
+    for changes, message in (
+        ({"arm": "puma"}, "arm must be one of"),
+        ({"target": 18}, "target must be 0 to 17, got 18"),
+        ({"scales": (0.0,) * 20}, "scales must be > 0"),
+        ({"tool": 19}, "tool must be at most 17"),
+    ):
+        with pytest.raises(ParameterError, match=message):
+            type(features)(**{**plain, "joint_angle": 0, "target": 15, **changes})
+    track = gym.make_vec("ves/PumaTrack-v1", num_envs=1, threads=1)
+    with pytest.raises(ParameterError, match="need target in the observation"):
+        arm_features(track.task)
