@@ -24,6 +24,7 @@ START = """<!doctype html><meta charset="utf-8"><title>ves_gym</title>
 <meta http-equiv="refresh" content="0; url=site/index.html">
 <a href="site/index.html">ves_gym</a>
 """
+CAPTION = 'class="caption" role="heading"'
 
 
 class Addresses(HTMLParser):
@@ -81,6 +82,9 @@ def build(folder: Path) -> int:
     )
     if done.returncode:
         return 1
+    for page in folder.rglob("*.html"):  # Sphinx's captions are headings without a level
+        text = page.read_text("utf-8")
+        page.write_text(text.replace(CAPTION, f'{CAPTION} aria-level="2"'), "utf-8")
     (folder / "index.html").write_text(START, "utf-8")
     dead = dead_links(folder)
     for each in dead:

@@ -11,6 +11,9 @@ import select
 import shutil
 import subprocess
 import time
+from pathlib import Path
+
+import pytest
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 KEYS = {"Enter": 13, "ArrowLeft": 37, "ArrowRight": 39, "Home": 36, "End": 35, "Tab": 9}
@@ -186,3 +189,15 @@ class Browser:
         """Write what is seen as PNG."""
         data = self.send("Page.captureScreenshot", captureBeyondViewport=whole)["data"]
         path.write_bytes(base64.b64decode(data))
+
+    def obstacles(self):
+        """What axe-core calls serious or critical for those who do not see or use no mouse."""
+        package = pytest.importorskip("axe_core_python", reason="axe-core is not installed")
+        script = (Path(package.__file__).parent / "axe.min.js").read_text("utf-8")
+        self.do(f"{script}; 0")  # each page anew
+        found = self.do(
+            "axe.run(document, {resultTypes: ['violations']}).then((r) => r.violations"
+            ".filter((v) => ['serious', 'critical'].includes(v.impact))"
+            ".map((v) => `${v.id}: ${v.nodes.length} x ${v.nodes[0].target.join(' ')}`))"
+        )
+        return sorted(found)

@@ -68,7 +68,7 @@ def test_the_citation_has_the_version_of_the_package():
 
 
 @pytest.mark.slow
-def test_the_site_builds_without_a_warning_or_a_dead_link(tmp_path):
+def test_the_site_builds_without_a_warning_or_a_dead_link(browser, tmp_path):
     for package in ("sphinx", "myst_parser", "furo"):
         pytest.importorskip(package, reason=f"{package} is not installed: make site")
     assert site.build(tmp_path / "site") == 0
@@ -79,3 +79,11 @@ def test_the_site_builds_without_a_warning_or_a_dead_link(tmp_path):
         r'<(?:script|img|link|iframe)\b[^>]*(?:src|href)="(https?:[^"]+)', text
     )
     assert not fetched
+    # every page of docs/, and of the generated ones a few: they have one template
+    pages = [*(tmp_path / "site").glob("*.html"), *(tmp_path / "site" / "site").glob("*.html")]
+    pages += sorted((tmp_path / "site" / "site" / "api").glob("*.html"))[:3]
+    obstacles = {}
+    for page in pages:
+        browser.open(page.as_uri())
+        obstacles[page.name] = browser.obstacles()
+    assert {name: found for name, found in obstacles.items() if found} == {}

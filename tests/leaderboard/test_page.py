@@ -480,3 +480,11 @@ _CONTRAST = """
   return [...bad];
 })()
 """
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_it_has_no_serious_obstacle(show, dark):
+    page = show()
+    page.screen(1280, 900, dark)
+    assert page.obstacles() == []
+    page.screen(1280, 900)

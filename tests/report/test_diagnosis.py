@@ -213,3 +213,11 @@ def test_a_result_of_another_kind_is_refused(result):
     result["schema"] = "ves-benchmark/1"
     with pytest.raises(ParameterError, match=r"must be 'ves-diagnose/1', got 'ves-bench"):
         render_page(result)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_it_has_no_serious_obstacle(browser, result, tmp_path, dark):
+    write_page(result, tmp_path / "page.html")
+    browser.screen(1280, 900, dark)
+    browser.open((tmp_path / "page.html").as_uri())
+    assert browser.obstacles() == []

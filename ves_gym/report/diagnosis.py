@@ -42,8 +42,8 @@ tr.chosen > * { font-weight: 650; }
 pre { background: var(--card); border: 1px solid var(--line); border-radius: .5rem;
   padding: .7rem 1rem; overflow: auto; font-size: .82rem; line-height: 1.4;
   max-height: 30rem; }
-ins { text-decoration: none; color: var(--s4); }
-del { text-decoration: none; color: var(--s5); }
+ins { text-decoration: none; color: color-mix(in srgb, var(--s4) 60%, var(--ink)); }
+del { text-decoration: none; color: color-mix(in srgb, var(--s5) 60%, var(--ink)); }
 .scroll.narrow { max-width: 48rem; margin-bottom: 1rem; }
 footer { padding-bottom: 2rem; }
 """
