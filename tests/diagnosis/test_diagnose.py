@@ -15,6 +15,7 @@ from ves_gym.diagnosis.inference.model_selection import (
     _acts_long_enough,
     _required_gain,
 )
+from ves_gym.diagnosis.inference.null_law import NullLaw
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.effects import JointElasticity
@@ -171,11 +172,10 @@ def test_an_error_of_the_vehicle_needs_no_guard_where_the_computer_moves_it():
     def needed(name, port, mode):
         every = library(3, ["wrench", port], mode)
         one = next(c for c in every if c.name == name)
-        signatures = types.SimpleNamespace(candidates=every)
         f = types.SimpleNamespace(
             candidates=(one,), price=lambda i, size: one.price * np.log(size)
         )
-        return _required_gain(residuals, signatures, limits, f, 0)
+        return _required_gain(residuals, NullLaw(len(every)), limits, f, 0)
 
     emulated = ("admittance", "emulated")
     assert needed("payload/mass", *emulated) > limits.gain

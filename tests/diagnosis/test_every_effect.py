@@ -6,7 +6,6 @@ changes a channel, over that channel's noise, of the channel that it changes mos
 
 import dataclasses
 import re
-import types
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.inference.candidates import library
 from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inference.model_selection import Thresholds, _required_gain
+from ves_gym.diagnosis.inference.null_law import NullLaw
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.system import SystemMachine
@@ -165,8 +165,7 @@ def seen(system, log, candidate, count):
     signatures = Signatures(residuals, [candidate])
     score = signatures.scores(null.residual, null.tangents, null.size)[0]
     found = fit(residuals, [candidate], [score.values])
-    crowd = types.SimpleNamespace(candidates=(candidate,) * count)
-    needed = _required_gain(residuals, crowd, Thresholds(), found, 0)
+    needed = _required_gain(residuals, NullLaw(count), Thresholds(), found, 0)
     return null.deviance - found.deviance, needed, found.values[0]
 
 

@@ -54,6 +54,7 @@ def result():
                 "class": list(NAMES),
             }
         ],
+        "null": {"sentence": "The chance of that is 0.3."},
         "ranking": [
             {
                 "name": name,

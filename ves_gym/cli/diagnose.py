@@ -238,6 +238,7 @@ def _print(diagnosis: Any, result: dict[str, Any]) -> None:
 
     console = Console(width=None if sys.stdout.isatty() else 110, markup=False)
     console.print(diagnosis.sentence, style="bold")
+    console.print(result["null"]["sentence"])
     for experiment in result["experiments"] if diagnosis.verdict == ONE_OF else ():
         console.print(f"next experiment: {experiment['sentence']}")
     if diagnosis.verdict == UNKNOWN and diagnosis.explanations:

@@ -130,6 +130,12 @@ class Diagnosis(Viewable):
         write_result(path, self.to_dict())
 
     @property
+    def chance(self) -> float:
+        """Chance that the best of all that was looked at gains as much from noise alone."""
+        first = self.selection.first
+        return 1.0 if first is None else self.selection.law.chance(first[1], first[0])
+
+    @property
     def sentence(self) -> str:
         """The verdict in one sentence."""
         names = " and ".join(_named(f) for f in self.explanations)
@@ -373,6 +379,7 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
     ranking = ranked(
         diagnosis.signatures,
         diagnosis.selection.null,
+        diagnosis.selection.law,
         [f.candidate.name for f in diagnosis.explanations],
     )
     compared = ranking[:_COMPARED]
@@ -404,6 +411,7 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
             diagnosis.selection.null,
             None if unknown else diagnosis.selection.fit,
         ),
+        "null": _null_to_plain(diagnosis),
         "remaining": diagnosis.remaining,
         "remaining_allowed": diagnosis.limits.remains,
         "gap_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.gaps},
@@ -426,6 +434,21 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
         "faults": [{**dataclasses.asdict(f), "sentence": f.sentence} for f in diagnosis.faults],
         "steps": diagnosis.selection.steps,
         "seconds": diagnosis.seconds,
+    }
+
+
+def _null_to_plain(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Best of the library, and the chance that noise alone makes as much of it."""
+    first, law = diagnosis.selection.first, diagnosis.selection.law
+    name, gain = ("", 0.0) if first is None else (first[0].name, first[1])
+    tried = f"{law.tests} candidates and shapes looked at"
+    return {
+        "p": diagnosis.chance,
+        "best": name,
+        "gain": gain,
+        "looked_at": law.tests,
+        "sentence": f"{name or 'Nothing'} gains most, {gain:.3g} in deviance: the chance that"
+        f" the best of {tried} gains as much from noise is {diagnosis.chance:.2g}.",
     }
 
 

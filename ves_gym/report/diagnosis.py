@@ -99,6 +99,7 @@ def render_page(result: Result) -> str:
 <p class="eyebrow">{_text(_eyebrow(result))}</p>
 <h1>Where do data and description disagree, and what is missing?</h1>
 <p class="verdict">{_text(result["sentence"])}</p>
+<p class="note">{_text(result["null"]["sentence"])}</p>
 </header>
 <main>
 {_tiles(result)}

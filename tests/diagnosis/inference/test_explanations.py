@@ -33,7 +33,7 @@ def found(hidden):
 
 def test_the_best_candidate_is_ranked_as_a_full_fit_has_it(found):
     """Reference: the non-linear fit; its residual is linear in a gain to 3 % of the gain."""
-    best = ranked(found.signatures, found.selection.null)[0]
+    best = ranked(found.signatures, found.selection.null, found.selection.law)[0]
     assert best.candidate.name == "joint/drive_gain at joint 2"
     full = fit(found.residuals, [best.candidate], [best.values])
     assert best.values == pytest.approx(full.values[0], rel=0.05)
@@ -57,7 +57,7 @@ def test_what_is_chosen_but_scores_too_low_alone_is_fitted_alone(found, monkeypa
         ]
 
     monkeypatch.setattr(found.signatures, "scores", low)
-    last = ranked(found.signatures, found.selection.null, [name])[-1]
+    last = ranked(found.signatures, found.selection.null, found.selection.law, [name])[-1]
     assert (last.candidate.name, last.screen) == (name, None)
     assert last.values[0] == pytest.approx(0.03, rel=0.1) and last.gain > 100
 
@@ -65,7 +65,8 @@ def test_what_is_chosen_but_scores_too_low_alone_is_fitted_alone(found, monkeypa
 def test_what_is_chosen_is_ranked_however_it_does(found):
     name = found.signatures.candidates[0].name
     assert [
-        r.candidate.name for r in ranked(found.signatures, found.selection.null, [name], 0)
+        r.candidate.name
+        for r in ranked(found.signatures, found.selection.null, found.selection.law, [name], 0)
     ] == [name]
 
 

@@ -18,6 +18,7 @@ from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals, fit
 from ves_gym.diagnosis.inference.intervals import stretches
 from ves_gym.diagnosis.inference.model_selection import Selection
+from ves_gym.diagnosis.inference.null_law import NullLaw
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.variance_groups import products, solve
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
@@ -85,13 +86,18 @@ class Experiment:
 
 
 def ranked(
-    signatures: Signatures, null: Fit, chosen: Sequence[str] = (), most: int = 12
+    signatures: Signatures,
+    null: Fit,
+    law: NullLaw,
+    chosen: Sequence[str] = (),
+    most: int = 12,
 ) -> list[RankedCandidate]:
     """Rank the candidates that score best alone, less the cost of their numbers.
 
     Args:
         signatures: of the library.
         null: fit of the description as it is.
+        law: of the best gain of the library from noise.
         chosen: names to rank however they score.
         most: at the most this many others.
     """
@@ -121,9 +127,6 @@ def ranked(
         gain = null.deviance - solution.deviance
         by_run = base - _by_run(residuals, z + residuals.slopes @ solution.x, solution.size)
         error = float(np.sqrt(len(by_run)) * by_run.std(ddof=1)) if len(by_run) > 1 else None
-        chance = len(signatures.candidates) * float(
-            scipy.stats.chi2.sf(max(gain, 0), candidate.k)
-        )
         out.append(
             RankedCandidate(
                 index=s.candidate,
@@ -132,7 +135,7 @@ def ranked(
                 screen=null.deviance - s.deviance if scored else None,
                 gain=gain,
                 error=error,
-                chance=min(1.0, chance),
+                chance=law.chance(gain, candidate),
             )
         )
     return out

@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.causes import single_parts
 from ves_gym.diagnosis.inference.fit import Fit, fit
+from ves_gym.diagnosis.inference.null_law import NullLaw, null_law
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.variance_groups import products, solve
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
@@ -67,6 +67,10 @@ class Selection:
     fit: Fit
     rivals: tuple[tuple[Rival, ...], ...]
     steps: list[str] = field(default_factory=list)
+    law: NullLaw = field(
+        default_factory=lambda: NullLaw(1)
+    )  # of the best gain of the library from noise
+    first: tuple[Candidate, float] | None = None  # the best at first, and what it gained
 
 
 def cost(f: Fit, residuals: WhitenedResiduals) -> float:
@@ -89,6 +93,8 @@ def select(
         report: called with each step in words.
     """
     null = current = fit(residuals, (), ())
+    law = null_law(signatures, null.size)
+    first: tuple[Candidate, float] | None = None
     steps: list[str] = []
     came: list[tuple[Candidate, float]] = []
     while limits.most is None or len(current.candidates) < limits.most:
@@ -102,12 +108,13 @@ def select(
         gained, needed = (
             current.deviance - best.deviance,
             max(
-                _required_gain(residuals, signatures, limits, best, at),
+                _required_gain(residuals, law, limits, best, at),
                 _required_of_many(limits, best.candidates[at], came),
             ),
         )
-        new = best.candidates[at].name
-        steps.append(f"{new}: gain {gained:.1f} of {needed:.1f} needed")
+        new, p = best.candidates[at], law.chance(gained, best.candidates[at])
+        first = first or (new, gained)
+        steps.append(f"{new.name}: gain {gained:.1f} of {needed:.1f} needed, {p:.2g} by chance")
         report(steps[-1])
         if gained < needed:
             break
@@ -120,7 +127,7 @@ def select(
         reduced = _without(residuals, current, i)
         lost, needed = (
             reduced.deviance - current.deviance,
-            _required_gain(residuals, signatures, limits, current, i),
+            _required_gain(residuals, law, limits, current, i),
         )
         if lost < needed:
             steps.append(
@@ -130,17 +137,15 @@ def select(
             current = reduced
     current, places = _exchange_members(residuals, signatures, limits, current)
     rivals = tuple(_rivals(fits, i, residuals, limits) for i, fits in enumerate(places))
-    return Selection(null, current, rivals, steps)
+    return Selection(null, current, rivals, steps, law, first)
 
 
 def _required_gain(
-    residuals: WhitenedResiduals, signatures: Signatures, limits: Thresholds, f: Fit, i: int
+    residuals: WhitenedResiduals, law: NullLaw, limits: Thresholds, f: Fit, i: int
 ) -> float:
     """Return the gain in deviance for which the effect in place i is worth its numbers."""
     candidate = f.candidates[i]
-    by_chance = float(
-        scipy.stats.chi2.isf(limits.chance / len(signatures.candidates), candidate.k)
-    )
+    by_chance = law.gain(limits.chance, candidate)
     # No law is quite the machine's: what one leaves behind is not another effect.
     near = [j for j, c in enumerate(f.candidates) if j != i and c.places & candidate.places]
     echo = 0.0
@@ -209,6 +214,8 @@ def reduced_selection(
         _without(residuals, selection.fit, i),
         selection.rivals[:i] + selection.rivals[i + 1 :],
         [*selection.steps, step],
+        selection.law,
+        selection.first,
     )
 
 

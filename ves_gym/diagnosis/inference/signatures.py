@@ -219,6 +219,33 @@ class Signatures:
             out[i] = float(g[at] @ np.linalg.solve(A, g[at]))
         return out
 
+    def score_law(self, size: Array) -> tuple[Array, Array]:
+        """Return the curvature of the scores, and their covariance under noise and tolerances.
+
+        Args:
+            size: (G,) mean squares of the groups.
+
+        Returns:
+            (M, M) each, of all signatures; the same where no group is quieter than its noise.
+        """
+        p, weight = self._p, 1 / np.maximum(size, 1.0)
+        xx = np.einsum("g,gij->ij", weight, self._xx, dtype=float)
+        noise = np.einsum("g,gij->ij", weight**2 * size, self._xx, dtype=float)
+        slopes = -np.linalg.solve(xx[:p, :p] + np.eye(p), xx[:p, p:])
+        T = np.vstack([slopes, np.eye(xx.shape[0] - p)])
+        curvature = xx[p:, p:] + xx[p:, :p] @ slopes
+        drawn = xx[:p] @ T
+        return curvature, T.T @ noise @ T + drawn.T @ drawn
+
+    def squares(self, size: Array) -> Array:
+        """Return the sum of squares (M,) of each signature, tolerances left in.
+
+        Args:
+            size: (G,) mean squares of the groups.
+        """
+        diagonals = np.stack([np.diag(x)[self._p :] for x in self._xx])
+        return np.asarray((1 / np.maximum(size, 1.0)) @ diagonals, float)
+
     # ------------------------------------------- what these data can tell at all
 
     def likeness(self, i: int, j: int) -> float:
