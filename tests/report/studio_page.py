@@ -16,7 +16,12 @@ def open_page(browser, data, folder):
     return file.as_uri()
 
 
+def until(browser, condition):
+    """Wait until an expression is true in the page."""
+    look = f"const look = () => ({condition}) ? go(true) : setTimeout(look, 20); look();"
+    assert browser.do(f"new Promise((go) => {{ {look} }})")
+
+
 def ready(browser):
     """Wait until the page has compared its energies and drawn its map."""
-    look = f"const look = () => ({_READY}) ? go(true) : setTimeout(look, 20); look();"
-    assert browser.do(f"new Promise((go) => {{ {look} }})")
+    until(browser, _READY)

@@ -5,6 +5,7 @@ const DRAWN = "drawn path";
 STYLES[STRAIGHT] = [0, ""];
 STYLES[DRAWN] = [3, ""];
 const WAY = 80; // points of a path on the map
+const SETTLED = 200; // ms without a change, then energies are computed finely
 const FRAME = 0.05; // s between frames of the moving picture
 const path = {
   points: [data.start, ...data.via, data.goal].map((q) => [...q]),
@@ -13,7 +14,7 @@ const path = {
 };
 const chosen = [STRAIGHT, DRAWN];
 const shown = [null, null]; // tracks of the two motions
-const todo = { scheduled: false, ends: true, others: true };
+const todo = { scheduled: false, ends: true, last: -Infinity, finer: 0 };
 
 const links = data.machine.arm.links;
 const jointName = (j, track) => (track ? machineOf(track).arm.links : links)[j].name;
@@ -36,12 +37,22 @@ function trackOf(name, machine, run, goal) {
   };
 }
 
-function playMotion(name, machine, motion) {
-  return trackOf(name, machine, simulateMotion(machine, motion, { detail: true }), motion.control.at(-1));
+function playMotion(name, machine, motion, step = STEP) {
+  return trackOf(name, machine, simulateMotion(machine, motion, { detail: true, step }), motion.control.at(-1));
+}
+
+const frames = new WeakMap(); // of tracks, until the film is longer or shorter
+
+function framesOf(track) {
+  const made = frames.get(track);
+  if (made?.end === film.end) return made.run;
+  const run = makeFrames(track);
+  frames.set(track, { end: film.end, run });
+  return run;
 }
 
 /** The frames of a track for the moving picture. */
-function framesOf(track) {
+function makeFrames(track) {
   const machine = machineOf(track);
   const { beam } = machine;
   const run = { planner: track.name, dt: FRAME, arm: [], base: [], beam: beam ? [] : null, E: [], rest_beam: beam?.rest ?? null };
@@ -79,25 +90,34 @@ function schedule(part) {
   requestAnimationFrame(refresh);
 }
 
+/** Play what changed: coarsely while it goes on changing, finely as soon as it does not. */
 function refresh() {
   todo.scheduled = false;
+  clearTimeout(todo.finer);
+  const coarse = performance.now() - todo.last < SETTLED;
+  todo.last = performance.now();
+  if (coarse) {
+    todo.finer = setTimeout(() => {
+      todo.last = -SETTLED;
+      schedule("ends");
+    }, SETTLED);
+  }
   const [start, goal] = [path.points[0], path.points.at(-1)];
   if (todo.ends) path.motions[STRAIGHT] = straightMotion(start, goal, path.duration);
   path.motions[DRAWN] = motionThrough(path.points, path.duration);
   for (const name of [STRAIGHT, DRAWN]) {
     if (name === STRAIGHT && !todo.ends) continue;
-    path.tracks[name] = playMotion(name, data.machine, path.motions[name]);
+    path.tracks[name] = playMotion(name, data.machine, path.motions[name], coarse ? COARSE : STEP);
     path.ways[name] = sampleMotion(path.motions[name], WAY).q;
   }
   todo.ends = false;
   showEnergies();
-  showMotions();
-  paintMap();
+  showMotions(coarse);
   workOnMap();
 }
 
 /** The two motions in the views and charts, as they are now. */
-function showMotions() {
+function showMotions(coarse = false) {
   chosen.forEach((name, side) => { shown[side] = trackNamed(name); });
   film.end = Math.max(...shown.map((track) => Math.min(track.duration + SHOWN, track.t.at(-1))));
   const runs = shown.map(framesOf);
@@ -118,7 +138,7 @@ function showMotions() {
     runs.forEach((run, k) => { film.views[k].run = run; });
     drawScene();
   }
-  drawCharts();
+  drawCharts(coarse);
 }
 
 function trackNamed(name) {
@@ -302,7 +322,7 @@ function begin() {
   });
   const entries = data.opened.map(takeItem).filter(Boolean);
   fillChoices();
-  followers.push(() => { if (!todo.scheduled) paintMap(); });
+  followers.push(paintMap);
   addEventListener("scroll", drawStaleCharts, { passive: true });
   redraws.push(() => {
     shadeMap();
@@ -310,6 +330,7 @@ function begin() {
     drawCharts();
   });
   refresh();
+  document.body.dataset.drawn = performance.now().toFixed(0); // ms until there is a picture
   if (entries.length) choose(0, entries[0].name);
   if (entries.length > 1) choose(1, entries[1].name);
   requestAnimationFrame(() => setTimeout(checkReferences, 0));

@@ -45,6 +45,7 @@ _SCRIPTS = (
     "studio.js",
 )  # one module, in this order
 _RECORD = 0.0125  # s between samples of the motions that the page's energies are compared with
+_DETOURS = (-0.4, -0.2, 0.0, 0.2, 0.4)  # rad
 _SHARES = {"position": 1.0, "velocity": 1.0, "torque": 0.7}  # of limits
 _SLOWER = (1.0, 1.5)  # durations of these, over that of the motion shown
 
@@ -59,10 +60,11 @@ def quiet_via(query: Query) -> list[Array]:
     arm, (start, goal) = system.arm, query.ends
     low, high = arm.column("q_min"), arm.column("q_max")
     best = None
-    for joint, size in itertools.product(range(min(arm.n, 3)), (-0.5, -0.25, 0.25, 0.5)):
-        via = (start + goal) / 2
-        via[joint] += size
-        via = np.clip(via, low, high)
+    first = np.eye(arm.n)[:2]  # of the joints that the map shows at first
+    for sizes in itertools.product(_DETOURS, repeat=len(first)):
+        if not any(sizes):
+            continue
+        via = np.clip((start + goal) / 2 + np.array(sizes) @ first, low, high)
         motion = Motion.through([start, via, goal], query.duration)
         if _possible(arm, motion):
             energy = predict(system, motion, OWN_GAINS.for_arm(arm)).E_mean

@@ -11,7 +11,8 @@
 
 const TAIL = 10; // s after the motion that E_mean covers
 const STEP = 0.005; // s of the motion
-const LEAST_STEPS = 250;
+const COARSE = 0.01; // s, while the path is dragged
+const LEAST_STEPS = 160;
 const TAIL_STEP = 0.01; // s of the tail
 const SHOWN = 4; // s of the tail in what is drawn
 const RECORD = 0.01; // s between records
@@ -189,11 +190,14 @@ class Stepper {
     this.factors = new Map(); // of a mass that stays, by what is pinned
   }
 
-  /** Factor of the step's matrix, kept while the mass is that of the step before. */
+  /** Forget the factors: mass or step are no longer what they were. */
+  renew() {
+    this.factors.clear();
+  }
+
+  /** Factor of the step's matrix. */
   factor(mass, h, pinned) {
     const { b, size, K, D } = this.model;
-    if (mass !== this.mass || h !== this.h) this.factors.clear();
-    [this.mass, this.h] = [mass, h];
     const key = pinned.reduce((code, side) => 3 * code + side + 1, 0);
     if (!this.factors.has(key)) {
       for (let k = 0; k < this.A.length; k++) this.A[k] = mass[k] + h / 2 * D[k] + h * h / 4 * K[k];
@@ -243,11 +247,9 @@ class Stepper {
   }
 }
 
-const average = (a, b) => {
-  const out = new Float64Array(a.length);
+function average(out, a, b) {
   for (let k = 0; k < a.length; k++) out[k] = (a[k] + b[k]) / 2;
-  return out;
-};
+}
 
 /** What a motion needs at a node: inertia, momentum of the joints, torques on a base at rest. */
 function nodeOf(model, arm, q, v, a) {
@@ -270,6 +272,7 @@ function simulateMotion(machine, motion, { detail = false, step = STEP } = {}) {
   const pinned = new Array(n).fill(0);
   const still = new Array(n).fill(0);
   const stepper = new Stepper(model);
+  const middle = { mass: new Float64Array(size * size), u: new Float64Array(6), ahead: new Float64Array(n) };
   const run = { E_peak: 0, E_res: 0, E_mean: 0, saturated: false, records: [], duration: T };
   const measure = (factor, { mass, u }) => {
     before.set(rate);
@@ -298,8 +301,9 @@ function simulateMotion(machine, motion, { detail = false, step = STEP } = {}) {
   if (detail) record(0, 0, s.q[0], s.v[0], node.ahead, h);
   for (let k = 1; k <= N; k++) {
     const next = nodeOf(model, arm, s.q[k], s.v[k], s.a[k]);
-    stepper.step(average(node.mass, next.mass), h, x, P, average(node.u, next.u),
-      average(node.ahead, next.ahead), pinned);
+    for (const part of ["mass", "u", "ahead"]) average(middle[part], node[part], next[part]);
+    stepper.renew();
+    stepper.step(middle.mass, h, x, P, middle.u, middle.ahead, pinned);
     run.saturated ||= pinned.some(Boolean);
     node = next;
     const now = measure(cholesky(node.mass, size), node);
@@ -314,6 +318,7 @@ function simulateMotion(machine, motion, { detail = false, step = STEP } = {}) {
   const steps = Math.round(TAIL / h);
   const held = { mass: node.mass, u: new Float64Array(6) };
   const factor = cholesky(held.mass, size);
+  stepper.renew();
   for (let k = 1; k <= steps; k++) {
     stepper.step(held.mass, h, x, P, held.u, still, pinned);
     const now = measure(factor, held);

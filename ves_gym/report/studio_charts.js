@@ -4,6 +4,7 @@ const MODES = 4; // strongest ones that are drawn
 const LINE_COLOURS = [3, 1, 4, 2, 5, 6, 0]; // of joints and modes, places in the palette
 const LINE_DASHES = [[], [7, 3], [2, 2], [9, 3, 2, 3], [], [7, 3], [2, 2]];
 const BORDER = { left: 52, right: 8, top: 8, bottom: 20 };
+const CALM = 90; // ms between drawings while a path is dragged
 const norm3 = (v) => Math.hypot(v[0], v[1], v[2]);
 
 /** Index of the last time at or before t. */
@@ -79,13 +80,14 @@ function chartCell(spec, side) {
   const canvas = el("canvas", { role: "img" });
   const cursor = el("div", { class: "cursor" });
   const values = el("span", { class: "legend" });
+  const who = el("span", { class: "who" });
   const plot = el("div", {
     class: "plotted", tabindex: 0, role: "slider", "aria-valuemin": 0,
     "aria-label": `${spec.label}, motion ${"AB"[side]}: time`,
   }, canvas, cursor);
   const figure = el("figure", { class: "chart" },
-    el("figcaption", {}, el("strong", {}, spec.label, el("span", { class: "unit" }, ` [${spec.unit}]`)), values), plot);
-  const cell = { canvas, cursor, values, plot, figure, lines: [], scale: null };
+    el("figcaption", {}, el("strong", {}, spec.label, el("span", { class: "unit" }, ` [${spec.unit}]`), who), values), plot);
+  const cell = { who, canvas, cursor, values, plot, figure, lines: [], scale: null };
   const scrub = (event) => {
     if (event.buttons && cell.scale) seek(cell.scale.time(event.clientX - canvas.getBoundingClientRect().x));
   };
@@ -104,8 +106,10 @@ function chartCell(spec, side) {
   return cell;
 }
 
-/** Draw the rows that are seen; the others when they come into view. */
-function drawCharts() {
+/** Draw the rows that are seen, not at every frame of a drag; others when they come into view. */
+function drawCharts(coarse = false) {
+  if (coarse && performance.now() - charts.drawn < CALM) return;
+  charts.drawn = performance.now();
   for (const row of charts) {
     const box = row.cells[0].figure.getBoundingClientRect();
     const other = row.cells[1].figure.getBoundingClientRect();
@@ -121,6 +125,9 @@ function drawStaleCharts() {
 function drawRow(row) {
   row.stale = false;
   row.cells.forEach((cell, side) => { cell.lines = row.spec.lines(shown[side]); });
+  const empty = row.cells.every((cell) => cell.lines.length === 0);
+  for (const cell of row.cells) cell.figure.hidden = empty;
+  if (empty) return;
   const [low, high] = extentOf(row);
   row.cells.forEach((cell, side) => drawCell(row, cell, shown[side], low, high));
   moveCursors(film.t);
@@ -147,6 +154,8 @@ function extentOf({ spec, cells }) {
 }
 
 function drawCell({ spec }, cell, track, low, high) {
+  cell.who.textContent = ` · ${track.name}`;
+  cell.canvas.setAttribute("aria-label", `${spec.label} in ${spec.unit} against time, ${track.name}`);
   const { ctx, w, h } = sharp(cell.canvas);
   const room = { w: w - BORDER.left - BORDER.right, h: h - BORDER.top - BORDER.bottom };
   const x = (t) => BORDER.left + room.w * t / film.end;
@@ -169,6 +178,7 @@ function drawCell({ spec }, cell, track, low, high) {
     stroke(ctx, values.map((value, i) => [x(track.t[i]), y(value)]), 1.7, lineColour(spec, track, k));
   });
   ctx.setLineDash([]);
+  ctx.fillStyle = ink("--soft");
   if (cell.lines.length === 0) ctx.fillText("not recorded", w / 2, h / 2);
 }
 

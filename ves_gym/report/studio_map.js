@@ -6,6 +6,7 @@
 // the direction that couples least.
 
 const CELLS = 41; // per axis
+const DARKEST = 0.7; // of the ramp, so that strokes and paths are seen on it
 const BUDGET = 7; // ms of a frame for cells
 const EDGES = { left: 46, right: 12, top: 12, bottom: 38 };
 const chart = { cells: null, next: 0, key: "", image: null, frame: null, drag: null };
@@ -100,19 +101,20 @@ function workOnMap() {
 function shadeMap() {
   if (!chart.cells || chart.cells.length < CELLS * CELLS) return;
   const all = chart.cells.map((cell) => principal(couplingBlock(cell, mapDuration())));
-  const top = all.reduce((most, one) => Math.max(most, one.most), 1e-300);
+  const [low, top] = range(all.map((one) => one.most));
   const [weak, strong] = ["--weak", "--strong"].map((name) => ink(name))
     .map((hex) => [1, 3, 5].map((k) => Number.parseInt(hex.slice(k, k + 2), 16)));
   const image = new ImageData(CELLS, CELLS);
   all.forEach(({ most }, k) => {
-    const part = 0.72 * Math.sqrt(Math.max(most, 0) / top);
+    const part = DARKEST * (most - low) / (top - low || 1);
     const [i, j] = [k % CELLS, CELLS - 1 - Math.floor(k / CELLS)];
     image.data.set([...weak.map((c, m) => Math.round(c + (strong[m] - c) * part)), 255], 4 * (j * CELLS + i));
   });
   const canvas = el("canvas", { width: CELLS, height: CELLS });
   canvas.getContext("2d").putImageData(image, 0, 0);
-  Object.assign(chart, { image: canvas, all, top });
+  Object.assign(chart, { image: canvas, all });
   const unit = floats(data.machine) ? "" : " J/rad²";
+  $("map-low").textContent = number(low);
   $("map-top").textContent = `${number(top)}${unit}`;
   paintMap();
 }
@@ -136,7 +138,7 @@ const onMap = (q) => path.pair.map((joint) => q[joint]);
 
 function strokes(ctx, f) {
   ctx.beginPath();
-  const length = 0.32 * f.room.w / (CELLS - 1) * 2;
+  const length = 1.3 * f.room.w / (CELLS - 1);
   for (let j = 1; j < CELLS; j += 2) for (let i = 1; i < CELLS; i += 2) {
     const { direction: [u, v] } = chart.all[j * CELLS + i];
     const [x, y] = f.to([f.a[0] + (f.a[1] - f.a[0]) * i / (CELLS - 1), f.b[0] + (f.b[1] - f.b[0]) * j / (CELLS - 1)]);
@@ -145,7 +147,7 @@ function strokes(ctx, f) {
     ctx.moveTo(x - scale * dx, y - scale * dy);
     ctx.lineTo(x + scale * dx, y + scale * dy);
   }
-  Object.assign(ctx, { lineWidth: 1, strokeStyle: ink("--soft"), globalAlpha: 0.55 });
+  Object.assign(ctx, { lineWidth: 1.1, strokeStyle: ink("--ink"), globalAlpha: 0.4 });
   ctx.stroke();
   ctx.globalAlpha = 1;
 }

@@ -1,0 +1,149 @@
+"""The studio opens files of each kind, by the command and in the page."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.report.studio_page import open_page, ready, until
+from ves_gym._util.params import ParameterError
+from ves_gym.cli.main import main
+from ves_gym.effects import BaseStiffness
+from ves_gym.mechanics.motion import Motion
+from ves_gym.planners.query import Query, solve
+from ves_gym.planners.straight import Straight
+from ves_gym.report.studio import studio_data
+from ves_gym.report.studio_files import open_file
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.system import System
+
+SYSTEM = System()
+START, GOAL = (0.0, 0.0, 0.0), (0.6, 0.4, -0.3)
+QUERY = Query(system=SYSTEM, start=START, goal=GOAL, duration=1.0)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return play_motions(SYSTEM, [QUERY.straight], settle=10.0, record_dt=0.0125)
+
+
+@pytest.fixture(scope="module")
+def files(recording, tmp_path_factory):
+    """One file of each kind."""
+    folder = tmp_path_factory.mktemp("files")
+    recording.log(0).save(folder / "run.csv")
+    Motion.through([START, (0.2, 0.4, 0.1), GOAL], 1.0).save(folder / "motion.json")
+    solve(Straight(), QUERY).save(folder / "plan.json")
+    softer = SYSTEM.replace(effects=(BaseStiffness(error=-0.2),))
+    effect = {
+        "kind": "base/stiffness", "slot": "", "name": "base/stiffness",
+        "value": {"error": -0.2}, "interval": {"error": [-0.22, -0.18]}, "unit": {"error": "1"},
+        "probability": 0.99,
+    }  # fmt: skip
+    diagnosis = {
+        "schema": "ves-diagnose/1", "system": softer.to_dict(), "verdict": "found",
+        "sentence": "Missing: base/stiffness (error -0.2).", "effects": [effect],
+    }  # fmt: skip
+    (folder / "diagnosis.json").write_text(json.dumps(diagnosis))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def data():
+    return {**studio_data(QUERY, []), "references": []}
+
+
+def opened(files, *names):
+    return [open_file(files / name, SYSTEM) for name in names]
+
+
+def test_a_log_shows_its_energies_and_modes(files, recording):
+    item = open_file(files / "run.csv", SYSTEM)
+    track, energies = item["track"], recording.energies()[0]
+    assert item["kind"] == "log"
+    assert track["E_mean"] == pytest.approx(energies.E_mean, rel=1e-6)
+    assert len(track["t"]) == len(track["tau"]) == len(track["ydd"]) <= 600
+    assert track["t"][-1] == pytest.approx(5.0, abs=0.03)
+    at_rest = np.sum(track["modes"][-1])  # the arm stands at the goal, whose modes these are
+    assert at_rest == pytest.approx(track["E"][-1], rel=1e-2)
+    assert "machine" not in item
+
+
+def test_a_diagnosis_brings_its_machine(files):
+    item = open_file(files / "diagnosis.json", SYSTEM)
+    K = np.array(item["machine"]["base"]["K"])
+    np.testing.assert_allclose(K, 0.8 * SYSTEM.base.full()[2], rtol=1e-9)
+
+
+def test_other_files_are_refused_by_what_they_are(files, tmp_path):
+    other = tmp_path / "other.json"
+    other.write_text('{"schema": "ves-map/1"}')
+    with pytest.raises(ParameterError, match=r"expected a run log.*got 'ves-map/1'"):
+        open_file(other, SYSTEM)
+    short = Motion.straight([0.0, 0.0], [0.1, 0.1], 1.0)
+    short.save(tmp_path / "short.json")
+    with pytest.raises(ParameterError, match="puma560 has 3 joints, got 2"):
+        open_file(tmp_path / "short.json", SYSTEM)
+
+
+def test_two_motions_of_files_share_one_cursor(browser, files, data, tmp_path):
+    items = opened(files, "run.csv", "motion.json", "diagnosis.json")
+    open_page(browser, {**data, "opened": items}, tmp_path)
+    chosen = "['a', 'b'].map((k) => document.getElementById('motion-' + k).value)"
+    assert browser.do(chosen) == ["run", "motion"]
+    browser.do("document.getElementById('charts').scrollIntoView()")
+    browser.do("document.querySelector('.plotted').focus()")
+    browser.press("Home")
+    browser.press("ArrowRight")
+    seen = [e for e in texts(browser) if e]
+    assert len(seen) >= 2 and all(text.startswith("0.05 s: E ") for text in seen[:2])
+    # the log is that of the straight line: as the page plays it itself
+    page = browser.do("vesStudio.path.tracks['straight line'].E_mean")
+    assert page == pytest.approx(items[0]["track"]["E_mean"], rel=1e-2)
+    browser.do(
+        "(() => { const e = document.getElementById('motion-b');"
+        " e.value = 'drawn path, diagnosis'; e.dispatchEvent(new Event('change')); })()"
+    )
+    assert "base/stiffness" in browser.do("document.getElementById('diagnoses').textContent")
+    assert browser.errors == []
+
+
+def texts(browser):
+    plots = "[...document.querySelectorAll('.plotted')]"
+    return browser.do(f"{plots}.map((e) => e.getAttribute('aria-valuetext'))")
+
+
+def test_the_page_opens_what_is_json(browser, files, data, tmp_path):
+    open_page(browser, data, tmp_path)
+    root = browser.send("DOM.getDocument")["root"]["nodeId"]
+    node = browser.send("DOM.querySelector", nodeId=root, selector="#files")["nodeId"]
+    expected = {
+        "diagnosis.json": ("Opened: diagnosis.json.", "straight line"),
+        "motion.json": ("Opened: motion.json.", "motion"),
+        "plan.json": ("Opened: plan.json.", "plan (straight)"),
+        "run.csv": ("ves-gym studio --open", "plan (straight)"),
+    }
+    for name, (note, chosen) in expected.items():
+        browser.send("DOM.setFileInputFiles", nodeId=node, files=[str(files / name)])
+        said = f"document.getElementById('files-note').textContent.includes({json.dumps(name)})"
+        until(browser, said)
+        assert note in browser.do("document.getElementById('files-note').textContent")
+        assert browser.do("document.getElementById('motion-a').value") == chosen
+    assert browser.errors == []
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_page_and_json_that_it_opens(browser, files, tmp_path, capsys):
+    page, result = tmp_path / "own.html", tmp_path / "result.json"
+    words = ["studio", "bent-thesis", "--out", str(page), "--json", str(result)]
+    words += ["--via", "20,30,10", "--open", str(files / "plan.json")]
+    assert main(words) == 0
+    assert f"written: {page}" in capsys.readouterr().out
+    browser.open(page.as_uri())
+    ready(browser)
+    assert browser.errors == []
+    table = json.loads(result.read_text())
+    assert table["schema"] == "ves-studio/1"
+    assert table["opened"][0]["machine"]["name"] == "puma560 on bent"
+    assert main(["studio", "servicer", "--out", str(page)]) == 2
+    assert "wheels or appendages" in capsys.readouterr().err
