@@ -51,6 +51,8 @@ def library(
             if not _acts_in(candidate, system):
                 continue
             active = tuple(p for p in candidate.ports if p in ports)
+            if mode == "ideal" and "base" in active and "wrench" in ports:
+                active += ("wrench",)  # what the base says of its pose is taken off there
             # the computer that moves an emulated vehicle passes no noise of a sensor on
             filters = candidate.filters and active != ("admittance",)
             candidate = dataclasses.replace(candidate, ports=active, filters=filters)

@@ -114,14 +114,19 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
         for rate in _INNER:
             mode = BaseExtraMode(mass=1.0, frequency=rate, direction=way)
             name = f"inner mode along {axis} near {rate:g} Hz"
-            yield effect(name, "base admittance", 1.0, _RESIDUAL, mode)
+            yield effect(name, _at_base(system), 1.0, _RESIDUAL, mode)
     for what, kind in (
         ("stiffness", BaseStiffness),
         ("mass", BaseVirtualMass),
         ("damping", BaseDamping),
     ):
         std = _BASE if what != "damping" else _LOSS
-        yield effect(f"{what} of the base", "base admittance", 0.01, std, kind(error=0.01))
+        yield effect(f"{what} of the base", _at_base(system), 0.01, std, kind(error=0.01))
+
+
+def _at_base(system: System) -> str:
+    """Ports at which a vehicle's errors show; in space its pose is judged at `wrench`, too."""
+    return "base wrench" if system.mode == "ideal" else "admittance"
 
 
 def _of_the_laboratory(

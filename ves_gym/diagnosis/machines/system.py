@@ -28,17 +28,18 @@ from ves_gym.diagnosis.machines.causes import Together, apart
 from ves_gym.diagnosis.machines.drift import SlowPath, courses
 from ves_gym.diagnosis.machines.nuisance_priors import system_nuisances
 from ves_gym.diagnosis.machines.platform import followed, platform_gap
+from ves_gym.diagnosis.machines.pose_noise import PoseNoise, pose_noise
 from ves_gym.diagnosis.machines.presliding import Presliding
 from ves_gym.diagnosis.machines.ringing import loop_rings
 from ves_gym.diagnosis.machines.tolerances import StatedErrors, with_known
 from ves_gym.diagnosis.machines.torque_balance import torque_residual
+from ves_gym.diagnosis.machines.vehicle_force import vehicle_gap
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inverse_dynamics, newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
-from ves_gym.mechanics.spatial import AXES, body_wrench, matvec, rate_matrix, twist, twist_rate
-from ves_gym.mechanics.vehicle import InternalModes
+from ves_gym.mechanics.spatial import AXES, twist, twist_rate
 from ves_gym.system.deviations import Delays, LoopParameters
-from ves_gym.system.effect import Effect, joint_torque
+from ves_gym.system.effect import BaseEffect, Effect, joint_torque
 from ves_gym.system.system import System
 
 _N, _M = ("N",) * 3 + ("N m",) * 3, ("m",) * 3 + ("rad",) * 3
@@ -217,7 +218,7 @@ class SystemMachine:
             "servo": self._servo,
             "wrench": self._wrench,
             "gravity": self._gravity,
-            "base": self._vehicle,
+            "base": lambda run, system: vehicle_gap(run, system.actual.base),
         }
         out = {
             name: np.stack([residual_of[name](run, system) for system in systems])
@@ -250,15 +251,27 @@ class SystemMachine:
             return out
 
         every = (*effects, *(p.effect for p in model.presliding))
-        needed = self._load(run, model.system)[0] + self._between(run).torque
+        needed, wrench = self._load(run, model.system)
+        needed = needed + self._between(run).torque
+        if self.system.mode == "ideal" and "w" in run:
+            noise, arm = self._pose_noise(run), model.system.actual.arm
+            needed = needed + noise.in_torque(arm, run["w"] - wrench)
         return torque_residual(run["tau"], needed, every, laws)
 
     def _wrench(self, run: Run, system: System) -> Array:
         """Sensor reading less the arm's wrench (..., T, 6)."""
         wrench = self._load(run, system)[1]
         if system.mode == "ideal":
-            return np.asarray(run["w"] - wrench)
+            actual = system.actual
+            moved = tuple(e for e in system.effects if isinstance(e, BaseEffect))
+            force = vehicle_gap(run, actual.base)
+            shown = self._pose_noise(run).in_wrench(actual.arm, moved, actual.base, force)
+            return np.asarray(run["w"] - wrench - shown)
         return np.asarray(run["w"] - self._sensed(system, wrench, self._between(run), run.dt))
+
+    def _pose_noise(self, run: Run) -> PoseNoise:
+        """Estimates of what the noise of the measured pose does in mode ideal."""
+        return pose_noise(run, lambda: self.floor(run, "wrench"))
 
     def _between(self, run: Run) -> BetweenSamples:
         """Effect of the platform's swing, as described, between the samples of a log."""
@@ -355,20 +368,6 @@ class SystemMachine:
         )
         return np.asarray(run["weight"] - estimate)
 
-    def _vehicle(self, run: Run, system: System) -> Array:
-        """Wrench on a vehicle in space less what moves it (..., T, 6)."""
-        base = system.actual.base
-        turn, force = _memoized(run, "vehicle", lambda: _along_rates(run))
-        y, yd, ydd = run.base
-        force = force - (ydd @ base.M.T + yd @ base.D.T + y @ base.K.T)
-        if base.body is not None:
-            force = force - matvec(turn, body_wrench(base.body.spatial(), y, yd, ydd))
-        if base.drag is not None:
-            force = force - base.drag * np.abs(yd) * yd
-        if base.internal is not None:
-            force = force + _internal_force(base.internal, yd, ydd, run.dt)
-        return np.asarray(force)
-
 
 def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
     """Return a quantity that follows from a run's signals alone, computed once."""
@@ -387,12 +386,6 @@ def _lagged(v: Array, lag: Array, dt: float) -> Array:
         zi = scipy.signal.lfilter_zi(np.ravel(b), a) * first
         out[..., i] = scipy.signal.lfilter(np.ravel(b), a, v[..., i], axis=-1, zi=zi)[0]
     return out
-
-
-def _along_rates(run: Run) -> tuple[Array, Array]:
-    """Return the map from wrenches to forces along rates, and the measured force."""
-    turn = np.swapaxes(rate_matrix(run.base.x), -1, -2)
-    return turn, matvec(turn, run["w"])
 
 
 def _compensates(system: System) -> bool:
@@ -440,29 +433,6 @@ def _weight(arm: Arm, q: Array, pose: Array) -> Array:
     zeros = np.zeros((*pose.shape[:-1], 3))
     out: Array = _dynamics(arm, still, pose, (zeros, zeros, zeros), True)[0]
     return out
-
-
-def _internal_force(modes: InternalModes, yd: Array, ydd: Array, dt: float) -> Array:
-    """Force (..., T, 6) of internal modes on a base that moves as measured, from rest.
-
-    Their way against the base, e = u - P^T Y, is driven by it and comes to lie in a few states
-    that decay by themselves; straight lines from sample to sample.
-    """
-    m, P, C = modes.m, modes.coupling, modes.damping
-    drive = -(ydd @ P) - yd @ (C[6:, :6] + C[6:, 6:] @ P.T).T
-    A = np.block([[np.zeros((m, m)), np.eye(m)], [-np.diag(modes.omega**2), -C[6:, 6:]]])
-    B = np.vstack([np.zeros((m, m)), np.eye(m)])
-    step, at, _, direct, _ = scipy.signal.cont2discrete(
-        (A, B, np.eye(2 * m), np.zeros((2 * m, m))), dt, method="foh"
-    )
-    value, vector = np.linalg.eig(step)  # each state of its own is a filter of first order
-    driven = drive @ np.linalg.solve(vector, at).T
-    for i, pole in enumerate(value):
-        driven[..., i] = scipy.signal.lfilter([0.0, 1.0], [1.0, -pole], driven[..., i], axis=-1)
-    e = (driven @ vector.T).real + drive @ direct.T
-    rate = e[..., m:] + yd @ P
-    lost = yd @ C[:6, :6].T + rate @ C[:6, 6:].T
-    return np.asarray(e[..., :m] @ (P * modes.omega**2).T - lost)
 
 
 def _deflections(arm: Arm, torque: Array, dt: float) -> Array:

@@ -1,0 +1,85 @@
+"""Force that a vehicle in space takes: along a measured motion, and by frequency."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from ves_gym._util.params import Array
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix
+from ves_gym.mechanics.vehicle import BaseModel, InternalModes
+
+
+def vehicle_gap(run: Run, base: BaseModel) -> Array:
+    """Return the wrench on a vehicle in space less what moves it (..., T, 6).
+
+    Args:
+        run: with y and w.
+        base: the vehicle.
+    """
+    turn, force = run.derived("along rates", ("y", "w"), lambda: _along_rates(run))
+    y, yd, ydd = run.base
+    force = force - (ydd @ base.M.T + yd @ base.D.T + y @ base.K.T)
+    if base.body is not None:
+        force = force - matvec(turn, body_wrench(base.body.spatial(), y, yd, ydd))
+    if base.drag is not None:
+        force = force - base.drag * np.abs(yd) * yd
+    if base.internal is not None:
+        force = force + _internal_force(base.internal, yd, ydd, run.dt)
+    return np.asarray(force)
+
+
+def dynamic_stiffness(base: BaseModel, turn: Array, w: Array) -> Array:
+    """Return the force that each motion of a base takes, along its coordinates (K, 6, 6).
+
+    Args:
+        base: the vehicle; its drag is left out.
+        turn: (6, 6) from rates of the pose to the twist.
+        w: (K,) rad/s.
+    """
+    s = 1j * w[:, None, None]
+    mass = base.M if base.body is None else base.M + turn.T @ base.body.spatial() @ turn
+    out = base.K + s * base.D + s**2 * mass
+    if base.internal is not None:
+        out = out - _internal(base.internal, w)
+    return np.asarray(out)
+
+
+def _internal(modes: InternalModes, w: Array) -> Array:
+    """Force of internal modes (K, 6, 6) per motion of the base; as `_internal_force`."""
+    m, P, C = modes.m, modes.coupling, modes.damping
+    s = 1j * w[:, None, None]
+    drive = -(s**2) * P.T - s * (C[6:, :6] + C[6:, 6:] @ P.T)
+    e = np.linalg.solve(s**2 * np.eye(m) + s * C[6:, 6:] + np.diag(modes.omega**2), drive)
+    lost = s * C[:6, :6] + C[:6, 6:] @ (s * e + s * P.T)
+    return np.asarray((P * modes.omega**2) @ e - lost)
+
+
+def _along_rates(run: Run) -> tuple[Array, Array]:
+    """Return the map from wrenches to forces along rates, and the measured force."""
+    turn = np.swapaxes(rate_matrix(run.base.x), -1, -2)
+    return turn, matvec(turn, run["w"])
+
+
+def _internal_force(modes: InternalModes, yd: Array, ydd: Array, dt: float) -> Array:
+    """Force (..., T, 6) of internal modes on a base that moves as measured, from rest.
+
+    Their way against the base, e = u - P^T Y, is driven by it and comes to lie in a few states
+    that decay by themselves; straight lines from sample to sample.
+    """
+    m, P, C = modes.m, modes.coupling, modes.damping
+    drive = -(ydd @ P) - yd @ (C[6:, :6] + C[6:, 6:] @ P.T).T
+    A = np.block([[np.zeros((m, m)), np.eye(m)], [-np.diag(modes.omega**2), -C[6:, 6:]]])
+    B = np.vstack([np.zeros((m, m)), np.eye(m)])
+    step, at, _, direct, _ = scipy.signal.cont2discrete(
+        (A, B, np.eye(2 * m), np.zeros((2 * m, m))), dt, method="foh"
+    )
+    value, vector = np.linalg.eig(step)  # each state of its own is a filter of first order
+    driven = drive @ np.linalg.solve(vector, at).T
+    for i, pole in enumerate(value):
+        driven[..., i] = scipy.signal.lfilter([0.0, 1.0], [1.0, -pole], driven[..., i], axis=-1)
+    e = (driven @ vector.T).real + drive @ direct.T
+    rate = e[..., m:] + yd @ P
+    lost = yd @ C[:6, :6].T + rate @ C[:6, 6:].T
+    return np.asarray(e[..., :m] @ (P * modes.omega**2).T - lost)
