@@ -1,0 +1,136 @@
+"""Command line of trial 2: `python -m benchmarks.trial2 --help`."""
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+from benchmarks.trial2 import machines, nominal, scoring
+from benchmarks.trial2.seal import check, seal
+from benchmarks.trial2.write import write_case
+
+PUBLIC = "trial 2, development"
+
+
+def secret_of(args: argparse.Namespace) -> str:
+    """Return the secret of the set: public for `dev`, else the salt in a file."""
+    if args.set == "dev":
+        return PUBLIC
+    if args.salt is None:
+        raise SystemExit("--salt FILE is needed for a sealed set")
+    salt = args.salt.read_text("utf-8").strip()
+    if len(salt) < 16:
+        raise SystemExit(f"--salt: got {len(salt)} characters, expected at least 16")
+    return str(salt)
+
+
+def read_labels(folder: Path) -> list[dict[str, Any]]:
+    """Labels of a set, in order."""
+    return [json.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.json"))]
+
+
+def write(args: argparse.Namespace) -> None:
+    """Write cases to OUT/cases, their labels to OUT/labels; what is there already stays."""
+    first, _, last = args.cases.partition(":")
+    (args.out / "labels").mkdir(parents=True, exist_ok=True)
+    for index in range(int(first), int(last or int(first) + 1)):
+        path = args.out / "labels" / f"{index:03d}.json"
+        if path.exists():
+            continue
+        began = time.process_time()
+        label = write_case(secret_of(args), index, args.out / "cases" / f"{index:03d}")
+        path.write_text(json.dumps(label, indent=1), "utf-8")
+        print(
+            f"case {index}: {time.process_time() - began:.0f} s of processor time", flush=True
+        )
+
+
+def close(args: argparse.Namespace) -> None:
+    """Print the seal of a set, or what differs from a published one."""
+    labels, salt = read_labels(args.out / "labels"), secret_of(args)
+    if args.check is None:
+        print(json.dumps(seal(labels, salt)))
+        return
+    wrong = check(json.loads(args.check.read_text("utf-8")), labels, salt)
+    print("as sealed" if not wrong else "not as sealed: " + ", ".join(wrong))
+    raise SystemExit(bool(wrong))
+
+
+def answer(args: argparse.Namespace) -> None:
+    """Diagnose every case that has no answer yet."""
+    (args.out / "answers").mkdir(exist_ok=True)
+    for folder in sorted((args.out / "cases").iterdir()):
+        path = args.out / "answers" / f"{folder.name}.json"
+        if not path.exists():
+            given = scoring.answer(folder, args.out / "diagnoses" / folder.name)
+            path.write_text(json.dumps(given, indent=1), "utf-8")
+            print(f"{folder.name}: {given['verdict']}", flush=True)
+
+
+def score(args: argparse.Namespace) -> None:
+    """Print the table of answers, and each case's line."""
+    labels = read_labels(args.out / "labels")
+    answers = {
+        int(path.stem): json.loads(path.read_text("utf-8"))
+        for path in sorted((args.out / "answers").glob("*.json"))
+    }
+    print(scoring.table(labels, answers))
+    for label in labels:
+        given = answers.get(label["index"])
+        if given:
+            truth = ", ".join(f"{e['kind']}@{e['slot']}" for e in label["effects"]) or "nothing"
+            names = ", ".join(f"{n['kind']}@{n['slot']}" for n in given.get("names") or [])
+            print(
+                f"{label['index']:3d} {scoring.judge(label, given):8s} {label['mode']:8s} "
+                f"{label['vehicle']} {label['arm']} {label['noise']} x{label['factor']:g}: "
+                f"{truth} | {given['verdict']}: {names or given.get('error', '')}"
+            )
+
+
+def agreement(args: argparse.Namespace) -> None:
+    """Print differences from `ves-gym simulate` in units of noise, machine by machine."""
+    for arm in machines.SERVOS:
+        for vehicle in machines.VEHICLES:
+            for mode, platform in (
+                ("ideal", "pose"),
+                ("emulated", "pose"),
+                ("emulated", "legs"),
+            ):
+                if mode == "ideal" or vehicle in machines.EMULATED:
+                    units = nominal.in_units_of_noise(vehicle, arm, mode, platform)
+                    text = "  ".join(f"{name} {value:.1e}" for name, value in units.items())
+                    print(f"{arm} {vehicle} {mode} {platform}: {text}", flush=True)
+
+
+def main() -> None:
+    """Run a command."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.trial2", description=__doc__)
+    commands = parser.add_subparsers(required=True)
+    for name, action in (
+        ("write", write),
+        ("seal", close),
+        ("answer", answer),
+        ("score", score),
+        ("nominal", agreement),
+    ):
+        command = commands.add_parser(name, help=(action.__doc__ or "").splitlines()[0])
+        command.set_defaults(action=action)
+        if name == "nominal":
+            continue
+        command.add_argument("out", type=Path, metavar="DIR", help="folder of the set")
+        if name in ("write", "seal"):
+            command.add_argument("--set", choices=("dev", "sealed"), default="dev")
+            command.add_argument(
+                "--salt", type=Path, help="file with the secret of a sealed set"
+            )
+        if name == "write":
+            command.add_argument("--cases", default="0:30", help="FIRST:LAST (0:30)")
+        if name == "seal":
+            command.add_argument("--check", type=Path, help="a published seal to compare with")
+    args = parser.parse_args()
+    args.action(args)
+
+
+if __name__ == "__main__":
+    main()

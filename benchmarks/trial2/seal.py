@@ -1,0 +1,59 @@
+"""A seal over labels and code, to be published before a set is answered.
+
+It covers the labels, this generator, and everything that decides a diagnosis: the packages of
+`ves_gym` as files, byte by byte. Whoever has the salt can write the set again and compare.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+SEALED = ("benchmarks/trial2", "ves_gym")
+
+
+def canonical(label: Any) -> Any:
+    """A label with its numbers to five digits, as processors agree on them."""
+    if isinstance(label, float):
+        return float(f"{label:.5g}")
+    if isinstance(label, dict):
+        return {key: canonical(value) for key, value in label.items()}
+    if isinstance(label, list | tuple):
+        return [canonical(value) for value in label]
+    return label
+
+
+def code_digests() -> dict[str, str]:
+    """SHA-256 of every file of generator and package, and of the diagnosis room alone."""
+    out = {}
+    for name in (*SEALED, "ves_gym/diagnosis"):
+        digest = hashlib.sha256()
+        for path in sorted((ROOT / name).rglob("*")):
+            if path.suffix in (".py", ".toml") and path.is_file():
+                digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0")
+                digest.update(path.read_bytes() + b"\0")
+        out[name] = digest.hexdigest()
+    return out
+
+
+def seal(labels: list[dict[str, Any]], salt: str) -> dict[str, Any]:
+    """Return what is published first: digests of labels with their salt, and of the code."""
+    text = json.dumps([canonical(label) for label in labels], sort_keys=True)
+    return {
+        "schema": "ves-trial2-seal/1",
+        "cases": [label["index"] for label in labels],
+        "labels": hashlib.sha256(f"{salt}\n{text}".encode()).hexdigest(),
+        "code": code_digests(),
+    }
+
+
+def check(published: dict[str, Any], labels: list[dict[str, Any]], salt: str) -> list[str]:
+    """Return what differs between a published seal and labels, salt and code now."""
+    now = seal(labels, salt)
+    out = [name for name in ("cases", "labels") if now[name] != published[name]]
+    return out + [
+        f"code of {name}"
+        for name in now["code"]
+        if now["code"][name] != published["code"].get(name)
+    ]

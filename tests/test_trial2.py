@@ -1,0 +1,110 @@
+"""The second generator: the same case twice; the simulator's logs where nothing is hidden."""
+
+import ast
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.trial2 import cases, machines, nominal, scoring, write
+from benchmarks.trial2.kinds import KINDS
+from benchmarks.trial2.seal import check, seal
+
+ROOT = Path(__file__).parents[1] / "benchmarks" / "trial2"
+SECRET = "trial 2, tests"
+
+
+def test_it_takes_nothing_from_the_library() -> None:
+    for path in ROOT.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not [n for n in names if n.split(".")[0] == "ves_gym"], path.name
+
+
+def test_a_set_has_its_categories_and_its_variety() -> None:
+    counts: dict[str, int] = {}
+    for category, _, _ in cases.plans(SECRET):
+        counts[category] = counts.get(category, 0) + 1
+    assert counts == {"null": 132, "outside": 72, "pair": 96, "single": 300}
+    drawn = [cases.draw(SECRET, i) for i in range(200)]
+    for name, least in (
+        ("vehicle", 6),
+        ("arm", 2),
+        ("platform", 2),
+        ("period", 3),
+        ("noise", 3),
+    ):
+        assert len({getattr(case, name) for case in drawn}) == least
+    assert all(case.mode in KINDS[kind].modes for case in drawn for kind in case.kinds)
+    assert drawn[7] == cases.draw(SECRET, 7)
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_the_same_case_twice(
+    mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(write, "DURATION", 0.3)
+    monkeypatch.setattr(write, "SIZED", (0,))
+    index = next(
+        i
+        for i in range(600)
+        if (c := cases.draw(SECRET, i)).mode == mode
+        and c.platform == "pose"
+        and c.arm == "puma560"
+        and c.kinds == ("joint/viscous",)
+    )
+    labels = [write.write_case(SECRET, index, tmp_path / name) for name in "ab"]
+    assert labels[0] == labels[1]
+    assert labels[0]["effects"][0]["gap"] > 0
+    for path in sorted((tmp_path / "a").iterdir()):
+        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+    published = seal(labels[:1], "a salt of some length")
+    assert check(published, labels[1:], "a salt of some length") == []
+    labels[1]["effects"][0]["slot"] = 99
+    assert check(published, labels[1:], "a salt of some length") == ["labels"]
+    assert json.loads((tmp_path / "a" / "run-4.json").read_text())["held_back"]
+
+
+def _largest(units: dict[str, float]) -> float:
+    return max(units.values())
+
+
+def test_nothing_hidden_is_the_simulators_log() -> None:
+    """RMS of each channel in units of noise; asked through the command line."""
+    assert _largest(nominal.in_units_of_noise("soft", "puma560", "ideal", "pose")) < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", list(machines.SERVOS))
+@pytest.mark.parametrize("vehicle", list(machines.VEHICLES))
+def test_every_machine_is_the_simulators(vehicle: str, arm: str) -> None:
+    for mode, platform, most in (
+        ("ideal", "pose", 1e-2),
+        ("emulated", "pose", 0.1),
+        ("emulated", "legs", 1.0),
+    ):
+        if mode == "ideal" or vehicle in machines.EMULATED:
+            units = nominal.in_units_of_noise(vehicle, arm, mode, platform)
+            print(vehicle, arm, mode, platform, units)
+            assert _largest(units) < most, (mode, platform, units)
+
+
+def test_answers_are_judged() -> None:
+    label = {
+        "category": "single",
+        "effects": [{"kind": "joint/coulomb", "slot": 2}],
+    }
+
+    def given(verdict: str, *names: tuple[str, str]) -> dict[str, object]:
+        return {"verdict": verdict, "names": [{"kind": k, "slot": s} for k, s in names]}
+
+    here, there = ("joint/coulomb", "joint 2"), ("joint/coulomb", "joint 3")
+    assert scoring.judge(label, given("named", here)) == "right"
+    assert scoring.judge(label, given("named", there)) == "class"
+    assert scoring.judge(label, given("named", here, ("payload/mass", ""))) == "wrong"
+    assert scoring.judge(label, given("nothing missing")) == "silent"
+    assert scoring.judge({**label, "category": "null"}, given("nothing missing")) == "right"
+    assert scoring.judge({**label, "category": "outside"}, given("named", here)) == "wrong"
+    assert np.isfinite(cases.FACTORS).all()
