@@ -23,6 +23,8 @@ from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.system.system_library import get_system
 
 if TYPE_CHECKING:
+    from ves_gym.diagnosis.data.measured_run import Run
+    from ves_gym.diagnosis.diagnose import Diagnosis
     from ves_gym.diagnosis.inputs import DiagnosisInputs
 
 SCHEMA = "ves-diagnose/1"
@@ -93,6 +95,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="ask no questions about units, signs and exchanged channels",
     )
+    parser.add_argument(
+        "--no-experiment",
+        action="store_true",
+        help="design no motion that decides between rivals, or shows what was too weak",
+    )
     parser.add_argument("--no-figures", action="store_true", help="skip the HTML report")
 
 
@@ -135,9 +142,11 @@ def run(args: argparse.Namespace) -> int:
     late = () if args.as_logged else inputs.final
     doubts = [suspected_mistake(inputs.machine, run, inputs.mistakes) for run in late]
     written = inputs.write(d.added(diagnosis), folder, not args.no_free_run)
+    designed = None if args.no_experiment else _next_motion(args, diagnosis, folder)
     result = {
         "schema": SCHEMA,
         **d.plain(diagnosis),
+        "next_motion": designed,
         "logs": inputs.digests,
         "held_back": [run.name for run in inputs.final],
         "machine": inputs.machine.name,
@@ -156,7 +165,7 @@ def run(args: argparse.Namespace) -> int:
     write_json(args.json, result)
     write_json(str(folder / "diagnosis.json"), result)
     write_text(folder / "verdict.txt", diagnosis.sentence + "\n")
-    paths = list(written.files)
+    paths = [*written.files, *map(Path, designed["files"] if designed else ())]
     if not args.no_figures:
         paths += _report({**result, "diff": written.diff}, diagnosis, folder / "diagnosis.html")
     cache.done()
@@ -164,6 +173,55 @@ def run(args: argparse.Namespace) -> int:
     for path in paths:
         print(path)
     return 1 if diagnosis.verdict in (d.UNKNOWN, d.MORE, d.WEAK) else 0
+
+
+def _next_motion(
+    args: argparse.Namespace, diagnosis: Diagnosis, folder: Path
+) -> dict[str, Any] | None:
+    """Design the motion that decides what is open, and write it to be run."""
+    from ves_gym.diagnosis.machines.system import SystemMachine
+    from ves_gym.diagnosis.next_motion import next_motion
+
+    if not isinstance(diagnosis.residuals.machine, SystemMachine):
+        return None
+    with progress() as on_progress:
+        designed = next_motion(
+            diagnosis,
+            seed=args.seed,
+            progress=lambda done: on_progress("next experiment", done),
+        )
+    if designed is None:
+        return None
+    motion, table = folder / "experiment.toml", folder / "experiment.csv"
+    designed.motion.save(motion)
+    write_text(table, designed.table(diagnosis.residuals.machine.system.control_dt))
+    log = folder / "experiment.parquet"
+    return {
+        **designed.to_dict(),
+        "files": [str(motion), str(table)],
+        "simulate": shlex.join(
+            [
+                *(
+                    "ves-gym",
+                    "simulate",
+                    "--system",
+                    args.system or str(folder / "system.toml"),
+                ),
+                *("--motion", str(motion), "--settle", "0", "--log", str(log)),
+                *_gains(diagnosis.residuals.runs[0]),
+            ]
+        ),
+        "diagnose": shlex.join(["ves-gym", "diagnose", str(log), *args.logs]),
+    }
+
+
+def _gains(run: Run) -> list[str]:
+    """Options of `ves-gym simulate` for the controller that a log names."""
+    if "controller" not in run:
+        return []
+    gains = run.meta["controller"]
+    text = "/".join(",".join(f"{x:.12g}" for x in gains[k]) for k in ("kp", "kd"))
+    return ["--gains", text] + ([] if gains.get("feedforward", False) else ["--no-feedforward"])
 
 
 def _describe(args: argparse.Namespace) -> int:
@@ -241,6 +299,11 @@ def _print(diagnosis: Any, result: dict[str, Any]) -> None:
     console.print(result["null"]["sentence"])
     for experiment in result["experiments"] if diagnosis.verdict == ONE_OF else ():
         console.print(f"next experiment: {experiment['sentence']}")
+    if designed := result["next_motion"]:
+        console.print(f"designed: {designed['sentence']}")
+        console.print(f"  the motion, at every control period: {designed['files'][1]}")
+        console.print(f"  in simulation: {designed['simulate']}", soft_wrap=True)
+        console.print(f"  afterwards: {designed['diagnose']}", soft_wrap=True)
     if diagnosis.verdict == UNKNOWN and diagnosis.explanations:
         console.print("the best that the library can do, not a name:")
     for f in diagnosis.explanations:

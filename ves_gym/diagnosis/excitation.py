@@ -26,6 +26,8 @@ _SHORTEST, _LONGEST = 0.6, 2.5  # s, of a move
 _REACH = 0.6  # of the joint's range that way-points are drawn from
 _SAMPLES = 101  # of a motion where its information is computed
 _STICTION = 0.05  # rad/s over which the column of Coulomb friction changes sign
+_HARMONICS, _LOWEST = 6, (0.08, 0.35)  # of a Fourier series, and its lowest frequency [Hz]
+_FADE = 1.0  # s in which it begins and ends
 _LEAST = 1e-6  # of the mean information, so that numbers without any do no harm
 
 
@@ -53,7 +55,7 @@ def excitation_motions(
     if seed < 0:
         raise ParameterError(f"seed must be >= 0, got {seed}")
     rng = np.random.default_rng(seed)
-    drawn = [_drawn(arm, duration, rng) for _ in range(_DRAWN * n)]
+    drawn = [drawn_motion(arm, duration, rng) for _ in range(_DRAWN * n)]
     rows = [_information_rows(arm, motion) for motion in drawn]
     size = np.sqrt(np.mean([np.mean(y**2, axis=0) for y in rows], axis=0))
     rows = [y[:, size > 0] / size[size > 0] for y in rows]
@@ -70,10 +72,54 @@ def excitation_motions(
     return chosen
 
 
-def _drawn(arm: Arm, duration: float, rng: np.random.Generator) -> Motion:
-    """Draw one motion inside 0.9 of all limits."""
-    t = np.linspace(0.0, duration, round(40 * duration) + 1)
+def drawn_motion(arm: Arm, duration: float, rng: np.random.Generator) -> Motion:
+    """Draw one sequence of moves and rests inside 0.9 of all limits.
+
+    Args:
+        arm: with its limits.
+        duration: [s].
+        rng: of the draw.
+    """
+    t = _clock(duration)
     q = np.stack([_moves(arm, j, t, rng) for j in range(arm.n)], axis=1)
+    return within_limits(arm, q, duration)
+
+
+def drawn_series(arm: Arm, duration: float, rng: np.random.Generator) -> Motion:
+    """Draw a finite Fourier series per joint inside 0.9 of all limits, from rest to rest.
+
+    Args:
+        arm: with its limits.
+        duration: [s].
+        rng: of the draw.
+    """
+    t, half = _clock(duration), (arm.column("q_max") - arm.column("q_min")) / 2
+    middle = (arm.column("q_min") + arm.column("q_max")) / 2
+    lowest = rng.uniform(*_LOWEST)
+    w = 2 * np.pi * lowest * (1 + np.arange(_HARMONICS))
+    speed = rng.uniform(0.2, 1.0) * arm.column("v_max") / np.sqrt(_HARMONICS)
+    a, b = rng.standard_normal((2, _HARMONICS, arm.n)) * speed / w[:, None]
+    phase = w * t[:, None]
+    window = quintic(t / _FADE) * quintic((duration - t) / _FADE)
+    q = window[:, None] * (np.sin(phase) @ a + np.cos(phase) @ b)
+    return within_limits(arm, middle + rng.uniform(-0.5, 0.5, arm.n) * half + q, duration)
+
+
+def _clock(duration: float) -> Array:
+    return np.linspace(0.0, duration, round(40 * duration) + 1)
+
+
+def within_limits(arm: Arm, q: Array, duration: float) -> Motion:
+    """Return the motion through angles, made smaller until it keeps 0.9 of all limits.
+
+    Args:
+        arm: with its limits.
+        q: (N, n) angles at even times [rad].
+        duration: [s].
+
+    Raises:
+        ParameterError: no size keeps them.
+    """
     controls = max(12, round(8 * duration))
     for _ in range(60):
         motion = Motion.fit(q, duration, controls=controls)

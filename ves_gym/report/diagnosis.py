@@ -338,7 +338,7 @@ def _tiles(result: Result) -> str:
 def _missing(result: Result) -> str:
     effects = result["effects"] or result["closest"]
     if not effects:
-        return f"<p>{_NO_EFFECT[_has_name(result)]}</p>"
+        return f"<p>{_NO_EFFECT[_has_name(result)]}</p>" + _designed(result)
     named, rows = _has_name(result), []
     for effect in effects:
         for k, (name, value) in enumerate(effect["value"].items()):
@@ -360,6 +360,21 @@ def _missing(result: Result) -> str:
         + "".join(
             f"<p><b>Next experiment.</b> {_text(k)}</p>" for k in _next_experiments(result)
         )
+        + _designed(result)
+    )
+
+
+def _designed(result: Result) -> str:
+    """Return the motion designed, what it separates and the commands that run it."""
+    design = result.get("next_motion")
+    if not design:
+        return ""
+    shares = ", ".join(f"{k} {100 * x:.0f} %" for k, x in design["limits"].items())
+    return (
+        f"<p><b>Designed experiment.</b> {_text(design['sentence'])} Of its limits it takes, as"
+        f" simulated: {_text(shares)}. The motion is in {_text(', '.join(design['files']))}; in"
+        f" simulation <code>{_text(design['simulate'])}</code>, afterwards"
+        f" <code>{_text(design['diagnose'])}</code>.</p>"
     )
 
 

@@ -167,6 +167,35 @@ def fit(
     )
 
 
+def linearised(
+    residuals: WhitenedResiduals, candidates: Sequence[Candidate], values: Sequence[Array]
+) -> tuple[Array, Array]:
+    """Return the residual under effects, and its tangents as `Fit` has them.
+
+    Args:
+        residuals: whitened, N numbers.
+        candidates: effects.
+        values: (k,) numbers of each.
+
+    Returns:
+        (N,) and (N, b + sum of k).
+    """
+    z = evaluate_residuals(residuals, candidates, [values])[0]
+    columns = [
+        _residual_of_form(residuals, candidates, values, k, blur) - z
+        for k, c in enumerate(candidates)
+        for blur in c.blurs
+    ]
+    for k, c in enumerate(candidates):
+        for i in range(c.k):
+            step = _STEP * max(abs(c.starts[0][i]), 1e-12)
+            way = -step if values[k][i] + step > c.high[i] else step
+            moved = [np.array(v, float) for v in values]
+            moved[k][i] += way
+            columns.append((evaluate_residuals(residuals, candidates, [moved])[0] - z) / way)
+    return z, np.stack(columns, axis=1) if columns else np.zeros((len(z), 0))
+
+
 class _FilteredNoise:
     """Size of the noise where effects pass it on changed, in proportion to their first number.
 

@@ -1,0 +1,370 @@
+"""The next experiment: the motion within the machine's limits that holds rivals apart best.
+
+Sequences of moves and rests, finite Fourier series (Swevers et al. 1997) and the motions at
+hand are played in simulation by the machine that the diagnosis thinks most probable; those that
+break a limit of joints or platform go. The others are ranked by the deviance that they are
+expected to hold between the rivals (`inference/separation.py`), or by the information on what
+the runs at hand could not show; the best are blended and bent, and at the end the winner is
+played by every rival.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.diagnosis.data.measured_run import Run, run_of
+from ves_gym.diagnosis.diagnose import NAMING_VERDICTS, WEAK, Diagnosis
+from ves_gym.diagnosis.excitation import drawn_motion, drawn_series, within_limits
+from ves_gym.diagnosis.inference.candidates import Candidate
+from ves_gym.diagnosis.inference.separation import (
+    Hypothesis,
+    hypothesis,
+    rival_hypotheses,
+    separations,
+    visibility,
+)
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.diagnosis.machines.drift import SlowPath
+from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.servo import OWN_GAINS, JointServo
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.recording import Recording
+from ves_gym.simulation.simulator import Divergence
+from ves_gym.system.system import System
+
+CLEAR = 5.0  # standard deviations at which an experiment decides
+_SHORTEST, _LONGEST = 4.0, 20.0  # s
+_MARGIN = 0.95  # of every limit, as simulated
+_RIVALS = 4
+_PARENTS, _CHILDREN = 3, 4
+_BEND = 0.12  # rad, of a control point in a bent motion
+_MOST_FAINT = 8
+
+
+@dataclass(frozen=True, eq=False)
+class NextMotion:
+    """A motion to run on the machine, and what it is expected to show."""
+
+    motion: Motion
+    between: tuple[str, ...]  # rivals, the most probable first; or what could not be shown
+    sigma: tuple[tuple[float, ...], ...]  # standard deviations between each two; or of each
+    at_hand: float  # least that the best of the motions at hand is worth, run once more
+    least: float  # least of this motion
+    limits: dict[str, float]  # largest share of each limit, as simulated
+    tried: int  # motions
+    separates: bool  # rivals; else it shows what is faint
+
+    @property
+    def sentence(self) -> str:
+        """What to run and why."""
+        m = f"a motion of {self.motion.duration:.3g} s within the limits"
+        if not self.separates:
+            return (
+                f"{m} would show {', '.join(self.between)}, at their usual size, by"
+                f" {self.least:.1f} standard deviations and more (the best of the motions at"
+                f" hand, once more: {self.at_hand:.1f})."
+            )
+        decides = "decides" if self.least >= CLEAR else "helps to decide"
+        return (
+            f"{m} {decides} between {', '.join(self.between)}: any two are expected"
+            f" {self.least:.1f} standard deviations apart and more after one run (after the"
+            f" best of the motions at hand, once more: {self.at_hand:.1f})."
+        )
+
+    def table(self, dt: float) -> str:
+        """Return the motion as CSV: time [s], angles [rad], rates [rad/s], every dt [s]."""
+        s = self.motion.at(np.arange(math.ceil(self.motion.duration / dt - 1e-9) + 1) * dt)
+        names = [f"{k}_{i + 1}" for k in ("q_cmd", "v_cmd") for i in range(self.motion.n)]
+        rows = np.column_stack([s.t, s.q, s.v]).tolist()
+        body = (",".join(f"{x:.9g}" for x in row) for row in rows)
+        return "\n".join([",".join(["t", *names]), *body]) + "\n"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "between": list(self.between),
+            "separates": self.separates,
+            "sigma": [list(row) for row in self.sigma],
+            "least": self.least,
+            "at_hand": self.at_hand,
+            "limits": self.limits,
+            "tried": self.tried,
+            "duration": self.motion.duration,
+            "sentence": self.sentence,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Played:
+    """A motion as one machine would run it."""
+
+    motion: Motion
+    run: Run
+    limits: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class _Ranked:
+    worth: float
+    least: float
+    played: _Played
+    table: Array
+
+
+def next_motion(
+    diagnosis: Diagnosis,
+    *,
+    pool: int = 8,
+    rounds: int = 2,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda done: None,
+) -> NextMotion | None:
+    """Design the motion that decides what a diagnosis leaves open.
+
+    Args:
+        diagnosis: of a `System`.
+        pool: motions drawn of each family.
+        rounds: of refinement.
+        seed: of the draws.
+        progress: called with the fraction done.
+
+    Returns:
+        The motion; None where nothing is open: no rivals, and nothing too weak.
+
+    Raises:
+        ParameterError: the machine is no `System`, or no motion keeps its limits.
+    """
+    search = _search_of(diagnosis)
+    if search is None:
+        return None
+    rng = np.random.default_rng(seed)
+    arm, duration = search.system.arm, search.duration
+    hand = search.at_hand()
+    drawn = [m(arm, duration, rng) for _ in range(pool) for m in (drawn_motion, drawn_series)]
+    whole = len(hand) + len(drawn) + rounds * _CHILDREN + 1
+    done = 0
+
+    def tell() -> None:
+        nonlocal done
+        done += 1
+        progress(done / whole)
+
+    repeated = search.ranked(hand, tell, strict=False)
+    found = repeated + search.ranked(drawn, tell)
+    found = [r for r in found if max(r.played.limits.values()) <= _MARGIN]
+    if not found:
+        raise ParameterError(
+            f"no motion of {duration:g} s keeps {_MARGIN:g} of the limits of the machine"
+        )
+    for _ in range(rounds):
+        found.sort(key=lambda r: -r.worth)
+        children = [
+            child
+            for child in (_child(arm, found[:_PARENTS], rng) for _ in range(_CHILDREN))
+            if child is not None
+        ]
+        found += search.ranked(children, tell)
+    best = max(found, key=lambda r: r.worth)
+    return search.result(best, repeated, len(found))
+
+
+class _Search:
+    """What candidates for the next motion are played and judged by."""
+
+    def __init__(
+        self, diagnosis: Diagnosis, rivals: Sequence[Hypothesis], faint: Sequence[Candidate]
+    ) -> None:
+        machine = diagnosis.residuals.machine
+        if not isinstance(machine, SystemMachine):
+            raise ParameterError(
+                f"{machine.name} is no System: its next motion cannot be simulated"
+            )
+        self.rivals, self.faint = rivals, faint
+        effects = [c for h in rivals for c in h.fit.candidates]
+        ports = {p for c in (*effects, *faint) for p in c.ports}
+        self.machine = copy.copy(machine)  # nothing shows at the other ports
+        self.machine.ports = tuple(p for p in diagnosis.residuals.ports if p.name in ports)
+        self.runs = diagnosis.residuals.runs
+        self.system = machine.system
+        spans = [(run.length - 1) * run.dt for run in self.runs]
+        self.duration = float(np.clip(np.median(spans), _SHORTEST, _LONGEST))
+        self._old = diagnosis.residuals
+
+    def at_hand(self) -> list[Motion]:
+        """Return what the runs at hand were told, cut or held to the duration."""
+        out = []
+        for run in (r for r in self.runs if "q_cmd" in r):
+            t = np.arange(run.length) * run.dt
+            at = np.linspace(0.0, self.duration, round(40 * self.duration) + 1)
+            q = np.stack([np.interp(at, t, x) for x in run["q_cmd"].T], axis=1)
+            out.append(Motion.fit(q, self.duration, controls=round(8 * self.duration)))
+        return out
+
+    def ranked(
+        self, motions: Sequence[Motion], tell: Callable[[], None], strict: bool = True
+    ) -> list[_Ranked]:
+        """Return motions as the most probable rival runs them, with what they are worth.
+
+        Args:
+            motions: any number.
+            tell: called after each.
+            strict: leave those out that break a limit.
+        """
+        out = []
+        for played in self.played(self.rivals[0], motions):
+            if not strict or max(played.limits.values()) <= _MARGIN:
+                out.append(self._judged(played))
+            tell()
+        return out
+
+    def played(self, truth: Hypothesis, motions: Sequence[Motion]) -> list[_Played]:
+        """Return the runs of a machine with a hypothesis in it; none of a safety stop."""
+        model = self.machine.model(
+            [e.effect if isinstance(e, SlowPath) else e for e in truth.fit.effects]
+        )
+        effects = tuple(e for e in model.system.effects if e.kind != "sensor/noise")
+        system = model.system.replace(effects=effects)
+        out = []
+        for group in _lockstep(system, motions, self.runs[0]):
+            stopped = {event.simulation for event in group[1].events}
+            for i, motion in enumerate(group[0]):
+                if i not in stopped:
+                    run = self._run(group[1], i)
+                    out.append(_Played(motion, run, _shares(system, group[1], i, run)))
+        return out
+
+    def _run(self, recording: Recording, i: int) -> Run:
+        """Return a simulated run with the noise of those at hand."""
+        like = self.runs[0]
+        run = run_of(recording.log(i), "next", like.band)
+        signals = {k: x for k, x in run.signals.items() if k in like.signals}
+        meta = {**run.meta, **{k: like.meta[k] for k in ("controller",) if k in like.meta}}
+        return dataclasses.replace(
+            run, signals=signals, noise=like.noise, meta=meta, repeats={}
+        )
+
+    def _judged(self, played: _Played) -> _Ranked:
+        new = WhitenedResiduals(self.machine, [played.run], self._old.seed)
+        if self.faint:
+            table = visibility(new, self.rivals[0], self.faint)
+            worth = float(np.linalg.slogdet(np.eye(len(table)) + table)[1])
+            sigma = np.sqrt(np.maximum(np.diag(table), 0.0))
+            return _Ranked(worth, float(sigma.min()), played, sigma[None])
+        table = np.maximum(separations(new, self.rivals), 0.0)
+        apart = ~np.eye(len(table), dtype=bool)
+        worth = float(np.log1p(table[apart]).mean())
+        return _Ranked(worth, math.sqrt(table[apart].min()), played, np.sqrt(table))
+
+    def result(self, best: _Ranked, hand: Sequence[_Ranked], tried: int) -> NextMotion:
+        """Return the best motion, played by every rival."""
+        table, limits = best.table, dict(best.played.limits)
+        for b, rival in enumerate(self.rivals[1:], 1):
+            for played in self.played(rival, [best.played.motion]):
+                table[b] = self._judged(played).table[b]
+                limits = {k: max(x, played.limits[k]) for k, x in limits.items()}
+        apart = table[0] if self.faint else table[~np.eye(len(table), dtype=bool)]
+        names = [c.name for c in self.faint] or [h.name for h in self.rivals]
+        return NextMotion(
+            motion=best.played.motion,
+            between=tuple(names),
+            sigma=tuple(tuple(row) for row in table.tolist()),
+            at_hand=max((r.least for r in hand), default=0.0),
+            least=float(apart.min()),
+            limits=limits,
+            tried=tried,
+            separates=not self.faint,
+        )
+
+
+def _search_of(diagnosis: Diagnosis) -> _Search | None:
+    residuals, selection = diagnosis.residuals, diagnosis.selection
+    if diagnosis.verdict == WEAK:
+        faint = [c for c in diagnosis.signatures.candidates if c.name in diagnosis.weak]
+        return _Search(
+            diagnosis, [hypothesis(residuals, selection.fit, "")], faint[:_MOST_FAINT]
+        )
+    if diagnosis.verdict not in NAMING_VERDICTS:
+        return None
+    for place, explanation in enumerate(diagnosis.explanations):
+        if len(explanation.kinds) > 1:
+            rivals = rival_hypotheses(
+                residuals, selection, place, diagnosis.limits.alike, _RIVALS
+            )
+            return _Search(diagnosis, rivals, ())
+    return None
+
+
+def _lockstep(
+    system: System, motions: Sequence[Motion], like: Run
+) -> list[tuple[Sequence[Motion], Recording]]:
+    """Play motions together; one by one where one of them runs away, which then is left out."""
+    if not motions:
+        return []
+    base = system.physics_dt if system.mode == "ideal" else system.control_dt
+    servo = OWN_GAINS
+    if "controller" in like:
+        gains = like.meta["controller"]
+        servo = JointServo(
+            kp=tuple(gains["kp"]),
+            kd=tuple(gains["kd"]),
+            feedforward=gains.get("feedforward", False),
+        )
+    try:
+        recording = play_motions(
+            system,
+            motions,
+            servo=servo,
+            settle=0.0,
+            record_dt=base * max(1, round(like.dt / base)),
+        )
+    except Divergence:
+        alone = [_lockstep(system, [m], like) for m in motions if len(motions) > 1]
+        return [group for groups in alone for group in groups]
+    return [(motions, recording)]
+
+
+def _shares(system: System, recording: Recording, i: int, run: Run) -> dict[str, float]:
+    """Return the largest share of every limit that a simulated run takes."""
+    out = {e.kind: e.ratio for e in recording.limit_check(i).extremes}
+    if system.mode == "emulated":
+        lab, stewart = system.emulator_settings, system.emulator_settings.stewart
+        legs = stewart.leg_lengths(run["y_cmd"])
+        home = stewart.home_lengths
+        room = np.where(legs > home, stewart.length_max - home, home - stewart.length_min)
+        out["stroke"] = float((np.abs(legs - home) / room).max())
+        speed = np.abs(np.diff(legs, axis=0)).max() / run.dt
+        out["leg speed"] = float(speed / stewart.speed_max)
+        out["force"] = float(np.linalg.norm(run["w"][:, :3], axis=1).max() / lab.force_max)
+        out["moment"] = float(np.linalg.norm(run["w"][:, 3:], axis=1).max() / lab.moment_max)
+    return out
+
+
+def _child(arm: Any, parents: Sequence[_Ranked], rng: np.random.Generator) -> Motion | None:
+    """Return a blend of two motions, bent; None where it finds no place within the limits."""
+    first, second = (parents[int(k)] for k in rng.integers(len(parents), size=2))
+    motion, duration = first.played.motion, first.played.motion.duration
+    t = np.linspace(0.0, duration, round(40 * duration) + 1)
+    share = rng.uniform(0.0, 0.5)
+    q = (1 - share) * motion.at(t).q + share * second.played.motion.at(t).q
+    if rng.random() < 0.5:
+        q = q.mean(axis=0) + (q - q.mean(axis=0)) * rng.uniform(0.8, 1.6, arm.n)
+    bend = Motion.fit(
+        np.concatenate(
+            [np.zeros((1, arm.n)), rng.normal(0, _BEND, (round(duration) + 1, arm.n))]
+        ),
+        duration,
+        controls=max(8, round(duration)),
+    )
+    try:
+        return within_limits(arm, q + bend.at(t).q, duration)
+    except ParameterError:
+        return None
