@@ -1,13 +1,15 @@
 """Do designed experiments decide? diagnose -> design -> run -> diagnose, on hidden machines.
 
 Development cases of the blind benchmark with one effect each. What is at hand is one run that
-moves every joint by a fraction of an ordinary one, a fraction of its own per joint. Where its
-diagnosis leaves rivals, or could not have seen a basic effect, the next motion is designed from
-that diagnosis alone and run on the hidden machine, which the simulator knows nothing of; the
-two runs are diagnosed. Beside it, the same with an ordinary run of the benchmark's menu, at
-full size, in place of the designed one.
+moves every joint by a fraction of an ordinary one, a fraction of its own per joint: in family
+`weak` 2 to 30 %, effects of at least three times the noise on ordinary runs; in family `rivals`
+10 to 50 %, and the effect is sized for a third of the noise in that very run, so that several
+causes explain it. Where its diagnosis leaves rivals, or could not have seen a basic effect, the
+next motion is designed from that diagnosis alone and run on the hidden machine, which the
+simulator knows nothing of; the two runs are diagnosed. Beside it, the same with an ordinary run
+of the benchmark's menu, at full size, in place of the designed one.
 
-    python -m benchmarks.experiments --cases 0:60 --out out/experiments
+    python -m benchmarks.experiments --family rivals --cases 0:100 --out out/experiments
 """
 
 from __future__ import annotations
@@ -36,7 +38,8 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.system.runlog import RunLog
 
 WAYS = ("designed", "ordinary")
-_SMALLEST, _LARGEST = 0.02, 0.3  # of an ordinary motion, joint by joint
+FAMILIES = {"weak": (0.02, 0.3), "rivals": (0.1, 0.5)}  # of a motion's size, joint by joint
+_FAINT = 1 / 3  # gap over noise at hand, family rivals
 _VISIBLE = 3.0  # gap over noise on ordinary runs from which a name is owed
 
 
@@ -63,9 +66,10 @@ class HiddenMachine:
     Args:
         runner: of the benchmark.
         index: of the case.
+        family: of `FAMILIES`.
     """
 
-    def __init__(self, runner: Runner, index: int) -> None:
+    def __init__(self, runner: Runner, index: int, family: str = "weak") -> None:
         root = root_seed("development")
         self.runner, self.plan = runner, plan_of(index, root)
         seeds = np.random.SeedSequence((root, 1 + index)).spawn(6)
@@ -74,15 +78,19 @@ class HiddenMachine:
         )
         self.setup = with_nuisance(runner.nominal, machine)
         motions = runner.motions(move)
+        low, high = np.log(FAMILIES[family])
+        size = np.exp(more.uniform(low, high, 3))
+        self.at_hand, self.ordinary = motions[0].scaled(size), motions[1]
+        plan, judged = self.plan, motions[:-FINAL]
+        if family == "rivals":
+            plan, judged = plan._replace(ratios=(_FAINT,)), [self.at_hand]
         effects, self.reached = runner.effects(
-            self.plan, self.setup, motions[:-FINAL], choice, motions[-FINAL:]
+            plan, self.setup, judged, choice, motions[-FINAL:]
         )
         self.truth = [label_name(e.label()) for e in effects]
         self.broken = digital(self.setup)
         for effect in effects:
             self.broken = effect.applied(self.broken)
-        size = np.exp(more.uniform(np.log(_SMALLEST), np.log(_LARGEST), 3))
-        self.at_hand, self.ordinary = motions[0].scaled(size), motions[1]
 
     def run(self, motion: ExcitationMotion) -> RunLog:
         """Return the log of a run, with noise of its own."""
@@ -155,6 +163,7 @@ def tried(machine: HiddenMachine, say: Callable[[str], None] = _say) -> dict[str
 def main() -> None:
     """Try the cases, print shares."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--family", choices=sorted(FAMILIES), default="rivals")
     parser.add_argument("--cases", default="0:60", metavar="A:B")
     parser.add_argument("--out", default="out/experiments", metavar="FOLDER")
     parser.add_argument("--minutes", type=float, default=60.0, help="begin no case after that")
@@ -164,12 +173,12 @@ def main() -> None:
     begin, results = time.perf_counter(), []
     for index in range(first, last):
         plan = plan_of(index, root)
-        if plan.category != "single" or plan.ratios[0] < _VISIBLE:
+        if plan.category != "single" or (args.family == "weak" and plan.ratios[0] < _VISIBLE):
             continue
         if time.perf_counter() - begin > 60 * args.minutes:
             break
         print(f"case {index}", flush=True)
-        result = {"index": index, **tried(HiddenMachine(runner, index))}
+        result = {"index": index, **tried(HiddenMachine(runner, index, args.family))}
         results.append(result)
         write_text(Path(args.out) / f"case-{index:03d}.json", canonical_json(result) + "\n")
     report(results)

@@ -1,16 +1,16 @@
-"""The designed experiment: within the limits, worth more than the runs at hand, and decisive."""
+"""The experiment designed keeps all limits, is worth more than runs at hand, and decides."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.benchmark.blind.machine import nominal
+from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.diagnosis.next_motion import CLEAR, next_motion
-from ves_gym.effects import JointDriveGain
+from ves_gym.effects import JointDriveGain, SensorNoise
 from ves_gym.mechanics.limits import check_reference, limits_of
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
@@ -18,20 +18,20 @@ from ves_gym.simulation.playback import play_motions
 
 SYSTEM = nominal()
 KINDS = ("joint/drive_gain", "joint/torque_offset", "joint/coulomb", "joint/viscous")
-TRUTH = JointDriveGain(error=(0.0, 0.03, 0.0))
+NOISE = SensorNoise(force=(0.3,) * 3, moment=(0.1,) * 3)
+TRUTH = JointDriveGain(error=(0.0, 0.01, 0.0))
 
 
-def measured(motion, seed):
-    """Log of the machine whose second drive gives 3 % more than described."""
-    true = SYSTEM.replace(effects=(TRUTH,))
+def measured(motion, seed, effects=(TRUTH,)):
+    """Log of the machine whose second drive gives 1 % more than described."""
+    true = SYSTEM.replace(effects=(*effects, NOISE))
     log = play_motions(true, [motion], servo=HIGH_GAINS, settle=0.0, record_dt=5e-3).log(0)
     rng = np.random.default_rng(seed)
-    noise = {"q": 2e-5, "tau": 0.3, "y": 1e-5, "w": 0.3}
+    noise = {"q": 2e-5, "tau": 0.3, "y": 1e-5}
     noisy = {
         k: getattr(log, k) + s * rng.standard_normal(getattr(log, k).shape)
         for k, s in noise.items()
     }
-    noisy["wg"] = log.wg + noisy["w"] - log.w
     return dataclasses.replace(log, **noisy, meta={**log.meta, "system": SYSTEM.to_dict()})
 
 
@@ -43,19 +43,66 @@ def diagnosed(logs):
 
 @pytest.fixture(scope="module")
 def at_hand():
-    """A joint that carries its weight and hardly turns: its drive may be off, or have an offset."""
-    still = Motion.straight([0.3, 0.5, 0.4], [0.32, 0.52, 0.42], 4.0)
-    log = measured(still, 1)
+    """A joint that carries its weight and hardly turns: a gain off, or an offset?"""
+    log = measured(Motion.straight([0.3, 0.5, 0.4], [0.5, 0.6, 0.3], 4.0), 1)
     return log, diagnosed([log])
 
 
-def test_x(at_hand):
-    import time
-    log, before = at_hand
-    print(before.sentence, before.seconds)
-    t=time.time()
-    n = next_motion(before, pool=2, rounds=1)
-    print(time.time()-t, n.to_dict())
-    after = diagnosed([log, measured(n.motion, 2)])
-    print(after.sentence)
-    assert 0
+@pytest.fixture(scope="module")
+def designed(at_hand):
+    return next_motion(at_hand[1], pool=2, rounds=1)
+
+
+@pytest.fixture(scope="module")
+def after(at_hand, designed):
+    return diagnosed([at_hand[0], measured(designed.motion, 2)])
+
+
+def test_rivals_get_a_motion_that_keeps_every_limit(at_hand, designed):
+    assert at_hand[1].verdict == d.ONE_OF
+    assert designed.between == ("joint/drive_gain at joint 2", "joint/torque_offset at joint 2")
+    arm, ends = SYSTEM.arm, designed.motion.at([0.0, designed.motion.duration])
+    limits = limits_of(arm, a_max=tuple(arm.column("a_max")))
+    assert check_reference(arm, designed.motion, limits).inside
+    assert np.abs([ends.v, ends.a]).max() < 1e-9
+    simulated = {"position", "velocity", "torque", "stroke", "leg speed", "force", "moment"}
+    assert set(designed.limits) == simulated and max(designed.limits.values()) <= 0.95
+
+
+def test_it_is_worth_more_than_the_run_at_hand_and_decides(designed, after):
+    assert designed.least > CLEAR and designed.least > 2 * designed.at_hand > 0
+    assert designed.tried >= 5
+    assert after.verdict == d.NAMED and len(after.explanations) == 1
+    assert after.explanations[0].candidate.name == "joint/drive_gain at joint 2"
+    assert after.explanations[0].values[0] == pytest.approx(0.01, rel=0.1)
+    assert next_motion(after) is None  # nothing is open
+
+
+def test_the_separation_predicted_is_that_which_the_run_has(at_hand, designed, after):
+    """The deviance between full fits on both runs grows as linear fits had foreseen it."""
+    gaps = []
+    for residuals in (at_hand[1].residuals, after.residuals):
+        rivals = at_hand[1].selection.rivals[0][:2]
+        fits = [fit(residuals, [r.candidate], [r.values]) for r in rivals]
+        gaps.append(fits[1].deviance - fits[0].deviance)
+    expected = designed.sigma[0][1] ** 2
+    spread = 2 * np.sqrt(expected)  # of a deviance between two fixed models
+    assert gaps[1] - gaps[0] == pytest.approx(expected, abs=3 * spread)
+
+
+def test_what_could_not_be_seen_gets_a_motion_that_shows_it():
+    still = measured(Motion.straight([0.3, 0.5, 0.4], [0.301, 0.501, 0.401], 4.0), 4, ())
+    before = diagnosed([still])
+    assert before.verdict == d.WEAK
+    designed = next_motion(before, pool=2, rounds=0)
+    assert not designed.separates and set(designed.between) <= set(before.weak)
+    assert designed.least > 2 * designed.at_hand
+    assert "at their usual size" in designed.sentence
+
+
+def test_a_motion_is_a_table_for_a_controller(designed):
+    rows = np.array([r.split(",") for r in designed.table(5e-3).split()[1:]], float)
+    t, q = rows[:, 0], rows[:, 1:4]
+    assert np.diff(t) == pytest.approx(5e-3) and t[-1] == pytest.approx(4.0)
+    assert q == pytest.approx(designed.motion.at(t).q, abs=1e-8)
+    assert np.gradient(q, t, axis=0)[5:-5] == pytest.approx(rows[5:-5, 4:], abs=2e-3)

@@ -1,0 +1,56 @@
+"""`ves-gym diagnose` designs the motion that decides, and says how to run it."""
+
+import dataclasses
+import shlex
+
+import numpy as np
+
+from ves_gym.diagnosis.benchmark.blind.machine import nominal
+from ves_gym.diagnosis.inputs import system_inputs
+from ves_gym.effects import JointDriveGain, SensorNoise
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.servo import HIGH_GAINS
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.runlog import RunLog
+
+SYSTEM = nominal()
+KEPT = ("joint/drive_gain", "joint/torque_offset")
+NOISE = {"q": 2e-5, "tau": 0.3, "y": 1e-5}
+
+
+def logged(log, path, seed):
+    """Write a log with noise that names the machine as described."""
+    rng = np.random.default_rng(seed)
+    noisy = {
+        k: getattr(log, k) + s * rng.standard_normal(getattr(log, k).shape)
+        for k, s in NOISE.items()
+    }
+    meta = {**log.meta, "system": SYSTEM.to_dict()}
+    dataclasses.replace(log, **noisy, meta=meta).save(path)
+
+
+def test_the_experiment_that_the_command_designs_decides(call, tmp_path):
+    noise = SensorNoise(force=(0.3,) * 3, moment=(0.1,) * 3)
+    true = SYSTEM.replace(effects=(JointDriveGain(error=(0.0, 0.01, 0.0)), noise))
+    true.save(tmp_path / "true.toml")
+    still = Motion.straight([0.3, 0.5, 0.4], [0.5, 0.6, 0.3], 4.0)
+    record = play_motions(true, [still], servo=HIGH_GAINS, settle=0.0)
+    logged(record.log(0), tmp_path / "run.parquet", 1)
+    offered = {c.kind for c in system_inputs([tmp_path / "run.parquet"], final=0).candidates}
+    few = [word for k in sorted(offered - {*KEPT}) for word in ("--without", k)]
+    few += ["--no-figures", "--no-free-run"]
+    status, out, _, result = call("diagnose", tmp_path / "run.parquet", *few)
+    assert (status, result["verdict"]) == (0, "one of")
+    plan = result["next_motion"]
+    assert plan["sentence"] in " ".join(out.split()) and plan["simulate"] in out
+    motion = Motion.load(plan["files"][0])
+    assert motion.duration == 4.0 and plan["separates"] and plan["least"] > 5 > plan["at_hand"]
+    words = shlex.split(plan["simulate"])[1:]
+    words[words.index("--system") + 1] = str(tmp_path / "true.toml")  # the hidden machine
+    words[words.index("--log") + 1] = str(tmp_path / "raw.parquet")
+    assert call(*words)[0] == 0
+    logged(RunLog.load(tmp_path / "raw.parquet"), tmp_path / "experiment.parquet", 2)
+    both = [tmp_path / "experiment.parquet", tmp_path / "run.parquet"]
+    after = call("diagnose", *both, *few, "--final", "0")[3]
+    assert after["verdict"] == "named" and after["next_motion"] is None
+    assert [e["name"] for e in after["effects"]] == ["joint/drive_gain at joint 2"]
