@@ -86,6 +86,20 @@ def test_the_keyboard_does_everything(browser, data, tmp_path):
     assert browser.errors == []
 
 
+def test_whoever_hears_the_page_is_told_what_everything_is(browser, data, tmp_path):
+    browser.screen(1280, 900)
+    open_page(browser, data, tmp_path)
+    ready(browser)
+    browser.send("Accessibility.enable")
+    nodes = browser.send("Accessibility.getFullAXTree")["nodes"]
+    browser.send("Accessibility.disable")
+    roles = {"button", "slider", "combobox", "checkbox", "image", "region"}
+    seen = [(n["role"]["value"], n["name"]["value"]) for n in nodes if "name" in n]
+    nameless = [role for role, name in seen if role in roles and not name.strip()]
+    assert nameless == []
+    assert len([role for role, _ in seen if role in roles]) > 40
+
+
 def test_size_first_picture_and_frames(browser, data, tmp_path):
     size = len(render_studio(data).encode())
     open_page(browser, data, tmp_path)

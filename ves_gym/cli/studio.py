@@ -9,7 +9,8 @@ from ves_gym._util.params import ParameterError, write_text
 from ves_gym.cli.common import add_system_arguments, system_from, write_json
 from ves_gym.cli.motions import default_goal, duration_from, joint_angles
 from ves_gym.mechanics.vehicle import VEHICLES
-from ves_gym.planners.query import Query
+from ves_gym.planners.query import Query, solve
+from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.report.studio import playable, quiet_via, render_studio, studio_data
 from ves_gym.report.studio_files import open_file
 
@@ -35,6 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="way-point of the drawn path [deg], repeatable (default: one calm detour)",
     )
     parser.add_argument("--duration", type=float, metavar="S", help="of the motion [s] (2)")
+    parser.add_argument(
+        "--planner",
+        default="direct",
+        metavar="P",
+        help=f"whose path is there to compare with: {', '.join(PLANNERS)}, or none (direct)",
+    )
     parser.add_argument(
         "--open",
         metavar="FILE",
@@ -79,7 +86,10 @@ def run(args: argparse.Namespace) -> int:
         via = quiet_via(query)
     else:
         via = [joint_angles(text, arm, "--via", args.angle_unit) for text in args.via]
-    data = studio_data(query, via, opened)
+    plans = []
+    if args.planner != "none":
+        plans = [solve(get_planner(args.planner), query, args.seed)]
+    data = studio_data(query, via, opened, plans)
     path = Path(args.out or "out/studio")
     if path.suffix != ".html":
         path = path / "studio.html"

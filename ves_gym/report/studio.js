@@ -3,7 +3,7 @@
 const STRAIGHT = "straight line";
 const DRAWN = "drawn path";
 STYLES[STRAIGHT] = [0, ""];
-STYLES[DRAWN] = [3, ""];
+STYLES[DRAWN] = [1, ""];
 const WAY = 80; // points of a path on the map
 const SETTLED = 200; // ms without a change, then energies are computed finely
 const FRAME = 0.05; // s between frames of the moving picture
@@ -320,6 +320,7 @@ function begin() {
   ["a", "b"].forEach((letter, side) => {
     $(`motion-${letter}`).addEventListener("change", (event) => choose(side, event.target.value));
   });
+  data.planned.forEach(takeItem);
   const entries = data.opened.map(takeItem).filter(Boolean);
   fillChoices();
   followers.push(paintMap);

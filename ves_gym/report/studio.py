@@ -23,7 +23,7 @@ from ves_gym.mechanics.serial_chain import Inertial
 from ves_gym.mechanics.servo import OWN_GAINS
 from ves_gym.mechanics.vehicle import beam_line, vehicle_name
 from ves_gym.planners.prediction import predict
-from ves_gym.planners.query import Query
+from ves_gym.planners.query import Plan, Query
 from ves_gym.report.pages import assemble, embedded, part
 from ves_gym.report.planner_styles import css, script
 from ves_gym.simulation.playback import play_motions
@@ -246,6 +246,7 @@ def studio_data(
     query: Query,
     via: Sequence[Array] = (),
     opened: Sequence[dict[str, Any]] = (),
+    plans: Sequence[Plan] = (),
 ) -> dict[str, Any]:
     """Return all that the page holds.
 
@@ -253,8 +254,14 @@ def studio_data(
         query: system, ends and duration of the motion that it begins with.
         via: (n,) way-points between the ends [rad].
         opened: files, as `ves_gym.report.studio_files` reads them.
+        plans: answers to the query, to compare with.
     """
     system = playable(query.system)
+    planned = [
+        {"kind": "motion", "name": plan.planner, "motion": plan.motion.to_dict()}
+        for plan in plans
+        if plan.motion is not None
+    ]
     start, goal = query.ends
     motions = reference_motions(system, start, goal, query.duration)
     return {
@@ -266,6 +273,7 @@ def studio_data(
         "duration": query.duration,
         "references": references(system, motions),
         "opened": list(opened),
+        "planned": planned,
     }
 
 

@@ -106,7 +106,7 @@ function chartCell(spec, side) {
   return cell;
 }
 
-/** Draw the rows that are seen, not at every frame of a drag; others when they come into view. */
+/** Draw the rows that are seen, not at every frame of a drag; the others when there is time. */
 function drawCharts(coarse = false) {
   if (coarse && performance.now() - charts.drawn < CALM) return;
   charts.drawn = performance.now();
@@ -116,6 +116,8 @@ function drawCharts(coarse = false) {
     row.stale = true;
     if (Math.max(box.bottom, other.bottom) > -200 && Math.min(box.top, other.top) < innerHeight + 200) drawRow(row);
   }
+  clearTimeout(charts.rest);
+  if (!coarse) charts.rest = setTimeout(drawStaleCharts, CALM);
 }
 
 function drawStaleCharts() {
@@ -154,7 +156,9 @@ function extentOf({ spec, cells }) {
 }
 
 function drawCell({ spec }, cell, track, low, high) {
-  cell.who.textContent = ` · ${track.name}`;
+  const { E_mean: mean, E_peak: peak } = track;
+  const total = spec.key === "E" ? `: mean ${number(mean)} J, peak ${number(peak)} J` : "";
+  cell.who.textContent = ` · ${track.name}${total}`;
   cell.canvas.setAttribute("aria-label", `${spec.label} in ${spec.unit} against time, ${track.name}`);
   const { ctx, w, h } = sharp(cell.canvas);
   const room = { w: w - BORDER.left - BORDER.right, h: h - BORDER.top - BORDER.bottom };

@@ -1,7 +1,7 @@
 // Files that are opened in the studio: motions and plans are played here, run logs and episodes
 // come converted by `ves-gym studio --open`, a diagnosis is shown and its machine can be driven.
 
-const PALETTE = [[1, ""], [2, ""], [4, ""], [5, ""], [6, ""]];
+const PALETTE = [[2, ""], [4, ""], [5, ""], [6, ""], [3, ""]];
 const opened = []; // { name, track } of logs, { name, motion } of motions
 
 const machineOf = (track) => track.machine ?? data.machine;
@@ -52,7 +52,7 @@ function enter(entry) {
   const same = opened.findIndex((one) => one.name === entry.name);
   const at = same >= 0 ? same : opened.length;
   opened[at] = entry;
-  STYLES[entry.name] = PALETTE[at % PALETTE.length];
+  STYLES[entry.name] ??= PALETTE[at % PALETTE.length]; // a planner has its own
   return entry;
 }
 
