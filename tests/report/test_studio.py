@@ -89,6 +89,27 @@ def test_energies_in_the_page_are_the_simulator_s(browser, data, tmp_path):
     )
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("vehicle", "arm", "duration"),
+    [
+        ("bent-thesis", "puma560", 1.5), ("straight-vertical", "puma560", 2.0),
+        ("straight-horizontal", "puma560", 2.0), ("free-floating", "puma560", 2.0),
+        ("bent", "ur5e", 3.0), ("bent", "puma560", 1.0), ("bent", "puma560", 4.0),
+    ],
+)  # fmt: skip
+def test_energies_of_other_machines_are_the_simulator_s(
+    browser, tmp_path, vehicle, arm, duration
+):
+    data = studio_data(query(vehicle, arm, duration))
+    open_page(browser, data, tmp_path)
+    ready(browser)
+    assert len(data["references"]) >= 4
+    said = browser.do("document.getElementById('truth').textContent")
+    print(f"{arm} on {vehicle}, {duration:g} s: {said} of {len(data['references'])} motions")
+    assert float(said.removesuffix(" %")) < 1.0
+
+
 def test_paths_maps_and_modes_are_python_s(browser, data, tmp_path):
     open_page(browser, data, tmp_path)
     asked = query()

@@ -133,6 +133,18 @@ def test_the_page_opens_what_is_json(browser, files, data, tmp_path):
 
 
 @pytest.mark.slow
+def test_an_episode_is_opened_as_a_log(browser, data, tmp_path):
+    keys, log = tmp_path / "keys.txt", tmp_path / "episode.csv"
+    keys.write_text("0 q 0.5\n")
+    words = ["teleop", "--keys", str(keys), "--log", str(log), "--duration", "1"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    item = open_file(log, SYSTEM)
+    open_page(browser, {**data, "opened": [item]}, tmp_path)
+    assert browser.do("document.getElementById('motion-a').value") == "episode"
+    assert browser.errors == []
+
+
+@pytest.mark.slow
 def test_the_command_writes_a_page_and_json_that_it_opens(browser, files, tmp_path, capsys):
     page, result = tmp_path / "own.html", tmp_path / "result.json"
     words = ["studio", "bent-thesis", "--out", str(page), "--json", str(result)]

@@ -86,6 +86,26 @@ def test_the_keyboard_does_everything(browser, data, tmp_path):
     assert browser.errors == []
 
 
+def test_a_finger_drags_a_point(browser, data, tmp_path):
+    browser.screen(390, 844)
+    open_page(browser, data, tmp_path)
+    ready(browser)
+    before = browser.do("vesStudio.path.points[1]")
+    x, y = browser.do(
+        "(() => { const e = document.querySelector('[data-point=\"1\"]');"
+        " e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"
+        " return [r.x + r.width / 2, r.y + r.height / 2]; })()"
+    )
+    touch = "Input.dispatchTouchEvent"
+    browser.send(touch, type="touchStart", touchPoints=[{"x": x, "y": y}])
+    for k in range(1, 5):
+        browser.send(touch, type="touchMove", touchPoints=[{"x": x - 8 * k, "y": y + 6 * k}])
+    browser.send(touch, type="touchEnd", touchPoints=[])
+    after = browser.do("vesStudio.path.points[1]")
+    assert after[0] < before[0] - 0.1 and after[1] < before[1] - 0.1
+    assert after[2] == before[2]
+
+
 def test_whoever_hears_the_page_is_told_what_everything_is(browser, data, tmp_path):
     browser.screen(1280, 900)
     open_page(browser, data, tmp_path)
