@@ -165,14 +165,25 @@ def test_feasible_means_the_ends_the_time_and_the_limits():
 # ------------------------------------------------------------------ every planner
 
 
-@pytest.fixture(params=sorted(PLANNERS))
+# of the two left out only the numbers are other ones
+METHODS = sorted(set(PLANNERS) - {"refined-long", "robust-worst"})
+
+
+@pytest.fixture(params=METHODS)
 def planner(request):
     return get_planner(request.param)
 
 
-def test_the_same_question_has_the_same_answer(planner):
+@pytest.fixture(scope="module")
+def answers():
+    """Every planner's answer to one question."""
     q = query(v_max=SPEED_LIMITS)
-    first, repeated = solve(planner, q, seed=3), solve(planner, q, seed=3)
+    return {name: solve(p, q, seed=3) for name, p in PLANNERS.items()}
+
+
+def test_the_same_question_has_the_same_answer(planner, answers):
+    first = answers[planner.name]
+    repeated = solve(planner, query(v_max=SPEED_LIMITS), seed=3)
     assert repeated.motion == first.motion
     assert repeated.predicted == first.predicted
     assert timeless(repeated.info) == timeless(first.info)
@@ -185,7 +196,7 @@ def timeless(info):
     return {**info, "curve": curve}
 
 
-def test_the_same_answer_in_another_process():
+def test_the_same_answer_in_another_process(answers):
     """Bitwise, whatever was planned before."""
     code = f"""
 from ves_gym._util.params import content_hash
@@ -193,10 +204,12 @@ from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import PLANNERS
+from ves_gym.planners.suites import SPEED_LIMITS
 system = System(vehicle=BENT_THESIS)
-query = Query(system=system, start={ENDS["start"]}, goal={ENDS["goal"]}, duration=2.0)
+query = Query(system=system, start={ENDS["start"]}, goal={ENDS["goal"]}, duration=2.0,
+              v_max=SPEED_LIMITS)
 for planner in reversed(PLANNERS.values()):
-    print(planner.name, content_hash(solve(planner, query, 5).motion))
+    print(planner.name, content_hash(solve(planner, query, 3).motion))
 """
     env = {**os.environ, "PYTHONHASHSEED": "7"}
     process = subprocess.run(
@@ -207,7 +220,7 @@ for planner in reversed(PLANNERS.values()):
         text=True,
         check=True,
     )
-    hashes = {name: content_hash(solve(p, query(), 5).motion) for name, p in PLANNERS.items()}
+    hashes = {name: content_hash(plan.motion) for name, plan in answers.items()}
     assert dict(text.split() for text in process.stdout.splitlines()) == hashes
 
 
