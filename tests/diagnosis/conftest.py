@@ -8,7 +8,7 @@ from ves_gym.system.runlog import RunLog
 
 @pytest.fixture(scope="session")
 def hidden():
-    """(kinds and slots and magnitudes, seed) -> logs, the last held back."""
+    """(kinds and slots and magnitudes, seed) -> logs, the last held back; each made once."""
     pytest.importorskip("numba")
     from ves_gym.diagnosis.benchmark.blind.cases import BlindCase, CasePlan, Runner
     from ves_gym.diagnosis.benchmark.blind.effects import HiddenEffect
@@ -18,10 +18,17 @@ def hidden():
     from ves_gym.diagnosis.benchmark.blind.write import logs_of
 
     runner = Runner(nominal().to_dict(), controller())
+    made: dict[str, list[RunLog]] = {}
 
     def make(
         *effects: tuple, seed: int = 0, kinds=("multisine", "moves", "fast")
     ) -> list[RunLog]:
+        key = repr((effects, seed, kinds))
+        if key not in made:
+            made[key] = simulated(*effects, seed=seed, kinds=kinds)
+        return list(made[key])
+
+    def simulated(*effects: tuple, seed: int, kinds: tuple[str, ...]) -> list[RunLog]:
         rng = np.random.default_rng(seed)
         machine = with_nuisance(runner.nominal, rng)
         motions = [runner.safe_motion(kind, rng) for kind in kinds]

@@ -20,14 +20,15 @@ def test_figures_are_written(tmp_path):
         "leg_step.png",
         "leg_poles.png",
     ]
-    first = [p.read_bytes() for p in paths]
-    assert all(data.startswith(PNG) and len(data) > 10_000 for data in first)
-    write_leg_figures(tmp_path, LEG_SERVOS)
-    assert first == [(tmp_path / p.name).read_bytes() for p in paths]
+    drawn = [p.read_bytes() for p in paths]
+    assert all(data.startswith(PNG) and len(data) > 10_000 for data in drawn)
 
 
-def test_figures_of_one_unstable_servo_are_written(tmp_path):
-    assert len(write_leg_figures(tmp_path, {"shaking": LOW_GAINS.scaled(5)})) == 4
+def test_figures_of_one_unstable_servo_are_written_and_the_same_each_time(tmp_path):
+    servos = {"shaking": LOW_GAINS.scaled(5)}
+    first, second = (write_leg_figures(tmp_path / name, servos) for name in "ab")
+    assert len(first) == 4
+    assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]
 
 
 def test_bode_figure_shades_the_mode_and_names_each_servo():
