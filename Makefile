@@ -11,7 +11,7 @@ PIP = $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv benchmark policies leaderboard site test test-all test-processors test-ecosystem test-oldest check format bench constraints platforms clean
+.PHONY: help venv benchmark policies leaderboard figures notebooks site test test-all test-processors test-ecosystem test-oldest check format bench constraints platforms clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' Makefile
@@ -49,6 +49,12 @@ policies: $(DEV) ## train every released policy again, going on where it stopped
 
 leaderboard: $(DEV) ## answer, verify and enter what the board lacks; write its page
 	$(BIN)/python scripts/leaderboard.py $(ARGS)
+
+figures: $(DEV) ## make the documentation's pictures again; one: make figures ARGS=wiring.svg
+	$(BIN)/python scripts/figures.py $(ARGS)
+
+notebooks: $(DEV) ## run the notebooks in empty folders and store what they show
+	$(BIN)/python scripts/notebooks.py $(ARGS)
 
 site: $(SITE) ## build the documentation site in out/site, warnings are errors
 	$(BIN)/python scripts/site.py $(ARGS)

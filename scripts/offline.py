@@ -52,6 +52,12 @@ def measure(steps: int, seeds: int, episodes: int) -> dict[str, Any]:
     return {**result, "offline": made}
 
 
+def stored() -> dict[str, Any]:
+    """Figures of the last training."""
+    result: dict[str, Any] = json.loads(RESULT.read_text("utf-8"))
+    return result
+
+
 def draw(result: dict[str, Any]) -> None:
     """Return and success in the environment, a bar per policy."""
     from matplotlib.figure import Figure
@@ -87,7 +93,7 @@ def main() -> None:
     if args.train:
         result = measure(args.steps, args.seeds, args.episodes)
         write_text(RESULT, json.dumps(result, indent=1) + "\n")
-    result = json.loads(RESULT.read_text("utf-8"))
+    result = stored()
     for entry in result["controllers"]:
         s = entry["summary"]
         print(entry["name"], s["return"]["iqm"], s["success"])

@@ -18,7 +18,7 @@ from urllib.parse import unquote, urlsplit
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from scripts import api_pages  # noqa: E402 - run as a file, the root is not on the path
+from scripts import api_pages, notebook_pages  # noqa: E402 - run as a file, the root is not on the path
 
 START = """<!doctype html><meta charset="utf-8"><title>ves_gym</title>
 <meta http-equiv="refresh" content="0; url=site/index.html">
@@ -73,6 +73,7 @@ def build(folder: Path) -> int:
             return 2
         shutil.rmtree(folder)
     api_pages.write(ROOT / "docs" / "site" / "api")
+    notebook_pages.write(ROOT / "docs" / "site" / "notebooks")
     # all pages every time (-E -a): one that is not read again does not warn again
     options = ["-b", "html", "-E", "-a", "-q", "-W", "--keep-going"]
     places = ["-c", str(ROOT / "docs" / "site"), "-d", f"{folder}-cache"]
