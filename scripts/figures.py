@@ -153,7 +153,7 @@ def studio(target: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "studio.html"
         command("studio", "--duration", "3", "--via", "55,0,-45", "--out", page)
-        screenshot(page, (1000, 1186), target, STUDIO)
+        screenshot(page, (1265, 1500), target, STUDIO)
 
 
 def screenshot(
@@ -169,6 +169,7 @@ def screenshot(
         browser = Browser(path, profile)
         try:
             browser.screen(*size)
+            browser.send("Emulation.setScrollbarsHidden", hidden=True)
             browser.open(page.as_uri())
             if script is not None:
                 browser.do(script)
