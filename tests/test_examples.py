@@ -1,5 +1,6 @@
 """Every example runs as it stands, and so does every snippet of the README and the docs."""
 
+import json
 import os
 import re
 import subprocess
@@ -13,13 +14,29 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md"))
 PAGES = ["README.md", *DOCS]
 SLOW = "docs/extending.md"  # arms and effects that nobody has compiled yet
-SNIPPETS = [
-    pytest.param(text, id=f"{page}-{i}", marks=[pytest.mark.slow] if page == SLOW else [])
-    for page in PAGES
-    for i, text in enumerate(
-        re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
-    )
-]
+SNIPPETS: dict[str, dict[str, str]] = {}  # folder of pages, or page -> name -> code
+for page in PAGES:
+    code = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
+    group = "docs/environments" if page.startswith("docs/environments/") else page
+    for i, text in enumerate(code):
+        SNIPPETS.setdefault(group, {})[f"{page}-{i}"] = text
+# each in an empty folder with names of its own; the others go on where one fails
+RUNNER = """
+import json, os, sys, traceback
+with open(sys.argv[1], encoding="utf-8") as file:
+    snippets = json.load(file)
+failed = 0
+for k, (name, code) in enumerate(snippets.items()):
+    os.makedirs(f"snippet-{k}")
+    os.chdir(f"snippet-{k}")
+    try:
+        exec(compile(code, name, "exec"), {"__name__": "__main__"})
+    except BaseException:
+        failed = 1
+        print(name, traceback.format_exc(), sep="\\n", file=sys.stderr)
+    os.chdir("..")
+sys.exit(failed)
+"""
 
 
 def run(arguments, folder):
@@ -42,11 +59,15 @@ def test_example_runs(example, tmp_path):
     assert not done.stderr
 
 
-@pytest.mark.parametrize("snippet", SNIPPETS)
-def test_snippet_runs(snippet, tmp_path):
-    done = run(["-c", snippet], tmp_path)
+@pytest.mark.parametrize(
+    "group", [pytest.param(k, marks=[pytest.mark.slow] if k == SLOW else []) for k in SNIPPETS]
+)
+def test_snippets_run(group, tmp_path):
+    """One process for the snippets of a page, so that the package is imported once for them."""
+    (tmp_path / "snippets.json").write_text(json.dumps(SNIPPETS[group]), "utf-8")
+    done = run(["-c", RUNNER, "snippets.json"], tmp_path)
     assert done.returncode == 0, done.stderr
 
 
 def test_there_are_snippets():
-    assert len(SNIPPETS) >= 3
+    assert sum(map(len, SNIPPETS.values())) >= 40
