@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from tests.envs.runs import EMULATED, controlled, unscaled
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.registry import get_controller
-from ves_gym.baselines.resolved_pose import _inverse
+from ves_gym.baselines.resolved_pose import inverse_sparing
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm_library import get_arm
@@ -173,7 +173,7 @@ def test_the_seventh_joint_spares_the_base():
     q = np.random.default_rng(0).uniform(-1.2, 1.2, (50, 7))
     q = q[pose_dexterity(arm, q, 0.3) > 0.06]
     wanted = np.random.default_rng(1).normal(size=(len(q), 6, 1))
-    ours, plain = _inverse(arm, q) @ wanted, np.linalg.pinv(tool_twists(arm, q)) @ wanted
+    ours, plain = inverse_sparing(arm, q) @ wanted, np.linalg.pinv(tool_twists(arm, q)) @ wanted
     H = inertia(arm, q)[:, :6, 6:]
     push = [np.linalg.norm(H @ k, axis=1)[:, 0] for k in (ours, plain)]
     assert np.median(push[0] / push[1]) < 0.9

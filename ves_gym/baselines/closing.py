@@ -17,7 +17,7 @@ from ves_gym.mechanics.kinematics import MOST, every_joints_for, tool_jacobian
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 
 _MOVE = 0.82  # share of an episode that the way to a target takes
-_MOST = 8.0  # 1/s: largest share of the way left that is gone per second
+MOST_SHARE = 8.0  # 1/s: largest share of the way left that is gone per second
 _ROUNDS = 2  # of Newton's method for the joint angles on the base as measured
 _FOLLOW = 12.0  # 1/s: how fast the distance from a path is taken back
 _LEAD = 0.055  # s ahead that the path's velocity is taken: half a decision, and the servos' lag
@@ -33,7 +33,7 @@ class Closing:
     To a target, through control joint_velocity: of the joint angles that bring the tool there
     on the base as measured, the nearest; of the way left the share per second that the
     straight motion of least jerk takes at this time (Flash & Hogan, J. Neuroscience 5(7),
-    1985), at most `_MOST`; and, as that share grows, the rates that take back how the base
+    1985), at most `MOST_SHARE`; and, as that share grows, the rates that take back how the base
     carries the tool along. Along a path, through control tool_velocity: the path's velocity,
     a share `_FOLLOW` of the distance from it per second, less the velocity that the base gives
     the tool.
@@ -84,10 +84,7 @@ class Closing:
         task, s = env.task, env.batch.scene
         arm = task.system.arm
         fast = arm.column("v_max")
-        part = np.minimum(s.time / (_MOVE * task.duration), 1 - 1e-6)
-        # rate of the quintic over the way that it leaves, in closed form
-        pace = 30 * part**2 / ((1 - part) * (1 + 3 * part + 6 * part**2))
-        share = np.minimum(pace / (_MOVE * task.duration), _MOST)[:, None]
+        share = share_per_second(s.time, _MOVE * task.duration)[:, None]
         far = np.linalg.norm((self._ends - s.q[:, None]) / fast, axis=-1)
         end = self._ends[np.arange(len(far)), np.nan_to_num(far, nan=np.inf).argmin(axis=1)]
         turn = np.swapaxes(rotation(s.y_seen), -1, -2)
@@ -96,7 +93,7 @@ class Closing:
         for _ in range(_ROUNDS):
             end = end + matvec(inverse, wanted - joint_positions(arm, end)[:, -1])
         drift = matvec(inverse, _carried(s.y_seen, s.yd_seen, wanted))
-        rates = share * (end - s.q) - share / _MOST * drift
+        rates = share * (end - s.q) - share / MOST_SHARE * drift
         return np.asarray(rates / (task.control.speed * fast))  # type: ignore[attr-defined]
 
     def _along(self, env: VesVectorEnv) -> Array:
@@ -115,6 +112,19 @@ class Closing:
         place = matvec(turn, s.tool_seen - s.y_seen[:, :3])
         asked -= _carried(s.y_seen, s.yd_seen, place)
         return np.asarray(asked / task.control.speed)  # type: ignore[attr-defined]
+
+
+def share_per_second(time: Array, seconds: float) -> Array:
+    """Return the share of the way left that the straight motion of least jerk goes [1/s].
+
+    Args:
+        time: (n,) since it began [s].
+        seconds: that it takes [s].
+    """
+    part = np.minimum(time / seconds, 1 - 1e-6)
+    # rate of the quintic over the way that it leaves, in closed form
+    pace = 30 * part**2 / ((1 - part) * (1 + 3 * part + 6 * part**2))
+    return np.asarray(np.minimum(pace / seconds, MOST_SHARE))
 
 
 def _carried(y: Array, yd: Array, place: Array) -> Array:

@@ -8,6 +8,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.braced import Braced
 from ves_gym.baselines.closing import Closing
+from ves_gym.baselines.closing_pose import ClosingPose
 from ves_gym.baselines.controllers import Controller, Follow, Hold, Optimal, Random, Zero
 from ves_gym.baselines.homing import Homing
 from ves_gym.baselines.mppi import Mppi
@@ -64,6 +65,7 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "resolved-gentle": lambda seed: Resolved("resolved-gentle", 16.0),
     "homing": lambda seed: Homing(),
     "closing": lambda seed: Closing(),
+    "closing-pose": lambda seed: ClosingPose(),
     "braced": lambda seed: Braced(),
     "resolved-pose": lambda seed: ResolvedPose(),
     "servicer": lambda seed: Servicer(),

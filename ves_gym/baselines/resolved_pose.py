@@ -94,11 +94,11 @@ class ResolvedPose:
         for _ in range(_ROUNDS):
             at, turned = tool_frame(arm, q)
             missing = Rotation.from_matrix(turn @ np.swapaxes(turned, -1, -2)).as_rotvec()
-            inverse = _inverse(arm, q)
+            inverse = inverse_sparing(arm, q)
             q = q + matvec(inverse, np.concatenate([place - at, missing], axis=1))
         rate = twist(y, s.yd_seen)
         gain, self._rate = (rate - self._rate) / dt, rate
-        drift, gaining = (_carried(k, tool_frame(arm, q)[0]) for k in (rate, gain))
+        drift, gaining = (carried(k, tool_frame(arm, q)[0]) for k in (rate, gain))
         wanted = (then - before) / (2 * dt) - matvec(inverse, drift)
         first = (step == 0)[:, None]
         behind = np.where(first, 0.0, self._asked[:, 0] - s.q)
@@ -125,11 +125,7 @@ def _configuration(
         seconds: that the motion may take.
         energy: that a straight motion is expected to leave.
     """
-    z, y, x = Rotation.from_matrix(turn).as_euler("ZYX")
-    pose = ToolPose(position=tuple(place.tolist()), angles=(float(x), float(y), float(z)))
-    ends = configurations_at(arm, pose, near=q, starts=_STARTS)
-    if not len(ends):
-        ends = q[None]  # nothing better is known than to stay
+    ends = configurations_for(arm, q, place, turn)
     speed = np.abs(ends - q) * (QUINTIC_PEAK_SPEED / seconds) / arm.column("v_max")
     excess = np.maximum(speed.max(axis=1) - 1, 0.0)
     near = np.flatnonzero(excess <= excess.min())
@@ -139,7 +135,22 @@ def _configuration(
     return chosen
 
 
-def _carried(base: Array, place: Array) -> Array:
+def configurations_for(arm: Arm, q: Array, place: Array, turn: Array) -> Array:
+    """Joint angles (m, joints) that have the tool at a pose, or where it is if there are none.
+
+    Args:
+        arm: whose joints.
+        q: (joints,) where it is [rad].
+        place: (3,) of the tool [m].
+        turn: (3, 3) of the tool.
+    """
+    z, y, x = Rotation.from_matrix(turn).as_euler("ZYX")
+    pose = ToolPose(position=tuple(place.tolist()), angles=(float(x), float(y), float(z)))
+    ends = configurations_at(arm, pose, near=q, starts=_STARTS)
+    return ends if len(ends) else q[None]  # nothing better is known than to stay
+
+
+def carried(base: Array, place: Array) -> Array:
     """Return the velocity that a base gives a place, or the rate of it, turn included.
 
     Args:
@@ -154,7 +165,7 @@ def _carried(base: Array, place: Array) -> Array:
     return out
 
 
-def _inverse(arm: Arm, q: Array) -> Array:
+def inverse_sparing(arm: Arm, q: Array) -> Array:
     """(n, joints, 6) damped inverse of the tool's Jacobian that spares the base."""
     J = tool_twists(arm, q)
     J[:, 3:] *= _LEVER

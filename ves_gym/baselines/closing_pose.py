@@ -1,0 +1,78 @@
+"""Closing in on a pose by joint rates that are a function of what is observed now."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from scipy.spatial.transform import Rotation
+
+from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym.baselines.closing import MOST_SHARE, share_per_second
+from ves_gym.baselines.resolved_pose import carried, configurations_for, inverse_sparing
+from ves_gym.envs.pose_reach import PoseReach, goal_pose
+from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.tool_pose import tool_frame
+
+_MOVE = 0.82  # share of an episode that the way to the pose takes
+_ROUNDS = 2  # of Newton's method for the joint angles on the base as measured
+
+
+class ClosingPose:
+    """Asks for joint rates towards the nearest configuration that has the tool at the pose.
+
+    What `Closing` is for places: of the configurations for the pose the nearest to the joint
+    angles of now, corrected for the base as measured; of the way left the share per second of
+    the motion of least jerk; and the rates that take back how the base carries the tool along.
+    Through control joint_velocity.
+    """
+
+    name = "closing-pose"
+    privileged = True
+
+    def __init__(self) -> None:
+        self._ends: list[Array] = []  # (m, joints) per environment [rad]
+
+    def settings(self, spec: EnvSpec) -> dict[str, Any]:
+        """See `Controller`."""
+        return {} if "control" in spec.kwargs else {"control": {"kind": "joint_velocity"}}
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        """See `Controller`."""
+        task, s = env.task, env.batch.scene
+        if not isinstance(task, PoseReach) or task.control.kind != "joint_velocity":
+            raise ParameterError(
+                "controller closing-pose acts on task pose_reach through control"
+                f" joint_velocity, got task {task.kind} through control {task.control.kind}"
+            )
+        if len(self._ends) != env.num_envs:
+            self._ends = list(s.q[:, None].copy())
+        places, turns = goal_pose(s)
+        for i in ids.tolist():
+            self._ends[i] = configurations_for(task.system.arm, s.q[i], places[i], turns[i])
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        """See `Controller`."""
+        task, s = env.task, env.batch.scene
+        arm = task.system.arm
+        fast = arm.column("v_max")
+        share = share_per_second(s.time, _MOVE * task.duration)[:, None]
+        near = [
+            ends[np.linalg.norm((ends - q) / fast, axis=1).argmin()]
+            for ends, q in zip(self._ends, s.q, strict=True)
+        ]
+        end = np.array(near)
+        place, turn = goal_pose(s)
+        back = np.swapaxes(rotation(s.y_seen), -1, -2)
+        place, turn = matvec(back, place - s.y_seen[:, :3]), back @ turn
+        for _ in range(_ROUNDS):
+            at, turned = tool_frame(arm, end)
+            missing = Rotation.from_matrix(turn @ np.swapaxes(turned, -1, -2)).as_rotvec()
+            inverse = inverse_sparing(arm, end)
+            end = end + matvec(inverse, np.concatenate([place - at, missing], axis=1))
+        drift = carried(twist(s.y_seen, s.yd_seen), tool_frame(arm, end)[0])
+        rates = share * (end - s.q) - share / MOST_SHARE * matvec(inverse, drift)
+        full = task.control.speed * fast  # type: ignore[attr-defined]
+        return np.clip(rates / full, -1.0, 1.0)
