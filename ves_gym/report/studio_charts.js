@@ -169,7 +169,7 @@ function drawCell({ spec }, cell, track, low, high) {
   ctx.fillRect(x(0), BORDER.top, x(Math.min(track.duration, film.end)) - x(0), room.h);
   limitBands(ctx, spec, track, y, room);
   ctx.textAlign = "right";
-  for (const mark of ticks(low, high, 4).filter((value) => value <= high)) {
+  for (const mark of ticks(low, high, 5).filter((value) => value <= high)) {
     stroke(ctx, [[BORDER.left, y(mark)], [w - BORDER.right, y(mark)]], 1, ink("--line"));
     ctx.fillStyle = ink("--soft");
     ctx.fillText(String(Number(mark.toPrecision(3))).replace("-", "−"), BORDER.left - 6, y(mark) + 4);

@@ -35,7 +35,10 @@ function takeItem(item) {
     showDiagnosis(item);
     if (!item.machine) return null;
     const name = `drawn path, ${item.name}`;
-    return enter({ name, machine: item.machine, live: true });
+    const same = item.machine.base.M.length === data.machine.base.M.length;
+    // its base is matrices: drawn as the described one, whose coordinates it moves in
+    const beam = item.machine.beam ?? (same ? data.machine.beam : null);
+    return enter({ name, machine: { ...item.machine, beam }, live: true });
   }
   const machine = item.machine ?? data.machine;
   const n = machine.arm.links.length;
@@ -70,7 +73,7 @@ function showDiagnosis({ name, diagnosis }) {
   const head = ["effect", "parameter", "estimate", "90 % interval", "unit", "probability"];
   $("diagnoses").append(el("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": `Diagnosis ${name}` },
     el("table", {}, el("caption", {}, `${name}: ${diagnosis.sentence ?? diagnosis.verdict}`),
-      el("thead", {}, el("tr", {}, ...head.map((word) => el("th", { scope: "col" }, word)))),
+      el("thead", {}, el("tr", {}, ...head.map((word, k) => el("th", { scope: "col", class: [2, 3, 5].includes(k) ? "number" : null }, word)))),
       el("tbody", {}, ...rows))));
 }
 
