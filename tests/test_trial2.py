@@ -2,6 +2,10 @@
 
 import ast
 import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +13,11 @@ import pytest
 
 from benchmarks.trial2 import cases, machines, nominal, scoring, write
 from benchmarks.trial2.kinds import KINDS
+from benchmarks.trial2.motions import Quintics
 from benchmarks.trial2.seal import check, seal
 
-ROOT = Path(__file__).parents[1] / "benchmarks" / "trial2"
+HERE = Path(__file__).parents[1]
+ROOT = HERE / "benchmarks" / "trial2"
 SECRET = "trial 2, tests"
 
 
@@ -108,3 +114,74 @@ def test_answers_are_judged() -> None:
     assert scoring.judge({**label, "category": "null"}, given("nothing missing")) == "right"
     assert scoring.judge({**label, "category": "outside"}, given("named", here)) == "wrong"
     assert np.isfinite(cases.FACTORS).all()
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_every_kind_changes_what_is_measured(
+    mode: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(write, "DURATION", 0.2)
+    case = replace(
+        cases.draw(SECRET, 0),
+        mode=mode,
+        vehicle="stiff",
+        arm="puma560",
+        platform="pose",
+        period=0.01,
+        kinds=(),
+        slots=(2,),
+        signs=(1.0,),
+        shapes=(0.3,),
+        feedforward=False,
+    )
+    moved = Quintics(np.array([[0.3, 0.3, 0.3], [0.6, 0.5, 0.5]]), np.array([[0.0, 0.5]]))
+    at = write.setting(SECRET, case)
+    at.motions = [moved] * cases.RUNS
+    healthy = write.play(at, at.plant, 0)
+    unseen = []
+    for kind in KINDS.values():
+        if mode in kind.modes:
+            plant = at.plant.copy()
+            plant.peaks = np.abs(healthy.tau).max(0)
+            size = 20 * kind.start if kind.name != "joint/torque_limit" else 1.0
+            write.add_effect(plant, replace(case, kinds=(kind.name,)), 0, min(size, kind.most))
+            gaps = write.gap(case, write.play(at, plant, 0), healthy)
+            if not max(gaps.values()) > 1e-4:
+                unseen.append((kind.name, gaps))
+    assert not unseen
+
+
+PLAY = """
+import sys
+from dataclasses import replace
+import numpy as np
+from benchmarks.trial2 import cases, write
+from benchmarks.trial2.kinds import KINDS
+write.DURATION, out = 1.0, {}
+for mode in ("ideal", "emulated"):
+    for kind in ("joint/stribeck", "joint/backlash"):
+        case = replace(cases.draw("x", 0), mode=mode, vehicle="mast", arm="puma560",
+            platform="pose", period=0.01, kinds=(kind,), slots=(1,), signs=(1.0,),
+            shapes=(0.3,))
+        at = write.setting("x", case)
+        write.add_effect(at.plant, case, 0, 5 * KINDS[kind].start)
+        run = write.play(at, at.plant, 2)
+        out |= {f"{mode} {kind} {name}": getattr(run, name) for name in ("q", "tau", "y", "w")}
+np.savez(sys.argv[1], **out)
+"""
+
+
+@pytest.mark.slow
+def test_processors_agree(tmp_path: Path) -> None:
+    """Linear algebra as an old and as a new processor does it (where NumPy has OpenBLAS)."""
+    logs = []
+    for core, off in (("Prescott", "AVX2 FMA3"), ("SkylakeX", "")):
+        path = tmp_path / f"{core}.npz"
+        env = {**os.environ, "OPENBLAS_CORETYPE": core, "NPY_DISABLE_CPU_FEATURES": off}
+        subprocess.run([sys.executable, "-c", PLAY, str(path)], check=True, env=env, cwd=HERE)
+        logs.append(np.load(path))
+    apart = {
+        k: np.abs(logs[0][k] - logs[1][k]).max() / np.ptp(logs[0][k], 0).max() for k in logs[0]
+    }
+    print("largest difference over the channel's movement:", max(apart.values()))
+    assert max(apart.values()) < 1e-6

@@ -100,7 +100,8 @@ def draw(secret: str, index: int) -> Case:
         mode=mode,
         vehicle=vehicles[int(rng.integers(len(vehicles)))],
         arm=arm,
-        platform="legs" if rng.random() < 0.3 else "pose",
+        # a damping ratio is a number of the pose servo
+        platform="legs" if rng.random() < 0.3 and "platform/damping" not in names else "pose",
         period=float(rng.choice(machines.PERIODS)),
         noise=str(rng.choice(noise.FAMILIES)),
         feedforward=bool(rng.random() < 0.5),

@@ -126,6 +126,16 @@ def estimated_weight(arm: Bodies, q: Array, y: Array, signals: Signals) -> Array
     return np.asarray(w)
 
 
+def _between(poses: list[tuple[Array, Array]], at: float) -> tuple[Array, Array]:
+    """Angles and pose at a past instant, `at` in periods, by a line between two."""
+    k = max(int(np.floor(at)), 0)
+    share = max(at - k, 0.0)
+    if share == 0.0:
+        return poses[k]
+    (q, y), (q1, y1) = poses[k], poses[k + 1]
+    return q + share * (q1 - q), y + share * (y1 - y)
+
+
 class Laboratory:
     """The joints on a platform whose motion is given."""
 
@@ -222,11 +232,11 @@ def simulate(
         measured = platform.measured()
         angles = seen(now) or joints.read(x[:n], x[n : 2 * n], x[2 * n :])
         poses.append((angles[0], measured))
-        late_by = min(round(signals.weight_delay / dt), k)
+        known_pose = _between(poses, k - signals.weight_delay / dt)
         w = sensor.read()
         if reading_noise is not None:
             w = w + reading_noise[k]
-        wg = w - estimated_weight(known, *poses[k - late_by], signals)
+        wg = w - estimated_weight(known, *known_pose, signals)
         rows.append(
             (
                 *angles,

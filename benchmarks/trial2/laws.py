@@ -275,9 +275,9 @@ class Patches(Law):
     phase: float = 0.0
 
     def joint(self, t: float, q: Array, v: Array, tau: Array, s: Array, ds: Array) -> Array:
-        """Friction between nothing and the level."""
+        """Friction between a tenth of the level and all of it."""
         j, out = self.joint_index, np.zeros_like(v)
-        share = max(np.sin(self.cycles * q[j] + self.phase), 0.0) ** 2
+        share = 0.1 + 0.9 * max(np.sin(self.cycles * q[j] + self.phase), 0.0) ** 2
         out[j] = -self.level * share * np.tanh(v[j] / 0.01)
         return out
 

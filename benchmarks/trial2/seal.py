@@ -1,7 +1,7 @@
 """A seal over labels and code, to be published before a set is answered.
 
-It covers the labels, this generator, and everything that decides a diagnosis: the packages of
-`ves_gym` as files, byte by byte. Whoever has the salt can write the set again and compare.
+It covers the labels, this generator, and everything that decides a diagnosis: the package
+`ves_gym` as files, byte by byte. Sizes in labels are of three digits, which processors share.
 """
 
 import hashlib
@@ -14,9 +14,9 @@ SEALED = ("benchmarks/trial2", "ves_gym")
 
 
 def canonical(label: Any) -> Any:
-    """A label with its numbers to five digits, as processors agree on them."""
+    """A label with its numbers to three digits, as processors agree on them."""
     if isinstance(label, float):
-        return float(f"{label:.5g}")
+        return float(f"{label:.3g}")
     if isinstance(label, dict):
         return {key: canonical(value) for key, value in label.items()}
     if isinstance(label, list | tuple):

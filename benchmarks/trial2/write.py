@@ -107,6 +107,7 @@ def search(
     size, tried = kind.start, [(0.0, 0.0, "")]
     best = (kind.start, 0.0, "")
     for _ in range(5):
+        size = float(f"{size:.3g}")  # as processors agree on it
         try:
             plant = _changed(at, peaks, which, size)
             rows = [gap(at.case, play(at, plant, run), healthy[run]) for run in SIZED]
@@ -215,7 +216,7 @@ def write_case(secret: str, index: int, folder: Path) -> dict[str, Any]:
         write_log(folder / f"run-{run + 1}.csv", result, meta)
     effects = [
         {"kind": name, "slot": slot + 1 if KINDS[name].place in ("joint", "axis") else None,
-         "sign": sign, "size": size, "gap": reached, "channel": channel}
+         "sign": sign, "size": size, "gap": float(f"{reached:.3g}"), "channel": channel}
         for name, slot, sign, (size, reached, channel) in zip(
             case.kinds, case.slots, case.signs, found, strict=True
         )
