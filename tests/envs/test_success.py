@@ -64,26 +64,29 @@ def test_every_id_is_tested():
     assert {case.values[0] for case in cases()} | set(MISSES) == set(ALL)
 
 
-def success(controller, id, episodes):
-    """Share of episodes solved."""
+def played(controller, id, episodes):
+    """Share of episodes solved, and the median return."""
     result = evaluate(get_controller(controller), id, episodes=episodes, threads=1)
-    return float(np.mean([row["success"] for row in result.rows]))
+    solved = float(np.mean([row["success"] for row in result.rows]))
+    return solved, float(np.median([row["return"] for row in result.rows]))
 
 
 @pytest.mark.parametrize(("id", "reference", "episodes"), list(cases()))
 def test_only_doing_something_right_solves(id, reference, episodes):
-    """Zero and random below 5 %, the reference at 95 % or more."""
-    shares = {name: success(name, id, episodes) for name in ("zero", "random", reference)}
-    print(id, shares)
-    assert shares["zero"] < 0.05
-    assert shares["random"] < 0.05
-    assert shares[reference] >= 0.95
+    """Zero and random below 5 %, the reference at 95 % or more, which the reward pays for."""
+    names = ("zero", "random", reference)
+    shares, returns = zip(*(played(name, id, episodes) for name in names), strict=True)
+    print(id, shares, returns)
+    assert shares[0] < 0.05
+    assert shares[1] < 0.05
+    assert shares[2] >= 0.95
+    assert returns[2] > max(returns[:2])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("id", MISSES)
 def test_what_misses_that_is_as_stated(id):
     """Zero, random and reference, to what 100 episodes on another processor may differ by."""
-    shares = [success(name, id, 100) for name in ("zero", "random", REFERENCES[name_of(id)])]
+    shares = [played(name, id, 100)[0] for name in ("zero", "random", REFERENCES[name_of(id)])]
     print(id, shares)
     np.testing.assert_allclose(shares, MISSES[id], atol=0.03)

@@ -78,7 +78,8 @@ class PayloadTransfer(Task):
 
     Reward, summed over an episode: minus the mean distance still to go in `far` (from tool to
     payload and from there to the berth), and minus `thrift` times E_mean in that expected of
-    the two straight legs, at least a quarter of what it is in the median.
+    the two straight legs, at least a quarter of what it is in the median; `arrival` once, when
+    the berth takes the payload: more than the energy that bringing it there costs.
 
     The default masses are the PUMA's; give arms with slender wrists lighter ones (`mass`).
 
@@ -104,6 +105,7 @@ class PayloadTransfer(Task):
     hold: float = unit("s", default=0.5)
     far: float = unit("m", default=2.0)  # distance that counts as one
     thrift: float = unit("1", default=0.2)
+    arrival: float = unit("1", default=2.0)
 
     @property
     def draws(self) -> int:  # type: ignore[override]
@@ -116,7 +118,7 @@ class PayloadTransfer(Task):
         require_positive(
             self, "dexterous", "catch", "tolerance", "rest", "hold", "far", "off_centre", "away"
         )
-        require_positive(self, "thrift", zero=True)
+        require_positive(self, "thrift", "arrival", zero=True)
         joint_box(self, (0.0,), self.span)
         low, high = finite(self.mass, (2,), "PayloadTransfer.mass")
         if not 0 < low <= high:
@@ -267,7 +269,10 @@ class PayloadTransfer(Task):
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         """See `Task`."""
         scale = s.goal[:, 10] * (self.duration + self.tail) / self.thrift
+        # the count of the hold is back at zero a period after the berth took the payload
+        taken = (s.memory[:, _BERTHED] > 0) & (s.memory[:, _HELD] > 0)
         return {
+            "arrival": np.where(taken, self.arrival, 0.0),
             "distance": -s.memory[:, _DISTANCE] * (dt / self.duration / self.far),
             "energy": -s.energy * dt / scale,
             "tail": -s.tail / scale,
