@@ -1,5 +1,6 @@
 """The front door: its names, its verbs beside the commands, and what results show."""
 
+import contextlib
 import json
 import re
 import sys
@@ -103,18 +104,26 @@ def test_evaluate_is_that_of_the_command(tmp_path):
 # --------------------------------------------------------- hide, name, better, picture
 
 
-@pytest.fixture(scope="module")
-def machine():
-    return vg.System(effects=[vg.effects.JointCoulomb(torque=(0, 0, 3))])
+def readme_diagnosis():
+    """The README's lines that hide a friction and name it; no other test runs them."""
+    text = (Path(__file__).parents[1] / "README.md").read_text("utf-8")
+    snippets = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (snippet,) = [s for s in snippets if "vg.diagnose(" in s]
+    return snippet
 
 
 @pytest.fixture(scope="module")
-def diagnosis(machine):
-    logs = [vg.simulate(m, machine, settle=1.0, record_dt=0.0125) for m in vg.excitation(3)]
-    return vg.diagnose(logs, vg.System())
+def diagnosis(tmp_path_factory):
+    pytest.importorskip("matplotlib").use("Agg")
+    names = {}
+    with contextlib.chdir(tmp_path_factory.mktemp("readme")):
+        exec(readme_diagnosis(), names)
+        assert Path("found.png").is_file()
+        assert vg.System.load("better.toml") == names["found"].system
+    return names["found"]
 
 
-def test_a_hidden_friction_is_named_and_added(diagnosis, machine):
+def test_a_hidden_friction_is_named_and_added(diagnosis):
     assert diagnosis.verdict == "named"
     assert diagnosis.sentence.startswith("Missing: joint/coulomb at joint 3 (torque ")
     (effect,) = diagnosis.system.effects
@@ -307,15 +316,12 @@ def test_the_page_of_names_is_up_to_date():
 
 
 def test_the_readme_names_a_friction_in_twelve_lines_and_one_import():
-    text = (Path(__file__).parents[1] / "README.md").read_text("utf-8")
-    (snippet,) = [
-        s for s in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "diagnose" in s
-    ]
+    snippet = readme_diagnosis()
     lines = [line for line in snippet.splitlines() if line.strip()]
     assert len(lines) <= 12
     assert [line for line in lines if "import" in line] == ["import ves_gym as vg"]
     for word in ("JointCoulomb", "found.sentence", "found.system", "found.plot()"):
-        assert word in snippet  # tests/test_examples.py runs it
+        assert word in snippet
 
 
 def test_a_training_gives_policies_curves_and_a_picture(tmp_path):
