@@ -63,10 +63,14 @@ def _clocked(venv: Any) -> Any:
 
 def _learner(venv: Any) -> Callable[[], None]:
     from stable_baselines3 import PPO
+    from stable_baselines3.common.logger import Logger
 
     model = PPO(
         "MlpPolicy", venv, n_steps=BATCH // ENVS, batch_size=BATCH, device="cpu", seed=0
     )
+    model.set_logger(
+        Logger(folder=None, output_formats=[])
+    )  # else a folder in the temporary one
 
     def work() -> None:
         model.learn(ROLLOUTS * BATCH, reset_num_timesteps=False)

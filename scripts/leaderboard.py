@@ -1,9 +1,9 @@
 """Fill the board in docs/leaderboard: `python scripts/leaderboard.py [--workers N]`.
 
 Every entry of the table below is answered, bundled (in out/leaderboard/bundles), verified and
-added to docs/leaderboard/entries; then docs/leaderboard/index.html is written. What is on the
-board already, for the present version of its problem, is left alone, so it can be stopped at
-any moment and goes on where it was.
+added to docs/leaderboard/entries, its bundle to docs/leaderboard/bundles; then
+docs/leaderboard/index.html is written. What is on the board already, for the present version of
+its problem, is left alone, so it can be stopped at any moment and goes on where it was.
 
     --track T       only entries of this track; repeatable
     --problem P     only entries of this problem; repeatable
@@ -40,6 +40,7 @@ from ves_gym.leaderboard.protocol import (
     QUICK,
     get_problem,
 )
+from ves_gym.leaderboard.published import publish
 from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.tracks.damping import TUNERS
 from ves_gym.leaderboard.verify import bundle_manifest, verify
@@ -180,8 +181,9 @@ def fill(wanted: Sequence[Wanted], board: Path, workers: int, blind: Path | None
                 told = f"FAILED: {error}"
             else:
                 entry: Entry = job.result()
-                append(board, entry.shortened())
-                told = entry.level
+                record = append(board, entry.shortened())
+                there = publish(board, record, jobs[job].bundle)
+                told = entry.level if there else f"{entry.level}, bundle too large to publish"
             seconds = time.monotonic() - begun
             print(f"{done}/{len(todo)} {seconds:.0f} s  {jobs[job]}: {told}", flush=True)
     return failed

@@ -2,7 +2,7 @@
 
 from ves_gym._util.params import ParameterError
 from ves_gym.leaderboard.evaluators import identity
-from ves_gym.leaderboard.protocol import get_problem
+from ves_gym.leaderboard.protocol import PROTOCOL, get_problem
 
 
 def evaluator_of(track, problem):
@@ -35,7 +35,7 @@ def made_entry(name="refined", scores=(0.2, 0.3, 0.4, 0.5), groups=1, **more):
     made = {
         "schema": "ves-entry/1",
         "track": "paths",
-        "protocol": 1,
+        "protocol": 0,
         "problem": "reach100-2s",
         "name": name,
         "author": "ves_gym",
@@ -58,6 +58,7 @@ def made_entry(name="refined", scores=(0.2, 0.3, 0.4, 0.5), groups=1, **more):
         },
         **more,
     }
+    made["protocol"] = made["protocol"] or PROTOCOL.get(made["track"], 1)
     if made["about"]["evaluator"] == "":
         made["about"]["evaluator"] = evaluator_of(made["track"], made["problem"])
     return made

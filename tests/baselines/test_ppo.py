@@ -85,6 +85,8 @@ def test_an_update_gives_the_weights_that_stable_baselines3_gives(id, monkeypatc
         "MlpPolicy", venv, learning_rate=1e-3, seed=3, device="cpu",
         policy_kwargs={"net_arch": [16, 16]}, **k,
     )  # fmt: skip
+    logger = stable_baselines3.common.logger.Logger(folder=None, output_formats=[])
+    model.set_logger(logger)  # else it makes a folder in the temporary one
     ours = learner(decisions(id, n, hold=2), **k)
     copied(ours.agent, model)
     _, callback = model._setup_learn(10**6, callback=None)

@@ -249,6 +249,7 @@ def test_goal_variant_ends_at_the_deadline_only():
 @pytest.mark.slow
 def test_hindsight_replay_accepts_it():
     from stable_baselines3 import SAC, HerReplayBuffer
+    from stable_baselines3.common.logger import Logger
 
     env = gym.make("ves/PumaReachGoal-v0", duration=0.5)
     model = SAC(
@@ -260,6 +261,9 @@ def test_hindsight_replay_accepts_it():
         seed=0,
         device="cpu",
     )
+    model.set_logger(
+        Logger(folder=None, output_formats=[])
+    )  # else a folder in the temporary one
     model.learn(400)
     batch = model.replay_buffer.sample(256)
     rewards = env.unwrapped.compute_reward(

@@ -23,7 +23,7 @@ from ves_gym.leaderboard.verify import verify
 
 PACKAGE = Path(ves_gym.__file__).parent
 OLD = Path(__file__).parent / "bundles_0.1.0"  # made by that version
-BUNDLES = ("paths", "policies", "damping")
+BUNDLES = ("policies", "damping")  # and paths, by rules 1 of that track
 EVERY = [
     Problem(track, name)
     for track in PROTOCOL
@@ -165,16 +165,17 @@ def test_a_comment_in_every_file_leaves_every_bundle_valid(tmp_path):
         edited(file, f"{head}{text}\n# another\n".replace("\n", "\r\n"))
     bundles = [str(OLD / f"{name}.zip") for name in BUNDLES]
     own = str(path_bundle(tmp_path))
-    assert verified(tmp_path, *bundles, own) == ["accepted"] * 4
+    assert verified(tmp_path, *bundles, own) == ["accepted"] * 3
 
 
 # file, a constant, another one, what is verified, part of the name of the probe
 MUTATIONS = {
     "mass of a link": (
-        "mechanics/puma.py", "mass=17.4", "mass=17.41", "paths.zip", "reach100-1s/",
+        "mechanics/puma.py", "mass=17.4", "mass=17.41", "paths reach100-1s", "reach100-1s/",
     ),
     "speed limit of a joint": (
-        "mechanics/puma.py", "radians(54)", "radians(54.1)", "paths.zip", "reach100-1s/motions",
+        "mechanics/puma.py", "radians(54)", "radians(54.1)",
+        "paths reach100-1s", "reach100-1s/motions",
     ),
     "wall of the bent beam": (
         "mechanics/vehicle.py", "wall=0.007", "wall=0.00701", "damping.zip", "pped-bent/",
@@ -183,7 +184,7 @@ MUTATIONS = {
         "mechanics/vehicle.py",
         'damping_ratio: float = unit("1", default=0.05)',
         'damping_ratio: float = unit("1", default=0.0501)',
-        "paths.zip", "reach100-1s/",
+        "paths reach100-1s", "reach100-1s/",
     ),
     "servo gain": (
         "mechanics/servo.py", "kp=(3000.0, 2000.0, 1000.0)", "kp=(3000.0, 2001.0, 1000.0)",
@@ -217,7 +218,7 @@ MUTATIONS = {
     ),
     "tolerance of a replay": (
         "leaderboard/protocol.py", "RELATIVE = 1e-6", "RELATIVE = 1e-5",
-        "paths.zip", "reach100-1s/rules-paths",
+        "paths reach100-1s", "reach100-1s/rules-paths",
     ),
     "seeds of episodes": (
         "leaderboard/protocol.py", "_PUBLIC_EPISODES = 19_940_000",
@@ -226,22 +227,22 @@ MUTATIONS = {
     ),
     "seed of the suite": (
         "planners/suites.py", "REACH_SEED = 560", "REACH_SEED = 561",
-        "paths.zip", "reach100-1s/rules-paths",
+        "paths reach100-1s", "reach100-1s/rules-paths",
     ),
     "speeds of the suite": (
         "planners/suites.py", "[82.0, 54.0, 122.0]", "[82.0, 54.0, 123.0]",
-        "paths.zip", "reach100-1s/queries",
+        "paths reach100-1s", "reach100-1s/queries",
     ),
     "an obstacle": (
         "planners/suites.py", "centre=(0.55, 0.45, 0.75)", "centre=(0.55, 0.46, 0.75)",
         "paths reach100-2s-obstacles", "reach100-2s-obstacles/queries",
     ),
     "seconds after a motion": (
-        "system/energy.py", "TAIL = 10.0", "TAIL = 10.5", "paths.zip", "reach100-1s/",
+        "system/energy.py", "TAIL = 10.0", "TAIL = 10.5", "paths reach100-1s", "reach100-1s/",
     ),
     "room of a lower bound": (
         "leaderboard/lower_bounds.py", "_ROOM = 4.0", "_ROOM = 3.0",
-        "paths.zip", "reach100-1s/queries",
+        "paths reach100-1s", "reach100-1s/queries",
     ),
     "share of an energy account": (
         "leaderboard/protocol.py", "LEDGER_EPISODES = 0.1", "LEDGER_EPISODES = 0.2",
@@ -287,8 +288,15 @@ def test_a_bundle_of_0_1_0(name, level):
     assert evaluators.history_reason(entry.to_dict()) is None
 
 
+def test_a_bundle_by_older_rules_is_refused():
+    with pytest.raises(BundleError) as refused:
+        verify(OLD / "paths.zip")
+    assert refused.value.code is Code.OLD_PROTOCOL
+    assert refused.value.why == "version 1 of track paths, now it is 2"
+
+
 def test_sources_that_nobody_measured(tmp_path):
-    bundle = Bundle(OLD / "paths.zip")
+    bundle = Bundle(path_bundle(tmp_path))
     bundle.manifest["spec"]["evaluator"] = "ab" * 32
     with pytest.raises(BundleError) as refused:
         verify(bundle.write(tmp_path / "b.zip"))
@@ -298,7 +306,7 @@ def test_sources_that_nobody_measured(tmp_path):
 
 def test_sources_of_another_track(tmp_path):
     damping = Bundle(OLD / "damping.zip").manifest["spec"]["evaluator"]
-    bundle = Bundle(OLD / "paths.zip")
+    bundle = Bundle(path_bundle(tmp_path))
     bundle.manifest["spec"]["evaluator"] = damping
     with pytest.raises(BundleError, match="no known evaluator"):
         verify(bundle.write(tmp_path / "b.zip"))
@@ -328,24 +336,28 @@ def second_version(monkeypatch):
     monkeypatch.setitem(protocol.VERSIONS, ("paths", "reach100-1s"), 2)
     table = json.loads(json.dumps(stored_results.read_golden("evaluators.json")))
     rows = table["versions"]["paths"]["reach100-1s"]
-    rows["1.2"] = [evaluators.identity(problem)]
+    rows["2.2"] = [evaluators.identity(problem)]
     monkeypatch.setattr(evaluators, "_table", lambda: table)
     return problem
 
 
 def test_a_new_version_starts_empty(second_version, tmp_path):
-    with pytest.raises(BundleError) as refused:
-        verify(OLD / "paths.zip")
-    assert refused.value.code is Code.EVALUATOR_MISMATCH
-    assert refused.value.why == "version 1.1 of reach100-1s then, 1.2 now"
     path = make_bundle(tmp_path / "new.zip", "paths", "reach100-1s-quick", "straight")
+    (old,) = evaluators.registered("paths", "reach100-1s")[Version(2, 1)]
+    bundle = Bundle(path)
+    bundle.manifest["spec"]["evaluator"] = old
+    with pytest.raises(BundleError) as refused:
+        verify(bundle.write(tmp_path / "old.zip"))
+    assert refused.value.code is Code.EVALUATOR_MISMATCH
+    assert refused.value.why == "version 2.1 of reach100-1s then, 2.2 now"
     entry = verify(path).to_dict()
     assert evaluators.history_reason(entry) is None
-    old = Bundle(OLD / "paths.zip").manifest["spec"]["evaluator"]
     entry["about"]["evaluator"] = old
     why = evaluators.history_reason(entry)
-    assert why == "version 1.1 of the problem, today 1.2"
-    other = {**entry, "problem": "reach100-2s"}  # still in its first
+    assert why == "version 2.1 of the problem, today 2.2"
+    other = get_problem("paths", "reach100-2s")  # still in its first
+    about = {**entry["about"], "evaluator": evaluators.identity(other)}
+    other = {**entry, "problem": other.name, "about": about}
     assert evaluators.history_reason(other) is None
 
 
@@ -356,14 +368,14 @@ def test_what_makes_an_entry_history(make_entry, monkeypatch):
     assert reason({**entry, "problem": "reach100-3s"}) == "the problem is no longer asked"
     strange = {**entry, "about": {**entry["about"], "evaluator": "ab" * 32}}
     assert reason(strange) == "by an evaluator that no version is known to equal"
-    monkeypatch.setitem(PROTOCOL, "paths", 2)
-    assert reason(entry) == "rules 1 of the track, today 2"
+    monkeypatch.setitem(PROTOCOL, "paths", 3)
+    assert reason(entry) == "rules 2 of the track, today 3"
 
 
 def test_results_recorded_anew_without_a_new_version_show(monkeypatch):
     """Then the present identity is not that of the version in the table."""
     problem = get_problem("paths", "reach100-1s")
-    assert evaluators.resolve("paths", problem.base, evaluators.identity(problem)) == (1, 1)
+    assert evaluators.resolve("paths", problem.base, evaluators.identity(problem)) == (2, 1)
     file = stored_results.read_golden("reach100-1s.json")
     changed = json.loads(json.dumps(file))
     changed["reach100-1s/queries"]["number"] += 1
@@ -396,5 +408,5 @@ def test_code_that_is_not_its_version_makes_no_bundles(tmp_path, monkeypatch):
     monkeypatch.setattr(probes, "first_difference", lambda p: ("reach100-1s/motions", changed))
     with pytest.raises(ParameterError, match="probe reach100-1s/motions: rows") as refused:
         make_bundle(tmp_path / "b.zip", "paths", "reach100-1s-quick", "straight")
-    assert "differs by 0.01 of its size from version 1.1 of reach100-1s" in str(refused.value)
+    assert "differs by 0.01 of its size from version 2.1 of reach100-1s" in str(refused.value)
     assert not (tmp_path / "b.zip").exists()

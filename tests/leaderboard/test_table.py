@@ -130,8 +130,9 @@ def test_a_share_has_no_profile(tmp_path, make_entry):
 def test_an_older_version_is_history(tmp_path, make_entry, noisy_scores):
     """Not ranked, not among those that count, and still there to be read with its reason."""
     path = tmp_path / "entries"
-    append(path, make_entry("old", scores=noisy_scores(0.1)))
-    append(path, make_entry("old", scores=noisy_scores(0.2)))  # came again in its time
+    append(path, make_entry("old", scores=noisy_scores(0.1), protocol=1))
+    # came again in its time
+    append(path, make_entry("old", scores=noisy_scores(0.2), protocol=1))
     append(path, make_entry("old", scores=noisy_scores(0.6), protocol=2))
     append(path, make_entry("new", scores=noisy_scores(0.5), protocol=2))
 

@@ -14,13 +14,18 @@ from tests.leaderboard.bundles import PATHS, POLICY, Bundle, path_bundle, policy
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
+from ves_gym.cli.main import main
 from ves_gym.leaderboard import lower_bounds, protocol
+from ves_gym.leaderboard.audit import drawn
 from ves_gym.leaderboard.energy_audit import Account
 from ves_gym.leaderboard.entry import check_entry
 from ves_gym.leaderboard.errors import BundleError, Code
+from ves_gym.leaderboard.journal import append
 from ves_gym.leaderboard.npy_io import pack, unpack
-from ves_gym.leaderboard.protocol import get_problem, seeds_of
+from ves_gym.leaderboard.protocol import PROTOCOL, get_problem, seeds_of
+from ves_gym.leaderboard.published import publish, reverify
 from ves_gym.leaderboard.run import make_bundle
+from ves_gym.leaderboard.time_limit import within
 from ves_gym.leaderboard.tracks.action_recorder import Recorded, in_episode
 from ves_gym.leaderboard.tracks.paths import PathTrack
 from ves_gym.leaderboard.verify import verify
@@ -62,7 +67,11 @@ def test_a_policy(policy, level):
     entry = verify(policy, level=level)
     assert (entry.track, entry.problem) == POLICY
     assert (entry.kind, entry.name, entry.author) == ("policy", "ppo", "someone")
-    assert entry.level == level and entry.seeds == "public" and entry.protocol == 1
+    assert (
+        entry.level == level
+        and entry.seeds == "public"
+        and entry.protocol == PROTOCOL[entry.track]
+    )
     assert entry.score["better"] == "lower"
     assert check_entry(entry.to_dict()) == entry
     assert len(entry.rows) == 10 and all("length" not in row for row in entry.rows)
@@ -551,3 +560,58 @@ def test_bad_usage_is_no_rejection(policy, folder):
     with pytest.raises(ParameterError, match="empty folder"):
         policy_bundle(folder, name="")
     assert not (folder / "x").exists()
+
+
+# ------------------------------------------------------------------- published bundles
+
+
+@pytest.fixture
+def board_with_bundle(paths, tmp_path):
+    """A board of one entry, its bundle beside it."""
+    record = append(tmp_path / "entries", verify(paths).shortened())
+    place = publish(tmp_path / "entries", record, paths)
+    return tmp_path / "entries" / record.name, place
+
+
+def test_an_entry_is_verified_by_its_published_bundle(board_with_bundle, capsys):
+    file, place = board_with_bundle
+    assert place.stem == file.stem and place.parent.name == "bundles"
+    assert reverify(file).alike == 1.0
+    assert drawn(file.parent, 0.02, seed=1) == [file]
+    assert main(["leaderboard", "verify", str(file)]) == 0
+    assert "100% of 10 rows as on the board" in capsys.readouterr().out
+
+
+def test_a_bundle_that_is_not_the_entrys_is_refused(board_with_bundle, tmp_path):
+    file, place = board_with_bundle
+    other = path_bundle(tmp_path, "other.zip", author="another")
+    place.write_bytes(other.read_bytes())
+    with pytest.raises(BundleError) as refused:
+        reverify(file)
+    assert refused.value.code is Code.HASH_MISMATCH
+    place.unlink()
+    with pytest.raises(ParameterError, match="not published"):
+        reverify(file)
+    assert drawn(file.parent, 0.02, seed=1) == []
+
+
+def test_rows_on_the_board_that_the_bundle_does_not_give(paths, tmp_path):
+    """An entry entered by hand, with a false score: its bundle gives it away."""
+    entry = verify(paths).shortened()
+    for row in entry["rows"]:
+        row["score"] = 0.5
+    record = append(tmp_path / "entries", entry)
+    publish(tmp_path / "entries", record, paths)
+    with pytest.raises(BundleError, match=r"score-differs.*0% of the entry's rows"):
+        reverify(tmp_path / "entries" / record.name)
+
+
+def test_verifying_takes_no_longer_than_it_may(paths, capsys):
+    """Ended with its process; a refusal, and an entry, come back from there as they are."""
+    assert main(["leaderboard", "verify", str(paths), "--seconds", "0.05"]) == 1
+    assert "rejected: too-long: not done after 0.05 s" in capsys.readouterr().err
+    entry = within(600, verify, str(paths))
+    assert entry == verify(paths)
+    with pytest.raises(BundleError) as refused:
+        within(600, verify, str(paths), expect="0" * 64)
+    assert refused.value.code is Code.HASH_MISMATCH

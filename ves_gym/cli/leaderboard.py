@@ -70,10 +70,16 @@ def _add_run(actions: Any) -> None:
 
 def _add_verify(actions: Any) -> None:
     parser = actions.add_parser("verify", help="check a bundle; exit status 1: refused")
-    parser.add_argument("bundle", help="folder or .zip file")
     parser.add_argument(
-        "--level", default="replayed", metavar="L", help="replayed (default) or reproduced"
+        "bundle", help="folder or .zip file; or an entry of the board: entries/....json"
     )
+    parser.add_argument(
+        "--level", metavar="L", help="replayed (default; of an entry: its own) or reproduced"
+    )
+    parser.add_argument(
+        "--seconds", type=float, metavar="S",
+        help="that verifying may take; then it is ended and the bundle refused (too-long)",
+    )  # fmt: skip
     parser.add_argument("--salt", metavar="FILE", help="the maintainer's, of official seeds")
     parser.add_argument("--digest", metavar="SHA256", help="that the manifest must have")
     parser.add_argument(
@@ -170,14 +176,21 @@ def _run(args: argparse.Namespace) -> int:
 def _verify(args: argparse.Namespace) -> int:
     from ves_gym.leaderboard.errors import BundleError
     from ves_gym.leaderboard.journal import append
+    from ves_gym.leaderboard.time_limit import within
     from ves_gym.leaderboard.verify import verify
 
     if args.adopt and args.board is None:
         raise ParameterError("--adopt is of the board: give --board ENTRIES")
+    if args.seconds is not None and _workers(args) > 1:
+        raise ParameterError("--seconds ends one process: it goes with --workers 1")
+    if args.bundle.endswith(".json"):
+        return _verify_entry(args)
     try:
-        entry = verify(
+        entry = within(
+            args.seconds,
+            verify,
             args.bundle,
-            level=args.level,
+            level=args.level or "replayed",
             salt=_salt(args.salt),
             expect=args.digest,
             folder=_blind(args),
@@ -192,6 +205,28 @@ def _verify(args: argparse.Namespace) -> int:
     print(f"{entry.level}: {entry.name} on {entry.problem}: {_summary(entry.rows)}")
     print(f"manifest {entry.bundle}")
     print(f"signed by {entry.about['key']}" if "key" in entry.about else "not signed")
+    return 0
+
+
+def _verify_entry(args: argparse.Namespace) -> int:
+    from ves_gym.leaderboard.errors import BundleError
+    from ves_gym.leaderboard.published import reverify
+    from ves_gym.leaderboard.time_limit import within
+
+    if args.board is not None or args.salt is not None or args.digest is not None:
+        raise ParameterError("an entry takes no --board, --salt or --digest: it is there")
+    try:
+        done = within(
+            args.seconds, reverify, args.bundle, level=args.level, folder=_blind(args),
+            workers=_workers(args),
+        )  # fmt: skip
+    except BundleError as refused:
+        print(f"ves-gym: rejected: {refused}", file=sys.stderr)
+        return _NEGATIVE
+    here = done.here
+    write_json(args.json, {**here.to_dict(), "alike": done.alike})
+    print(f"{here.level}: {here.name} on {here.problem}: {_summary(here.rows)}")
+    print(f"{done.alike:.0%} of {len(here.rows)} rows as on the board")
     return 0
 
 

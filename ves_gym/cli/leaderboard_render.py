@@ -28,7 +28,8 @@ def add_render(subparsers: Any) -> None:
         "check",
         help="every file of the board and its history in git; exit status 1: faults",
         description="Checks that every file holds what its name says, that names and keys of"
-        " authors fit, and that no commit changed or removed a file.",
+        " authors fit, that no commit changed or removed a file, and that the page beside the"
+        " folder ranks no entry by an evaluator of before.",
     )
     parser.add_argument("board", metavar="ENTRIES", help="folder with a file per entry")
     parser.add_argument("--head", metavar="HASH", help="that all entries together must have")
@@ -81,6 +82,7 @@ def render(args: argparse.Namespace) -> int:
 
 def check_files(args: argparse.Namespace) -> int:
     """Check the files of the board and their history."""
+    from ves_gym.leaderboard.audit import page_data, stale_ranked
     from ves_gym.leaderboard.history import history_faults
     from ves_gym.leaderboard.journal import check
 
@@ -89,6 +91,9 @@ def check_files(args: argparse.Namespace) -> int:
         raise ParameterError(f"{path}: no such board")
     journal = check(path, head=args.head)
     faults = [*journal.problems, *history_faults(path, since=args.since)]
+    page = path.absolute().with_name("index.html")
+    if page.exists():
+        faults += stale_ranked(page_data(page), journal)
     for fault in faults:
         print(f"{path}: {fault}", file=sys.stderr)
     write_json(

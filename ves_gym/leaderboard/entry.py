@@ -89,7 +89,9 @@ def check_entry(data: Any) -> Entry:
     names = tuple(Entry.__dataclass_fields__)
     plain_entry = table_of(data, names, "entry")
     if plain_entry["schema"] != SCHEMA:
-        raise ParameterError(f"entry.schema must be {SCHEMA!r}, got {plain_entry['schema']!r}")
+        raise ParameterError(
+            f"entry.schema must be {SCHEMA!r}, got {shown(plain_entry['schema'])}"
+        )
     for name, choices in (
         ("track", TRACKS),
         ("kind", KINDS),
@@ -97,21 +99,24 @@ def check_entry(data: Any) -> Entry:
         ("seeds", SEEDS),
     ):
         if plain_entry[name] not in choices:
-            raise ParameterError(
-                f"entry.{name} must be one of {', '.join(choices)}, got {plain_entry[name]!r}"
-            )
+            got = shown(plain_entry[name])
+            raise ParameterError(f"entry.{name} must be one of {', '.join(choices)}, got {got}")
     integer(plain_entry["protocol"], "entry.protocol", least=1)
     for name in ("problem", "name", "author"):
         require_name(
             text(plain_entry[name], f"entry.{name}", empty=name == "author"), f"entry.{name}"
         )
     if not (isinstance(plain_entry["bundle"], str) and DIGEST.fullmatch(plain_entry["bundle"])):
-        raise ParameterError(f"entry.bundle must be a SHA-256, got {plain_entry['bundle']!r}")
+        raise ParameterError(
+            f"entry.bundle must be a SHA-256, got {shown(plain_entry['bundle'])}"
+        )
     score = table_of(plain_entry["score"], ("name", "unit", "better"), "entry.score")
     text(score["name"], "entry.score.name")
     text(score["unit"], "entry.score.unit")
     if score["better"] != "lower":
-        raise ParameterError(f"entry.score.better must be 'lower', got {score['better']!r}")
+        raise ParameterError(
+            f"entry.score.better must be 'lower', got {shown(score['better'])}"
+        )
     rows = plain_entry["rows"]
     if not isinstance(rows, (list, tuple)) or not 0 < len(rows) <= _MOST:
         raise ParameterError(f"entry.rows must be a list of 1 to {_MOST} rows")
@@ -164,14 +169,16 @@ def checked_row(row: Any, where: str, extra: tuple[str, ...] = ()) -> dict[str, 
         integer(plain[name], f"{where}.{name}")
     for name in ("success", "failed"):
         if not isinstance(plain[name], bool):
-            raise ParameterError(f"{where}.{name} must be a truth value, got {plain[name]!r}")
+            raise ParameterError(
+                f"{where}.{name} must be a truth value, got {shown(plain[name])}"
+            )
     for name in ("score", *MEASURES, "seconds", "evaluations"):
         value = plain.get(name)
         if value is not None:
             number(value, f"{where}.{name}")
     for name in ("seconds", "evaluations"):
         if plain[name] is not None and plain[name] < 0:
-            raise ParameterError(f"{where}.{name} must be >= 0, got {plain[name]!r}")
+            raise ParameterError(f"{where}.{name} must be >= 0, got {shown(plain[name])}")
     curve = plain.get("anytime")
     if curve is not None:
         _check_curve(curve, f"{where}.anytime")
@@ -206,7 +213,7 @@ def check_about(
     plain = table_of(about, names, where, optional)
     versions = plain["versions"]
     if not isinstance(versions, Mapping):
-        raise ParameterError(f"{where}.versions must be a table, got {versions!r}")
+        raise ParameterError(f"{where}.versions must be a table, got {shown(versions)}")
     for key, value in versions.items():
         text(key, f"{where}.versions")
         text(value, f"{where}.versions.{key}")
@@ -216,10 +223,10 @@ def check_about(
         if name in names and not (
             isinstance(plain[name], str) and DIGEST.fullmatch(plain[name])
         ):
-            raise ParameterError(f"{where}.{name} must be a SHA-256, got {plain[name]!r}")
+            raise ParameterError(f"{where}.{name} must be a SHA-256, got {shown(plain[name])}")
     for name in ("settings", "training"):
         if not isinstance(plain[name], Mapping):
-            raise ParameterError(f"{where}.{name} must be a table, got {plain[name]!r}")
+            raise ParameterError(f"{where}.{name} must be a table, got {shown(plain[name])}")
         plain_data(plain[name], f"{where}.{name}")
     begun, ended = (instant(plain[name], f"{where}.{name}") for name in ("begun", "ended"))
     if ended < begun:
@@ -228,6 +235,11 @@ def check_about(
 
 
 # ------------------------------------------------------------------------------ values
+
+
+def shown(value: Any) -> str:
+    """Return what was received as a message holds it: 80 characters at most."""
+    return f"{value!r:.80}" if isinstance(value, (str, int, float)) else type(value).__name__
 
 
 def table_of(

@@ -37,6 +37,7 @@ class Code(Enum):
     LEDGER_RESIDUAL = "energy comes from nowhere: the simulation is not to be believed"
     SCORE_DIFFERS = "a row is not what the replay gives"
     NOT_REPRODUCED = "the method, run again, does something else"
+    TOO_LONG = "verifying takes longer than the time it is given"
     NOT_REPRODUCIBLE = "there is nothing to run again: only replaying can prove it"
 
     @property
@@ -51,3 +52,7 @@ class BundleError(Exception):
     def __init__(self, code: Code, why: str) -> None:
         super().__init__(f"{code.slug}: {' '.join(why.split())}")
         self.code, self.why = code, why
+
+    def __reduce__(self) -> tuple[type[BundleError], tuple[Code, str]]:
+        """Return what makes it again in another process."""
+        return BundleError, (self.code, self.why)

@@ -25,7 +25,9 @@ def write_page(board: dict[str, Any], path: str | os.PathLike[str]) -> None:
 def render_page(board: dict[str, Any]) -> str:
     """The text of the page: template, style, scripts and data in one."""
     if board.get("schema") != SCHEMA:
-        raise ParameterError(f"board.schema must be {SCHEMA!r}, got {board.get('schema')!r}")
+        raise ParameterError(
+            f"board.schema must be {SCHEMA!r}, got {str(board.get('schema'))[:80]!r}"
+        )
     parts = {
         "style": css() + part("page.css") + part("page.css", _HERE),
         "script": script() + part("dom.js") + part("charts.js", _HERE) + part("page.js", _HERE),

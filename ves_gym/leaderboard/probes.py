@@ -31,6 +31,7 @@ from ves_gym.leaderboard.stored_results import golden, probe_names
 from ves_gym.leaderboard.tracks.base import Method
 from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.motion import Motion
+from ves_gym.planners import played
 
 Plain = dict[str, Any]
 Measure = Callable[[], Plain]
@@ -117,7 +118,12 @@ def _tolerances(problem: Problem) -> Plain:
     if problem.environment is not None:
         out |= {"action": protocol.ACTION, "ledger": protocol.LEDGER_EPISODES}
     elif problem.track == "paths":
-        out |= {"planned": protocol.PLANNED, "ledger": protocol.LEDGER_PATHS}
+        out |= {
+            "planned": protocol.PLANNED,
+            "ledger": protocol.LEDGER_PATHS,
+            "ripple": played.RIPPLE,
+            "aim": played.AIM,
+        }
     elif problem.track == "damping":
         out |= {"planned": protocol.PLANNED}
     if problem.environment is None:

@@ -18,7 +18,9 @@ from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.planners.suites import REACH_SEED
 
-PROTOCOL = {"paths": 1, "policies": 1, "damping": 1, "discrepancy": 1}
+# Version 2 of paths: limits, goal and contact are those of the simulated arm at every physics
+# step too, not of the commanded motion at 201 instants alone.
+PROTOCOL = {"paths": 2, "policies": 1, "damping": 1, "discrepancy": 1}
 # Versions of problems whose behaviour was changed on purpose, by track and name; 1 of the rest.
 # A new version starts with an empty table; entries of the one before are history.
 VERSIONS: dict[tuple[str, str], int] = {}

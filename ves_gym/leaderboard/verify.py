@@ -275,13 +275,13 @@ def _require_rows(
         key = (row["group"], row["id"])
         if key not in names or key in answered:
             how = "is there twice" if key in answered else "is no question of the problem"
-            raise BundleError(Code.EXTRA_EPISODE, f"{row['id']!r} of group {key[0]} {how}")
+            raise BundleError(Code.EXTRA_EPISODE, f"{row['id']!r:.80} of group {key[0]} {how}")
         answered.add(key)
     if missing := [case.id for group, case in questions if (group, case.id) not in answered]:
         raise BundleError(Code.MISSING_EPISODE, f"{missing[0]}, {len(missing)} in all")
     for row, (group, case) in zip(rows, questions, strict=True):
         if (row["group"], row["id"]) != (group, case.id):
-            raise BundleError(Code.MALFORMED_MANIFEST, f"{row['id']!r} is out of order")
+            raise BundleError(Code.MALFORMED_MANIFEST, f"{row['id']!r:.80} is out of order")
         if row["seed"] != case.seed:
             raise BundleError(
                 Code.WRONG_SEEDS, f"{case.id}: seed {row['seed']}, not {case.seed}"

@@ -119,8 +119,9 @@ class Collisions:
 
     def __init__(self, system: System, surroundings: Surroundings) -> None:
         from ves_gym._util.mujoco_loader import mujoco
+        from ves_gym.engine.mjcf import TO_Y
 
-        self._mujoco = mujoco
+        self._mujoco, self._base = mujoco, TO_Y
         self.clearance, self.n = surroundings.clearance, system.arm.n
         self.model = _model(system, surroundings)
         self.data = mujoco.MjData(self.model)
@@ -139,6 +140,23 @@ class Collisions:
         """True if a configuration (n,) [rad] respects the clearance."""
         contacts = self._detect(q, self.clearance)
         return self.data.ncon == 0 or bool((contacts.dist >= self.clearance).all())
+
+    def touching(self, q: Array, y: Array) -> list[str]:
+        """Pairs of shapes that overlap, by name, the base displaced.
+
+        Args:
+            q: (n,) configuration [rad].
+            y: (6,) pose of the base [m, rad].
+        """
+        self.data.qpos[self._base] = y
+        try:
+            contacts = self._detect(q, 0.0)
+            if self.data.ncon == 0:
+                return []
+            pairs = contacts.geom[contacts.dist < 0]
+        finally:
+            self.data.qpos[:6] = 0.0
+        return sorted({" and ".join(self.model.geom(g).name for g in pair) for pair in pairs})
 
     def first_contact(self, path: npt.ArrayLike) -> int | None:
         """Index of the first configuration of (N, n) nearer than the clearance, or None."""

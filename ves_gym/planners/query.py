@@ -325,7 +325,7 @@ def broken_limit(query: Query, motion: Motion) -> str | None:
         begin = motion.at([0.0])
         if not all(map(np.allclose, (begin.v[0], begin.a[0]), query.start_motion)):
             return "the joints do not move at the start as the query says"
-    broken = check_motion(query, motion, _limits_of_answers(query)).broken
+    broken = check_motion(query, motion, answer_limits(query)).broken
     if broken:
         return broken[0].short
     return _touched(query, motion)
@@ -341,14 +341,15 @@ def shortest_like(query: Query, motion: Motion) -> float:
         query: arm and limits.
         motion: of the joints.
     """
-    limits = _limits_of_answers(query)
+    limits = answer_limits(query)
     orders = {"velocity": 1.0, "acceleration": 0.5, "torque": 0.5}
     extremes = check_motion(query, motion, limits).extremes
     slower = [e.ratio ** orders[e.kind] for e in extremes if e.kind in orders]
     return motion.duration * max(slower, default=0.0)
 
 
-def _limits_of_answers(query: Query) -> dict[str, Array]:
+def answer_limits(query: Query) -> dict[str, Array]:
+    """Return what the joints of an answer may do: speeds as the query says, see `limits_of`."""
     limits = limits_of_query(query)
     if query.v_max is None:
         del limits["velocity"]  # an answer may be faster than the arm: the question says so

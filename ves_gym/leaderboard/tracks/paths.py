@@ -32,6 +32,7 @@ from ves_gym.leaderboard.tracks.base import (
 )
 from ves_gym.mechanics.motion import DEGREE, Motion
 from ves_gym.mechanics.vehicle import get_vehicle
+from ves_gym.planners.played import broken_in_play, solve_with_reserve
 from ves_gym.planners.query import Plan, Planner, Query, broken_limit, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import reach100
@@ -51,7 +52,9 @@ class PathTrack:
     """Planners on the queries of one duration, among obstacles or not.
 
     Score: E_mean over that of the straight line on the same query. A motion that breaks a
-    limit or touches something is a failure, and is not played.
+    limit or touches something as it is commanded is a failure, and is not played; nor is one an
+    answer with which the arm, at any physics step, is too fast, misses or touches something.
+    Built-in planners leave a reserve of the speed limits (`solve_with_reserve`) where they can.
 
     Args:
         workers: processes that plan.
@@ -241,6 +244,8 @@ def _lines(problem: Problem, seeds: Seeds) -> tuple[Energies | None, ...]:
 def _planned(job: tuple[Planner, Query, int]) -> Plan:
     planner, query, seed = job
     try:
+        if planner.name in PLANNERS:
+            return solve_with_reserve(planner, query, seed)
         return solve(planner, query, seed)
     except ParameterError:
         raise
@@ -279,7 +284,10 @@ def _motion(query: Query, control: Array) -> Motion:
 def _played(
     queries: Sequence[Query], motions: Sequence[Motion | None], account: bool = True
 ) -> list[Energies | None]:
-    """Energies of the motions that there are; with `account`, theirs must close."""
+    """Energies of the motions that there are, None where the arm does not do them.
+
+    With `account` every physics step is looked at, and the energies must add up.
+    """
     moving = [k for k, m in enumerate(motions) if m is not None]
     out: list[Energies | None] = [None] * len(queries)
     for at in range(0, len(moving), _AT_ONCE):
@@ -299,24 +307,28 @@ def _batch(
     moving = [m for k in which if (m := motions[k]) is not None]
     try:
         run = play_motions(system, moving, servo=servo, settle=TAIL, record_dt=_RECORD)
-        if account:
-            _require_account(queries, moving, which)
+        done = _done(queries, moving, which) if account else [True] * len(moving)
     except Divergence:
         if len(which) == 1:
             return [None]
         return [_batch(queries, motions, [k], account)[0] for k in which]
-    return list(run.energies())
+    return [e if well else None for e, well in zip(run.energies(), done, strict=True)]
 
 
-def _require_account(
+def _done(
     queries: Sequence[Query], motions: Sequence[Motion], which: Sequence[int]
-) -> None:
-    """Play the motions again with a record per physics step, as the balance needs it."""
+) -> list[bool]:
+    """Play motions with a record per physics step: True for each that the arm does.
+
+    The energies must add up.
+    """
     system, servo = queries[0].system, queries[0].servo
     dense = play_motions(
         system, motions, servo=servo, settle=_SETTLE, record_dt=system.physics_dt
     )
+    out = []
     for i, k in enumerate(which):
+        out.append(broken_in_play(queries[k], dense, i) is None)
         relative = EnergyBalance.of(dense.log(i)).relative
         if not relative <= LEDGER_PATHS:
             raise BundleError(
@@ -324,3 +336,4 @@ def _require_account(
                 f"{queries[k].name}: {relative:.3g} of the work through the base port is"
                 f" unaccounted for, at most {LEDGER_PATHS:g}",
             )
+    return out
