@@ -184,12 +184,16 @@ def _next_motion(
 
     if not isinstance(diagnosis.residuals.machine, SystemMachine):
         return None
-    with progress() as on_progress:
-        designed = next_motion(
-            diagnosis,
-            seed=args.seed,
-            progress=lambda done: on_progress("next experiment", done),
-        )
+    try:
+        with progress() as on_progress:
+            designed = next_motion(
+                diagnosis,
+                seed=args.seed,
+                progress=lambda done: on_progress("next experiment", done),
+            )
+    except ParameterError as error:  # the verdict stands without
+        print(f"no experiment designed: {error}")
+        return None
     if designed is None:
         return None
     motion, table = folder / "experiment.toml", folder / "experiment.csv"
