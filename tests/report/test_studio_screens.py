@@ -35,6 +35,7 @@ def test_nothing_sticks_out_or_overlaps(browser, data, tmp_path, width, height, 
     open_page(browser, data, tmp_path)
     ready(browser)
     browser.picture(tmp_path / f"studio-{width}-{'dark' if dark else 'light'}.png")
+    assert browser.obstacles() == []
     assert browser.do("document.documentElement.scrollWidth") <= width
     cut = browser.do(
         "[...document.querySelectorAll('button, select, output, .big, .detail, h2, label')]"

@@ -77,12 +77,12 @@ function makeCharts() {
 }
 
 function chartCell(spec, side) {
-  const canvas = el("canvas", { role: "img" });
+  const canvas = el("canvas", { "aria-hidden": "true" }); // the slider around it has the name
   const cursor = el("div", { class: "cursor" });
   const values = el("span", { class: "legend" });
   const who = el("span", { class: "who" });
   const plot = el("div", {
-    class: "plotted", tabindex: 0, role: "slider", "aria-valuemin": 0,
+    class: "plotted", tabindex: 0, role: "slider", "aria-valuemin": 0, "aria-valuenow": 0,
     "aria-label": `${spec.label}, motion ${"AB"[side]}: time`,
   }, canvas, cursor);
   const figure = el("figure", { class: "chart" },
