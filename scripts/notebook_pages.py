@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
+SEEN = "what the cell above shows"
 HEAD = "*The notebook `notebooks/{name}.ipynb`, as it was run last.*"
 
 
@@ -35,7 +36,7 @@ def _shown(output: dict[str, Any]) -> str:
     for kind in ("image/png", "image/gif"):
         if kind in data:
             inline = "".join(data[kind].split())
-            return f'```{{raw}} html\n<img alt="" src="data:{kind};base64,{inline}">\n```'
+            return f'```{{raw}} html\n<img alt="{SEEN}" src="data:{kind};base64,{inline}">\n```'
     if "text/html" in data:
         return f"```{{raw}} html\n{data['text/html']}\n```"
     return f"```{{code-block}} text\n{data['text/plain']}\n```"

@@ -63,9 +63,10 @@ class Viewable:
             for name, value in facts(self)
         )
         image = picture(self)
+        title = html.escape(repr(self).strip("<>"))
         return (
-            f"<div><p><b>{html.escape(repr(self).strip('<>'))}</b></p>"
+            f"<div><p><b>{title}</b></p>"
             + (f"<table>{rows}</table>" if rows else "")
-            + (f'<img src="data:image/png;base64,{image}">' if image else "")
+            + (f'<img alt="{title}" src="data:image/png;base64,{image}">' if image else "")
             + "</div>"
         )
