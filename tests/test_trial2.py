@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.trial2 import cases, machines, nominal, scoring, write
+from benchmarks.trial2.arm import arm_bodies
 from benchmarks.trial2.kinds import KINDS
 from benchmarks.trial2.motions import Quintics
 from benchmarks.trial2.seal import check, seal
@@ -95,6 +96,13 @@ def test_every_machine_is_the_simulators(vehicle: str, arm: str) -> None:
             units = nominal.in_units_of_noise(vehicle, arm, mode, platform)
             print(vehicle, arm, mode, platform, units)
             assert _largest(units) < most, (mode, platform, units)
+
+
+def test_every_case_has_a_machine() -> None:
+    """Numbers within tolerances are still those of rigid bodies."""
+    for index in range(40):
+        case = cases.draw(SECRET, index)
+        assert arm_bodies(write.setting(SECRET, case).plant.machine["arm"]).mass > 20
 
 
 def test_answers_are_judged() -> None:

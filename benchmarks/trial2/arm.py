@@ -48,8 +48,11 @@ def twist_matrix(y: Array) -> Array:
 
 
 def _inertial(mass: float, com: Array, inertia: Array) -> str:
-    """Text of an inertia about its centre of mass."""
-    i = inertia
+    """Text of an inertia about its centre of mass.
+
+    MuJoCo refuses a body whose moments miss A + B >= C by rounding, as a flat one's may.
+    """
+    i = inertia + 1e-10 * np.trace(inertia) * np.eye(3)
     six = (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2])
     return (
         f'<inertial mass="{mass!r}" pos="{" ".join(repr(float(c)) for c in com)}" '
