@@ -55,6 +55,7 @@ def result():
             }
         ],
         "null": {"sentence": "The chance of that is 0.3."},
+        "hypotheses": {"nothing": 0.25, "joint/coulomb at joint 1": 0.5, "none of these": 0.25},
         "ranking": [
             {
                 "name": name,

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "ves-diagnose/1"
 _SHOWN = 12  # channels in the table
+_SEEN = 0.005  # probability from which a hypothesis is printed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -301,6 +302,8 @@ def _print(diagnosis: Any, result: dict[str, Any]) -> None:
     console = Console(width=None if sys.stdout.isatty() else 110, markup=False)
     console.print(diagnosis.sentence, style="bold")
     console.print(result["null"]["sentence"])
+    shown = [f"{k} {p:.2f}" for k, p in result["hypotheses"].items() if p >= _SEEN]
+    console.print(f"Probabilities: {', '.join(shown)}.")
     for experiment in result["experiments"] if diagnosis.verdict == ONE_OF else ():
         console.print(f"next experiment: {experiment['sentence']}")
     if designed := result["next_motion"]:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, write_result
+from ves_gym._util.params import Array, ParameterError, to_plain, write_result
 from ves_gym._util.views import Viewable
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.data.quality import Fault, faults
@@ -31,6 +31,7 @@ from ves_gym.diagnosis.inference.explanations import (
     ranked,
     residual_over_time,
 )
+from ves_gym.diagnosis.inference.fit import Fit
 from ves_gym.diagnosis.inference.held_back import CLEAR, gaps, unexplained_there, withdrawn
 from ves_gym.diagnosis.inference.held_back import Gap as Gap
 from ves_gym.diagnosis.inference.model_selection import (
@@ -41,6 +42,14 @@ from ves_gym.diagnosis.inference.model_selection import (
     unexplained,
 )
 from ves_gym.diagnosis.inference.signatures import Signatures
+from ves_gym.diagnosis.inference.unknown import (
+    LIBRARY,
+    NONE_OF_THESE,
+    beliefs,
+    evidence,
+    unnamed,
+)
+from ves_gym.diagnosis.inference.unknown import NOTHING as DESCRIBED
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine, untestable
 from ves_gym.diagnosis.machines.causes import apart
@@ -96,6 +105,8 @@ class Diagnosis(Viewable):
     limits: Thresholds = field(default_factory=Thresholds)
     seconds: dict[str, float] = field(default_factory=dict)
     depends: tuple[Dependence, ...] = ()  # of what has no name, the best curve first
+    beliefs: dict[str, float] = field(default_factory=dict)  # of all hypotheses; their sum is 1
+    unnamed: Fit | None = None  # regression of what has no name, where one holds
 
     def __repr__(self) -> str:
         return f"<Diagnosis: {self.sentence}>"
@@ -150,6 +161,9 @@ class Diagnosis(Viewable):
             )
         if self.verdict == UNKNOWN:
             on = "".join(f"; {d.sentence}" for d in self.depends[:1])
+            if self.unnamed is not None:
+                joints = ", ".join(c.slot for c in self.unnamed.candidates)
+                on += f"; what is at {joints} is written as a torque without a name"
             return f"Something is missing, and it is not in the library{why}{on}."
         if self.verdict == MORE:
             return f"Missing: {names}; more remains that is not in the library{why}."
@@ -267,10 +281,21 @@ def diagnose(
         silent = verdict in (NOTHING, WEAK) and not explanations
         if silent and (there > limits.remains or doubted > CLEAR):
             verdict, remaining = UNKNOWN, max(remaining, there)
-    before = gaps(residuals, chosen, selection.null)
     depends: tuple[Dependence, ...] = ()
+    regressed: Fit | None = None
     if last is not None and verdict == UNKNOWN:
         depends = dependences(residuals, last, selection.null)
+        regressed = unnamed(residuals, last, selection.null)
+        if regressed is not None:
+            chosen = regressed
+            after = gaps(last, chosen, selection.null, False)
+    before = gaps(residuals, chosen, selection.null)
+    decided = {UNKNOWN: NONE_OF_THESE, NOTHING: DESCRIBED, WEAK: None}.get(verdict, LIBRARY)
+    believed = beliefs(selection, *evidence(selection, remaining, limits), decided, limits)
+    library = 1 - believed[DESCRIBED] - believed[NONE_OF_THESE]
+    explanations = tuple(
+        dataclasses.replace(f, probability=f.probability * library) for f in explanations
+    )
     lap("verify")
     return Diagnosis(
         verdict=verdict,
@@ -287,6 +312,8 @@ def diagnose(
         limits=limits,
         seconds=seconds,
         depends=depends,
+        beliefs=believed,
+        unnamed=regressed,
     )
 
 
@@ -364,8 +391,11 @@ def _remaining_share(gaps: Sequence[Gap]) -> float:
 def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
     """Return the effects that a better description has; the course of a drift becomes its size.
 
-    Effects without a name are not added: the best the library can do would only hide the gap.
+    Where there is no name, the best that the library can do is not added; a torque that holds
+    on the runs held back is, as `joint/unknown`.
     """
+    if diagnosis.unnamed is not None:
+        return diagnosis.unnamed.effects
     if diagnosis.verdict not in NAMING_VERDICTS:
         return ()
     return tuple(
@@ -412,6 +442,8 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
             None if unknown else diagnosis.selection.fit,
         ),
         "null": _null_to_plain(diagnosis),
+        "hypotheses": diagnosis.beliefs,
+        "unknown": [] if diagnosis.unnamed is None else list(map(to_plain, diagnosis.effects)),
         "remaining": diagnosis.remaining,
         "remaining_allowed": diagnosis.limits.remains,
         "gap_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.gaps},

@@ -29,6 +29,7 @@ from ves_gym.effects.joint_rotor_inertia import JointRotorInertia
 from ves_gym.effects.joint_stribeck import JointStribeck
 from ves_gym.effects.joint_torque_limit import JointTorqueLimit
 from ves_gym.effects.joint_torque_offset import JointTorqueOffset
+from ves_gym.effects.joint_unknown import JointUnknown
 from ves_gym.effects.joint_velocity_lag import JointVelocityLag
 from ves_gym.effects.joint_viscous import JointViscous
 from ves_gym.effects.payload_com import PayloadCom
@@ -84,6 +85,7 @@ __all__ = [
     "JointStribeck",
     "JointTorqueLimit",
     "JointTorqueOffset",
+    "JointUnknown",
     "JointVelocityLag",
     "JointViscous",
     "LaboratoryEffect",

@@ -31,6 +31,7 @@ _VISIBLE = 0.05  # standard deviations
 _LEAST = 1e-4  # p below which it is not told apart
 _LINES = 12  # channels in the map over time
 _ROUND = 100.0  # gain above which tenths do not matter
+_SEEN = 0.001  # probability from which a hypothesis is listed
 _STYLE = """
 figure { margin: 0 0 1rem; }
 figure img { display: block; width: 100%; background: #fff; border: 1px solid var(--line);
@@ -99,7 +100,7 @@ def render_page(result: Result) -> str:
 <p class="eyebrow">{_text(_eyebrow(result))}</p>
 <h1>Where do data and description disagree, and what is missing?</h1>
 <p class="verdict">{_text(result["sentence"])}</p>
-<p class="note">{_text(result["null"]["sentence"])}</p>
+<p class="note">{_text(result["null"]["sentence"])} {_text(_hypotheses(result))}</p>
 </header>
 <main>
 {_tiles(result)}
@@ -435,6 +436,12 @@ _LEFT_BY = {
     True: "the description and the one with the effects above leave",
     False: "the description leaves",
 }
+
+
+def _hypotheses(result: Result) -> str:
+    """Probabilities of nothing, of members of the library and of none of these."""
+    shown = [f"{k} {_probability(p)}" for k, p in result["hypotheses"].items() if p >= _SEEN]
+    return f"Probabilities: {', '.join(shown)}."
 
 
 def _candidates(result: Result) -> str:

@@ -78,8 +78,11 @@ def test_every_registered_effect_has_a_candidate_or_a_reason():
         for kind, cls in EFFECTS.items()
     }
     assert every - {FRICTION} == {kind for kind, reason in reasons.items() if not reason}
-    assert {kind for kind, reason in reasons.items() if reason} == {"sensor/noise"}
-    assert "noise" in reasons["sensor/noise"]
+    assert {kind for kind, reason in reasons.items() if reason} == {
+        "joint/unknown",
+        "sensor/noise",
+    }
+    assert "noise" in reasons["sensor/noise"] and "no name" in reasons["joint/unknown"]
 
 
 def test_a_candidate_at_its_starts_is_an_effect_of_its_kind():

@@ -243,6 +243,10 @@ def rows(cases: Sequence[ScoredCase], with_probabilities: bool = True) -> list[T
     if with_probabilities:
         unknown = (c.verdict == UNKNOWN for c in of["outside"])
         out.append(share("outside: said to be unknown", unknown, least=0.85))
+        finals = (c.answer["final"] for c in of["outside"] if c.verdict == UNKNOWN)
+        removed = [r for final in finals if (r := removed_gap(final)) is not None]
+        name = "outside, unknown: gap above noise removed, runs held back, median"
+        out.append(_middle(name, removed, least=0.70))
     out.append(
         share(
             "pair: both named",

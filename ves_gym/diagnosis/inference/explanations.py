@@ -232,6 +232,7 @@ def _within(signatures: Signatures, rows: Index) -> Signatures:
     S = signatures.columns[rows].astype(float)
     inside = J.T @ J + np.eye(J.shape[1])
     out = copy.copy(signatures)
+    out.rows = rows
     out.inner = S.T @ S - S.T @ J @ np.linalg.solve(inside, J.T @ S)
     return out
 

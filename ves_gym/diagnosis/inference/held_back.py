@@ -124,18 +124,27 @@ def unexplained_there(last: WhitenedResiduals, fit: Fit, imperfect: float) -> fl
     return float((n * np.log(np.maximum(size / imperfect, 1.0))).sum())
 
 
+def losses(last: WhitenedResiduals, full: Fit, reduced: Fit) -> float:
+    """Return by how much the runs held back are less probable with one fit than another.
+
+    Args:
+        last: of those runs.
+        full, reduced: fits found on others.
+    """
+    return deviance(*_sizes(last, full)) - deviance(*_sizes(last, reduced))
+
+
 def _losses(
     selection: Selection, residuals: WhitenedResiduals, last: WhitenedResiduals
 ) -> list[float]:
     """Return by how much the runs held back are less probable with each name than without."""
-    full = deviance(*_sizes(last, selection.fit))
     out = []
     for i, candidate in enumerate(selection.fit.candidates):
         if candidate.counts is not None:  # a course of its own in every run
             out.append(0.0)
             continue
         without = reduced_selection(residuals, selection, i, "").fit
-        out.append(full - deviance(*_sizes(last, without)))
+        out.append(losses(last, selection.fit, without))
     return out
 
 

@@ -71,6 +71,7 @@ class Selection:
         default_factory=lambda: NullLaw(1)
     )  # of the best gain of the library from noise
     first: tuple[Candidate, float] | None = None  # the best at first, and what it gained
+    needed: tuple[float, ...] = ()  # gain that each had to have which was tried
 
 
 def cost(f: Fit, residuals: WhitenedResiduals) -> float:
@@ -96,6 +97,7 @@ def select(
     law = null_law(signatures, null.size)
     first: tuple[Candidate, float] | None = None
     steps: list[str] = []
+    needs: list[float] = []
     came: list[tuple[Candidate, float]] = []
     while limits.most is None or len(current.candidates) < limits.most:
         at = len(current.candidates)
@@ -114,6 +116,7 @@ def select(
         )
         new, p = best.candidates[at], law.chance(gained, best.candidates[at])
         first = first or (new, gained)
+        needs.append(needed)
         steps.append(f"{new.name}: gain {gained:.1f} of {needed:.1f} needed, {p:.2g} by chance")
         report(steps[-1])
         if gained < needed:
@@ -137,7 +140,7 @@ def select(
             current = reduced
     current, places = _exchange_members(residuals, signatures, limits, current)
     rivals = tuple(_rivals(fits, i, residuals, limits) for i, fits in enumerate(places))
-    return Selection(null, current, rivals, steps, law, first)
+    return Selection(null, current, rivals, steps, law, first, tuple(needs))
 
 
 def _required_gain(
@@ -216,6 +219,7 @@ def reduced_selection(
         [*selection.steps, step],
         selection.law,
         selection.first,
+        selection.needed,
     )
 
 

@@ -102,6 +102,7 @@ class Signatures:
             residuals.noise_product(residuals.groups[k], self._all_columns) for k in self._noisy
         ]
         self._n = np.array([g.n for g in residuals.groups], float)
+        self.rows = residuals.measured  # that are looked at
         everything = self._xx.sum(axis=0).astype(float)
         J, S = slice(None, p), slice(p, None)
         inside = everything[J, J] + np.eye(p)
@@ -274,12 +275,7 @@ class Signatures:
 
     def visible(self, i: int) -> float:
         """Return the standard deviations by which candidate i, of usual size, exceeds noise."""
-        largest = 0.0
-        for s in (s for s in self.blocks if s.candidate == i):
-            at = list(s.columns)
-            usual = np.array(s.values)[list(s.free)]
-            largest = max(largest, float(usual @ self.inner[np.ix_(at, at)] @ usual))
-        return float(np.sqrt(largest))
+        return self._stands_out(i, np.ones(len(self.rows)))
 
     def visible_above(self, i: int, size: Array) -> float:
         """Return the standard deviations by which candidate i exceeds what is left in a fit.
@@ -291,13 +287,23 @@ class Signatures:
             i: index of the candidate.
             size: (G,) mean squares that a fit leaves.
         """
-        weight, p, largest = 1 / np.clip(size, QUIETEST, 1.0), self._p, 0.0
-        J = np.einsum("g,gij->ij", weight, self._xx[:, :p, :p], dtype=float) + np.eye(p)
-        for s in (s for s in self.blocks if s.candidate == i):
-            at = [p + c for c in s.columns]
-            usual = np.array(s.values)[list(s.free)]
-            alone = np.einsum("g,gij->ij", weight, self._xx[:, at][:, :, at], dtype=float)
-            across = np.einsum("g,gij->ij", weight, self._xx[:, :p, at], dtype=float)
-            inner = alone - across.T @ np.linalg.solve(J, across)
-            largest = max(largest, float(usual @ inner @ usual))
+        weight = np.empty(self.residuals.length)
+        for group, s in zip(self.residuals.groups, size, strict=True):
+            weight[group.part] = 1 / np.clip(s, QUIETEST, 1.0)
+        return self._stands_out(i, weight[self.rows])
+
+    def _stands_out(self, i: int, weight: Array) -> float:
+        """Size of candidate i beyond what tolerances imitate, rows having weights (rows,).
+
+        In double precision: what is all but a tolerance may stand far out of its noise.
+        """
+        slopes = self.residuals.slopes[self.rows]
+        weighted = slopes.T * weight
+        inside, largest = weighted @ slopes + np.eye(self._p), 0.0
+        for block in (s for s in self.blocks if s.candidate == i):
+            usual = np.array(block.values)[list(block.free)]
+            changed = self.columns[np.ix_(self.rows, np.array(block.columns))] @ usual
+            across = weighted @ changed
+            alone = float(weight @ changed**2)
+            largest = max(largest, alone - float(across @ np.linalg.solve(inside, across)))
         return float(np.sqrt(largest))

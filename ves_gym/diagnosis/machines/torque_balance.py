@@ -20,8 +20,8 @@ def scales(effect: Effect) -> bool:
     """Return True for a law that changes with the torque, short of a limit of it."""
     if not isinstance(effect, TorqueEffect):
         return False
-    widths = [np.size(x) for x in vars(effect).values()]
-    q, v, tau = np.random.default_rng(0).normal(size=(3, _TRIED, max(widths, default=1)))
+    widths = [np.size(x) for x in vars(effect).values() if np.size(x) > 1]
+    q, v, tau = np.random.default_rng(0).normal(size=(3, _TRIED, min(widths, default=1)))
     most = np.full(q.shape[-1], _NO_LIMIT)
     weak, strong = (joint_torque([effect], q, v, k * tau, most) for k in (1.0, 2.0))
     return bool((weak != strong).any())

@@ -1,0 +1,98 @@
+"""What has no name is written as a torque, and belief in "none of these" is explicit."""
+
+import dataclasses
+import types
+
+import numpy as np
+import pytest
+
+from tests.diagnosis.test_every_effect import HISS, SYSTEM, noisy
+from ves_gym.diagnosis.data.measured_run import run_of
+from ves_gym.diagnosis.excitation import excitation_motions
+from ves_gym.diagnosis.inference.fit import fit
+from ves_gym.diagnosis.inference.held_back import gaps
+from ves_gym.diagnosis.inference.model_selection import Rival, Selection, Thresholds
+from ves_gym.diagnosis.inference.unknown import (
+    LIBRARY,
+    NONE_OF_THESE,
+    NOTHING,
+    beliefs,
+    unnamed,
+)
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.system import System
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::ves_gym.simulation.loop_linearisation.EmulationWarning"
+)
+
+
+@pytest.fixture(scope="module")
+def logs():
+    """Three motions of a machine that is as described."""
+    motions = excitation_motions(3, duration=6.0, seed=1)
+    recording = play_motions(SYSTEM.replace(effects=(HISS,)), motions, settle=1.0)
+    out = [recording.log(i) for i in range(3)]
+    return [dataclasses.replace(k, meta={**k.meta, "system": SYSTEM.to_dict()}) for k in out]
+
+
+def hose(q):
+    """Torque at joint 2 of a hose along joints 2 and 3, softly taut beyond an angle."""
+    stretch = q[:, 1] + 0.5 * q[:, 2] + 0.4
+    torque = np.zeros_like(q)
+    torque[:, 1] = 10.0 * (stretch + np.hypot(stretch, 0.2)) / 2
+    return torque
+
+
+def joint_residuals(logs, seed):
+    machine = SystemMachine(SYSTEM)
+    machine.ports = tuple(p for p in machine.ports if p.name == "joint")
+    runs = [run_of(noisy(k, seed + i), f"run-{seed + i}") for i, k in enumerate(logs)]
+    return WhitenedResiduals(machine, runs)
+
+
+def test_a_law_that_nobody_has_is_written_where_it_is(logs):
+    """Most of the gap goes on a motion that no fit has seen."""
+    pulled = [dataclasses.replace(k, tau=k.tau + hose(k.q)) for k in logs]
+    residuals, last = joint_residuals(pulled[:2], 0), joint_residuals(pulled[2:], 2)
+    null = fit(residuals, (), ())
+    found = unnamed(residuals, last, null)
+    assert [c.slot for c in found.candidates] == ["joint 2"]
+    gap = next(g for g in gaps(last, found, null, False) if g.channel == "tau_2")
+    assert gap.before > 3
+    assert 1 - (max(gap.after**2 - 1, 0) / (gap.before**2 - 1)) ** 0.5 > 0.6
+    model = residuals.machine.model(found.effects)
+    assert System.from_dict(model.system.to_dict()) == model.system
+
+
+def test_nothing_is_written_where_nothing_is_missing(logs):
+    residuals, last = joint_residuals(logs[:2], 0), joint_residuals(logs[2:], 2)
+    assert unnamed(residuals, last, fit(residuals, (), ())) is None
+
+
+def rival(name, probability):
+    return Rival(types.SimpleNamespace(name=name), np.zeros(1), 0.0, probability)
+
+
+PAIR = Selection(None, None, ((rival("a", 0.9), rival("b", 0.1)), (rival("c", 1.0),)))
+
+
+@pytest.mark.parametrize("names", [-50.0, 0.0, 40.0, 1e5])
+@pytest.mark.parametrize("none", [-400.0, 10.0, 1e6])
+@pytest.mark.parametrize("decided", [None, NOTHING, NONE_OF_THESE, LIBRARY])
+def test_beliefs_sum_to_one_and_follow_evidence_and_decision(names, none, decided):
+    found = beliefs(PAIR, names, none, decided, Thresholds())
+    assert found.keys() == {NOTHING, "a + c", "b + c", NONE_OF_THESE}
+    assert sum(found.values()) == pytest.approx(1)
+    library = found["a + c"] + found["b + c"]
+    share = {NOTHING: found[NOTHING], LIBRARY: library, NONE_OF_THESE: found[NONE_OF_THESE]}
+    likely = max(
+        {NOTHING: 0.0, LIBRARY: names, NONE_OF_THESE: none}.items(), key=lambda x: x[1]
+    )[0]
+    assert max(share, key=share.get) == (likely if decided is None else decided) or (
+        sorted(share.values())[-1] == pytest.approx(sorted(share.values())[-2])
+    )
+    if library > 1e-9:
+        assert found["a + c"] / library == pytest.approx(0.9)
