@@ -1,7 +1,8 @@
 """What a sweep costs beside its units: 200 jobs of one second on two workers.
 
 `--storm` sends 2,000 short jobs to a Dask cluster of several processes, of which one is killed
-(SIGKILL) again and again and others are added while it runs.
+(SIGKILL) again and again and others are added while it runs. `--costs` does a few units of
+each kind and prints what one takes: processor, files, bytes.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, cast
 
-from ves_gym._util.params import canonical_json, write_text
+from ves_gym._util.params import canonical_json, read_table, write_text
 from ves_gym.experiments.executors import open_executor
+from ves_gym.experiments.spec import Evaluations, Plannings, Spec
+from ves_gym.experiments.sweep import sweep
 
 
 @dataclass(frozen=True)
@@ -152,12 +155,55 @@ def storm(
     )  # fmt: skip
 
 
+def costs(folder: Path) -> list[tuple[str, int, float, float]]:
+    """Do a few units of each kind.
+
+    Args:
+        folder: for their results.
+
+    Returns:
+        What they are, how many, processor time [s] and bytes of files of one.
+    """
+    evaluations = [
+        Evaluations(envs=("PumaReach-v0",), policies=("released",), seeds=(0, 100)),
+        Evaluations(envs=("PumaDampEmulated-v0",), policies=("zero",), seeds=(0, 100)),
+    ]
+    plannings = [
+        Plannings(suite="reach100", planners=(name,), queries=4, durations=(2.0,))
+        for name in ("straight", "direct", "refined")
+    ]
+    specs = [
+        *(
+            (f"{e.envs[0]} {e.policies[0]}, 100 episodes", Spec(evaluate=(e,)))
+            for e in evaluations
+        ),
+        *((f"{p.planners[0]}, a query at 2 s", Spec(plan=(p,))) for p in plannings),
+    ]
+    out = []
+    for k, (name, spec) in enumerate(specs):
+        place = folder / str(k)
+        done = sweep(spec, place, workers=1).done
+        about = [read_table(file) for file in (place / "about").iterdir()]
+        size = sum(
+            f.stat().st_size for part in ("about", "results") for f in (place / part).iterdir()
+        )
+        seconds = sorted(a["processor_seconds"] for a in about)[len(about) // 2]
+        out.append((name, len(done), seconds, size / len(about)))
+    return out
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--executor", nargs="+", default=["local", "dask"])
     parser.add_argument("--storm", action="store_true")
+    parser.add_argument("--costs", action="store_true")
     args = parser.parse_args()
+    if args.costs:
+        with TemporaryDirectory() as folder:
+            for what, count, seconds, size in costs(Path(folder)):
+                print(f"{what}: {seconds:.2f} s, {size / 1e3:.1f} kB (median of {count})")
+        return
     if args.storm:
         s = storm()
         print(

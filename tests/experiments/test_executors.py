@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.sweep import storm
 from tests.experiments.sweeps import Killer, files, many, spec
 from ves_gym._util.params import ParameterError
 from ves_gym._util.process_pool import JobTimeout, WorkerDied
@@ -131,6 +132,18 @@ def test_a_running_cluster_is_used_by_its_address(tmp_path):
     ) as cluster:
         options = {"executor": "dask", "address": cluster.scheduler_address}
         assert len(sweep(many(2), tmp_path, **options).done) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_two_thousand_units_on_a_cluster_whose_workers_die_and_come():
+    """None lost, none doubled; at least 0.9 of the time of the workers that were there."""
+    pytest.importorskip("distributed")
+    found = storm()
+    print(found, f"{found.efficiency:.3f} of ideal")
+    assert (found.answers, found.stored, found.repeated) == (2000, 2000, 0)
+    assert found.killed >= 3 and found.added == 2
+    assert found.efficiency >= 0.9
 
 
 # ------------------------------------------------------------------------------ bad input
