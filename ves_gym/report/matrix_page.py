@@ -88,7 +88,7 @@ def _estimate(e: Estimate, form: str) -> str:
 def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
     """Success and energy of every method against the machines, a column per task."""
     from matplotlib.figure import Figure
-    from matplotlib.ticker import NullFormatter
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
     tasks = [task.env for task in matrix.tasks]
     machines = [machine.name for machine in matrix.machines]
@@ -108,7 +108,10 @@ def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
         axes[0][column].set_title(task, fontsize=10)
         axes[0][column].set_ylim(-0.03, 1.03)
         axes[1][column].set_yscale("log")
-        axes[1][column].yaxis.set_minor_formatter(NullFormatter())
+        ticks = axes[1][column].yaxis
+        ticks.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        ticks.set_major_formatter(FormatStrFormatter("%g"))
+        ticks.set_minor_formatter(NullFormatter())
         axes[1][column].set_xticks(range(len(machines)), machines, fontsize=8)
         for row in (0, 1):
             axes[row][column].grid(alpha=0.3)
