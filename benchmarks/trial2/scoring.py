@@ -42,7 +42,7 @@ def answer(folder: Path, out: Path) -> dict[str, Any]:
         "wall": time.monotonic() - began,
         "cpu": after.children_user - cpu.children_user,
     }
-    if done.returncode == 2:
+    if done.returncode == 2 or not (out / "answer.json").exists():  # refused, or broke down
         return {"verdict": "refused", "error": done.stderr.strip()[-400:], "seconds": seconds}
     result = json.loads((out / "answer.json").read_text("utf-8"))
     names = [
