@@ -479,8 +479,9 @@ def _null_to_plain(diagnosis: Diagnosis) -> dict[str, Any]:
         "best": name,
         "gain": gain,
         "looked_at": law.tests,
-        "sentence": f"{name or 'Nothing'} gains most, {gain:.3g} in deviance: the chance that"
-        f" the best of {tried} gains as much from noise is {diagnosis.chance:.2g}.",
+        "sentence": f"Of the library {name or 'nothing'} gains most, {gain:.3g} in deviance:"
+        f" the chance that the best of {tried} gains as much from noise is"
+        f" {diagnosis.chance:.2g}.",
     }
 
 

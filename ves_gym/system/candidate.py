@@ -10,6 +10,7 @@ puts them together with `placed`.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -123,14 +124,14 @@ def placed(
         fields: free numbers (k,) -> fields of the effect.
         sparse: see `Candidate`.
     """
-    starts = np.stack(np.meshgrid(*(x.starts for x in numbers), indexing="ij"), -1)
+    starts = itertools.product(*(map(float, x.starts) for x in numbers))
     return Candidate(
         kind=cls.kind,
         slot=slot,
         ports=cls.shows or (cls.port,),
         names=tuple(x.name for x in numbers),
         units=tuple(x.unit for x in numbers),
-        starts=tuple(map(tuple, starts.reshape(-1, len(numbers)).tolist())),
+        starts=tuple(starts),
         low=tuple(x.range[0] for x in numbers),
         high=tuple(x.range[1] for x in numbers),
         make=lambda x: cls(**fields(x)),

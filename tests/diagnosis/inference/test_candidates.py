@@ -18,10 +18,10 @@ from ves_gym.diagnosis.machines.joint_library import MjcfJoint
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.presliding import Presliding
 from ves_gym.diagnosis.machines.torque_balance import scales
-from ves_gym.effects import SensorDrift
+from ves_gym.effects import JointTorqueOffset, SensorDrift
 from ves_gym.mechanics.spatial import WRENCH
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
-from ves_gym.system.candidate import Scope
+from ves_gym.system.candidate import Number, Scope, placed
 from ves_gym.system.effect import EFFECTS, LaboratoryEffect, TorqueEffect, parameter, register
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
@@ -252,3 +252,11 @@ def test_laws_that_change_with_the_torque_are_found_by_asking(registered):
     assert at_all == {"joint/drive_gain", "joint/load_friction"}
     assert scales(worn(share=0.1))
     assert not scales(worn())
+
+
+def test_as_many_numbers_as_a_cause_has_may_be_free():
+    """43 of them, as what has no name at an arm of seven joints: no array has so many axes."""
+    one = Number("a", "N m", (-1.0, 1.0), (1.0, 2.0))
+    numbers = [one, *(Number(f"b{k}", "N m", (-1.0, 1.0), (3.0,)) for k in range(42))]
+    candidate = placed(JointTorqueOffset, "joint 1", numbers, lambda x: {})
+    assert candidate.starts == ((1.0, *[3.0] * 42), (2.0, *[3.0] * 42))
