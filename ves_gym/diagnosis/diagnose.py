@@ -50,6 +50,7 @@ from ves_gym.diagnosis.inference.unknown import (
     unnamed,
 )
 from ves_gym.diagnosis.inference.unknown import NOTHING as DESCRIBED
+from ves_gym.diagnosis.inference.variance_groups import FARTHEST
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine, untestable
 from ves_gym.diagnosis.machines.causes import apart
@@ -267,6 +268,8 @@ def diagnose(
     gained = selection.null.deviance - selection.fit.deviance
     share = remaining / max(remaining + gained, 1e-9)
     verdict = _verdict(explanations, remaining, share, bool(weak), hidden, limits)
+    if verdict == MORE and _is_strained(selection.fit):
+        verdict = UNKNOWN
     if faulty:
         verdict = _verdict_despite_faults(verdict, faulty, explanations, machine)
     chosen = selection.fit if verdict in NAMING_VERDICTS else selection.null
@@ -343,6 +346,14 @@ def _verdict(
     if remaining > limits.more:
         return MORE
     return ONE_OF if any(len(f.kinds) > 1 for f in explanations) else NAMED
+
+
+def _is_strained(f: Fit) -> bool:
+    """Return True if a tolerance is at the end of what it may be.
+
+    Names that leave more, and need that beside them, imitate something else.
+    """
+    return bool((np.abs(f.nuisances) > 0.98 * FARTHEST).any())
 
 
 def _is_faint(signatures: Signatures, i: int, size: Array, limits: Thresholds) -> bool:

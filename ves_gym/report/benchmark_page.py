@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ves_gym.diagnosis.benchmark.run import thresholds_hash
 from ves_gym.diagnosis.benchmark.score import OWN
+from ves_gym.diagnosis.inference.model_selection import Thresholds
 
 Plain = Mapping[str, Any]
 
@@ -26,6 +28,13 @@ def _head(result: Plain) -> str:
         f" thresholds `{result['thresholds'][:12]}`, ves-gym {result['version']}.",
         f"```sh\n{result['command']}\n```",
     ]
+    now = thresholds_hash(Thresholds())
+    if now != result["thresholds"]:
+        text.append(
+            f"**These are not the answers of this version**: its thresholds are `{now[:12]}`,"
+            " changed after the set was answered. A sealed set is answered once, so what the"
+            " change does to these figures has not been measured."
+        )
     if result["seal"] is not None:
         text.append(
             f"SHA-256 of the sealed labels, written before any diagnosis:"

@@ -93,7 +93,7 @@ def select(
         limits: thresholds.
         report: called with each step in words.
     """
-    null = current = fit(residuals, (), ())
+    null = current = few = fit(residuals, (), ())
     law = null_law(signatures, null.size)
     first: tuple[Candidate, float] | None = None
     steps: list[str] = []
@@ -125,6 +125,14 @@ def select(
         current = best
         for i in range(at):  # what came in before may now be another
             current = _alternatives(residuals, signatures, limits, current, i, _OTHERS)[0]
+        if len(current.candidates) <= limits.few:
+            few = current
+    many = len(current.candidates) > limits.few
+    if many and unexplained(current, residuals, limits.imperfect) > limits.more:
+        # so many names that do not suffice are a library that imitates something else
+        steps.append(f"{len(current.candidates)} names leave more: those after {limits.few} go")
+        report(steps[-1])
+        current = few
     current = single_parts(residuals, signatures.candidates, current, limits.most)
     for i in reversed(range(len(current.candidates))):  # or none at all
         reduced = _without(residuals, current, i)

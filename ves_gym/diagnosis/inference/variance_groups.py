@@ -27,7 +27,7 @@ _PASSES = 6  # of reweighting
 _RIDGE = 1e-10
 _SAFE = 0.8  # of the noise in columns that steps take off: all of it may leave no curvature
 _QUIET = 0.05  # of the noise that a combination of columns may leave
-_FARTHEST = 5.0  # standard deviations: farther off it is no tolerance any more
+FARTHEST = 5.0  # standard deviations: farther off it is no tolerance any more
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def solve(
     prior = np.zeros(c)
     prior[:nuisances] = 1.0
     highs = np.full(c, np.inf)
-    highs[:nuisances] = _FARTHEST
+    highs[:nuisances] = FARTHEST
     lows = -highs
     if low is not None and high is not None:
         lows[nuisances:], highs[nuisances:] = low, high
