@@ -18,7 +18,6 @@ class Code(Enum):
     UNKNOWN_PROBLEM = "no such track, problem or kind of method"
     OLD_ENVIRONMENT = "made for another version or other settings of the environment"
     SYSTEM_MISMATCH = "made on another system: arm, vehicle, mode, effects or steps"
-    MODEL_MISMATCH = "made on another model of the engine"
     EVALUATOR_MISMATCH = "made by another version of the evaluator, or by one that is not known"
     EVALUATOR_CHANGED = (
         "the code here does not compute what its version does: the probe is named"
