@@ -49,8 +49,11 @@ VALUES = {
         "reach": (1.0, 1.5, 2.0),
         "surface": tuple(np.random.default_rng(1).normal(size=57).tolist()),
         "level": (1.0, -2.0, 0.5),
-        **dict.fromkeys(("coulomb", "coulomb_along", "fading"), (1.0, 2.0, -0.5)),
-        **dict.fromkeys(("asymmetry", "viscous"), (0.5, 1.0, 0.2)),
+        "coulomb": (-2.0, -3.0, -1.0),  # a torque: friction is negative
+        "coulomb_along": (0.5, -0.5, 0.2),
+        "fading": (-0.5, -1.0, -0.2),
+        "asymmetry": (0.5, 1.0, 0.2),
+        "viscous": (-0.5, -1.0, -0.2),
         **dict.fromkeys(("viscous_asymmetry", "quadratic"), (0.2, -0.3, 0.1)),
     },
     "joint/velocity_lag": {"time_constant": (0.003, 0.002, 0.005)},
