@@ -4,6 +4,7 @@ A `Law` is a set of hooks; each does nothing unless it is overridden. Memory of 
 the integrated state: `size` numbers, whose rates the hooks write into `ds`.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -36,7 +37,7 @@ class Law:
         return tau
 
 
-class Gear(Law):
+class Gear(Law, ABC):
     """Rotor and link of one joint apart: memory is angle and rate of the rotor.
 
     `transfer` gives the torque on the link; encoders sit on the rotor.
@@ -51,9 +52,9 @@ class Gear(Law):
         """The rotor stands where the link stands."""
         return np.array([q[self.place], 0.0])
 
+    @abstractmethod
     def transfer(self, twist: float, rate: float) -> float:
         """Return the torque [N m]: the rotor is ahead by `twist` [rad] and `rate` [rad/s]."""
-        raise NotImplementedError
 
 
 @dataclass

@@ -196,10 +196,6 @@ def test_an_error_below_the_swing_between_samples_is_named():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="miss: 102 of 112 say that nothing is missing, eight are called too weak for the"
-    " noise estimated of them; docs/claims.md"
-)
 def test_nothing_is_missing_in_199_of_200():
     verdicts = [told(*case(k)).verdict for k in range(200)]
     assert verdicts.count(NOTHING) >= 199

@@ -103,7 +103,7 @@ class ArmFeatures:
             (cz * sy * sx - sz * cx, sz * sy * sx + cz * cx, cy * sx),
             (cz * sy * cx + sz * sx, sz * sy * cx - cz * sx, cy * cx),
         )
-        wanted = tuple(dot(axis, way) for axis in axes)
+        desired = tuple(dot(axis, way) for axis in axes)
         moving = tuple(dot(axis, tuple(base[:3])) for axis in axes)
         dx, dy, dz = base[3:]
         turning = (dx - sy * dz, cx * dy + sx * cy * dz, cx * cy * dz - sx * dy)
@@ -111,11 +111,11 @@ class ArmFeatures:
         tool = chain[-1].position
         carried = add(moving, cross(turning, tool))
         J = [frame.moved(tool)[0] for frame in chain]  # velocity of the tool per joint rate
-        left = _damped(J, wanted)
+        joint_way = _damped(J, desired)
         taken = _damped(J, carried)
         return [
-            *(clip(k, -_NEAR, _NEAR) * (1 / _NEAR) for k in left),
-            *(clip(k, -_FAR, _FAR) for k in left),
+            *(clip(k, -_NEAR, _NEAR) * (1 / _NEAR) for k in joint_way),
+            *(clip(k, -_FAR, _FAR) for k in joint_way),
             *(clip(k, -_FAST, _FAST) * (1 / _FAST) for k in taken),
             *(xp.sin(k) for k in q),
             *(xp.cos(k) for k in q),

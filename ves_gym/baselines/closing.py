@@ -53,14 +53,14 @@ class Closing:
         """See `Controller`."""
         if "control" in spec.kwargs:
             return {}
-        wanted = "tool_velocity" if spec.kwargs.get("task") == "track" else "joint_velocity"
-        return {"control": _CONTROLS[wanted]}
+        desired = "tool_velocity" if spec.kwargs.get("task") == "track" else "joint_velocity"
+        return {"control": _CONTROLS[desired]}
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
         task, s = env.task, env.batch.scene
-        wanted = {Reach: "joint_velocity", Track: "tool_velocity"}
-        kinds = [kind for cls, kind in wanted.items() if isinstance(task, cls)]
+        desired = {Reach: "joint_velocity", Track: "tool_velocity"}
+        kinds = [kind for cls, kind in desired.items() if isinstance(task, cls)]
         if kinds != [task.control.kind]:
             raise ParameterError(
                 "controller closing acts on tasks reach and reach_goal through control"
@@ -88,11 +88,11 @@ class Closing:
         far = np.linalg.norm((self._ends - s.q[:, None]) / fast, axis=-1)
         end = self._ends[np.arange(len(far)), np.nan_to_num(far, nan=np.inf).argmin(axis=1)]
         turn = np.swapaxes(rotation(s.y_seen), -1, -2)
-        wanted = matvec(turn, s.goal[:, :3] - s.y_seen[:, :3])
+        desired = matvec(turn, s.goal[:, :3] - s.y_seen[:, :3])
         inverse = damped_inverse(tool_jacobian(arm, end))
         for _ in range(_ROUNDS):
-            end = end + matvec(inverse, wanted - joint_positions(arm, end)[:, -1])
-        drift = matvec(inverse, _carried(s.y_seen, s.yd_seen, wanted))
+            end = end + matvec(inverse, desired - joint_positions(arm, end)[:, -1])
+        drift = matvec(inverse, _carried(s.y_seen, s.yd_seen, desired))
         rates = share * (end - s.q) - share / MOST_SHARE * drift
         return np.asarray(rates / (task.control.speed * fast))  # type: ignore[attr-defined]
 
@@ -102,16 +102,16 @@ class Closing:
         assert isinstance(task, Track)
         path, rows, step = task.path(s), np.arange(env.num_envs), env.batch.episodes.steps
         ahead = [0, *np.rint(np.array(task.preview) / env.batch.dt).astype(int)[:2]]
-        now, soon, later = (path[rows, np.minimum(step + k, task.steps)] for k in ahead)
+        current, soon, later = (path[rows, np.minimum(step + k, task.steps)] for k in ahead)
         first, second = task.preview[0], task.preview[1] - task.preview[0]
-        rates = (soon - now) / first, (later - soon) / second
+        rates = (soon - current) / first, (later - soon) / second
         bend = (rates[1] - rates[0]) / ((first + second) / 2)
         velocity = rates[0] + bend * (_LEAD - first / 2)
         turn = np.swapaxes(rotation(s.y_seen), -1, -2)
-        asked = matvec(turn, velocity + _FOLLOW * (now - s.tool_seen))
+        command = matvec(turn, velocity + _FOLLOW * (current - s.tool_seen))
         place = matvec(turn, s.tool_seen - s.y_seen[:, :3])
-        asked -= _carried(s.y_seen, s.yd_seen, place)
-        return np.asarray(asked / task.control.speed)  # type: ignore[attr-defined]
+        command -= _carried(s.y_seen, s.yd_seen, place)
+        return np.asarray(command / task.control.speed)  # type: ignore[attr-defined]
 
 
 def share_per_second(time: Array, seconds: float) -> Array:

@@ -13,13 +13,13 @@ control period (`engine.kernel.sensitivity`); steps alpha are tried side by side
 
 from __future__ import annotations
 
-import time
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym.baselines.decision_clock import DecisionClock
 from ves_gym.baselines.mppi import AT_REST, believed, unrest
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
 from ves_gym.envs.control import Guided
@@ -73,13 +73,12 @@ class Ilqr:
         self._of: Task | None = None
         self._model: VesVectorEnv | None = None
         self._motion: list[ControlledMotion] = []
-        self._decisions, self._seconds = 0, 0.0
+        self._clock = DecisionClock()
 
     @property
     def about(self) -> dict[str, Any]:
         """Decisions so far and their mean duration [s]."""
-        mean = self._seconds / max(self._decisions, 1)
-        return {"decisions": self._decisions, "seconds_per_decision": round(mean, 4)}
+        return self._clock.about
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
@@ -108,11 +107,8 @@ class Ilqr:
         steps = env.batch.episodes.steps
         for i, k in enumerate(steps.tolist()):
             if k % every == 0 and k < env.task.steps - 1:
-                begin = time.perf_counter()
-                with on_one_thread():
+                with self._clock.running(), on_one_thread():
                     self._decide(env, i, k, self.later if k else self.first)
-                self._seconds += time.perf_counter() - begin
-                self._decisions += 1
         x = state_of(env, measured=True)
         hidden = hidden_of(env)
         for i, k in enumerate(steps.tolist()):

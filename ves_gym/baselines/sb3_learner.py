@@ -60,7 +60,7 @@ class Sb3Learner:
 
     @property
     def decisions(self) -> Decisions:
-        """Where the decisions are made."""
+        """The environments that decisions are made in."""
         return self.venv.decisions
 
     def learn(self, total: int, between: Callable[[], None]) -> None:

@@ -86,15 +86,15 @@ class Servicer:
         self._fades[begun] = 0.0
         self._fades[cargo.carried] += dt
         masses = _masses(env)
-        free, held = np.flatnonzero(~cargo.carried), np.flatnonzero(cargo.carried)
+        free, carrying = np.flatnonzero(~cargo.carried), np.flatnonzero(cargo.carried)
         if len(free):
             self._lead(env, free, masses.arm[free])
-        if len(held):
-            x = np.minimum(self._fades[held] / _FADE, 1.0)[:, None]
-            rate = self._caught[held] * (1 - x**3 * (10 - 15 * x + 6 * x * x))
-            slope = -self._caught[held] * (30 * x * x * (1 - x) ** 2) / _FADE
-            self._led[held, 0] += dt * (self._led[held, 1] + rate) / 2
-            self._led[held, 1], self._led[held, 2] = rate, slope
+        if len(carrying):
+            x = np.minimum(self._fades[carrying] / _FADE, 1.0)[:, None]
+            rate = self._caught[carrying] * (1 - x**3 * (10 - 15 * x + 6 * x * x))
+            slope = -self._caught[carrying] * (30 * x * x * (1 - x) ** 2) / _FADE
+            self._led[carrying, 0] += dt * (self._led[carrying, 1] + rate) / 2
+            self._led[carrying, 1], self._led[carrying, 2] = rate, slope
         joints = self._joint_action(env, masses)
         if env.task.base_control is None:  # the vehicle points by itself
             return joints
@@ -124,9 +124,9 @@ class Servicer:
             error = [matvec(back, place - base) - at, Rotation.from_matrix(missing).as_rotvec()]
             J = tool_twists(arm, q) + _lifted(at) @ moved  # with the base that gives way
             q = q + matvec(_inverse(J), np.concatenate(error, axis=1))
-        wanted = np.concatenate([matvec(back, motion[:, :3]), matvec(back, motion[:, 3:])], 1)
+        desired = np.concatenate([matvec(back, motion[:, :3]), matvec(back, motion[:, 3:])], 1)
         residual = Y - matvec(moved, s.v[ids])  # what the base does besides the arm's momentum
-        v = matvec(_inverse(J), wanted - matvec(_lifted(at), residual))
+        v = matvec(_inverse(J), desired - matvec(_lifted(at), residual))
         self._led[ids] = _quintic(led, q, v, horizon, dt)
 
     def _joint_action(self, env: VesVectorEnv, masses: Masses) -> Array:
@@ -135,12 +135,12 @@ class Servicer:
         arm, control = task.system.arm, task.control
         q, v, a = self._led.swapaxes(0, 1)
         w = np.where(self._fades < 0, *_STIFF)[:, None]
-        wanted: Array = a + 2 * w * (v - s.v) + w * w * (q - s.q - dt * s.v)
+        desired: Array = a + 2 * w * (v - s.v) + w * w * (q - s.q - dt * s.v)
         mass, joints = masses.all, slice(6, 6 + arm.n)
-        whole, base, across = mass[:, joints, joints], mass[:, :6, :6], mass[:, :6, joints]
-        whole = whole - np.swapaxes(across, -1, -2) @ np.linalg.solve(base, across)
+        joint_mass, base, across = mass[:, joints, joints], mass[:, :6, :6], mass[:, :6, joints]
+        joint_mass = joint_mass - np.swapaxes(across, -1, -2) @ np.linalg.solve(base, across)
         most = 0.9 * arm.column("tau_max")
-        tau: Array = np.clip(matvec(whole, wanted), -most, most)
+        tau: Array = np.clip(matvec(joint_mass, desired), -most, most)
         if isinstance(control, Torque):
             tau = tau + inverse_dynamics(arm, s.q, s.v, np.zeros_like(v))[0]
             return torque_action(env, control, tau)
@@ -164,9 +164,9 @@ def _acceleration_for(env: VesVectorEnv, tau: Array, M: Array) -> Array:
     q, v, a = s.ref.swapaxes(0, 1)
     angle, rate = q + dt * v + dt * dt / 3 * a, v + dt / 2 * a  # with a = 0 there
     gain = (s.kp * dt * dt / 6 + s.kd * dt / 2)[..., None] * np.eye(arm.n) + M
-    given = s.kp * (angle - s.q - dt * s.v) + s.kd * (rate - s.v)
-    wanted = np.linalg.solve(gain, (tau - given)[..., None])[..., 0]
-    return np.clip(wanted / control.limits(arm), -1.0, 1.0)
+    servo_torque = s.kp * (angle - s.q - dt * s.v) + s.kd * (rate - s.v)
+    desired = np.linalg.solve(gain, (tau - servo_torque)[..., None])[..., 0]
+    return np.clip(desired / control.limits(arm), -1.0, 1.0)
 
 
 def _base_action(env: VesVectorEnv, mass: Array) -> Array:
@@ -183,16 +183,16 @@ def _base_action(env: VesVectorEnv, mass: Array) -> Array:
     moment = _LAW.moment(J, target, attitude, spin, stored)
     out = np.zeros((len(J), control.width(task.system)))
     w = len(acts.wheels) if control.wheels else 0
-    left = moment
+    remainder = moment
     if w:
         torque = within_limits(
             acts.wheels, wheel_torques(acts.wheels, moment), speed, env.batch.dt
         )
         out[:, :w] = torque
-        left = moment + torque @ axes.T
+        remainder = moment + torque @ axes.T
     if control.jets:
-        size = np.linalg.norm(left, axis=1, keepdims=True)
-        out[:, w + 3 :] = left * np.maximum(1 - _IDLE / np.maximum(size, _IDLE), 0.0)
+        size = np.linalg.norm(remainder, axis=1, keepdims=True)
+        out[:, w + 3 :] = remainder * np.maximum(1 - _IDLE / np.maximum(size, _IDLE), 0.0)
     return np.clip(out / control.scale(task.system), -1.0, 1.0)
 
 
@@ -208,14 +208,14 @@ def _masses(env: VesVectorEnv) -> Masses:
     motion = tool_motion(system.arm, system.base, s.y, s.q, sim.internal_state[0])
     cargo, mass = sim.payload, motion.mass.copy()
     assert cargo is not None
-    held = np.flatnonzero(cargo.carried)
-    if len(held):
+    carrying = np.flatnonzero(cargo.carried)
+    if len(carrying):
         target = cargo.state
-        turn = to_matrix(target.attitude[held])
-        com = target.position[held] + matvec(turn, cargo.com[held])
-        body = free_mass(cargo.mass[held], cargo.inertia[held], turn)
-        J = np.linalg.solve(to_point(com, motion.place[held]), motion.J[held])
-        mass[held] += np.swapaxes(J, -1, -2) @ body @ J
+        turn = to_matrix(target.attitude[carrying])
+        com = target.position[carrying] + matvec(turn, cargo.com[carrying])
+        body = free_mass(cargo.mass[carrying], cargo.inertia[carrying], turn)
+        J = np.linalg.solve(to_point(com, motion.place[carrying]), motion.J[carrying])
+        mass[carrying] += np.swapaxes(J, -1, -2) @ body @ J
     return Masses(motion.mass, mass)
 
 

@@ -113,7 +113,7 @@ class Learner(Protocol):
 
     @property
     def decisions(self) -> Decisions:
-        """Where the decisions are made."""
+        """The environments that decisions are made in."""
 
     def learn(self, total: int, between: Callable[[], None]) -> None:
         """Train up to `total` decisions; `between` is called between rollouts."""

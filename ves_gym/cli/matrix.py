@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
 from pathlib import Path
 
 from ves_gym._util.optional import installed
 from ves_gym._util.params import write_text
 from ves_gym.cli.common import progress, write_json
-from ves_gym.cli.sweep import add_executor_arguments, executor_options
+from ves_gym.cli.sweep import add_executor_arguments, executor_options, print_report
 
 SCHEMA = "ves-matrix/1"
 
@@ -36,15 +35,15 @@ def run(args: argparse.Namespace) -> int:
     from ves_gym.experiments.matrix import cost, entries, read_matrix, run_matrix, shortened
     from ves_gym.report.matrix_page import crossover_figure, matrix_page
 
-    whole = read_matrix(args.matrix)
+    stated = read_matrix(args.matrix)
     matrix = dataclasses.replace(
-        whole,
-        episodes=whole.episodes if args.episodes is None else args.episodes,
-        seeds=whole.seeds if args.seeds is None else whole.seeds[: args.seeds],
-        tasks=whole.tasks if args.steps is None else shortened(whole, args.steps),
+        stated,
+        episodes=stated.episodes if args.episodes is None else args.episodes,
+        seeds=stated.seeds if args.seeds is None else stated.seeds[: args.seeds],
+        tasks=stated.tasks if args.steps is None else shortened(stated, args.steps),
     )
     if args.cost_from is not None:
-        hours = cost(whole, matrix, args.cost_from)
+        hours = cost(stated, matrix, args.cost_from)
         print(
             f"training {hours['train']:.2f} h, evaluation {hours['evaluate']:.2f} h:"
             f" {hours['total']:.2f} h on two workers"
@@ -54,31 +53,23 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.out or f"out/matrix/{Path(args.matrix).stem}")
     with progress() as on_progress:
         report = run_matrix(matrix, folder, progress=on_progress, **executor_options(args))
-    print(
-        f"{len(report.done)} units done, {len(report.skipped)} were done before,"
-        f" {len(report.failed)} failed: {folder}"
-    )
-    for text in list(report.failed.values())[:10]:
-        print(f"failed: {text}", file=sys.stderr)
-    found = entries(matrix, folder) if report.complete else []
+    print_report(report)
+    results = entries(matrix, folder) if report.complete else []
     if report.complete:
         hours = cost(matrix, matrix, folder)
         title = "Methods on machines that are not as described"
-        write_text(folder / "matrix.md", matrix_page(matrix, found, title, hours))
+        write_text(folder / "matrix.md", matrix_page(matrix, results, title, hours))
         if installed("matplotlib"):
             from ves_gym.report.figures import write_figure
 
-            write_figure(crossover_figure(matrix, found), folder / "crossover.png")
+            write_figure(crossover_figure(matrix, results), folder / "crossover.png")
         print(folder / "matrix.md")
     write_json(
         args.json,
         {
             "schema": SCHEMA,
-            "folder": str(folder),
-            "done": report.done,
-            "skipped": report.skipped,
-            "failed": report.failed,
-            "entries": [_plain(entry) for entry in found],
+            **report.to_dict(),
+            "entries": [_plain(entry) for entry in results],
         },
     )
     return 0 if report.complete else 1

@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import progress, write_json
 
 SCHEMA = "ves-sweep/1"
+if TYPE_CHECKING:
+    from ves_gym.experiments.sweep import Report
+
 _SHOWN = 10  # failures that are printed
 
 
@@ -66,24 +69,23 @@ def run(args: argparse.Namespace) -> int:
     rows = merge([folder]) if report.done or report.skipped else []
     if rows:
         write_rows(folder / "rows.jsonl", rows)
-    print(
-        f"{len(report.done)} units done, {len(report.skipped)} were done before,"
-        f" {len(report.failed)} failed: {folder}"
-    )
-    for text in list(report.failed.values())[:_SHOWN]:
-        print(f"failed: {text}", file=sys.stderr)
+    print_report(report)
     write_json(
         args.json,
-        {
-            "schema": SCHEMA,
-            "folder": str(folder),
-            "done": report.done,
-            "skipped": report.skipped,
-            "failed": report.failed,
-            "rows": len(rows),
-        },
+        {"schema": SCHEMA, **report.to_dict(), "rows": len(rows)},
     )
     return 0 if report.complete else 1
+
+
+def print_report(report: Report) -> None:
+    """Print the counts of units, and why the first of those that failed did.
+
+    Args:
+        report: of a sweep, or of a matrix.
+    """
+    print(report.summary)
+    for text in list(report.failed.values())[:_SHOWN]:
+        print(f"failed: {text}", file=sys.stderr)
 
 
 def executor_options(args: argparse.Namespace) -> dict[str, Any]:

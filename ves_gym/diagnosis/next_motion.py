@@ -65,7 +65,7 @@ class NextMotion:
 
     @property
     def sentence(self) -> str:
-        """What to run and why."""
+        """The run to make, and the reason, in words."""
         m = f"a motion of {self.motion.duration:.3g} s within the limits"
         if not self.separates:
             return (
@@ -150,35 +150,35 @@ def next_motion(
     arm, duration = search.system.arm, search.duration
     hand = search.at_hand()
     drawn = [m(arm, duration, rng) for _ in range(pool) for m in (drawn_motion, drawn_series)]
-    whole = len(hand) + len(drawn) + rounds * _CHILDREN + 1
+    total = len(hand) + len(drawn) + rounds * _CHILDREN + 1
     done = 0
 
-    def tell() -> None:
+    def advance() -> None:
         nonlocal done
         done += 1
-        progress(done / whole)
+        progress(done / total)
 
-    repeated = search.ranked(hand, tell, strict=False)
-    found = repeated + search.ranked(drawn, tell)
-    found = [r for r in found if max(r.played.limits.values()) <= _MARGIN]
-    if not found:
+    repeated = search.ranked(hand, advance, strict=False)
+    options = repeated + search.ranked(drawn, advance)
+    options = [r for r in options if max(r.played.limits.values()) <= _MARGIN]
+    if not options:
         raise ParameterError(
             f"no motion of {duration:g} s keeps {_MARGIN:g} of the limits of the machine"
         )
     for _ in range(rounds):
-        found.sort(key=lambda r: -r.worth)
+        options.sort(key=lambda r: -r.worth)
         children = [
             child
-            for child in (_child(arm, found[:_PARENTS], rng) for _ in range(_CHILDREN))
+            for child in (_child(arm, options[:_PARENTS], rng) for _ in range(_CHILDREN))
             if child is not None
         ]
-        found += search.ranked(children, tell)
-    best = max(found, key=lambda r: r.worth)
-    return search.result(best, repeated, len(found))
+        options += search.ranked(children, advance)
+    best = max(options, key=lambda r: r.worth)
+    return search.result(best, repeated, len(options))
 
 
 class _Search:
-    """What candidates for the next motion are played and judged by."""
+    """Plays candidates for the next motion and judges them."""
 
     def __init__(
         self, diagnosis: Diagnosis, rivals: Sequence[Hypothesis], faint: Sequence[Candidate]
@@ -210,20 +210,20 @@ class _Search:
         return out
 
     def ranked(
-        self, motions: Sequence[Motion], tell: Callable[[], None], strict: bool = True
+        self, motions: Sequence[Motion], advance: Callable[[], None], strict: bool = True
     ) -> list[_Ranked]:
         """Return motions as the most probable rival runs them, with what they are worth.
 
         Args:
             motions: any number.
-            tell: called after each.
+            advance: called after each.
             strict: leave those out that break a limit.
         """
         out = []
         for played in self.played(self.rivals[0], motions):
             if not strict or max(played.limits.values()) <= _MARGIN:
                 out.append(self._judged(played))
-            tell()
+            advance()
         return out
 
     def played(self, truth: Hypothesis, motions: Sequence[Motion]) -> list[_Played]:
@@ -260,9 +260,9 @@ class _Search:
             sigma = np.sqrt(np.maximum(np.diag(table), 0.0))
             return _Ranked(worth, float(sigma.min()), played, sigma[None])
         table = np.maximum(separations(new, self.rivals), 0.0)
-        apart = ~np.eye(len(table), dtype=bool)
-        worth = float(np.log1p(table[apart]).mean())
-        return _Ranked(worth, math.sqrt(table[apart].min()), played, np.sqrt(table))
+        pairs = ~np.eye(len(table), dtype=bool)
+        worth = float(np.log1p(table[pairs]).mean())
+        return _Ranked(worth, math.sqrt(table[pairs].min()), played, np.sqrt(table))
 
     def result(self, best: _Ranked, hand: Sequence[_Ranked], tried: int) -> NextMotion:
         """Return the best motion, played by every rival."""
@@ -271,14 +271,14 @@ class _Search:
             for played in self.played(rival, [best.played.motion]):
                 table[b] = self._judged(played).table[b]
                 limits = {k: max(x, played.limits[k]) for k, x in limits.items()}
-        apart = table[0] if self.faint else table[~np.eye(len(table), dtype=bool)]
+        pairs = table[0] if self.faint else table[~np.eye(len(table), dtype=bool)]
         names = [c.name for c in self.faint] or [h.name for h in self.rivals]
         return NextMotion(
             motion=best.played.motion,
             between=tuple(names),
             sigma=tuple(tuple(row) for row in table.tolist()),
             at_hand=max((r.least for r in hand), default=0.0),
-            least=float(apart.min()),
+            least=float(pairs.min()),
             limits=limits,
             tried=tried,
             separates=not self.faint,

@@ -1,4 +1,4 @@
-"""What a learner may ask beside the scalar reward: a vector of objectives, and costs.
+"""Beside the scalar reward: a vector of objectives, and costs.
 
 The vector follows MO-Gymnasium: `reward_space` has its shape, `step` returns an array. The
 costs follow Safety-Gymnasium: `info["cost_NAME"]` is 1 in every period in which a bound was

@@ -30,7 +30,7 @@ _APART = 1_000_000  # between the first episodes of two seeds: no episode is sha
 
 @dataclass(frozen=True, kw_only=True)
 class MatrixMachine:
-    """Where methods are tried: the ideal system in space, or a laboratory's machine."""
+    """A machine to try methods on: the ideal system in space, or a laboratory's machine."""
 
     name: str
     emulated: bool = False
@@ -39,7 +39,7 @@ class MatrixMachine:
 
 @dataclass(frozen=True, kw_only=True)
 class MatrixMethod:
-    """What acts: one of a controller, a released policy, and a configuration to train."""
+    """A way to act: one of a controller, a released policy, and a configuration to train."""
 
     name: str
     controller: str | None = None
@@ -67,7 +67,7 @@ class TaskRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Matrix:
-    """What is compared, and on how much."""
+    """Methods, machines and tasks to compare, and on how much."""
 
     tasks: tuple[TaskRow, ...]
     machines: tuple[MatrixMachine, ...]
@@ -94,7 +94,7 @@ class Matrix:
 
 @dataclass(frozen=True)
 class Cell:
-    """Where a unit of evaluation belongs."""
+    """Place of a unit of evaluation in the matrix."""
 
     task: str
     machine: str

@@ -50,6 +50,23 @@ class Report:
         """True if every unit has a result."""
         return not self.failed
 
+    @property
+    def summary(self) -> str:
+        """Counts of units, in words."""
+        return (
+            f"{len(self.done)} units done, {len(self.skipped)} were done before,"
+            f" {len(self.failed)} failed: {self.folder}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "folder": str(self.folder),
+            "done": self.done,
+            "skipped": self.skipped,
+            "failed": self.failed,
+        }
+
 
 def sweep(
     spec: Spec | str | os.PathLike[str],

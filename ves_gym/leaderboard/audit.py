@@ -1,4 +1,4 @@
-"""What a committed board must stand up to: its page is of today, its bundles give its rows."""
+"""Checks of a committed board: its page is of today, its bundles give its rows."""
 
 from __future__ import annotations
 

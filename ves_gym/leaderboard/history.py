@@ -32,27 +32,27 @@ def history_faults(
             such commit.
     """
     commits = "HEAD" if since is None else f"{_commit(folder, since)}..HEAD"
-    told = _git(
+    log = _git(
         folder, "log", "-m", "--no-renames", "--diff-filter=a", "--name-status",
         "--format=commit %H", commits, "--", ".",
     )  # fmt: skip
     out: list[str] = []
     commit = ""
-    for line in told.splitlines():
-        if line.startswith("commit "):
-            commit = line.removeprefix("commit ")
-        elif line:
-            out.append(f"{_changed(line)} by commit {commit[:12]}")
+    for row in log.splitlines():
+        if row.startswith("commit "):
+            commit = row.removeprefix("commit ")
+        elif row:
+            out.append(f"{_changed(row)} by commit {commit[:12]}")
     uncommitted = _git(
         folder, "diff", "--no-renames", "--diff-filter=a", "--name-status", "HEAD", "--", "."
     )
-    out += [f"{_changed(line)}, not committed" for line in uncommitted.splitlines() if line]
+    out += [f"{_changed(row)}, not committed" for row in uncommitted.splitlines() if row]
     return list(dict.fromkeys(out))[:most]  # a merge tells the same of two parents
 
 
-def _changed(line: str) -> str:
+def _changed(row: str) -> str:
     """A line of --name-status in words."""
-    how, _, name = line.partition("\t")
+    how, _, name = row.partition("\t")
     return f"{Path(name).name} was {'removed' if how == 'D' else 'changed'}"
 
 

@@ -73,16 +73,20 @@ def sign(data: bytes, key: str | os.PathLike[str]) -> bytes:
     """
     if not Path(key).is_file():
         raise ParameterError(f"{key}: no such key file; `ssh-keygen -t ed25519` makes one")
-    asked = sys.stdin is not None and sys.stdin.isatty()  # then it can ask for a passphrase
-    done = _run("-Y", "sign", "-q", "-f", str(key), "-n", NAMESPACE, data=data, asked=asked)
+    interactive = (
+        sys.stdin is not None and sys.stdin.isatty()
+    )  # then it can ask for a passphrase
+    done = _run(
+        "-Y", "sign", "-q", "-f", str(key), "-n", NAMESPACE, data=data, interactive=interactive
+    )
     if done.returncode:
-        said = done.stderr.decode("utf-8", "replace")
-        if "passphrase" in said:
+        output = done.stderr.decode("utf-8", "replace")
+        if "passphrase" in output:
             raise ParameterError(
                 f"{key}: the key has a passphrase, and none or a wrong one was typed: sign in a"
                 " terminal, or add the key to ssh-agent and give its public file"
             )
-        raise ParameterError(f"{key}: cannot sign: {_last(said)}")
+        raise ParameterError(f"{key}: cannot sign: {_last(output)}")
     try:
         _read(done.stdout)
     except BundleError as error:
@@ -103,13 +107,13 @@ def signer(data: bytes, signature: bytes) -> str:
         file = Path(folder) / "signature"
         file.write_bytes(_armoured(blob))
         done = _run("-Y", "check-novalidate", "-n", NAMESPACE, "-s", str(file), data=data)
-    said = done.stdout.decode("utf-8", "replace")
-    if done.returncode == 0 and said.split()[-1:] == [fingerprint]:
+    output = done.stdout.decode("utf-8", "replace")
+    if done.returncode == 0 and output.split()[-1:] == [fingerprint]:
         return fingerprint
-    if said.startswith("Could not verify"):
+    if output.startswith("Could not verify"):
         raise _bad(f"{SIGNATURE} is not by {fingerprint}, or of another {MANIFEST}")
-    told = _last(said + done.stderr.decode("utf-8", "replace"))
-    raise ParameterError(f"{_PROGRAM} cannot check signatures (OpenSSH 8.2 or newer): {told}")
+    reason = _last(output + done.stderr.decode("utf-8", "replace"))
+    raise ParameterError(f"{_PROGRAM} cannot check signatures (OpenSSH 8.2 or newer): {reason}")
 
 
 def _read(signature: bytes) -> tuple[bytes, bytes]:
@@ -126,11 +130,13 @@ def _read(signature: bytes) -> tuple[bytes, bytes]:
     except (ValueError, binascii.Error) as error:
         raise _bad(f"{SIGNATURE} is no signature of OpenSSH: {error}") from None
     if kind != _KIND:
-        shown = kind[:40].decode("ascii", "replace")
-        raise _bad(f"a key of type {shown!a}; those of type {_KIND.decode()} can sign bundles")
+        printable = kind[:40].decode("ascii", "replace")
+        raise _bad(
+            f"a key of type {printable!a}; those of type {_KIND.decode()} can sign bundles"
+        )
     if namespace != NAMESPACE.encode():
-        shown = namespace[:40].decode("utf-8", "replace")
-        raise _bad(f"{SIGNATURE} was made for {shown!a}, not for {NAMESPACE!r}")
+        printable = namespace[:40].decode("utf-8", "replace")
+        raise _bad(f"{SIGNATURE} was made for {printable!a}, not for {NAMESPACE!r}")
     if (
         reserved
         or digest not in _HASHES
@@ -178,14 +184,16 @@ def _armoured(blob: bytes) -> bytes:
     return "\n".join([_BEGIN, *lines, _END, ""]).encode()
 
 
-def _run(*words: str, data: bytes, asked: bool = False) -> subprocess.CompletedProcess[bytes]:
+def _run(
+    *words: str, data: bytes, interactive: bool = False
+) -> subprocess.CompletedProcess[bytes]:
     program = shutil.which(_PROGRAM)
     if program is None:
         raise ParameterError(
             f"signatures need the program {_PROGRAM}, of OpenSSH 8.2 or newer: install OpenSSH"
         )
     # where nobody can be asked, a window for a passphrase would wait for ever
-    quiet = () if asked else ("DISPLAY", "WAYLAND_DISPLAY", "SSH_ASKPASS")
+    quiet = () if interactive else ("DISPLAY", "WAYLAND_DISPLAY", "SSH_ASKPASS")
     environment = {k: v for k, v in os.environ.items() if k not in quiet}
     try:
         return subprocess.run(
@@ -193,8 +201,8 @@ def _run(*words: str, data: bytes, asked: bool = False) -> subprocess.CompletedP
             input=data,
             capture_output=True,
             env={**environment, "LC_ALL": "C"},
-            start_new_session=not asked,
-            timeout=None if asked else _SECONDS,
+            start_new_session=not interactive,
+            timeout=None if interactive else _SECONDS,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise ParameterError(f"{program} does not run: {error}") from None

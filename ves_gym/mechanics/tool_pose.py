@@ -113,7 +113,7 @@ def tool_speeds(arm: Arm, q: Array, v: Array, base: Array) -> Array:
 
 
 class ToolState(NamedTuple):
-    """Where the tool is and how it moves in space, in the platform's axes."""
+    """Pose and twist of the tool in space, in the platform's axes."""
 
     place: Array  # (..., 3) from the platform's origin [m]
     turn: Array  # (..., 3, 3) from the tool's axes

@@ -1,4 +1,4 @@
-"""What a drawing adds to arm and base: a satellite's appendages, the surfaces of a contact."""
+"""Parts drawn in addition to arm and base: a satellite's appendages, surfaces of a contact."""
 
 from __future__ import annotations
 

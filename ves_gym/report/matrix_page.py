@@ -95,10 +95,10 @@ def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
     figure = Figure(figsize=(1.5 + 4.2 * len(tasks), 6.0), layout="constrained")
     axes = figure.subplots(2, len(tasks), squeeze=False, sharex="col")
     for column, task in enumerate(tasks):
-        some = [e for e in entries if e.task == task]
-        methods = list(dict.fromkeys(e.method for e in some))
+        task_entries = [e for e in entries if e.task == task]
+        methods = list(dict.fromkeys(e.method for e in task_entries))
         for k, (method, marker) in enumerate(zip(methods, itertools.cycle(_MARKERS))):
-            of = {e.machine: e for e in some if e.method == method}
+            of = {e.machine: e for e in task_entries if e.method == method}
             shift = 0.08 * (k - (len(methods) - 1) / 2)
             x = [i + shift for i in range(len(machines))]
             _draw(axes[0][column], x, [of[m].success for m in machines], method, marker)
@@ -127,14 +127,14 @@ def _draw(
     axes: Any, x: Sequence[float], values: Sequence[Any], label: str, marker: str
 ) -> None:
     """Values with their intervals; infinite ones are left out."""
-    shown = [(a, v) for a, v in zip(x, values, strict=True) if v.value < float("inf")]
-    if not shown:
+    finite = [(a, v) for a, v in zip(x, values, strict=True) if v.value < float("inf")]
+    if not finite:
         return
-    at = [a for a, _ in shown]
-    y = [v.value for _, v in shown]
+    at = [a for a, _ in finite]
+    y = [v.value for _, v in finite]
     top = 100 * max(y)  # in place of an infinite end
-    low = [max(v.value - v.low, 0.0) for _, v in shown]
-    ends = [v.high if v.high < float("inf") else top for _, v in shown]
+    low = [max(v.value - v.low, 0.0) for _, v in finite]
+    ends = [v.high if v.high < float("inf") else top for _, v in finite]
     high = [max(end - value, 0.0) for end, value in zip(ends, y, strict=True)]
     axes.errorbar(
         at, y, yerr=[low, high], label=label, marker=marker, markersize=4, capsize=2, lw=1.1

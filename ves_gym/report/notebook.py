@@ -1,4 +1,4 @@
-"""What a notebook shows while it waits: a bar that any verb's `progress` takes."""
+"""Progress in a notebook: a bar that any verb's `progress` takes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ def progress_bar() -> Callable[..., None]:
     try:
         from IPython.display import HTML, display
     except ImportError:
-        return lambda *said: None
-    shown: Any = display(HTML(_bar(0.0, "")), display_id=True)
+        return lambda *arguments: None
+    handle: Any = display(HTML(_bar(0.0, "")), display_id=True)
 
-    def on_progress(*said: Any) -> None:
-        done = [float(word) for word in said if isinstance(word, (int, float))]
-        words = " ".join(word for word in said if isinstance(word, str))
-        if shown is not None:  # None outside a notebook
-            shown.update(HTML(_bar(done[-1] if done else 0.0, words)))
+    def on_progress(*arguments: Any) -> None:
+        done = [float(word) for word in arguments if isinstance(word, (int, float))]
+        words = " ".join(word for word in arguments if isinstance(word, str))
+        if handle is not None:  # None outside a notebook
+            handle.update(HTML(_bar(done[-1] if done else 0.0, words)))
 
     return on_progress
 

@@ -39,6 +39,7 @@ def render_page(result: dict[str, Any]) -> str:
     parts = {
         "title": html.escape(f"Energy in the base: {result.get('suite', 'benchmark')}"),
         "style": css() + part("page.css"),
+        "scene_controls": part("scene_controls.html"),
         "script": "\n".join([script(), *(part(name) for name in _SCRIPTS)]),
         "data": embedded(result),
     }

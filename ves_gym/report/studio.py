@@ -288,6 +288,7 @@ def render_studio(data: dict[str, Any]) -> str:
     parts = {
         "title": html.escape(f"Studio: {data['machine']['name']}"),
         "style": css() + part("page.css") + part("studio.css"),
+        "scene_controls": part("scene_controls.html"),
         "script": "\n".join([script(), *(part(name) for name in _SCRIPTS)]),
         "data": embedded(data),
     }

@@ -77,28 +77,30 @@ def open_file(path: str | os.PathLike[str], system: System) -> dict[str, Any]:
     )
 
 
-def _motion(name: str, motion: Motion, own: System | None, shown: System) -> dict[str, Any]:
-    arm = (own or shown).arm
+def _motion(
+    name: str, motion: Motion, described: System | None, displayed: System
+) -> dict[str, Any]:
+    arm = (described or displayed).arm
     if motion.n != arm.n:
         raise ParameterError(f"{name}: {arm.name} has {arm.n} joints, got {motion.n}")
     if motion.moving:
         raise ParameterError(f"{name}: the studio plays motions that begin at rest")
     item = {"kind": "motion", "name": name, "motion": motion.to_dict()}
-    return item | _machine(own, shown)
+    return item | _machine(described, displayed)
 
 
-def _machine(own: System | None, shown: System) -> dict[str, Any]:
+def _machine(described: System | None, displayed: System) -> dict[str, Any]:
     """The machine of a file, where it is another than the page's."""
-    if own is None or own.hash == shown.hash:
+    if described is None or described.hash == displayed.hash:
         return {}
-    return {"machine": machine_data(playable(own))}
+    return {"machine": machine_data(playable(described))}
 
 
-def _opened_log(path: Path, shown: System) -> dict[str, Any]:
+def _opened_log(path: Path, displayed: System) -> dict[str, Any]:
     log = RunLog.load(path)
     system = system_of(log) if "system" in log.meta else None
-    machine = _machine(system, shown)
-    system = playable(system or shown)
+    machine = _machine(system, displayed)
+    system = playable(system or displayed)
     if log.n_joints != system.arm.n:
         raise ParameterError(
             f"{path}: {system.arm.name} has {system.arm.n} joints, the log has {log.n_joints}"
@@ -147,18 +149,18 @@ def _by_mode(
     if not K.any():
         return None, None
     inertia = blocks(system, log.q[-1]).Mt
-    found = natural_modes(K, inertia)
+    solution = natural_modes(K, inertia)
     x, xd = log.y, rate
     if internal is not None:
         x, xd = np.hstack([x, internal[0]]), np.hstack([xd, internal[1]])
-    rows = inertia @ found.shapes
-    return found.omega, 0.5 * ((xd @ rows) ** 2 + (x @ rows * found.omega) ** 2)
+    rows = inertia @ solution.shapes
+    return solution.omega, 0.5 * ((xd @ rows) ** 2 + (x @ rows * solution.omega) ** 2)
 
 
 def _opened_diagnosis(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
     keys = ("schema", "verdict", "sentence", "effects")
-    shown = {key: table[key] for key in keys if key in table}
-    item: dict[str, Any] = {"kind": "diagnosis", "name": path.stem, "diagnosis": shown}
+    displayed = {key: table[key] for key in keys if key in table}
+    item: dict[str, Any] = {"kind": "diagnosis", "name": path.stem, "diagnosis": displayed}
     try:
         machine = read_uncertainty(path).estimate
     except ParameterError:  # nothing of arm or base: the described machine moves as before

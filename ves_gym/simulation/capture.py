@@ -181,7 +181,7 @@ class Cargo:
 
     @property
     def state(self) -> PayloadState:
-        """Where the payloads are, and how they move, free or carried."""
+        """Place and motion of the payloads, free or carried."""
         held = np.flatnonzero(self.carried)
         if not len(held):
             parts = self.position, self.attitude, self.velocity, self.spin

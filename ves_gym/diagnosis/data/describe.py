@@ -77,16 +77,16 @@ def describe(
     Raises:
         ParameterError: no column looks like the position of a joint; the model.
     """
-    whole = {k: x for k, x in columns.items() if len(x) > 1 and np.isfinite(x).all()}
-    whole = _once(whole)
-    clock = _clock(whole)
-    joints = _joints([k for k in whole if k != clock])
+    complete = {k: x for k, x in columns.items() if len(x) > 1 and np.isfinite(x).all()}
+    complete = _once(complete)
+    clock = _clock(complete)
+    joints = _joints([k for k in complete if k != clock])
     if not joints:
         raise ParameterError(
             f"{source}: no column looks like the position of a joint; it has"
             f" {', '.join(columns)}"
         )
-    time = _time(whole, clock)
+    time = _time(complete, clock)
     named = _names(list(joints), model)
     missing = [*time.remarks]
     for what, consequence in (
@@ -103,12 +103,12 @@ def describe(
             'a model: `model = "robot.urdf"` or .xml; without it only rates are tested'
         )
     used = {c for g in joints.values() for c in g.columns.values()} | {clock or ""}
-    left = [k for k in whole if k not in used]
+    unused = [k for k in complete if k not in used]
     lines = [f"# Mapping of {source}: check every guess, then run", "#"]
     lines += [f"#   ves-gym diagnose {source} --machine THIS_FILE", "#"]
     lines += ["# Missing:", *(f"#   - {text}" for text in missing)] if missing else []
-    if left:
-        lines.append(f"# Columns not used: {', '.join(left)}")
+    if unused:
+        lines.append(f"# Columns not used: {', '.join(unused)}")
     rate = 1 / time.step
     band = min(BAND, float(f"{rate / 5:.2g}"))
     lines += ["", f'schema = "{SCHEMA}"', 'name = "my robot"']
@@ -120,7 +120,7 @@ def describe(
     lines.append(f"band = {band:g} # Hz compared; the log has {rate:.4g} Hz")
     lines += [time.text, "", *_SETTINGS]
     for (key, guess), (name, kind) in zip(joints.items(), named, strict=True):
-        lines += ["", *_joint_lines(whole, key, guess, name, kind, time.step)]
+        lines += ["", *_joint_lines(complete, key, guess, name, kind, time.step)]
     return "\n".join(lines) + "\n"
 
 
@@ -214,9 +214,9 @@ def _joints(names: Sequence[str]) -> dict[str, _Guess]:
 
 def _kind(parts: Sequence[str]) -> str:
     """Return the quantity that a name speaks of; a plain "joint" is the weakest word."""
-    found = [kind for kind, words in _WORDS.items() if set(parts) & set(words)]
+    matches = [kind for kind, words in _WORDS.items() if set(parts) & set(words)]
     for kind in ("command", "velocity", "force", "position"):
-        if kind in found:
+        if kind in matches:
             return kind
     return ""
 
@@ -248,8 +248,10 @@ def _of_model(model: Path) -> list[tuple[str, str]]:
         except (OSError, ElementTree.ParseError) as error:
             raise ParameterError(f"model {model}: cannot be read: {error}") from None
         kinds = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
-        found = [(j.get("name", ""), kinds.get(j.get("type", ""))) for j in root.iter("joint")]
-        return [(name, kind) for name, kind in found if kind]
+        matches = [
+            (j.get("name", ""), kinds.get(j.get("type", ""))) for j in root.iter("joint")
+        ]
+        return [(name, kind) for name, kind in matches if kind]
     compiled = read_model(model)
     slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
     return [

@@ -1,4 +1,4 @@
-"""What an unnamed residual depends on: smooth curves over angle, speed, load and time compete.
+"""Dependence of an unnamed residual: smooth curves over angle, speed, load and time compete.
 
 A curve is twelve linear B-splines of one quantity, added to one channel of a port. Its
 numbers are fitted on some runs, and it counts by what it explains on runs held back: a curve
@@ -16,7 +16,7 @@ import scipy
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals
+from ves_gym.diagnosis.inference.fit import Fit, fit_residual
 from ves_gym.diagnosis.inference.variance_groups import deviance
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.base import WRENCH, Port
@@ -60,19 +60,19 @@ def dependences(
         last: of the runs held back.
         fit: whose residual is looked at.
     """
-    left = [_left(r, fit, r is residuals) for r in (residuals, last)]
+    remainders = [fit_residual(r, fit, r is residuals) for r in (residuals, last)]
     channels = [
-        (port, i, _unexplained(residuals, port.name, i, left[0]))
+        (port, i, _unexplained(residuals, port.name, i, remainders[0]))
         for port in residuals.ports
         for i in range(len(port.channels))
     ]
     channels.sort(key=lambda c: -c[2])
-    found = []
+    curves = []
     for port, i, size in channels[:_CHANNELS]:
         if size > LEAST:
             for on, quantity in _quantities(residuals, port, i, (*residuals.runs, *last.runs)):
-                found.append(_curve((residuals, last), left, port, i, on, quantity))
-    good = [d for d in found if d.held_back > LEAST]
+                curves.append(_curve((residuals, last), remainders, port, i, on, quantity))
+    good = [d for d in curves if d.held_back > LEAST]
     return tuple(sorted(good, key=lambda d: -d.held_back))
 
 
@@ -82,8 +82,8 @@ def _quantities(
     """Yield what the residual of a channel may depend on, as far as all runs have it."""
     logged = {k for k in ("q", "tau", "y", "w") if all(k in run for run in runs)}
     width = runs[0]["q"].shape[-1] if "q" in logged else 0
-    own = set(port.channels).isdisjoint(AXES + WRENCH) and width == len(port.channels)
-    if own:
+    at_joints = set(port.channels).isdisjoint(AXES + WRENCH) and width == len(port.channels)
+    if at_joints:
         yield f"angle of joint {i + 1}", lambda run: run.joints.x[:, i]
         yield f"speed of joint {i + 1}", lambda run: run.joints.v[:, i]
     machine = residuals.machine
@@ -95,21 +95,21 @@ def _quantities(
 
         return quantity
 
-    if own and "tau" in logged:
+    if at_joints and "tau" in logged:
         yield f"load of joint {i + 1}", as_described("tau")
     if port.channels in (AXES, WRENCH) and "y" in logged:
         yield f"pose coordinate {i + 1}", lambda run: run.base.x[:, i]
         yield f"rate of pose coordinate {i + 1}", lambda run: run.base.v[:, i]
     if port.channels == WRENCH and "w" in logged:
         yield f"load {port.channels[i]}", as_described("w")
-    for j in range(0 if own else width):
+    for j in range(0 if at_joints else width):
         yield f"angle of joint {j + 1}", lambda run, j=j: run.joints.x[:, j]  # type: ignore[misc]
     yield "time elapsed", lambda run: np.asarray(run.dt * np.arange(run.length), float)
 
 
 def _curve(
     both: Sequence[WhitenedResiduals],
-    left: Sequence[Array],
+    remainders: Sequence[Array],
     port: Port,
     channel: int,
     on: str,
@@ -123,7 +123,7 @@ def _curve(
     t = np.concatenate([ends[0], knots, ends[1]])
     x: Array = np.zeros(_SPLINES)
     gains, share = [], 0.0
-    for r, z in zip(both, left, strict=True):
+    for r, z in zip(both, remainders, strict=True):
         columns = _columns(r, port, channel, quantity, t)
         start = r.part(port.name).start
         groups = [g for g in r.groups if (g.port, g.channel) == (port.name, channel)]
@@ -161,11 +161,6 @@ def _columns(
         out[:, :, channel] = basis.T
         by_run.append(out)
     return r.whitened(port.name, by_run).T
-
-
-def _left(r: WhitenedResiduals, fit: Fit, fitted: bool) -> Array:
-    z = evaluate_residuals(r, fit.candidates, [fit.values])[0]
-    return r.less_nuisances(z, fit.nuisances, fitted)
 
 
 def _unexplained(r: WhitenedResiduals, port: str, channel: int, z: Array) -> float:

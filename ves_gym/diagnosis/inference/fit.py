@@ -319,3 +319,18 @@ def _evaluate_port(
     while len(memory) > _REMEMBERED:
         memory.pop(next(iter(memory)))
     return out
+
+
+def fit_residual(residuals: WhitenedResiduals, f: Fit, fitted: bool) -> Array:
+    """Return what a fit leaves of residuals, tolerances as it has them.
+
+    Args:
+        residuals: of the runs fitted, or of others.
+        f: fit.
+        fitted: on these runs; else what single runs have of their own is fitted to them.
+
+    Returns:
+        (N,) whitened.
+    """
+    z = evaluate_residuals(residuals, f.candidates, [f.values])[0]
+    return residuals.less_nuisances(z, f.nuisances, fitted)

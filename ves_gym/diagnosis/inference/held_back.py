@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals
+from ves_gym.diagnosis.inference.fit import Fit, fit_residual
 from ves_gym.diagnosis.inference.intervals import intervals, stretches
 from ves_gym.diagnosis.inference.model_selection import Selection, reduced_selection
 from ves_gym.diagnosis.inference.variance_groups import deviance, sizes
@@ -65,13 +65,13 @@ def gaps(
         before: the fit of the description as it is.
         fitted: on these runs; else what single runs have of their own is found on them.
     """
-    left = [_left(residuals, f, fitted) for f in (before, after)]
+    remainders = [fit_residual(residuals, f, fitted) for f in (before, after)]
     out = []
     for port in residuals.ports:
         for i, channel in enumerate(port.channels):
             groups = [g for g in residuals.groups if (g.port, g.channel) == (port.name, i)]
             count = sum(g.n for g in groups)
-            sums = [np.concatenate(stretches(residuals, groups, x)) for x in left]
+            sums = [np.concatenate(stretches(residuals, groups, x)) for x in remainders]
             rms = [float(np.sqrt(s.sum() / count)) for s in sums]
             out.append(Gap(port.name, channel, rms[0], rms[1], *intervals(count, sums)))
     return tuple(out)
@@ -150,18 +150,14 @@ def _losses(
 
 def _sizes(last: WhitenedResiduals, fit: Fit) -> tuple[Array, Array]:
     """Return counts and mean squares (G,) of the groups, in units of the fit's noise."""
-    left = _left(last, fit, False)
+    remainders = fit_residual(last, fit, False)
     n = np.array([g.n for g in last.groups], float)
-    squares = np.array([left[g.part] @ left[g.part] for g in last.groups])
+    squares = np.array([remainders[g.part] @ remainders[g.part] for g in last.groups])
     noise = n.copy()
     for k, g in enumerate(last.groups):
         for part in g.copies:
             usual = last.null[part]
-            noise[k] += float(left[part] @ left[part] - usual @ usual) / len(g.copies)
+            noise[k] += float(remainders[part] @ remainders[part] - usual @ usual) / len(
+                g.copies
+            )
     return n, sizes(n, squares, np.maximum(noise, 0.05 * n))
-
-
-def _left(residuals: WhitenedResiduals, fit: Fit, fitted: bool) -> Array:
-    """Return what a fit leaves (N,), tolerances as it has them."""
-    z = evaluate_residuals(residuals, fit.candidates, [fit.values])[0]
-    return residuals.less_nuisances(z, fit.nuisances, fitted)

@@ -85,18 +85,22 @@ def null_law(
     curvature, covariance = signatures.score_law(size)
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     raw = signatures.squares(size)
-    seen = np.flatnonzero((np.diag(curvature) > _UNSEEN * raw) & (scale > 0))
-    if not len(seen):
+    observable = np.flatnonzero((np.diag(curvature) > _UNSEEN * raw) & (scale > 0))
+    if not len(observable):
         return NullLaw(max(len(signatures.blocks), 1))
-    C = covariance[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen])
+    C = covariance[np.ix_(observable, observable)] / np.outer(
+        scale[observable], scale[observable]
+    )
     value, vector = np.linalg.eigh(C)
     root = vector * np.sqrt(np.maximum(value, _JITTER * value[-1]))
     rng = np.random.default_rng([seed, 5])
     g = np.zeros((len(scale), draws))
-    g[seen] = (root @ rng.standard_normal((len(seen), draws))) * scale[seen, None]
+    g[observable] = (root @ rng.standard_normal((len(observable), draws))) * scale[
+        observable, None
+    ]
     least = np.ones(draws)
     tests = 0
-    visible = set(seen.tolist())
+    visible = set(observable.tolist())
     for block in signatures.blocks:
         at = [c for c in block.columns if c in visible]
         if not at:

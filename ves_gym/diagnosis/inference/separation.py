@@ -42,10 +42,10 @@ class Hypothesis:
             new: residuals of the run, of all ports or of some.
         """
         every = list(self.tolerances)
-        shown = [every.index(k.name) for k in new.nuisances[: new.shared]]
-        kept = np.r_[np.array(shown, int), len(every) : len(self.precision)]
-        values = np.array(list(self.tolerances.values()))[shown]
-        return values, _marginal(self.precision, kept)
+        indices = [every.index(k.name) for k in new.nuisances[: new.shared]]
+        retained = np.r_[np.array(indices, int), len(every) : len(self.precision)]
+        values = np.array(list(self.tolerances.values()))[indices]
+        return values, _marginal(self.precision, retained)
 
 
 def hypothesis(residuals: WhitenedResiduals, full: Fit, name: str) -> Hypothesis:
@@ -78,11 +78,11 @@ def hypothesis(residuals: WhitenedResiduals, full: Fit, name: str) -> Hypothesis
     )
 
 
-def _marginal(precision: Array, kept: Array) -> Array:
+def _marginal(precision: Array, retained: Array) -> Array:
     """Return the precision of some numbers where nothing is known of the others."""
-    out = np.setdiff1d(np.arange(len(precision)), kept)
-    across = precision[np.ix_(out, kept)]
-    inner = precision[np.ix_(kept, kept)]
+    out = np.setdiff1d(np.arange(len(precision)), retained)
+    across = precision[np.ix_(out, retained)]
+    inner = precision[np.ix_(retained, retained)]
     return np.asarray(
         inner - across.T @ np.linalg.solve(precision[np.ix_(out, out)], across), float
     )
@@ -127,12 +127,12 @@ def separations(new: WhitenedResiduals, rivals: Sequence[Hypothesis]) -> Array:
         (h, h): the truth in rows, what is wrong in columns; zero on the diagonal.
     """
     under = [linearised(new, h.fit.candidates, h.fit.values) for h in rivals]
-    known = [h.at(new) for h in rivals]
+    at_hand = [h.at(new) for h in rivals]
     J, m, weight = new.slopes, new.shared, _weights(new, rivals[0])
     out = np.zeros((len(rivals), len(rivals)))
-    for b, ((wrong, precision), (z, tangents)) in enumerate(zip(known, under, strict=True)):
+    for b, ((wrong, precision), (z, tangents)) in enumerate(zip(at_hand, under, strict=True)):
         free = _Free(J, tangents, weight, precision, m)
-        for a, ((true, _), (z_true, _)) in enumerate(zip(known, under, strict=True)):
+        for a, ((true, _), (z_true, _)) in enumerate(zip(at_hand, under, strict=True)):
             if a != b:
                 shift = J[:, :m] @ (wrong - true)
                 d = (z - z_true + shift)[:, None]
@@ -140,19 +140,21 @@ def separations(new: WhitenedResiduals, rivals: Sequence[Hypothesis]) -> Array:
     return out
 
 
-def visibility(new: WhitenedResiduals, known: Hypothesis, faint: Sequence[Candidate]) -> Array:
+def visibility(
+    new: WhitenedResiduals, at_hand: Hypothesis, faint: Sequence[Candidate]
+) -> Array:
     """Return the information of a further run on candidates, at their usual size.
 
     Args:
         new: residuals of the run as described, without noise.
-        known: what the runs at hand say.
+        at_hand: what the runs at hand say.
         faint: c candidates.
 
     Returns:
         (c, c), in variances of noise; tolerances and what is named already are projected out.
     """
-    _, tangents = linearised(new, known.fit.candidates, known.fit.values)
-    free = _Free(new.slopes, tangents, _weights(new, known), known.at(new)[1], new.shared)
+    _, tangents = linearised(new, at_hand.fit.candidates, at_hand.fit.values)
+    free = _Free(new.slopes, tangents, _weights(new, at_hand), at_hand.at(new)[1], new.shared)
     columns = [
         evaluate_residuals(new, [c], [[np.array(c.starts[0])]])[0] - new.null for c in faint
     ]
@@ -160,15 +162,15 @@ def visibility(new: WhitenedResiduals, known: Hypothesis, faint: Sequence[Candid
 
 
 class _Free:
-    """What numbers with a prior may explain of a residual."""
+    """Part of a residual that numbers with a prior may explain."""
 
     def __init__(
         self, J: Array, tangents: Array, weight: Array, precision: Array, shared: int
     ) -> None:
         X = np.hstack([J, tangents])
-        kept = np.r_[0:shared, J.shape[1] : X.shape[1]]
+        retained = np.r_[0:shared, J.shape[1] : X.shape[1]]
         A = np.eye(X.shape[1])  # what is of the new run alone has a unit prior
-        A[np.ix_(kept, kept)] = precision
+        A[np.ix_(retained, retained)] = precision
         self._weighted = X * weight[:, None]
         A += X.T @ self._weighted
         self._inverse = np.linalg.inv(A + 1e-9 * np.diag(np.diag(A) + 1e-30))
@@ -180,9 +182,9 @@ class _Free:
         return np.asarray(d.T @ (d * self._weight[:, None]) - across.T @ self._inverse @ across)
 
 
-def _weights(new: WhitenedResiduals, known: Hypothesis) -> Array:
+def _weights(new: WhitenedResiduals, at_hand: Hypothesis) -> Array:
     """Return (N,) weights: what is more than noise at hand will be more than noise again."""
     out = np.zeros(new.length)
     for g in new.groups:
-        out[g.part] = 1 / known.sizes[g.port, g.channel, g.low]
+        out[g.part] = 1 / at_hand.sizes[g.port, g.channel, g.low]
     return out

@@ -1,5 +1,5 @@
-"""What has no name, as a model: torque regressed on all angles and the rate of each joint, and
-how much belief there is in that.
+"""A model of the residual that has no name: torque regressed on all angles and
+the rate of each joint, and how much belief there is in that.
 
 The regression (`joint/unknown`) is fitted with nuisances and sizes of groups as any effect is.
 Its weights have normal priors, whose size at each joint is that of the largest marginal
@@ -92,11 +92,11 @@ def unnamed(residuals: WhitenedResiduals, last: WhitenedResiduals, null: Fit) ->
     evidence = _Evidence(residuals, candidates)
     sizes = evidence.sizes()
     while any(sizes):
-        found = evidence.fit(sizes)
-        if losses(last, found, null) < -LOSS and not any(
-            g.worse for g in gaps(last, found, null, False)
+        fitted = evidence.fit(sizes)
+        if losses(last, fitted, null) < -LOSS and not any(
+            g.worse for g in gaps(last, fitted, null, False)
         ):
-            return found
+            return fitted
         lost = {}  # by leaving a joint out
         for joint in np.flatnonzero(sizes).tolist():
             others = [s if k != joint else 0.0 for k, s in enumerate(sizes)]
@@ -196,8 +196,8 @@ def evidence(selection: Selection, remaining: float, limits: Thresholds) -> tupl
         return names, remaining - limits.remains
     gained = selection.null.deviance - selection.fit.deviance
     names = gained - sum(selection.needed[: len(selection.rivals)])
-    left = limits.explained / (1 - limits.explained) * gained
-    return names, min(remaining - limits.remains, names + remaining - left)
+    tolerated = limits.explained / (1 - limits.explained) * gained
+    return names, min(remaining - limits.remains, names + remaining - tolerated)
 
 
 def beliefs(

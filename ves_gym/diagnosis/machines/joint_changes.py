@@ -1,5 +1,5 @@
-"""What a machine of joints may have besides the laws of the library: a payload, shafts that
-several joints turn, rates logged otherwise than they were.
+"""Changes that a machine of joints may have besides the laws of the library: a payload,
+shafts that several joints turn, rates logged otherwise than they were.
 """
 
 from __future__ import annotations

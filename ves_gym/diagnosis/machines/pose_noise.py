@@ -36,7 +36,7 @@ _BEYOND = 1.5  # of the band: up to there an estimate is taken off
 
 
 class PoseNoise:
-    """What the noise of a run's measured pose does at its ports, as other residuals tell it.
+    """Effect of the noise of a measured pose at the ports, estimated from other residuals.
 
     Weights are those of the arm and base that are tried: with others' more noise would be left,
     and a fit would keep to the description because of that alone.
@@ -100,9 +100,9 @@ class PoseNoise:
         lever = self._turn.mean(axis=0)
         G = dynamic_stiffness(base, lever, self._w)
         across = self._pose[:, :, None] * np.conj(np.swapaxes(G, -1, -2))
-        told = G @ across + lever.T @ _diagonal(self._wrench) @ lever
-        size = np.sqrt(np.abs(np.einsum("kii->ki", told)))  # newtons beside newton metres
-        inner = told / size[:, :, None] / size[:, None, :]
+        covariance = G @ across + lever.T @ _diagonal(self._wrench) @ lever
+        size = np.sqrt(np.abs(np.einsum("kii->ki", covariance)))  # newtons beside newton metres
+        inner = covariance / size[:, :, None] / size[:, None, :]
         inverse = np.linalg.inv(inner) / size[:, :, None] / size[:, None, :]
         return np.asarray(self._low * self._w[:, None, None] ** 2 * across @ inverse)
 

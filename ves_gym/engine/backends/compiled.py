@@ -1,7 +1,8 @@
-"""What the engines that run our own compiled equations share: parameters and hidden states."""
+"""Common part of the engines that run our own compiled equations: parameters, hidden states."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,7 +15,7 @@ from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import System
 
 
-class CompiledBackend(Remembering):
+class CompiledBackend(Remembering, ABC):
     """Sizes of state, input and output, and the systems of the simulations.
 
     The state x stacks (Y, q), what is hidden (deflections of gears, oscillators of the
@@ -44,10 +45,11 @@ class CompiledBackend(Remembering):
         self._nx, self._nu = 2 * self._order, size
         self._ny = size + self.joints + (6 if self.emulated else 0)
 
+    @abstractmethod
     def _row(self, i: int) -> Array:
         """Parameters of a simulation, in place."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
         """Set one parameter of some simulations.
 
@@ -56,7 +58,6 @@ class CompiledBackend(Remembering):
             ids: (k,) of the simulations.
             values: (k,).
         """
-        raise NotImplementedError
 
     def states_of(self, ids: Index, z: Array, zd: Array) -> Array:
         """(k, nx) states: gears relaxed, oscillators at rest on the vehicle.

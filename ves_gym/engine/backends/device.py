@@ -1,10 +1,11 @@
-"""What the optional GPU engines share: MuJoCo's model on a device, its state kept here.
+"""Common part of the optional GPU engines: MuJoCo's model on a device, its state kept here.
 
 Single precision, and not bit-for-bit repeatable: never chosen by `auto`.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,7 +19,7 @@ from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 
-class DeviceBackend(Remembering):
+class DeviceBackend(Remembering, ABC):
     """`Backend` whose subclasses run `_advance` and `_forward` on a device."""
 
     name = "device"
@@ -52,13 +53,13 @@ class DeviceBackend(Remembering):
         self._act, self._push = np.zeros((n, self.host.nu)), np.zeros((n, self.host.nv))
         self._time, self._fault = np.zeros(n), np.zeros(n, bool)
 
+    @abstractmethod
     def _advance(self, slopes: Array) -> tuple[Array, Array, Array, Array]:
         """Through slopes (n, k, nu) of the commands: q, v, act, sensors (n, k, m)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _forward(self) -> tuple[Array, Array, Array]:
         """Acceleration, actuator force and sensors at this state."""
-        raise NotImplementedError
 
     def _play(self, slopes: Array, ids: Index | None) -> Array:
         q, v, act, sensed = self._advance(slopes)

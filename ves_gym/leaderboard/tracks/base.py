@@ -1,4 +1,4 @@
-"""What every track has: questions, a way to answer them, to replay and to answer them again."""
+"""Parts of every track: questions, a way to answer them, to replay and to answer them again."""
 
 from __future__ import annotations
 
