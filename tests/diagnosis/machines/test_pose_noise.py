@@ -1,7 +1,7 @@
 """The force sensor's accuracy at ports that differentiate a measured pose twice (mode ideal).
 
-`pytest -s` prints the levels, with the estimate of the pose's noise and without. References: the
-noise that was added, and the numbers hidden.
+`pytest -s` prints the levels, with the estimate of the pose's noise and without. References:
+the noise that was added, and the numbers hidden.
 """
 
 import dataclasses
