@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -25,8 +25,13 @@ class RestToRest(Task):
 
     Queries are drawn as those of the planning benchmark reach100: both ends uniform in a
     box of joint angles, kept when the straight quintic respects the speed limits. The
-    reward adds up to -E_mean / E_straight, E_straight the energy that a straight motion is
-    expected to leave (`scales.straight_energy`), so the straight line returns about -1.
+    reward adds up to -E_mean / E_straight, so the straight line returns about -1.
+
+    E_straight is the energy that a straight motion is expected to leave on the machine as
+    described (`scales.straight_energy`). With `saving`, in the laboratory, with effects or with
+    anything drawn (`randomize`) it is what the straight motion does leave on that very machine,
+    simulated at every reset with the same errors and noise; the observation shows the expected
+    one.
 
     Solved: at the goal and at rest there; with `saving`, only where E_mean is at most that
     share of E_straight. Control `guided` arrives whatever the action: without `saving` a
@@ -56,12 +61,21 @@ class RestToRest(Task):
         if self.saving is not None:
             require_positive(self, "saving")
 
+    @property
+    def yardstick(self) -> RestToRest | None:
+        """See `Task`. The straight motion, where the machine is not as described."""
+        described = self.system.mode == "ideal" and not (self.system.effects or self.randomize)
+        if self.saving is None or described:
+            return None
+        control = self.control if isinstance(self.control, Guided) else Guided()
+        return replace(self, saving=None, control=control, context=None, base_control=None)
+
     @cached_property
     def _straight(self) -> straight_energy:
         return straight_motion(self, self.duration)
 
     def start(self, u: Array, **options: Array) -> Start:
-        """See `Task`. Goal: joint angles (joints), then E_straight."""
+        """See `Task`. Goal: joint angles (joints), E_straight; with `saving` the yardstick."""
         n = self.system.arm.n
         middle, span = middle_and_half(self.system.arm, (0.0,), self.span)
         ends = middle + (2 * u.reshape(len(u), _TRIES, 2, -1)[..., :n] - 1) * span
@@ -74,7 +88,8 @@ class RestToRest(Task):
         q = chosen[:, 0]
         goal = options.get("goal", q + (chosen[:, 1] - q) / shrink)
         q = options.get("q", q)
-        return Start(q, np.column_stack([goal, self._straight(q, goal)]))
+        scale = self._straight(q, goal)
+        return Start(q, np.column_stack([goal, scale, *([scale] * (self.saving is not None))]))
 
     def remember(self, s: Scene, dt: float) -> None:
         """See `Task`."""
@@ -109,13 +124,13 @@ class RestToRest(Task):
             s.y_seen,
             s.yd_seen,
             (self.duration - s.time)[:, None],
-            np.log10(s.goal[:, n:]),
+            np.log10(s.goal[:, n : n + 1]),
         )
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         """See `Task`."""
         n = self.system.arm.n
-        scale = s.goal[:, n] * (self.duration + self.tail)
+        scale = self._scale(s)
         distance = np.abs(s.goal[:, :n] - s.q).sum(axis=1)
         return {
             "energy": -s.energy * dt / scale,
@@ -135,5 +150,9 @@ class RestToRest(Task):
         calm: Mask = np.all(np.abs(s.v) <= self.rest, axis=1)
         if self.saving is None:
             return near & calm
-        most = self.saving * s.goal[:, n] * (self.duration + self.tail)
-        return near & calm & (s.memory[:, 0] + s.tail <= most)
+        return near & calm & (s.memory[:, 0] + s.tail <= self.saving * self._scale(s))
+
+    def _scale(self, s: Scene) -> Array:
+        """(n,) integral of E that counts as one [J s]."""
+        column = self.system.arm.n + (self.saving is not None)
+        return s.goal[:, column] * (self.duration + self.tail)
