@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from ves_gym._util.params import ParameterError, write_text
@@ -63,7 +64,8 @@ def run(args: argparse.Namespace) -> int:
                 f"SYSTEM {args.machine!r} and --system say the same: leave one"
             )
         args.system = args.machine
-    system = playable(system_from(args))
+    system = system_from(args)
+    space = playable(system)
     arm = system.arm
     start = joint_angles(args.start, arm, "--start", args.angle_unit)
     duration = duration_from(args.duration)
@@ -88,7 +90,8 @@ def run(args: argparse.Namespace) -> int:
         via = [joint_angles(text, arm, "--via", args.angle_unit) for text in args.via]
     plans = []
     if args.planner != "none":
-        plans = [solve(get_planner(args.planner), query, args.seed)]
+        asked = replace(query, system=space)
+        plans = [solve(get_planner(args.planner), asked, args.seed)]
     data = studio_data(query, via, opened, plans)
     path = Path(args.out or "out/studio")
     if path.suffix != ".html":

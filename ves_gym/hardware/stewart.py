@@ -131,11 +131,16 @@ class Stewart:
             source=source,
         )
 
+    @property
+    def feet(self) -> Array:
+        """(6, 3) base joints seen from the home position of the platform-top frame [m]."""
+        joints: Array = np.array(self.base) - [0.0, 0.0, self.home_height]
+        return joints
+
     @cached_property
     def _base(self) -> Array:
-        """(3, 6) base joints seen from the home position of the platform-top frame."""
-        joints: Array = np.array(self.base).T - [[0.0], [0.0], [self.home_height]]
-        return joints
+        """(3, 6) `feet`, component by component."""
+        return self.feet.T
 
     @cached_property
     def _top(self) -> Array:

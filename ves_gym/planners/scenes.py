@@ -15,6 +15,7 @@ from ves_gym.planners.coupling_map import CouplingMap, coupling_map
 from ves_gym.planners.query import Plan
 from ves_gym.simulation.recording import Recording
 from ves_gym.system.energy import base_energy
+from ves_gym.system.system import System
 
 
 class PlayedPlan(NamedTuple):
@@ -138,6 +139,26 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
     return data
 
 
+def platform_data(system: System) -> dict[str, Any] | None:
+    """Describe the platform that stands under the arm in mode emulated, and its six legs.
+
+    Args:
+        system: of a run.
+
+    Returns:
+        Plain data: joints of the legs (6, 3) seen from the platform top at home [m], `heads` in
+        its frame, and limits [m], [m/s]; None in space.
+    """
+    if system.mode != "emulated":
+        return None
+    stewart = system.emulator_settings.stewart
+    return {
+        "feet": _round(stewart.feet, 6),
+        "heads": _round(np.array(stewart.top), 6),
+        **{name: getattr(stewart, name) for name in ("length_min", "length_max", "speed_max")},
+    }
+
+
 def scene(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
     """The arm on the swaying base, frame by frame, for every planner's answer.
 
@@ -146,7 +167,8 @@ def scene(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
         runs: answers to the same query.
 
     Returns:
-        Plain data: points of arm and beam [m], base pose [m, rad], E [J].
+        Plain data: points of arm and beam [m], base pose [m, rad], E [J]; the platform of a
+        run in mode emulated.
     """
     query = runs[0].plan.query
     rest_beam = beam_line(query.system.vehicle, np.zeros((1, 6)))
@@ -178,6 +200,7 @@ def scene(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
                 "base": _round(y, 5),
                 "beam": None if beam is None else _round(beam, 4),
                 "E": _digits(energy.total, 4),
+                "platform": platform_data(run.system),
             }
         )
     return data

@@ -55,8 +55,7 @@ class Drawing:
         self.rest_beam: Any = None  # (k, 3) centreline of a beam
         self.feet: Any = None  # (6, 3) of legs
         if system.mode == "emulated":  # the laboratory stands on legs instead
-            stewart = system.emulator_settings.stewart
-            self.feet = np.array(stewart.base) - [0.0, 0.0, stewart.home_height]
+            self.feet = system.emulator_settings.stewart.feet
         elif isinstance(system.vehicle, (Beam, FlexibleBase)):
             self._measure(system.vehicle)
         self.model = self._model()

@@ -18,6 +18,7 @@ _SCRIPTS = (
     "tables.js",
     "charts.js",
     "scene.js",
+    "platform.js",
     "player.js",
     "scenes.js",
 )  # one module, in this order

@@ -84,8 +84,7 @@ function zoom(factor) {
 
 function magnified() {
   const m = STEPS[$("scene-magnify").value];
-  const both = extents(film.around ?? film.item, m);
-  for (const view of film.views) view.extents = both;
+  for (const view of film.views) view.extents = extents(film.around ?? film.item, m, view.run);
   $("scene-magnify-out").textContent = m === 1 ? "true scale" : `× ${m}`;
   drawScene();
 }

@@ -12,8 +12,8 @@ const camera = { ...HOME };
 const plus = (a, b, k = 1) => a.map((v, i) => v + k * b[i]);
 const mix = (a, b, u) => a.map((v, i) => v + u * (b[i] - v));
 
-/** The beam at rest: of the run's own machine, or that of all. */
-const restBeam = (run) => run.rest_beam ?? film.item.rest_beam;
+/** The beam at rest: of the run's own machine, or that of all; a platform stands in its place. */
+const restBeam = (run) => (run.platform ? null : run.rest_beam ?? film.item.rest_beam);
 
 /** Arm, beam and energy of a run at time t, base displacement magnified by m. */
 function pose(run, t, m) {
@@ -21,10 +21,11 @@ function pose(run, t, m) {
   const i = Math.min(Math.floor(place), run.arm.length - 1);
   const j = Math.min(i + 1, run.arm.length - 1);
   const between = (frames) => frames[i].map((p, k) => mix(p, frames[j][k], place - i));
-  const shift = mix(run.base[i], run.base[j], place - i).slice(0, 3).map((v) => (m - 1) * v);
+  const base = mix(run.base[i], run.base[j], place - i);
+  const shift = base.slice(0, 3).map((v) => (m - 1) * v);
   const rest = restBeam(run);
   return {
-    shift, frame: i,
+    base, shift, frame: i,
     E: run.E[i] + (place - i) * (run.E[j] - run.E[i]),
     arm: between(run.arm).map((p) => plus(p, shift)),
     beam: run.beam && rest ? between(run.beam).map((p, k) => plus(rest[k], plus(p, rest[k], -1), m)) : null,
@@ -61,13 +62,13 @@ function projection({ pivot, x, y }, box, size, low) {
   return { to, scale };
 }
 
-/** What the two views must contain: the structure with its motion, the arm about its base. */
-function extents(scene, m) {
+/** What the two views of a run must contain: its structure with the motion, the arm about its base. */
+function extents(scene, m, { platform }) {
   const arm = scene.runs.flatMap((run) => run.arm.flatMap((points, f) =>
     points.map((p) => plus(p, run.base[f].slice(0, 3), -1))));
   const swing = scene.runs.flatMap((run) => run.base.map((y) => y.slice(0, 3).map((v) => m * v)));
-  const beam = scene.rest_beam ?? [];
-  const held = beam.length ? [-0.8, 0.8].map((r) => plus(beam[0], [r, r, r]))
+  const beam = platform ? platformPoints(platform) : scene.rest_beam ?? [];
+  const held = platform ? [] : beam.length ? [-0.8, 0.8].map((r) => plus(beam[0], [r, r, r]))
     : [[0.5, 0.5, -0.6], [-0.5, -0.5, -0.6]]; // the wall, or the box under the arm
   return {
     structure: bounds([...beam, ...held, ...arm, ...swing]),
@@ -198,6 +199,7 @@ function structure(ctx, view, box, now, closeUp, { size = 1, low = false, clip =
   if (rest) stroke(ctx, rest.map(to), width, ink("--ghost"));
   if (rest && rest.length > 1) wall(ctx, to, rest);
   if (now.beam) tube(ctx, now.beam.map(to), width);
+  else if (view.run.platform) drawPlatform(ctx, to, view.run.platform, now.base, now.shift, frame.scale);
   else body(ctx, to, now, view.run);
   obstacles(ctx, to, frame.scale);
   trail(ctx, view, to, now, m, closeUp);

@@ -30,8 +30,9 @@ function trackOf(name, machine, run, goal) {
   const modes = baseModes(machine, goal);
   return {
     name, machine, duration: run.duration, E_mean: run.E_mean, E_peak: run.E_peak, saturated: run.saturated,
-    t: column("t"), q: column("q"), v: column("v"), tau: column("tau"), E: column("E"), ydd: column("ydd"),
+    t: column("t"), q: column("q"), v: column("v"), tau: column("tau"), E: column("E"), ydd: column("ydd"), cmd: column("cmd"),
     y: records.map((row) => Array.from(row.x.subarray(0, 6))), u: records.map((row) => Array.from(row.x.subarray(6))),
+    yd: records.map((row) => Array.from(row.rate.subarray(0, 6))),
     omega: floats(machine) ? null : modes.omega,
     modes: floats(machine) ? null : records.map((row) => modalEnergies(modes, row.x, row.rate)),
   };
@@ -55,7 +56,10 @@ function framesOf(track) {
 function makeFrames(track) {
   const machine = machineOf(track);
   const { beam } = machine;
-  const run = { planner: track.name, dt: FRAME, arm: [], base: [], beam: beam ? [] : null, E: [], rest_beam: beam?.rest ?? null };
+  const run = {
+    planner: track.name, dt: FRAME, arm: [], base: [], beam: beam ? [] : null, E: [],
+    rest_beam: beam?.rest ?? null, platform: machine.platform,
+  };
   const count = Math.round(film.end / FRAME);
   for (let f = 0; f <= count; f++) {
     const t = Math.min(f * FRAME, track.t.at(-1));
@@ -138,6 +142,8 @@ function showMotions(coarse = false) {
     runs.forEach((run, k) => { film.views[k].run = run; });
     drawScene();
   }
+  $("stops").textContent = shown.flatMap((track) => (track.stops ?? [])
+    .map(({ time, reason }) => `${track.name}: the platform stopped at ${number(time)} s: ${reason}.`)).join(" ");
   drawCharts(coarse);
 }
 
@@ -271,18 +277,44 @@ function choose(side, name) {
 
 // ------------------------------------------------------------------------ how true it is
 
+function off(value) {
+  const text = (100 * Math.abs(value)).toFixed(2);
+  return `${Number(text) === 0 ? "" : value > 0 ? "+" : "−"}${text} %`;
+}
+
+const numberCell = (text) => el("td", { class: "number" }, text);
+
+/** A row of three cells per measure: the simulator's, the page's, the difference. */
+const compared = (name, triples) => el("tr", {}, el("td", {}, name), ...triples.flatMap(([theirs, ours]) => [
+  numberCell(number(theirs, 4)), numberCell(number(ours, 4)), numberCell(theirs === null ? "stopped" : off(ours / theirs - 1))]));
+
+/** Largest way from home and speed of a leg in what is drawn of a motion [m, m/s]. */
+function legPeaks(platform, { records }) {
+  const home = legLengths(platform, AT_HOME);
+  const peak = { way: 0, speed: 0 };
+  for (const { x, rate } of records) {
+    const [y, yd] = [x, rate].map((values) => Array.from(values.subarray(0, 6)));
+    legLengths(platform, y).forEach((length, i) => { peak.way = Math.max(peak.way, Math.abs(length - home[i])); });
+    for (const speed of legSpeeds(platform, y, yd)) peak.speed = Math.max(peak.speed, Math.abs(speed));
+  }
+  return peak;
+}
+
 /** Compare with the simulator, one motion at a time so that the page stays alive. */
 async function checkReferences() {
+  const { platform } = data.machine;
+  $("legs-true").hidden = !platform;
   let worst = 0;
   for (const reference of data.references) {
     await new Promise((go) => { setTimeout(go, 0); });
-    const run = simulateMotion(data.machine, reference.motion);
+    const run = simulateMotion(data.machine, reference.motion, { detail: Boolean(platform) });
     const errors = ["E_mean", "E_peak"].map((key) => run[key] / reference[key] - 1);
     worst = Math.max(worst, ...errors.map(Math.abs));
-    const cell = (text) => el("td", { class: "number" }, text);
-    const off = (value) => `${value > 0 ? "+" : value < 0 ? "−" : ""}${(100 * Math.abs(value)).toFixed(2)} %`;
-    $("references").append(el("tr", {}, el("td", {}, reference.name),
-      ...["E_mean", "E_peak"].flatMap((key, k) => [cell(number(reference[key], 4)), cell(number(run[key], 4)), cell(off(errors[k]))])));
+    $("references").append(compared(reference.name, ["E_mean", "E_peak"].map((key) => [reference[key], run[key]])));
+    if (!platform) continue;
+    const [theirs, ours] = [reference.legs, legPeaks(platform, run)];
+    const mm = (value) => (value === null ? null : 1e3 * value);
+    $("legs-compared").append(compared(reference.name, ["way", "speed"].map((key) => [mm(theirs[key]), mm(ours[key])])));
   }
   const count = data.references.length;
   $("truth").textContent = count ? `${(100 * worst).toFixed(2)} %` : "–";
@@ -343,4 +375,5 @@ begin();
 globalThis.vesStudio = {
   data, path, film, chart, opened, inertiaMatrix, inverseDynamics, jointPositions, baseModes, couplingCell, couplingBlock,
   principal, motionThrough, straightMotion, sampleMotion, simulateMotion, readItems, setPoint, refresh, seek,
+  legLengths, legSpeeds, legPeaks,
 };

@@ -21,12 +21,15 @@ from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.serial_chain import Inertial
 from ves_gym.mechanics.servo import OWN_GAINS
+from ves_gym.mechanics.spatial import matvec
 from ves_gym.mechanics.vehicle import beam_line, vehicle_name
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import Plan, Query
+from ves_gym.planners.scenes import platform_data
 from ves_gym.report.pages import assemble, embedded, part
 from ves_gym.report.planner_styles import css, script
 from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.recording import Recording
 from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
 
@@ -38,12 +41,14 @@ _SCRIPTS = (
     "studio_motion.js",
     "studio_base.js",
     "scene.js",
+    "platform.js",
     "player.js",
     "studio_map.js",
     "studio_charts.js",
     "studio_files.js",
     "studio.js",
 )  # one module, in this order
+SHOWN = 4.0  # s after the motion that the page shows
 _RECORD = 0.0125  # s between samples of the motions that the page's energies are compared with
 _DETOURS = (-0.4, -0.2, 0.0, 0.2, 0.4)  # rad
 _SHARES = {"position": 1.0, "velocity": 1.0, "torque": 0.7}  # of limits
@@ -101,14 +106,18 @@ def playable(system: System) -> System:
 
 
 def machine_data(system: System) -> dict[str, Any]:
-    """Describe arm, base, servo and beam as plain numbers.
+    """Describe arm, base, servo, beam and platform as plain numbers.
 
     Args:
-        system: as `playable` returns it.
+        system: arm and vehicle; in mode emulated the platform stands in the beam's place.
 
     Returns:
         SI units; the base's matrices over (Y, internal modes).
+
+    Raises:
+        ParameterError: as `playable`.
     """
+    platform, system = platform_data(system), playable(system)
     arm, base = system.arm, system.base
     M, D, K = base.full()
     servo = OWN_GAINS.for_arm(arm) if system.drive == "motor" else None
@@ -118,7 +127,8 @@ def machine_data(system: System) -> dict[str, Any]:
         "arm": _arm(arm),
         "base": {"M": M.tolist(), "D": D.tolist(), "K": K.tolist()},
         "servo": None if servo is None else {"kp": list(servo.kp), "kd": list(servo.kd)},
-        "beam": _beam(system.vehicle, base),
+        "beam": None if platform else _beam(system.vehicle, base),
+        "platform": platform,
     }
 
 
@@ -215,31 +225,52 @@ def _possible(arm: Arm, motion: Motion) -> bool:
 def references(system: System, motions: Sequence[tuple[str, Motion]]) -> list[dict[str, Any]]:
     """Simulate motions and return their energies beside what the page needs to play them.
 
+    In mode emulated also what the platform does in the laboratory, as described, without
+    effects: the legs' largest way from home [m] and speed [m/s].
+
     Args:
-        system: as `playable` returns it.
+        system: arm and vehicle.
         motions: with their names.
     """
+    lab = system.replace(effects=()) if system.mode == "emulated" else None
+    system = playable(system)
     out: list[dict[str, Any]] = []
     for T in dict.fromkeys(motion.duration for _, motion in motions):
         group = [(name, motion) for name, motion in motions if motion.duration == T]
-        dt = system.physics_dt
-        run = play_motions(
-            system,
-            [motion for _, motion in group],
-            servo=OWN_GAINS,
-            settle=TAIL,
-            record_dt=max(1, round(_RECORD / dt)) * dt,
-        )
-        for (name, motion), energies in zip(group, run.energies(), strict=True):
-            out.append(
-                {
-                    "name": name,
-                    "motion": motion.to_dict(),
-                    "E_mean": energies.E_mean,
-                    "E_peak": energies.E_peak,
-                }
-            )
+        run = _played(system, group, system.physics_dt)
+        real = None if lab is None else _played(lab, group, lab.control_dt)
+        for k, ((name, motion), energies) in enumerate(zip(group, run.energies(), strict=True)):
+            row = {
+                "name": name,
+                "motion": motion.to_dict(),
+                "E_mean": energies.E_mean,
+                "E_peak": energies.E_peak,
+            }
+            out.append(row if real is None else row | {"legs": _legs(real, k)})
     return out
+
+
+def _played(system: System, group: Sequence[tuple[str, Motion]], period: float) -> Recording:
+    """Motions of one duration, recorded about every `_RECORD` s, at multiples of a period."""
+    return play_motions(
+        system,
+        [motion for _, motion in group],
+        servo=OWN_GAINS,
+        settle=TAIL,
+        record_dt=max(1, round(_RECORD / period)) * period,
+    )
+
+
+def _legs(run: Recording, k: int) -> dict[str, float | None]:
+    """Largest way from home [m] and speed [m/s] of a leg; None of a platform that stopped."""
+    if any(event.simulation == k for event in run.events):
+        return {"way": None, "speed": None}
+    stewart = run.system.emulator_settings.stewart
+    shown = run.t <= run.duration + SHOWN
+    y, yd = run.y[k, shown], run.yd[k, shown]
+    way = stewart.leg_lengths(y) - stewart.home_lengths
+    speed = matvec(stewart.jacobian(y), yd)
+    return {"way": float(np.abs(way).max()), "speed": float(np.abs(speed).max())}
 
 
 def studio_data(
@@ -256,7 +287,7 @@ def studio_data(
         opened: files, as `ves_gym.report.studio_files` reads them.
         plans: answers to the query, to compare with.
     """
-    system = playable(query.system)
+    system = query.system
     planned = [
         {"kind": "motion", "name": plan.planner, "motion": plan.motion.to_dict()}
         for plan in plans

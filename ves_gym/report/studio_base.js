@@ -14,7 +14,7 @@ const STEP = 0.005; // s of the motion
 const COARSE = 0.01; // s, while the path is dragged
 const LEAST_STEPS = 160;
 const TAIL_STEP = 0.01; // s of the tail
-const SHOWN = 4; // s of the tail in what is drawn
+const SHOWN = 4; // s of the tail in what is drawn, as in studio.py
 const RECORD = 0.01; // s between records
 
 // --------------------------------------------------------------------- linear algebra
@@ -282,14 +282,14 @@ function simulateMotion(machine, motion, { detail = false, step = STEP } = {}) {
     run.E_peak = Math.max(run.E_peak, E);
     return E;
   };
-  const record = (t, E, q, v, ahead, h) => {
+  const record = (t, E, cmd, v, ahead, h) => {
     const tau = ahead.map((value, j) => {
       const asked = servo ? value - servo.kp[j] * x[b + j] - servo.kd[j] * rate[b + j] : value;
       return Math.min(Math.max(asked, -limit[j]), limit[j]);
     });
     const give = (row, from) => row.map((value, j) => (servo ? value + from[b + j] : value));
     run.records.push({
-      t, E, tau, q: give(q, x), v: give(v, rate), x: x.slice(0, b), rate: rate.slice(0, b),
+      t, E, tau, cmd, q: give(cmd, x), v: give(v, rate), x: x.slice(0, b), rate: rate.slice(0, b),
       ydd: Array.from({ length: 6 }, (_, k) => (t > 0 ? (rate[k] - before[k]) / h : 0)),
     });
   };

@@ -37,6 +37,22 @@ const perJoint = (key, factor) => (track) => (track[key] === null ? []
 const limitsOf = (low, high, factor) => (track) => machineOf(track).arm.links
   .map((link) => [factor * low(link), factor * high(link)]);
 
+const AT_HOME = [0, 0, 0, 0, 0, 0];
+
+/** Lines of the six legs [mm, mm/s] from what one sample has of them [m, m/s]. */
+const perLeg = (measure) => (track) => {
+  const { platform } = machineOf(track);
+  if (!platform) return [];
+  const home = legLengths(platform, AT_HOME);
+  const rows = track.y.map((y, i) => measure(platform, home, y, track.yd[i]));
+  return home.map((_, leg) => ({ name: `leg ${leg + 1}`, values: rows.map((row) => 1e3 * row[leg]) }));
+};
+
+const legLimits = (ends) => (track) => {
+  const { platform } = machineOf(track);
+  return platform ? legLengths(platform, AT_HOME).map((home) => ends(platform, home).map((end) => 1e3 * end)) : [];
+};
+
 const CHARTS = [
   { key: "E", label: "Energy of the base", unit: "J", floor: true,
     lines: (track) => [{ name: "E", values: track.E }] },
@@ -47,12 +63,30 @@ const CHARTS = [
     limits: limitsOf((l) => -l.v_max, (l) => l.v_max, DEG) },
   { key: "tau", label: "Motor torques", unit: "N m", lines: perJoint("tau", 1),
     limits: limitsOf((l) => -l.tau_max, (l) => l.tau_max, 1) },
+  { key: "tool", label: "Tool error", unit: "mm", floor: true,
+    lines: (track) => [{ name: "tool", values: toolErrors(track).map((value) => 1e3 * value) }] },
   { key: "y", label: "Base displacement", unit: "mm", floor: true,
     lines: (track) => [{ name: "|Y|", values: track.y.map((row) => 1e3 * norm3(row)) }] },
   { key: "ydd", label: "Base acceleration", unit: "m/s²", floor: true,
     lines: (track) => (track.ydd === null ? []
       : [{ name: "|Y″|", values: track.ydd.map(norm3) }]) },
+  { key: "legs", label: "Leg lengths, from home", unit: "mm", absent: "no platform",
+    lines: perLeg((platform, home, y) => legLengths(platform, y).map((length, i) => length - home[i])),
+    limits: legLimits(({ length_min: low, length_max: high }, home) => [low - home, high - home]) },
+  { key: "legSpeeds", label: "Leg speeds", unit: "mm/s", absent: "no platform",
+    lines: perLeg((platform, home, y, yd) => legSpeeds(platform, y, yd)),
+    limits: legLimits(({ speed_max: most }) => [-most, most]) },
 ];
+
+/** Way of the tool from where the command puts it on a base at rest [m]; of logs it is in the file. */
+function toolErrors(track) {
+  const { arm } = machineOf(track);
+  track.tool ??= track.t.map((_, i) => {
+    const [at, meant] = [track.q[i], track.cmd[i]].map((q) => jointPositions(arm, q).at(-1));
+    return norm3(plus(plus(turned(at, track.y[i].slice(3)), track.y[i]), meant, -1));
+  });
+  return track.tool;
+}
 
 /** The strongest modes of a track, by their frequency. */
 function modeLines(track) {
@@ -74,6 +108,11 @@ function makeCharts() {
     $("charts").append(...row.cells.map((cell) => cell.figure));
   }
   followers.push(moveCursors);
+  $("chart-limits").addEventListener("click", (event) => {
+    charts.limits = !charts.limits;
+    event.currentTarget.setAttribute("aria-pressed", charts.limits);
+    drawCharts();
+  });
 }
 
 function chartCell(spec, side) {
@@ -145,7 +184,7 @@ function extentOf({ spec, cells }) {
     }
     (spec.limits?.(shown[side]) ?? []).forEach(([least, most], j) => {
       const values = cell.lines[j]?.values ?? [];
-      const near = 0.15 * (most - least);
+      const near = charts.limits ? Infinity : 0.15 * (most - least);
       if (values.some((value) => value > most - near)) high = Math.max(high, most);
       if (values.some((value) => value < least + near)) low = Math.min(low, least);
     });
@@ -157,7 +196,7 @@ function extentOf({ spec, cells }) {
 
 function drawCell({ spec }, cell, track, low, high) {
   const { E_mean: mean, E_peak: peak } = track;
-  const total = spec.key === "E" ? `: mean ${number(mean)} J, peak ${number(peak)} J` : "";
+  const total = spec.key === "E" ? `: mean ${number(mean)} J, peak ${number(peak)} J` : limitShare(spec, cell, track);
   cell.who.textContent = ` · ${track.name}${total}`;
   cell.canvas.setAttribute("aria-label", `${spec.label} in ${spec.unit} against time, ${track.name}`);
   const { ctx, w, h } = sharp(cell.canvas);
@@ -183,16 +222,33 @@ function drawCell({ spec }, cell, track, low, high) {
   });
   ctx.setLineDash([]);
   ctx.fillStyle = ink("--soft");
-  if (cell.lines.length === 0) ctx.fillText("not recorded", w / 2, h / 2);
+  if (cell.lines.length === 0) ctx.fillText(spec.absent ?? "not recorded", w / 2, h / 2);
+}
+
+/** In words: how far the motion goes towards the nearest limit, from the middle between two. */
+function limitShare(spec, { lines }, track) {
+  if (!spec.limits) return "";
+  const limits = spec.limits(track);
+  let most = { share: -1, name: "" };
+  lines.forEach(({ name, values }, k) => {
+    const [low, high] = limits[k];
+    for (const value of values) {
+      const share = Math.abs(2 * value - low - high) / (high - low);
+      if (share > most.share) most = { share, name };
+    }
+  });
+  return most.share >= 0 ? `: ${most.name} reaches ${number(100 * most.share, 2)} % of its limit` : "";
 }
 
 const lineColour = (spec, track, k) => (spec.lines(track).length === 1 ? ink(`--s${styleOf(track.name)[0]}`)
   : ink(`--s${LINE_COLOURS[k % LINE_COLOURS.length]}`));
 
-/** Shade what lies beyond the limits of each joint. */
+/** Shade what lies beyond the limits of each joint or leg, or of all where they are the same. */
 function limitBands(ctx, spec, track, y, room) {
-  (spec.limits?.(track) ?? []).forEach(([least, most], j) => {
-    const hue = ink(`--s${LINE_COLOURS[j % LINE_COLOURS.length]}`);
+  const all = spec.limits?.(track) ?? [];
+  const common = all.every((pair) => pair.every((limit, k) => Math.abs(limit - all[0][k]) < 1e-9 * Math.abs(limit)));
+  (common ? all.slice(0, 1) : all).forEach(([least, most], j) => {
+    const hue = common ? ink("--soft") : ink(`--s${LINE_COLOURS[j % LINE_COLOURS.length]}`);
     const inside = (at) => Math.min(Math.max(at, BORDER.top), BORDER.top + room.h);
     for (const [limit, edge] of [[most, BORDER.top], [least, BORDER.top + room.h]]) {
       const at = inside(y(limit));

@@ -18,7 +18,8 @@ from ves_gym.planners.coupling import blocks
 from ves_gym.planners.query import SCHEMA as PLAN
 from ves_gym.planners.query import Plan
 from ves_gym.planners.uncertainty import DIAGNOSIS, read_uncertainty
-from ves_gym.report.studio import machine_data, playable
+from ves_gym.report.studio import SHOWN, machine_data, playable
+from ves_gym.system.disturbance import tool_error
 from ves_gym.system.energy import (
     base_rate,
     internal_of,
@@ -32,7 +33,6 @@ from ves_gym.system.system import System
 
 PLANNED = "ves-plan/1"  # what `ves-gym plan --json` writes
 _LOGS = (".csv", ".parquet")
-_SHOWN = 4.0  # s after the motion that are drawn
 _RECORDS = 600  # samples of a log, at most
 _DIGITS = 5
 
@@ -93,7 +93,7 @@ def _machine(described: System | None, displayed: System) -> dict[str, Any]:
     """The machine of a file, where it is another than the page's."""
     if described is None or described.hash == displayed.hash:
         return {}
-    return {"machine": machine_data(playable(described))}
+    return {"machine": machine_data(described)}
 
 
 def _opened_log(path: Path, displayed: System) -> dict[str, Any]:
@@ -106,7 +106,7 @@ def _opened_log(path: Path, displayed: System) -> dict[str, Any]:
             f"{path}: {system.arm.name} has {system.arm.n} joints, the log has {log.n_joints}"
         )
     clock = log.t - log.t[0]
-    last = int(np.searchsorted(clock, motion_end(log) + _SHOWN, side="right"))
+    last = int(np.searchsorted(clock, motion_end(log) + SHOWN, side="right"))
     at = np.unique(np.linspace(0, last - 1, min(last, _RECORDS)).round().astype(int))
     rate, internal = base_rate(log), internal_of(system, log)
     omega, modes = _by_mode(log, system, rate, internal)
@@ -115,7 +115,9 @@ def _opened_log(path: Path, displayed: System) -> dict[str, Any]:
         "q": log.q,
         "v": np.gradient(log.q, clock, axis=0) if log.v is None else log.v,
         "tau": log.tau,
+        "tool": np.linalg.norm(tool_error(system.arm, log.q, log.q_cmd, log.y), axis=-1),
         "y": log.y,
+        "yd": rate,
         "u": None if internal is None else internal[0],
         "ydd": np.gradient(rate, clock, axis=0),
         "E": log_base_energy(log, system).total,
@@ -128,6 +130,7 @@ def _opened_log(path: Path, displayed: System) -> dict[str, Any]:
     if omega is not None:
         omega = omega.tolist()
     track |= {"duration": motion_end(log), "omega": omega, **_energies(log, system)}
+    track["stops"] = log.meta.get("events", [])
     return {"kind": "log", "name": path.stem, "track": track} | machine
 
 
@@ -166,7 +169,7 @@ def _opened_diagnosis(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
     except ParameterError:  # nothing of arm or base: the described machine moves as before
         machine = None
     if machine is not None:
-        item["machine"] = machine_data(playable(machine))
+        item["machine"] = machine_data(machine)
     return item
 
 
