@@ -63,7 +63,9 @@ HEAVY = {
     "pyarrow",
     "stable_baselines3",
     "submitit",
+    "tensorboard",
     "torch",
+    "wandb",
     "warp",
 }
 

@@ -413,6 +413,8 @@ def train(
     workers: int = 1,
     resume: bool = False,
     progress: Callable[[int, float, str], None] | None = None,
+    tensorboard: str | os.PathLike[str] = "",
+    wandb: str = "",
 ) -> TrainingResult:
     """Learn policies with Stable-Baselines3, one per seed, as `ves-gym train` does.
 
@@ -427,6 +429,8 @@ def train(
         workers: seeds at once, each in a process of its own.
         resume: go on from the checkpoints in `folder`.
         progress: called with the seed, the fraction done and a few words.
+        tensorboard: a folder in which TensorBoard shows the curves as they grow.
+        wandb: a project of Weights & Biases, likewise.
 
     Returns:
         Learning curves and the best policy of each seed.
@@ -438,6 +442,7 @@ def train(
     import dataclasses
 
     from ves_gym.baselines.config import TrainConfig, choose_config
+    from ves_gym.baselines.tracking import Tracking
     from ves_gym.baselines.train import train_seeds
     from ves_gym.baselines.training_result import TrainingResult
 
@@ -454,7 +459,13 @@ def train(
         raise ParameterError(f"workers must be >= 1, got {workers}")
     where = Path("out", "train", chosen.name) if folder is None else Path(folder)
     curves = train_seeds(
-        chosen, chosen.seeds, where, workers=workers, resume=resume, progress=progress
+        chosen,
+        chosen.seeds,
+        where,
+        workers=workers,
+        resume=resume,
+        progress=progress,
+        tracking=Tracking(tensorboard=os.fspath(tensorboard), wandb=wandb),
     )
     return TrainingResult(chosen, where, curves)
 

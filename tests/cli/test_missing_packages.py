@@ -77,6 +77,23 @@ def test_train(command, hidden, tmp_path):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
+        (
+            ["--tensorboard", "board"],
+            "a curve in TensorBoard needs the package tensorboard:"
+            " pip install 'ves-gym[tensorboard]'",
+        ),
+        (["--wandb", "arms"], "a curve in W&B needs the package wandb: pip install wandb"),
+    ],
+)
+def test_curves_elsewhere(command, words, says, tmp_path):
+    status, out, err = command("tensorboard,wandb", *TRAIN, "--learner", "native", *words)
+    assert (status, out, err) == (2, "", f"ves-gym: error: {says}\n")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
         (["evaluate", "ves/PumaDamp-v0", "--policy", "released"], "pip install safetensors"),
         (["view", "LOG", "--gif", "a.gif"], "GIF output needs the package pillow"),
         (["view", "LOG", "--mp4", "a.mp4"], "'ves-gym[movie]'"),

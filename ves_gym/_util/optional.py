@@ -42,7 +42,9 @@ PACKAGES = {  # module -> what installs it
     "safetensors": Source("safetensors"),
     "stable_baselines3": Source("stable-baselines3", "rl"),
     "submitit": Source("submitit", "scale"),
+    "tensorboard": Source("tensorboard", "tensorboard"),
     "torch": Source("torch", "rl"),
+    "wandb": Source("wandb"),
     "warp": Source("warp-lang", "gpu"),
 }
 

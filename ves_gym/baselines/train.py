@@ -32,6 +32,7 @@ from ves_gym.baselines.controllers import Zero
 from ves_gym.baselines.decisions import Decisions, Endings
 from ves_gym.baselines.evaluate import Evaluation, evaluate, make_vector, ratio
 from ves_gym.baselines.policy import Policy, save_policy, versions
+from ves_gym.baselines.tracking import NOWHERE, Tracker, Tracking
 from ves_gym.envs.vector import VesVectorEnv
 
 CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.jsonl"
@@ -53,6 +54,7 @@ def train(
     *,
     resume: bool = False,
     progress: Progress | None = None,
+    tracking: Tracking = NOWHERE,
 ) -> list[dict[str, Any]]:
     """Train one policy; the rows of its learning curve.
 
@@ -61,6 +63,7 @@ def train(
         folder: where the run's files go.
         resume: go on from the checkpoint in `folder`, if there is one.
         progress: called with the fraction done and a few words.
+        tracking: programs that show the curve as it grows.
 
     Raises:
         ParameterError: a run is already there and `resume` is not said, or it is another
@@ -68,13 +71,15 @@ def train(
         MissingPackageError: a package of `PACKAGES` is not installed.
     """
     require("training", *PACKAGES[config.learner])
+    tracking.require()
     folder = Path(folder)
     _require_free(folder, resume)
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".*"):  # left by a write that was killed
         stale.unlink()
-    with one_thread(config.learner):
-        return _Run(config, seed, folder, progress or (lambda done, note: None)).learn()
+    with one_thread(config.learner), tracking.open(config, seed, folder) as trackers:
+        silent: Progress = lambda done, note: None  # noqa: E731
+        return _Run(config, seed, folder, progress or silent, trackers).learn()
 
 
 @contextmanager
@@ -163,8 +168,10 @@ class _Run:
         seed: int,
         folder: Path,
         progress: Progress,
+        trackers: Sequence[Tracker] = (),
     ) -> None:
         self.config, self.seed, self.folder, self.progress = config, seed, folder, progress
+        self.trackers = trackers
         self.settings = {
             **({"goal": True} if config.her is not None else {}),
             **config.settings,
@@ -191,6 +198,8 @@ class _Run:
         self.versions = versions(*packages)
         if (folder / CHECKPOINT).exists():
             self._restore(self._read(folder / CHECKPOINT))
+        for tracker in trackers:
+            tracker.start(self.rows)
         self.begin = time.perf_counter()
 
     # ------------------------------------------------------------------ training
@@ -271,6 +280,8 @@ class _Run:
             self.best = policy
         self.rows.append(row)
         self._write(policy)
+        for tracker in self.trackers:
+            tracker.add(row)
 
     def _ratio(self, evaluation: Evaluation, measure: str) -> float | None:
         try:
@@ -353,6 +364,7 @@ def train_seeds(
     workers: int = 1,
     resume: bool = False,
     progress: Callable[[int, float, str], None] | None = None,
+    tracking: Tracking = NOWHERE,
 ) -> dict[int, list[dict[str, Any]]]:
     """Train a policy per seed in folder/seed-N; the curves by seed.
 
@@ -360,8 +372,10 @@ def train_seeds(
         workers: processes; each trains one seed at a time. A run whose process is killed
             goes on in another, from its checkpoint.
         progress: called with the seed, the fraction done and a few words.
+        tracking: programs that show the curves as they grow.
     """
     require("training", *PACKAGES[config.learner])
+    tracking.require()
     report = progress or (lambda seed, done, note: None)
     folder = Path(folder)
     for seed in seeds:  # before the first is trained for an hour
@@ -374,12 +388,15 @@ def train_seeds(
                 folder / f"seed-{seed}",
                 resume=resume,
                 progress=lambda done, note, seed=seed: report(seed, done, note),  # type: ignore[misc]
+                tracking=tracking,
             )
             for seed in seeds
         }
     with Workers(min(workers, len(seeds))) as pool:
         jobs = {
-            seed: pool.submit(_job, config, seed, folder / f"seed-{seed}", on_note=report)
+            seed: pool.submit(
+                _job, config, seed, folder / f"seed-{seed}", tracking, on_note=report
+            )
             for seed in seeds
         }
         try:
@@ -390,7 +407,9 @@ def train_seeds(
             ) from None
 
 
-def _job(config: TrainConfig, seed: int, folder: Path) -> list[dict[str, Any]]:
+def _job(
+    config: TrainConfig, seed: int, folder: Path, tracking: Tracking
+) -> list[dict[str, Any]]:
     """A seed's run in a worker; if its process was killed, from its checkpoint."""
     return train(
         config,
@@ -398,4 +417,5 @@ def _job(config: TrainConfig, seed: int, folder: Path) -> list[dict[str, Any]]:
         folder,
         resume=True,  # that the folder may be used was asked before
         progress=lambda done, words: note(seed, done, words),
+        tracking=tracking,
     )

@@ -44,6 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="seeds at once")
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoints")
+    parser.add_argument(
+        "--tensorboard", metavar="DIR", default="", help="show the curves as they grow there"
+    )
+    parser.add_argument(
+        "--wandb", metavar="PROJECT", default="", help="likewise on Weights & Biases"
+    )
     add_arm_argument(parser, "that of the environment")
     add_effect_argument(parser)
 
@@ -54,9 +60,12 @@ def run(args: argparse.Namespace) -> int:
     if args.workers < 1:
         raise ParameterError(f"--workers must be >= 1, got {args.workers}")
     seeds = [s + args.seed for s in config.seeds]
+    from ves_gym.baselines.tracking import Tracking
     from ves_gym.baselines.train import PACKAGES, train_seeds
 
     require("training", *PACKAGES[config.learner])
+    tracking = Tracking(tensorboard=args.tensorboard, wandb=args.wandb)
+    tracking.require()
     with _bars() as on_progress:
         folder = out_dir(args, f"out/train/{config.name}")
         curves = train_seeds(
@@ -66,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
             workers=args.workers,
             resume=args.resume,
             progress=on_progress,
+            tracking=tracking,
         )
     result = TrainingResult(config, folder, curves).to_dict()
     _print(config, result["runs"])
