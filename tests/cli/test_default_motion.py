@@ -8,9 +8,9 @@ import pytest
 
 from ves_gym.cli import simulate
 from ves_gym.cli.main import main
-from ves_gym.cli.motions import default_goal, motion_from
+from ves_gym.cli.motions import motion_from
 from ves_gym.mechanics.arm_library import arm_names, get_arm
-from ves_gym.mechanics.limits import limit_ratios
+from ves_gym.mechanics.limits import default_goal, limit_ratios
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import get_vehicle, vehicle_name
 

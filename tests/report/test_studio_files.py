@@ -12,8 +12,9 @@ from ves_gym.effects import BaseStiffness
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.straight import Straight
+from ves_gym.report.notebook import Studio
 from ves_gym.report.studio import studio_data
-from ves_gym.report.studio_files import open_file
+from ves_gym.report.studio_files import open_item
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
@@ -54,11 +55,11 @@ def data():
 
 
 def opened(files, *names):
-    return [open_file(files / name, SYSTEM) for name in names]
+    return [open_item(files / name, SYSTEM) for name in names]
 
 
 def test_a_log_shows_its_energies_and_modes(files, recording):
-    item = open_file(files / "run.csv", SYSTEM)
+    item = open_item(files / "run.csv", SYSTEM)
     track, energies = item["track"], recording.energies()[0]
     assert item["kind"] == "log"
     assert track["E_mean"] == pytest.approx(energies.E_mean, rel=1e-6)
@@ -70,7 +71,7 @@ def test_a_log_shows_its_energies_and_modes(files, recording):
 
 
 def test_a_diagnosis_brings_its_machine(files):
-    item = open_file(files / "diagnosis.json", SYSTEM)
+    item = open_item(files / "diagnosis.json", SYSTEM)
     K = np.array(item["machine"]["base"]["K"])
     np.testing.assert_allclose(K, 0.8 * SYSTEM.base.full()[2], rtol=1e-9)
 
@@ -79,11 +80,11 @@ def test_other_files_are_refused_by_what_they_are(files, tmp_path):
     other = tmp_path / "other.json"
     other.write_text('{"schema": "ves-map/1"}')
     with pytest.raises(ParameterError, match=r"expected a run log.*got 'ves-map/1'"):
-        open_file(other, SYSTEM)
+        open_item(other, SYSTEM)
     short = Motion.straight([0.0, 0.0], [0.1, 0.1], 1.0)
     short.save(tmp_path / "short.json")
     with pytest.raises(ParameterError, match="puma560 has 3 joints, got 2"):
-        open_file(tmp_path / "short.json", SYSTEM)
+        open_item(tmp_path / "short.json", SYSTEM)
 
 
 def test_two_motions_of_files_share_one_cursor(browser, files, data, tmp_path):
@@ -138,7 +139,7 @@ def test_an_episode_is_opened_as_a_log(browser, data, tmp_path):
     keys.write_text("0 q 0.5\n")
     words = ["teleop", "--keys", str(keys), "--log", str(log), "--duration", "1"]
     assert main([*words, "--out", str(tmp_path)]) == 0
-    item = open_file(log, SYSTEM)
+    item = open_item(log, SYSTEM)
     open_page(browser, {**data, "opened": [item]}, tmp_path)
     assert browser.do("document.getElementById('motion-a').value") == "episode"
     assert browser.errors == []
@@ -159,3 +160,31 @@ def test_the_command_writes_a_page_and_json_that_it_opens(browser, files, tmp_pa
     assert table["opened"][0]["machine"]["name"] == "puma560 on bent"
     assert main(["studio", "servicer", "--out", str(page)]) == 2
     assert "wheels or appendages" in capsys.readouterr().err
+
+
+def test_the_studio_runs_inside_a_cell_of_a_notebook(browser, files, recording, tmp_path):
+    """What a cell would show: the page in a frame, which asks no one for anything."""
+    plan = solve(Straight(), QUERY)
+    studio = Studio(
+        SYSTEM, goal=GOAL, via=[(0.2, 0.4, 0.1)], duration=1.0, planner=None,
+        show=[recording.log(0, "a log"), plan, plan.motion], height=700,
+    )  # fmt: skip
+    assert repr(studio) == "<Studio: puma560 on bent>"
+    cell = tmp_path / "cell.html"
+    cell.write_text(f"<!doctype html><body>{studio._repr_html_()}</body>", "utf-8")
+    browser.open(cell.as_uri())
+    page = "document.querySelector('iframe').contentWindow"
+    until(browser, f"{page}.vesStudio && {page}.document.body.dataset.drawn")
+    assert browser.do(f"{page}.vesStudio.opened.map((o) => o.name)") == [
+        "a log", "straight", "motion",
+    ]  # fmt: skip
+    drawn = f"{page}.vesStudio.path.tracks['drawn path'].E_mean"
+    before = browser.do(drawn)
+    browser.do(f"{page}.vesStudio.setPoint(1, [0.9, -0.4, 0.3])")
+    until(browser, f"{drawn} !== {before!r}")
+    assert browser.errors == []
+    assert set(browser.requests) <= {cell.as_uri(), "about:srcdoc"}
+    studio.save(tmp_path / "page.html")
+    assert (tmp_path / "page.html").read_text("utf-8") == studio.page
+    with pytest.raises(ParameterError, match=r"duration must be from 0.5 to 8 s, got 9"):
+        Studio(SYSTEM, duration=9.0)

@@ -12,7 +12,7 @@ from ves_gym.planners.query import Query
 from ves_gym.planners.scenes import platform_data
 from ves_gym.report.page import write_page
 from ves_gym.report.studio import machine_data, references, studio_data
-from ves_gym.report.studio_files import open_file
+from ves_gym.report.studio_files import open_item
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.disturbance import tool_error
 from ves_gym.system.system import System
@@ -72,12 +72,12 @@ def test_legs_of_the_page_do_what_those_of_the_laboratory_do(browser, data, tmp_
 
 def test_a_log_of_the_laboratory_moves_the_platform(browser, data, recording, tmp_path):
     recording.log(0).save(tmp_path / "run.csv")
-    item = open_file(tmp_path / "run.csv", LAB.ideal())
+    item = open_item(tmp_path / "run.csv", LAB.ideal())
     track, run = item["track"], recording
     error = np.linalg.norm(tool_error(LAB.arm, run.q[0], run.q_cmd[0], run.y[0]), axis=-1)
     assert max(track["tool"]) == pytest.approx(error.max(), rel=1e-3)
     assert item["machine"]["platform"] == platform_data(LAB)
-    assert "machine" not in open_file(tmp_path / "run.csv", LAB)
+    assert "machine" not in open_item(tmp_path / "run.csv", LAB)
     in_space = {**data, "machine": machine_data(LAB.ideal()), "references": []}
     open_page(browser, {**in_space, "opened": [item]}, tmp_path)
     assert browser.do("vesStudio.film.views.map((v) => v.run.platform !== null)") == [
@@ -92,7 +92,7 @@ def test_a_platform_that_stopped_says_so(browser, data, tmp_path):
     run = play_motions(LAB.replace(emulator=stiff), [far], settle=1.0)
     assert run.events
     run.log(0).save(tmp_path / "stopped.csv")
-    item = open_file(tmp_path / "stopped.csv", LAB)
+    item = open_item(tmp_path / "stopped.csv", LAB)
     open_page(browser, {**data, "references": [], "opened": [item]}, tmp_path)
     assert "the platform stopped at" in browser.do(
         "document.getElementById('stops').textContent"

@@ -12,13 +12,11 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.cli.common import numbers
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.limits import limit_ratios, require_limits
+from ves_gym.mechanics.limits import THREE_JOINTS, default_goal, require_limits
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, OWN_GAINS, PPED_GAINS, JointServo
 from ves_gym.system.system import System
 
-_GOAL = (60.0, 40.0, -30.0)  # deg, of three joints
-_SHARE = 0.5  # of speed, acceleration and torque limits that a default motion takes at most
 GAINS = {"own": OWN_GAINS, "high": HIGH_GAINS, "pped": PPED_GAINS, "free": FREE}
 
 
@@ -44,37 +42,14 @@ def _motion_through(args: argparse.Namespace, arm: Arm) -> Motion:
     if args.goal is None and args.via:
         raise ParameterError("--via needs --goal: way-points lie between start and goal")
     duration = duration_from(args.duration)
-    if args.goal is None and (arm.n != len(_GOAL) or arm.sliding):
+    if args.goal is None and (arm.n != len(THREE_JOINTS) or arm.sliding):
         goal = default_goal(arm, start, duration)
     else:
-        goal = joint_angles(args.goal, arm, "--goal", args.angle_unit, _GOAL)
+        goal = joint_angles(args.goal, arm, "--goal", args.angle_unit, THREE_JOINTS)
     vias = [joint_angles(via, arm, "--via", args.angle_unit) for via in args.via or ()]
     if not vias:
         return Motion.straight(start, goal, duration)
     return Motion.through(np.stack([start, *vias, goal]), duration)
-
-
-def default_goal(arm: Arm, start: Array, duration: float) -> Array:
-    """Return where the quintic law takes an arm that has been told no goal (n,) [rad].
-
-    Each joint goes a third of its room, 60 deg at most, to the side where there is more; all of
-    them less where speed, acceleration or torque would take more than half of a limit.
-
-    Args:
-        arm: with its limits.
-        start: (n,) [rad].
-        duration: of the motion [s].
-    """
-    above, below = arm.column("q_max") - start, start - arm.column("q_min")
-    way = np.minimum(np.maximum(above, below) / 3, np.deg2rad(60.0))
-    way = np.where(above >= below, way, -way)
-    for _ in range(40):
-        ratios = limit_ratios(arm, Motion.straight(start, start + way, duration))
-        worst = max(float(ratios[k].max()) for k in ("velocity", "acceleration", "torque"))
-        if worst <= _SHARE:
-            break
-        way = way * max(0.5, 0.99 * _SHARE / worst)
-    return np.asarray(start + way, np.float64)
 
 
 def joint_angles(

@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
-from ves_gym._util.params import ParameterError, write_text
+from ves_gym._util.params import Array, ParameterError
 from ves_gym.cli.common import add_system_arguments, system_from, write_json
-from ves_gym.cli.motions import default_goal, duration_from, joint_angles
+from ves_gym.cli.motions import duration_from, joint_angles
 from ves_gym.mechanics.vehicle import VEHICLES
-from ves_gym.planners.query import Query, solve
-from ves_gym.planners.registry import PLANNERS, get_planner
-from ves_gym.report.studio import playable, quiet_via, render_studio, studio_data
-from ves_gym.report.studio_files import open_file
-
-_GOAL = (60.0, 40.0, -30.0)  # deg, of three joints
-_LONGEST = 8.0  # s, of the page's slider
-_SHORTEST = 0.5
+from ves_gym.planners.registry import PLANNERS
+from ves_gym.report.notebook import Studio
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,40 +58,27 @@ def run(args: argparse.Namespace) -> int:
             )
         args.system = args.machine
     system = system_from(args)
-    space = playable(system)
-    arm = system.arm
-    start = joint_angles(args.start, arm, "--start", args.angle_unit)
-    duration = duration_from(args.duration)
-    if not _SHORTEST <= duration <= _LONGEST:
-        raise ParameterError(
-            f"--duration must be from {_SHORTEST:g} to {_LONGEST:g} s, got {duration:g} s"
-        )
-    if args.goal is None and arm.n != len(_GOAL):
-        goal = default_goal(arm, start, duration)
-    else:
-        goal = joint_angles(args.goal, arm, "--goal", args.angle_unit, _GOAL)
-    query = Query(
-        system=system,
-        start=tuple(start.tolist()),
-        goal=tuple(goal.tolist()),
-        duration=duration,
+    arm, unit, via = system.arm, args.angle_unit, args.via
+
+    def angles(name: str, text: str | None) -> Array | None:
+        return None if text is None else joint_angles(text, arm, name, unit)
+
+    studio = Studio(
+        system,
+        start=angles("--start", args.start),
+        goal=angles("--goal", args.goal),
+        via=None if via is None else [joint_angles(k, arm, "--via", unit) for k in via],
+        duration=duration_from(args.duration),
+        planner=None if args.planner == "none" else args.planner,
+        show=args.open,
+        seed=args.seed,
     )
-    opened = [open_file(path, system) for path in args.open]
-    if args.via is None:
-        via = quiet_via(query)
-    else:
-        via = [joint_angles(text, arm, "--via", args.angle_unit) for text in args.via]
-    plans = []
-    if args.planner != "none":
-        asked = replace(query, system=space)
-        plans = [solve(get_planner(args.planner), asked, args.seed)]
-    data = studio_data(query, via, opened, plans)
     path = Path(args.out or "out/studio")
     if path.suffix != ".html":
         path = path / "studio.html"
     path.parent.mkdir(parents=True, exist_ok=True)
-    page = render_studio(data)
-    write_text(path, page)
-    write_json(args.json, data)
-    print(f"written: {path} ({len(page.encode()) / 1e6:.2f} MB; open it in any browser)")
+    studio.save(path)
+    write_json(args.json, studio.data)
+    size = len(studio.page.encode()) / 1e6
+    print(f"written: {path} ({size:.2f} MB; open it in any browser)")
     return 0

@@ -23,6 +23,8 @@ from ves_gym.mechanics.motion import Motion, Samples
 
 TOLERANCE = 1e-6  # of a limit: an optimum lies on it, up to rounding
 _SAMPLES = 201  # of a reference motion
+THREE_JOINTS = (60.0, 40.0, -30.0)  # deg, where three joints go that have been told no goal
+_SHARE = 0.5  # of speed, acceleration and torque limits that `default_goal` takes at most
 _UNITS = {  # unit in messages, and its factor
     "position": ("deg", math.degrees(1)),
     "velocity": ("deg/s", math.degrees(1)),
@@ -220,6 +222,29 @@ def limit_ratios(arm: Arm, motion: Motion, samples: int = _SAMPLES) -> dict[str,
     limits = limits_of(arm, a_max=tuple(arm.column("a_max")))
     values = _values(arm, s)
     return {k: (np.abs(values[k]) / limits[k]).max(axis=0) for k in limits}
+
+
+def default_goal(arm: Arm, start: Array, duration: float) -> Array:
+    """Return where the quintic law takes an arm that has been told no goal (n,) [rad].
+
+    Each joint goes a third of its room, 60 deg at most, to the side where there is more; all of
+    them less where speed, acceleration or torque would take more than half of a limit.
+
+    Args:
+        arm: with its limits.
+        start: (n,) [rad].
+        duration: of the motion [s].
+    """
+    above, below = arm.column("q_max") - start, start - arm.column("q_min")
+    way = np.minimum(np.maximum(above, below) / 3, np.deg2rad(60.0))
+    way = np.where(above >= below, way, -way)
+    for _ in range(40):
+        ratios = limit_ratios(arm, Motion.straight(start, start + way, duration))
+        worst = max(float(ratios[k].max()) for k in ("velocity", "acceleration", "torque"))
+        if worst <= _SHARE:
+            break
+        way = way * max(0.5, 0.99 * _SHARE / worst)
+    return np.asarray(start + way, np.float64)
 
 
 def require_limits(

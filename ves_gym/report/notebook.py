@@ -1,10 +1,29 @@
-"""Progress in a notebook: a bar that any verb's `progress` takes."""
+"""Progress and the studio in a notebook: a bar that any verb's `progress` takes, and a page."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import ParameterError, write_text
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.limits import THREE_JOINTS, default_goal
+from ves_gym.mechanics.motion import Motion
+from ves_gym.planners.query import Plan, Planner, Query, solve
+from ves_gym.planners.registry import get_planner
+from ves_gym.report.studio import playable, quiet_via, render_studio, studio_data
+from ves_gym.report.studio_files import open_item
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
+
+_DURATIONS = 0.5, 8.0  # s, ends of the page's slider
 
 
 def progress_bar() -> Callable[..., None]:
@@ -32,3 +51,107 @@ def progress_bar() -> Callable[..., None]:
 def _bar(done: float, words: str) -> str:
     percent = round(100 * min(max(done, 0.0), 1.0))
     return f'<progress value="{percent}" max="100"></progress> {percent} % {html.escape(words)}'
+
+
+class Studio:
+    """The studio of an arm on its base: it shows itself in a notebook, or is saved as a page.
+
+    In a notebook the page runs in a frame inside the cell, without server, network or widget
+    library; start, goal and path are dragged there. `ves-gym studio` writes the same page.
+    """
+
+    def __init__(
+        self,
+        system: System | None = None,
+        *,
+        start: npt.ArrayLike | None = None,
+        goal: npt.ArrayLike | None = None,
+        via: Sequence[npt.ArrayLike] | None = None,
+        duration: float = 2.0,
+        planner: str | Planner | None = "direct",
+        show: Sequence[str | os.PathLike[str] | RunLog | Plan | Motion] = (),
+        height: int = 900,
+        seed: int = 0,
+    ) -> None:
+        """Simulate what the page is compared with, plan, and read what it shall show.
+
+        Args:
+            system: arm and vehicle; default `System()`. In mode emulated the page draws the
+                platform on its legs.
+            start, goal: joint angles (n,) [rad] that the page begins with; default rest at
+                zero, and a goal within the arm's limits.
+            via: way-points (n,) of the drawn path [rad]; None: one calm detour.
+            duration: of the motion [s].
+            planner: whose path is there to compare with; None for none.
+            show: files to open, as `ves-gym studio --open` takes them, or logs, plans, motions.
+            height: of the frame in a notebook [px].
+            seed: of a planner that searches.
+
+        Raises:
+            ParameterError: a machine that the page cannot simulate, angles outside the joints'
+                range, a duration outside 0.5 to 8 s, or something that it cannot show.
+        """
+        system = System() if system is None else system
+        space, arm = playable(system), system.arm
+        low, high = _DURATIONS
+        if not low <= duration <= high:
+            raise ParameterError(
+                f"the studio's duration must be from {low:g} to {high:g} s, got {duration!r}"
+            )
+        if not (isinstance(height, int) and height >= 100):
+            raise ParameterError(f"height must be a whole number of px >= 100, got {height!r}")
+        rest = np.clip(0.0, arm.column("q_min"), arm.column("q_max"))
+        begin = rest if start is None else arm.require_within_limits(start, "start")
+        if goal is None:
+            end = _goal(arm, begin, duration)
+        else:
+            end = arm.require_within_limits(goal, "goal")
+        query = Query(
+            system=system,
+            start=tuple(begin.tolist()),
+            goal=tuple(end.tolist()),
+            duration=duration,
+        )
+        if via is None:
+            points = quiet_via(query)
+        else:
+            points = [arm.require_within_limits(point, "via") for point in via]
+        plans = []
+        if planner is not None:
+            found = get_planner(planner) if isinstance(planner, str) else planner
+            plans = [solve(found, replace(query, system=space), seed)]
+        items = [open_item(item, system) for item in show]
+        self.height = height
+        self.data = studio_data(query, points, items, plans)
+
+    @cached_property
+    def page(self) -> str:
+        """The text of the page."""
+        return render_studio(self.data)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the page, completely or not at all.
+
+        Args:
+            path: of the HTML file.
+        """
+        write_text(path, self.page)
+
+    def __repr__(self) -> str:
+        return f"<Studio: {self.data['machine']['name']}>"
+
+    def _repr_html_(self) -> str:
+        title = html.escape(repr(self).strip("<>"))
+        return (
+            f'<iframe title="{title}" srcdoc="{html.escape(self.page)}" style="width: 100%;'
+            f' height: {self.height}px; border: 1px solid #8886; border-radius: 6px"></iframe>'
+        )
+
+
+def _goal(arm: Arm, start: npt.NDArray[np.float64], duration: float) -> npt.NDArray[np.float64]:
+    """Where the page's motion goes that has been told no goal (n,) [rad]."""
+    usual = np.deg2rad(THREE_JOINTS)
+    low, high = arm.column("q_min"), arm.column("q_max")
+    if arm.n == len(usual) and (low <= usual).all() and (usual <= high).all():
+        return usual
+    return default_goal(arm, start, duration)

@@ -37,13 +37,13 @@ _RECORDS = 600  # samples of a log, at most
 _DIGITS = 5
 
 
-def open_file(path: str | os.PathLike[str], system: System) -> dict[str, Any]:
-    """Read a file into what the page shows of it.
+def open_item(item: str | os.PathLike[str] | RunLog | Plan | Motion, system: System) -> Any:
+    """Turn a file, or what one would be read into, into what the page shows of it.
 
     Args:
-        path: a run log or episode (.csv, .parquet), a motion or plan (.json, .toml), the
-            diagnosis.json of `ves-gym diagnose`.
-        system: of the page, for files that name none.
+        item: a run log or episode (.csv, .parquet), a motion or plan (.json, .toml), the
+            diagnosis.json of `ves-gym diagnose`; or a log, a plan or a motion itself.
+        system: of the page, for what names none.
 
     Returns:
         An item: its `kind` is log, motion or diagnosis.
@@ -51,30 +51,43 @@ def open_file(path: str | os.PathLike[str], system: System) -> dict[str, Any]:
     Raises:
         ParameterError: it is none of these, or its arm has another number of joints.
     """
-    file = Path(path)
+    if isinstance(item, RunLog):
+        return _log(str(item.meta.get("note") or "log"), item, system)
+    if isinstance(item, Plan):
+        return _plan(item.planner, item, system)
+    if isinstance(item, Motion):
+        return _motion("motion", item, None, system)
+    return _opened(Path(item), system)
+
+
+def _opened(file: Path, system: System) -> dict[str, Any]:
     if file.suffix.lower() in _LOGS:
-        return _opened_log(file, system)
+        return _log(file.stem, RunLog.load(file), system)
     table = read_table(file)
     kind = table.get("format", table.get("schema"))
     if kind == DIAGNOSIS:
         return _opened_diagnosis(file, table)
     if kind == PLAN:
         plan = Plan.load(file)
-        if plan.motion is None:
-            raise ParameterError(f"{path}: {plan.planner} found no motion: {plan.failure}")
-        return _motion(f"{file.stem} ({plan.planner})", plan.motion, plan.query.system, system)
+        return _plan(f"{file.stem} ({plan.planner})", plan, system)
     if kind == PLANNED:
         if "control" not in table:
-            raise ParameterError(f"{path}: {table.get('planner')} found no motion")
+            raise ParameterError(f"{file}: {table.get('planner')} found no motion")
         plain = {"format": MOTION, "duration": table["duration"], "control": table["control"]}
-        motion = Motion.from_dict(plain, str(path))
+        motion = Motion.from_dict(plain, str(file))
         return _motion(f"{file.stem} ({table['planner']})", motion, None, system)
     if kind == MOTION:
         return _motion(file.stem, Motion.load(file), None, system)
     raise ParameterError(
-        f"{path}: expected a run log (.csv, .parquet), {MOTION}, {PLAN}, {PLANNED} or"
+        f"{file}: expected a run log (.csv, .parquet), {MOTION}, {PLAN}, {PLANNED} or"
         f" {DIAGNOSIS}, got {kind!r}"
     )
+
+
+def _plan(name: str, plan: Plan, displayed: System) -> dict[str, Any]:
+    if plan.motion is None:
+        raise ParameterError(f"{name}: {plan.planner} found no motion: {plan.failure}")
+    return _motion(name, plan.motion, plan.query.system, displayed)
 
 
 def _motion(
@@ -96,14 +109,13 @@ def _machine(described: System | None, displayed: System) -> dict[str, Any]:
     return {"machine": machine_data(described)}
 
 
-def _opened_log(path: Path, displayed: System) -> dict[str, Any]:
-    log = RunLog.load(path)
+def _log(name: str, log: RunLog, displayed: System) -> dict[str, Any]:
     system = system_of(log) if "system" in log.meta else None
     machine = _machine(system, displayed)
     system = playable(system or displayed)
     if log.n_joints != system.arm.n:
         raise ParameterError(
-            f"{path}: {system.arm.name} has {system.arm.n} joints, the log has {log.n_joints}"
+            f"{name}: {system.arm.name} has {system.arm.n} joints, the log has {log.n_joints}"
         )
     clock = log.t - log.t[0]
     last = int(np.searchsorted(clock, motion_end(log) + SHOWN, side="right"))
@@ -131,7 +143,7 @@ def _opened_log(path: Path, displayed: System) -> dict[str, Any]:
         omega = omega.tolist()
     track |= {"duration": motion_end(log), "omega": omega, **_energies(log, system)}
     track["stops"] = log.meta.get("events", [])
-    return {"kind": "log", "name": path.stem, "track": track} | machine
+    return {"kind": "log", "name": name, "track": track} | machine
 
 
 def _energies(log: RunLog, system: System) -> dict[str, float | None]:
