@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from tests.experiments.sweeps import files
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
+from ves_gym.cli.main import main
 from ves_gym.experiments.matrix import (
     Matrix,
     MatrixMachine,
@@ -28,6 +30,7 @@ from ves_gym.experiments.matrix import (
     shortened,
     trainings,
 )
+from ves_gym.experiments.units import read_result
 from ves_gym.report.matrix_page import matrix_page
 
 FILE = """
@@ -47,6 +50,7 @@ env = "BeamLQR"
 methods = [
     { name = "zero", controller = "zero" },
     { name = "optimum", controller = "lqr" },
+    { name = "softly", controller = "lqr", episodes = 1, settings = { shift = 1e-3 } },
     { name = "trained", train = "BeamLQR-ppo", machine = "lab", changes = { learner = "native", total_timesteps = 200, n_envs = 5, eval_episodes = 2, hyperparameters = { n_steps = 20, batch_size = 50 } } },
 ]
 """  # noqa: E501
@@ -63,7 +67,7 @@ def file(tmp_path_factory):
 def done(file, tmp_path_factory):
     folder = tmp_path_factory.mktemp("done")
     report = run_matrix(read_matrix(file), folder, workers=1)
-    assert report.complete and len(report.done) == 2 + 3 * 2 * 2
+    assert report.complete and len(report.done) == 2 + 4 * 2 * 2
     return folder
 
 
@@ -99,6 +103,44 @@ def test_the_first_method_is_the_scale_of_energies_and_policies_differ_by_seed(f
     assert len(episodes) == 4  # the methods share them
 
 
+def test_a_method_has_episodes_and_settings_of_its_own(file, done):
+    """The first of the episodes, and energies over the same ones of the first method."""
+    matrix = read_matrix(file)
+    by = {(e.method, e.machine): e for e in entries(matrix, done)}
+    hand = evaluate(
+        get_controller("lqr"), "ves/BeamLQR-v1", episodes=1, seed=0, threads=1, shift=1e-3
+    )
+    (cell, _) = [c for c in cells(matrix, done) if (c.method, c.machine) == ("softly", "space")]
+    assert read_result(done / "results" / f"{cell.unit.id}.json")["rows"] == hand.rows
+    assert by["softly", "space"].episodes == 1
+    assert by["softly", "space"].energy is not None
+    assert len(cells(matrix, done, trained=True)) == 4
+
+
+def test_of_a_part_of_a_matrix_the_complete_cells_are_told(file, done, tmp_path):
+    """Without a training the method is left out; without one result its cell."""
+    matrix = read_matrix(file)
+    shutil.copytree(done, tmp_path / "part")
+    results = tmp_path / "part" / "results"
+    for key, unit in trainings(matrix).items():
+        if key[-1] == 1:
+            (results / f"{unit.id}.json").unlink()
+    gone = next(c for c in cells(matrix, done) if (c.method, c.machine) == ("optimum", "lab"))
+    (results / f"{gone.unit.id}.json").unlink()
+    some = entries(matrix, tmp_path / "part", partial=True)
+    assert [(e.method, e.machine) for e in some] == [
+        ("zero", "space"), ("optimum", "space"), ("softly", "space"),
+        ("zero", "lab"), ("softly", "lab"),
+    ]  # fmt: skip
+    full = {(e.method, e.machine): e for e in entries(matrix, done)}
+    assert all(e == full[e.method, e.machine] for e in some)
+    text = matrix_page(matrix, some, "Title", None)
+    assert "Not run yet: BeamLQR optimum on lab; BeamLQR trained." in text
+    words = ["matrix", str(file), "--partial", "--out", str(tmp_path / "part")]
+    assert main(words) == 0
+    assert "| optimum | " in (tmp_path / "part" / "matrix.md").read_text()
+
+
 def test_what_is_missing_is_done_again_with_the_same_bits(file, done, tmp_path):
     """A finished matrix without some of its results, a trained policy's among them."""
     before, policies = files(done), {p.name for p in (done / "policies").iterdir()}
@@ -130,7 +172,9 @@ def test_the_page_and_the_cost(file, done):
     matrix = read_matrix(file)
     hours = cost(matrix, matrix, done)
     twice = dataclasses.replace(matrix, episodes=4)
-    assert cost(twice, matrix, done)["evaluate"] == pytest.approx(2 * hours["evaluate"])
+    same = sum(e.seconds for e in entries(matrix, done) if e.method == "softly") / 3600
+    expected = 2 * hours["evaluate"] - same
+    assert cost(twice, matrix, done)["evaluate"] == pytest.approx(expected)
     longer = dataclasses.replace(matrix, tasks=shortened(matrix, 600))
     assert cost(longer, matrix, done)["train"] == pytest.approx(3 * hours["train"])
     text = matrix_page(matrix, entries(matrix, done), "Title", hours)
@@ -142,6 +186,9 @@ def test_bad_matrices_are_refused(tmp_path, file):
     path = tmp_path / "m.toml"
     path.write_text(FILE.replace('controller = "lqr"', 'controller = "lqr", released = "ppo"'))
     with pytest.raises(ParameterError, match="one of controller, released and train"):
+        read_matrix(path)
+    path.write_text(FILE.replace("episodes = 1,", "episodes = 0,"))
+    with pytest.raises(ParameterError, match="softly needs episodes >= 1, got 0"):
         read_matrix(path)
     path.write_text(FILE.replace('machine = "lab"', 'machine = "moon"'))
     with pytest.raises(ParameterError, match="moon"):

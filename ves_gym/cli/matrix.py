@@ -27,12 +27,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run nothing: the hours that FILE takes, from the units of a finished run of it in"
         " DIR with the --episodes, --seeds and --steps given here",
     )  # fmt: skip
+    parser.add_argument(
+        "--partial", action="store_true",
+        help="run nothing: page and picture of the cells that have all their results",
+    )  # fmt: skip
     add_executor_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do what has no result yet; write page, picture and figures once all is done."""
+    """Do what has no result yet; write page, picture and figures of what is complete."""
     from ves_gym.experiments.matrix import cost, entries, read_matrix, run_matrix, shortened
+    from ves_gym.experiments.sweep import Report
     from ves_gym.report.matrix_page import crossover_figure, matrix_page
 
     stated = read_matrix(args.matrix)
@@ -51,14 +56,18 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, {"schema": SCHEMA, "hours": hours})
         return 0
     folder = Path(args.out or f"out/matrix/{Path(args.matrix).stem}")
-    with progress() as on_progress:
-        report = run_matrix(matrix, folder, progress=on_progress, **executor_options(args))
-    print_report(report)
-    results = entries(matrix, folder) if report.complete else []
+    if args.partial:
+        report = Report(folder)
+    else:
+        with progress() as on_progress:
+            report = run_matrix(matrix, folder, progress=on_progress, **executor_options(args))
+        print_report(report)
+    results = []
     if report.complete:
-        hours = cost(matrix, matrix, folder)
+        results = entries(matrix, folder, args.partial)
+        spent = None if args.partial else cost(matrix, matrix, folder)
         title = "Methods on machines that are not as described"
-        write_text(folder / "matrix.md", matrix_page(matrix, results, title, hours))
+        write_text(folder / "matrix.md", matrix_page(matrix, results, title, spent))
         if installed("matplotlib"):
             from ves_gym.report.figures import write_figure
 

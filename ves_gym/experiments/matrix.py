@@ -1,15 +1,15 @@
 """The matrix: methods x machines x tasks x seeds, as units of a sweep.
 
-Trainings come first, as one sweep; evaluations of what came of them and of built-in controllers
-come second, as another in the same folder. Both skip units that have a result, so that a
-matrix that was killed goes on and ends with the same bits. Every method of a task answers the
-same episodes on a machine.
+What needs no training is evaluated first, then come the trainings and the evaluations of what
+came of them: three sweeps in one folder. All skip units that have a result, so that a matrix
+that was killed goes on and ends with the same bits. Every method of a task answers the same
+episodes on a machine, one that is slow the first of them.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,8 @@ class MatrixMethod:
     train: str | None = None  # name of a configuration of the package, a policy per seed
     machine: str | None = None  # that it is trained on; None: the first
     changes: dict = field(default_factory=dict)  # entries of the configuration
+    settings: dict = field(default_factory=dict)  # of the environments that it acts in
+    episodes: int | None = None  # of each seed in every cell; None: the matrix's
 
     def __post_init__(self) -> None:
         kinds = [self.controller, self.released, self.train]
@@ -54,6 +56,8 @@ class MatrixMethod:
             raise ParameterError(
                 f"method {self.name} needs one of controller, released and train, got {kinds}"
             )
+        if self.episodes is not None and self.episodes < 1:
+            raise ParameterError(f"method {self.name} needs episodes >= 1, got {self.episodes}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +94,10 @@ class Matrix:
                         f"method {method.name} is trained on one of {', '.join(names)}, got"
                         f" {method.machine!r}"
                     )
+
+    def episodes_of(self, method: MatrixMethod) -> int:
+        """Return the episodes of each seed of a method: its, but no more than the matrix's."""
+        return min(self.episodes, method.episodes or self.episodes)
 
 
 @dataclass(frozen=True)
@@ -166,14 +174,16 @@ def trainings(matrix: Matrix) -> dict[tuple[str, str, int], Unit]:
     return out
 
 
-def cells(matrix: Matrix, folder: Path) -> list[Cell]:
-    """Return the units of evaluation, once every training has a result.
+def cells(matrix: Matrix, folder: Path, trained: bool | None = None) -> list[Cell]:
+    """Return the units of evaluation.
 
     Args:
         matrix: what is compared.
         folder: of the results, where trained policies lie.
+        trained: only those of policies that the matrix trains, or only the others; None: all,
+            for which every training must have a result.
     """
-    trained = trainings(matrix)
+    units = trainings(matrix)
     return [
         Cell(
             task.env,
@@ -182,15 +192,16 @@ def cells(matrix: Matrix, folder: Path) -> list[Cell]:
             seed,
             evaluate_unit(
                 environment_of(task, machine),
-                _who(task, method, seed, trained, folder),
+                _who(task, method, seed, units, folder),
                 _APART * seed,
-                matrix.episodes,
-                machine.settings,
+                matrix.episodes_of(method),
+                {**machine.settings, **method.settings},
             ),
         )
         for task in matrix.tasks
         for machine in matrix.machines
         for method in task.methods
+        if trained in (None, method.train is not None)
         for seed in matrix.seeds
     ]
 
@@ -226,7 +237,7 @@ def run_matrix(
     folder: str | os.PathLike[str],
     **options: Any,
 ) -> Report:
-    """Do the units of a matrix that have no result yet, trainings first.
+    """Do the units of a matrix that have no result yet, what needs no training first.
 
     Args:
         matrix: what is compared.
@@ -234,28 +245,31 @@ def run_matrix(
         options: see `do_units`.
 
     Returns:
-        What was done, skipped and failed. Where a training failed nothing is evaluated: the
-        next run tries again.
+        What was done, skipped and failed. Where a training failed none of the policies is
+        evaluated: the next run tries again.
     """
-    report = do_units(
-        list(trainings(matrix).values()),
-        folder,
-        stage="train",
-        seconds=matrix.seconds,
-        **options,
+    root, total = Path(folder), Report(Path(folder))
+    stages: tuple[tuple[str, Callable[[], list[Unit]]], ...] = (
+        ("evaluate controllers", lambda: _units(cells(matrix, root, trained=False))),
+        ("train", lambda: list(trainings(matrix).values())),
+        ("evaluate policies", lambda: _units(cells(matrix, root, trained=True))),
     )
-    if not report.complete:
-        return report
-    units = {cell.unit.id: cell.unit for cell in cells(matrix, Path(folder))}
-    answers = do_units(
-        list(units.values()), folder, stage="evaluate", seconds=matrix.seconds, **options
-    )
-    return Report(
-        report.folder,
-        report.done + answers.done,
-        report.skipped + answers.skipped,
-        answers.failed,
-    )
+    for stage, units in stages:
+        report = do_units(units(), root, stage=stage, seconds=matrix.seconds, **options)
+        total = Report(
+            total.folder,
+            total.done + report.done,
+            total.skipped + report.skipped,
+            {**total.failed, **report.failed},
+        )
+        if stage == "train" and not report.complete:
+            break
+    return total
+
+
+def _units(some: list[Cell]) -> list[Unit]:
+    """Units of cells, each once."""
+    return list({cell.unit.id: cell.unit for cell in some}.values())
 
 
 # ------------------------------------------------------------------------- figures
@@ -276,8 +290,10 @@ class MatrixEntry:
     seconds: float  # of processor time, all seeds together
 
 
-def entries(matrix: Matrix, folder: str | os.PathLike[str]) -> list[MatrixEntry]:
-    """Return the figures of a finished matrix, in its order.
+def entries(
+    matrix: Matrix, folder: str | os.PathLike[str], partial: bool = False
+) -> list[MatrixEntry]:
+    """Return the figures of a matrix, in its order.
 
     Intervals are stratified bootstraps: seeds are strata, of each as many episodes are drawn
     as it has.
@@ -285,6 +301,8 @@ def entries(matrix: Matrix, folder: str | os.PathLike[str]) -> list[MatrixEntry]
     Args:
         matrix: what was compared.
         folder: of its results.
+        partial: leave out the cells that lack a result, and energies that have nothing to be
+            compared with.
 
     Raises:
         ParameterError: a unit has no result.
@@ -292,19 +310,36 @@ def entries(matrix: Matrix, folder: str | os.PathLike[str]) -> list[MatrixEntry]
     root = Path(folder)
     rows: dict[tuple[str, str, str], list[list[dict[str, Any]]]] = {}
     spent: dict[tuple[str, str, str], float] = {}
-    for cell in cells(matrix, root):
+    for cell in cells(_trained_part(matrix, root) if partial else matrix, root):
         key = cell.task, cell.machine, cell.method
         path = root / "results" / f"{cell.unit.id}.json"
         if not path.exists():
+            if partial:
+                continue
             raise ParameterError(f"{folder}: no result yet of {' '.join(key)}: run it again")
         rows.setdefault(key, []).append(read_result(path)["rows"])
         about = read_table(root / "about" / f"{cell.unit.id}.json")
         spent[key] = spent.get(key, 0.0) + _seconds(about)
+    rows = {key: seeds for key, seeds in rows.items() if len(seeds) == len(matrix.seeds)}
     first = {task.env: task.methods[0].name for task in matrix.tasks}
     return [
-        _entry(key, seeds, rows[key[0], key[1], first[key[0]]], spent[key])
+        _entry(key, seeds, rows.get((key[0], key[1], first[key[0]]), []), spent[key])
         for key, seeds in rows.items()
     ]
+
+
+def _trained_part(matrix: Matrix, root: Path) -> Matrix:
+    """The matrix without the methods that are not trained yet with every seed."""
+    lacking = {
+        (task, method)
+        for (task, method, _), unit in trainings(matrix).items()
+        if not (root / "results" / f"{unit.id}.json").exists()
+    }
+    tasks = (
+        replace(t, methods=tuple(m for m in t.methods if (t.env, m.name) not in lacking))
+        for t in matrix.tasks
+    )
+    return replace(matrix, tasks=tuple(t for t in tasks if t.methods))
 
 
 def _entry(
@@ -316,8 +351,8 @@ def _entry(
     strata = [_column(rows, "return") for rows in seeds]
     success = np.concatenate([_column(rows, "success") for rows in seeds])
     ratios = [
-        _column(rows, "E_mean") / _column(over, "E_mean")
-        for rows, over in zip(seeds, reference, strict=True)
+        _column(rows, "E_mean") / _column(over[: len(rows)], "E_mean")
+        for rows, over in zip(seeds, reference, strict=False)
         if np.all(_column(over, "E_mean") > 0)
     ]
     usable = len(ratios) == len(seeds) and not any(np.isnan(r).any() for r in ratios)
@@ -368,7 +403,13 @@ def cost(
     for (task, method, _), unit in trainings(matrix).items():
         rate_of = float(np.mean(steps[task, method]))
         hours["train"] += rate_of * unit.identity["config"]["total_timesteps"] / 3600
+    asked = {
+        (task.env, method.name): matrix.episodes_of(method)
+        for task in matrix.tasks
+        for method in task.methods
+    }
     for entry in entries(measured, folder):
         each = entry.seconds / len(measured.seeds) / entry.episodes
-        hours["evaluate"] += each * matrix.episodes * len(matrix.seeds) / 3600
+        count = asked[entry.task, entry.method] * len(matrix.seeds)
+        hours["evaluate"] += each * count / 3600
     return {**hours, "total": sum(hours.values()) / workers}

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ves_gym._util.statistics import Estimate
-from ves_gym.experiments.matrix import Matrix, MatrixEntry
+from ves_gym.experiments.matrix import Matrix, MatrixEntry, trainings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,7 +31,10 @@ def matrix_page(
     """
     parts = [f"# {title}", _what(matrix)]
     for task in matrix.tasks:
-        parts.append(f"## {task.env}\n\n{_table(matrix, entries, task.env)}")
+        if any(e.task == task.env for e in entries):
+            parts.append(f"## {task.env}\n\n{_table(matrix, entries, task.env)}")
+    if lacking := _lacking(matrix, entries):
+        parts.append(f"Not run yet: {'; '.join(lacking)}.")
     parts.append(
         "Each cell: success (Wilson's interval); interquartile mean of E_mean over that of the"
         " table's first method in the same episode, and of the return. In brackets 95 %"
@@ -45,8 +48,40 @@ def matrix_page(
     return "\n\n".join(parts) + "\n"
 
 
+def _machines(matrix: Matrix, entries: Sequence[MatrixEntry]) -> list[str]:
+    """Names of the machines that anything ran on."""
+    there = {e.machine for e in entries}
+    return [m.name for m in matrix.machines if m.name in there]
+
+
+def _lacking(matrix: Matrix, entries: Sequence[MatrixEntry]) -> list[str]:
+    """Machines and, of the others, methods with their task that have no figures."""
+    there = {(e.task, e.method, e.machine) for e in entries}
+    names = _machines(matrix, entries)
+    out = [f"machine {m.name}" for m in matrix.machines if m.name not in names]
+    for task in matrix.tasks:
+        for method in task.methods:
+            without = [m for m in names if (task.env, method.name, m) not in there]
+            if without:
+                on = "" if without == names else f" on {', '.join(without)}"
+                out.append(f"{task.env} {method.name}{on}")
+    return out
+
+
 def _what(matrix: Matrix) -> str:
     count = len(matrix.seeds) * matrix.episodes
+    fewer = [
+        f"{task.env} {method.name} {len(matrix.seeds) * matrix.episodes_of(method)}"
+        for task in matrix.tasks
+        for method in task.methods
+        if matrix.episodes_of(method) < matrix.episodes
+    ]
+    steps = {
+        f"{task} {method} {unit.identity['config']['total_timesteps']:,}": None
+        for (task, method, _), unit in trainings(matrix).items()
+    }
+    trained = f"\n\nDecisions that a policy learned from: {', '.join(steps)}." * bool(steps)
+    slow = f" Fewer, the first of them, for what is slow: {', '.join(fewer)}." * bool(fewer)
     machines = "\n".join(
         f"- **{m.name}**: {'emulated' if m.emulated else 'in space'}"
         + (f", {_plain(m.settings)}" if m.settings else "")
@@ -55,7 +90,7 @@ def _what(matrix: Matrix) -> str:
     return (
         f"{len(matrix.seeds)} seeds with {matrix.episodes} episodes each in every cell"
         f" ({count} episodes), the same for all methods. A trained method has a policy of its"
-        f" own per seed. Machines:\n\n{machines}"
+        f" own per seed.{slow} Machines:\n\n{machines}{trained}"
     )
 
 
@@ -68,15 +103,17 @@ def _plain(settings: Mapping[str, Any]) -> str:
 
 def _table(matrix: Matrix, entries: Sequence[MatrixEntry], task: str) -> str:
     by = {(e.method, e.machine): e for e in entries if e.task == task}
-    machines = [m.name for m in matrix.machines]
+    machines = _machines(matrix, entries)
     lines = ["| method | " + " | ".join(machines) + " |", "|---" * (len(machines) + 1) + "|"]
     for method in dict.fromkeys(k for k, _ in by):
-        cells = (_cell(by[method, machine]) for machine in machines)
+        cells = (_cell(by.get((method, machine))) for machine in machines)
         lines.append(f"| {method} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
-def _cell(e: MatrixEntry) -> str:
+def _cell(e: MatrixEntry | None) -> str:
+    if e is None:
+        return "-"
     energy = "" if e.energy is None else f"E {_estimate(e.energy, '.3g')}<br>"
     return f"{_estimate(e.success, '.0%')}<br>{energy}return {_estimate(e.ret, '.3g')}"
 
@@ -90,8 +127,8 @@ def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
     from matplotlib.figure import Figure
     from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-    tasks = [task.env for task in matrix.tasks]
-    machines = [machine.name for machine in matrix.machines]
+    tasks = [t.env for t in matrix.tasks if any(e.task == t.env for e in entries)]
+    machines = _machines(matrix, entries)
     figure = Figure(figsize=(1.5 + 4.2 * len(tasks), 6.0), layout="constrained")
     axes = figure.subplots(2, len(tasks), squeeze=False, sharex="col")
     for column, task in enumerate(tasks):
@@ -100,9 +137,10 @@ def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
         for k, (method, marker) in enumerate(zip(methods, itertools.cycle(_MARKERS))):
             of = {e.machine: e for e in task_entries if e.method == method}
             shift = 0.08 * (k - (len(methods) - 1) / 2)
-            x = [i + shift for i in range(len(machines))]
-            _draw(axes[0][column], x, [of[m].success for m in machines], method, marker)
-            energies = [of[m].energy for m in machines]
+            drawn = [m for m in machines if m in of]
+            x = [machines.index(m) + shift for m in drawn]
+            _draw(axes[0][column], x, [of[m].success for m in drawn], method, marker)
+            energies = [of[m].energy for m in drawn]
             if not any(e is None for e in energies):
                 _draw(axes[1][column], x, energies, method, marker)
         axes[0][column].set_title(task, fontsize=10)
