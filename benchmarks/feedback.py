@@ -13,6 +13,8 @@ A row per machine and controller, the same episodes in every row of a machine:
   described, the environment's success before 0.2.0 and on the known machine;
 - s: seconds per episode, planning and simulation.
 
+Before them what an arm leaves that stays at the goal.
+
 Machines: `known` in space without errors; the laboratories `nominal`, `lab`, `hard` and
 `held-out`; `unknown` and, in space, `unknown-space`: a payload of up to 10 kg, stiffness within
 30 % and up to 5 N m of Coulomb friction on every joint; in the laboratory besides a platform up
@@ -104,6 +106,31 @@ def described(machine: str, episodes: int, seed: int) -> Array:
     return env.batch.goals[:, env.task.system.arm.n]
 
 
+def still(machine: str, episodes: int, seed: int) -> Array:
+    """Return E_mean of an arm that stays at the episode's goal [J].
+
+    In the laboratory a payload that nobody was told of weighs on the emulated base, which is
+    at rest without it at the start.
+
+    Args:
+        machine, episodes, seed: as in `described`.
+
+    Returns:
+        (episodes,).
+    """
+    id, settings = MACHINES[machine]
+    mode = AutoresetMode.DISABLED
+    env = make_vector(id, episodes, mode, threads=1, **(ARRIVAL | settings))
+    seeds = [seed + k for k in range(episodes)]
+    env.reset(seed=seeds)
+    goal = env.batch.goals[:, : env.task.system.arm.n].copy()
+    env.reset(seed=seeds, options={"q": goal, "goal": goal})
+    info: dict[str, Any] = {}
+    for _ in range(env.task.steps):
+        info = env.step(np.zeros((episodes, env.batch.width)))[-1]
+    return np.array(info["energy/E_mean"])
+
+
 def row(mine: Evaluation, straight: Evaluation, expected: Array) -> Row:
     """Return the results of a controller beside the straight line on the same episodes.
 
@@ -135,6 +162,11 @@ def main() -> None:
         id, _ = MACHINES[machine]
         expected = described(machine, args.episodes, args.seed)
         straight = on_machine(machine, line_up(id, ["zero"])[0][1][0], args.episodes, args.seed)
+        unmoved = still(machine, args.episodes, args.seed) / straight.values("E_mean")[0]
+        print(
+            f"{machine:14s} an arm that stays at the goal: median {np.median(unmoved):.3f},"
+            f" more than {SAVING:g} in {np.mean(unmoved > SAVING):.0%} of the episodes"
+        )
         for label, group in line_up(id, args.controllers.split(",")):
             mine = on_machine(machine, group[0], args.episodes, args.seed)
             print(f"{machine:14s} {label:12s} {row(mine, straight, expected)}", flush=True)
