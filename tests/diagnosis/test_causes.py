@@ -3,6 +3,7 @@
 Machine, motion and noise are those of `test_every_effect`.
 """
 
+import numpy as np
 import pytest
 
 import ves_gym as vg
@@ -14,10 +15,14 @@ from ves_gym.effects import (
     BaseDamping,
     BaseStiffness,
     GravityMass,
+    GravityTool,
     JointCoulomb,
     JointViscous,
+    PayloadBody,
+    PayloadMass,
     SensorBias,
 )
+from ves_gym.mechanics.body_numbers import is_body
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore::ves_gym.simulation.loop_linearisation.EmulationWarning"
@@ -58,6 +63,36 @@ def test_a_bias_of_all_six_signals_is_one_cause_and_friction_of_all_joints_anoth
     assert before > 30 and after < 3
 
 
+# a box of 2 kg beside the tool: its inertia is about the origin of the last link's frame
+TOOL = PayloadBody(
+    mass=2.0, moment=(0.2, 0.1, 0.3), inertia=(0.08, -0.01, 0.115, -0.03, -0.015, 0.065)
+)
+UNWEIGHED = GravityTool(mass=1.2, moment=(0.06, -0.03, 0.18))
+
+
+@pytest.mark.slow
+def test_a_tool_that_nobody_described_is_one_cause_and_one_that_was_not_weighed_another():
+    """Numbers within their intervals; the tool is one that a rigid body can be."""
+    found = told(TOOL, UNWEIGHED)
+    by_kind = {f.candidate.kind: f for f in found.explanations}
+    assert by_kind.keys() == {"payload/body", "gravity/tool"}, found.sentence
+    hidden = {"payload/body": TOOL.parameters, "gravity/tool": [1.2, *UNWEIGHED.moment]}
+    for kind, numbers in hidden.items():
+        off = np.abs(by_kind[kind].values - numbers)
+        assert (off < d.WIDE * by_kind[kind].std).all(), (kind, off, by_kind[kind].std)
+    written = {e.kind: e for e in found.system.effects}
+    assert is_body(written["payload/body"].parameters)
+    assert written["payload/body"].centre == pytest.approx((0.1, 0.05, 0.15), abs=0.01)
+    assert vg.System.from_dict(found.system.to_dict()) == found.system
+    assert max(g.after for g in found.gaps) < 2
+
+
+@pytest.mark.slow
+def test_a_mass_on_the_tool_is_said_by_its_mass():
+    """A body has nine numbers more, which it does not need."""
+    assert named(told(PayloadMass(mass=0.5))) == ["payload/mass"]
+
+
 @pytest.mark.slow
 def test_friction_of_two_joints_is_said_by_joint():
     found = told(JointViscous(damping=(0.0, 14.0, 0.0)), JointCoulomb(torque=(4.0, 0.0, 0.0)))
@@ -86,4 +121,4 @@ def test_causes_are_quiet_where_nothing_is_missing():
     found = told()
     assert found.verdict == d.NOTHING, found.sentence
     kinds = {c.kind for c in found.signatures.candidates}
-    assert {"sensor/bias", FRICTION} <= kinds
+    assert {"sensor/bias", FRICTION, "payload/body", "gravity/tool"} <= kinds

@@ -17,6 +17,7 @@ from ves_gym.effects.gravity_mass import GravityMass
 from ves_gym.effects.gravity_moment import GravityMoment
 from ves_gym.effects.gravity_scale import GravityScale
 from ves_gym.effects.gravity_tilt import GravityTilt
+from ves_gym.effects.gravity_tool import GravityTool
 from ves_gym.effects.joint_asymmetry import JointAsymmetry
 from ves_gym.effects.joint_backlash import JointBacklash
 from ves_gym.effects.joint_coulomb import JointCoulomb
@@ -32,6 +33,7 @@ from ves_gym.effects.joint_torque_offset import JointTorqueOffset
 from ves_gym.effects.joint_unknown import JointUnknown
 from ves_gym.effects.joint_velocity_lag import JointVelocityLag
 from ves_gym.effects.joint_viscous import JointViscous
+from ves_gym.effects.payload_body import PayloadBody
 from ves_gym.effects.payload_com import PayloadCom
 from ves_gym.effects.payload_inertia import PayloadInertia
 from ves_gym.effects.payload_mass import PayloadMass
@@ -73,6 +75,7 @@ __all__ = [
     "GravityMoment",
     "GravityScale",
     "GravityTilt",
+    "GravityTool",
     "JointAsymmetry",
     "JointBacklash",
     "JointCoulomb",
@@ -89,6 +92,7 @@ __all__ = [
     "JointVelocityLag",
     "JointViscous",
     "LaboratoryEffect",
+    "PayloadBody",
     "PayloadCom",
     "PayloadInertia",
     "PayloadMass",

@@ -58,8 +58,11 @@ class Candidate:
     within: str = ""  # a simpler kind that is a case of this one
     counts: int | None = None  # numbers it costs, where that is not k
     sparse: bool = False  # coordinates of a thing: those that are about zero cost nothing
+    least: int = 1  # of a sparse one: numbers that it counts as at least
     # a cause: kind and slot of the candidate that each of its numbers is when alone
     parts: tuple[tuple[str, str], ...] = ()
+    # numbers (k,) and their precision (k, k) -> the most probable that can be; None: all can
+    feasible: Callable[[Array, Array], Array] | None = None
 
     @property
     def name(self) -> str:
@@ -76,7 +79,7 @@ class Candidate:
         """Least number of parameters it counts as; of a cause one a place."""
         if self.parts:
             return len({slot for _, slot in self.parts})
-        return 1 if self.sparse else self.k if self.counts is None else self.counts
+        return self.least if self.sparse else self.k if self.counts is None else self.counts
 
     @property
     def places(self) -> frozenset[str]:

@@ -100,6 +100,8 @@ def fit(
     step = _STEP * np.maximum(usual, 1e-12)
     edges = np.cumsum([c.k for c in candidates])[:-1]
     x = np.clip(np.concatenate(list(start)), low, high)
+    spread: Array = np.diag(np.maximum(usual, 1e-12) ** 2)
+    x = _feasible(candidates, x, spread)
 
     def residuals_at(points: Sequence[Array]) -> Array:
         return evaluate_residuals(residuals, candidates, [np.split(x, edges) for x in points])
@@ -137,6 +139,9 @@ def fit(
         )
         solution = solve(both, b, low - x, high - x)
         toward = solution.x[b:]
+        if any(c.feasible for c in candidates):
+            goal = np.clip(x + toward, low, high)
+            toward = _feasible(candidates, goal, solution.covariance[b:, b:]) - x
         better = None
         for halving in range(_HALVINGS):
             y = np.clip(x + toward / 2**halving, low, high)
@@ -165,6 +170,24 @@ def fit(
         residual=z,
         tangents=np.hstack([B, S]),
     )
+
+
+def _feasible(candidates: Sequence[Candidate], x: Array, covariance: Array) -> Array:
+    """Return the numbers with those of each candidate put to the nearest that can be.
+
+    Args:
+        candidates: effects.
+        x: (sum of k,) numbers.
+        covariance: (sum of k, sum of k).
+    """
+    out, at = x.copy(), 0
+    for c in candidates:
+        here = slice(at, at + c.k)
+        if c.feasible is not None:
+            precision = np.asarray(np.linalg.pinv(covariance[here, here]), float)
+            out[here] = np.clip(c.feasible(x[here], precision), c.low, c.high)
+        at += c.k
+    return out
 
 
 def linearised(

@@ -29,8 +29,8 @@ from ves_gym.diagnosis.machines.plant import (
     of_kind,
     plant_effect,
 )
-from ves_gym.diagnosis.machines.rigid_bodies import PARAMETER_UNITS, PARAMETERS
 from ves_gym.diagnosis.machines.static_poses import BIAS, WrenchBias, WrenchGain, wrench_gain
+from ves_gym.mechanics.body_numbers import PARAMETER_UNITS, PARAMETERS
 from ves_gym.mechanics.spatial import AXES
 
 _PAYLOAD = {"kg": (1.0, 0.0, 50.0), "kg m": (0.1, -20.0, 20.0), "kg m^2": (0.02, -10.0, 10.0)}

@@ -36,7 +36,7 @@ class CarriedBody:
 
     @property
     def parameters(self) -> Array:
-        """(10,) in the order of `rigid_bodies.PARAMETERS`."""
+        """(10,) in the order of `body_numbers.PARAMETERS`."""
         return np.array([self.mass, *self.moment, *self.inertia])
 
     @property

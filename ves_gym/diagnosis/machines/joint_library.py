@@ -15,8 +15,8 @@ from ves_gym._util.params import Array, ParameterError, require_positive, unit
 from ves_gym.diagnosis.inference.candidates import Candidate, library
 from ves_gym.diagnosis.machines.causes import arm_friction
 from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft
-from ves_gym.diagnosis.machines.rigid_bodies import PARAMETER_UNITS, PARAMETERS
 from ves_gym.effects import JointStribeck, JointVelocityLag
+from ves_gym.mechanics.body_numbers import PARAMETER_UNITS, PARAMETERS, nearest_body
 from ves_gym.system.effect import EFFECTS, Effect, TorqueEffect
 
 _BESIDE_LAWS = ("joint/measurement_delay", "joint/rotor_inertia", "joint/velocity_lag")
@@ -123,11 +123,12 @@ def coupled_shaft(joints: Sequence[MjcfJoint], ratio: Sequence[float]) -> Candid
     )
 
 
-def payload_candidate(visible: Sequence[int]) -> Candidate:
+def payload_candidate(visible: Sequence[int], seen: Array) -> Candidate:
     """Return mass, centre and inertia of a payload as one cause.
 
     Args:
-        visible: which of `PARAMETERS` the forces can tell.
+        visible: which k of `PARAMETERS` the forces can tell.
+        seen: (k, 10) what each shows of all ten; a rigid body must have numbers that do.
     """
     ranges = [_PAYLOAD[PARAMETER_UNITS[k]] for k in visible]
 
@@ -149,6 +150,7 @@ def payload_candidate(visible: Sequence[int]) -> Candidate:
         make=make,
         factors=tuple(range(len(visible))),
         sparse=True,
+        feasible=lambda x, precision: nearest_body(x, precision, seen),
     )
 
 

@@ -185,7 +185,7 @@ class MjcfMachine:
         out = joint_candidates(self.joints, [p.name for p in self.ports])
         if self.bodies is not None:
             out += [coupled_shaft(self.joints, ratio) for ratio in self.couplings]
-            out.append(payload_candidate(visible_parameters(self.bodies, len(self.joints))))
+            out.append(payload_candidate(*visible_parameters(self.bodies, len(self.joints))))
         return tuple(out)
 
     @cached_property

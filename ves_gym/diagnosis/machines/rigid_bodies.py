@@ -18,14 +18,8 @@ import mujoco
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.body_numbers import PLACES
 
-PARAMETERS = (  # of a body about the origin of its frame: linear in the forces
-    "mass",
-    *(f"moment_{axis}" for axis in "xyz"),
-    *(f"inertia_{axes}" for axes in ("xx", "xy", "yy", "xz", "yz", "zz")),
-)
-PARAMETER_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
-_PAIRS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 JOINT_PROPERTIES = ("damping", "frictionloss", "armature")  # that laws of the library say, too
 _OFF = {  # flags that take it away
     "damping": (mujoco.mjtDisableBit.mjDSBL_DAMPER,),
@@ -135,7 +129,7 @@ class MjcfBodies:
             mixed = (both - ahead[i] - ahead[j] + origin) / _REACH**2
             second[i, j] = mixed  # m x_i x_j counts twice in it, as the matrix has it twice
         trace = sum(second[i, i] for i in range(3)) / 2
-        inertia = [trace - second[i, i] if i == j else -second[i, j] for i, j in _PAIRS]
+        inertia = [trace - second[i, i] if i == j else -second[i, j] for i, j in PLACES]
         return np.stack([origin, *moment, *inertia], axis=-1)
 
     def _bare(self) -> mujoco.MjModel:
@@ -252,7 +246,7 @@ class UrdfBodies:
         return Q, V, A
 
 
-def visible_parameters(bodies: RigidBodies, n: int) -> list[int]:
+def visible_parameters(bodies: RigidBodies, n: int) -> tuple[list[int], Array]:
     """Return which of `PARAMETERS` of a payload the forces at the joints can tell, in order.
 
     A parameter that does the same as those before it is left out.
@@ -260,6 +254,9 @@ def visible_parameters(bodies: RigidBodies, n: int) -> list[int]:
     Args:
         bodies: of the machine.
         n: joints.
+
+    Returns:
+        Their k places, and (k, 10) what each shows of all ten, those left out included.
     """
     q, v, a = np.random.default_rng(0).normal(size=(3, 40, n))
     columns = bodies.payload(q, v, a).reshape(-1, 10)
@@ -269,7 +266,8 @@ def visible_parameters(bodies: RigidBodies, n: int) -> list[int]:
         trial = columns[:, [*taken, k]] / size[[*taken, k]]
         if np.linalg.svd(trial, compute_uv=False)[-1] > 1e-6:
             taken.append(k)
-    return taken
+    seen = np.linalg.lstsq(columns[:, taken], columns, rcond=None)[0]
+    return taken, np.asarray(seen, float)
 
 
 def joint_property(model: mujoco.MjModel, name: str) -> Array:

@@ -1,0 +1,110 @@
+"""The ten numbers of a rigid body in which forces are linear, and which ten a body can have.
+
+Mass, first moment of mass and inertia about the frame's origin: what a robot's motion tells of
+a body is a linear function of these. A body can have them if its pseudo-inertia, the matrix of
+the second moments of (x, y, z, 1) over its mass, has no negative eigenvalue (Wensing, Kim and
+Slotine, IEEE RA-L 3, 2018).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from ves_gym._util.params import Array
+
+PARAMETERS = (  # about the origin of the body's frame
+    "mass",
+    *(f"moment_{axis}" for axis in "xyz"),
+    *(f"inertia_{axes}" for axes in ("xx", "xy", "yy", "xz", "yz", "zz")),
+)
+PARAMETER_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
+PLACES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of the inertias in their matrix
+_LEAST = 1e-3  # m: radius of gyration that every body has
+_ROUNDING = 1e-9
+_TRIES = 200
+_LOWER = np.tril_indices(4)
+
+
+def inertia_matrix(numbers: npt.ArrayLike) -> Array:
+    """Return (3, 3) inertia about the frame's origin [kg m^2].
+
+    Args:
+        numbers: (10,) in the order of `PARAMETERS`.
+    """
+    out = np.zeros((3, 3))
+    for (i, j), value in zip(PLACES, np.asarray(numbers, float)[4:], strict=True):
+        out[i, j] = out[j, i] = value
+    return out
+
+
+def pseudo_inertia(numbers: npt.ArrayLike) -> Array:
+    """Return (4, 4) second moments of (x, y, z, 1) over the mass.
+
+    Args:
+        numbers: (10,) in the order of `PARAMETERS`.
+    """
+    x, about = np.asarray(numbers, float), inertia_matrix(numbers)
+    out = np.empty((4, 4))
+    out[:3, :3] = np.trace(about) / 2 * np.eye(3) - about
+    out[:3, 3] = out[3, :3] = x[1:4]
+    out[3, 3] = x[0]
+    return out
+
+
+def numbers_of_moments(moments: npt.ArrayLike) -> Array:
+    """Return (10,) numbers of a pseudo-inertia (4, 4): the way back."""
+    J = np.asarray(moments, float)
+    about = np.trace(J[:3, :3]) * np.eye(3) - J[:3, :3]
+    return np.array([J[3, 3], *J[:3, 3], *(about[i, j] for i, j in PLACES)])
+
+
+def is_body(numbers: npt.ArrayLike) -> bool:
+    """Return True for numbers (10,) that a rigid body can have."""
+    J = pseudo_inertia(numbers)
+    return bool(np.linalg.eigvalsh(J)[0] >= -_ROUNDING * max(float(np.abs(J).max()), 1e-300))
+
+
+def nearest_body(numbers: npt.ArrayLike, precision: npt.ArrayLike, seen: Array) -> Array:
+    """Return what is seen of the body whose numbers are the most probable.
+
+    Args:
+        numbers: (k,) estimated.
+        precision: (k, k), the inverse of their covariance.
+        seen: (k, 10) which combinations of `PARAMETERS` they are.
+
+    Returns:
+        (k,) numbers that a body has, its radius of gyration 1 mm along each axis or more.
+    """
+    x = np.asarray(numbers, float)
+    weight = np.asarray(precision, float)
+    weight = weight + 1e-12 * np.diag(np.diag(weight)) + 1e-12 * np.eye(len(x))
+    root = np.linalg.cholesky(weight).T
+    core = np.diag([_LEAST**2] * 3 + [0.0])
+
+    def numbers_seen(J: Array) -> Array:
+        return np.asarray(seen @ numbers_of_moments(J + J[3, 3] * core))
+
+    def lower(entries: Array) -> Array:
+        L = np.zeros((4, 4))
+        L[_LOWER] = entries
+        return L
+
+    def miss(entries: Array) -> Array:
+        L = lower(entries)
+        return np.asarray(root @ (numbers_seen(L @ L.T) - x))
+
+    def slopes(entries: Array) -> Array:
+        L = lower(entries)
+        moved = [step @ L.T + L @ step.T for step in map(lower, np.eye(len(entries)))]
+        return np.asarray(root @ np.stack([numbers_seen(J) for J in moved], axis=1))
+
+    guess = pseudo_inertia(np.linalg.pinv(seen) @ x)
+    value, axes = np.linalg.eigh(guess)
+    size = max(float(value.max()), 1e-6)
+    clipped = (axes * np.maximum(value, 1e-4 * size)) @ axes.T
+    first = np.linalg.cholesky(clipped)[_LOWER]
+    found = scipy.optimize.least_squares(miss, first, slopes, x_scale="jac", max_nfev=_TRIES)
+    L = lower(found.x)
+    return numbers_seen(L @ L.T)
