@@ -117,15 +117,9 @@ if TYPE_CHECKING:
         Query as Query,
     )
     from ves_gym.planners.registry import register_planner as register_planner
-    from ves_gym.simulation.simulator import (
-        Divergence as Divergence,
-    )
-    from ves_gym.simulation.simulator import (
-        Simulator as Simulator,
-    )
-    from ves_gym.simulation.simulator import (
-        State as State,
-    )
+    from ves_gym.simulation.divergence import Divergence as Divergence
+    from ves_gym.simulation.simulator import Simulator as Simulator
+    from ves_gym.simulation.state import State as State
     from ves_gym.system.effect import (
         Effect as Effect,
     )
@@ -216,7 +210,7 @@ _HOMES = {
     "Candidate": "diagnosis.inference.candidates",
     "Controller": "baselines.controllers",
     "Diagnosis": "diagnosis.diagnose",
-    "Divergence": "simulation.simulator",
+    "Divergence": "simulation.divergence",
     "Effect": "system.effect",
     "EmulatorSettings": "system.emulator_settings",
     "Energies": "system.energy",
@@ -237,7 +231,7 @@ _HOMES = {
     "RunLog": "system.runlog",
     "Satellite": "mechanics.vehicle",
     "Simulator": "simulation.simulator",
-    "State": "simulation.simulator",
+    "State": "simulation.state",
     "System": "system.system",
     "Task": "envs.task",
     "get_vehicle": "mechanics.vehicle",

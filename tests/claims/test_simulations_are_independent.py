@@ -25,7 +25,8 @@ from ves_gym.engine import batch_parameters
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.simulation.playback import play_motions
-from ves_gym.simulation.simulator import Simulator, State
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.simulation.state import State
 from ves_gym.system.effect import EFFECTS, TorqueEffect, parameter, register
 from ves_gym.system.system import System
 

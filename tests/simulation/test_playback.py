@@ -11,8 +11,9 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, MatrixVehicle
+from ves_gym.simulation.divergence import Divergence
 from ves_gym.simulation.playback import play_motions
-from ves_gym.simulation.simulator import Divergence, Simulator
+from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.effect import EFFECTS
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System

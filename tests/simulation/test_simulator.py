@@ -21,7 +21,8 @@ from ves_gym.mechanics.vehicle import (
     STRAIGHT_VERTICAL_THESIS,
     Satellite,
 )
-from ves_gym.simulation.simulator import Divergence, Simulator
+from ves_gym.simulation.divergence import Divergence
+from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
 pytestmark = pytest.mark.bits

@@ -49,7 +49,7 @@ from ves_gym.planners.pped import (
     tune,
 )
 from ves_gym.planners.virtual_manipulator import tune_virtual
-from ves_gym.simulation.simulator import Divergence
+from ves_gym.simulation.divergence import Divergence
 from ves_gym.system.system import System
 
 SCHEMA = "ves-pped/1"

@@ -22,7 +22,7 @@ from ves_gym.system.system import System
 
 if TYPE_CHECKING:
     from ves_gym.engine.backends.base import Backend
-    from ves_gym.simulation.simulator import State
+    from ves_gym.simulation.state import State
 
 
 class BaseActuators:

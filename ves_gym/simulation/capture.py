@@ -33,7 +33,7 @@ from ves_gym.mechanics.latch import (
 from ves_gym.mechanics.payload import Payload, angle_between, numbers_of, with_body
 from ves_gym.mechanics.spatial import matvec, rate_matrix, rotation, twist
 from ves_gym.mechanics.tool_pose import ToolState, tool_state
-from ves_gym.system.effect import ArmEffect, BaseEffect
+from ves_gym.simulation.arguments import simulation_ids
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 if TYPE_CHECKING:
@@ -255,7 +255,7 @@ class Cargo:
 
     def gap(self, ids: npt.ArrayLike | None = None) -> tuple[Array, Array]:
         """Return how far the tool is from the fixture (k,) [m], and the turn missing [rad]."""
-        index = self.sim._ids(ids)
+        index = simulation_ids(ids, self.sim.n)
         _, distance, angle = self._gap(index, self._tool(index))
         return distance, angle
 
@@ -280,7 +280,7 @@ class Cargo:
 
     def relative(self, ids: npt.ArrayLike | None = None) -> Array:
         """Return the twist (k, 6) of the tool against the fixture, inertial axes."""
-        index = self.sim._ids(ids)
+        index = simulation_ids(ids, self.sim.n)
         tool = self._tool(index)
         _, motion, com = self._bodies(index)
         return tool.twist - matvec(to_point(com, tool.place), motion)
@@ -299,7 +299,7 @@ class Cargo:
             ParameterError: one is carried already, or out of the latch's reach; none is
                 grasped then.
         """
-        sim, index = self.sim, self.sim._ids(ids)
+        sim, index = self.sim, simulation_ids(ids, self.sim.n)
         if not len(index):
             return []
         self._require(index, carried=False)
@@ -357,7 +357,7 @@ class Cargo:
         Raises:
             ParameterError: a payload that is not carried; none is released then.
         """
-        index = self.sim._ids(ids)
+        index = simulation_ids(ids, self.sim.n)
         if not len(index):
             return []
         self._require(index, carried=True)
@@ -460,19 +460,9 @@ class Cargo:
 
     def _alike(self, ids: Index) -> list[tuple[System, Index]]:
         """Systems as they really are, with the rows of ids that share arm and vehicle."""
-        template = self.sim.system
         groups: dict[tuple[int, int], tuple[System, list[int]]] = {}
         for row, i in enumerate(ids.tolist()):
-            given = self.sim._assigned.get(i)
-            system = template if given is None else None
-            if isinstance(given, System):
-                system = given
-            elif given is not None:
-                rows, at = given
-                varied = rows.varied((ArmEffect, BaseEffect))
-                system = rows.system(at) if varied else template
-            assert system is not None
-            actual = system.actual
+            actual = self.sim.assigned_systems.bodies(i).actual
             key = id(actual.arm), id(actual.vehicle)
             groups.setdefault(key, (actual, []))[1].append(row)
         return [(system, np.array(rows)) for system, rows in groups.values()]

@@ -10,7 +10,7 @@ import numpy as np
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.kernel.blocks import lanes
 from ves_gym.engine.kernel.emit import LANES
-from ves_gym.simulation.simulator import Snapshot
+from ves_gym.simulation.state import Snapshot
 
 _LANED = 2  # the first parts of the kernel's state lie in lanes
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, Index
+from ves_gym.engine.backends.base import Backend
 from ves_gym.system.deviations import Delays
 from ves_gym.system.effect import DelayEffect
 from ves_gym.system.system import System
@@ -207,6 +208,76 @@ class JointDelays:
         self.measurement_history = np.concatenate(
             [self.measurement_history[:, 1:], self._node(q, v)], axis=1
         )
+
+    # ---------------------------------------------------------------- stepping
+
+    def drive(
+        self,
+        backend: Backend,
+        nodes: Array,
+        push: Array | None,
+        ids: Index | None,
+        kp: Array,
+        kd: Array,
+    ) -> None:
+        """Step the engine through commands that reach the drives late.
+
+        Args:
+            backend: the engine, in space.
+            nodes: (n, k + 1, joints) commands as sent, linear over each of k steps.
+            push: (n, 6) force on Y [N, N m], or None.
+            ids: simulations that still run, None for all.
+            kp, kd: (n, joints) the servo's gains.
+        """
+        if self.commands_late:
+            nodes = self.arriving(nodes)
+        for j in range(nodes.shape[1] - 1):
+            start, end = self._sees(backend, nodes[:, j], nodes[:, j + 1], kp, kd)
+            backend.step(start, end, push, 1, ids)
+
+    def on_platform(
+        self,
+        backend: Backend,
+        nodes: Array,
+        base: Array,
+        ids: Index | None,
+        kp: Array,
+        kd: Array,
+    ) -> Array:
+        """Do what `Backend.step_on_platform` does, with commands that reach the drives late.
+
+        Args:
+            backend: the engine, on a platform.
+            nodes: (n, k + 1, joints) commands as sent, linear over each of k steps.
+            base: (n, k + 1, ...) motion of the platform.
+            ids: simulations that still run, None for all.
+            kp, kd: (n, joints) the servo's gains.
+
+        Returns:
+            (n, k + 1, 6) wrench at the force sensor.
+        """
+        if self.commands_late:
+            nodes = self.arriving(nodes)
+        if not self.measurements_late:
+            return backend.step_on_platform(nodes, base, ids)
+        out = []
+        for j in range(nodes.shape[1] - 1):
+            ends = self._sees(backend, nodes[:, j], nodes[:, j + 1], kp, kd)
+            wrench = backend.step_on_platform(np.stack(ends, axis=1), base[:, j : j + 2], ids)
+            out.append(wrench[:, :1])
+        return np.concatenate([*out, wrench[:, 1:]], axis=1)
+
+    def _sees(
+        self, backend: Backend, start: Array, end: Array, kp: Array, kd: Array
+    ) -> tuple[Array, Array]:
+        """Commands at both ends of the next physics step, by a servo that sees old joints."""
+        if not self.measurements_late:
+            return start, end
+        _, z, zd = backend.read()
+        q, v = z[:, 6:], zd[:, 6:]
+        first, last = self.correction(q, v, kp, kd)
+        self.remember(q, v)
+        return start + first, end + last
 
     # ------------------------------------------------------------------- state
 

@@ -17,7 +17,8 @@ from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix, twist, twist_rate
 from ves_gym.simulation.capture import Capture
 from ves_gym.simulation.recording import BaseWatch, Extremes, Recording
-from ves_gym.simulation.simulator import Simulator, State
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.simulation.state import State
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 

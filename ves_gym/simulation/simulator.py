@@ -4,82 +4,31 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, Index, Mask, ParameterError
-from ves_gym.engine.backends.base import MEANINGLESS
-from ves_gym.engine.backends.compiled import CompiledBackend
+from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.engine.backends.registry import make_backend
-from ves_gym.engine.batch_parameters import bodies_of, require_alike, share_base
-from ves_gym.hardware.admittance import Nonlinear, require_admittances
-from ves_gym.mechanics.attitude import angular_velocity, from_angles
-from ves_gym.mechanics.base_model import BaseModel, semidefinite
+from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
-from ves_gym.mechanics.spatial import AXES, SINGULAR, matvec, rate_matrix
+from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.mechanics.vehicle import blows
+from ves_gym.simulation.arguments import broadcast, numbers, simulation_ids
+from ves_gym.simulation.assigned_systems import AssignedSystems
 from ves_gym.simulation.base_actuators import BaseActuators
 from ves_gym.simulation.capture import Capture, Cargo
 from ves_gym.simulation.charts import Charts, is_free
+from ves_gym.simulation.divergence import Divergence, describe, tumbled
 from ves_gym.simulation.emulation_loop import EmulationLoop
 from ves_gym.simulation.joint_delays import joint_delays_of
 from ves_gym.simulation.loop_linearisation import warn_if_unstable
 from ves_gym.simulation.loop_reports import Event, Readings
-from ves_gym.simulation.stable_step import require_stable_step, steps_are_small
+from ves_gym.simulation.stable_step import require_stable_step
+from ves_gym.simulation.state import Snapshot, State
 from ves_gym.simulation.touch import Touch
-from ves_gym.system.deviations import Delays
-from ves_gym.system.effect import BaseEffect, DelayEffect, LaboratoryEffect, TorqueEffect
-from ves_gym.system.effect_rows import EffectRows, Given
+from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import System
-
-
-class Divergence(ArithmeticError):
-    """A simulation left the meaningful range; `ids` lists all of them."""
-
-    def __init__(self, message: str, ids: Index) -> None:
-        super().__init__(message)
-        self.ids = ids
-
-
-class State(NamedTuple):
-    """State of every simulation. Leading axis = simulation."""
-
-    time: Array  # (n,) s
-    y: Array  # (n, 6) base pose [m, rad]
-    yd: Array  # (n, 6) its rate
-    q: Array  # (n, joints) rad
-    v: Array  # (n, joints) rad/s
-
-    @property
-    def attitude(self) -> Array:
-        """(n, 4) unit quaternions of the base, scalar first, its axes to inertial ones."""
-        return from_angles(self.y[:, 3:])
-
-    @property
-    def spin(self) -> Array:
-        """(n, 3) angular velocity of the base in its own axes [rad/s]."""
-        return angular_velocity(self.y[:, 3:], self.yd[:, 3:])
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """Everything needed to continue exactly from here (`Simulator.snapshot`)."""
-
-    system_hash: str
-    backend_name: str
-    backend: object
-    generators: tuple[Any, ...]
-    gains: tuple[Array, Array]  # kp, kd
-    diverged: Mask
-    emulation_loop: Any = None
-    assigned: Mapping[int, System] = field(default_factory=dict)
-    joint_delays: Any = None
-    charts: Any = None
-    payload: Any = None
-    base_actuators: Any = None
 
 
 class Simulator:
@@ -136,8 +85,7 @@ class Simulator:
         self.system, self.n = system, int(n)
         self.joints = system.arm.n
         self.backend = make_backend(backend, system.actual, self.n, threads)
-        # simulations with a system of their own; (rows, row) before it is asked for
-        self._assigned: dict[int, Given] = {}
+        self.assigned_systems = AssignedSystems(self)
         self.joint_delays = joint_delays_of(system, self.n)  # None where there can be none
         free = system.mode == "ideal" and is_free(system.actual.base)
         self._charts = Charts(self.n) if free else None
@@ -248,8 +196,8 @@ class Simulator:
             ids: which simulations (k of them), or None for all.
             time: that their clocks show, broadcast to (k,) [s].
         """
-        index = self._ids(ids)
-        clock = self._broadcast(time, "time", (len(index),))
+        index = simulation_ids(ids, self.n)
+        clock = broadcast(time, "time", (len(index),))
         values = {"q": q, "v": v, "y": y, "yd": yd}
         unknown = [key for key in spread or {} if key not in values]
         if unknown:
@@ -257,9 +205,9 @@ class Simulator:
         full = {}
         for name, value in values.items():
             width = self.joints if name in "qv" else 6
-            full[name] = self._broadcast(value, name, (len(index), width)).copy()
+            full[name] = broadcast(value, name, (len(index), width)).copy()
             if spread and name in spread:
-                scale = self._broadcast(spread[name], f"spread[{name!r}]", (len(index), width))
+                scale = broadcast(spread[name], f"spread[{name!r}]", (len(index), width))
                 for row, i in enumerate(index):
                     full[name][row] += scale[row] * self.generators[i].standard_normal(width)
         self.backend.write(
@@ -296,7 +244,7 @@ class Simulator:
                     f" {type(self.system.vehicle).__name__}"
                 )
             return
-        speed = self._broadcast(wheel_speed, "wheel_speed", (len(index), wheels))
+        speed = broadcast(wheel_speed, "wheel_speed", (len(index), wheels))
         rates = np.zeros((len(index), len(self.system.base.carried)))
         rates[:, :wheels] = speed
         self.backend.set_carried(index, np.zeros_like(rates), rates)
@@ -322,8 +270,8 @@ class Simulator:
                 "point needs a satellite with pointing, got"
                 f" {type(self.system.vehicle).__name__}"
             )
-        index = self._ids(ids)
-        target = self._broadcast(attitude, "attitude", (len(index), 4))
+        index = simulation_ids(ids, self.n)
+        target = broadcast(attitude, "attitude", (len(index), 4))
         if (np.abs(np.linalg.norm(target, axis=1) - 1) > 1e-6).any():
             raise ParameterError(f"attitude must be unit quaternions, got {target.tolist()}")
         self.base_actuators.target[index] = target
@@ -338,7 +286,7 @@ class Simulator:
             (self._kp.copy(), self._kd.copy()),
             self.diverged.copy(),
             None if self.emulation_loop is None else self.emulation_loop.get_state(),
-            self._own_systems(),
+            self.assigned_systems.systems,
             None if self.joint_delays is None else self.joint_delays.get_state(),
             None if self._charts is None else self._charts.get_state(),
             None if self.payload is None else self.payload.get_state(),
@@ -356,12 +304,7 @@ class Simulator:
             raise ParameterError(
                 f"snapshot is of backend {snapshot.backend_name}, this is {self.backend.name}"
             )
-        then, current = snapshot.assigned, self._own_systems()
-        ids = [
-            i for i in sorted(then.keys() | current.keys()) if then.get(i) is not current.get(i)
-        ]
-        if ids:
-            self.assign([then.get(i, self.system) for i in ids], ids)
+        self.assigned_systems.restore(snapshot.assigned)
         self.backend.set_state(snapshot.backend)
         if self.system.drive == "motor":
             self.set_gains(*snapshot.gains)
@@ -383,15 +326,8 @@ class Simulator:
     @property
     def systems(self) -> tuple[System, ...]:
         """The n systems in force: the simulator's own, or what `assign` has put there."""
-        assigned = self._own_systems()
+        assigned = self.assigned_systems.systems
         return tuple(assigned.get(i, self.system) for i in range(self.n))
-
-    def _own_systems(self) -> dict[int, System]:
-        """Systems put there by `assign` and `assign_effects`, by simulation."""
-        return {
-            i: source if isinstance(source, System) else source[0].system(source[1])
-            for i, source in self._assigned.items()
-        }
 
     def assign(self, systems: Sequence[System], ids: npt.ArrayLike | None = None) -> None:
         """Give simulations systems of their own, which differ from the simulator's in numbers.
@@ -419,37 +355,7 @@ class Simulator:
             ParameterError: a system differs in more than numbers, or in a structural zero;
                 nothing has been assigned then.
         """
-        index = self._ids(ids)
-        if isinstance(systems, System) or len(systems) != len(index):
-            got = "one System" if isinstance(systems, System) else f"{len(systems)}"
-            raise ParameterError(f"systems must be a sequence of {len(index)}, got {got}")
-        stable = {bodies_of(self.system.actual)}
-        for i, system in zip(index.tolist(), systems, strict=True):
-            if not isinstance(system, System):
-                raise ParameterError(f"systems must hold Systems, got {system!r}")
-            share_base(self.system, system)
-            require_alike(self.system, system, f"system of simulation {i}")
-            judged = system.mode == "ideal" or bool(system.actual.arm.geared)
-            if judged and bodies_of(system.actual) not in stable:
-                require_stable_step(system.actual)
-                stable.add(bodies_of(system.actual))
-        if not len(index):
-            return
-        lab = self.emulation_loop
-        install = None if lab is None else lab.prepare(index, systems)
-        self.backend.assign(index, [system.actual for system in systems])
-        if install is not None:
-            install()
-        if self.joint_delays is not None:
-            state = self.state
-            delays = [Delays.of(system) for system in systems]
-            self.joint_delays.assign(index, delays, state.q, state.v)
-        for i, system in zip(index.tolist(), systems, strict=True):
-            self._assigned[i] = system
-            if system is self.system:
-                del self._assigned[i]
-        if self.payload is not None:
-            self.payload.assigned(index)
+        self.assigned_systems.assign(systems, simulation_ids(ids, self.n))
 
     def assign_effects(self, rows: EffectRows, ids: npt.ArrayLike | None = None) -> None:
         """Give simulations effects with parameters of their own, as `assign` does, but at once.
@@ -464,48 +370,7 @@ class Simulator:
         Raises:
             ParameterError: as `assign`.
         """
-        index = self._ids(ids)
-        if rows.template != self.system or len(rows) != len(index):
-            raise ParameterError(
-                f"rows must be {len(index)} of the simulator's own system, got {len(rows)} of"
-                f" {rows.template!r}"
-            )
-        assigned = {i: (rows, row) for row, i in enumerate(index.tolist())}
-        before = [given for given in map(self._assigned.get, assigned) if given is not None]
-        sources = {id(k): k for k in (k if isinstance(k, System) else k[0] for k in before)}
-        at_once = rows.at_once and all(map(rows.replaces, sources.values()))
-        bases = rows.bases() if at_once and rows.varied(BaseEffect) else None
-        backend = self.backend
-        if not at_once or (bases is not None and not isinstance(backend, CompiledBackend)):
-            self.assign([rows.system(row) for row in range(len(rows))], index)
-            self._assigned |= assigned
-            return
-        lab = self.emulation_loop
-        parameters = None
-        if lab is not None and rows.varied(LaboratoryEffect):
-            start = rows.before(lab.described(self.system.arm))
-            parameters = rows.loop_parameters(start)
-        if bases is not None and isinstance(backend, CompiledBackend):
-            self._require_bases(rows, bases)
-            backend.assign_bases(index, bases)
-        if rows.varied(TorqueEffect):
-            self.backend.assign_laws(index, rows)
-        if lab is not None and (parameters is not None or bases is not None):
-            lab.install(index, parameters, bases)
-        if self.joint_delays is not None and rows.varied(DelayEffect):
-            state = self.state
-            self.joint_delays.assign(index, [rows.delays()], state.q, state.v)
-        self._assigned |= assigned
-
-    def _require_bases(self, rows: EffectRows, bases: BaseModel) -> None:
-        """Refuse vehicles (k, ...) that cannot be, or are too fast for the physics step."""
-        for row in np.flatnonzero(~semidefinite(bases)).tolist():
-            _ = rows.system(row).actual  # says which matrix, and what it should be
-        if self.system.mode == "emulated":
-            require_admittances(bases, self.system.emulator_settings.admittance_form)
-            return
-        for row in np.flatnonzero(~steps_are_small(self.system, bases)).tolist():
-            require_stable_step(rows.system(row).actual)
+        self.assigned_systems.assign_effects(rows, simulation_ids(ids, self.n))
 
     def set_gains(
         self, kp: npt.ArrayLike, kd: npt.ArrayLike, ids: npt.ArrayLike | None = None
@@ -518,10 +383,10 @@ class Simulator:
         """
         if self.system.drive != "motor":
             raise ParameterError("a prescribed drive has no servo gains to set")
-        index = self._ids(ids)
+        index = simulation_ids(ids, self.n)
         shape = (len(index), self.joints)
-        self._kp[index] = self._broadcast(kp, "kp", shape)
-        self._kd[index] = self._broadcast(kd, "kd", shape)
+        self._kp[index] = broadcast(kp, "kp", shape)
+        self._kd[index] = broadcast(kd, "kd", shape)
         self.backend.set_gains(index, self._kp[index], self._kd[index])
 
     # ----------------------------------------------------------------- payload
@@ -577,8 +442,8 @@ class Simulator:
             platform: pose (n, 6), or pose and rate (n, 12), that the platform shall
                 follow; emulators under position control only.
         """
-        torque = self._broadcast(command, "command", (self.n, self.joints))
-        end = None if until is None else self._broadcast(until, "until", torque.shape)
+        torque = broadcast(command, "command", (self.n, self.joints))
+        end = None if until is None else broadcast(until, "until", torque.shape)
         if self.emulation_loop is not None:
             if base_wrench is not None or wheel_torque is not None:
                 given = "wheel_torque" if base_wrench is None else "base_wrench"
@@ -636,10 +501,10 @@ class Simulator:
         expected = (
             f"commands must be numbers of shape ({self.n}, k + 1, {self.joints}), k >= 1, got"
         )
-        numbers = _numbers(commands, expected)
-        if numbers.ndim != 3 or numbers.shape[1] < 2:
-            raise ParameterError(f"{expected} {numbers.shape}")
-        nodes = self._broadcast(numbers, "commands", (self.n, numbers.shape[1], self.joints))
+        sent = numbers(commands, expected)
+        if sent.ndim != 3 or sent.shape[1] < 2:
+            raise ParameterError(f"{expected} {sent.shape}")
+        nodes = broadcast(sent, "commands", (self.n, sent.shape[1], self.joints))
         self.last_state = self.state
         if self.emulation_loop is not None:
             periods, remainder = divmod(nodes.shape[1] - 1, self.system.substeps)
@@ -676,6 +541,12 @@ class Simulator:
             time = (nodes.shape[1] - 1) * self.system.physics_dt
             self.payload.advance(time, self._running())
 
+    def _drive(self, nodes: Array, push: Array | None) -> None:
+        """In space, with delays between joint controller and drives."""
+        assert self.joint_delays is not None
+        gains = self._kp, self._kd
+        self.joint_delays.drive(self.backend, nodes, push, self._running(), *gains)
+
     def _recentre(self) -> None:
         """Keep the engine's angles of free bodies away from where they end."""
         if self._charts is not None:
@@ -684,52 +555,6 @@ class Simulator:
                 self.touch.framed(moved)
                 if self.payload is not None:
                     self.payload.reframed(moved)
-
-    def _drive(self, nodes: Array, push: Array | None) -> None:
-        """In space, with delays between joint controller and drives."""
-        assert self.joint_delays is not None
-        ids = self._running()
-        if self.joint_delays.commands_late:
-            nodes = self.joint_delays.arriving(nodes)
-        for j in range(nodes.shape[1] - 1):
-            start, end = self._held_by(nodes[:, j], nodes[:, j + 1])
-            self.backend.step(start, end, push, 1, ids)
-
-    def _carry(self, nodes: Array, base: Array, ids: Index | None) -> Array:
-        """`Backend.step_on_platform`, with delays between joint controller and drives."""
-        joint_delays = self.joint_delays
-        if joint_delays is None or not joint_delays.busy:
-            return self.backend.step_on_platform(nodes, base, ids)
-        if joint_delays.commands_late:
-            nodes = joint_delays.arriving(nodes)
-        if not joint_delays.measurements_late:
-            return self.backend.step_on_platform(nodes, base, ids)
-        out = []
-        for j in range(nodes.shape[1] - 1):
-            ends = self._held_by(nodes[:, j], nodes[:, j + 1])
-            wrench = self.backend.step_on_platform(
-                np.stack(ends, axis=1), base[:, j : j + 2], ids
-            )
-            out.append(wrench[:, :1])
-        return np.concatenate([*out, wrench[:, 1:]], axis=1)
-
-    def _held_by(self, start: Array, end: Array) -> tuple[Array, Array]:
-        """Commands at both ends of the next physics step, by a servo that sees old joints."""
-        joint_delays = self.joint_delays
-        assert joint_delays is not None
-        if not joint_delays.measurements_late:
-            return start, end
-        _, z, zd = self.backend.read()
-        q, v = z[:, 6:], zd[:, 6:]
-        first, last = joint_delays.correction(q, v, self._kp, self._kd)
-        joint_delays.remember(q, v)
-        return start + first, end + last
-
-    def _measured_angles(self, z: Array, zd: Array) -> Array:
-        """Joint angles (n, joints) as the laboratory sees them."""
-        if self.joint_delays is None:
-            return z[:, 6:]
-        return self.joint_delays.measured(z[:, 6:], zd[:, 6:])[0]
 
     @property
     def base_modes(self) -> tuple[Array, Array] | None:
@@ -773,9 +598,11 @@ class Simulator:
     def measured(self) -> tuple[Array, Array]:
         """Joint angles and rates (n, joints) as controller and log see them."""
         state = self.state
-        if self.joint_delays is None:
-            return state.q, state.v
-        return self.joint_delays.measured(state.q, state.v)
+        return self._seen(state.q, state.v)
+
+    def _seen(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Angles and rates (n, joints) as measured, where delays are between."""
+        return (q, v) if self.joint_delays is None else self.joint_delays.measured(q, v)
 
     def _ride(self, nodes: Array, platform: Array | None) -> None:
         """Control period by control period: laboratory -> engine -> laboratory."""
@@ -784,13 +611,17 @@ class Simulator:
         ids = self._running()
         for i in range((nodes.shape[1] - 1) // k):
             _, z, zd = self.backend.read()
-            angles = self._measured_angles(z, zd)
+            angles, _ = self._seen(z[:, 6:], zd[:, 6:])
             prescribed = None if platform is None else (platform[:, i, :6], platform[:, i, 6:])
             gains = self._kp, self._kd
             base = lab.command(angles, *gains, z[:, :6], zd[:, :6], prescribed)
-            wrench = self._carry(nodes[:, i * k : (i + 1) * k + 1], base, ids)
+            sent = nodes[:, i * k : (i + 1) * k + 1]
+            if self.joint_delays is not None and self.joint_delays.busy:
+                wrench = self.joint_delays.on_platform(self.backend, sent, base, ids, *gains)
+            else:
+                wrench = self.backend.step_on_platform(sent, base, ids)
             _, z, zd = self.backend.read()
-            lab.sense(wrench, self._measured_angles(z, zd))
+            lab.sense(wrench, self._seen(z[:, 6:], zd[:, 6:])[0])
 
     def _platform(self, platform: npt.ArrayLike | None, periods: int) -> Array | None:
         assert self.emulation_loop is not None
@@ -801,13 +632,13 @@ class Simulator:
             raise ParameterError(
                 f"platform needs an emulator under position control, got {operation}"
             )
-        numbers = _numbers(platform, "platform must be numbers of shape (n, 6) or (n, 12), got")
-        if numbers.ndim < 3:
-            if numbers.ndim and numbers.shape[-1] == 6:
-                numbers = np.concatenate([numbers, np.zeros_like(numbers)], axis=-1)
-            wide = self._broadcast(numbers, "platform", (self.n, 12))
+        pose = numbers(platform, "platform must be numbers of shape (n, 6) or (n, 12), got")
+        if pose.ndim < 3:
+            if pose.ndim and pose.shape[-1] == 6:
+                pose = np.concatenate([pose, np.zeros_like(pose)], axis=-1)
+            wide = broadcast(pose, "platform", (self.n, 12))
             return np.repeat(wide[:, None], periods, axis=1)
-        return self._broadcast(numbers, "platform", (self.n, periods, 12))
+        return broadcast(pose, "platform", (self.n, periods, 12))
 
     # --------------------------------------------------------------- laboratory
 
@@ -835,20 +666,19 @@ class Simulator:
             self.emulation_loop.use_table(None)
             return
         rows = max(1, np.shape(table)[1]) if np.ndim(table) == 3 else 1
-        numbers = self._broadcast(table, "table", (self.n, rows, 6))
-        self.emulation_loop.use_table(numbers.copy())
+        self.emulation_loop.use_table(broadcast(table, "table", (self.n, rows, 6)).copy())
 
     def zero_sensor(self, ids: npt.ArrayLike | None = None) -> None:
         """Set the force sensors' zero from the gravity estimate (thesis App. E, step 9)."""
         if self.emulation_loop is None:
             raise ParameterError("zero_sensor needs mode emulated, got mode ideal")
-        self.emulation_loop.zero(self._ids(ids))
+        self.emulation_loop.zero(simulation_ids(ids, self.n))
 
     def freeze(self, ids: npt.ArrayLike | None = None) -> None:
         """Press the platforms' panic buttons: they stand until reset (thesis App. E rule 1)."""
         if self.emulation_loop is None:
             raise ParameterError("freeze needs mode emulated, got mode ideal")
-        self.emulation_loop.freeze(self._ids(ids), "panic button")
+        self.emulation_loop.freeze(simulation_ids(ids, self.n), "panic button")
 
     def evaluate(self, command: npt.ArrayLike) -> tuple[Array, Array]:
         """Drive torque (n, joints) [N m] and base acceleration Y'' (n, 6) at this state.
@@ -856,7 +686,7 @@ class Simulator:
         The torque is what the drives are told by what has arrived there, the acceleration
         what there really is.
         """
-        at_drives = self._broadcast(command, "command", (self.n, self.joints))
+        at_drives = broadcast(command, "command", (self.n, self.joints))
         if self.joint_delays is not None and self.joint_delays.busy:
             at_drives = self.joint_delays.arrived(at_drives)
             if self.joint_delays.measurements_late:
@@ -881,7 +711,7 @@ class Simulator:
     def _watch(self) -> None:
         new = self.backend.faults()
         if self.system.base.body is not None:
-            new |= self._tumbled()
+            new |= tumbled(self.system, self.backend)
         if not new.any():
             return
         new &= ~self.diverged
@@ -893,30 +723,9 @@ class Simulator:
                 self.describe_divergence(int(np.flatnonzero(new)[0])), np.flatnonzero(new)
             )
 
-    def _tumbled(self) -> Mask:
-        """Satellites whose attitude reached the end of the Z-Y-X angles (phi_y = 90 deg)."""
-        if self.system.base.body is None:
-            return np.zeros(self.n, bool)
-        _, z, _ = self.backend.read()  # in its chart, where it has one
-        tilt: Mask = np.cos(z[:, 4]) < SINGULAR  # or beyond: a step may jump over it
-        return tilt
-
     def describe_divergence(self, i: int) -> str:
         """One line naming simulation, time and the worst coordinate while it was finite."""
-        time, z, zd = (part[i] for part in self.backend.read())
-        which = f"simulation {i} of {self.n} diverged at t = {time:.4f} s: "
-        if self._tumbled()[i]:
-            return which + f"phi_y = {np.rad2deg(z[4]):.1f} deg, Z-Y-X angles end at 90 deg"
-        if not (np.abs([z, zd]) < MEANINGLESS).all():  # soon every coordinate is
-            last_state = self.last_state
-            z, zd = (
-                np.r_[last_state.y[i], last_state.q[i]],
-                np.r_[last_state.yd[i], last_state.v[i]],
-            )
-        size = np.maximum(np.abs(z), np.abs(zd))
-        names = [*AXES, *(f"joint {k + 1}" for k in range(self.joints))]
-        worst = int(size.argmax())
-        return which + f"{names[worst]} = {z[worst]:.3g} moving at {zd[worst]:.3g}"
+        return describe(i, self.system, self.backend, self.last_state)
 
     def _base_force(
         self, wrench: npt.ArrayLike | None, torque: npt.ArrayLike | None
@@ -929,13 +738,13 @@ class Simulator:
                 raise ParameterError(
                     f"base_wrench needs a vehicle with thrusters or jets, got {kind}"
                 )
-            jets = self._broadcast(wrench, "base_wrench", (self.n, 6))
+            jets = broadcast(wrench, "base_wrench", (self.n, 6))
         if torque is not None:
             if acts is None or not acts.wheels:
                 raise ParameterError(
                     f"wheel_torque needs a vehicle with reaction wheels, got {kind}"
                 )
-            motors = self._broadcast(torque, "wheel_torque", (self.n, len(acts.wheels)))
+            motors = broadcast(torque, "wheel_torque", (self.n, len(acts.wheels)))
         if acts is not None:
             if jets is not None or motors is not None:
                 acts.command(jets, motors, self.wheel_speed, self.backend)
@@ -945,43 +754,3 @@ class Simulator:
         if jets is None:
             return None
         return matvec(np.swapaxes(rate_matrix(self.state.y), -1, -2), jets)
-
-    def _ids(self, ids: npt.ArrayLike | None) -> Index:
-        if ids is None:
-            return np.arange(self.n)
-        index = np.asarray(ids)
-        if index.dtype == bool and index.shape == (self.n,):
-            return np.flatnonzero(index)
-        valid = index.ndim == 1 and (np.issubdtype(index.dtype, np.integer) or not index.size)
-        if not valid or (index < 0).any() or (index >= self.n).any():
-            raise ParameterError(f"ids must be whole numbers in [0, {self.n}), got {ids!r}")
-        rising = (index[1:] > index[:-1]).all()
-        if not rising and (np.diff(np.sort(index)) == 0).any():  # `np.unique` loads numpy.ma
-            raise ParameterError(f"ids must name each simulation once, got {ids!r}")
-        return index.astype(np.intp)
-
-    @staticmethod
-    def _broadcast(value: npt.ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
-        expected = f"{name} must be numbers of shape {shape}, got"
-        numbers = _numbers(value, expected)
-        array = numbers
-        if numbers.shape != shape:
-            try:
-                array = np.broadcast_to(numbers, shape)
-            except ValueError:
-                raise ParameterError(f"{expected} {numbers.shape}") from None
-        if not np.isfinite(array).all():
-            where = np.argwhere(~np.isfinite(array))[0].tolist()
-            raise ParameterError(f"{name} must be finite, got {array[tuple(where)]} at {where}")
-        return array
-
-
-def _numbers(value: npt.ArrayLike, expected: str) -> Array:
-    """`value` as a float64 array; text, truth values, None and ragged rows are errors."""
-    try:
-        numbers = np.asarray(value)
-    except ValueError:
-        raise ParameterError(f"{expected} ragged rows") from None
-    if numbers.dtype.kind not in "fiu":
-        raise ParameterError(f"{expected} {value!r}")
-    return numbers.astype(np.float64)

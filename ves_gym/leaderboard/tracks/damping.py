@@ -39,7 +39,7 @@ from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.free_vibration import simulate_free_vibration
 from ves_gym.planners.pped import OBJECTIVES, WIDE, GainMatrices, plant_at, tune
-from ves_gym.simulation.simulator import Divergence
+from ves_gym.simulation.divergence import Divergence
 from ves_gym.system.system import System
 
 TUNERS = ("high", "thesis", *OBJECTIVES, *(f"{k}-full" for k in OBJECTIVES))

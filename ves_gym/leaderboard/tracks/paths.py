@@ -36,8 +36,8 @@ from ves_gym.planners.played import broken_in_play, solve_with_reserve
 from ves_gym.planners.query import Plan, Planner, Query, broken_limit, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import reach100
+from ves_gym.simulation.divergence import Divergence
 from ves_gym.simulation.playback import play_motions
-from ves_gym.simulation.simulator import Divergence
 from ves_gym.system.energy import TAIL, Energies, EnergyBalance
 from ves_gym.system.system import System
 
