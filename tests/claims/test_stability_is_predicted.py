@@ -10,12 +10,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from ves_gym.hardware.leg_servo import (
-    FILTERED,
-    FILTERED_FEEDBACK,
-    leg_clock,
-    payload_ratio_limit,
-)
+from ves_gym.hardware.leg_response import payload_ratio_limit
+from ves_gym.hardware.leg_servo import FILTERED, FILTERED_FEEDBACK, leg_clock
 from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.vehicle import BENT_THESIS, MatrixVehicle

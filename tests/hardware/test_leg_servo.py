@@ -8,16 +8,8 @@ import scipy.integrate
 
 from tests.running_blocks import leg_platform
 from ves_gym._util.params import ParameterError, from_plain, to_plain
-from ves_gym.hardware.leg_servo import (
-    FILTERED,
-    FILTERED_FEEDBACK,
-    LEG_SERVOS,
-    LOW_GAINS,
-    Filter,
-    Legs,
-    LegServo,
+from ves_gym.hardware.leg_response import (
     bandwidth,
-    closed_loop,
     crossover,
     gain_margin,
     leg_poles,
@@ -25,6 +17,16 @@ from ves_gym.hardware.leg_servo import (
     payload_ratio_limit,
     step_response,
 )
+from ves_gym.hardware.leg_servo import (
+    FILTERED,
+    FILTERED_FEEDBACK,
+    LEG_SERVOS,
+    LOW_GAINS,
+    Filter,
+    LegServo,
+    closed_loop,
+)
+from ves_gym.hardware.legs import Legs
 from ves_gym.hardware.stewart import VES
 
 CONTROL, PHYSICS = 7 / 587, 1 / 1174
@@ -172,9 +174,9 @@ def test_filter_on_the_feedback_bears_more_payload():
 @pytest.mark.parametrize("servo", [FILTERED, FILTERED_FEEDBACK, LOW_GAINS])
 def test_payload_limit_is_where_the_whole_loop_turns_unstable(servo):
     """Reference: 1 + r G = 0 by the eigenvalues of the loop closed around the leg."""
-    from ves_gym.hardware.leg_servo import _Leg
+    from ves_gym.hardware.leg_servo import Leg
 
-    A, B, C = _Leg(servo).closed
+    A, B, C = Leg(servo).closed
     limit = payload_ratio_limit(servo)
     for ratio, stable in ((0.99 * limit, True), (1.01 * limit, False)):
         radius = np.abs(np.linalg.eigvals(A - ratio * np.outer(B, C))).max()

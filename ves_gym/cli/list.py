@@ -159,7 +159,8 @@ def _effects() -> Rows:
 
 
 def _platforms() -> Rows:
-    from ves_gym.hardware.leg_servo import LEG_SERVOS, bandwidth, gain_margin, leg_clock
+    from ves_gym.hardware.leg_response import bandwidth, gain_margin
+    from ves_gym.hardware.leg_servo import LEG_SERVOS, leg_clock
 
     rows: Rows = [{"name": "a number", "kind": "pose", "source": "second-order pose servo, Hz"}]
     for name, servo in LEG_SERVOS.items():

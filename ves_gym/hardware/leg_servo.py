@@ -28,7 +28,6 @@ Linear throughout: no end stops, no speed limit (`Stewart.outside`, `Stewart.too
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -45,20 +44,17 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.hardware.stewart import Stewart
 
 Complex = npt.NDArray[np.complex128]
 
 SCALE = 1.05e-3  # [1/s] velocity gain per unit of K1 and K2
-_WHOLE = 1e-9  # relative slack when a ratio of times must be a whole number
+WHOLE = 1e-9  # relative slack when a ratio of times must be a whole number
 # States of a leg; the controller's follow.
-_SPEED, _ACCELERATION, _ROD, _BEND, _BEND_RATE = range(5)
-_PLANT = 5
-_NEAR = 1e-6  # [m] error of a length that one more step of Newton's method makes rounding
-_FROM_AFAR = 3  # steps from the pose to that of bent, quantised legs
+SPEED, ACCELERATION, ROD, BEND, BEND_RATE = range(5)
+PLANT = 5
 
 
-def _whole_steps(name: str, value: float, period: float, *, divides: bool = False) -> int:
+def whole_steps(name: str, value: float, period: float, *, divides: bool = False) -> int:
     """Return the number of leg periods that make `value` exactly.
 
     Args:
@@ -74,7 +70,7 @@ def _whole_steps(name: str, value: float, period: float, *, divides: bool = Fals
     if value > 0 and math.isfinite(value):
         ratio = period / value if divides else value / period
     count = max(round(ratio), 1)
-    if abs(ratio - count) <= _WHOLE * count:
+    if abs(ratio - count) <= WHOLE * count:
         return count
     relation = "divide the leg period" if divides else "be a whole number of leg periods of"
     good = period / count if divides else period * count
@@ -139,7 +135,7 @@ class LegServo:
             self, "K2", "delay", "resolution", "mode_damping", "participation", zero=True
         )
         if self.delay:
-            _whole_steps("LegServo.delay", self.delay, 1 / self.rate)
+            whole_steps("LegServo.delay", self.delay, 1 / self.rate)
         if self.filter is not None and 2 * self.filter.corner >= self.rate:
             raise ParameterError(
                 f"LegServo.filter.corner must be < half the rate {self.rate} Hz,"
@@ -195,7 +191,7 @@ def leg_clock(servo: LegServo) -> tuple[float, float]:
     return samples / servo.rate, 1 / (servo.rate * math.ceil(1 / (servo.rate * 1.25e-3)))
 
 
-class _Leg:
+class Leg:
     """One leg, discretised exactly: the map from one leg sample to the next.
 
     A state has its components along the first axis (s, ...): speed and length of the
@@ -212,25 +208,25 @@ class _Leg:
         if servo.filter is not None:
             self.b, self.a = servo.filter.coefficients(servo.rate)
         self.order = len(self.b) - 1
-        self.last = _PLANT + self.order
+        self.last = PLANT + self.order
         self.size = self.last + 1 + round(servo.delay * servo.rate)
         lag, w, zeta = servo.valve_lag, 2 * np.pi * hertz, servo.mode_damping
-        generator = np.zeros((_PLANT + 1, _PLANT + 1))  # of speed, rod, bend, its rate, u
-        generator[_SPEED, _ACCELERATION] = 1  # spool and pilot stage: two lags of half each
-        generator[_ACCELERATION, [_SPEED, _ACCELERATION, _PLANT]] = (
+        generator = np.zeros((PLANT + 1, PLANT + 1))  # of speed, rod, bend, its rate, u
+        generator[SPEED, ACCELERATION] = 1  # spool and pilot stage: two lags of half each
+        generator[ACCELERATION, [SPEED, ACCELERATION, PLANT]] = (
             -4 / lag**2,
             -4 / lag,
             4 / lag**2,
         )
-        generator[_ROD, _SPEED] = generator[_BEND, _BEND_RATE] = 1
-        generator[_BEND_RATE] = -generator[_SPEED]  # shaken by the rod's acceleration
-        generator[_BEND_RATE, [_BEND, _BEND_RATE]] = -(w**2), -2 * zeta * w
+        generator[ROD, SPEED] = generator[BEND, BEND_RATE] = 1
+        generator[BEND_RATE] = -generator[SPEED]  # shaken by the rod's acceleration
+        generator[BEND_RATE, [BEND, BEND_RATE]] = -(w**2), -2 * zeta * w
         step = scipy.linalg.expm(generator / (servo.rate * steps))
-        self.A, self.B = step[:_PLANT, :_PLANT], step[:_PLANT, _PLANT]
+        self.A, self.B = step[:PLANT, :PLANT], step[:PLANT, PLANT]
 
     def sensed(self, x: Array) -> Array:
         """Length at the transducer, before it is quantised [m]."""
-        length: Array = x[_ROD] + self.servo.participation * x[_BEND]
+        length: Array = x[ROD] + self.servo.participation * x[BEND]
         return length
 
     def measure(self, x: Array, xp: ArrayFunctions = NUMPY) -> Array:
@@ -246,12 +242,12 @@ class _Leg:
     def steady_state(self, length: Array) -> Array:
         """State (s, ...) of a leg at rest at its commanded length (...) [m]."""
         x = np.zeros((self.size, *length.shape))
-        x[_ROD] = length
+        x[ROD] = length
         measured = self.measure(x)
         if self.servo.filter is not None:
             fed_back = measured if self.servo.filter.place == "feedback" else length - measured
             memory = scipy.signal.lfilter_zi(self.b, self.a)
-            x[_PLANT : self.last] = np.multiply.outer(memory, fed_back)
+            x[PLANT : self.last] = np.multiply.outer(memory, fed_back)
         x[self.last] = measured
         return x
 
@@ -283,7 +279,7 @@ class _Leg:
 
     def _filtered(self, x: Array, value: Array) -> Array:
         """Thesis eq. 5.1, its sums kept in x (transposed direct form II)."""
-        memory = x[_PLANT : self.last]
+        memory = x[PLANT : self.last]
         out: Array = self.b[0] * value + memory[0]
         memory[:-1] = memory[1:]
         memory[-1] = 0.0
@@ -299,145 +295,27 @@ class _Leg:
             u: (...) valve command.
         """
         # A sum of columns: a BLAS product may round differently for another batch size.
-        shape = (_PLANT, *(1,) * u.ndim)
+        shape = (PLANT, *(1,) * u.ndim)
         out = self.B.reshape(shape) * u
-        for j in range(_PLANT):
+        for j in range(PLANT):
             out += self.A[:, j].reshape(shape) * x[j]
-        x[:_PLANT] = out
+        x[:PLANT] = out
 
     @cached_property
     def closed(self) -> tuple[Array, Array, Array]:
         """A (s, s), B (s,), C (s,): x+ = A x + B command, length = C x, per leg sample."""
         if self.servo.resolution:
-            return _Leg(replace(self.servo, resolution=0.0)).closed
+            return Leg(replace(self.servo, resolution=0.0)).closed
         x = np.eye(self.size, self.size + 1)
-        C = x[_ROD, :-1].copy()
+        C = x[ROD, :-1].copy()
         u = self.sample(x, np.eye(1, self.size + 1, self.size)[0])
         for _ in range(self.steps):
             self.drift(x, u)
         return x[:, :-1], x[:, -1], C
 
 
-class Legs:
-    """The platform on its six leg servos: what carries their state over a control period.
-
-    Every control period begins with a leg sample, so no simulation carries a clock. States
-    are (n, s, 6): `s` numbers of each leg, of n simulations that share nothing.
-    """
-
-    def __init__(
-        self, servo: LegServo, stewart: Stewart, control_dt: float, physics_dt: float
-    ) -> None:
-        """Settle the clocks.
-
-        Raises:
-            ParameterError: control_dt is no whole number of leg periods, or the leg period
-                no whole number of physics steps (to 1e-9).
-        """
-        period = 1 / servo.rate
-        self.samples = _whole_steps("control_dt", control_dt, period)
-        steps = _whole_steps("physics_dt", physics_dt, period, divides=True)
-        extension = (stewart.home_lengths.mean() - stewart.length_min) / (
-            stewart.length_max - stewart.length_min
-        )
-        self.servo, self.stewart = servo, stewart
-        self.leg = _Leg(servo, float(extension), steps)
-
-    def at_rest(self, y: npt.ArrayLike) -> Array:
-        """State (n, s, 6) of legs at rest at poses (n, 6), which they are commanded."""
-        return np.moveaxis(self.leg.steady_state(self.stewart.leg_lengths(y)), 0, 1)
-
-    def advance(
-        self, state: Array, pose: Array, y_cmd: Array, xp: ArrayFunctions = NUMPY
-    ) -> tuple[Array, Array, Array, Array, Array]:
-        """Follow a pose that is held for one period of the leg controller.
-
-        The legs are sent lengths only (thesis 2.4.2): the commanded rate is not used.
-
-        Args:
-            state: (n, s, 6) of the legs.
-            pose: (n, 6) of the platform [m, rad].
-            y_cmd: (n, 6) commanded pose [m, rad].
-            xp: functions of the arrays.
-
-        Returns:
-            State and pose at the end, and Y, Y', Y'' (n, steps, 6) at the starts of the
-            physics steps. NaN where the legs hold no platform (`stewart.forward`).
-        """
-        leg, stewart, h = self.leg, self.stewart, 1 / (self.servo.rate * self.leg.steps)
-        x, y, path = np.moveaxis(state, 1, 0).copy(), pose, []
-        u = leg.sample(x, stewart.leg_lengths(y_cmd), xp)
-        for _ in range(leg.steps):
-            yd, ydd = stewart.motion(y, x[_SPEED], x[_ACCELERATION], xp)
-            path.append((y, yd, ydd))
-            leg.drift(x, u)
-            # where this motion leads, then Newton's method
-            y, _ = stewart.step_to(xp, y + h * yd + h * h / 2 * ydd, x[_ROD])
-            y = self._settled(xp, y, x[_ROD])
-        at, rate, acceleration = zip(*path, strict=True)
-        over = [np.stack(part, axis=1) for part in (at, rate, acceleration)]
-        return np.moveaxis(x, 0, 1), y, over[0], over[1], over[2]
-
-    def motion(self, state: Array, pose: Array, xp: ArrayFunctions) -> tuple[Array, Array]:
-        """Return Y' and Y'' (n, 6) of the platform.
-
-        Args:
-            state, pose, xp: see `advance`.
-        """
-        return self.stewart.motion(pose, state[:, _SPEED], state[:, _ACCELERATION], xp)
-
-    def present(self, state: Array, pose: Array) -> tuple[Array, Array]:
-        """Return pose and rate (n, 6) that the legs have now.
-
-        Args:
-            state, pose: see `advance`.
-        """
-        y = self.stewart.forward(state[:, _ROD], pose)
-        return y, self.motion(state, y, NUMPY)[0]
-
-    def measured(self, state: Array, pose: Array, xp: ArrayFunctions = NUMPY) -> Array:
-        """Return the pose (n, 6) by forward kinematics of the measured lengths.
-
-        Args:
-            state, pose, xp: see `advance`.
-
-        Returns:
-            NaN as `advance`.
-        """
-        lengths = self.leg.measure(np.moveaxis(state, 1, 0), xp)
-        y = pose
-        for _ in range(_FROM_AFAR):
-            y, _ = self.stewart.step_to(xp, y, lengths)
-        return self._settled(xp, y, lengths)
-
-    def _settled(self, xp: ArrayFunctions, y: Array, lengths: Array) -> Array:
-        """A last step of Newton's method (n, 6); NaN where it is not the last one."""
-        better, error = self.stewart.step_to(xp, y, lengths)
-        found = xp.less_equal(error, _NEAR)[:, None]
-        return xp.where(found, better, np.nan)
-
-
 # -------------------------------------------------------------------- frequency domain
 # `extension` of the leg: 0 shortest, 1 longest; home is 0.5. Quantisation is left out.
-
-
-def open_loop(servo: LegServo, f: npt.ArrayLike, extension: float = 0.5) -> Complex:
-    """Return the loop gain of one leg.
-
-    Args:
-        servo: the leg servo.
-        f: frequencies below half the sample rate [Hz].
-        extension: of the leg, 0 to 1 of its stroke.
-    """
-    leg, z = _Leg(servo, extension), _z(servo, f)
-    C = leg.sensed(np.eye(_PLANT))
-    plant = _response(leg.A, leg.B, C, z)
-    late, damping = z ** -round(servo.delay * servo.rate), servo.K2 * (1 - 1 / z)
-    filtered = _filter_response(leg, z)
-    if servo.filter is not None and servo.filter.place == "feedback":
-        damping = damping * filtered
-    loop: Complex = servo.scale * (servo.K1 * filtered + damping) * late * plant
-    return loop
 
 
 def closed_loop(servo: LegServo, f: npt.ArrayLike, extension: float = 0.5) -> Complex:
@@ -446,138 +324,15 @@ def closed_loop(servo: LegServo, f: npt.ArrayLike, extension: float = 0.5) -> Co
     Args:
         servo, f, extension: see `open_loop`.
     """
-    return _response(*_Leg(servo, extension).closed, _z(servo, f))
+    return response(*Leg(servo, extension).closed, on_circle(servo, f))
 
 
-def leg_poles(servo: LegServo, extension: float = 0.5) -> Complex:
-    """Return the poles of one leg's closed loop in the z-plane; stable inside the unit circle.
-
-    Args:
-        servo, extension: see `open_loop`.
-    """
-    poles: Complex = np.linalg.eigvals(_Leg(servo, extension).closed[0]).astype(complex)
-    return poles
-
-
-def step_response(servo: LegServo, t: npt.ArrayLike, extension: float = 0.5) -> Array:
-    """Return the length after a unit step of the command, held between leg samples.
-
-    Args:
-        servo, extension: see `open_loop`.
-        t: times [s].
-    """
-    A, B, C = _Leg(servo, extension).closed
-    k = np.floor(np.asarray(t, float) * servo.rate * (1 + _WHOLE)).astype(int)
-    x, out = np.zeros(len(A)), np.empty(int(k.max(initial=0)) + 1)
-    for i in range(len(out)):
-        out[i] = C @ x
-        x = A @ x + B
-    at_times: Array = out[k]
-    return at_times
-
-
-def crossover(servo: LegServo, extension: float = 0.5) -> float:
-    """Return the lowest frequency at which the loop gain falls to one [Hz], or NaN.
-
-    Args:
-        servo, extension: see `open_loop`.
-    """
-    return _falls_to(lambda f: np.abs(open_loop(servo, f, extension)), 1.0, servo)
-
-
-def bandwidth(servo: LegServo, extension: float = 0.5) -> float:
-    """Return the lowest frequency at which the closed loop falls by 3 dB [Hz].
-
-    Args:
-        servo, extension: see `open_loop`.
-    """
-    return _falls_to(lambda f: np.abs(closed_loop(servo, f, extension)), 10**-0.15, servo)
-
-
-def gain_margin(servo: LegServo, extension: float = 0.5) -> float:
-    """Return the factor on both gains up to which the leg is stable; below 1 it is not as is.
-
-    From the poles, so that several phase crossings need no rule. Searched from 0.01 to
-    100; infinite beyond.
-
-    Args:
-        servo, extension: see `open_loop`.
-    """
-
-    def excess(decades: float) -> float:
-        poles = leg_poles(servo.scaled(10**decades), extension)
-        return float(np.abs(poles).max()) - 1
-
-    grid = np.linspace(-2, 2, 201)
-    unstable = [excess(g) >= 0 for g in grid]
-    if not any(unstable):
-        return math.inf
-    first = unstable.index(True)
-    if first == 0:
-        return 0.0
-    return float(10 ** scipy.optimize.brentq(excess, grid[first - 1], grid[first]))
-
-
-def payload_ratio_limit(
-    servo: LegServo, extra_delay: float = 0.0, extension: float = 0.5
-) -> float:
-    """Return the largest payload over model mass with a stable emulation (thesis 5.4).
-
-    One degree of freedom far above the model's own frequency: the payload's inertia is
-    fed back through the sensor and the model, 1 + ratio G(s) exp(-s extra_delay) = 0,
-    with G the leg's closed loop. Zero if the leg itself is unstable.
-
-    Args:
-        servo, extension: see `open_loop`.
-        extra_delay: of the emulation loop [s].
-    """
-    if np.abs(leg_poles(servo, extension)).max() >= 1:
-        return 0.0
-
-    def G(f: npt.ArrayLike) -> Complex:
-        f = np.asarray(f, float)
-        loop: Complex = closed_loop(servo, f, extension) * np.exp(-2j * np.pi * f * extra_delay)
-        return loop
-
-    f = _grid(servo)
-    g = G(f)
-    i = np.flatnonzero(np.diff(np.sign(g.imag)))  # where G is real, about linear between
-    real = g.real[i] - g.imag[i] * (g.real[i + 1] - g.real[i]) / (g.imag[i + 1] - g.imag[i])
-    if not (real < 0).any():
-        return math.inf
-    k = i[np.argmin(real)]
-    at = scipy.optimize.brentq(lambda v: float(G(v).imag), f[k], f[k + 1])
-    return -1 / float(G(at).real)
-
-
-def _grid(servo: LegServo) -> Array:
-    """Frequencies from 0.01 Hz to just below half the sample rate, 2000 per decade."""
-    top = math.log10(0.4999 * servo.rate)
-    return np.logspace(-2, top, int(2000 * (top + 2)))
-
-
-def _falls_to(gain: Callable[[Array], Array], level: float, servo: LegServo) -> float:
-    f = _grid(servo)
-    below = gain(f) < level
-    if below[0] or not below.any():
-        return math.nan
-    i = int(np.argmax(below))
-    return float(
-        scipy.optimize.brentq(lambda v: float(gain(np.array(v))) - level, f[i - 1], f[i])
-    )
-
-
-def _z(servo: LegServo, f: npt.ArrayLike) -> Complex:
+def on_circle(servo: LegServo, f: npt.ArrayLike) -> Complex:
     z: Complex = np.exp(2j * np.pi * np.asarray(f, float) / servo.rate)
     return z
 
 
-def _filter_response(leg: _Leg, z: Complex) -> Complex:
-    response: Complex = np.polyval(leg.b, z) / np.polyval(leg.a, z)
-    return response
-
-
-def _response(A: Array, B: Array, C: Array, z: Complex) -> Complex:
+def response(A: Array, B: Array, C: Array, z: Complex) -> Complex:
     """C (z - A)^-1 B at points z (...)."""
     resolvent = z[..., None, None] * np.eye(len(A)) - A
     inputs = np.broadcast_to(B.astype(complex)[:, None], (*z.shape, len(B), 1))

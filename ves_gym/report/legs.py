@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ves_gym._util.params import ParameterError
-from ves_gym.hardware.leg_servo import (
-    LegServo,
+from ves_gym.hardware.leg_response import (
     bandwidth,
-    closed_loop,
     gain_margin,
     leg_poles,
     open_loop,
     step_response,
 )
+from ves_gym.hardware.leg_servo import LegServo, closed_loop
 from ves_gym.report.figures import _panels, write_figure
 from ves_gym.report.planner_styles import COLOURS
 

@@ -9,7 +9,7 @@ import scipy
 
 from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array
-from ves_gym.hardware.leg_servo import Legs
+from ves_gym.hardware.legs import Legs
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.simulation.blocks.block import Block, LoopShape
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
