@@ -131,7 +131,7 @@ if TYPE_CHECKING:
     )
     from ves_gym.system.emulator_settings import EmulatorSettings as EmulatorSettings
     from ves_gym.system.energy import Energies as Energies
-    from ves_gym.system.energy import EnergyBalance as EnergyBalance
+    from ves_gym.system.energy_balance import EnergyBalance as EnergyBalance
     from ves_gym.system.runlog import RunLog as RunLog
     from ves_gym.system.system import System as System
 
@@ -214,7 +214,7 @@ _HOMES = {
     "Effect": "system.effect",
     "EmulatorSettings": "system.emulator_settings",
     "Energies": "system.energy",
-    "EnergyBalance": "system.energy",
+    "EnergyBalance": "system.energy_balance",
     "Inertial": "mechanics.arm",
     "JointServo": "mechanics.servo",
     "Link": "mechanics.arm",

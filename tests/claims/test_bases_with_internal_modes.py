@@ -27,10 +27,11 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import VEHICLES, MatrixVehicle
-from ves_gym.planners.pped import plant_at
+from ves_gym.planners.damped_plant import plant_at
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.energy import EnergyBalance, base_energy, internal_motion
+from ves_gym.system.energy import base_energy, internal_motion
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 

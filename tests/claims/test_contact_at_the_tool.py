@@ -26,7 +26,7 @@ from ves_gym.mechanics.tool_pose import tool_frame
 from ves_gym.mechanics.vehicle import FREE_FLOATING, Satellite
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.energy import EnergyBalance
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
 HOME = np.array([0.3, 0.4, -0.8])

@@ -20,7 +20,7 @@ from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import get_suite
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.energy import EnergyBalance
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 

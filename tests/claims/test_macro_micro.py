@@ -28,7 +28,8 @@ from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.energy import EnergyBalance, base_energy
+from ves_gym.system.energy import base_energy
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
 PUMA = get_arm("puma560")

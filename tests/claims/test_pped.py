@@ -18,19 +18,11 @@ from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix
+from ves_gym.planners.damped_plant import GainMatrices, LinearPlant, plant_at, plants
 from ves_gym.planners.damping_map import best_configurations, estimated_integral
 from ves_gym.planners.free_vibration import simulate_free_vibration
-from ves_gym.planners.pped import (
-    THESIS_DISPLACEMENT,
-    GainMatrices,
-    LinearPlant,
-    Tuned,
-    analyse,
-    plant_at,
-    plants,
-    respond,
-    tune,
-)
+from ves_gym.planners.pped import THESIS_DISPLACEMENT, analyse, respond
+from ves_gym.planners.pped_tuning import Tuned, tune
 from ves_gym.planners.virtual_manipulator import tune_virtual
 from ves_gym.system.system import System
 

@@ -25,7 +25,7 @@ from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING, Mat
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.emulator_settings import EmulatorSettings
-from ves_gym.system.energy import EnergyBalance
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")

@@ -20,7 +20,7 @@ from ves_gym.planners.coupling_map import coupling_map
 from ves_gym.planners.query import Query
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.energy import EnergyBalance
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
 INERTIA = '<inertia ixx="0.2" iyy="0.3" izz="0.25" ixy="0.01" ixz="-0.02" iyz="0.03"/>'

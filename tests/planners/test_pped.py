@@ -19,20 +19,9 @@ from ves_gym.mechanics.vehicle import (
     STRAIGHT_VERTICAL_THESIS,
     MatrixVehicle,
 )
-from ves_gym.planners.pped import (
-    OBJECTIVES,
-    THESIS_DISPLACEMENT,
-    Bounds,
-    GainMatrices,
-    _Inside,
-    analyse,
-    estimator,
-    objective_of,
-    plant_at,
-    plants,
-    respond,
-    tune,
-)
+from ves_gym.planners.damped_plant import GainMatrices, plant_at, plants
+from ves_gym.planners.pped import THESIS_DISPLACEMENT, analyse, estimator, respond
+from ves_gym.planners.pped_tuning import OBJECTIVES, Bounds, _Inside, objective_of, tune
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 

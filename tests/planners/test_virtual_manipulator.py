@@ -11,7 +11,9 @@ from ves_gym.mechanics.arm import Arm, Inertial, diagonal
 from ves_gym.mechanics.dynamics import frames, joint_positions
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING
-from ves_gym.planners.pped import Bounds, GainMatrices, analyse, plant_at, tune
+from ves_gym.planners.damped_plant import GainMatrices, plant_at
+from ves_gym.planners.pped import analyse
+from ves_gym.planners.pped_tuning import Bounds, tune
 from ves_gym.planners.virtual_manipulator import (
     joint_gains,
     tune_virtual,

@@ -5,9 +5,10 @@ import pytest
 
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
+from ves_gym.planners.damped_plant import GainMatrices, plant_at
 from ves_gym.planners.damping_map import damping_map
 from ves_gym.planners.free_vibration import linear_free_vibration, simulate_free_vibration
-from ves_gym.planners.pped import GainMatrices, analyse, plant_at
+from ves_gym.planners.pped import analyse
 from ves_gym.simulation.stability import poles_in_space
 from ves_gym.system.system import System
 

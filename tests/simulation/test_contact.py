@@ -18,7 +18,7 @@ from ves_gym.mechanics.tool_pose import tool_frame
 from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.energy import EnergyBalance
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 

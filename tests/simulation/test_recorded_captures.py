@@ -16,7 +16,7 @@ from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING, get_vehi
 from ves_gym.rendering.render import View, render
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.captures import segments
-from ves_gym.system.energy import EnergyBalance
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 

@@ -15,7 +15,6 @@ from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy import (
     TAIL,
-    EnergyBalance,
     base_energy,
     base_rate,
     element_table,
@@ -23,6 +22,7 @@ from ves_gym.system.energy import (
     log_energies,
     motion_end,
 )
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 

@@ -22,7 +22,7 @@ from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.effect import Effect, TorqueEffect, joint_torque, register
-from ves_gym.system.energy import EnergyBalance
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
 FRICTION = (

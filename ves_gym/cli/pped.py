@@ -25,6 +25,7 @@ from ves_gym.cli.common import (
 from ves_gym.cli.motions import disturbance, joint_angles
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import vehicle_name
+from ves_gym.planners.damped_plant import GainMatrices, LinearPlant, plant_at
 from ves_gym.planners.damping_map import (
     Configuration,
     DampingMap,
@@ -36,18 +37,8 @@ from ves_gym.planners.free_vibration import (
     linear_free_vibration,
     simulate_free_vibration,
 )
-from ves_gym.planners.pped import (
-    OBJECTIVES,
-    THESIS_DISPLACEMENT,
-    WIDE,
-    Bounds,
-    DampingAnalysis,
-    GainMatrices,
-    LinearPlant,
-    analyse,
-    plant_at,
-    tune,
-)
+from ves_gym.planners.pped import THESIS_DISPLACEMENT, DampingAnalysis, analyse
+from ves_gym.planners.pped_tuning import OBJECTIVES, WIDE, Bounds, tune
 from ves_gym.planners.virtual_manipulator import tune_virtual
 from ves_gym.simulation.divergence import Divergence
 from ves_gym.system.system import System

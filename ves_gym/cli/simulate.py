@@ -34,7 +34,8 @@ from ves_gym.mechanics.vehicle import vehicle_name
 from ves_gym.simulation.gravity_learning import learn_gravity
 from ves_gym.simulation.playback import play_motions, weigh_poses
 from ves_gym.simulation.recording import Recording
-from ves_gym.system.energy import TAIL, Energies, EnergyBalance, base_energy, log_base_energy
+from ves_gym.system.energy import TAIL, Energies, base_energy, log_base_energy
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 

@@ -14,7 +14,7 @@ import numpy as np
 from ves_gym._util.params import Array, Mask
 from ves_gym.envs.control import Control
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.system.energy import EnergyBalance
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
 

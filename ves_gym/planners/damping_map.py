@@ -15,7 +15,9 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, ParameterError, finite
 from ves_gym.planners.coupling import blocks, coupling_matrix, modes
 from ves_gym.planners.coupling_map import require_section
-from ves_gym.planners.pped import THESIS_DISPLACEMENT, WIDE, Bounds, Tuned, plants, tune
+from ves_gym.planners.damped_plant import plants
+from ves_gym.planners.pped import THESIS_DISPLACEMENT
+from ves_gym.planners.pped_tuning import WIDE, Bounds, Tuned, tune
 from ves_gym.system.system import System
 
 _STARTS = 3  # random starts at each configuration

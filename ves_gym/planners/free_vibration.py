@@ -15,7 +15,8 @@ from scipy.integrate import trapezoid
 from ves_gym._util.params import Array, ParameterError, finite
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.coupling import modes
-from ves_gym.planners.pped import THESIS_DISPLACEMENT, GainMatrices, plant_at, respond
+from ves_gym.planners.damped_plant import GainMatrices, plant_at
+from ves_gym.planners.pped import THESIS_DISPLACEMENT, respond
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.energy import SETTLED, base_energy
 from ves_gym.system.system import System

@@ -17,16 +17,9 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm, skew
 from ves_gym.mechanics.dynamics import inertia, start
-from ves_gym.planners.pped import (
-    THESIS_DISPLACEMENT,
-    WIDE,
-    Bounds,
-    GainMatrices,
-    LinearPlant,
-    Tuned,
-    plant_at,
-    tune,
-)
+from ves_gym.planners.damped_plant import GainMatrices, LinearPlant, plant_at
+from ves_gym.planners.pped import THESIS_DISPLACEMENT
+from ves_gym.planners.pped_tuning import WIDE, Bounds, Tuned, tune
 from ves_gym.system.system import System
 
 # of the Cartesian spring and damper, far wider than what any joint gives

@@ -27,12 +27,8 @@ from ves_gym.planners.scenes import map_data
 from ves_gym.report.figures import _darker, draw_map
 from ves_gym.report.planner_styles import COLOURS, line_style
 from ves_gym.simulation.stability import EmulationCheck
-from ves_gym.system.energy import (
-    EnergyBalance,
-    log_base_energy,
-    log_energies,
-    motion_end,
-)
+from ves_gym.system.energy import log_base_energy, log_energies, motion_end
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 

@@ -37,8 +37,9 @@ from ves_gym.leaderboard.tracks.base import (
 from ves_gym.leaderboard.tracks.policies import PolicyTrack, evaluated
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
+from ves_gym.planners.damped_plant import GainMatrices, plant_at
 from ves_gym.planners.free_vibration import simulate_free_vibration
-from ves_gym.planners.pped import OBJECTIVES, WIDE, GainMatrices, plant_at, tune
+from ves_gym.planners.pped_tuning import OBJECTIVES, WIDE, tune
 from ves_gym.simulation.divergence import Divergence
 from ves_gym.system.system import System
 

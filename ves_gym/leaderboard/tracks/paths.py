@@ -38,7 +38,8 @@ from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import reach100
 from ves_gym.simulation.divergence import Divergence
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.energy import TAIL, Energies, EnergyBalance
+from ves_gym.system.energy import TAIL, Energies
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
 _VEHICLE = "bent-thesis"

@@ -1,0 +1,277 @@
+"""PPED gain tuning: the gains that leave least energy in the base (thesis 4.3)."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+import scipy.optimize
+
+from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
+from ves_gym._util.suggest import did_you_mean
+from ves_gym.planners.damped_plant import GainMatrices, LinearPlant
+from ves_gym.planners.pped import (
+    THESIS_DISPLACEMENT,
+    Lyapunov,
+    require_decay,
+    worst_displacement,
+)
+
+Objective = Callable[[Array], tuple[float, Array]]  # closed A -> value to minimise, d / dA
+
+OBJECTIVES = {
+    "strain": "time integral of strain energy after one displacement [J s]",
+    "worst": "the same per joule of initial strain energy, worst displacement [s]",
+    "estimator": "damping estimator, thesis eq. 4.4 [1], the larger the better",
+}
+_SCREENING = 30  # iterations given to every start; the best _FINALISTS go on to the end
+_FINALISTS = 6
+# long memory for long valleys; ftol of a logarithm: 4e-7 of the integral per step
+_SEARCH = {"maxcor": 30, "ftol": 1e-7}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """Least and largest gain; of full matrices, least and largest eigenvalue."""
+
+    K: Vector = unit("N m/rad", default=(1.0, 1e4))
+    B: Vector = unit("N m s/rad", default=(0.1, 1e3))
+
+    def __post_init__(self) -> None:
+        for name in ("K", "B"):
+            low, high = finite(getattr(self, name), (2,), f"Bounds.{name}")
+            if not 0 < low < high:
+                raise ParameterError(
+                    f"Bounds.{name} must be 0 < least < largest, got {low:g} and {high:g}"
+                )
+
+
+WIDE = Bounds()
+
+
+def objective_of(
+    plant: LinearPlant, name: str, y: npt.ArrayLike = THESIS_DISPLACEMENT
+) -> Objective:
+    """One of `OBJECTIVES` as a function to minimise, of the closed A, with its gradient.
+
+    strain and worst are in logarithms (they differ by decades), the estimator negative.
+
+    Args:
+        plant: the linear model.
+        name: of the objective.
+        y: (6,) initial displacement of "strain" [m, rad].
+
+    Returns:
+        A function of A (2 w, 2 w) with value and derivative (2 w, 2 w).
+
+    Raises:
+        ParameterError: an unknown name, or a displacement of zero.
+    """
+    if name == "strain":
+        x = plant.start(y)
+        if not x.any():
+            raise ParameterError("y must be a displacement other than zero")
+        return _strain_objective(plant.strain, np.outer(x, x))
+    if name == "worst":
+        return _worst_objective(plant)
+    if name == "estimator":
+        return _estimator_objective
+    raise ParameterError(
+        f"objective must be one of {', '.join(OBJECTIVES)}, got {name!r}"
+        f"{did_you_mean(name, OBJECTIVES)}"
+    )
+
+
+def _strain_objective(S: Array, X0: Array) -> Objective:
+    def value(A: Array) -> tuple[float, Array]:
+        equation = Lyapunov(A)
+        P = equation.cost(S)
+        J = float(np.sum(P * X0))
+        return math.log(J), 2 / J * P @ equation.spread(X0)
+
+    return value
+
+
+def _worst_objective(plant: LinearPlant) -> Objective:
+    S = plant.strain
+
+    def value(A: Array) -> tuple[float, Array]:
+        equation = Lyapunov(A)
+        P = equation.cost(S)
+        J, y = worst_displacement(plant, P)
+        x = plant.start(y)  # the eigenvector: J moves as its own cost does
+        return math.log(J), 2 / J * P @ equation.spread(np.outer(x, x))
+
+    return value
+
+
+def _estimator_objective(A: Array) -> tuple[float, Array]:
+    poles, shapes = np.linalg.eig(A)
+    omega = np.abs(poles)
+    zeta, total = -poles.real / omega, omega.sum()
+    by_zeta = 1 - omega / total
+    by_omega = -zeta / total + np.sum(zeta * omega) / total**2 + by_zeta * poles.real / omega**2
+    # d omega = Re(conj(p) dp) / omega, d zeta = -Re(dp) / omega + zeta's share of omega
+    weight = -by_zeta / omega + by_omega * poles.conj() / omega
+    # dp_i = (left_i dA right_i), left = shapes^-1
+    slope = np.real((shapes * weight) @ np.linalg.inv(shapes)).T
+    return -float(np.sum(zeta * by_zeta)), -slope
+
+
+class _Inside:
+    """Symmetric matrices with eigenvalues inside bounds, from free parameters u.
+
+    gain = f(T), T symmetric (or diagonal) with entries u, f(t) = exp(middle + half sin t):
+    smooth, positive, never out of bounds, and no dead end at a bound.
+    """
+
+    def __init__(self, n: int, bounds: Vector, full: bool) -> None:
+        low, high = math.log(bounds[0]), math.log(bounds[1])
+        self.n, self.middle, self.half = n, (low + high) / 2, (high - low) / 2
+        self.at = np.triu_indices(n) if full else (np.arange(n), np.arange(n))
+        self.size = len(self.at[0])
+        self.twice = np.where(self.at[0] == self.at[1], 1.0, 2.0)
+
+    def gain(self, u: Array) -> tuple[Array, Callable[[Array], Array]]:
+        """The matrix, and what turns a gradient by its entries into one by u."""
+        T = np.zeros((self.n, self.n))
+        T[self.at] = u
+        T[self.at[::-1]] = u
+        t, V = np.linalg.eigh(T)
+        f = np.exp(self.middle + self.half * np.sin(t))
+        slope = f * self.half * np.cos(t)
+
+        def by_u(G: Array) -> Array:
+            # Daleckii and Krein: the derivative of a matrix function by divided differences
+            gap = t[:, None] - t
+            near = np.abs(gap) < 1e-6
+            ratio = (f[:, None] - f) / np.where(near, 1.0, gap)
+            ratio = np.where(near, (slope[:, None] + slope) / 2, ratio)
+            inner = V.T @ ((G + G.T) / 2) @ V
+            back: Array = (V @ (ratio * inner) @ V.T)[self.at] * self.twice
+            return back
+
+        return (V * f) @ V.T, by_u
+
+    def parameters(self, gain: Array) -> Array:
+        """u of a matrix, the nearest one if it is out of bounds."""
+        values, V = np.linalg.eigh(gain)
+        inside = (np.log(np.maximum(values, 1e-300)) - self.middle) / self.half
+        t = np.arcsin(np.clip(inside, -1 + 1e-6, 1 - 1e-6))
+        T: Array = (V * t) @ V.T
+        return T[self.at]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Tuned:
+    """Gains found by a search."""
+
+    gains: GainMatrices
+    objective: str
+    value: float  # of the objective, in its unit (`OBJECTIVES`)
+    evaluations: int
+    seconds: float
+
+
+def tune(
+    plant: LinearPlant,
+    objective: str = "strain",
+    *,
+    y: npt.ArrayLike = THESIS_DISPLACEMENT,
+    full: bool = False,
+    bounds: Bounds = WIDE,
+    starts: int = 24,
+    seed: int = 0,
+    first: GainMatrices | None = None,
+) -> Tuned:
+    """Find the gains that are best by an objective: quasi-Newton search from several starts.
+
+    Args:
+        plant: the linear model.
+        objective: one of `OBJECTIVES`.
+        y: (6,) initial displacement of "strain" [m, rad].
+        full: symmetric positive definite matrices instead of diagonal ones.
+        bounds: of the gains [N m/rad, N m s/rad].
+        starts: random starts; full matrices also start from the best diagonal ones.
+        seed: of the random starts; the same seed finds the same gains.
+        first: gains to start from as well.
+
+    Returns:
+        The gains, the objective's value and the effort.
+
+    Raises:
+        ParameterError: an unknown objective, or a base that no gains bring to rest.
+    """
+    if starts < 1:
+        raise ParameterError(f"starts must be >= 1, got {starts}")
+    began = time.perf_counter()
+    goal = objective_of(plant, objective, y)
+    boxes = [_Inside(plant.n, b, full) for b in (bounds.K, bounds.B)]
+    split = boxes[0].size
+    w = plant.port.shape[1]
+    evaluations = 0
+
+    def gains_of(u: Array) -> GainMatrices:
+        return GainMatrices(boxes[0].gain(u[:split])[0], boxes[1].gain(u[split:])[0])
+
+    def value(u: Array) -> tuple[float, Array]:
+        nonlocal evaluations
+        evaluations += 1
+        K, by_K = boxes[0].gain(u[:split])
+        B, by_B = boxes[1].gain(u[split:])
+        measure, slope = goal(plant.closed(GainMatrices(K, B)))
+        inner = -plant.drive.T @ slope  # A falls by drive [K port, B port]
+        by_gains = inner[:, :w] @ plant.port.T, inner[:, w:] @ plant.port.T
+        return measure, np.r_[by_K(by_gains[0]), by_B(by_gains[1])]
+
+    require_decay(plant, gains_of(np.zeros(2 * split)))
+    rng = np.random.default_rng(seed)
+    points = list(rng.uniform(-1.2, 1.2, (starts, 2 * split)))
+    seeds = [] if first is None else [first]
+    if full:
+        diagonal = tune(plant, objective, y=y, bounds=bounds, starts=starts, seed=seed)
+        seeds.append(diagonal.gains)
+        evaluations += diagonal.evaluations
+    points += [np.r_[boxes[0].parameters(g.K), boxes[1].parameters(g.B)] for g in seeds]
+    best = _minimise(value, points)
+    if objective == "estimator":  # where two poles meet it has a kink, and gradients stop
+        best = min(best, _simplex(value, best[1]), key=_least)
+    gains = gains_of(best[1])
+    return Tuned(
+        gains=gains,
+        objective=objective,
+        value=-best[0] if objective == "estimator" else math.exp(best[0]),
+        evaluations=evaluations,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _least(result: tuple[float, Array]) -> float:
+    return result[0]
+
+
+def _minimise(
+    value: Callable[[Array], tuple[float, Array]], points: list[Array]
+) -> tuple[float, Array]:
+    """Least value and where: every point for a few steps, the best of them to the end."""
+
+    def search(u: Array, steps: int) -> tuple[float, Array]:
+        result = scipy.optimize.minimize(
+            value, u, jac=True, method="L-BFGS-B", options={**_SEARCH, "maxiter": steps}
+        )
+        return float(result.fun), result.x
+
+    tried = sorted((search(u, _SCREENING) for u in points), key=_least)
+    return min((search(u, 1000) for _, u in tried[:_FINALISTS]), key=_least)
+
+
+def _simplex(value: Callable[[Array], tuple[float, Array]], u: Array) -> tuple[float, Array]:
+    result = scipy.optimize.minimize(
+        lambda x: value(x)[0], u, method="Nelder-Mead", options={"maxfev": 1000}
+    )
+    return float(result.fun), result.x
