@@ -2,7 +2,7 @@
 
 Starts of task damp (bent beam: thesis mass, and finite elements): joints about (45, 0, 0) deg,
 25 J of strain, the direction uniform over the sphere. Reference: the best diagonal gains for
-that very release (`planners.pped_tuning.tune`). Both on the full nonlinear system with limited torque;
+that very release (`planners.pped_tuning.tune`). Both on the nonlinear system, torque bounded;
 time integral of strain energy over 30 s, for the controllers over the 8 s of an episode:
 
     planner damp, 4 s of motion, then the high gains hold    median <= 0.75, limits kept

@@ -29,8 +29,8 @@ _STARTS = 8  # of a search for gains: the best of 24 is 0.1 % better
 class TunedGains:
     """Holds the joints by the diagonal gains that are best for the displacement, by PPED.
 
-    The gains are those of `planners.pped_tuning.tune`: least time integral of the strain energy of the
-    nominal linear model after the release, found for every episode.
+    The gains are those of `planners.pped_tuning.tune`: least time integral of the strain energy
+    of the nominal linear model after the release, found for every episode.
     """
 
     name = "tuned"
