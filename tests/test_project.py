@@ -355,7 +355,11 @@ def deep_imports(text: str) -> list[str]:
 
 PAGES = [
     ROOT / "README.md",
-    *(p for p in (ROOT / "docs").rglob("*.md") if "decisions" not in p.parts),
+    *(
+        p
+        for p in (ROOT / "docs").rglob("*.md")  # but what `make site` writes there
+        if not {"decisions", "api", "notebooks"} & set(p.parts)
+    ),
     *(ROOT / "docs").rglob("*.ipynb"),
     *(ROOT / "examples").rglob("*.py"),
 ]

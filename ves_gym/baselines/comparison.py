@@ -214,15 +214,17 @@ def policy_files(text: str, id: str) -> list[Path]:
     if path.is_dir():
         files = sorted(path.glob("seed-*/best.json")) or sorted(path.glob("best.json"))
         if not files:
+            runs = sorted({str(p.parents[1]) for p in path.glob("*/seed-*/best.json")})
             raise ParameterError(
                 f"{path}: no seed-*/best.json in it; give a run of ves-gym train"
+                + (f": {', '.join(runs)}" if runs else "")
             )
         return files
     if not path.suffix and not path.exists():
         policies = released(id)
         if text not in policies:
             raise ParameterError(
-                f"policy {text!r} is no file, and none released for {id}: known are"
+                f"policy {text!r} is no file or folder, and none released for {id}: known are"
                 f" {', '.join(policies) or 'none'}{did_you_mean(text, policies)}"
             )
         return [policies[text]]

@@ -198,9 +198,10 @@ def choose_config(source: str | os.PathLike[str], algorithm: str | None = None) 
     name = text if "/" in text else f"ves/{text}"
     configs = find_configs(name, algorithm)
     if not configs:
+        ids = sorted({read_config(path).env for path in CONFIGS.glob("*.toml")})
         raise ParameterError(
             f"no configuration for {name}"
             + (f" and {algorithm}" if algorithm else "")
-            + ": give a .toml file"
+            + f": give a .toml file, or one of {', '.join(ids)}{did_you_mean(name, ids)}"
         )
     return configs[0]

@@ -117,7 +117,8 @@ def describe(
         if model is None
         else f"model = {_text((written or model).as_posix())}"
     )
-    lines.append(f"band = {band:g} # Hz compared; the log has {rate:.4g} Hz")
+    measured = f"; the log has {rate:.4g} Hz" if clock else ""
+    lines.append(f"band = {band:g} # Hz compared{measured}")
     lines += [time.text, "", *_SETTINGS]
     for (key, guess), (name, kind) in zip(joints.items(), named, strict=True):
         lines += ["", *_joint_lines(complete, key, guess, name, kind, time.step)]
@@ -272,7 +273,8 @@ def _joint_lines(
     far = max(abs(low), abs(high))
     gain, remark = 1.0, f"{low:.4g} to {high:.4g}"
     if kind == "hinge" and far > _TURNS:
-        gain, remark = _DEGREES, f"{remark}: degrees? else take gain away"
+        gain = _DEGREES
+        remark += ": degrees? else take gain away, or 1 / gear ratio for angles of a motor"
     if kind == "slide" and far > 5.0:
         gain, remark = 1e-3, f"{remark}: mm? else take gain away"
     if high - low < _STILL / gain:
@@ -292,7 +294,8 @@ def _joint_lines(
         remark = f"{force.min():.4g} to {force.max():.4g}"
         if guess.ampere:
             remark += (
-                "; a current? its gain is found from the load, or give N m per unit as gain"
+                "; a current? its gain is found from the load, or give N m at the joint per"
+                " unit as gain, and take gain_unknown away"
             )
         out.append(_quantity("force", guess.columns["force"], 1.0, remark))
         if guess.ampere:
