@@ -1,5 +1,6 @@
 """Inputs that the arm's kinematics give: right, alone in their row, and in the file."""
 
+import dataclasses
 import itertools
 
 import gymnasium as gym
@@ -10,8 +11,11 @@ from ves_gym._util.params import ParameterError
 from ves_gym.baselines.arm_features import arm_features
 from ves_gym.baselines.policy import Network, Policy, load_policy, save_policy
 from ves_gym.baselines.ppo import flat
+from ves_gym.baselines.resolved_pose import carried
+from ves_gym.envs.pose_reach import goal_pose
 from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.spatial import rotation
+from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.tool_pose import tool_frame, tool_twists
 
 
 def moving(id, n=12):
@@ -53,6 +57,47 @@ def test_they_are_the_joint_motion_that_is_missing(id):
     np.testing.assert_allclose(np.arctan2(sines, cosines), q, atol=1e-5)
 
 
+@pytest.mark.parametrize("arm", ["puma560-wrist", "iiwa14"])
+def test_of_a_pose_they_are_what_newton_gives(arm):
+    """Against `tool_frame` at the joint angles that they say, and a least-squares step."""
+    control = {"kind": "joint_velocity"}
+    env = gym.make_vec("ves/PoseReach-v0", num_envs=12, threads=1, control=control, arm=arm)
+    observation, _ = env.reset(seed=5)
+    n, draw = env.task.system.arm.n, np.random.default_rng(0)
+    for _ in range(10):
+        observation, *_ = env.step(draw.uniform(-0.5, 0.5, (12, n)))
+    features = dataclasses.replace(arm_features(env.task), rounds=16)
+    s, robot = env.batch.scene, env.task.system.arm
+    near, far, taken, _, _, rest = np.split(
+        features(observation), np.arange(n, 5 * n + 1, n), 1
+    )
+    assert features.size == 5 * n + 27
+    place, turn = tool_frame(robot, s.q)
+    tool, has, asked, left = np.split(rest, [3, 12, 21], axis=1)
+    np.testing.assert_allclose(tool, place, atol=1e-5)
+    np.testing.assert_allclose(has.reshape(-1, 3, 3), np.swapaxes(turn, 1, 2), atol=1e-5)
+    back = np.swapaxes(rotation(s.y_seen), 1, 2)
+    goal, goal_turn = goal_pose(s)
+    goal, goal_turn = matvec(back, goal - s.y_seen[:, :3]), back @ goal_turn
+    axes = asked.reshape(-1, 3, 3)
+    # half a turn has no axis: of what is next to it a share of 1e-5 / (1 + cosine) is missing
+    clear = observation[:, features.turn + 3] > -0.98
+    wanted = np.swapaxes(goal_turn, 1, 2)
+    np.testing.assert_allclose(axes[clear], wanted[clear], atol=1e-3)
+    there = np.flatnonzero((np.linalg.norm(left, axis=1) < 1e-3) & (np.abs(far).max(1) < 3.2))
+    assert len(there) >= 4  # of the others the method has not found the pose, and says so
+    end, end_turn = tool_frame(robot, (s.q + far)[there])
+    np.testing.assert_allclose(end, goal[there], atol=1e-3)
+    np.testing.assert_allclose(end_turn, goal_turn[there], atol=5e-3)
+    np.testing.assert_allclose(near, np.clip(far, -0.25, 0.25) * 4, atol=1e-6)
+    J = tool_twists(robot, s.q) * np.array([1, 1, 1, 0.3, 0.3, 0.3])[:, None]
+    moved = carried(twist(s.y_seen, s.yd_seen), place) * np.array([1, 1, 1, 0.3, 0.3, 0.3])
+    for i in range(len(J)):
+        A = np.concatenate([J[i], 0.03 * np.eye(n)])
+        rates = np.linalg.lstsq(A, np.concatenate([moved[i], np.zeros(n)]), rcond=None)[0]
+        np.testing.assert_allclose(taken[i], np.clip(2 * rates, -1, 1), atol=2e-4)
+
+
 def some_policy(features, hidden=16):
     sizes = (len(features.scales) + features.size, hidden, 3)
     draw = np.random.default_rng(0)
@@ -85,6 +130,18 @@ def test_a_file_says_them_and_an_onnx_model_computes_them(tmp_path):
     assert difference(policy, to_onnx(policy)) <= 1e-6
 
 
+def test_an_onnx_model_computes_those_of_a_pose():
+    pytest.importorskip("onnx")
+    from ves_gym.baselines.onnx_file import difference, to_onnx
+
+    env = gym.make_vec(
+        "ves/PoseReach-v0", num_envs=1, threads=1, control={"kind": "joint_velocity"}
+    )
+    features = dataclasses.replace(arm_features(env.task), rounds=2)
+    policy = some_policy(features)
+    assert difference(policy, to_onnx(policy), rows=100) <= 1e-6
+
+
 def test_what_does_not_fit_is_refused():
     env, _ = moving("ves/PumaReach-v1", 1)
     features = arm_features(env.task)
@@ -98,6 +155,9 @@ def test_what_does_not_fit_is_refused():
         ({"target": 18}, "target must be 0 to 17, got 18"),
         ({"scales": (0.0,) * 20}, "scales must be > 0"),
         ({"tool": 19}, "tool must be at most 17"),
+        ({"turn": 17}, "turn must be at most 16"),
+        ({"rounds": 2}, "and 1 where no turn is asked, got 2"),
+        ({"turn": 0, "rounds": 17}, "rounds must be 1 to 16"),
     ):
         with pytest.raises(ParameterError, match=message):
             type(features)(**{**plain, "joint_angle": 0, "target": 15, **changes})

@@ -136,15 +136,15 @@ def test_closing_reaches_every_target_and_spares_the_base():
     assert ratio(closing, resolved).value < 0.9
 
 
-def test_closing_pose_reaches_every_pose_at_the_energy_of_resolved_pose():
-    """Claim, of 40 episodes: 0.99 of its energy in the median (0.98 to 1.00); here of 6."""
+def test_closing_pose_reaches_every_pose_at_less_energy_than_resolved_pose():
+    """Claim, of 40 episodes: 0.84 of its energy in the median (0.81 to 0.86); here of 6."""
     id, episodes = "ves/PoseReach-v0", 6
     closing, resolved = (
         evaluate(get_controller(name), id, episodes=episodes, threads=1)
         for name in ("closing-pose", "resolved-pose")
     )
     assert all(row["success"] for row in closing.rows)
-    assert ratio(closing, resolved).value < 1.05
+    assert ratio(closing, resolved).value < 0.95
 
 
 @pytest.mark.parametrize(

@@ -18,11 +18,18 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import arm_names, get_arm
-from ves_gym.mechanics.dynamics import add, cross, dot, frames, scale
+from ves_gym.mechanics.dynamics import Frame, add, cross, dot, frames, scale
 
 _DAMPING = 0.05  # m/rad, of the least squares near singular configurations
 _NEAR, _FAR = 0.25, 2.0  # rad of the way left, told apart up to there: finely, coarsely
 _FAST = 0.5  # rad/s that take back what the base does
+_LEVER = 0.3  # m per radian, of turn beside place
+_NO_AXIS = 0.02  # of 1 + cosine: half a turn has no axis
+_ROUNDS, _MOST_ROUNDS = 4, 16
+_FURTHER = 3.2  # rad of the way left to a pose, told apart up to there
+_POSE_DAMPING = 0.03  # m/rad
+_LEAST = 1e-5  # of 1 + cosine, where an axis is turned
+_STRIDE = 1.0  # rad, the most that a joint moves per round of Newton's method
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +41,10 @@ class ArmFeatures:
     the velocity of the tool with the base; sines and cosines of the joint angles; the tool in
     the base's axes. The observation has joint angles, pose and rate of the base, and either
     the way to the target or tool and target.
+
+    Where an orientation is asked too (`turn`), the Jacobian is that of place and turn, both
+    ranges of joint angles are those that `rounds` of Newton's method give, and the axes follow
+    that the tool has and is to have, in the base's.
     """
 
     arm: str  # a name of the arm library
@@ -43,6 +54,8 @@ class ArmFeatures:
     base_rate: int
     target: int  # less the tool, if `tool` is negative
     tool: int = -1
+    turn: int = -1  # axis of the missing turn, times its sine, then the cosine; negative: any
+    rounds: int = 1  # of Newton's method
 
     def __post_init__(self) -> None:
         if self.arm not in arm_names():
@@ -58,6 +71,15 @@ class ArmFeatures:
                     f"ArmFeatures.{name} must be 0 to {len(self.scales) - width}, got"
                     f" {getattr(self, name)}"
                 )
+        if self.turn > len(self.scales) - 4:
+            raise ParameterError(
+                f"ArmFeatures.turn must be at most {len(self.scales) - 4}, got {self.turn}"
+            )
+        if not 1 <= self.rounds <= _MOST_ROUNDS or (self.rounds > 1 and self.turn < 0):
+            raise ParameterError(
+                f"ArmFeatures.rounds must be 1 to {_MOST_ROUNDS}, and 1 where no turn is asked,"
+                f" got {self.rounds}"
+            )
         if self.tool > len(self.scales) - 3:
             raise ParameterError(
                 f"ArmFeatures.tool must be at most {len(self.scales) - 3}, got {self.tool}"
@@ -70,7 +92,7 @@ class ArmFeatures:
     @property
     def size(self) -> int:
         """How many there are."""
-        return 5 * self._arm.n + 3
+        return 5 * self._arm.n + (3 if self.turn < 0 else 27)
 
     def __call__(self, observation: npt.ArrayLike) -> Array:
         """Features (n, size) of observations (n, o)."""
@@ -110,34 +132,101 @@ class ArmFeatures:
         chain = frames(self._arm, q, xp)
         tool = chain[-1].position
         carried = add(moving, cross(turning, tool))
-        J = [frame.moved(tool)[0] for frame in chain]  # velocity of the tool per joint rate
-        joint_way = _damped(J, desired)
-        taken = _damped(J, carried)
+        if self.turn < 0:
+            J = [frame.moved(tool)[0] for frame in chain]
+            joint_way, taken, pose, far = _damped(J, desired), _damped(J, carried), [], _FAR
+        else:
+            sines, cosine = part(self.turn, 3), part(self.turn + 3, 1)[0]
+            missing = tuple(dot(axis, tuple(sines)) for axis in axes)
+            J, has = self._moved(chain), self._axes(chain)
+            asked = [_turned(missing, cosine, axis) for axis in has]
+            place = add(tool, desired)
+            joint_way, left = self._to_pose(q, place, asked, xp, clip)
+            taken = _damped(J, (*carried, *scale(_LEVER, turning)))
+            pose, far = [*(k for axis in (*has, *asked) for k in axis), *left], _FURTHER
         return [
             *(clip(k, -_NEAR, _NEAR) * (1 / _NEAR) for k in joint_way),
-            *(clip(k, -_FAR, _FAR) for k in joint_way),
+            *(clip(k, -far, far) for k in joint_way),
             *(clip(k, -_FAST, _FAST) * (1 / _FAST) for k in taken),
             *(xp.sin(k) for k in q),
             *(xp.cos(k) for k in q),
             *tool,
+            *pose,
         ]
+
+    def _to_pose(
+        self, q: list[Any], place: Any, asked: list[Any], xp: Any, clip: Callable[..., Any]
+    ) -> tuple[list[Any], list[Any]]:
+        """Joint angles that Newton's method gives for a pose, and what its last round lacked.
+
+        Args:
+            q: joint angles now [rad].
+            place: of the tool in the base's axes [m].
+            asked: axes that it is to have there.
+            xp: namespace of sin and cos.
+            clip: brings the first argument into the range of the others.
+        """
+        end = q
+        for _ in range(self.rounds):
+            chain = frames(self._arm, end, xp)
+            gap = add(place, scale(-1.0, chain[-1].position))
+            pairs = list(zip(self._axes(chain), asked, strict=True))
+            sine = scale(0.5, add(*(cross(a, b) for a, b in pairs)))
+            cosine = 0.5 * (sum(dot(a, b) for a, b in pairs) + -1.0)
+            # twice the tangent of half the angle along the axis: the angle, where it is small
+            turn = scale(2.0 / (cosine + (1.0 + _NO_AXIS)), sine)
+            left = [*gap, *scale(_LEVER, turn)]
+            step = _damped(self._moved(chain), left)
+            end = [k + clip(way, -_STRIDE, _STRIDE) for k, way in zip(end, step, strict=True)]
+        return [a - b for a, b in zip(end, q, strict=True)], left
+
+    def _moved(self, chain: Sequence[Frame]) -> list[Any]:
+        """Velocity of the tool, and `_LEVER` times its rate of turn, per joint rate (6)."""
+        twists = [frame.moved(chain[-1].position) for frame in chain]
+        return [(*way, *scale(_LEVER, turn)) for way, turn in twists]
+
+    def _axes(self, chain: Sequence[Frame]) -> list[Any]:
+        """Three axes of the tool in the base's."""
+        columns = self._arm.tool_rotation.T.tolist()
+        return [chain[-1].rotation.apply(tuple(k)) for k in columns]
+
+
+def _turned(sines: Any, cosine: Any, axis: Any) -> Any:
+    """Return an axis turned by an angle about another one (Rodrigues).
+
+    Args:
+        sines: the other one, times the angle's sine.
+        cosine: of the angle.
+        axis: to be turned.
+    """
+    along = dot(sines, axis) * (1.0 / (cosine + (1.0 + _LEAST)))
+    return add(scale(cosine, axis), cross(sines, axis), scale(along, sines))
 
 
 def _damped(J: Sequence[Any], v: Any) -> list[Any]:
-    """Return J^T (J J^T + damping^2)^-1 v by cofactors.
+    """Return J^T (J J^T + damping^2)^-1 v by elimination.
 
     Args:
-        J: velocities of the tool (3), one per joint.
-        v: (3) to be had.
+        J: velocities of the tool (m), one per joint.
+        v: (m) to be had.
     """
+    m = len(v)
+    square = (_DAMPING if m == 3 else _POSE_DAMPING) ** 2
     rows = [
-        [sum(a[i] * a[k] for a in J) + (_DAMPING**2 if i == k else 0.0) for k in range(3)]
-        for i in range(3)
+        [sum(a[i] * a[k] for a in J) + (square if i == k else 0.0) for k in range(m)] + [v[i]]
+        for i in range(m)
     ]
-    a, b, c = (tuple(row) for row in rows)
-    minors = cross(b, c), cross(c, a), cross(a, b)
-    load = scale(1.0 / dot(a, minors[0]), add(*(scale(v[i], minors[i]) for i in range(3))))
-    return [dot(column, load) for column in J]
+    for i in range(m):  # positive definite: no pivot is zero
+        over = 1.0 / rows[i][i]
+        rows[i] = [over * k for k in rows[i]]
+        for r in range(i + 1, m):
+            ahead = rows[r][i]
+            rows[r] = [a - ahead * b for a, b in zip(rows[r], rows[i], strict=True)]
+    load: list[Any] = []
+    for row in reversed(rows):
+        later = sum(a * b for a, b in zip(row[m - len(load) : m], load, strict=True))
+        load.insert(0, row[m] - later)
+    return [sum(a * b for a, b in zip(column, load, strict=True)) for column in J]
 
 
 def arm_features(task: Task, goal: bool = False) -> ArmFeatures:
@@ -168,4 +257,6 @@ def arm_features(task: Task, goal: bool = False) -> ArmFeatures:
         base_rate=at["base_rate"],
         target=at[way],
         tool=at["tool"] if way == "target" else -1,
+        turn=at.get("to_turn", -1),
+        rounds=_ROUNDS if "to_turn" in at else 1,
     )

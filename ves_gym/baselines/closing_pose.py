@@ -16,7 +16,7 @@ from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 from ves_gym.mechanics.tool_pose import tool_frame
 
-_MOVE = 0.82  # share of an episode that the way to the pose takes
+_MOVE = 0.86  # share of an episode that the way to the pose takes
 _ROUNDS = 2  # of Newton's method for the joint angles on the base as measured
 
 
@@ -50,8 +50,9 @@ class ClosingPose:
         if len(self._ends) != env.num_envs:
             self._ends = list(s.q[:, None].copy())
         places, turns = goal_pose(s)
-        for i in ids.tolist():
-            self._ends[i] = configurations_for(task.system.arm, s.q[i], places[i], turns[i])
+        every = configurations_for(task.system.arm, s.q[ids], places[ids], turns[ids])
+        for i, ends in zip(ids.tolist(), every, strict=True):
+            self._ends[i] = ends
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""

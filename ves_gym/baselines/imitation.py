@@ -120,7 +120,7 @@ class Imitation:
         self.expert.reset(env, everyone)
         rows = self.sight.first(flat(self.env.observe()))
         seen, wanted = [], []
-        for _ in range(self._periods):
+        for left in reversed(range(self._periods)):
             target = np.clip(self.expert.act(env, None), -1.0, 1.0).astype(np.float32)
             seen.append(rows)
             wanted.append(target)
@@ -135,7 +135,8 @@ class Imitation:
             if over.any():
                 ids = np.flatnonzero(over)
                 rows[ids] = self.sight.first(new[ids])
-                self.expert.reset(env, ids)
+                if left:  # after the last all begin anew
+                    self.expert.reset(env, ids)
         return np.concatenate(seen), np.concatenate(wanted)
 
     def _learn(self, rate: float) -> None:

@@ -17,8 +17,7 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED, quintic
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 from ves_gym.mechanics.tool_pose import (
-    ToolPose,
-    configurations_at,
+    configurations_at_each,
     pose_dexterity,
     tool_frame,
     tool_twists,
@@ -75,8 +74,9 @@ class ResolvedPose:
         energy = straight_motion(task, way)
         share = quintic(np.arange(steps + 2) / (_MOVE * steps))[:, None]
         places, turns = goal_pose(s)
-        for i in ids.tolist():
-            end = _configuration(arm, s.q[i], places[i], turns[i], way, energy)
+        every = configurations_for(arm, s.q[ids], places[ids], turns[ids])
+        for i, ends in zip(ids.tolist(), every, strict=True):
+            end = _kindest(arm, s.q[i], ends, way, energy)
             self._plan[i] = s.q[i] + share * (end - s.q[i])
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
@@ -112,20 +112,16 @@ class ResolvedPose:
         return reference_action(env, env.task.control, np.stack(reference, axis=1))
 
 
-def _configuration(
-    arm: Arm, q: Array, place: Array, turn: Array, seconds: float, energy: straight_energy
-) -> Array:
+def _kindest(arm: Arm, q: Array, ends: Array, seconds: float, energy: straight_energy) -> Array:
     """Joint angles (joints,) at the pose: of the nearest ones the kindest to the base [rad].
 
     Args:
         arm: whose joints.
-        q: (joints,) where it is.
-        place: (3,) of the tool [m].
-        turn: (3, 3) of the tool.
+        q: (joints,) where it is [rad].
+        ends: (m, joints) at the pose [rad].
         seconds: that the motion may take.
         energy: that a straight motion is expected to leave.
     """
-    ends = configurations_for(arm, q, place, turn)
     speed = np.abs(ends - q) * (QUINTIC_PEAK_SPEED / seconds) / arm.column("v_max")
     excess = np.maximum(speed.max(axis=1) - 1, 0.0)
     near = np.flatnonzero(excess <= excess.min())
@@ -135,19 +131,18 @@ def _configuration(
     return chosen
 
 
-def configurations_for(arm: Arm, q: Array, place: Array, turn: Array) -> Array:
-    """Joint angles (m, joints) that have the tool at a pose, or where it is if there are none.
+def configurations_for(arm: Arm, q: Array, places: Array, turns: Array) -> list[Array]:
+    """Joint angles (m, joints) that have the tool at poses, or where it is if there are none.
 
     Args:
         arm: whose joints.
-        q: (joints,) where it is [rad].
-        place: (3,) of the tool [m].
-        turn: (3, 3) of the tool.
+        q: (k, joints) where it is [rad].
+        places: (k, 3) of the tool [m].
+        turns: (k, 3, 3) of the tool.
     """
-    z, y, x = Rotation.from_matrix(turn).as_euler("ZYX")
-    pose = ToolPose(position=tuple(place.tolist()), angles=(float(x), float(y), float(z)))
-    ends = configurations_at(arm, pose, near=q, starts=_STARTS)
-    return ends if len(ends) else q[None]  # nothing better is known than to stay
+    every = configurations_at_each(arm, places, turns, q, _STARTS)
+    # nothing better is known than to stay
+    return [ends if len(ends) else here[None] for ends, here in zip(every, q, strict=True)]
 
 
 def carried(base: Array, place: Array) -> Array:

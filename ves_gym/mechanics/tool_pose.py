@@ -10,7 +10,15 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite, freeze_arrays, unit
+from ves_gym._util.params import (
+    Array,
+    Index,
+    ParameterError,
+    Vector,
+    finite,
+    freeze_arrays,
+    unit,
+)
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import Frame, Vec, add, cross, dot, frames, scale
 from ves_gym.mechanics.kinematics import tool_jacobian
@@ -189,12 +197,16 @@ def pose_error(arm: Arm, pose: ToolPose, q: npt.ArrayLike) -> Array:
     Returns:
         (..., 3) [m], or (..., 6) [m, rad] where the turn matters.
     """
+    return _missing(arm, np.array(pose.position), pose.rotation, numbers(q))
+
+
+def _missing(arm: Arm, position: Array, rotation: Array | None, q: Array) -> Array:
+    """Return what is missing to poses (..., 3) [m] and (..., 3, 3), as `pose_error`."""
     place, turn = tool_frame(arm, q)
-    missing: Array = np.array(pose.position) - place
-    goal = pose.rotation
-    if goal is None:
+    missing: Array = position - place
+    if rotation is None:
         return missing
-    turned = goal @ np.swapaxes(turn, -1, -2)
+    turned = rotation @ np.swapaxes(turn, -1, -2)
     vectors = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec()
     return np.concatenate([missing, vectors.reshape(missing.shape)], axis=-1)
 
@@ -213,21 +225,42 @@ def towards_pose(
     Returns:
         q (k, n) [rad], and how far from the pose each is (k,) [m and rad, root of squares].
     """
+    return _towards(arm, np.array(pose.position), pose.rotation, np.asarray(q, float), rounds)
+
+
+def _towards(
+    arm: Arm, position: Array, rotation: Array | None, q: Array, rounds: int = _ROUNDS
+) -> tuple[Array, Array]:
+    """Bring configurations (..., n) to poses (..., 3) and (..., 3, 3), as `towards_pose`."""
+    size, shape = 3 if rotation is None else 6, q.shape
     low, high = arm.column("q_min"), arm.column("q_max")
-    at = np.clip(np.asarray(q, float), low, high)
+    at = np.clip(q, low, high).reshape(-1, arm.n)
+    goals = np.broadcast_to(position, (*shape[:-1], 3)).reshape(-1, 3)
+    turns = rotation
+    if rotation is not None:
+        turns = np.broadcast_to(rotation, (*shape[:-1], 3, 3)).reshape(-1, 3, 3)
+
+    def missing(rows: Index | slice) -> Array:
+        return _missing(arm, goals[rows], None if turns is None else turns[rows], at[rows])
+
+    going = np.arange(len(at))
     for _ in range(rounds):
-        error = pose_error(arm, pose, at)
-        if (np.abs(error) < CLOSE / 100).all():
+        error = missing(going)
+        far = (np.abs(error) >= CLOSE / 100).any(axis=1)
+        going, error = going[far], error[far]
+        if not len(going):
             break
-        J = tool_twists(arm, at)[..., : pose.size, :]
+        J = tool_twists(arm, at[going])[..., :size, :]
         across = np.swapaxes(J, -1, -2)
         # damped by the error itself, so that the last rounds are Newton's
         damping = _DAMPING * (error**2).sum(axis=-1)[..., None, None] + 1e-12
-        load = np.linalg.solve(J @ across + damping * np.eye(pose.size), error[..., None])
+        load = np.linalg.solve(J @ across + damping * np.eye(size), error[..., None])
         step = matvec(across, load[..., 0])
         fastest = np.abs(step).max(axis=-1, keepdims=True)
-        at = np.clip(at + step * (_STEP / np.maximum(fastest, _STEP)), low, high)
-    return at, np.linalg.norm(pose_error(arm, pose, at), axis=-1)
+        moved = at[going] + step * (_STEP / np.maximum(fastest, _STEP))
+        at[going] = np.clip(moved, low, high)
+    miss = np.linalg.norm(missing(slice(None)), axis=-1)
+    return at.reshape(shape), miss.reshape(shape[:-1])
 
 
 def configurations_at(
@@ -250,18 +283,56 @@ def configurations_at(
     Raises:
         ParameterError: no starts.
     """
-    if starts < 1:
-        raise ParameterError(f"starts must be >= 1, got {starts}")
-    low, high = arm.column("q_min"), arm.column("q_max")
-    at = qmc.scale(qmc.Halton(arm.n, scramble=False).random(starts), low, high)
+    at = _starts(arm, starts)
     if near is not None:
         at = np.vstack([finite(near, (arm.n,), "near"), at])
-    q, miss = towards_pose(arm, pose, at)
+    return _apart(*towards_pose(arm, pose, at))
+
+
+def configurations_at_each(
+    arm: Arm, place: Array, turn: Array, near: Array, starts: int = 128
+) -> list[Array]:
+    """Return `configurations_at` for many poses at once.
+
+    Args:
+        arm: the arm.
+        place: (m, 3) of the tool [m].
+        turn: (m, 3, 3) of the tool.
+        near: (m, n) configurations to start from as well [rad].
+        starts: Halton's points, the same for every pose.
+
+    Returns:
+        m of (k, n) [rad].
+    """
+    halton = _starts(arm, starts)
+    at = np.concatenate(
+        [near[:, None], np.broadcast_to(halton, (len(near), *halton.shape))], axis=1
+    )
+    q, miss = _towards(arm, place[:, None], turn[:, None], at)
+    return [_apart(*each) for each in zip(q, miss, strict=True)]
+
+
+def _starts(arm: Arm, count: int) -> Array:
+    """(count, n) points of Halton's over the joints' ranges [rad]."""
+    if count < 1:
+        raise ParameterError(f"starts must be >= 1, got {count}")
+    low, high = arm.column("q_min"), arm.column("q_max")
+    points = qmc.Halton(arm.n, scramble=False).random(count)
+    return np.asarray(qmc.scale(points, low, high), dtype=np.float64)
+
+
+def _apart(q: Array, miss: Array) -> Array:
+    """Return those of q (k, n) that are at the pose and apart from each other.
+
+    Args:
+        q: (k, n) [rad].
+        miss: (k,) how far each is from the pose.
+    """
     out: list[Array] = []
     for k in np.flatnonzero(miss <= CLOSE):
         if all(np.linalg.norm(q[k] - other) >= _APART for other in out):
             out.append(q[k])
-    return np.array(out).reshape(-1, arm.n)
+    return np.array(out).reshape(-1, q.shape[1])
 
 
 _APART = 0.05  # rad between configurations that count as two
