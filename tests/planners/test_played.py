@@ -8,10 +8,11 @@ import scipy.linalg
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.motion import Motion, basis
+from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.obstacles import Sphere, Surroundings, collisions
 from ves_gym.planners.played import AIM, RIPPLE, broken_in_play, solve_with_reserve
 from ves_gym.planners.query import broken_limit, solve
-from ves_gym.planners.registry import get_planner
+from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import reach100
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
@@ -67,6 +68,31 @@ def test_what_hides_between_the_samples_of_a_reference_is_seen_on_the_arm(query,
     assert all("from the goal" in why for why in verdicts[::2])
     assert all(f"velocity of joint {k + 1}" in verdicts[2 * k + 1] for k in range(3))
     assert fastest[1] > 1.8 and 0.02 < miss[0] < 0.04
+
+
+class Hiding:
+    """Answers with a motion that only the arm shows to be none."""
+
+    name = "hiding"
+    summary = "for this test"
+
+    def __init__(self, motion):
+        self.motion = motion
+
+    def find(self, query, seed):
+        return self.motion, {}
+
+
+@pytest.mark.parametrize(("rate", "why"), [(3, "from the goal"), (30, "velocity of joint 1")])
+def test_the_benchmark_judges_as_the_board_does(query, hidden, monkeypatch, rate, why):
+    """One rule, one function: records at every step, or seen between them."""
+    motion = beside(query, 0, rate * hidden)
+    monkeypatch.setitem(PLANNERS, "hiding", Hiding(motion))
+    suite = reach100(System(), "bent-thesis", 1, "off", durations=(1.0,))
+    straight, row = run_benchmark(suite, planners=["hiding"], workers=1)["rows"]
+    assert straight["success"] and straight["failure"] is None
+    assert not row["success"] and why in row["failure"] and row["E_mean"] > 0
+    assert row["failure"] == broken_in_play(query, played(query, [motion]), 0)
 
 
 def test_an_honest_motion_is_an_answer_and_its_tolerances_are_kept(query):

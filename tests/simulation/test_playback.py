@@ -295,6 +295,10 @@ def test_the_joints_are_watched_at_every_physics_step():
         == dense.v[0, np.searchsorted(dense.t, velocity.time - 1e-9)][velocity.joint - 1]
     )
     assert "simulated arm: velocity of joint" in truth.sentences("simulated arm")[0]
+    seen, recorded = coarse.closely(0), dense.closely(0)
+    for name in ("t", "q", "v", "y"):
+        a, b = getattr(seen, name), getattr(recorded, name)
+        assert np.array_equal(a[: len(b)], b), name
 
 
 def test_the_tighter_of_two_speed_limits_holds():

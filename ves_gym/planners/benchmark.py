@@ -4,6 +4,9 @@
 on the full nonlinear system, and returns plain data (schema `ves-benchmark/1`). Planning
 is for the space system. In mode emulated the laboratory plays the motions, the space
 system plays them again, and the difference is the emulation error.
+
+An answer is a success by the rule of the leaderboard: inside its limits as it is commanded,
+and as the arm plays it (`played.py`).
 """
 
 from __future__ import annotations
@@ -30,7 +33,8 @@ from ves_gym.planners.benchmark_summary import BASELINE, anytime, rank_correlati
 from ves_gym.planners.best_known import add_scores
 from ves_gym.planners.gap import add_gaps
 from ves_gym.planners.ompl_search import Ompl
-from ves_gym.planners.query import Plan, Query, solve
+from ves_gym.planners.played import broken_in_play, solve_with_reserve
+from ves_gym.planners.query import Plan, Query
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.scenes import PlayedPlan, coupling_maps, scene, trace
 from ves_gym.planners.suites import Suite, is_compensated, uncompensated
@@ -166,7 +170,7 @@ def _plan_one(job: Work) -> Plan:
     name, query, seed = job
     begin = time.perf_counter()
     try:
-        return solve(get_planner(name), query, seed)
+        return solve_with_reserve(get_planner(name), query, seed)
     except ParameterError:
         raise  # a wrong question, not a planner that failed
     except Exception as error:  # reported for this query; the run goes on
@@ -245,6 +249,9 @@ def _simulate_all(
             for k, (i, run) in enumerate(zip(part, batch, strict=True)):
                 check = recording.limit_check(k, v_max=run.plan.query.v_max)
                 rows[i] = _row(run, measured[k], in_space[k], check, moved[k])
+                if rows[i]["success"]:
+                    why = broken_in_play(run.plan.query, recording, k)
+                    rows[i] |= {"success": why is None, "failure": why}
                 if ideal is not None:
                     rows[i] |= _emulation(recording, ideal, k, rows[i], in_space[k])
                 name = run.plan.query.name

@@ -32,14 +32,15 @@ def broken_in_play(query: Query, run: Recording, i: int) -> str | None:
 
     Args:
         query: ends, limits and surroundings.
-        run: the motion played and held for a while, recorded as often as is to be looked.
+        run: the motion played and held for `SETTLING` s or more, watched or recorded at every
+            physics step.
         i: number of the run.
 
     Returns:
         The reason in words, None if there is none.
     """
-    arm, end = query.system.arm, run.records(i)
-    t, q, v = run.t[:end], run.q[i, :end], run.v[i, :end]
+    arm, steps = query.system.arm, run.closely(i)
+    t, q, v = steps.t, steps.q, steps.v
     limits = answer_limits(query)
     loose = {"position": limits["position"] + AIM}
     if "velocity" in limits:
@@ -58,7 +59,7 @@ def broken_in_play(query: Query, run: Recording, i: int) -> str | None:
             f"the arm: joint {j + 1} is {miss[k, j]:.4f} rad from the goal at t ="
             f" {t[after][k]:.3f} s, at most {AIM:g}"
         )
-    return _touched(query, q, run.y[i, :end])
+    return _touched(query, q, steps.y)
 
 
 def _touched(query: Query, q: Array, y: Array) -> str | None:

@@ -16,13 +16,14 @@ from ves_gym.mechanics.motion import Motion, Samples
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix, twist, twist_rate
 from ves_gym.simulation.capture import Capture
-from ves_gym.simulation.recording import BaseWatch, Extremes, Recording
+from ves_gym.simulation.recording import BaseWatch, Extremes, Recording, Steps
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.state import State
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
-_OVERSHOOT = 0.2  # s after a motion in which joints are still watched at every step
+_OVERSHOOT = 0.2  # s after a motion in which extremes are still looked for at every step
+SETTLING = 0.5  # s after a motion in which arm and base are still watched at every step
 
 
 def play_motions(
@@ -60,8 +61,8 @@ def play_motions(
         seed: of sensor noise and drift.
         backend: engine, as `Simulator` takes it.
         watch: look at joints and base between the records, too, until shortly after the
-            motion: at every physics step, in mode emulated every control period. Changes no
-            record.
+            motion: at every physics step, in mode emulated every control period (`Extremes`,
+            `BaseWatch`, `Steps`). Changes no record.
         progress: called with the fraction done.
 
     Raises:
@@ -97,6 +98,7 @@ def play_motions(
     base_watch = BaseWatch(system.arm, n, duration + _OVERSHOOT) if watch else None
     middle = middle_of_range(system.arm)
     fine = system.substeps if emulated else 1  # steps between looks at the joints
+    close: list[tuple[float, Array, Array, Array]] = []
     if table is not None:
         sim.use_gravity(table[:, :1])
     moving = np.stack([m.at([0.0]).v[0] if m.moving else np.zeros(m.n) for m in motions])
@@ -114,6 +116,8 @@ def play_motions(
         row = (*row, *_contact_row(sim))
         if extremes is not None:
             extremes.watch(edges[k * stride], row[0] - middle, row[1], tau)
+            if edges[k * stride] <= duration + SETTLING + 1e-9:
+                close.append((edges[k * stride], row[0], row[1], state.y))
         if base_watch is not None:
             base_watch.look(float(edges[k * stride]), state.y, state.yd, ydd)
         if emulated:
@@ -128,7 +132,7 @@ def play_motions(
             rows.append((*row, base_wrench(system, state, ydd, sim.internal_state, held)))
         if k + 1 < records:
             last = (k + 1) * stride
-            apart = extremes is not None and edges[k * stride] < duration + _OVERSHOOT
+            apart = extremes is not None and edges[k * stride] < duration + SETTLING
             for step in range(k * stride, last, fine if apart else stride):
                 end = min(step + (fine if apart else stride), last)
                 part = slice(step // system.substeps, end // system.substeps)
@@ -140,9 +144,11 @@ def play_motions(
                 )
                 if extremes is not None and base_watch is not None and end < last:
                     (q, v), state = sim.measured, sim.state
-                    tau, ydd = sim.evaluate(commands[:, end])
-                    extremes.watch(edges[end], q - middle, v, tau)
-                    base_watch.look(float(edges[end]), state.y, state.yd, ydd)
+                    close.append((edges[end], q, v, state.y))
+                    if edges[k * stride] < duration + _OVERSHOOT:
+                        tau, ydd = sim.evaluate(commands[:, end])
+                        extremes.watch(edges[end], q - middle, v, tau)
+                        base_watch.look(float(edges[end]), state.y, state.yd, ydd)
         if progress is not None and k % 32 == 0:
             progress(k / records)
     modes = () if sim.base_modes is None else ("u", "ud")
@@ -165,7 +171,14 @@ def play_motions(
         backend=sim.backend_name,
         extremes=extremes,
         base_watch=base_watch,
+        steps=_steps(close) if watch else None,
     )
+
+
+def _steps(looks: Sequence[tuple[float, Array, Array, Array]]) -> Steps:
+    """Stack what was seen of all runs, instant by instant: q, v and y (n, ...)."""
+    t, q, v, y = zip(*looks, strict=True)
+    return Steps(np.array(t), *(np.stack(part, axis=1) for part in (q, v, y)))
 
 
 def _latched(

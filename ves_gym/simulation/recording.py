@@ -51,6 +51,16 @@ class Extremes:
         self.time[larger] = t
 
 
+@dataclass(frozen=True)
+class Steps:
+    """Arm and base between the records as well, until shortly after the motion."""
+
+    t: Array  # (N,) s
+    q: Array  # (n, N, joints)
+    v: Array  # (n, N, joints)
+    y: Array  # (n, N, 6)
+
+
 class BaseWatch:
     """Accelerations of n bases between the records as well, until shortly after the motion.
 
@@ -116,6 +126,7 @@ class Recording:
     backend: str = ""  # the engine that ran
     extremes: Extremes | None = None  # of the joints, where they were watched
     base_watch: BaseWatch | None = None  # of the base, likewise
+    steps: Steps | None = None  # of both, likewise
 
     def internal(self, i: Any, part: Any = slice(None)) -> tuple[Array, Array] | None:
         """Return u and u' of the internal modes in run i, None of a base without.
@@ -187,10 +198,25 @@ class Recording:
 
     def records(self, i: int) -> int:
         """Records of run i up to its safety stop (that included), all N without one."""
+        return self._until_stop(i, self.t)
+
+    def _until_stop(self, i: int, t: Array) -> int:
         stops = [e.time for e in self.events if e.simulation == i]
         if not stops:
-            return len(self.t)
-        return max(2, int(np.searchsorted(self.t, stops[0] + 1e-9)) + 1)
+            return len(t)
+        return min(len(t), max(2, int(np.searchsorted(t, stops[0] + 1e-9)) + 1))
+
+    def closely(self, i: int) -> Steps:
+        """Return run i alone at every step that was watched, up to its safety stop.
+
+        Its records where it was not watched.
+
+        Args:
+            i: number of the run.
+        """
+        of = Steps(self.t, self.q, self.v, self.y) if self.steps is None else self.steps
+        end = self._until_stop(i, of.t)
+        return Steps(of.t[:end], of.q[i, :end], of.v[i, :end], of.y[i, :end])
 
     def limit_check(
         self,

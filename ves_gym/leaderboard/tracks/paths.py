@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import multiprocessing
+from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -206,11 +208,7 @@ class PathTrack:
         out: list[Row] = []
         for group in range(len(method.seeds)):
             part = slice(group * len(queries), (group + 1) * len(queries))
-            good = [
-                m if m is not None and broken_limit(q, m) is None else None
-                for q, m in zip(queries, motions[part], strict=True)
-            ]
-            played = _played(queries, good)
+            played = _remembered(problem, seeds, motions[part])
             cases = self.cases(problem, seeds, method, group)
             for k, case in enumerate(cases):
                 motion, energies_of, straight_line = motions[part][k], played[k], straight[k]
@@ -233,6 +231,44 @@ class PathTrack:
                 )
                 out.append(result)
         return out
+
+
+class _Asked(NamedTuple):
+    """A motion that was an answer to a question."""
+
+    problem: Problem
+    seeds: Seeds
+    question: int
+    motion: Motion
+
+
+# What was simulated last: a method that is run again gives the same motions, mostly.
+_REMEMBERED: OrderedDict[_Asked, Energies | None] = OrderedDict()
+_MOST_REMEMBERED = 4096
+
+
+def _remembered(
+    problem: Problem, seeds: Seeds, motions: Sequence[Motion | None]
+) -> list[Energies | None]:
+    """Energies of answers to all queries, None for what is none; each is simulated once."""
+    queries = PathTrack().queries(problem, seeds)
+    asked = [None if m is None else _Asked(problem, seeds, k, m) for k, m in enumerate(motions)]
+    new = [
+        a.motion
+        if a is not None and a not in _REMEMBERED and broken_limit(q, a.motion) is None
+        else None
+        for q, a in zip(queries, asked, strict=True)
+    ]
+    found = _played(queries, new)
+    out: list[Energies | None] = []
+    for a, energies_of in zip(asked, found, strict=True):
+        if a is not None:
+            _REMEMBERED.setdefault(a, energies_of)
+            _REMEMBERED.move_to_end(a)
+        out.append(None if a is None else _REMEMBERED[a])
+    while len(_REMEMBERED) > _MOST_REMEMBERED:
+        _REMEMBERED.popitem(last=False)
+    return out
 
 
 @lru_cache(maxsize=len(DURATIONS) * len(MODES))
