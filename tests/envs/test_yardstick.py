@@ -49,6 +49,28 @@ def test_the_yardstick_is_the_straight_motion_on_the_same_machine(machine: str) 
     np.testing.assert_array_equal(env.batch.goals[1, :4], twin.batch.goals[1])
 
 
+def test_energies_simulated_ahead_are_those_of_the_episodes() -> None:
+    """Episodes of 3 and of 10 environments, reset together and one by one; some come twice."""
+    id, settings = MACHINES["unknown"]
+    seen: dict[tuple[int, ...], float] = {}
+    for n, every in ((3, 1), (10, 4), (10, 1)):
+        env = make_vector(id, n, AutoresetMode.DISABLED, threads=1, **settings)
+        env.reset(seed=7)
+        for k in range(6):
+            env.reset(options={"reset_mask": np.arange(n) % every == k % every})
+            keys = map(tuple, env.batch.episode_ids().tolist())
+            for key, energy in zip(keys, env.batch.goals[:, -1].tolist(), strict=True):
+                assert seen.setdefault(key, energy) == pytest.approx(energy, rel=1e-12)
+    still = make_vector(id, 1, AutoresetMode.DISABLED, threads=1, **settings, saving=None)
+    still.reset(seed=7)
+    for _ in range(2):
+        still.reset()
+    info: dict[str, Any] = {}
+    for _ in range(160):
+        info = still.step(np.zeros((1, 3)))[-1]
+    assert seen[7, 0, 2] == pytest.approx(info["energy/E_mean"][0], rel=1e-12)
+
+
 @pytest.mark.parametrize("machine", MACHINES)
 def test_the_straight_motion_succeeds_on_no_machine_and_returns_minus_one(machine: str) -> None:
     id, settings = MACHINES[machine]

@@ -166,14 +166,14 @@ def run_episodes(
     ended = np.ones(env.num_envs, bool)
     observation: Any = None
     while True:
+        if not queue and (ended | (running < 0)).all():
+            return
         if ended.any():
             observation = _begin(env, ended, running, queue)
             fresh = np.flatnonzero(ended & (running >= 0))
             if len(fresh):
                 controller.reset(env, fresh)
         idle = running < 0
-        if idle.all():
-            return
         actions = controller.act(env, observation)
         if idle.any():
             actions = np.where(idle[:, None], 0.0, actions)

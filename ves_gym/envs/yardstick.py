@@ -20,11 +20,73 @@ from ves_gym.simulation.loop_linearisation import EmulationWarning
 if TYPE_CHECKING:
     from ves_gym.envs.batch import Batch
 
-_AT_ONCE = 16  # episodes: more are hardly faster, fewer wait for the same steps
+_FEWEST, _MOST = 8, 64  # episodes at once: fewer take as long, more are no faster each
+_Key = tuple[int, ...]  # seed, index and number of an episode
 
 
-def yardstick_of(batch: Batch, **engine: Any) -> Batch | None:
-    """Return a batch for the yardstick's episodes; None where the task needs none.
+class Yardstick:
+    """E_mean of episodes without action, for a batch's episodes.
+
+    Which episode follows which is known beforehand. So that simulations whose episodes end at
+    different times do not wait for their energies one by one, those of episodes to come are
+    simulated beside the ones that are asked for; the numbers do not depend on it.
+
+    Args:
+        model: a batch of the yardstick's task.
+    """
+
+    def __init__(self, model: Batch) -> None:
+        self._model = model
+        self._ahead: dict[_Key, float] = {}
+
+    def __call__(
+        self,
+        keys: npt.NDArray[np.uint64],
+        everyone: npt.NDArray[np.uint64],
+        options: Mapping[str, Array],
+    ) -> Array:
+        """Return the energies [J]; NaN where such an episode failed.
+
+        Args:
+            keys: (k, 3) seed, index and number of the episodes (`Batch.episode_ids`).
+            everyone: (n, 3) those of all present episodes of the batch, these among them.
+            options: what was chosen of the starts, (k, ...) each.
+
+        Returns:
+            (k,).
+        """
+        if options:
+            return _energies(self._model, keys, options)
+        asked: list[_Key] = [tuple(key) for key in keys.tolist()]
+        missing = [key for key in dict.fromkeys(asked) if key not in self._ahead]
+        if missing:
+            if keys[:, 2].any():  # not the first episodes of a seed: others will follow
+                missing += self._following(everyone, -len(missing) % self._model.n)
+            energies = _energies(self._model, np.array(missing, np.uint64), {})
+            self._ahead.update(zip(missing, energies.tolist(), strict=True))
+        out = np.array([self._ahead[key] for key in asked])
+        for key in set(asked):
+            del self._ahead[key]
+        if len(self._ahead) > 2 * (len(everyone) + _MOST):  # of seeds that were left
+            self._ahead.clear()
+        return out
+
+    def _following(self, everyone: npt.NDArray[np.uint64], count: int) -> list[_Key]:
+        """So many episodes that come next and are not simulated yet."""
+        out: list[_Key] = []
+        present = np.unique(everyone, axis=0).tolist()
+        for later in range(1, count + 1):
+            for root, index, number in present:
+                if len(out) == count:
+                    return out
+                key = (root, index, number + later)
+                if key not in self._ahead:
+                    out.append(key)
+        return out
+
+
+def yardstick_of(batch: Batch, **engine: Any) -> Yardstick | None:
+    """Return what measures a batch's episodes; None where its task needs nothing.
 
     Args:
         batch: whose episodes are to be judged.
@@ -35,20 +97,17 @@ def yardstick_of(batch: Batch, **engine: Any) -> Batch | None:
         return None
     with warnings.catch_warnings():  # said of the batch itself
         warnings.simplefilter("ignore", EmulationWarning)
-        return type(batch)(task, min(batch.n, _AT_ONCE), **engine)
+        model = type(batch)(task, min(max(batch.n, _FEWEST), _MOST), **engine)
+    everyone = np.arange(model.n)
+    model.seed(everyone, 0, everyone)
+    model.reset(everyone)  # the first reset must include every simulation
+    return Yardstick(model)
 
 
-def energies(model: Batch, keys: npt.NDArray[np.uint64], options: Mapping[str, Array]) -> Array:
-    """Return E_mean of episodes without action [J]; NaN where one failed.
-
-    Args:
-        model: of `yardstick_of`.
-        keys: (k, 3) seed, index and number of the episodes (`Batch.episode_ids`).
-        options: what was chosen of their starts, (k, ...) each.
-
-    Returns:
-        (k,).
-    """
+def _energies(
+    model: Batch, keys: npt.NDArray[np.uint64], options: Mapping[str, Array]
+) -> Array:
+    """E_mean (k,) of episodes (k, 3), as many at once as the model has simulations."""
     out = np.full(len(keys), np.nan)
     for first in range(0, len(keys), model.n):
         part = slice(first, first + model.n)

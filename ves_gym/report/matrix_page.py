@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MARKERS = "osD^vPX*"
+_GAP = Estimate(float("nan"), 0.0, 0.0)
 
 
 def matrix_page(
@@ -137,12 +138,11 @@ def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
         for k, (method, marker) in enumerate(zip(methods, itertools.cycle(_MARKERS))):
             of = {e.machine: e for e in task_entries if e.method == method}
             shift = 0.08 * (k - (len(methods) - 1) / 2)
-            drawn = [m for m in machines if m in of]
-            x = [machines.index(m) + shift for m in drawn]
-            _draw(axes[0][column], x, [of[m].success for m in drawn], method, marker)
-            energies = [of[m].energy for m in drawn]
-            if not any(e is None for e in energies):
-                _draw(axes[1][column], x, energies, method, marker)
+            x = [i + shift for i in range(len(machines))]
+            successes = [of[m].success if m in of else None for m in machines]
+            _draw(axes[0][column], x, successes, method, marker)
+            energies = [of[m].energy if m in of else None for m in machines]
+            _draw(axes[1][column], x, energies, method, marker)
         axes[0][column].set_title(task, fontsize=10)
         axes[0][column].set_ylim(-0.03, 1.03)
         axes[1][column].set_yscale("log")
@@ -162,18 +162,17 @@ def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
 
 
 def _draw(
-    axes: Any, x: Sequence[float], values: Sequence[Any], label: str, marker: str
+    axes: Any, x: Sequence[float], values: Sequence[Estimate | None], label: str, marker: str
 ) -> None:
-    """Values with their intervals; infinite ones are left out."""
-    finite = [(a, v) for a, v in zip(x, values, strict=True) if v.value < float("inf")]
+    """Values with their intervals; those that are missing or infinite leave gaps."""
+    shown = [v if v is not None and v.value < float("inf") else _GAP for v in values]
+    finite = [v.value for v in shown if v is not _GAP]
     if not finite:
         return
-    at = [a for a, _ in finite]
-    y = [v.value for _, v in finite]
-    top = 100 * max(y)  # in place of an infinite end
-    low = [max(v.value - v.low, 0.0) for _, v in finite]
-    ends = [v.high if v.high < float("inf") else top for _, v in finite]
+    y, top = [v.value for v in shown], 100 * max(finite)  # in place of an infinite end
+    ends = [v.high if v.high < float("inf") else top for v in shown]
+    low = [max(v.value - v.low, 0.0) for v in shown]
     high = [max(end - value, 0.0) for end, value in zip(ends, y, strict=True)]
     axes.errorbar(
-        at, y, yerr=[low, high], label=label, marker=marker, markersize=4, capsize=2, lw=1.1
+        x, y, yerr=[low, high], label=label, marker=marker, markersize=4, capsize=2, lw=1.1
     )
