@@ -11,6 +11,8 @@ its problem, is left alone, so it can be stopped at any moment and goes on where
     --quick         a tenth of every problem, to try it out on another --board
     --blind DIR     enter the track discrepancy too: its logs and labels, made there if need be
     --board DIR     another folder of entries; the page is written beside it
+    --salt FILE     official seeds, of the season of this salt (`python scripts/season.py`): its
+                    bundles are published when it ends
 """
 
 from __future__ import annotations
@@ -20,9 +22,10 @@ import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from ves_gym._util.params import ParameterError
 from ves_gym._util.process_pool import Workers
 from ves_gym.baselines.policy import released
 from ves_gym.baselines.registry import CONTROLLERS
@@ -39,6 +42,8 @@ from ves_gym.leaderboard.protocol import (
     MODES,
     QUICK,
     get_problem,
+    read_salt,
+    salt_mark,
 )
 from ves_gym.leaderboard.published import publish
 from ves_gym.leaderboard.run import make_bundle
@@ -74,11 +79,14 @@ class Wanted:
     problem: str
     method: str
     level: str = "reproduced"
+    salt: str | None = field(default=None, repr=False)  # of official seeds
 
     @property
     def bundle(self) -> Path:
         """Where its bundle is kept."""
         words = f"{self.track}-{self.problem.removeprefix('ves/')}-{self.method}"
+        if self.salt is not None:
+            words += f"-{salt_mark(self.salt)[:12]}"
         return BUNDLES / f"{words}.zip"
 
     def __str__(self) -> str:
@@ -132,9 +140,10 @@ def prove(wanted: Wanted, blind: Path | None) -> Entry:
             wanted.problem,
             wanted.method if built_in else [files[wanted.method]],
             author=AUTHOR,
+            salt=wanted.salt,
             folder=blind,
         )
-    return verify(wanted.bundle, level=wanted.level, folder=blind)
+    return verify(wanted.bundle, level=wanted.level, salt=wanted.salt, folder=blind)
 
 
 def _current(wanted: Wanted) -> bool:
@@ -162,11 +171,12 @@ def missing(wanted: Sequence[Wanted], board: Path) -> list[Wanted]:
         board: the folder of its entries.
     """
     there = {
-        (e["track"], e["problem"], e["name"])
+        (e["track"], e["problem"], e["name"], e["about"].get("salt"))
         for e in (record.entry for record in read(board).records)
-        if e["author"] == AUTHOR and e["seeds"] == "public" and history_reason(e) is None
+        if e["author"] == AUTHOR and history_reason(e) is None
     }
-    return [w for w in wanted if (w.track, w.problem, w.method) not in there]
+    marks = {w.salt: None if w.salt is None else salt_mark(w.salt) for w in wanted}
+    return [w for w in wanted if (w.track, w.problem, w.method, marks[w.salt]) not in there]
 
 
 def fill(wanted: Sequence[Wanted], board: Path, workers: int, blind: Path | None) -> int:
@@ -182,8 +192,9 @@ def fill(wanted: Sequence[Wanted], board: Path, workers: int, blind: Path | None
             else:
                 entry: Entry = job.result()
                 record = append(board, entry.shortened())
-                there = publish(board, record, jobs[job].bundle)
-                told = entry.level if there else f"{entry.level}, bundle too large to publish"
+                told = entry.level
+                if jobs[job].salt is None and not publish(board, record, jobs[job].bundle):
+                    told += ", bundle too large to publish"
             seconds = time.monotonic() - begun
             print(f"{done}/{len(todo)} {seconds:.0f} s  {jobs[job]}: {told}", flush=True)
     return failed
@@ -199,9 +210,13 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--blind", type=Path)
     parser.add_argument("--board", type=Path, default=PLACE / "entries")
+    parser.add_argument("--salt", type=Path)
     args = parser.parse_args(words)
+    salt = None if args.salt is None else read_salt(args.salt)
+    if args.blind is not None and salt is not None:
+        raise ParameterError("the public cases of the discrepancy track take no --salt")
     wanted = [
-        replace(w, problem=w.problem + QUICK) if args.quick else w
+        replace(w, problem=w.problem + QUICK if args.quick else w.problem, salt=salt)
         for w in table(args.blind is not None)
         if (args.track is None or w.track in args.track)
         and (args.problem is None or w.problem in args.problem)

@@ -18,6 +18,7 @@ from ves_gym.leaderboard.archive import read_members, write_members
 from ves_gym.leaderboard.entry import MEASURES, Entry
 from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.record import Record, parse
+from ves_gym.leaderboard.seasons import published_salt
 from ves_gym.leaderboard.verify import verify
 
 FOLDER = "bundles"
@@ -84,7 +85,8 @@ def reverify(
         folder, workers: see `verify`.
 
     Raises:
-        ParameterError: no such file, or no bundle beside it.
+        ParameterError: no such file, no bundle beside it, or official seeds of a season that
+            is not over.
         BundleError: the bundle is not the entry's, is refused, or gives other rows.
     """
     path = Path(file)
@@ -96,9 +98,11 @@ def reverify(
     if not bundle.exists():
         raise ParameterError(f"{path.name}: its bundle is not published ({bundle} is missing)")
     there = record.entry
+    official = there["seeds"] == "official"
     here = verify(
         bundle,
         level=str(there["level"]) if level is None else level,
+        salt=published_salt(path.parent, str(there["about"].get("salt"))) if official else None,
         expect=str(there["bundle"]),
         folder=folder,
         workers=workers,

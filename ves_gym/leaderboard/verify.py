@@ -115,14 +115,16 @@ def verify(
     rules.require_possible(problem, seeds, replayed)
     _require_claims(manifest["rows"], replayed)
     _require_distinct(replayed, method)
+    official = {} if seeds.mark is None else {"salt": seeds.mark}
+    about = {"model": ours["model"], **official, **key}
     if level == "replayed":
-        return _entry(manifest, replayed, level, computed, {"model": ours["model"], **key})
+        return _entry(manifest, replayed, level, computed, about)
     with _careful(Code.NOT_REPRODUCIBLE):
         found = rules.reproduce(problem, seeds, method, members, replayed)
     rules.require_possible(problem, seeds, found)
     _require_distinct(found, method)
     measured = {"reproduction": _difference(replayed, found)}
-    return _entry(manifest, found, level, computed, {"model": ours["model"], **key, **measured})
+    return _entry(manifest, found, level, computed, {**about, **measured})
 
 
 @contextmanager
