@@ -8,6 +8,7 @@ from typing import Any
 
 from benchmarks.trial2 import machines, nominal, scoring
 from benchmarks.trial2.seal import check, seal
+from benchmarks.trial2.targets import targets
 from benchmarks.trial2.write import write_case
 
 PUBLIC = "trial 2, development"
@@ -68,6 +69,25 @@ def answer(args: argparse.Namespace) -> None:
             print(f"{folder.name}: {given['verdict']}", flush=True)
 
 
+def trial(args: argparse.Namespace) -> None:
+    """Write and answer one case after another until the time is up; goes on where it was."""
+    for name in ("cases", "labels", "answers"):
+        (args.out / name).mkdir(parents=True, exist_ok=True)
+    first, _, last = args.cases.partition(":")
+    for index in range(int(first), int(last or int(first) + 1)):
+        if args.until and time.strftime("%H:%M", time.gmtime()) >= args.until:
+            break
+        label, given = (args.out / k / f"{index:03d}.json" for k in ("labels", "answers"))
+        folder = args.out / "cases" / f"{index:03d}"
+        if not label.exists():
+            written = write_case(secret_of(args), index, folder)
+            label.write_text(json.dumps(written, indent=1), "utf-8")
+        if not given.exists():
+            result = scoring.answer(folder, args.out / "diagnoses" / f"{index:03d}")
+            given.write_text(json.dumps(result, indent=1), "utf-8")
+        print(f"case {index}: answered", flush=True)
+
+
 def score(args: argparse.Namespace) -> None:
     """Print the table of answers, and each case's line."""
     labels = read_labels(args.out / "labels")
@@ -75,7 +95,7 @@ def score(args: argparse.Namespace) -> None:
         int(path.stem): json.loads(path.read_text("utf-8"))
         for path in sorted((args.out / "answers").glob("*.json"))
     }
-    print(scoring.table(labels, answers))
+    print(targets(labels, answers) + "\n\n" + scoring.table(labels, answers))
     for label in labels:
         given = answers.get(label["index"])
         if given:
@@ -111,6 +131,7 @@ def main() -> None:
         ("write", write),
         ("seal", close),
         ("answer", answer),
+        ("trial", trial),
         ("score", score),
         ("nominal", agreement),
     ):
@@ -119,12 +140,14 @@ def main() -> None:
         if name == "nominal":
             continue
         command.add_argument("out", type=Path, metavar="DIR", help="folder of the set")
-        if name in ("write", "seal"):
+        if name in ("write", "seal", "trial"):
             command.add_argument("--set", choices=("dev", "sealed"), default="dev")
             command.add_argument(
                 "--salt", type=Path, help="file with the secret of a sealed set"
             )
-        if name == "write":
+        if name == "trial":
+            command.add_argument("--until", help="begin no case after this time, UTC (02:40)")
+        if name in ("write", "trial"):
             command.add_argument("--cases", default="0:30", help="FIRST:LAST (0:30)")
         if name == "seal":
             command.add_argument("--check", type=Path, help="a published seal to compare with")

@@ -18,6 +18,20 @@ from benchmarks.trial2.space import Run, late
 from benchmarks.trial2.structure import base_body, read_base
 
 
+def sensor_frame(table: Table) -> Array:
+    """Return the matrix (6, 6) from a wrench on the platform to the sensor's signals."""
+    R, r = np.diag([1.0, -1.0, -1.0]), np.asarray(table["offset"], float)
+    cross = np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
+    return np.block([[R, np.zeros((3, 3))], [-R @ cross, R]])
+
+
+def resting_signals(description: Table) -> Array:
+    """Return the sensor's signals (6,) under the weight of the arm as described, at q = 0."""
+    arm = arm_bodies(description["arm"])
+    z = np.zeros(6 + arm.n)
+    return np.asarray(sensor_frame(description["emulator"]["sensor"]) @ arm.weight(z)[:6])
+
+
 class Sensor:
     """Six-axis force sensor: second-order Butterworth filter, gains in a frame of its own."""
 
@@ -29,9 +43,7 @@ class Sensor:
         E = sla.expm(A * h)
         self.hold, now, slope = E[:2, :2], E[:2, 2], E[:2, 3]
         self.old, self.new = now - slope / h, slope / h
-        R, r = np.diag([1.0, -1.0, -1.0]), np.asarray(table["offset"], float)
-        cross = np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
-        X = np.block([[R, np.zeros((3, 3))], [-R @ cross, R]])
+        X = sensor_frame(table)
         back = np.linalg.inv(X)
         self.gain = back @ signals.sensor_gain @ X
         self.bias = back @ signals.sensor_bias

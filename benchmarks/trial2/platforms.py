@@ -11,7 +11,19 @@ import numpy as np
 import scipy.linalg as sla
 import scipy.signal as sig
 
-from benchmarks.trial2.arm import Array, Table, rotation
+from benchmarks.trial2.arm import Array, Table
+
+
+def rotations(angles: Array) -> Array:
+    """R = Rz Ry Rx (..., 3, 3) of angles (..., 3) about x, y, z [rad]."""
+    cx, cy, cz = np.moveaxis(np.cos(angles), -1, 0)
+    sx, sy, sz = np.moveaxis(np.sin(angles), -1, 0)
+    rows = (
+        (cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx),
+        (sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx),
+        (-sy, cy * sx, cy * cx),
+    )
+    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 class Platform(Protocol):
@@ -96,25 +108,31 @@ class SixLegs:
         self.start(np.zeros(6))
 
     def lengths(self, y: Array) -> Array:
-        """Leg lengths (6,) at a pose."""
-        ends = self.home + y[:3] + self.top @ rotation(y[3:]).T
-        return np.linalg.norm(ends - self.base, axis=1)
+        """Leg lengths (..., 6) at poses (..., 6)."""
+        ends = self.home + y[..., None, :3] + self._arms(y)
+        return np.asarray(np.linalg.norm(ends - self.base, axis=-1))
+
+    def _arms(self, y: Array) -> Array:
+        """Upper ends of the legs (..., 6, 3) from the platform's origin."""
+        return np.asarray(self.top @ np.swapaxes(rotations(y[..., 3:]), -1, -2))
 
     def jacobian(self, y: Array) -> Array:
-        """Derivative (6, 6) of the lengths by the pose."""
-        arms = self.top @ rotation(y[3:]).T
-        legs = self.home + y[:3] + arms - self.base
-        unit = legs / np.linalg.norm(legs, axis=1)[:, None]
-        (cy, cz), (sy, sz) = np.cos(y[4:6]), np.sin(y[4:6])
-        spin = np.array([[cz * cy, -sz, 0.0], [sz * cy, cz, 0.0], [-sy, 0.0, 1.0]])
-        return np.hstack([unit, np.cross(arms, unit) @ spin])
+        """Derivatives (..., 6, 6) of the lengths by the pose."""
+        arms = self._arms(y)
+        legs = self.home + y[..., None, :3] + arms - self.base
+        unit = legs / np.linalg.norm(legs, axis=-1)[..., None]
+        cy, cz, sy, sz = (f(y[..., k]) for f in (np.cos, np.sin) for k in (4, 5))
+        none = np.zeros_like(cy)
+        rows = ((cz * cy, -sz, none), (sz * cy, cz, none), (-sy, none, none + 1))
+        spin = np.stack([np.stack(row, -1) for row in rows], -2)
+        return np.concatenate([unit, np.cross(arms, unit) @ spin], axis=-1)
 
     def pose(self, lengths: Array, guess: Array) -> Array:
-        """Pose (6,) of given lengths, by Newton's method."""
-        y = guess.copy()
+        """Poses (..., 6) of given lengths (..., 6), by Newton's method."""
+        y = np.broadcast_to(guess, lengths.shape).copy()
         for _ in range(20):
             miss = self.lengths(y) - lengths
-            y = y - np.linalg.solve(self.jacobian(y), miss)
+            y = y - np.linalg.solve(self.jacobian(y), miss[..., None])[..., 0]
             if np.abs(miss).max() < 1e-13:
                 break
         return y
@@ -183,32 +201,33 @@ class SixLegs:
         A[:, 4, 1], A[:, 4, 2] = self.t["participation"] * lag, -self.t["participation"] * lag
         return np.array(sla.expm(A * self.h / 2))
 
-    def _motion(self) -> Array:
-        """Y, Y', Y'' (3, 6) of the platform top now."""
+    def _motion(self, x: Array) -> Array:
+        """Y, Y', Y'' (k, 3, 6) of the platform top while the legs are at x (k, 5, 6)."""
         lag = 2 / self.t["valve_lag"]  # pilot stage and spool share it
-        speed, acceleration = self.x[1], lag * (self.x[2] - self.x[1])
-        self.y = self.pose(self.x[0], self.y)
-        J = self.jacobian(self.y)
-        yd = np.linalg.solve(J, speed)
-        small = 1e-6 / max(1.0, float(np.abs(yd).max()))
-        Jd = (self.jacobian(self.y + small * yd) - self.jacobian(self.y - small * yd)) / (
-            2 * small
+        speed, acceleration = x[:, 1], lag * (x[:, 2] - x[:, 1])
+        y = self.pose(x[:, 0], self.y)
+        J = self.jacobian(y)
+        yd = np.linalg.solve(J, speed[..., None])[..., 0]
+        small = 1e-6 / np.maximum(1.0, np.abs(yd).max(axis=-1))[:, None]
+        Jd = (self.jacobian(y + small * yd) - self.jacobian(y - small * yd)) / (
+            2 * small[..., None]
         )
-        return np.array([self.y, yd, np.linalg.solve(J, acceleration - Jd @ yd)])
+        turned = acceleration[..., None] - Jd @ yd[..., None]
+        self.y = y[-1]
+        return np.stack([y, yd, np.linalg.solve(J, turned)[..., 0]], axis=1)
 
     def follow(self, y: Array, yd: Array) -> Array:
         """Follow lengths for a period; the legs know nothing of the commanded rate."""
         wanted = self.lengths(y)
-        out = np.empty((2 * self.steps + 1, 3, 6))
+        path = []
         for k in range(2 * self.steps):
             if k % (2 * self.per) == 0:
                 self._control(wanted)
                 move = self._transition()
-            out[k] = self._motion()
+            path.append(self.x)
             full = np.vstack([self.x, self.u])
             self.x = np.einsum("lij,jl->il", move, full)[:5]
-        out[-1] = self._motion()
-        return out
+        return self._motion(np.array([*path, self.x]))
 
     def measured(self) -> Array:
         """Forward kinematics of the measured lengths."""

@@ -58,12 +58,14 @@ def answer(folder: Path, out: Path) -> dict[str, Any]:
         "verdict": result["verdict"],
         "names": names,
         "closest": closest,
+        "worse": result["worse"],
+        "held_back": [result["final_before"], result["final_after"]],
         "seconds": seconds,
     }
 
 
-def _in_place(truth: dict[str, Any], name: dict[str, Any]) -> bool:
-    """A name's kind and, if it sits at a joint, the joint."""
+def in_place(truth: dict[str, Any], name: dict[str, Any]) -> bool:
+    """Return True if a name has the truth's kind and, if it sits at a joint, the joint."""
     if truth["kind"] != name["kind"]:
         return False
     if not truth["kind"].startswith("joint/") or truth["slot"] is None:
@@ -95,8 +97,8 @@ def judge(label: Label, given: dict[str, Any]) -> str:
     truths = label["effects"]
     if label["category"] in ("null", "outside"):
         return "wrong"
-    hits = [any(_in_place(t, n) for n in names) for t in truths]
-    strays = [n for n in names if not any(_in_place(t, n) for t in truths)]
+    hits = [any(in_place(t, n) for n in names) for t in truths]
+    strays = [n for n in names if not any(in_place(t, n) for t in truths)]
     if all(hits) and not strays:
         return "right"
     if label["category"] == "pair" and any(hits) and not strays:

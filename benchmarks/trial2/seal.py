@@ -1,13 +1,18 @@
 """A seal over labels and code, to be published before a set is answered.
 
-It covers the labels, this generator, and everything that decides a diagnosis: the package
-`ves_gym` as files, byte by byte. Sizes in labels are of three digits, which processors share.
+It covers what is drawn for every case of the set, the labels that are written, this generator,
+and everything that decides a diagnosis: the package `ves_gym` as files, byte by byte. What is
+drawn and the generator determine the labels of the other cases; sizes in labels are of three
+digits, which processors share.
 """
 
 import hashlib
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+from benchmarks.trial2.cases import SIZE, draw
 
 ROOT = Path(__file__).parents[2]
 SEALED = ("benchmarks/trial2", "ves_gym")
@@ -37,12 +42,19 @@ def code_digests() -> dict[str, str]:
     return out
 
 
+def drawn(salt: str) -> str:
+    """Return the SHA-256 of what is drawn for every case, before sizes are searched."""
+    cases = [canonical(asdict(draw(salt, index))) for index in range(SIZE)]
+    return hashlib.sha256(f"{salt}\n{json.dumps(cases, sort_keys=True)}".encode()).hexdigest()
+
+
 def seal(labels: list[dict[str, Any]], salt: str) -> dict[str, Any]:
     """Return what is published first: digests of labels with their salt, and of the code."""
     text = json.dumps([canonical(label) for label in labels], sort_keys=True)
     return {
         "schema": "ves-trial2-seal/1",
         "cases": [label["index"] for label in labels],
+        "drawn": drawn(salt),
         "labels": hashlib.sha256(f"{salt}\n{text}".encode()).hexdigest(),
         "code": code_digests(),
     }
@@ -51,7 +63,7 @@ def seal(labels: list[dict[str, Any]], salt: str) -> dict[str, Any]:
 def check(published: dict[str, Any], labels: list[dict[str, Any]], salt: str) -> list[str]:
     """Return what differs between a published seal and labels, salt and code now."""
     now = seal(labels, salt)
-    out = [name for name in ("cases", "labels") if now[name] != published[name]]
+    out = [name for name in ("cases", "drawn", "labels") if now[name] != published[name]]
     return out + [
         f"code of {name}"
         for name in now["code"]

@@ -54,6 +54,18 @@ def test_noise_is_told_from_motion(correlation):
     assert found.correlation[0] == pytest.approx(correlation, abs=0.12)
 
 
+@pytest.mark.parametrize("std", [None, np.array([1e-4])])
+def test_a_motion_that_ends_at_another_rate_is_no_noise(std):
+    """At 80 Hz the jump of the rate from end to beginning leaks ten times such noise."""
+    t = np.arange(640) / 80
+    x = 0.5 * np.sin(2 * np.pi * 0.37 * t) + 1e-4 * np.random.default_rng(1).standard_normal(
+        640
+    )
+    found = estimate_noise(x[:, None], std=std)
+    assert found.std[0] == pytest.approx(1e-4, rel=0.2)
+    assert found.correlation[0] < 0.15
+
+
 def test_white_noise_has_unit_power_in_the_spectrum():
     band = SpectralWindow(2000, DT, TOP, margin(DT, TOP))
     x = np.random.default_rng(0).standard_normal((200, 2000, 1))

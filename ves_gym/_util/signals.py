@@ -147,8 +147,15 @@ class SensorNoiseModel:
             out[..., i] = scipy.signal.lfilter([1.0], [1.0, -a[i]], fresh[..., i], axis=-1)
         return out * self.std
 
+    def draw_slow(self, rng: np.random.Generator, n: int, length: int) -> Array:
+        """Return realisations (n, length, c) if all of it wandered, half a run its memory."""
+        wander = SensorNoiseModel(self.std, np.full(len(self.std), np.exp(-2 / length)))
+        return wander.draw(rng, n, length)
 
-def estimate_noise(x: Array, quiet: float = _QUIET) -> SensorNoiseModel:
+
+def estimate_noise(
+    x: Array, quiet: float = _QUIET, std: Array | None = None, computed: bool = False
+) -> SensorNoiseModel:
     """Estimate the noise of a sampled signal, separated from its motion by frequency.
 
     Above `quiet` there is no motion: first-order noise is fitted to the spectrum there by
@@ -157,12 +164,19 @@ def estimate_noise(x: Array, quiet: float = _QUIET) -> SensorNoiseModel:
     Args:
         x: (T, c) samples.
         quiet: part of the sampling rate.
+        std: (c,) standard deviations where they are stated. The median power above twice
+            `quiet`, which nothing that rings moves, then tells the correlation; the slope of
+            the spectrum alone tells it badly.
+        computed: no sensor gives it. What leaks from the motion then counts: it stands for
+            what the model that computes it leaves out.
 
     Returns:
         Standard deviations and correlations of neighbouring samples, (c,) each.
     """
     d = x - np.linspace(0, 1, len(x))[:, None] * (x[-1] - x[0])  # ends meet: no leakage
-    power = np.abs(np.fft.rfft(d - d.mean(axis=0), axis=0)) ** 2 / len(x)
+    window = "boxcar" if computed else "hann"  # nor from rates that differ there
+    taper = scipy.signal.get_window(window, len(x), fftbins=False)[:, None]
+    power = np.abs(np.fft.rfft((d - d.mean(axis=0)) * taper, axis=0)) ** 2 / (taper**2).sum()
     f = np.fft.rfftfreq(len(x))
     take = f > quiet
     power, f = power[take][:-1], f[take][:-1]
@@ -170,7 +184,12 @@ def estimate_noise(x: Array, quiet: float = _QUIET) -> SensorNoiseModel:
     shape = (1 - grid**2) / (1 - 2 * grid * np.cos(2 * np.pi * f[:, None]) + grid**2)
     ratio = power[:, None, :] / shape[:, :, None]  # (f, grid, c)
     variance = np.maximum(ratio.mean(axis=0), 1e-300)
-    misfit = np.log(variance) + np.log(shape).mean(axis=0)[:, None]
+    if std is None:
+        misfit = np.log(variance) + np.log(shape).mean(axis=0)[:, None]
+    else:
+        level = np.median(ratio[f > 2 * quiet], axis=0) / np.log(2)  # of an exponential law
+        variance = np.broadcast_to(np.square(std), level.shape)
+        misfit = np.abs(np.log(np.maximum(level, 1e-300) / variance))
     best = np.argmin(misfit, axis=0)
     return SensorNoiseModel(np.sqrt(variance[best, np.arange(x.shape[1])]), grid[best])
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, to_plain, write_result
 from ves_gym._util.views import Viewable
-from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.data.measured_run import Run, with_shared_colour
 from ves_gym.diagnosis.data.quality import Fault, faults
 from ves_gym.diagnosis.inference.cache import AnswerCache, CachedResiduals
 from ves_gym.diagnosis.inference.candidates import Candidate
@@ -42,6 +42,7 @@ from ves_gym.diagnosis.inference.model_selection import (
     unexplained,
 )
 from ves_gym.diagnosis.inference.signatures import Signatures
+from ves_gym.diagnosis.inference.slow_noise import slow_shares
 from ves_gym.diagnosis.inference.unknown import (
     LIBRARY,
     NONE_OF_THESE,
@@ -232,10 +233,17 @@ def diagnose(
         seconds[name] = clock[-1] - clock[-2]
 
     progress(0.0, "residuals")
-    if cache is None:
-        residuals = WhitenedResiduals(machine, runs, seed)
-    else:
-        residuals = CachedResiduals(machine, runs, seed, cache)
+    runs, final = with_shared_colour(runs, runs), with_shared_colour(final, runs)
+
+    def whitened(slow: Mapping[str, float]) -> WhitenedResiduals:
+        if cache is None:
+            return WhitenedResiduals(machine, runs, seed, slow)
+        return CachedResiduals(machine, runs, seed, cache, slow)
+
+    residuals = whitened({})
+    slow = slow_shares(residuals)
+    if slow:
+        residuals = whitened(slow)
     lap("locate")
     signatures = Signatures(
         residuals, candidates, lambda done: progress(0.1 + 0.5 * done, "signatures")
@@ -244,7 +252,7 @@ def diagnose(
     selection = select(residuals, signatures, limits, lambda text: progress(0.7, text))
     lap("name")
     progress(0.9, "runs held back")
-    last = WhitenedResiduals(machine, final, seed + 1) if final else None
+    last = WhitenedResiduals(machine, final, seed + 1, slow) if final else None
     doubted = 0.0  # deviance that withdrawn names had explained on the runs fitted
     if last is not None:
         before_gate = selection.fit.deviance

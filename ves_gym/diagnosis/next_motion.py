@@ -253,7 +253,7 @@ class _Search:
         )
 
     def _judged(self, played: _Played) -> _Ranked:
-        new = WhitenedResiduals(self.machine, [played.run], self._old.seed)
+        new = WhitenedResiduals(self.machine, [played.run], self._old.seed, self._old.slow)
         if self.faint:
             table = visibility(new, self.rivals[0], self.faint)
             worth = float(np.linalg.slogdet(np.eye(len(table)) + table)[1])

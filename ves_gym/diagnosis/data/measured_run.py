@@ -27,6 +27,7 @@ BAND = 12.0  # Hz: motion above it is below the noise of differentiated encoders
 MEASURED = ("q", "v", "tau", "y", "yd", "w")  # signals of the log that a sensor gives
 NEAR = "near"  # in the memory of noisy copies: that of the run itself
 COMMANDED = ("q_cmd", "v_cmd")  # that a controller is told
+_SAME_CLOCK = 1e-3  # relative difference of steps
 _GAP = 3.0  # usual steps of the clock: more is a gap
 _UNITS = (  # signal, what no such machine reaches, unit expected, unit it may be in
     ("q", 13.0, "rad", "degrees"),
@@ -123,19 +124,24 @@ class Run:
         }
         return replace(self, signals={**self.signals, **changes}, memory=memory)
 
-    def with_noise(self, rng: np.random.Generator, n: int, exact: Sequence[str] = ()) -> Run:
+    def with_noise(
+        self, rng: np.random.Generator, n: int, exact: Sequence[str] = (), slow: bool = False
+    ) -> Run:
         """Return the run n times, each with another draw of its noise on top: (n, T, c).
 
         Args:
             rng: of the draws.
             n: number of copies.
             exact: signals that the part in question was really given, as the log has them.
+            slow: as if all of the noise wandered.
         """
         noisy = {}
         for name, x in self.signals.items():
             noisy[name] = np.broadcast_to(x, (n, *x.shape))
             if name in self.noise and name not in exact:
-                noisy[name] = noisy[name] + self.noise[name].draw(rng, n, self.length)
+                model = self.noise[name]
+                draw = model.draw_slow if slow else model.draw
+                noisy[name] = noisy[name] + draw(rng, n, self.length)
         return replace(self, signals=noisy, memory={NEAR: self.memory})
 
 
@@ -196,13 +202,34 @@ def run_of_signals(
     for key, x in signals.items():
         uniform[key] = even[:, at : at + x.shape[1]]
         at += x.shape[1]
-        estimate = estimate_noise(uniform[key])
+        std = None
         if key in stated:
-            std = np.broadcast_to(np.asarray(stated[key], float), (x.shape[1],))
-            estimate = SensorNoiseModel(std.copy(), estimate.correlation)
-        noise[key] = estimate
+            std = np.broadcast_to(np.asarray(stated[key], float), (x.shape[1],)).copy()
+        noise[key] = estimate_noise(uniform[key], std=std, computed=key not in MEASURED)
     measured = {k: x for k, x in signals.items() if k in MEASURED}
     return Run(name, dt, uniform, noise, meta, band, repeats(measured))
+
+
+def with_shared_colour(runs: Sequence[Run], like: Sequence[Run]) -> list[Run]:
+    """Return runs in which noise of a stated size has the colour that all runs tell together.
+
+    Colour is a sensor's, not a run's, and whatever moves fast makes noise look whiter: the run
+    in which the least does tells it.
+
+    Args:
+        runs: to return.
+        like: runs that tell the colour, of the same sensors on the same clock.
+    """
+    out = []
+    for run in runs:
+        noise = dict(run.noise)
+        others = [k for k in like if abs(k.dt / run.dt - 1) < _SAME_CLOCK]
+        for name in set(noise) & set(run.meta.get("noise_std", {})):
+            told = [k.noise[name].correlation for k in others if name in k.noise]
+            if told:
+                noise[name] = SensorNoiseModel(noise[name].std, np.max(told, axis=0))
+        out.append(replace(run, noise=noise, memory={}))
+    return out
 
 
 def require_plausible(log: RunLog, system: System, name: str) -> None:

@@ -14,7 +14,7 @@ import io
 import os
 import shutil
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -86,11 +86,16 @@ class CachedResiduals(WhitenedResiduals):
     """Whitened residuals whose questions to the machine are answered once."""
 
     def __init__(
-        self, machine: Machine, runs: Sequence[Run], seed: int, cache: AnswerCache
+        self,
+        machine: Machine,
+        runs: Sequence[Run],
+        seed: int,
+        cache: AnswerCache,
+        slow: Mapping[str, float] | None = None,
     ) -> None:
         self._cache = cache
-        self._name = content_hash([seed, [digest_of(run) for run in runs]])
-        super().__init__(machine, runs, seed)
+        self._name = content_hash([seed, [digest_of(run) for run in runs], dict(slow or {})])
+        super().__init__(machine, runs, seed, slow)
 
     def at_port(self, port: str, models: Sequence[Any]) -> Array:
         """Return as `WhitenedResiduals.at_port`, from the cache where it is there."""

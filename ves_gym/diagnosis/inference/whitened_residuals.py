@@ -15,7 +15,7 @@ it in the long vector: least squares alone would take a lighter base for a bette
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,10 +23,12 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array, Index
+from ves_gym._util.signals import SensorNoiseModel, SpectralWindow
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.machines.base import Machine, Nuisance, Port, testable
 
 _DRAWS, _FEW = 12, 4  # of the noise, to learn what it becomes at a port
+_SHAPES = 400  # draws of slow noise, to learn how it falls with the frequency
 _COPIES = 4  # of the noise, to learn what a change of the numbers makes of it
 QUIETEST = 0.05  # of the noise's mean square that a model may leave
 _FAINT = 0.3  # of noise: what a run may have had of its own that is not worth a number
@@ -61,10 +63,18 @@ class WhitenedResiduals:
         machine: the description.
         runs: all with the same ports.
         seed: of the noise draws.
+        slow: port -> share of the noise's variance that wanders.
     """
 
-    def __init__(self, machine: Machine, runs: Sequence[Run], seed: int = 0) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        runs: Sequence[Run],
+        seed: int = 0,
+        slow: Mapping[str, float] | None = None,
+    ) -> None:
         self.machine, self.runs, self.seed = machine, list(runs), seed
+        self.slow = dict(slow or {})
         self._usual: dict[str, Array] = {}  # port -> whitened noise under the description
         self._copies: dict[Any, Run] = {}  # runs with noise to pass on
         self.ports: tuple[Port, ...] = testable(machine, runs)
@@ -77,19 +87,32 @@ class WhitenedResiduals:
         self.passed: dict[Any, Array] = {}  # change of the noise's mean square, by effect
         raw = [machine.residuals(run, [machine.nominal], names) for run in self.runs]
         self._whiten: list[dict[str, Array]] = []  # (K, c, c) of each run and port
+        self._wander: list[dict[str, Array]] = []  # (K, c, c) the same of slow noise alone
         for i, run in enumerate(self.runs):
-            rng = np.random.default_rng([seed, i])
-            noisy: dict[str, Array] = {}
-            for exact in sorted({p.exact for p in self.ports}):
-                port_names = [p.name for p in self.ports if p.exact == exact]
-                copies = run.with_noise(rng, _DRAWS, exact)
-                noisy |= machine.residuals(copies, [machine.nominal], port_names)
-            window = run.window
+            window, shape = run.window, wander_shape(run.window)
+            covariance: list[dict[str, Array]] = []
+            for only_slow in (False, True):
+                rng = np.random.default_rng([seed, i, 2] if only_slow else [seed, i])
+                noisy: dict[str, Array] = {}
+                for exact in sorted({p.exact for p in self.ports}):
+                    port_names = [p.name for p in self.ports if p.exact == exact]
+                    copies = run.with_noise(rng, _DRAWS, exact, only_slow)
+                    noisy |= machine.residuals(copies, [machine.nominal], port_names)
+                level = shape if only_slow else np.ones_like(shape)
+                covariance.append(
+                    {
+                        name: _pooled(window.spectrum(noisy[name][0] - raw[i][name][0]), level)
+                        for name in names
+                    }
+                )
+            fast, wandering = covariance
+            self._wander.append(wandering)
             self._whiten.append(
                 {
-                    name: _whitener(
-                        window.spectrum(noisy[name][0] - raw[i][name][0]),
-                        machine.floor(run, name),
+                    name: _inverse_root(
+                        fast[name]
+                        + self.slow.get(name, 0.0) * wandering[name]
+                        + np.diag(machine.floor(run, name) ** 2)
                     )
                     for name in names
                 }
@@ -185,6 +208,33 @@ class WhitenedResiduals:
             at += n * _COPIES if port.differentiates else 0
             self._spans[port.name] = slice(first, at)
         return groups, rows
+
+    def wander_shown(self, port: str, z: Array) -> tuple[Array, Array]:
+        """Return the power of a port at its lowest frequencies, and that of slow noise.
+
+        Channels are taken as they are: whitening mixes a little of one into the others, and
+        what is large in one would show in all.
+
+        Args:
+            port: name.
+            z: (N,) whitened.
+
+        Returns:
+            (m, c) over all runs, both in mean squares of the noise: what z has, and what it
+            would have if all of the noise wandered.
+        """
+        power, shown = [], []
+        for rows, whiten, wander in zip(self._rows, self._whiten, self._wander, strict=True):
+            lowest = {c: (take, part) for take, part, c in reversed(rows[port])}
+            take = lowest[0][0]
+            parts = [z[lowest[c][1]].reshape(2, -1) for c in sorted(lowest)]
+            both = np.stack([(real + 1j * imag) / np.sqrt(2) for real, imag in parts], axis=-1)
+            root = np.linalg.inv(whiten[port][take])
+            noise = np.einsum("kij,kij->ki", root, root.conj()).real
+            x = np.einsum("kij,kj->ki", root, both)
+            power.append(np.abs(x) ** 2 / noise)
+            shown.append(np.einsum("kii->ki", wander[port][take]).real / noise)
+        return np.concatenate(power), np.concatenate(shown)
 
     def part(self, port: str) -> slice:
         """Return the place of a port's numbers in the long vector."""
@@ -343,14 +393,27 @@ class WhitenedResiduals:
         return out
 
 
-def _whitener(spectra: Array, floor: Array) -> Array:
-    """Return (K, c, c) inverse roots of the cross-spectra of draws (D, K, c).
+def wander_shape(window: SpectralWindow) -> Array:
+    """Return (K,) the mean power of slow noise of unit variance by frequency."""
+    noise = SensorNoiseModel(np.ones(1), np.zeros(1))
+    drawn = noise.draw_slow(np.random.default_rng(0), _SHAPES, window.length)
+    return np.asarray(np.square(np.abs(window.spectrum(drawn)[..., 0])).mean(axis=0))
 
-    The symmetric root: every number stays with the channel it comes from.
+
+def _pooled(spectra: Array, level: Array) -> Array:
+    """(K, c, c) cross-spectra of draws (D, K, c), neighbouring frequencies taken together.
+
+    `level` (K,) is how they fall with the frequency, which pooling would smear.
     """
     draws, K, _ = spectra.shape
+    spectra = spectra / np.sqrt(level)[:, None]
     cross = np.einsum("dki,dkj->kij", spectra, spectra.conj()) / draws
     reach = np.abs(np.arange(K)[:, None] - np.arange(K)) <= _POOL
     pooled = np.einsum("kl,lij->kij", reach / reach.sum(axis=1, keepdims=True), cross)
-    value, vector = np.linalg.eigh(pooled + np.diag(floor**2))
+    return np.asarray(pooled * level[:, None, None])
+
+
+def _inverse_root(covariance: Array) -> Array:
+    """Return (K, c, c) symmetric roots: every number stays with the channel it comes from."""
+    value, vector = np.linalg.eigh(covariance)
     return np.asarray((vector / np.sqrt(value)[:, None, :]) @ np.conj(vector.swapaxes(-1, -2)))

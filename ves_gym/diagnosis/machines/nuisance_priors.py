@@ -34,7 +34,7 @@ from ves_gym.system.effect import Effect
 from ves_gym.system.system import System
 
 # Standard deviations: 0.6 of the bound one would state.
-_MASS, _INERTIA, _GAIN, _FILTER = 0.0006, 0.006, 0.0006, 0.006  # relative
+_MASS, _INERTIA, GAIN, _FILTER = 0.0006, 0.006, 0.0006, 0.006  # relative
 _COM, _FRICTION, _OFFSET = 1.2e-4, 0.03, 0.018  # m; N m; N, N m
 _WEIGHT, _MOMENT = 0.03, 0.006  # kg, kg m, of the weight estimate
 _INNER, _RESIDUAL = (8.0, 8.5, 9.5), 0.7  # Hz, kg: modes that the vehicle's model leaves out
@@ -94,7 +94,7 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
             _INERTIA * link.rotor_inertia + 1e-6,
             JointRotorInertia(added=at_joint(small)),
         )
-        yield effect(f"gain {where}", joint, 0.01, _GAIN, JointDriveGain(error=at_joint(0.01)))
+        yield effect(f"gain {where}", joint, 0.01, GAIN, JointDriveGain(error=at_joint(0.01)))
         yield effect(
             f"friction {where}", joint, 0.1, _FRICTION, JointCoulomb(torque=at_joint(0.1))
         )
@@ -107,6 +107,13 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
     base = dataclasses.replace(arm.base, mass=1.01 * arm.base.mass)
     heavier_foot = system.replace(arm=dataclasses.replace(arm, base=base))
     yield Nuisance("mass of the arm's foot", ("wrench",), heavier_foot, 0.01, _MASS)
+    for k, axis in enumerate("xyz"):
+        com = list(arm.base.com)
+        com[k] += 1e-3
+        base = dataclasses.replace(arm.base, com=tuple(com))
+        shifted_foot = system.replace(arm=dataclasses.replace(arm, base=base))
+        name = f"centre of mass {axis} of the arm's foot"
+        yield Nuisance(name, ("wrench",), shifted_foot, 1e-3, _COM)
     if system.mode == "emulated":
         yield from _of_the_laboratory(system, effect)
     for k, axis in enumerate("xyz"):  # a vehicle of six coordinates has no inner modes
@@ -146,7 +153,7 @@ def _of_the_laboratory(
         error[i, i] = 0.01
         gain = SensorCalibration(error=tuple(map(tuple, error.tolist())))
         zero = SensorBias(**six(-0.01 * float(resting[i])))  # it was zeroed under the arm
-        yield effect(f"gain of {axis}", "wrench", 0.01, _GAIN, gain, zero)
+        yield effect(f"gain of {axis}", "wrench", 0.01, GAIN, gain, zero)
     yield effect("sensor filter", "wrench", 0.01, _FILTER, SensorLag(error=0.01))
     if system.emulator_settings.operation == "microgravity":
         yield effect("weight estimate", "gravity", 0.1, _WEIGHT, GravityMass(error=0.1))

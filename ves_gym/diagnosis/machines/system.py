@@ -6,13 +6,13 @@ Every port is the simulator's own component, run alone on measured input.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
@@ -26,16 +26,17 @@ from ves_gym.diagnosis.machines.between_samples import (
 )
 from ves_gym.diagnosis.machines.causes import Together, apart
 from ves_gym.diagnosis.machines.drift import SlowPath, courses
-from ves_gym.diagnosis.machines.nuisance_priors import system_nuisances
+from ves_gym.diagnosis.machines.nuisance_priors import GAIN, system_nuisances
 from ves_gym.diagnosis.machines.platform import followed, platform_gap
 from ves_gym.diagnosis.machines.pose_noise import PoseNoise, pose_noise
 from ves_gym.diagnosis.machines.presliding import Presliding
 from ves_gym.diagnosis.machines.ringing import loop_rings
+from ves_gym.diagnosis.machines.servo import servo_gap
 from ves_gym.diagnosis.machines.tolerances import StatedErrors, with_known
 from ves_gym.diagnosis.machines.torque_balance import torque_residual
 from ves_gym.diagnosis.machines.vehicle_force import vehicle_gap
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import inverse_dynamics, newton_euler
+from ves_gym.mechanics.dynamics import newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import AXES, twist, twist_rate
 from ves_gym.system.deviations import Delays, LoopParameters
@@ -61,11 +62,15 @@ _SEEN = {  # port -> the signal that its residual is a part of
 
 @dataclass(frozen=True)
 class SystemVariant:
-    """A system, and what of it has no place in one: courses of drift, forms of friction."""
+    """A system, and what of it has no place in one: courses of drift, forms of friction.
+
+    `gains` are errors of the servo's kp and kd, relative, one per joint each.
+    """
 
     system: System
     paths: tuple[SlowPath, ...] = ()
     presliding: tuple[Presliding, ...] = ()
+    gains: tuple[tuple[float, ...], ...] = ()
 
 
 class SystemMachine:
@@ -189,7 +194,18 @@ class SystemMachine:
             dataclasses.replace(k, model=SystemVariant(k.model))
             for k in system_nuisances(self.system)
         )
-        return with_known(usual, self._stated.known, self._stated.scale)
+        every = itertools.chain(usual, self._of_the_servo())
+        return with_known(every, self._stated.known, self._stated.scale)
+
+    def _of_the_servo(self) -> Iterator[Nuisance]:
+        """Yield small errors of the gains that a controller is said to have."""
+        n = self.system.arm.n
+        for i in range(n):
+            off = tuple(0.01 if k == i else 0.0 for k in range(n))
+            none = (0.0,) * n
+            for name, gains in (("kp", (off, none)), ("kd", (none, off))):
+                model = SystemVariant(self.system, gains=gains)
+                yield Nuisance(f"{name} of joint {i + 1}", ("servo",), model, 0.01, GAIN)
 
     def unknowns(self, run: Run) -> tuple[Nuisance, ...]:
         """Return the courses that a described drift of the force sensor may have taken."""
@@ -215,7 +231,6 @@ class SystemMachine:
         """Return (m, ..., T, c) per port, as `Machine.residuals`."""
         systems = [m.system for m in models]
         residual_of = {
-            "servo": self._servo,
             "wrench": self._wrench,
             "gravity": self._gravity,
             "base": lambda run, system: vehicle_gap(run, system.actual.base),
@@ -225,6 +240,8 @@ class SystemMachine:
             for name in ports
             if name in residual_of
         }
+        if "servo" in ports:
+            out["servo"] = np.stack([self._servo(run, model) for model in models])
         if "joint" in ports:
             out["joint"] = np.stack([self._joint(run, model) for model in models])
         if "admittance" in ports:
@@ -315,21 +332,10 @@ class SystemMachine:
             del loads[list(loads)[1]]  # the first is the description's own
         return tau, wrench
 
-    def _servo(self, run: Run, system: System) -> Array:
+    def _servo(self, run: Run, model: SystemVariant) -> Array:
         """Motor torque less what the controller asks for (..., T, n)."""
-        arm = self.system.arm
-        gains = run.meta["controller"]
-        delays = Delays.of(system)
-        command = differentiated(
-            run["q_cmd"], run.dt, run.band, ahead=-float(delays.command[0])
-        )
-        q, v, _ = run.joints
-        v = _lagged(v + self._between(run).rate, delays.lag[0], run.dt)
-        demand = (command[0] - q) * gains["kp"] + (command[1] - v) * gains["kd"]
-        if gains.get("feedforward", False):
-            demand = demand + inverse_dynamics(arm, *command)[0]
-        most = arm.column("tau_max")
-        return np.asarray(run["tau"] - np.clip(demand, -most, most))
+        swing = self._between(run).rate
+        return servo_gap(run, model.system, self.system.arm, model.gains, swing)
 
     def _sensed(self, system: System, wrench: Array, more: BetweenSamples, dt: float) -> Array:
         """Return the sensor's reading of a wrench (..., T, 6)."""
@@ -374,18 +380,6 @@ def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
     if key not in run.memory:
         run.memory[key] = make()
     return run.memory[key]
-
-
-def _lagged(v: Array, lag: Array, dt: float) -> Array:
-    """Rates (..., T, n) through a first-order low-pass each, of time constants (n,) [s]."""
-    out = v.copy()
-    for i in np.flatnonzero(lag):
-        low = ([1.0], [float(lag[i]), 1.0])
-        b, a, _ = scipy.signal.cont2discrete(low, dt, method="foh")
-        first = v[..., :1, i]  # at rest under the first rate
-        zi = scipy.signal.lfilter_zi(np.ravel(b), a) * first
-        out[..., i] = scipy.signal.lfilter(np.ravel(b), a, v[..., i], axis=-1, zi=zi)[0]
-    return out
 
 
 def _compensates(system: System) -> bool:

@@ -1,0 +1,131 @@
+"""Rows of what a sealed trial must show, with their 95 % intervals (Clopper and Pearson)."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import scipy.stats as st
+
+from benchmarks.trial2.scoring import Label, in_place, judge
+
+Answer = dict[str, Any]
+SURE, BINS = 0.99, 10
+
+
+def _share(hits: Iterable[bool]) -> str:
+    """Return a share as `hits of n, low to high %`."""
+    marks = list(hits)
+    k, n = sum(marks), len(marks)
+    if not n:
+        return "no case"
+    low = st.beta.ppf(0.025, k, n - k + 1) if k else 0.0
+    high = st.beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
+    return f"{k} of {n} ({100 * k / n:.0f} %; {100 * low:.0f} to {100 * high:.0f} %)"
+
+
+def _median(shares: list[float]) -> str:
+    if not shares:
+        return "no case"
+    return f"{100 * float(np.median(shares)):.0f} % (n = {len(shares)})"
+
+
+def _removed(given: Answer) -> float:
+    """Return the part of the gap above noise that is gone on the run held back."""
+    before, after = (
+        sum(max(x**2 - 1, 0.0) for x in side.values()) for side in given["held_back"]
+    )
+    return 1 - after / before if before else 0.0
+
+
+def _names(pairs: list[tuple[Label, Answer]]) -> list[tuple[float, bool]]:
+    """Return probability and truth of every name given."""
+    return [
+        (float(name["probability"]), any(in_place(t, name) for t in label["effects"]))
+        for label, given in pairs
+        for name in given.get("names") or []
+    ]
+
+
+def _calibration(names: list[tuple[float, bool]]) -> str:
+    """Return the mean distance of probability and share of the right, over ten ranges."""
+    if not names:
+        return "no name"
+    p, right = np.array([n[0] for n in names]), np.array([n[1] for n in names], float)
+    at = np.minimum((p * BINS).astype(int), BINS - 1)
+    off = sum(abs(p[at == b].sum() - right[at == b].sum()) for b in range(BINS))
+    return f"{off / len(p):.3f} (n = {len(p)})"
+
+
+def _f1(pairs: list[tuple[Label, Answer]]) -> str:
+    """Return the F1 of the names of pairs."""
+    if not pairs:
+        return "no case"
+    found = sum(
+        any(in_place(t, n) for n in given.get("names") or [])
+        for label, given in pairs
+        for t in label["effects"]
+    )
+    given_names = _names(pairs)
+    right, truths = sum(r for _, r in given_names), sum(len(a["effects"]) for a, _ in pairs)
+    precision = right / len(given_names) if given_names else 0.0
+    recall = found / truths
+    total = precision + recall
+    return f"{2 * precision * recall / total if total else 0.0:.2f}"
+
+
+def targets(labels: list[Label], answers: dict[int, Answer]) -> str:
+    """Return the rows as Markdown."""
+    every = [(a, answers[a["index"]]) for a in labels if a["index"] in answers]
+    marks = {a["index"]: judge(a, given) for a, given in every}
+
+    def of(category: str) -> list[tuple[Label, Answer]]:
+        return [(a, given) for a, given in every if a["category"] == category]
+
+    large = [(a, g) for a, g in of("single") if min(e["gap"] for e in a["effects"]) >= 2.7]
+    usual = [(a, g) for a, g in of("null") if a["factor"] == 1 or a["stated"]]
+    beyond = [(a, g) for a, g in of("null") if not (a["factor"] == 1 or a["stated"])]
+    outside, pairs, names = of("outside"), of("pair"), _names(every)
+    unknown = [_removed(g) for a, g in outside if g["verdict"] == "not in the library"]
+    sure = [right for p, right in names if p > SURE]
+    times = sorted(g["seconds"]["cpu"] for _, g in every)
+
+    def mark(part: list[tuple[Label, Answer]], *wanted: str) -> str:
+        return _share(marks[a["index"]] in wanted for a, _ in part)
+
+    rows = [
+        ("singles >= 3 x: named alone, kind and place", mark(large, "right"), ">= 92 %"),
+        ("the same, or its class", mark(large, "right", "class"), ">= 97 %"),
+        (
+            "nulls, tolerances as described: false alarms",
+            mark(usual, "wrong", "unknown", "refused"),
+            "<= 1 of 120",
+        ),
+        (
+            "nulls, tolerances 3 and 10 times those described, unsaid: alarms",
+            mark(beyond, "wrong", "unknown", "refused"),
+            "",
+        ),
+        ("outside: unknown", mark(outside, "right"), ">= 90 %"),
+        ("outside: a wrong name", mark(outside, "wrong"), "<= 4 %"),
+        ("pairs: both named, nothing else", mark(pairs, "right"), ">= 80 %"),
+        ("pairs: F1", _f1(pairs), ">= 0.9"),
+        (f"names with p > {SURE} that are right", _share(sure), ">= 97 %"),
+        ("calibration error", _calibration(names), "<= 0.04"),
+        (
+            "a channel worse by 2 % on the run held back",
+            _share(bool(g.get("worse")) for _, g in every),
+            "0",
+        ),
+        (
+            "outside, unknown: gap above noise removed on the run held back, median",
+            _median(unknown),
+            ">= 70 %",
+        ),
+        (
+            "processor time of an answer, median",
+            f"{times[len(times) // 2]:.0f} s" if times else "no case",
+            "<= 60 s",
+        ),
+    ]  # fmt: skip
+    lines = ["| quantity | result (95 % interval) | target |", "|---|---|---|"]
+    return "\n".join(lines + [f"| {a} | {b} | {c} |" for a, b, c in rows])

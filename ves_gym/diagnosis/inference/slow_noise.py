@@ -1,0 +1,52 @@
+"""Slow noise: what sensors wander by beside the noise that shows above the motion.
+
+In a log it lies under the motion. In residuals the motion is gone: where most channels of a
+port have more and more towards zero frequency, as a wander has, its sensors wander. An effect
+that shows in a few channels leaves their median alone, and tolerances are fitted along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.diagnosis.inference.fit import fit
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+
+MOST = 0.25  # of a sensor's variance; more is a drift, which is an effect
+_GRID = np.linspace(0.0, MOST, 26)
+_LEAST = 0.01  # that is worth allowing for
+
+
+def slow_shares(residuals: WhitenedResiduals) -> Mapping[str, float]:
+    """Return the share of the noise's variance that wanders, port by port; those above zero.
+
+    Args:
+        residuals: whitened without slow noise.
+    """
+    null = fit(residuals, (), ())
+    z = residuals.less_nuisances(residuals.null, null.nuisances, True)
+    out = {}
+    for port in residuals.ports:
+        power, shown = residuals.wander_shown(port.name, z)
+        share = float(np.median([_share(p, w) for p, w in zip(power.T, shown.T, strict=True)]))
+        if share >= _LEAST:
+            out[port.name] = share
+    return out
+
+
+def _share(power: Array, shown: Array) -> float:
+    """Return the most probable share of a channel, its level in this range of frequencies free.
+
+    Whittle's likelihood: power v (1 + share * shown), v at least that of noise.
+
+    Args:
+        power: (m,) in mean squares of the noise.
+        shown: (m,) what slow noise of the same variance has.
+    """
+    model = 1 + _GRID[:, None] * shown
+    level = np.maximum((power / model).mean(axis=1), 1.0)
+    misfit = np.log(level) + (np.log(model) + power / model / level[:, None]).mean(axis=1)
+    return float(_GRID[np.argmin(misfit)])

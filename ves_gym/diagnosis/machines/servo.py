@@ -1,0 +1,59 @@
+"""The joint servo's port: a controller that is known, run on what it was given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy
+
+from ves_gym._util.params import Array
+from ves_gym._util.signals import differentiated
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.system.deviations import Delays
+from ves_gym.system.system import System
+
+
+def servo_gap(
+    run: Run, system: System, arm: Arm, off: Sequence[Sequence[float]], swing: Array
+) -> Array:
+    """Return the motor torque less what the controller asks for.
+
+    Args:
+        run: with q_cmd, v_cmd, q, tau and the controller's gains.
+        system: whose delays and lags of signals count.
+        arm: as described, for the feed-forward.
+        off: errors of kp and kd, relative, (n,) each; none: the gains are as stated.
+        swing: (T, n) rates that the angles do not show [rad/s].
+
+    Returns:
+        (..., T, n) [N m].
+    """
+    gains = run.meta["controller"]
+    kp, kd = (
+        np.asarray(gains[name], float) * (1 + np.asarray(error))
+        for name, error in zip(("kp", "kd"), off or (0.0, 0.0), strict=True)
+    )
+    delays = Delays.of(system)
+    command = differentiated(run["q_cmd"], run.dt, run.band, ahead=-float(delays.command[0]))
+    q, v, _ = run.joints
+    v = _lagged(v + swing, delays.lag[0], run.dt)
+    demand = (command[0] - q) * kp + (command[1] - v) * kd
+    if gains.get("feedforward", False):
+        demand = demand + inverse_dynamics(arm, *command)[0]
+    most = arm.column("tau_max")
+    return np.asarray(run["tau"] - np.clip(demand, -most, most))
+
+
+def _lagged(v: Array, lag: Array, dt: float) -> Array:
+    """Rates (..., T, n) through a first-order low-pass each, of time constants (n,) [s]."""
+    out = v.copy()
+    for i in np.flatnonzero(lag):
+        low = ([1.0], [float(lag[i]), 1.0])
+        b, a, _ = scipy.signal.cont2discrete(low, dt, method="foh")
+        first = v[..., :1, i]  # at rest under the first rate
+        zi = scipy.signal.lfilter_zi(np.ravel(b), a) * first
+        out[..., i] = scipy.signal.lfilter(np.ravel(b), a, v[..., i], axis=-1, zi=zi)[0]
+    return out
