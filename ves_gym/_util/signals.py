@@ -188,8 +188,8 @@ def estimate_noise(
         misfit = np.log(variance) + np.log(shape).mean(axis=0)[:, None]
     else:
         level = np.median(ratio[f > 2 * quiet], axis=0) / np.log(2)  # of an exponential law
-        variance = np.broadcast_to(np.square(std), level.shape)
-        misfit = np.abs(np.log(np.maximum(level, 1e-300) / variance))
+        variance = np.broadcast_to(np.maximum(np.square(std), 1e-300), level.shape)
+        misfit = np.abs(np.log(np.maximum(level, 1e-300)) - np.log(variance))
     best = np.argmin(misfit, axis=0)
     return SensorNoiseModel(np.sqrt(variance[best, np.arange(x.shape[1])]), grid[best])
 
