@@ -20,10 +20,10 @@ _MOVE = 0.82  # share of an episode that the way to a target takes
 MOST_SHARE = 8.0  # 1/s: largest share of the way left that is gone per second
 _ROUNDS = 2  # of Newton's method for the joint angles on the base as measured
 _FOLLOW = 12.0  # 1/s: how fast the distance from a path is taken back
-_LEAD = 0.055  # s ahead that the path's velocity is taken: half a decision, and the servos' lag
+_LEAD = 0.05  # s ahead that the path's velocity is taken: half a decision, and the servos' lag
 _CONTROLS: dict[str, dict[str, Any]] = {
     "joint_velocity": {"kind": "joint_velocity"},
-    "tool_velocity": {"kind": "tool_velocity", "speed": 1.5, "damping": 0.02},
+    "tool_velocity": {"kind": "tool_velocity", "speed": 1.5, "damping": 0.05},
 }
 
 
