@@ -26,7 +26,7 @@ function traceFrame(trace, w, h) {
     const floor = Math.max(late.reduce((a, b) => Math.min(a, b), peak), peak * 1e-4);
     [low, high] = [Math.floor(Math.log10(floor)), Math.log10(1.2 * peak)];
   }
-  const inner = { w: w - EDGE.left - EDGE.right, h: h - EDGE.top - EDGE.bottom };
+  const inner = { w: Math.max(w - EDGE.left - EDGE.right, 1), h: h - EDGE.top - EDGE.bottom };
   const level = (E) => (log ? Math.max(Math.log10(Math.max(E, 1e-300)), low) : E);
   return {
     end, low, high, log, w, h,

@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 
 from ves_gym.report.pages import embedded
 
-# Palette, light and dark scheme; the first is the straight line's.
-COLOURS = ("#7b828c", "#c8541a", "#8a4fb0", "#0a7bb5", "#1f8a58", "#b3316d", "#8a7312")
-DARK = ("#9aa3ad", "#f0884d", "#c190e6", "#4db8ef", "#52c48c", "#f07fb0", "#d1b84a")
+# Palette, light and dark scheme; the first is the straight line's. Who sees fewer colours still
+# tells each from each (tests/report/test_planner_styles.py).
+COLOURS = ("#7b828c", "#c8541a", "#9e47e7", "#0a7bb5", "#1f8a58", "#b3316d", "#6c571c")
+DARK = ("#9aa3ad", "#dd7e3e", "#de5df3", "#8ec9f4", "#60f09b", "#fa4675", "#f7cf45")
 _DASHES = ("", "8 3", "2.5 2.5", "10 3 2 3")  # as in SVG
 
 

@@ -61,25 +61,27 @@ function summaryTable(groups) {
     ...(EMULATED ? [["emulation", "error"], ["base", "error"]] : []), ["predicted", "error"],
     ["planning", "s"], ["95 %", "below s"], ["success", ""], ["solvable", "solved"], ["queries", ""],
   ];
-  const header = el("tr", {}, ...head.map(([name, unit], k) => el("th",
-    { scope: "col", class: k > 2 ? "number" : null },
+  const header = el("tr", { role: "row" }, ...head.map(([name, unit], k) => el("th",
+    { scope: "col", role: "columnheader", class: k > 2 ? "number" : null },
     symbol(name), unit ? el("span", { class: "unit" }, unit) : null)));
-  $("summary").append(el("thead", {}, header), ...groups.map((group) => summaryGroup(group, top)));
+  const bodies = groups.map((group) => summaryGroup(group, top, head.slice(2)));
+  $("summary").append(el("thead", { role: "rowgroup" }, header), ...bodies);
 }
 
-function summaryGroup(group, top) {
+/** The rows of a case; each number carries its heading, shown where rows are stacked. */
+function summaryGroup(group, top, headings) {
   const best = group.rows.length > 1 ? least(group.rows) : null;
-  const body = el("tbody");
+  const body = el("tbody", { role: "rowgroup" });
   group.rows.forEach((row, k) => {
     const cell = (text, kind = "") => el("td", { class: `number ${kind}` }, text);
-    const line = el("tr", { class: row === best ? "best" : null });
+    const line = el("tr", { role: "row", class: row === best ? "best" : null });
     if (k === 0) {
-      line.append(el("th", { scope: "rowgroup", rowspan: group.rows.length },
-        group.vehicle, el("br"), `T = ${group.duration} s`));
+      line.append(el("th", { scope: "rowgroup", role: "rowheader", rowspan: group.rows.length },
+        `${group.vehicle} `, el("br"), `T = ${group.duration} s`));
     }
     line.append(
-      el("th", { scope: "row", class: "planner" }, swatch(row.planner), row.planner),
-      el("td", {}, ratioBar(row, top)),
+      el("th", { scope: "row", role: "rowheader", class: "planner" }, swatch(row.planner), row.planner),
+      el("td", { class: "ratio" }, ratioBar(row, top)),
       cell(number(row.ratio_median)),
       cell(span(row.ratio_low, row.ratio_high), "soft"),
       cell(number(row.E_mean_median)),
@@ -101,12 +103,30 @@ function summaryGroup(group, top) {
       cell(percent(row.solvable_rate ?? null), row.solvable_rate < 1 ? "bad" : "soft"),
       cell(String(row.n), "soft"),
     );
+    line.querySelectorAll("td").forEach((each, at) => {
+      const [name, unit] = headings[at];
+      each.setAttribute("role", "cell");
+      each.prepend(el("span", { class: "label", "aria-hidden": "true" }, symbol(name), ` ${unit}`));
+    });
     body.append(line);
   });
   return body;
 }
 
 summaryTable(cases());
+
+/** A table as wide as its frame, or else one block per row: no column is ever out of sight. */
+function fitSummary() {
+  const table = $("summary");
+  table.classList.remove("dense", "stacked");
+  for (const closer of ["dense", "stacked"]) {
+    if (table.scrollWidth <= table.parentElement.clientWidth) return;
+    table.classList.add(closer);
+  }
+}
+
+fitSummary();
+addEventListener("resize", fitSummary);
 
 // --------------------------------------------------------------------- all runs
 
