@@ -129,7 +129,13 @@ def check_entry(data: Any) -> Entry:
                 f"entry.rows[{k}]: {row['id']} of group {key[0]} is there twice"
             )
         keys.add(key)
-    about = check_about(plain_entry["about"], ABOUT, "entry.about", ("reproduction", "key"))
+    about = check_about(
+        plain_entry["about"], ABOUT, "entry.about", ("reproduction", "key", "salt")
+    )
+    if "salt" in about and not (
+        isinstance(about["salt"], str) and DIGEST.fullmatch(about["salt"])
+    ):
+        raise ParameterError("entry.about.salt must be the mark of a salt, 64 digits")
     if "reproduction" in about:
         measured = table_of(about["reproduction"], REPRODUCTION, "entry.about.reproduction")
         for name, value in measured.items():
