@@ -1,6 +1,7 @@
 """Honest bundles of every track pass, at both levels; what they prove is computed here."""
 
 import copy
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -610,6 +611,11 @@ def test_verifying_takes_no_longer_than_it_may(paths, capsys):
     """Ended with its process; a refusal, and an entry, come back from there as they are."""
     assert main(["leaderboard", "verify", str(paths), "--seconds", "0.05"]) == 1
     assert "rejected: too-long: not done after 0.05 s" in capsys.readouterr().err
+    words = ["leaderboard", "verify", str(paths), "--level", "reproduced", "--workers", "2"]
+    assert main([*words, "--seconds", "600"]) == 0  # workers of its own, ended with it
+    assert "reproduced: straight" in capsys.readouterr().out
+    assert main([*words, "--seconds", "0.05"]) == 1
+    assert multiprocessing.active_children() == []
     entry = within(600, verify, str(paths))
     assert entry == verify(paths)
     with pytest.raises(BundleError) as refused:

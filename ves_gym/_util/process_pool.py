@@ -79,15 +79,23 @@ class Workers:
         count: processes; each starts with its first job.
         deaths: of its worker after which a job is given up.
         seconds: that a job may take, None for any time; it is killed and not tried again.
+        nested: jobs may start `Workers` of their own, which end with theirs.
     """
 
-    def __init__(self, count: int, *, deaths: int = 3, seconds: float | None = None) -> None:
+    def __init__(
+        self,
+        count: int,
+        *,
+        deaths: int = 3,
+        seconds: float | None = None,
+        nested: bool = False,
+    ) -> None:
         for name, value in (("workers", count), ("deaths", deaths)):
             if not isinstance(value, int) or isinstance(value, bool) or value < 1:
                 raise ParameterError(f"{name} must be a whole number >= 1, got {value!r}")
         if seconds is not None and not seconds > 0:
             raise ParameterError(f"seconds per job must be > 0, got {seconds!r}")
-        self.deaths, self.seconds = deaths, seconds
+        self.deaths, self.seconds, self.nested = deaths, seconds, nested
         self._jobs: deque[_Job] = deque()
         self._change = threading.Condition()
         self.killed = self._over = False
@@ -303,8 +311,9 @@ class _Post:
     def _start(self) -> tuple[Connection, SpawnProcess]:
         context = multiprocessing.get_context("spawn")
         pipe, there = context.Pipe()
-        # daemons: none is left behind should this process end without `close`
-        process = context.Process(target=_serve, args=(there,), daemon=True)
+        # daemons, which may have no children: none is left behind should this process end
+        # without `close`; nor of the others (`_end_with_parent`), but Python waits for those
+        process = context.Process(target=_serve, args=(there,), daemon=not self.workers.nested)
         try:
             with _BUSY, one_thread():
                 process.start()

@@ -181,8 +181,6 @@ def _verify(args: argparse.Namespace) -> int:
 
     if args.adopt and args.board is None:
         raise ParameterError("--adopt is of the board: give --board ENTRIES")
-    if args.seconds is not None and _workers(args) > 1:
-        raise ParameterError("--seconds ends one process: it goes with --workers 1")
     if args.bundle.endswith(".json"):
         return _verify_entry(args)
     try:

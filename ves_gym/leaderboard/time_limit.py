@@ -11,7 +11,7 @@ from ves_gym.leaderboard.errors import BundleError, Code
 
 
 def within(seconds: float | None, function: Callable[..., Any], *args: Any, **more: Any) -> Any:
-    """Call a function, in a process that is ended when the time is over.
+    """Call a function, in a process that is ended when the time is over, its workers with it.
 
     Args:
         seconds: that it may take, starting the process included; None for any time, and then
@@ -25,7 +25,7 @@ def within(seconds: float | None, function: Callable[..., Any], *args: Any, **mo
     if seconds is None:
         return function(*args, **more)
     try:
-        with Workers(1, deaths=1, seconds=seconds) as pool:
+        with Workers(1, deaths=1, seconds=seconds, nested=True) as pool:
             return pool.submit(partial(function, *args, **more)).result()
     except JobTimeout:
         raise BundleError(Code.TOO_LONG, f"not done after {seconds:g} s") from None

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from functools import lru_cache
 from typing import NamedTuple
@@ -13,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.process_pool import Workers
 from ves_gym.leaderboard import lower_bounds
 from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.npy_io import pack, unpack
@@ -164,9 +163,9 @@ class PathTrack:
         with ExitStack() as stack:
             planned: Iterator[Plan] = map(_planned, jobs)
             if self.workers > 1:
-                context = multiprocessing.get_context("spawn")
-                pool = stack.enter_context(ProcessPoolExecutor(self.workers, context))
-                planned = pool.map(_planned, jobs)
+                pool = stack.enter_context(Workers(self.workers))
+                futures = [pool.submit(_planned, job) for job in jobs]
+                planned = (future.result() for future in futures)
             for plan in planned:
                 plans.append(plan)
                 on_progress("planning", len(plans) / len(jobs))
