@@ -26,6 +26,17 @@ def test_four_figures_with_something_on_them(tmp_path, make_result):
         assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 50  # lines, text, colours
 
 
+@pytest.mark.parametrize(("form", "start"), [("svg", b"<?xml"), ("pdf", b"%PDF")])
+def test_a_paper_gets_lines_instead_of_pixels(tmp_path, make_result, form, start):
+    result = make_result(queries=1, points=9)
+    for folder in ("a", "b"):
+        paths = write_figures(result, tmp_path / folder, form)
+        assert [p.name for p in paths] == [name.replace("png", form) for name in ALL]
+        assert all(p.read_bytes().startswith(start) for p in paths)
+    for path in paths:  # same figure, same bytes
+        assert path.read_bytes() == (tmp_path / "a" / path.name).read_bytes()
+
+
 def test_weights_add_a_figure(tmp_path, make_result):
     """Energy against two accelerations: a line through the weights, a point per planner."""
     result = make_result(queries=2, durations=(1.0,), points=9)

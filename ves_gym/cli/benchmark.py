@@ -27,6 +27,7 @@ from ves_gym.planners.gap import NOT_ASKED
 from ves_gym.planners.objective import parse_weights
 from ves_gym.planners.registry import PLANNERS, get_planner, weighted
 from ves_gym.planners.suites import OBSTACLES, SUITES, Suite, get_suite
+from ves_gym.report.figures import FORMATS, write_figures
 from ves_gym.system.disturbance import MEASURES
 
 _NAME = 24  # characters of a planner's name in a line: its weights may take more
@@ -71,6 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--keep-best", metavar="FILE", help="merge the least energies into FILE (best known)"
     )
     parser.add_argument("--no-figures", action="store_true", help="skip figures and report")
+    parser.add_argument(
+        "--format", choices=FORMATS, default="png", help="of the figures (default png)"
+    )
     add_system_arguments(parser, angles=False)
 
 
@@ -121,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"best known: {merge_best(args.keep_best, result)} new or lower")
         written.append(Path(args.keep_best))
     if not args.no_figures:
-        written += _pictures(result, folder)
+        written += _pictures(result, folder, args.format)
     print(f"\n{len(result['rows'])} runs in {result['seconds']:.0f} s; written:")
     for path in written:
         print(f"  {path}")
@@ -177,8 +181,7 @@ def _compact(result: dict[str, Any]) -> dict[str, Any]:
     return {k: v for k, v in result.items() if k not in ("traces", "maps", "scenes")}
 
 
-def _pictures(result: dict[str, Any], folder: Path) -> list[Path]:
-    from ves_gym.report.figures import write_figures
+def _pictures(result: dict[str, Any], folder: Path, form: str) -> list[Path]:
     from ves_gym.report.page import write_page
 
     page = folder / "report.html"
@@ -186,7 +189,7 @@ def _pictures(result: dict[str, Any], folder: Path) -> list[Path]:
     if sentence := lacking("drawing", "matplotlib"):
         print(f"no pictures: {sentence}")
         return [page]
-    return [page, *write_figures(result, folder)]
+    return [page, *write_figures(result, folder, form)]
 
 
 def _print_tables(result: dict[str, Any]) -> None:

@@ -27,11 +27,21 @@ _COLUMNS = 3  # panels side by side
 _DPI = 150
 _BESIDE: dict[str, Any] = {"textcoords": "offset points", "fontsize": "small"}
 _IN_SPACE: dict[str, Any] = {"linewidth": 0.8, "dashes": (6, 4)}
+_UNDATED = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+_STYLE: Any = {"svg.hashsalt": "ves-gym", "pdf.fonttype": 42}  # fonts that journals take
+FORMATS = ("png", "svg", "pdf")
 Result = dict[str, Any]
 
 
-def write_figures(result: Result, directory: str | os.PathLike[str]) -> list[Path]:
-    """Write the figures a result has data for, as PNG.
+def write_figures(
+    result: Result, directory: str | os.PathLike[str], form: str = "png"
+) -> list[Path]:
+    """Write the figures a result has data for.
+
+    Args:
+        result: of a benchmark.
+        directory: the folder for them.
+        form: one of `FORMATS`.
 
     Returns:
         What was written, of ratio.png, energy.png, coupling.png, prediction.png, pareto.png
@@ -58,13 +68,13 @@ def write_figures(result: Result, directory: str | os.PathLike[str]) -> list[Pat
     for name, figure in figures.items():
         if figure is None:
             continue
-        written.append(Path(directory) / f"{name}.png")
+        written.append(Path(directory) / f"{name}.{form}")
         write_figure(figure, written[-1])
     return written
 
 
 def write_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as .png or .svg, completely or not at all; same figure, same bytes.
+    """Write a figure as one of `FORMATS`, completely or not at all; same figure, same bytes.
 
     Args:
         figure: of matplotlib.
@@ -76,8 +86,8 @@ def write_figure(figure: Figure, path: Path) -> None:
     import matplotlib
 
     buffer = io.BytesIO()
-    metadata = {"Date": None} if path.suffix == ".svg" else None
-    with matplotlib.rc_context({"svg.hashsalt": "ves-gym"}):
+    metadata = _UNDATED.get(path.suffix)
+    with matplotlib.rc_context(_STYLE):
         figure.savefig(buffer, format=path.suffix[1:], dpi=_DPI, metadata=metadata)
     write_bytes(path, buffer.getvalue())
 
