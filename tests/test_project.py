@@ -340,11 +340,12 @@ def deep_imports(text: str) -> list[str]:
     """Imports that go past the doors: modules of rooms, and names that no door has."""
 
     rooms = {path.split("/")[-2] for path in DOORS} | {"effects", "envs"}
+    doors = [*([room] for room in rooms), ["report", "notebook"]]
     out = []
     for package, names in re.findall(
         r"^[ >.]*from (ves_gym[\w.]*) import ([^#\n(]+|\([^)]*\))", text, re.MULTILINE
     ):
-        door = package == "ves_gym" or package.split(".")[1:] in [[room] for room in rooms]
+        door = package == "ves_gym" or package.split(".")[1:] in doors
         public = importlib.import_module(package).__all__ if door else ()
         for name in (n.split(" as ")[0].strip() for n in names.strip("() \n").split(",")):
             if name and name not in public and not (package == "ves_gym" and name in rooms):

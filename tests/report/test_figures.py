@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.report.figures import anytime_figure, pareto_figure, time_figure, write_figures
+from ves_gym.report.figures import (
+    anytime_figure,
+    pareto_figure,
+    time_figure,
+    write_figure,
+    write_figures,
+)
 
 ALL = ["ratio.png", "energy.png", "coupling.png", "prediction.png"]
 
@@ -29,12 +35,11 @@ def test_four_figures_with_something_on_them(tmp_path, make_result):
 @pytest.mark.parametrize(("form", "start"), [("svg", b"<?xml"), ("pdf", b"%PDF")])
 def test_a_paper_gets_lines_instead_of_pixels(tmp_path, make_result, form, start):
     result = make_result(queries=1, points=9)
-    for folder in ("a", "b"):
-        paths = write_figures(result, tmp_path / folder, form)
-        assert [p.name for p in paths] == [name.replace("png", form) for name in ALL]
-        assert all(p.read_bytes().startswith(start) for p in paths)
-    for path in paths:  # same figure, same bytes
-        assert path.read_bytes() == (tmp_path / "a" / path.name).read_bytes()
+    paths = write_figures(result, tmp_path, form)
+    assert [p.name for p in paths] == [name.replace("png", form) for name in ALL]
+    assert all(p.read_bytes().startswith(start) for p in paths)
+    write_figure(time_figure(result, "E"), tmp_path / f"again.{form}")
+    assert (tmp_path / f"again.{form}").read_bytes() == paths[1].read_bytes()
 
 
 def test_weights_add_a_figure(tmp_path, make_result):

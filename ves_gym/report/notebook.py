@@ -23,6 +23,8 @@ from ves_gym.report.studio_files import open_item
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
+__all__ = ["Studio", "progress_bar"]  # what notebooks import
+
 _DURATIONS = 0.5, 8.0  # s, ends of the page's slider
 
 
