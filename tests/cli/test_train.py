@@ -60,6 +60,7 @@ def test_seeds_run_in_processes_of_their_own(call, config):
     [
         (("nothing.toml",), "cannot be read"),
         (("ves/Nothing-v0",), "no configuration for ves/Nothing-v0"),
+        (("ves/PumaDamp",), 'did you mean "ves/PumaDamp-v0"?'),
         (("PumaRestToRest-v0", "--algo", "dqn"), "algorithm must be one of"),
         (("PumaRestToRest-v0", "--seeds", "one"), "--seeds must be whole numbers"),
         (("PumaRestToRest-v0", "--steps", "0"), "total_timesteps must be >= 1"),

@@ -74,6 +74,7 @@ def test_what_is_missing_is_said(columns, said):
     data = {k: t if clock else np.sin(9 * t) for k, clock in columns.items()}
     text = describe(data, "run.csv")
     assert said in "\n".join(k for k in text.splitlines() if k.startswith("#   - "))
+    assert ("the log has 100 Hz" in text) == ("t" in columns)
     tomllib.loads(text)
 
 
