@@ -95,7 +95,7 @@ def test_energies_in_the_page_are_the_simulator_s(browser, data, tmp_path):
     [
         ("bent-thesis", "puma560", 1.5), ("straight-vertical", "puma560", 2.0),
         ("straight-horizontal", "puma560", 2.0), ("free-floating", "puma560", 2.0),
-        ("bent", "ur5e", 3.0), ("bent", "puma560", 1.0), ("bent", "puma560", 4.0),
+        ("bent", "ur5e", 3.0), ("bent", "iiwa14", 2.0), ("bent", "puma560", 1.0), ("bent", "puma560", 4.0),
     ],
 )  # fmt: skip
 def test_energies_of_other_machines_are_the_simulator_s(

@@ -1,4 +1,4 @@
-// Clock, camera and controls of the animation. `film.around`: what the views must show, where
+// Clock, camera and controls of the animation. `around` of a run: what its views must show, where
 // that is not what is moving.
 
 /** Magnification that makes the largest base displacement about a twelfth of the structure. */
@@ -84,7 +84,7 @@ function zoom(factor) {
 
 function magnified() {
   const m = STEPS[$("scene-magnify").value];
-  for (const view of film.views) view.extents = extents(film.around ?? film.item, m, view.run);
+  for (const view of film.views) view.extents = extents(view.run.around ?? film.item, m, view.run);
   $("scene-magnify-out").textContent = m === 1 ? "true scale" : `× ${m}`;
   drawScene();
 }

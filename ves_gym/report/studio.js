@@ -56,8 +56,9 @@ function framesOf(track) {
 function makeFrames(track) {
   const machine = machineOf(track);
   const { beam } = machine;
+  machine.around ??= surroundings(machine);
   const run = {
-    planner: track.name, dt: FRAME, arm: [], base: [], beam: beam ? [] : null, E: [],
+    around: machine.around, planner: track.name, dt: FRAME, arm: [], base: [], beam: beam ? [] : null, E: [],
     rest_beam: beam?.rest ?? null, platform: machine.platform,
   };
   const count = Math.round(film.end / FRAME);
@@ -75,14 +76,15 @@ function makeFrames(track) {
   return run;
 }
 
-/** Where the arm can be at all, so that the views do not jump while a path is drawn. */
-function surroundings() {
+/** Where the arm of a machine can be at all, so that its views do not jump while a path is drawn. */
+function surroundings(machine) {
   const arms = [];
+  const { arm: { links }, beam } = machine;
   for (let k = 0; k < 60; k++) {
     const q = links.map(({ q_min: low, q_max: high }, j) => low + (high - low) * ((k + 0.5) * (0.618 + 0.137 * j) % 1));
-    arms.push(jointPositions(data.machine.arm, q));
+    arms.push(jointPositions(machine.arm, q));
   }
-  return { rest_beam: data.machine.beam?.rest ?? null, runs: [{ arm: arms, base: arms.map(() => [0, 0, 0, 0, 0, 0]) }] };
+  return { rest_beam: beam?.rest ?? null, runs: [{ arm: arms, base: arms.map(() => [0, 0, 0, 0, 0, 0]) }] };
 }
 
 // ---------------------------------------------------------------------------- refresh
@@ -129,11 +131,11 @@ function showMotions(coarse = false) {
   film.peak = Math.max(1e-12, ...runs.map((run) => Math.max(...run.E)));
   film.t = Math.min(film.t, film.end);
   $("scene-time").max = film.end;
-  if (film.views.length === 0 || film.views.some((view, k) => view.run.planner !== runs[k].planner)) {
+  const first = film.views.length === 0;
+  if (first || film.views.some((view, k) => view.run.planner !== runs[k].planner)) {
     film.views = runs.map((run) => makeView(film.item, run));
     $("panels").replaceChildren(...film.views.map((view) => view.figure));
-    if (!film.around) {
-      film.around = surroundings();
+    if (first) {
       $("scene-magnify").value = defaultStep({ ...film.item, rest_beam: data.machine.beam?.rest });
       film.t = tellingMoment(film.item);
     }
@@ -237,7 +239,7 @@ function makeSliders() {
       q[j] = withinLimits(j, Number(input.value) / DEG);
       setPoint(path.selected, q);
     });
-    return el("label", { class: "slider" }, el("span", {}, link.name), input, output);
+    return el("label", { class: "slider" }, el("span", { title: link.name }, link.name), input, output);
   }));
 }
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import html
 import itertools
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -93,7 +94,6 @@ def playable(system: System) -> System:
     arm.require_turning("the studio")
     for what, there in (
         ("gears that give way", arm.geared),
-        ("friction in its joints", arm.rubs),
         ("wheels or appendages on its base", base.carried),
         ("a base with quadratic drag", base.drag is not None),
     ):
@@ -136,7 +136,8 @@ def _arm(arm: Arm) -> dict[str, Any]:
     R = np.eye(3) if arm.mount is None else arm.mount.rotation
     p = (0.0, 0.0, 0.0) if arm.mount is None else arm.mount.position
     links = []
-    for k, link in enumerate(arm.links):
+    names = _short([link.name or f"joint {k + 1}" for k, link in enumerate(arm.links)])
+    for name, link in zip(names, arm.links, strict=True):
         turns = {
             f"{trig.__name__[0]}{name[0]}": round(trig(getattr(link, name) or 0.0), 15)
             for name in ("alpha", "beta")
@@ -144,7 +145,7 @@ def _arm(arm: Arm) -> dict[str, Any]:
         }
         links.append(
             {
-                "name": link.name or f"joint {k + 1}",
+                "name": name,
                 "d": link.d,
                 "a": link.a,
                 **turns,
@@ -152,6 +153,8 @@ def _arm(arm: Arm) -> dict[str, Any]:
                 "slides": bool(link.slides),
                 **_inertial(link.inertial),
                 "rotor": link.rotor_inertia,
+                "damping": link.damping or 0.0,
+                "friction": link.friction or 0.0,
                 **{x: getattr(link, x) for x in ("q_min", "q_max", "v_max", "tau_max")},
             }
         )
@@ -161,6 +164,12 @@ def _arm(arm: Arm) -> dict[str, Any]:
         "base": _inertial(arm.base),
         "links": links,
     }
+
+
+def _short(names: list[str]) -> list[str]:
+    """Names of joints without the word "joint" at the end, where all have it there."""
+    short = [re.sub(r"[_-]joint$", "", name) for name in names]
+    return short if all(map(str.__ne__, names, short)) else names
 
 
 def _inertial(body: Inertial) -> dict[str, Any]:

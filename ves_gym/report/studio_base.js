@@ -1,12 +1,15 @@
 // The base under a moving arm: linear, with the arm's inertia as the arm moves.
 //
-// With x = (Y, internal modes, how far the joints give way on their servos), the joint momentum
-// u = H_bm(q) q' and P = M(q) x' + u (docs/physics.md, Prediction):
+// With x = (Y, internal modes, e), e how far the joints q are from their command r, the momentum
+// u = H_bm(q) r' of the commanded motion and P = M(q) x' + u (docs/physics.md, Prediction):
 //
-//     x' = M(q)^-1 (P - u),    P' = -D x' - K x,
+//     x' = M(q)^-1 (P - u),    P' = -D x' - K x + g,
 //
+// g of the joints alone: torque of the command at r less that at q, q' and the base's turning, and
+// what the change of inertia takes, d/dt(H_bm^T) Y' + d/dt(H_m) e'. Solved
 // by the implicit midpoint rule, which keeps the energy of undamped modes at any step. A motor
-// at its torque limit pushes with that limit. Energy of the base: E = 1/2 Y'^T M_t Y' +
+// at its torque limit pushes with that limit. Friction of a joint (viscous, and Coulomb's as a steep
+// tanh of the rate, as the effect joint/coulomb) acts at the rate in the middle of the step. Energy of the base: E = 1/2 Y'^T M_t Y' +
 // 1/2 Y^T K Y, M_t with the arm's composite inertia; E_mean over the motion and the tail.
 
 const TAIL = 10; // s after the motion that E_mean covers
@@ -16,6 +19,8 @@ const LEAST_STEPS = 160;
 const TAIL_STEP = 0.01; // s of the tail
 const SHOWN = 4; // s of the tail in what is drawn, as in studio.py
 const RECORD = 0.01; // s between records
+const CREEP = 0.01; // rad/s over which Coulomb friction builds up, as in effects/joint_coulomb.py
+const ROUNDS = 12; // of its slope within a step, at most
 
 // --------------------------------------------------------------------- linear algebra
 
@@ -118,6 +123,8 @@ function linearModel(machine) {
   machine.linear = {
     n, b, size, K: wide(base.K, servo?.kp), D: wide(base.D, servo?.kd), M: wide(base.M, new Array(n).fill(0)),
     limit: arm.links.map((link) => link.tau_max),
+    friction: arm.links.map((link) => [link.damping, link.friction]),
+    rubs: Boolean(servo) && arm.links.some((link) => link.damping || link.friction),
   };
   return machine.linear;
 }
@@ -181,10 +188,16 @@ function modalEnergies({ omega, rows }, x, rate) {
 
 // ---------------------------------------------------------------------- the simulation
 
+/** Friction of a joint over its rate v: the slope of a straight law that gives as much there. */
+const frictionSlope = ([viscous, coulomb], v) => viscous
+  + coulomb * (Math.abs(v) < 1e-9 ? 1 / CREEP : Math.tanh(v / CREEP) / v);
+
 /** One step of x and P; `pinned` are the signs of joints whose motor is at its limit. */
 class Stepper {
   constructor(model) {
     this.model = model;
+    this.slopes = Float64Array.from(model.friction, (law) => frictionSlope(law, 0));
+    this.used = this.slopes.slice(); // of them, for the step that was solved last
     this.A = new Float64Array(model.size ** 2);
     this.d = new Float64Array(model.size);
     this.factors = new Map(); // of a mass that stays, by what is pinned
@@ -204,32 +217,56 @@ class Stepper {
       pinned.forEach((side, j) => {
         const at = (b + j) * size + b + j;
         if (side) this.A[at] = mass[at];
+        if (this.model.rubs) this.A[at] += h / 2 * this.slopes[j];
       });
       this.factors.set(key, cholesky(this.A, size));
     }
     return this.factors.get(key);
   }
 
-  step(mass, h, x, P, u, ahead, pinned) {
-    const { d, model: { b, size, K, D, limit } } = this;
-    for (let attempt = 0; attempt < 5; attempt++) {
+  step(mass, h, x, P, { u, ahead, v: rates, kick }, pinned) {
+    const { d, slopes, used, model: { b, size, K, D, limit, rubs } } = this;
+    for (let attempt = 0; attempt < (rubs ? ROUNDS : 5); attempt++) {
+      if (rubs) {
+        this.renew();
+        used.set(slopes);
+      }
       for (let i = 0; i < size; i++) {
         let pull = 0;
         for (let j = 0; j < size; j++) pull += K[i * size + j] * x[j];
         const side = i >= b ? pinned[i - b] : 0;
         if (side) pull = ahead[i - b] - side * limit[i - b];
+        if (rubs && i >= b) pull += slopes[i - b] * rates[i - b];
         d[i] = h * (P[i] - (i < 6 ? u[i] : 0)) - h * h / 2 * pull;
+        if (i >= b) d[i] += h / 2 * kick[i - b];
       }
       solveFactored(this.factor(mass, h, pinned), size, d);
-      if (size === b || !this.repin(h, x, ahead, pinned)) break;
+      if (size === b) break;
+      const repinned = this.repin(h, x, ahead, pinned);
+      if (!(rubs && this.regrade(h, rates)) && !repinned) break;
     }
     for (let i = 0; i < size; i++) {
       let push = 0;
       for (let j = 0; j < size; j++) push += D[i * size + j] * d[j] + h * K[i * size + j] * (x[j] + d[j] / 2);
       const side = i >= b ? pinned[i - b] : 0;
       P[i] -= side ? h * (ahead[i - b] - side * limit[i - b]) : push;
+      if (i >= b) P[i] += kick[i - b];
+      if (rubs && i >= b) P[i] -= used[i - b] * (h * rates[i - b] + d[i]);
     }
     for (let i = 0; i < size; i++) x[i] += d[i];
+  }
+
+  /** Take friction at the rates in the middle of the step; true if it changed by 0.1 %. */
+  regrade(h, rates) {
+    const { d, slopes, model: { b, friction } } = this;
+    let changed = false;
+    friction.forEach((law, j) => {
+      const v = rates[j] + d[b + j] / h;
+      const slope = frictionSlope(law, v);
+      if (Math.abs((slope - slopes[j]) * v) > 1e-3 * (law[1] + Math.abs(law[0] * v))) changed = true;
+      slopes[j] = slope;
+    });
+    return changed;
   }
 
   /** Find whose motors are at their limits in the middle of the step; true if that changed. */
@@ -251,13 +288,18 @@ function average(out, a, b) {
   for (let k = 0; k < a.length; k++) out[k] = (a[k] + b[k]) / 2;
 }
 
-/** What a motion needs at a node: inertia, momentum of the joints, torques on a base at rest. */
-function nodeOf(model, arm, q, v, a) {
-  const { n } = model;
+/** What a motion needs at a node: inertia, momentum of the joints, torques on a base at rest, and
+ * how much less they are at the command than where arm and base are (`x`, at its rate `dx`). */
+function nodeOf(model, arm, r, v, a, x, dx) {
+  const { n, b, size } = model;
+  const given = (row, from) => (size === b ? row : row.map((value, j) => value + from[b + j]));
+  const q = given(r, x);
   const H = inertiaMatrix(arm, q);
   const u = new Float64Array(6);
   for (let k = 0; k < 6; k++) for (let j = 0; j < n; j++) u[k] += H[k * (6 + n) + 6 + j] * v[j];
-  return { mass: massOf(model, H), u, ahead: inverseDynamics(arm, q, v, a).tau };
+  const ahead = inverseDynamics(arm, r, v, a).tau;
+  const there = size === b ? ahead : inverseDynamics(arm, q, given(v, dx), a, Array.from(dx.subarray(3, 6))).tau;
+  return { mass: massOf(model, H), u, v, ahead, drift: ahead.map((value, j) => value - there[j]) };
 }
 
 /** Play a motion: energies [J], and with `detail` the records that are drawn. */
@@ -272,7 +314,10 @@ function simulateMotion(machine, motion, { detail = false, step = STEP } = {}) {
   const pinned = new Array(n).fill(0);
   const still = new Array(n).fill(0);
   const stepper = new Stepper(model);
-  const middle = { mass: new Float64Array(size * size), u: new Float64Array(6), ahead: new Float64Array(n) };
+  const middle = {
+    mass: new Float64Array(size * size), u: new Float64Array(6), v: new Float64Array(n), ahead: new Float64Array(n),
+    drift: new Float64Array(n), kick: new Float64Array(n),
+  };
   const run = { E_peak: 0, E_res: 0, E_mean: 0, saturated: false, records: [], duration: T };
   const measure = (factor, { mass, u }) => {
     before.set(rate);
@@ -297,13 +342,24 @@ function simulateMotion(machine, motion, { detail = false, step = STEP } = {}) {
   let h = T / N;
   let every = Math.max(1, Math.round(RECORD / h));
   let [integral, E] = [0, 0];
-  let node = nodeOf(model, arm, s.q[0], s.v[0], s.a[0]);
+  let node = nodeOf(model, arm, s.q[0], s.v[0], s.a[0], x, rate);
+  const [guess, onward, half] = [1, 2, 3].map(() => new Float64Array(size)); // x, x' of the next node; x' before it
   if (detail) record(0, 0, s.q[0], s.v[0], node.ahead, h);
   for (let k = 1; k <= N; k++) {
-    const next = nodeOf(model, arm, s.q[k], s.v[k], s.a[k]);
-    for (const part of ["mass", "u", "ahead"]) average(middle[part], node[part], next[part]);
+    for (let i = 0; i < size; i++) {
+      half[i] = 1.5 * rate[i] - 0.5 * before[i];
+      onward[i] = 2 * rate[i] - before[i];
+      guess[i] = x[i] + h * half[i];
+    }
+    const next = nodeOf(model, arm, s.q[k], s.v[k], s.a[k], guess, onward);
+    for (const part of ["mass", "u", "v", "ahead", "drift"]) average(middle[part], node[part], next[part]);
+    for (let j = 0; b + j < size; j++) {
+      middle.kick[j] = h * middle.drift[j];
+      const row = (b + j) * size;
+      for (let i = 0; i < size; i++) middle.kick[j] += (next.mass[row + i] - node.mass[row + i]) * half[i];
+    }
     stepper.renew();
-    stepper.step(middle.mass, h, x, P, middle.u, middle.ahead, pinned);
+    stepper.step(middle.mass, h, x, P, middle, pinned);
     run.saturated ||= pinned.some(Boolean);
     node = next;
     const now = measure(cholesky(node.mass, size), node);
@@ -316,11 +372,11 @@ function simulateMotion(machine, motion, { detail = false, step = STEP } = {}) {
   h = TAIL_STEP;
   every = Math.round(2 * RECORD / h);
   const steps = Math.round(TAIL / h);
-  const held = { mass: node.mass, u: new Float64Array(6) };
+  const held = { mass: node.mass, u: new Float64Array(6), ahead: still, v: still, kick: still };
   const factor = cholesky(held.mass, size);
   stepper.renew();
   for (let k = 1; k <= steps; k++) {
-    stepper.step(held.mass, h, x, P, held.u, still, pinned);
+    stepper.step(held.mass, h, x, P, held, pinned);
     const now = measure(factor, held);
     integral += h * (E + now) / 2;
     E = now;

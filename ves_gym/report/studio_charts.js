@@ -253,7 +253,7 @@ function limitBands(ctx, spec, track, y, room) {
     for (const [limit, edge] of [[most, BORDER.top], [least, BORDER.top + room.h]]) {
       const at = inside(y(limit));
       if (at === edge) continue;
-      Object.assign(ctx, { fillStyle: hue, globalAlpha: 0.14 });
+      Object.assign(ctx, { fillStyle: hue, globalAlpha: common ? 0.14 : Math.max(0.05, 0.3 / all.length) });
       ctx.fillRect(BORDER.left, Math.min(at, edge), room.w, Math.abs(edge - at));
       ctx.globalAlpha = 1;
       ctx.setLineDash([3, 3]);

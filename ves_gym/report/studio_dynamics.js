@@ -133,11 +133,11 @@ function spatialInto(H, size, { mass, moment, J }) {
 
 // ------------------------------------------------------------------ inverse dynamics
 
-/** Torques [N m] of a motion on a base that stands still, and the wrench on the base. */
-function inverseDynamics(arm, q, v, a) {
+/** Torques [N m] of a motion on a base that stands still or turns at a rate, and the wrench on it. */
+function inverseDynamics(arm, q, v, a, spin = [0, 0, 0]) {
   const frames = linkFrames(arm, q);
   const moved = (at, w, dw, r) => sum(at, sum(cross(dw, r), cross(w, cross(w, r))));
-  let [w, dw, accel, point] = [[0, 0, 0], [0, 0, 0], [0, 0, 0], arm.mount.p];
+  let [w, dw, accel, point] = [spin, [0, 0, 0], [0, 0, 0], arm.mount.p];
   const pushes = frames.map((frame, i) => {
     const link = arm.links[i];
     const rate = times(v[i], frame.axis);

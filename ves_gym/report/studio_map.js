@@ -8,7 +8,7 @@
 const CELLS = 41; // per axis
 const DARKEST = 0.7; // of the ramp, so that strokes and paths are seen on it
 const BUDGET = 7; // ms of a frame for cells
-const EDGES = { left: 46, right: 12, top: 12, bottom: 38 };
+const EDGES = { left: 60, right: 18, top: 12, bottom: 38 };
 const chart = { cells: null, next: 0, key: "", image: null, frame: null, drag: null };
 const DEG = 180 / Math.PI;
 

@@ -1,0 +1,73 @@
+"""A URDF as makers of arms publish it: six joints, meshes, friction, two fingers."""
+
+import math
+
+# name, xyz and rpy of the joint, kind, +-range [rad], effort [N m], speed [rad/s], damping
+# [N m s/rad], friction [N m]; mass [kg], its centre [m], radius and length of a cylinder [m]
+_JOINTS = (
+    ("shoulder_pan", (0, 0, 0.16), (0, 0, 0), "continuous", 0, 150, 2.0, 2.0, 3.0,
+     4.2, (0, -0.02, 0.03), 0.07, 0.16),
+    ("shoulder_lift", (0, 0.13, 0), (0, math.pi / 2, 0), "revolute", 2.4, 150, 2.0, 2.0, 3.0,
+     7.9, (0, 0, 0.22), 0.06, 0.44),
+    ("elbow", (0, -0.12, 0.43), (0, 0, 0), "revolute", 2.6, 100, 2.5, 1.0, 2.0,
+     3.1, (0, 0, 0.2), 0.05, 0.39),
+    ("wrist_1", (0, 0, 0.39), (0, math.pi / 2, 0), "revolute", 3.1, 28, 3.0, 0.3, 0.6,
+     1.4, (0, 0.09, 0), 0.04, 0.1),
+    ("wrist_2", (0, 0.1, 0), (0, 0, 0), "revolute", 3.1, 28, 3.0, 0.3, 0.6,
+     1.4, (0, 0, 0.09), 0.04, 0.1),
+    ("wrist_3", (0, 0, 0.1), (0, 0, 0), "revolute", 3.1, 28, 3.0, 0.2, 0.4,
+     0.4, (0, 0.05, 0), 0.04, 0.05),
+)  # fmt: skip
+
+
+def six_joint_urdf(path, armature=0.0):
+    """Write the arm.
+
+    Args:
+        path: of the file.
+        armature: inertia of the motors' rotors, seen at the joints [kg m^2].
+    """
+    parts = [_body("base_link", 4.0, (0, 0, 0.05), 0.08, 0.1)]
+    before = "base_link"
+    for name, xyz, rpy, kind, reach, effort, speed, damping, dry, *body in _JOINTS:
+        child = f"{name}_link"
+        ends = f'lower="{-reach}" upper="{reach}" ' if kind == "revolute" else ""
+        rubs = f'<dynamics damping="{damping}" friction="{dry}" armature="{armature}"/>'
+        parts += [
+            f'<joint name="{name}_joint" type="{kind}"><parent link="{before}"/>'
+            f'<child link="{child}"/>{_origin(xyz, rpy)}'
+            f'<axis xyz="0 {int(name != "shoulder_pan")} {int(name == "shoulder_pan")}"/>'
+            f'<limit {ends}effort="{effort}" velocity="{speed}"/>{rubs}'
+            "</joint>",
+            _body(child, *body),
+        ]
+        before = child
+    for side in (-1, 1):
+        finger = f"finger{side:+d}"
+        parts += [
+            f'<joint name="{finger}_joint" type="fixed"><parent link="{before}"/>'
+            f'<child link="{finger}"/>{_origin((0.03 * side, 0.08, 0), (0, 0, 0))}</joint>',
+            _body(finger, 0.08, (0, 0.02, 0), 0.01, 0.05),
+        ]
+    parts += [
+        f'<joint name="tool_joint" type="fixed"><parent link="{before}"/>'
+        f'<child link="tool0"/>{_origin((0, 0.12, 0), (-math.pi / 2, 0, 0))}</joint>',
+        '<link name="tool0"/>',
+    ]
+    path.write_text(f'<?xml version="1.0"?>\n<robot name="maker6">{"".join(parts)}</robot>')
+    return path
+
+
+def _origin(xyz, rpy):
+    return f'<origin xyz="{" ".join(map(str, xyz))}" rpy="{" ".join(map(str, rpy))}"/>'
+
+
+def _body(name, mass, com, radius, length):
+    """A link with the inertia of a cylinder along z, and a mesh that is not there."""
+    across, along = mass * (3 * radius**2 + length**2) / 12, mass * radius**2 / 2
+    return (
+        f'<link name="{name}"><visual><geometry><mesh filename="package://maker/{name}.dae"/>'
+        f"</geometry></visual><inertial>{_origin(com, (0, 0, 0))}"
+        f'<mass value="{mass}"/><inertia ixx="{across}" iyy="{across}" izz="{along}" ixy="0"'
+        ' ixz="0" iyz="0"/></inertial></link>'
+    )
