@@ -41,6 +41,7 @@ ROOMS = (
     "leaderboard",
     "mechanics",
     "planners",
+    "report",
     "simulation",
 )
 CONSTANTS = {

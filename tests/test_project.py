@@ -376,7 +376,7 @@ def test_documentation_uses_public_paths_only(page):
     [
         "from ves_gym.system.system import System",
         ">>> from ves_gym.leaderboard.statistics import score",
-        "from ves_gym import report",
+        "from ves_gym import rendering",
         "from ves_gym._util import params",
         "import ves_gym.planners.query as query",
         "from ves_gym.simulation import weigh_poses, EmulationLoop",
