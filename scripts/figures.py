@@ -72,7 +72,7 @@ def benchmark(picture: str, words: tuple[str, ...], target: Path) -> None:
 def matrix(target: Path) -> None:
     """The crossover of a matrix that is run first; goes on where an earlier run stopped."""
     folder = ROOT / "out" / "figures" / "matrix"
-    command("matrix", ROOT / "examples" / "matrix-quick.toml", "--out", folder)
+    command("matrix", ROOT / "examples" / "matrix.toml", "--steps", 120_000, "--out", folder)
     shutil.copyfile(folder / "crossover.png", target)
 
 
@@ -220,7 +220,7 @@ FIGURES: dict[str, Figure] = {
     "teleop.gif": Figure(teleop, "`ves-gym teleop` with keys of a script"),
     "training.png": Figure(curves, "the curves in docs/training"),
     "wiring.svg": Figure(schematic, "`scripts/wiring.py`"),
-    "crossover.png": Figure(matrix, "`ves-gym matrix examples/matrix-quick.toml`"),
+    "crossover.png": Figure(matrix, "`ves-gym matrix examples/matrix.toml --steps 120000`"),
 }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MARKERS = "osD^vPX*"
+_DECADE = 10.0
 _GAP = Estimate(float("nan"), 0.0, 0.0)
 
 
@@ -126,43 +126,58 @@ def _estimate(e: Estimate, form: str) -> str:
 def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
     """Success and energy of every method against the machines, a column per task."""
     from matplotlib.figure import Figure
-    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
     tasks = [t.env for t in matrix.tasks if any(e.task == t.env for e in entries)]
     machines = _machines(matrix, entries)
-    figure = Figure(figsize=(1.5 + 4.2 * len(tasks), 6.0), layout="constrained")
+    place = {name: k for k, name in enumerate(dict.fromkeys(e.method for e in entries))}
+    figure = Figure(figsize=(1.0 + 3.3 * len(tasks), 6.5), layout="constrained")
     axes = figure.subplots(2, len(tasks), squeeze=False, sharex="col")
     for column, task in enumerate(tasks):
         task_entries = [e for e in entries if e.task == task]
         methods = list(dict.fromkeys(e.method for e in task_entries))
-        for k, (method, marker) in enumerate(zip(methods, itertools.cycle(_MARKERS))):
+        for k, method in enumerate(methods):
             of = {e.machine: e for e in task_entries if e.method == method}
             shift = 0.08 * (k - (len(methods) - 1) / 2)
             x = [i + shift for i in range(len(machines))]
+            at = place[method]  # a method looks alike in every column
+            look = {"marker": _MARKERS[at % len(_MARKERS)], "color": f"C{at % 10}"}
             successes = [of[m].success if m in of else None for m in machines]
-            _draw(axes[0][column], x, successes, method, marker)
+            _draw(axes[0][column], x, successes, method, look)
             energies = [of[m].energy if m in of else None for m in machines]
-            _draw(axes[1][column], x, energies, method, marker)
+            _draw(axes[1][column], x, energies, method, look)
         axes[0][column].set_title(task, fontsize=10)
         axes[0][column].set_ylim(-0.03, 1.03)
-        axes[1][column].set_yscale("log")
-        ticks = axes[1][column].yaxis
-        ticks.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        ticks.set_major_formatter(FormatStrFormatter("%g"))
-        ticks.set_minor_formatter(NullFormatter())
+        _logarithmic(axes[1][column])
         axes[1][column].set_xticks(range(len(machines)), machines, fontsize=8)
         for row in (0, 1):
             axes[row][column].grid(alpha=0.3)
             axes[row][column].tick_params(labelsize=8)
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
-        axes[1][column].legend(fontsize=7, ncols=3, **below)
+        axes[1][column].legend(fontsize=7, ncols=2, **below)
     axes[0][0].set_ylabel("success", fontsize=9)
     axes[1][0].set_ylabel("E_mean over the first method's", fontsize=9)
     return figure
 
 
+def _logarithmic(axes: Any) -> None:
+    """A logarithmic scale with a few plain numbers, however little it spans."""
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullFormatter
+
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    wide = high > _DECADE * low
+    ticks = axes.yaxis
+    ticks.set_major_locator(LogLocator(subs=(1, 2, 5)) if wide else MaxNLocator(5))
+    ticks.set_major_formatter(FormatStrFormatter("%g"))
+    ticks.set_minor_formatter(NullFormatter())
+
+
 def _draw(
-    axes: Any, x: Sequence[float], values: Sequence[Estimate | None], label: str, marker: str
+    axes: Any,
+    x: Sequence[float],
+    values: Sequence[Estimate | None],
+    label: str,
+    look: Mapping[str, str],
 ) -> None:
     """Values with their intervals; those that are missing or infinite leave gaps."""
     shown = [v if v is not None and v.value < float("inf") else _GAP for v in values]
@@ -173,6 +188,4 @@ def _draw(
     ends = [v.high if v.high < float("inf") else top for v in shown]
     low = [max(v.value - v.low, 0.0) for v in shown]
     high = [max(end - value, 0.0) for end, value in zip(ends, y, strict=True)]
-    axes.errorbar(
-        x, y, yerr=[low, high], label=label, marker=marker, markersize=4, capsize=2, lw=1.1
-    )
+    axes.errorbar(x, y, yerr=[low, high], label=label, markersize=4, capsize=2, lw=1.1, **look)
