@@ -14,6 +14,7 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.diagnosis.machines.base import Port
 
 MOST = 0.25  # of a sensor's variance; more is a drift, which is an effect
 _GRID = np.linspace(0.0, MOST, 26)
@@ -28,13 +29,21 @@ def slow_shares(residuals: WhitenedResiduals) -> Mapping[str, float]:
     """
     null = fit(residuals, (), ())
     z = residuals.less_nuisances(residuals.null, null.nuisances, True)
-    out = {}
+    out: dict[str, float] = {}
     for port in residuals.ports:
         power, shown = residuals.wander_shown(port.name, z)
         share = float(np.median([_share(p, w) for p, w in zip(power.T, shown.T, strict=True)]))
-        if share >= _LEAST:
-            out[port.name] = share
-    return out
+        out[port.name] = share
+    for port in residuals.ports:  # what one of them lacks is no wander of the same readings
+        alike = [k.name for k in residuals.ports if _reads_as(port, k)]
+        out[port.name] = min(out[name] for name in [port.name, *alike])
+    return {name: share for name, share in out.items() if share >= _LEAST}
+
+
+def _reads_as(a: Port, b: Port) -> bool:
+    """Return True if the channels of two ports are the same readings: motor torques, say."""
+    signal = a.channels[0].rpartition("_")[0]
+    return a.channels == b.channels and signal in a.needs and signal in b.needs
 
 
 def _share(power: Array, shown: Array) -> float:
