@@ -1,6 +1,7 @@
 """Claim: released policies of version 1 solve their tasks, at no more energy than `resolved`.
 
-And in the laboratory, for which they were not trained, at least 0.9 times as often as in space.
+And in the laboratory, for which they were not trained, at least 0.9 times as often as in space,
+whatever its errors are.
 
 Test episodes (seeds 0, 1, ...): on none of them a policy was trained or chosen. Success is that
 of the task: 1 cm for half a second at the deadline (PumaReach, PumaReachGoal), 5 mm root mean
@@ -51,11 +52,15 @@ def test_two_hundred_episodes(id):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("errors", ["lab", "hard", "held-out"])
 @pytest.mark.parametrize("id", SOLVED)
-def test_in_the_laboratory(id):
-    lab = id.replace("-v", "Emulated-v")
-    rates = [played(each, 200, 0)[0] for each in (id, lab)]
-    print(f"{id}: success {rates[0]:.3f}, in the laboratory {rates[1]:.3f}")
+def test_in_the_laboratory(id, errors):
+    policy, some = load_policy(released(id)["closing-dagger"]), {"episodes": 200, "threads": 1}
+    lab = evaluate(policy, id.replace("-v", "Emulated-v"), **some, laboratory=errors)
+    rates = [
+        np.mean([row["success"] for row in e.rows]) for e in (evaluate(policy, id, **some), lab)
+    ]
+    print(f"{id}: success {rates[0]:.3f}, in the laboratory {errors} {rates[1]:.3f}")
     assert rates[1] >= 0.9 * rates[0]
 
 
