@@ -2,7 +2,7 @@
 
 Bundles of four quick problems are made by this processor as it is, without AVX-512, and without
 AVX2 and FMA (as by `python -m tests.processors`); each is verified, its method run again, under
-all three. Printed of every one of the 36: if it is accepted, how many rows are equal to the last
+all three. Printed of each of the 36: if it is accepted, how many rows are equal to the last
 bit, and the largest relative difference of a score between maker and verifier. Status 1 where
 one is refused.
 """
