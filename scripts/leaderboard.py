@@ -183,7 +183,7 @@ def fill(wanted: Sequence[Wanted], board: Path, workers: int, blind: Path | None
     """Prove what is missing and append it, each as soon as it is there; how many failed."""
     todo, failed, begun = missing(wanted, board), 0, time.monotonic()
     print(f"{len(wanted) - len(todo)} of {len(wanted)} entries are on the board", flush=True)
-    with Workers(workers) as pool:
+    with Workers(workers, nested=True) as pool:  # diagnoses have workers of their own
         jobs = {pool.submit(prove, w, blind): w for w in todo}
         for done, job in enumerate(as_completed(jobs), 1):
             if error := job.exception():
