@@ -3,7 +3,8 @@
 begin   draws a salt into out/leaderboard/NAME.salt, which stays secret, and writes its mark
         to docs/leaderboard/seasons/NAME.json: to be committed before anything is answered
         (`python scripts/leaderboard.py --salt out/leaderboard/NAME.salt`)
-end     writes the salt there, and publishes the bundles of the season's entries
+end     writes the salt there, and publishes the bundles of the season's entries, up to
+        400 kB each: others are made again with the salt (`ves-gym leaderboard run --salt`)
 
 --board DIR     another folder of entries
 """
@@ -26,6 +27,7 @@ from ves_gym.leaderboard.verify import bundle_manifest
 
 PLACE = Path(__file__).parents[1] / "docs" / "leaderboard"
 SECRETS = Path("out/leaderboard")
+MOST = 400_000  # bytes of a bundle that is published
 
 
 def begin(board: Path, name: str, secret: Path) -> None:
@@ -51,7 +53,7 @@ def end(board: Path, name: str, secret: Path) -> int:
     records = [r for r in read(board).records if r.entry["about"].get("salt") == mark]
     there = [bundles.get(str(r.entry["bundle"])) for r in records]
     return sum(
-        file is not None and publish(board, record, file) is not None
+        file is not None and publish(board, record, file, MOST) is not None
         for record, file in zip(records, there, strict=True)
     )
 

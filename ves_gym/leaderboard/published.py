@@ -48,13 +48,16 @@ def bundle_of(file: str | os.PathLike[str]) -> Path:
     return path.parent.parent / FOLDER / f"{path.stem}.zip"
 
 
-def publish(folder: str | os.PathLike[str], record: Record, bundle: Path) -> Path | None:
+def publish(
+    folder: str | os.PathLike[str], record: Record, bundle: Path, most: int = MOST
+) -> Path | None:
     """Put a bundle beside the board; None where it is too large for that.
 
     Args:
         folder: of the entries.
         record: the bundle's entry.
         bundle: folder or .zip file.
+        most: bytes of a published bundle.
     """
     place = bundle_of(Path(folder) / record.name)
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -64,7 +67,7 @@ def publish(folder: str | os.PathLike[str], record: Record, bundle: Path) -> Pat
         data = write_members(packed, read_members(bundle)).read_bytes()
     finally:
         packed.unlink(missing_ok=True)
-    if len(data) > MOST:
+    if len(data) > most:
         return None
     write_bytes(place, data)
     return place
