@@ -1,4 +1,4 @@
-"""Share of a gap that the torque written as `joint/unknown` removes on runs held back.
+"""Share of a gap that torques written without a name remove on runs held back.
 
     python -m benchmarks.unnamed --kinds hose_drag dwell_stiction --each 3 --out /tmp/unnamed
 
@@ -53,7 +53,7 @@ def main() -> None:
         final = gaps(last, found or null, null, False)
         worst = max(final, key=lambda g: g.before)
         removed = removed_gap([(g.port, g.channel, g.before, g.after) for g in final])
-        joints = [] if found is None else [c.slot for c in found.candidates]
+        joints = [] if found is None else [c.name for c in found.candidates]
         print(
             f"{index} {kind}: {worst.port}/{worst.channel} {worst.before:.2f} to"
             f" {worst.after:.2f}, written at {', '.join(joints) or 'no joint'}",

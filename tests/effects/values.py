@@ -36,6 +36,12 @@ VALUES = {
     "joint/elasticity": {"compliance": (3e-5, 2e-5, 1e-4), "damping": (5.0, 5.0, 2.0)},
     "joint/load_friction": {"coefficient": (0.05, 0.1, 0.05)},
     "joint/measurement_delay": {"delay": 0.004},
+    "joint/memory": {
+        "lasting": (1.0, 2.0, 0.5),
+        "rested_fast": (1.0, -0.5, 0.5),
+        "rested": (2.0, 4.0, 0.5),
+        "rested_slow": (3.0, 0.0, 0.5),
+    },
     "joint/ripple": {
         "amplitude": (1.0, 1.0, 0.5),
         "cycles": (62.6, 107.8, 53.7),

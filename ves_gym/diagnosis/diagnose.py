@@ -56,6 +56,7 @@ from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine, untestable
 from ves_gym.diagnosis.machines.causes import apart
 from ves_gym.diagnosis.machines.drift import SlowPath
+from ves_gym.effects import JointMemory
 from ves_gym.system.system import System
 
 NOTHING, NAMED, ONE_OF = "nothing missing", "named", "one of"
@@ -164,8 +165,10 @@ class Diagnosis(Viewable):
         if self.verdict == UNKNOWN:
             on = "".join(f"; {d.sentence}" for d in self.depends[:1])
             if self.unnamed is not None:
-                joints = ", ".join(c.slot for c in self.unnamed.candidates)
-                on += f"; what is at {joints} is written as a torque without a name"
+                joints = ", ".join(dict.fromkeys(c.slot for c in self.unnamed.candidates))
+                past = any(c.kind == JointMemory.kind for c in self.unnamed.candidates)
+                of = "angles, rates and how it has moved before" if past else "angles and rates"
+                on += f"; what is at {joints} is written as a torque without a name, of {of}"
             return f"Something is missing, and it is not in the library{why}{on}."
         if self.verdict == MORE:
             return f"Missing: {names}; more remains that is not in the library{why}."

@@ -25,6 +25,7 @@ from ves_gym.effects.joint_drive_gain import JointDriveGain
 from ves_gym.effects.joint_elasticity import JointElasticity
 from ves_gym.effects.joint_load_friction import JointLoadFriction
 from ves_gym.effects.joint_measurement_delay import JointMeasurementDelay
+from ves_gym.effects.joint_memory import JointMemory
 from ves_gym.effects.joint_ripple import JointRipple
 from ves_gym.effects.joint_rotor_inertia import JointRotorInertia
 from ves_gym.effects.joint_stribeck import JointStribeck
@@ -83,6 +84,7 @@ __all__ = [
     "JointElasticity",
     "JointLoadFriction",
     "JointMeasurementDelay",
+    "JointMemory",
     "JointRipple",
     "JointRotorInertia",
     "JointStribeck",

@@ -1,4 +1,5 @@
-"""The line between joint controller and drives: late commands, old and lagging measurements.
+"""The line between joint controller and drives: late commands, old and lagging measurements,
+and a friction of the drives that depends on how they have moved.
 
 Everything here is per simulation (leading axis n) and in physics steps: between two steps
 command, angles and rates are linear.
@@ -16,6 +17,7 @@ from ves_gym._util.params import Array, Index
 from ves_gym.engine.backends.base import Backend
 from ves_gym.system.deviations import Delays
 from ves_gym.system.effect import DelayEffect
+from ves_gym.system.rest_friction import advanced, fresh, friction
 from ves_gym.system.system import System
 
 _WHOLE = 1e-9  # of a physics step: a delay as near as that to whole steps is whole
@@ -32,6 +34,7 @@ class JointDelays:
         self.command_history = np.zeros((n, 0, 2, self.joints))
         # angles, rates as seen through the low-pass, and rates, at past nodes
         self.measurement_history = np.zeros((n, 0, 3, self.joints))
+        self._bristle, self._age = fresh((n, self.joints))
         self._fit()
 
     def _whole_and_part(self, delay: Array) -> tuple[Index, Array]:
@@ -44,8 +47,13 @@ class JointDelays:
 
     @property
     def busy(self) -> bool:
-        """True if there is any delay."""
-        return self.commands_late or self.measurements_late
+        """True if there is any delay, or a friction that remembers."""
+        return self.commands_late or self.measurements_late or self.rubs
+
+    @property
+    def rubs(self) -> bool:
+        """True if a friction remembers how joints have moved."""
+        return bool(self.delays.friction.any())
 
     @property
     def commands_late(self) -> bool:
@@ -101,6 +109,7 @@ class JointDelays:
         """
         self._fresh[ids] = True
         self.measurement_history[ids] = np.stack([q, v, v], axis=1)[:, None]
+        self._bristle[ids], self._age[ids] = fresh(q.shape)
 
     # ---------------------------------------------------------------- commands
 
@@ -258,7 +267,7 @@ class JointDelays:
         """
         if self.commands_late:
             nodes = self.arriving(nodes)
-        if not self.measurements_late:
+        if not (self.measurements_late or self.rubs):
             return backend.step_on_platform(nodes, base, ids)
         out = []
         for j in range(nodes.shape[1] - 1):
@@ -270,24 +279,52 @@ class JointDelays:
     def _sees(
         self, backend: Backend, start: Array, end: Array, kp: Array, kd: Array
     ) -> tuple[Array, Array]:
-        """Commands at both ends of the next physics step, by a servo that sees old joints."""
-        if not self.measurements_late:
+        """Commands at both ends of the next physics step, by a servo that sees old joints, and
+        the friction of drives that remember."""
+        if not (self.measurements_late or self.rubs):
             return start, end
         _, z, zd = backend.read()
         q, v = z[:, 6:], zd[:, 6:]
-        first, last = self.correction(q, v, kp, kd)
-        self.remember(q, v)
-        return start + first, end + last
+        if self.measurements_late:
+            first, last = self.correction(q, v, kp, kd)
+            self.remember(q, v)
+            start, end = start + first, end + last
+        if self.rubs:
+            self.moved(v)
+            start, end = start + self.friction, end + self.friction
+        return start, end
+
+    # ---------------------------------------------------------------- friction
+
+    @property
+    def friction(self) -> Array:
+        """(n, joints) torque of contacts that remember, as they are now [N m]."""
+        return friction(self.delays.friction, self._bristle, self._age)
+
+    def moved(self, v: Array) -> None:
+        """Take contacts a physics step on.
+
+        Args:
+            v: (n, joints) rates during it [rad/s].
+        """
+        self._bristle, self._age = advanced(self._bristle, self._age, v, self.dt)
 
     # ------------------------------------------------------------------- state
 
     def get_state(self) -> Any:
         """Everything needed to continue exactly from here."""
-        return copy.deepcopy((self._fresh, self.command_history, self.measurement_history))
+        return copy.deepcopy(
+            (
+                *(self._fresh, self.command_history, self.measurement_history),
+                *(self._bristle, self._age),
+            )
+        )
 
     def set_state(self, state: Any) -> None:
         """Return to a state handed out by `get_state`."""
-        self._fresh, self.command_history, self.measurement_history = copy.deepcopy(state)
+        state = copy.deepcopy(state)
+        self._fresh, self.command_history, self.measurement_history = state[:3]
+        self._bristle, self._age = state[3:]
 
 
 def joint_delays_of(system: System, n: int) -> JointDelays | None:

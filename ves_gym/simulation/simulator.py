@@ -687,6 +687,7 @@ class Simulator:
         what there really is.
         """
         at_drives = broadcast(command, "command", (self.n, self.joints))
+        friction: Array | float = 0.0
         if self.joint_delays is not None and self.joint_delays.busy:
             at_drives = self.joint_delays.arrived(at_drives)
             if self.joint_delays.measurements_late:
@@ -694,9 +695,12 @@ class Simulator:
                 at_drives = (
                     at_drives + self.joint_delays.correction(q, v, self._kp, self._kd)[0]
                 )
+            if self.joint_delays.rubs:
+                friction = self.joint_delays.friction
         if self.base_actuators is not None and self.base_actuators.due:
             self.base_actuators.look(self.state, self.wheel_speed, self.backend)
-        torque, acceleration = self.backend.evaluate(at_drives)
+        torque, acceleration = self.backend.evaluate(at_drives + friction)
+        torque = torque - friction
         ydd = acceleration[:, :6]
         if self._charts is not None:
             _, z, zd = self.backend.read()

@@ -18,6 +18,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.gravity import GravityModel
 from ves_gym.system.effect import DelayEffect, LaboratoryEffect
 from ves_gym.system.emulator_settings import EmulatorSettings
+from ves_gym.system.rest_friction import RESTING
 
 if TYPE_CHECKING:
     from ves_gym.system.system import System
@@ -174,11 +175,13 @@ ARRAYS = [k.name for k in fields(LoopParameters) if k.name not in ("arm", "senso
 
 @dataclass
 class Delays:
-    """Delays between joint controller and drives that effects add to, in seconds (n,)."""
+    """Delays between joint controller and drives [s] (n,), and what drives remember."""
 
     command: Array  # from the controller's command to the drive
     measurement: Array  # age of the angles and rates that controller and log see
     lag: Array  # (n, joints) time constant of the low-pass through which they see rates
+    # (n, joints, 1 + K) levels of a friction that remembers [N m], see `rest_friction`
+    friction: Array
 
     @staticmethod
     def of(system: System, n: int = 1) -> Delays:
@@ -188,7 +191,9 @@ class Delays:
             system: with its effects.
             n: simulations.
         """
-        out = Delays(np.zeros(n), np.zeros(n), np.zeros((n, system.arm.n)))
+        out = Delays(
+            np.zeros(n), np.zeros(n), np.zeros((n, system.arm.n)), no_friction(n, system)
+        )
         for effect in system.effects:
             if isinstance(effect, DelayEffect):
                 effect.wire(out)
@@ -203,3 +208,8 @@ class Delays:
         """
         for field in fields(self):
             getattr(self, field.name)[ids] = getattr(other, field.name)
+
+
+def no_friction(n: int, system: System) -> Array:
+    """Return (n, joints, 1 + K) levels of no friction."""
+    return np.zeros((n, system.arm.n, 1 + len(RESTING)))

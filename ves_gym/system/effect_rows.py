@@ -15,7 +15,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.base_model import BaseModel
-from ves_gym.system.deviations import Delays, LoopParameters, axis_to_end
+from ves_gym.system.deviations import Delays, LoopParameters, axis_to_end, no_friction
 from ves_gym.system.effect import (
     ArmEffect,
     BaseEffect,
@@ -168,13 +168,15 @@ class EffectRows:
     def delays(self) -> Delays:
         """Delays (k, ...) between joint controller and drives."""
         k, joints = len(self), self.template.arm.n
-        out = Delays(np.zeros(k), np.zeros(k), np.zeros((joints, k)))
+        none = np.moveaxis(no_friction(k, self.template), 0, -1)
+        out = Delays(np.zeros(k), np.zeros(k), np.zeros((joints, k)), none)
         for i in range(len(self.template.effects)):
             effect = self._turned(i)
             if isinstance(effect, DelayEffect):
                 effect.wire(out)
         command, measurement = (np.broadcast_to(x, k) for x in (out.command, out.measurement))
-        return Delays(command, measurement, np.broadcast_to(out.lag, (joints, k)).T)
+        friction = np.moveaxis(np.broadcast_to(out.friction, none.shape), -1, 0)
+        return Delays(command, measurement, np.broadcast_to(out.lag, (joints, k)).T, friction)
 
     def together(self, start: LoopParameters | None) -> bool:
         """Return True if these rows at once give the very bits that each gives by itself.

@@ -67,6 +67,35 @@ def test_a_law_that_nobody_has_is_written_where_it_is(logs):
     assert System.from_dict(model.system.to_dict()) == model.system
 
 
+def rested(v, dt, torque, length=8e-4, time=1.5, way=1e-2):
+    """Friction at joint 2 that grows at rest: LuGre's bristle, integrated finely."""
+    out = np.zeros_like(v)
+    z, age, fine = 0.0, 1.0, 400
+    for k, rate in enumerate(v[:, 1]):
+        for _ in range(fine):
+            z += dt / fine * (rate - abs(rate) * z) / length
+            age += dt / fine * ((1 - age) / time - abs(rate) / way * age)
+        out[k, 1] = torque * age * z
+    return out
+
+
+def test_a_friction_that_grows_at_rest_is_written_with_its_memory(logs):
+    """Reference: a law of the test's own. Angles and rates alone remove none of it."""
+    stuck = [
+        dataclasses.replace(k, tau=k.tau + rested(k.v, k.t[1] - k.t[0], 20.0)) for k in logs
+    ]
+    residuals, last = joint_residuals(stuck[:2], 0), joint_residuals(stuck[2:], 2)
+    null = fit(residuals, (), ())
+    found = unnamed(residuals, last, null)
+    assert "joint/memory at joint 2" in [c.name for c in found.candidates]
+    gap = next(g for g in gaps(last, found, null, False) if g.channel == "tau_2")
+    print(gap)
+    assert gap.before > 3
+    assert 1 - (max(gap.after**2 - 1, 0) / (gap.before**2 - 1)) ** 0.5 > 0.7
+    model = residuals.machine.model(found.effects)
+    assert System.from_dict(model.system.to_dict()) == model.system
+
+
 def test_nothing_is_written_where_nothing_is_missing(logs):
     residuals, last = joint_residuals(logs[:2], 0), joint_residuals(logs[2:], 2)
     assert unnamed(residuals, last, fit(residuals, (), ())) is None

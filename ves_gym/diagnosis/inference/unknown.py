@@ -1,10 +1,10 @@
-"""A model of the residual that has no name: torque regressed on all angles and
-the rate of each joint, and how much belief there is in that.
+"""A model of the residual that has no name: torque regressed on all angles, the rate of each
+joint and how it has moved before, and how much belief there is in that.
 
-The regression (`joint/unknown`) is fitted with nuisances and sizes of groups as any effect is.
-Its weights have normal priors, whose size at each joint is that of the largest marginal
-likelihood. It is written where runs held back are more probable with it and no channel of
-theirs is worse. It takes no place from a name: a law that is quite the machine's is
+The regression (`joint/unknown`, `joint/memory`) is fitted with nuisances and sizes of groups as
+any effect is. Its weights have normal priors, whose size at each joint is that of the largest
+marginal likelihood. It is written where runs held back are more probable with it and no channel
+of theirs is worse. It takes no place from a name: a law that is quite the machine's is
 rare, and that many free numbers would beat most.
 """
 
@@ -27,21 +27,24 @@ from ves_gym.diagnosis.inference.variance_groups import (
     solve,
 )
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.effects.joint_memory import LEVELS, JointMemory
 from ves_gym.effects.joint_unknown import WEIGHTS, JointUnknown, monomials
 from ves_gym.system.candidate import Number, at_joint, placed
 
 NOTHING, NONE_OF_THESE, LIBRARY = "nothing", "none of these", "library"
-_SIZES = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)  # of weights, a priori [N m]
+_SIZES = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # of weights, a priori [N m]
 _SWEEPS = 2
 _WIDER = 1.05  # of the angles seen
 _FAR = (-50.0, 50.0)  # of a weight
+_OF_FRICTION = (-500.0, 500.0)  # of one of several that all but agree [N m]
 _SURE = 2.0  # log odds of what is decided by other grounds than evidence
 _LEAST = 0.01  # probability of a rival that is listed by itself
 _LISTED = 12
 
 
 def regressions(residuals: WhitenedResiduals) -> list[Candidate]:
-    """Return one regression per joint, over the angles that the runs have seen.
+    """Return two regressions per joint: over the angles that the runs have seen and its rate,
+    and over how far it has travelled since it turned and how long it has rested.
 
     Args:
         residuals: of the runs to fit.
@@ -72,7 +75,17 @@ def regressions(residuals: WhitenedResiduals) -> list[Candidate]:
             }
 
         out.append(placed(JointUnknown, f"joint {joint + 1}", numbers, fields))
-    return out
+    return [*out, *(_memory(joint, n) for joint in range(n))]
+
+
+def _memory(joint: int, n: int) -> Candidate:
+    """Friction of a joint that depends on how it has moved."""
+
+    def fields(x: Array) -> dict[str, tuple[float, ...]]:
+        return {name: at_joint(joint, n, w) for name, w in zip(LEVELS, x, strict=True)}
+
+    numbers = [Number(name, "N m", _OF_FRICTION, (1.0,)) for name in LEVELS]
+    return placed(JointMemory, f"joint {joint + 1}", numbers, fields)
 
 
 def unnamed(residuals: WhitenedResiduals, last: WhitenedResiduals, null: Fit) -> Fit | None:

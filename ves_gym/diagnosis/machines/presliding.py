@@ -8,12 +8,18 @@ does this is no other effect, so a fit may have some of it with every friction i
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.effects import JointMemory
 from ves_gym.system.effect import Effect
+from ves_gym.system.rest_friction import contacts, friction
+
+_NOISE = 3.0  # standard deviations of a rate's noise, about which it is no motion
 
 
 @dataclass(frozen=True)
@@ -37,3 +43,25 @@ class Presliding:
         flat = (-1, *torque.shape[-2:])
         rows = follow(torque.reshape(flat), np.broadcast_to(part, torque.shape).reshape(flat))
         return np.asarray(rows).reshape(torque.shape)
+
+
+def remembered_friction(run: Run, effects: Iterable[Effect]) -> Array | float:
+    """Return the torque (..., T, n) of friction that depends on how joints have moved.
+
+    Rates are those logged, where they are: a reversal lies between two samples, and rates
+    from angles up to the band smear it. A rate that noise may be is taken for rest, or it would
+    bend bristles back and forth.
+    """
+    found = [e.levels for e in effects if isinstance(e, JointMemory)]
+    if not found:
+        return 0.0
+
+    def states() -> tuple[Array, Array]:
+        if "v" not in run:
+            return contacts(run.joints.v, run.dt)
+        v = run["v"]
+        size = np.maximum(_NOISE * run.noise["v"].std, 1e-12)
+        return contacts(-v * np.expm1(-np.square(v / size)), run.dt)
+
+    bristle, age = run.derived("contacts", frozenset({"q", "v"}), states)
+    return friction(np.sum(found, axis=0), bristle, age)

@@ -29,7 +29,7 @@ from ves_gym.diagnosis.machines.drift import SlowPath, courses
 from ves_gym.diagnosis.machines.nuisance_priors import GAIN, system_nuisances
 from ves_gym.diagnosis.machines.platform import followed, platform_gap
 from ves_gym.diagnosis.machines.pose_noise import PoseNoise, pose_noise
-from ves_gym.diagnosis.machines.presliding import Presliding
+from ves_gym.diagnosis.machines.presliding import Presliding, remembered_friction
 from ves_gym.diagnosis.machines.ringing import loop_rings
 from ves_gym.diagnosis.machines.servo import servo_gap
 from ves_gym.diagnosis.machines.tolerances import StatedErrors, with_known
@@ -260,9 +260,10 @@ class SystemMachine:
         """Motor torque less what the motion takes (..., T, n)."""
         q, v, _ = run.joints
         effects, most = model.system.effects, self.system.arm.column("tau_max")
+        remembered = remembered_friction(run, effects)
 
         def laws(tau: Array) -> Array:
-            out = joint_torque(effects, q, v, tau, most)
+            out = joint_torque(effects, q, v, tau, most) + remembered
             for p in model.presliding:
                 out = out + p.built_up(joint_torque([p.effect], q, v, tau, most), v, run.dt)
             return out
