@@ -127,8 +127,13 @@ def test_size_first_picture_and_frames(browser, data, tmp_path):
     first = float(browser.do("document.body.dataset.drawn")) / 1000
     ready(browser)
     via = "vesStudio.setPoint(1, [0.6 + 0.3 * Math.sin(n / 20), 0.3 * Math.cos(n / 20), 0.1])"
+    off_the_map = "vesStudio.setPoint(1, [0.6, 0.3, 0.1 + 0.3 * Math.sin(n / 20)])"
     cost = {}
-    for name, act in (("playing", "vesStudio.seek((0.016 * n) % 6)"), ("dragging", via)):
+    for name, act in (
+        ("playing", "vesStudio.seek((0.016 * n) % 6)"),
+        ("dragging", via),
+        ("a joint off the map", off_the_map),
+    ):
         before = processor_time(browser)
         browser.do(
             f"(async () => {{ for (let n = 0; n < 90; n++) {{ {act};"

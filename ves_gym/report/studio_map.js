@@ -8,8 +8,9 @@
 const CELLS = 41; // per axis
 const DARKEST = 0.7; // of the ramp, so that strokes and paths are seen on it
 const BUDGET = 7; // ms of a frame for cells
+const PAUSE = 60; // ms without a change of the path, then cells are computed
 const EDGES = { left: 60, right: 18, top: 12, bottom: 38 };
-const chart = { cells: null, next: 0, key: "", image: null, frame: null, drag: null };
+const chart = { cells: null, next: 0, key: "", image: null, frame: null, drag: null, working: false };
 const DEG = 180 / Math.PI;
 
 /** |int_0^1 e^(-jxu) s'(u) du| of the quintic law: 15 |j_2(h)| / h^2 with h = x / 2. */
@@ -87,14 +88,23 @@ function workOnMap() {
   const others = path.points[path.selected].filter((_, j) => !path.pair.includes(j));
   const key = JSON.stringify([path.pair, others.map((value) => value.toFixed(4))]);
   if (key !== chart.key) Object.assign(chart, { key, cells: chart.cells ?? [], next: 0 });
-  if (chart.next >= CELLS * CELLS) return;
+  if (chart.next >= CELLS * CELLS || chart.working) return;
+  chart.working = true;
+  requestAnimationFrame(computeCells);
+}
+
+/** Some cells of this frame, unless the path still moves: then the frame is the path's. */
+function computeCells() {
   const until = performance.now() + BUDGET;
-  while (chart.next < CELLS * CELLS && performance.now() < until) {
-    chart.cells[chart.next] = couplingCell(data.machine, cellAngles(chart.next), path.pair);
-    chart.next += 1;
+  if (until - BUDGET - todo.last > PAUSE) {
+    while (chart.next < CELLS * CELLS && performance.now() < until) {
+      chart.cells[chart.next] = couplingCell(data.machine, cellAngles(chart.next), path.pair);
+      chart.next += 1;
+    }
   }
-  if (chart.next >= CELLS * CELLS) shadeMap();
-  requestAnimationFrame(workOnMap);
+  chart.working = chart.next < CELLS * CELLS;
+  if (chart.working) requestAnimationFrame(computeCells);
+  else shadeMap();
 }
 
 /** Colours and least directions of all cells for the duration meant. */
