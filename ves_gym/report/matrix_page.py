@@ -148,10 +148,11 @@ def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
         axes[0][column].set_title(task, fontsize=10)
         axes[0][column].set_ylim(-0.03, 1.03)
         _logarithmic(axes[1][column])
-        axes[1][column].set_xticks(range(len(machines)), machines, fontsize=8)
+        axes[1][column].set_xticks(range(len(machines)), machines)
         for row in (0, 1):
             axes[row][column].grid(alpha=0.3)
             axes[row][column].tick_params(labelsize=8)
+            axes[row][column].tick_params(axis="x", labelsize=7)  # six names in a row
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
         axes[1][column].legend(fontsize=7, ncols=2, **below)
     axes[0][0].set_ylabel("success", fontsize=9)
