@@ -27,7 +27,6 @@ from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.simulation.gravity_calibration import calibration_poses
 
 FOLDER = Path(by_hand.__file__).parent
-FOOT = "mass of the arm's foot"
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +80,9 @@ def test_what_is_missing_is_not_in_the_library(files):
     print(found.sentence, [f.candidate.name for f in found.explanations], stretched(found))
     assert found.verdict == UNKNOWN
     assert added(found) == ()
-    # where the weight itself went: into a tolerance, far beyond what that allows
+    # where it went beside: into tolerances of the arm, far beyond what those allow
     name, size = stretched(found)[0]
-    assert name == FOOT and size >= 4.9  # at the end of what a tolerance may be
+    assert name.startswith("centre of mass") and size >= 4.6
 
 
 def test_the_arm_that_made_the_logs_is_left_alone(files):

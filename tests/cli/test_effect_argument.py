@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import ves_gym.effects  # noqa: F401  (fills the registry)
+from tests.effects.values import VALUES
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import parse_effect
 from ves_gym.cli.main import main
@@ -22,13 +23,15 @@ COULOMB = "joint/coulomb:torque=3,0,0"
 @pytest.mark.parametrize("kind", sorted(EFFECTS))
 @pytest.mark.parametrize("brackets", [False, True])
 def test_every_effect_can_be_written(kind, brackets):
-    """Values drawn inside the bounds come back to the last bit."""
+    """Values drawn inside the bounds come back to the last bit; those of a body are one's."""
     rng = np.random.default_rng(7)
     values, words = {}, []
     for field in dataclasses.fields(EFFECTS[kind]):
         low, high = field.metadata["bounds"]
         shape = tuple(3 if k is None else k for k in field.metadata["shape"])
         value = rng.uniform(low, high, shape).tolist()
+        if kind == "payload/body":
+            value = (np.array(VALUES[kind][field.name]) / 3).tolist()
         values[field.name] = value
         flat = str(value).replace(" ", "")
         words.append(f"{field.name}={flat if brackets or len(shape) > 1 else flat.strip('[]')}")

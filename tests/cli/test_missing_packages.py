@@ -210,4 +210,4 @@ def test_every_extra_is_one_that_has_the_package():
     for module, source in PACKAGES.items():
         texts = extras[source.extra] if source.extra else project["dependencies"]
         names = [re.match(r"[\w.-]+", text)[0] for text in texts]
-        assert source.package in names or module == "ray"
+        assert source.package in names or module in ("ray", "wandb")  # only where installed

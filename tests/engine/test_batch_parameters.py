@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.effects.values import VALUES
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import (
     GravityDelay,
@@ -77,6 +78,9 @@ def _elsewhere(tmp_path, monkeypatch):
 def draw_effect(kind: str, system: System, rng: np.random.Generator, reach: float) -> Effect:
     """An effect of a kind with values that go from the null value to `reach` of the bounds."""
     cls = EFFECTS[kind]
+    if kind == "payload/body":  # its numbers together are a body's, as are any share of them
+        share = rng.uniform(0.1 * reach, reach)
+        return cls(**{k: (share * np.array(v)).tolist() for k, v in VALUES[kind].items()})
     for length in (system.arm.n, 3 + 2 * system.arm.n):
         values = {}
         for field in dataclasses.fields(cls):

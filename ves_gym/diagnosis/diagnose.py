@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import scipy.stats
 
 from ves_gym._util.params import Array, ParameterError, to_plain, write_result
 from ves_gym._util.views import Viewable
@@ -51,7 +52,6 @@ from ves_gym.diagnosis.inference.unknown import (
     unnamed,
 )
 from ves_gym.diagnosis.inference.unknown import NOTHING as DESCRIBED
-from ves_gym.diagnosis.inference.variance_groups import FARTHEST
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine, untestable
 from ves_gym.diagnosis.machines.causes import apart
@@ -70,6 +70,8 @@ _LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
 WIDE = 1.645  # standard deviations to either side of a 90 % interval
 _CLEAR = 1.5  # stated standard deviations from zero; they are twice those of a perfect fit
 _COMPARED = 10  # candidates whose likeness is told
+_FEW = 3  # names that may need a tolerance far off: descriptions state them too narrow
+_CHANCE = 1e-4  # of any tolerance of an exact description lying farther off
 
 Progress = Callable[[float, str], None]
 
@@ -279,7 +281,7 @@ def diagnose(
     gained = selection.null.deviance - selection.fit.deviance
     share = remaining / max(remaining + gained, 1e-9)
     verdict = _verdict(explanations, remaining, share, bool(weak), hidden, limits)
-    if verdict == MORE and _is_strained(selection.fit):
+    if (verdict == MORE or len(explanations) > _FEW) and _is_strained(selection.fit):
         verdict = UNKNOWN
     if faulty:
         verdict = _verdict_despite_faults(verdict, faulty, explanations, machine)
@@ -360,11 +362,12 @@ def _verdict(
 
 
 def _is_strained(f: Fit) -> bool:
-    """Return True if a tolerance is at the end of what it may be.
+    """Return True if a tolerance is farther off than chance would have it.
 
-    Names that leave more, and need that beside them, imitate something else.
+    Names that leave more, or many names, that need that beside them imitate something else.
     """
-    return bool((np.abs(f.nuisances) > 0.98 * FARTHEST).any())
+    chance = scipy.stats.norm.isf(_CHANCE / (2 * len(f.nuisances)))
+    return bool((np.abs(f.nuisances) > chance).any())
 
 
 def _is_faint(signatures: Signatures, i: int, size: Array, limits: Thresholds) -> bool:

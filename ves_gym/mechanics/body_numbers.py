@@ -22,6 +22,7 @@ PARAMETERS = (  # about the origin of the body's frame
 PARAMETER_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 PLACES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of the inertias in their matrix
 _LEAST = 1e-3  # m: radius of gyration that every body has
+REACH = 1.0  # m: the mass of what is fixed to a tool is on average no farther from its frame
 _ROUNDING = 1e-9
 _TRIES = 200
 _LOWER = np.tril_indices(4)
@@ -75,7 +76,8 @@ def nearest_body(numbers: npt.ArrayLike, precision: npt.ArrayLike, seen: Array) 
         seen: (k, 10) which combinations of `PARAMETERS` they are.
 
     Returns:
-        (k,) numbers that a body has, its radius of gyration 1 mm along each axis or more.
+        (k,) numbers that a body has, its radius of gyration 1 mm along each axis or more and,
+        about the frame's origin, `REACH` or less.
     """
     x = np.asarray(numbers, float)
     weight = np.asarray(precision, float)
@@ -86,25 +88,22 @@ def nearest_body(numbers: npt.ArrayLike, precision: npt.ArrayLike, seen: Array) 
     def numbers_seen(J: Array) -> Array:
         return np.asarray(seen @ numbers_of_moments(J + J[3, 3] * core))
 
-    def lower(entries: Array) -> Array:
+    def within_reach(entries: Array) -> Array:
         L = np.zeros((4, 4))
         L[_LOWER] = entries
+        far, near = np.linalg.norm(L[:3]), REACH * np.linalg.norm(L[3])
+        L[:3] *= min(1.0, near / far) if far else 1.0
         return L
 
     def miss(entries: Array) -> Array:
-        L = lower(entries)
+        L = within_reach(entries)
         return np.asarray(root @ (numbers_seen(L @ L.T) - x))
-
-    def slopes(entries: Array) -> Array:
-        L = lower(entries)
-        moved = [step @ L.T + L @ step.T for step in map(lower, np.eye(len(entries)))]
-        return np.asarray(root @ np.stack([numbers_seen(J) for J in moved], axis=1))
 
     guess = pseudo_inertia(np.linalg.pinv(seen) @ x)
     value, axes = np.linalg.eigh(guess)
     size = max(float(value.max()), 1e-6)
     clipped = (axes * np.maximum(value, 1e-4 * size)) @ axes.T
     first = np.linalg.cholesky(clipped)[_LOWER]
-    found = scipy.optimize.least_squares(miss, first, slopes, x_scale="jac", max_nfev=_TRIES)
-    L = lower(found.x)
+    found = scipy.optimize.least_squares(miss, first, x_scale="jac", max_nfev=_TRIES)
+    L = within_reach(found.x)
     return numbers_seen(L @ L.T)

@@ -91,7 +91,10 @@ def carrying(arm: Arm, body: Inertial, place: npt.ArrayLike, turn: npt.ArrayLike
     mass, com, inertia = with_body(
         *numbers_of(last.inertial), *numbers_of(body), np.asarray(place), np.asarray(turn)
     )
-    inertial = Inertial(mass=float(mass), com=tuple(com.tolist()), inertia=matrix(inertia))
+    # of the link's own kind: a diagnosis also computes with numbers that no body has
+    inertial = replace(
+        last.inertial, mass=float(mass), com=tuple(com.tolist()), inertia=matrix(inertia)
+    )
     return replace(arm, links=(*arm.links[:-1], replace(last, inertial=inertial)))
 
 
