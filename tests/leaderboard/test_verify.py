@@ -521,6 +521,7 @@ def test_a_limit_of_the_account_refuses(policy, paths, monkeypatch):
     monkeypatch.setattr(episodes, "LEDGER_EPISODES", 1e-12)
     assert rejection(policy).code is Code.LEDGER_RESIDUAL
     monkeypatch.setattr(motions, "LEDGER_PATHS", 1e-14)
+    motions._REMEMBERED.clear()  # what was simulated under the true limit
     assert rejection(paths).code is Code.LEDGER_RESIDUAL
 
 
