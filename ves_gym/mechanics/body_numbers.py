@@ -91,7 +91,7 @@ def nearest_body(numbers: npt.ArrayLike, precision: npt.ArrayLike, seen: Array) 
     def within_reach(entries: Array) -> Array:
         L = np.zeros((4, 4))
         L[_LOWER] = entries
-        far, near = np.linalg.norm(L[:3]), REACH * np.linalg.norm(L[3])
+        far, near = float(np.linalg.norm(L[:3])), REACH * float(np.linalg.norm(L[3]))
         L[:3] *= min(1.0, near / far) if far else 1.0
         return L
 
