@@ -34,7 +34,10 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+# a search that hangs has a test of its own: tests/planners/test_ompl_search.py
+@pytest.mark.parametrize(
+    "fault", [pytest.param(k, marks=pytest.mark.slow) if k == "hang" else k for k in FAULTS]
+)
 def test_a_failing_search_costs_one_query(monkeypatch, fault):
     code, message = FAULTS[fault]
     monkeypatch.setattr(

@@ -137,6 +137,7 @@ def prediction(names: tuple[str, ...], durations: tuple[float, ...], count: int)
     assert max(errors) <= 0.10
 
 
+@pytest.mark.slow
 def test_the_history_side_by_side():
     history((*HISTORY, "refined"), 3)
 
