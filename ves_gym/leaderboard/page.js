@@ -22,9 +22,11 @@ function readState() {
   if (!track()) state.track = data.tracks[0]?.track ?? "";
   const groups = track()?.groups ?? [];
   if (!groups.some((g) => g.problem === state.problem)) state.problem = groups[0]?.problem ?? "";
-  const seeds = groups.filter((g) => g.problem === state.problem).map((g) => g.seeds);
-  // official rows cannot have been fitted to: they come first where there are any
-  if (!seeds.includes(state.seeds)) state.seeds = seeds.includes("official") ? "official" : seeds[0] ?? "";
+  const here = groups.filter((g) => g.problem === state.problem);
+  const count = (seeds) => here.find((g) => g.seeds === seeds)?.entries.length ?? 0;
+  // official rows cannot have been fitted to: they come first where they are not few beside the others
+  const first = 2 * count("official") >= count("public") ? "official" : "public";
+  if (!here.some((g) => g.seeds === state.seeds)) state.seeds = count(first) ? first : here[0]?.seeds ?? "";
   if (!COLUMNS.some(({ key }) => key === state.sort.replace(/^-/, ""))) state.sort = "rank";
 }
 
