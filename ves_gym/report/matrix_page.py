@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from ves_gym._util.statistics import Estimate
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 
 _MARKERS = "osD^vPX*"
 _DECADE = 10.0
+_LEGEND = 25  # characters in a row
 _GAP = Estimate(float("nan"), 0.0, 0.0)
 
 
@@ -130,7 +132,7 @@ def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
     tasks = [t.env for t in matrix.tasks if any(e.task == t.env for e in entries)]
     machines = _machines(matrix, entries)
     place = {name: k for k, name in enumerate(dict.fromkeys(e.method for e in entries))}
-    figure = Figure(figsize=(1.0 + 3.3 * len(tasks), 6.5), layout="constrained")
+    figure = Figure(figsize=(1.0 + 3.6 * len(tasks), 6.8), layout="constrained")
     axes = figure.subplots(2, len(tasks), squeeze=False, sharex="col")
     for column, task in enumerate(tasks):
         task_entries = [e for e in entries if e.task == task]
@@ -154,7 +156,8 @@ def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
             axes[row][column].tick_params(labelsize=8)
             axes[row][column].tick_params(axis="x", labelsize=7)  # six names in a row
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
-        axes[1][column].legend(fontsize=7, ncols=2, **below)
+        labels = [fill(m, _LEGEND) for m in methods]  # wide legends would narrow the axes
+        axes[1][column].legend(labels=labels, fontsize=7, ncols=2, **below)
     axes[0][0].set_ylabel("success", fontsize=9)
     axes[1][0].set_ylabel("E_mean over the first method's", fontsize=9)
     return figure
