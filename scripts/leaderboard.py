@@ -9,7 +9,8 @@ its problem, is left alone, so it can be stopped at any moment and goes on where
     --problem P     only entries of this problem; repeatable
     --skip WORD     no method whose name begins so; repeatable
     --quick         a tenth of every problem, to try it out on another --board
-    --blind DIR     enter the track discrepancy too: its logs and labels, made there if need be
+    --blind DIR     logs, labels and answers of the track discrepancy (out/leaderboard/blind)
+    --whole-blind   all 600 cases of that track, not only its 30 (some 17 hours of one core)
     --board DIR     another folder of entries; the page is written beside it
     --salt FILE     official seeds, of the season of this salt (`python scripts/season.py`): its
                     bundles are published when it ends
@@ -29,7 +30,6 @@ from ves_gym._util.params import ParameterError
 from ves_gym._util.process_pool import Workers
 from ves_gym.baselines.policy import released
 from ves_gym.baselines.registry import CONTROLLERS
-from ves_gym.diagnosis.benchmark.score import METHODS
 from ves_gym.leaderboard.board import make_board
 from ves_gym.leaderboard.entry import Entry
 from ves_gym.leaderboard.errors import BundleError
@@ -48,6 +48,7 @@ from ves_gym.leaderboard.protocol import (
 from ves_gym.leaderboard.published import publish
 from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.tracks.damping import TUNERS
+from ves_gym.leaderboard.tracks.selectors import SELECTORS
 from ves_gym.leaderboard.verify import bundle_manifest, verify
 
 PLACE = Path(__file__).parents[1] / "docs" / "leaderboard"
@@ -93,8 +94,12 @@ class Wanted:
         return f"{self.track} {self.problem} {self.method}"
 
 
-def table(blind: bool) -> list[Wanted]:
-    """All of them, quick ones first."""
+def table(whole_blind: bool) -> list[Wanted]:
+    """All of them, quick ones first.
+
+    Args:
+        whole_blind: the 600 cases of the track discrepancy too, beside the 30.
+    """
     acting = {
         mode: [
             (f"ves/{task}{mode}-v0", name)
@@ -122,7 +127,8 @@ def table(blind: bool) -> list[Wanted]:
         *paths(MODES[1], PLANNERS),
         *(Wanted("damping", "pped-bent", name) for name in TUNERS),
         *(w for mode in MODES for w in paths(mode, SEARCHES)),
-        *(Wanted("discrepancy", "blind-development", k) for k in METHODS if blind),
+        *(Wanted("discrepancy", f"blind-development{QUICK}", k) for k in SELECTORS),
+        *(Wanted("discrepancy", "blind-development", k) for k in SELECTORS if whole_blind),
     ]
     return sorted(whole, key=lambda w: w.method == _SLOWEST)
 
@@ -144,6 +150,10 @@ def prove(wanted: Wanted, blind: Path | None) -> Entry:
             folder=blind,
         )
     return verify(wanted.bundle, level=wanted.level, salt=wanted.salt, folder=blind)
+
+
+def _quick(problem: str) -> str:
+    return problem.removesuffix(QUICK) + QUICK
 
 
 def _current(wanted: Wanted) -> bool:
@@ -209,18 +219,20 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--skip", action="append", default=[])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--blind", type=Path)
+    parser.add_argument("--whole-blind", action="store_true")
     parser.add_argument("--board", type=Path, default=PLACE / "entries")
     parser.add_argument("--salt", type=Path)
     args = parser.parse_args(words)
     salt = None if args.salt is None else read_salt(args.salt)
-    if args.blind is not None and salt is not None:
+    if args.whole_blind and salt is not None:
         raise ParameterError("the public cases of the discrepancy track take no --salt")
     wanted = [
-        replace(w, problem=w.problem + QUICK if args.quick else w.problem, salt=salt)
-        for w in table(args.blind is not None)
+        replace(w, problem=_quick(w.problem) if args.quick else w.problem, salt=salt)
+        for w in table(args.whole_blind and not args.quick)
         if (args.track is None or w.track in args.track)
         and (args.problem is None or w.problem in args.problem)
         and not w.method.startswith(tuple(args.skip))
+        and not (w.track == "discrepancy" and salt is not None)  # of public cases alone
     ]
     try:
         return int(fill(wanted, args.board, args.workers, args.blind) > 0)

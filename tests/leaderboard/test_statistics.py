@@ -60,10 +60,22 @@ def test_a_share_is_a_mean_and_its_worst_is_one(make_entry):
     entry = make_entry(scores=scores, track="discrepancy")
     found = s.score([entry])
     assert found.value == pytest.approx(0.15)
-    half = 1.96 * np.sqrt(0.15 * 0.85 / 100)  # binomial
-    assert found.low == pytest.approx(0.15 - half, abs=0.011)
-    assert found.high == pytest.approx(0.15 + half, abs=0.011)
+    assert (found.low, found.high) == pytest.approx((0.0931, 0.2328), abs=5e-5)  # Wilson
     assert s.standings([[entry]])[0].score == found
+
+
+@pytest.mark.parametrize("wrong", [0, 1, 5, 15, 30])
+def test_the_interval_of_a_share_holds_with_few_cases(make_entry, wrong):
+    """Wilson's ends are the shares from which so many wrong ones are 1.96 deviations away."""
+    n = s.MINIMUM["discrepancy"]
+    entry = make_entry(scores=[1.0] * wrong + [0.0] * (n - wrong), track="discrepancy")
+    found = s.score([entry])
+    assert found.value == pytest.approx(wrong / n) and found.low < found.high
+    for end in (found.low, found.high):
+        if 0 < end < 1:
+            assert abs(end - wrong / n) == pytest.approx(
+                1.959964 * np.sqrt(end * (1 - end) / n), rel=1e-5
+            )
 
 
 def test_problems_are_strata(make_entry):

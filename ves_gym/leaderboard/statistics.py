@@ -27,7 +27,8 @@ from ves_gym._util.statistics import (
 )
 
 Entry = Mapping[str, Any]  # plain data, as it stands in the journal
-MINIMUM = {"paths": 20, "policies": 50, "damping": 50, "discrepancy": 100}  # episodes
+# Episodes. Of shares the interval is Wilson's, which holds for few (Brown et al. 2001).
+MINIMUM = {"paths": 20, "policies": 50, "damping": 50, "discrepancy": 30}
 STATISTIC = {"paths": "iqm", "policies": "iqm", "damping": "iqm", "discrepancy": "mean"}
 WORST = {"discrepancy": 1.0}  # what a failure scores where the scale has an end
 
@@ -101,8 +102,22 @@ def require_enough(entry: Entry) -> None:
 
 
 def score(entries: Sequence[Entry]) -> Estimate:
-    """The track's statistic of the score over one or several problems; lower is better."""
+    """The track's statistic of the score over one or several problems; lower is better.
+
+    A share has the Wilson interval of so many episodes: one of draws has no width where all
+    episodes agree, and is too narrow where there are few.
+    """
+    if _is_share(entries):
+        return _share(entries)
     return bootstrap([values(e) for e in entries], statistic(entries[0]))
+
+
+def _is_share(entries: Sequence[Entry]) -> bool:
+    return STATISTIC[entries[0]["track"]] == "mean"
+
+
+def _share(entries: Sequence[Entry]) -> Estimate:
+    return rate(np.concatenate([values(e).mean(axis=1) for e in entries]))
 
 
 def statistic(entry: Entry) -> Statistic:
@@ -213,10 +228,15 @@ def standings(candidates: Sequence[Sequence[Entry]]) -> list[Standing]:
     drawn = np.array([resample(group, of) for group in strata])  # (candidates, draws)
     rank = scipy.stats.rankdata(value, "min")
     placed = scipy.stats.rankdata(drawn, "min", axis=0)
-    ends = zip(*interval(drawn.T), *interval(placed.T), strict=True)
+    if _is_share(candidates[0]):
+        scores = [_share(entries) for entries in candidates]
+    else:
+        ends = zip(*interval(drawn.T), strict=True)
+        scores = [Estimate(v, *map(float, two)) for v, two in zip(value, ends, strict=True)]
+    places = zip(*interval(placed.T), strict=True)
     return [
-        Standing(Estimate(v, *map(float, four[:2])), Estimate(float(r), *map(float, four[2:])))
-        for v, r, four in zip(value, rank, ends, strict=True)
+        Standing(found, Estimate(float(r), *map(float, two)))
+        for found, r, two in zip(scores, rank, places, strict=True)
     ]
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,21 +16,20 @@ from typing import Any
 from ves_gym._util.params import ParameterError, canonical_json
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.diagnosis.benchmark import run as blind_benchmark
-from ves_gym.diagnosis.benchmark.score import METHODS, OWN, ScoredCase, is_correct
+from ves_gym.diagnosis.benchmark.score import OWN, ScoredCase, is_correct
 from ves_gym.diagnosis.diagnose import MORE, NAMED, NOTHING, ONE_OF, UNKNOWN, WEAK
 from ves_gym.leaderboard.entry import number, text
 from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.evaluators import identity
 from ves_gym.leaderboard.protocol import PLANNED_SHARE, Problem, Seeds
 from ves_gym.leaderboard.tracks.base import Answers, Case, Method, Progress, Row, row
+from ves_gym.leaderboard.tracks.selectors import SELECTORS, SILENT, answer_of, silent
 from ves_gym.system.system import System
 
 VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK, blind_benchmark.FAILED)
 _SPEAK = (NAMED, ONE_OF, MORE)
 _MOST = 20  # effects named in an answer
 _FOLDER = Path("out/leaderboard/blind")
-# Answers found by this process itself, by seed, cases and sources.
-_ANEW: dict[tuple[int, tuple[int, ...], str], list[dict[str, Any]]] = {}
 
 
 class DiagnosisTrack:
@@ -98,18 +96,15 @@ class DiagnosisTrack:
         on_progress: Progress = lambda stage, done: None,
     ) -> Answers:
         """Make the cases and diagnose them; go on where it was interrupted."""
-        if method.name not in METHODS:
+        if method.name not in SELECTORS:
             raise ParameterError(
-                f"selector must be one of {', '.join(METHODS)}, got {method.name!r:.80}"
-                f"{did_you_mean(method.name, METHODS)}"
+                f"selector must be one of {', '.join(SELECTORS)}, got {method.name!r:.80}"
+                f"{did_you_mean(method.name, SELECTORS)}"
             )
         benchmark = self.benchmark(problem, seeds)
-        blind_benchmark.run_benchmark(benchmark, self.workers, on_progress)
-        answers = [_short(a, method.name) for a in blind_benchmark.read_answers(benchmark)]
+        answers, seconds = self._answers(benchmark, method, on_progress)
         data = (canonical_json({"answers": answers}) + "\n").encode()
-        rows = self._rows(problem, seeds, method, answers)
-        if method.name == OWN:
-            rows = _timed(rows, blind_benchmark.read_answers(benchmark))
+        rows = _timed(self._rows(problem, seeds, method, answers), seconds)
         return Answers(rows, data, method)
 
     def replay(
@@ -139,28 +134,36 @@ class DiagnosisTrack:
         rows: Sequence[Row],
     ) -> list[Row]:
         """See `LeaderboardTrack`. 95 % of the answers must be those submitted."""
-        if method.name not in METHODS:
+        if method.name not in SELECTORS:
             raise BundleError(Code.NOT_REPRODUCIBLE, f"no selector {method.name!r:.80}")
         benchmark = self.benchmark(problem, seeds)
-        answers = self._answered_anew(benchmark)
-        mine = [_short(a, method.name) for a in answers]
+        # answers of runs that verify, never those that a bundle was made from
+        again = replace(benchmark, answers=f"again-{benchmark.answers}")
+        mine, seconds = self._answers(again, method)
         its = _read(members[self.payload(problem)], list(benchmark.cases))
         agree = [_verdict_of(a) == _verdict_of(b) for a, b in zip(mine, its, strict=True)]
         if sum(agree) < PLANNED_SHARE * len(agree):
             first = benchmark.cases[agree.index(False)]
             raise BundleError(Code.NOT_REPRODUCED, f"case {first}: another answer is found")
-        out = self._rows(problem, seeds, method, mine)
-        return _timed(out, answers) if method.name == OWN else out
+        return _timed(self._rows(problem, seeds, method, mine), seconds)
 
-    def _answered_anew(self, benchmark: blind_benchmark.BenchmarkRun) -> list[dict[str, Any]]:
-        """Answers of a run of this process; a diagnosis has those of every selector."""
-        key = benchmark.root, benchmark.cases, benchmark.answers
-        if key not in _ANEW:
-            with tempfile.TemporaryDirectory() as folder:  # nothing that was found before
-                fresh = replace(benchmark, folder=Path(folder))
-                blind_benchmark.run_benchmark(fresh, self.workers)
-                _ANEW[key] = blind_benchmark.read_answers(fresh)
-        return _ANEW[key]
+    def _answers(
+        self,
+        benchmark: blind_benchmark.BenchmarkRun,
+        method: Method,
+        on_progress: Progress = lambda stage, done: None,
+    ) -> tuple[list[dict[str, Any]], list[float | None]]:
+        """Diagnose what is not diagnosed yet; answers to all cases, and the seconds of each.
+
+        One diagnosis has the answers of every selector: only the package's own is timed by it.
+        """
+        if method.name == SILENT:
+            return [silent(i) for i in benchmark.cases], [None] * len(benchmark.cases)
+        blind_benchmark.run_benchmark(benchmark, self.workers, on_progress)
+        found = blind_benchmark.read_answers(benchmark)
+        own = method.name == OWN
+        seconds = [float(a["seconds"]["total"]) if own else None for a in found]
+        return [answer_of(a, method.name) for a in found], seconds
 
     def _rows(
         self,
@@ -197,19 +200,8 @@ class DiagnosisTrack:
         return out
 
 
-def _timed(rows: Sequence[Row], answers: Sequence[Mapping[str, Any]]) -> list[Row]:
-    seconds = [float(answer["seconds"]["total"]) for answer in answers]
+def _timed(rows: Sequence[Row], seconds: Sequence[float | None]) -> list[Row]:
     return [{**row, "seconds": s} for row, s in zip(rows, seconds, strict=True)]
-
-
-def _short(answer: Mapping[str, Any], method: str) -> dict[str, Any]:
-    """Return the part of an answer that a score needs, in one form for every method."""
-    verdict, effects = answer["verdict"], answer["effects"]
-    if method != OWN and verdict != blind_benchmark.FAILED:
-        effects = answer["baselines"][method]
-        verdict = NAMED if effects else NOTHING
-    effects_named = [{k: e[k] for k in ("kind", "slot", "value")} for e in effects]
-    return {"index": answer["index"], "verdict": verdict, "effects": effects_named}
 
 
 def _verdict_of(answer: Mapping[str, Any]) -> tuple[str, list[tuple[str, str]]]:
