@@ -146,7 +146,8 @@ class Studio:
         title = html.escape(repr(self).strip("<>"))
         return (
             f'<iframe title="{title}" srcdoc="{html.escape(self.page)}" style="width: 100%;'
-            f' height: {self.height}px; border: 1px solid #8886; border-radius: 6px"></iframe>'
+            f" height: {self.height}px; box-sizing: border-box; border: 1px solid #8886;"
+            ' border-radius: 6px"></iframe>'
         )
 
 
