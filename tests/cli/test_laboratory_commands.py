@@ -50,12 +50,13 @@ def test_check_of_an_unstable_emulation_exits_1(call):
 
 def test_check_draws_loop_and_legs(call, tmp_path):
     pytest.importorskip("matplotlib")
-    status, _, _, result = call("emulation-check", "--platform", "filtered", "--no-search")
+    words = ("--platform", "filtered", "--no-search", "--format", "pdf")
+    status, _, _, result = call("emulation-check", *words)
     assert status == 0
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {
-        *(f"loop_{k}.png" for k in ("poles", "bode", "step")),
-        *(f"leg_{k}.png" for k in ("open", "closed", "step", "poles")),
+        *(f"loop_{k}.pdf" for k in ("poles", "bode", "step")),
+        *(f"leg_{k}.pdf" for k in ("open", "closed", "step", "poles")),
     }
     assert len(result["files"]) == 7
 

@@ -58,11 +58,11 @@ def test_other_places_displacements_bounds_and_objectives(call):
 
 def test_pictures_and_map(call, tmp_path):
     pytest.importorskip("matplotlib")
-    words = ("--objective", "strain", "--map", "--points", "2", *THESIS)
+    words = ("--objective", "strain", "--map", "--points", "2", "--format", "svg", *THESIS)
     status, out, _, result = call("pped", *words)
     assert status == 0 and "configurations that damp best" in out
     files = {path.name for path in (tmp_path / "out").iterdir()}
-    assert files == {f"pped_{k}.png" for k in ("poles", "responses", "configurations")}
+    assert files == {f"pped_{k}.svg" for k in ("poles", "responses", "configurations")}
     assert len(result["files"]) == 3
     left = [c["E_int"] for c in result["configurations"]]
     assert left == sorted(left) and left[0] < result["E_int"]

@@ -13,6 +13,7 @@ from typing import Any
 from ves_gym._util.optional import lacking
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import (
+    add_format,
     add_frequency_weight,
     add_system_arguments,
     frequency_weight_from,
@@ -27,7 +28,7 @@ from ves_gym.planners.gap import NOT_ASKED
 from ves_gym.planners.objective import parse_weights
 from ves_gym.planners.registry import PLANNERS, get_planner, weighted
 from ves_gym.planners.suites import OBSTACLES, SUITES, Suite, get_suite
-from ves_gym.report.figures import FORMATS, write_figures
+from ves_gym.report.figures import write_figures
 from ves_gym.system.disturbance import MEASURES
 
 _NAME = 24  # characters of a planner's name in a line: its weights may take more
@@ -72,9 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--keep-best", metavar="FILE", help="merge the least energies into FILE (best known)"
     )
     parser.add_argument("--no-figures", action="store_true", help="skip figures and report")
-    parser.add_argument(
-        "--format", choices=FORMATS, default="png", help="of the figures (default png)"
-    )
+    add_format(parser)
     add_system_arguments(parser, angles=False)
 
 

@@ -23,6 +23,7 @@ from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.mechanics.vehicle import VEHICLES, get_vehicle
+from ves_gym.report.figures import FORMATS
 from ves_gym.simulation.gravity_calibration import read_calibration
 from ves_gym.system.effect import EFFECTS, Effect
 from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
@@ -323,6 +324,13 @@ def numbers(text: str, n: int, name: str, what: str, like: str) -> list[float]:
 def degrees(text: str, n: int, name: str) -> Vector:
     """Return speeds or accelerations, given in degrees with commas between them, in radians."""
     return tuple(np.deg2rad(numbers(text, n, name, "angles in degrees", "0,-45,90")).tolist())
+
+
+def add_format(parser: argparse._ActionsContainer) -> None:
+    """--format, of the pictures that a command writes."""
+    parser.add_argument(
+        "--format", choices=FORMATS, default="png", help="of the pictures (default png)"
+    )
 
 
 def write_json(path: str | None, result: dict[str, Any]) -> None:

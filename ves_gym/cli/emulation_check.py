@@ -10,6 +10,7 @@ from typing import Any
 from ves_gym._util.optional import lacking
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import (
+    add_format,
     add_system_arguments,
     out_dir,
     progress,
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-search", action="store_true", help="do not look for the largest bandwidth"
     )
     parser.add_argument("--no-figures", action="store_true", help="no pictures")
+    add_format(parser)
     add_system_arguments(parser)
 
 
@@ -128,11 +130,11 @@ def _figures(args: argparse.Namespace, system: System, at: Any) -> list[Path]:
     from ves_gym.report.loop import write_loop_figures
 
     folder = out_dir(args, "out/emulation-check")
-    files = write_loop_figures(folder, system, at, GAINS[args.gains])
+    files = write_loop_figures(folder, system, at, GAINS[args.gains], args.format)
     platform = system.emulator_settings.platform
     if isinstance(platform, LegServo):
         servos = dict(LEG_SERVOS)
         if platform not in servos.values():
             servos["this one"] = platform
-        files += write_leg_figures(folder, servos)
+        files += write_leg_figures(folder, servos, args.format)
     return files

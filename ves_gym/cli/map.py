@@ -13,6 +13,7 @@ import numpy as np
 from ves_gym._util.optional import lacking
 from ves_gym._util.params import ParameterError, write_bytes
 from ves_gym.cli.common import (
+    add_format,
     add_system_arguments,
     out_dir,
     progress,
@@ -52,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the motions meant, for Q_T [s]; raw: Q of the thesis (raw)",
     )
     parser.add_argument("--points", type=int, default=61, metavar="N", help="per axis (61)")
+    add_format(parser)
     add_system_arguments(parser)
 
 
@@ -170,8 +172,6 @@ def _write(args: argparse.Namespace, maps: list[CouplingMap], folder: Path) -> l
 
     vehicle = args.vehicle or ("own system" if args.system else "bent")
     figure = coupling_figure([map_data(vehicle, section, []) for section in maps], [])
-    for suffix in (".png", ".svg"):
-        written.append(folder / f"map{suffix}")
-        write_figure(figure, written[-1])
-        figure.set_layout_engine("none")  # of the second file as of the first
+    written.append(folder / f"map.{args.format}")
+    write_figure(figure, written[-1])
     return written

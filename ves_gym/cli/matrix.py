@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ves_gym._util.optional import installed
 from ves_gym._util.params import write_text
-from ves_gym.cli.common import progress, write_json
+from ves_gym.cli.common import add_format, progress, write_json
 from ves_gym.cli.sweep import add_executor_arguments, executor_options, print_report
 
 SCHEMA = "ves-matrix/1"
@@ -31,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--partial", action="store_true",
         help="run nothing: page and picture of the cells that have all their results",
     )  # fmt: skip
+    add_format(parser)
     add_executor_arguments(parser)
 
 
@@ -71,7 +72,8 @@ def run(args: argparse.Namespace) -> int:
         if installed("matplotlib"):
             from ves_gym.report.figures import write_figure
 
-            write_figure(crossover_figure(matrix, results), folder / "crossover.png")
+            picture = folder / f"crossover.{args.format}"
+            write_figure(crossover_figure(matrix, results), picture)
         print(folder / "matrix.md")
     write_json(
         args.json,

@@ -16,6 +16,7 @@ from ves_gym._util.optional import lacking
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.cli.common import (
     Tell,
+    add_format,
     add_system_arguments,
     out_dir,
     progress,
@@ -91,6 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--points", type=int, default=11, metavar="N", help="of a map, per axis (11)"
     )
     parser.add_argument("--no-figures", action="store_true", help="no pictures")
+    add_format(parser)
     add_system_arguments(parser)
 
 
@@ -362,7 +364,7 @@ def _figures(
     if maps:
         figures["configurations"] = map_figure(maps)
     folder = out_dir(args, "out/pped")
-    paths = [folder / f"pped_{name}.png" for name in figures]
+    paths = [folder / f"pped_{name}.{args.format}" for name in figures]
     for figure, path in zip(figures.values(), paths, strict=True):
         write_figure(figure, path)
     return paths

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.optional import lacking
-from ves_gym._util.params import Array, ParameterError, write_bytes
+from ves_gym._util.params import Array, ParameterError
 from ves_gym.cli.common import (
     Tell,
+    add_format,
     add_system_arguments,
     log_files,
     log_path,
@@ -34,7 +35,7 @@ from ves_gym.mechanics.vehicle import vehicle_name
 from ves_gym.simulation.gravity_learning import learn_gravity
 from ves_gym.simulation.playback import play_motions, weigh_poses
 from ves_gym.simulation.recording import Recording
-from ves_gym.system.energy import TAIL, Energies, base_energy, log_base_energy
+from ves_gym.system.energy import TAIL, Energies
 from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -88,6 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="the run log, .csv or .parquet, from --out if given (out/simulate/run.csv)",
     )
+    add_format(parser)
     add_system_arguments(parser)
     lab = parser.add_argument_group("experiments (mode emulated)")
     lab.add_argument(
@@ -141,8 +143,7 @@ def run(args: argparse.Namespace) -> int:
     log.save(path)
     system.save(description)
     written = [*log_files(path), description]
-    picture = _picture(log, system, motion.duration, path.with_suffix(".png"), space)
-    written += [picture] if picture else []
+    written += _picture(args, log, system, motion.duration, space, path)
     result = {
         "schema": SCHEMA,
         "log": str(path),
@@ -396,54 +397,19 @@ def _text(value: float | None) -> str:
 
 
 def _picture(
-    log: RunLog, system: System, duration: float, path: Path, space: Recording | None
-) -> Path | None:
-    """Base pose, joint tracking and energy against time; None without matplotlib.
-
-    `space`: the same run in space, dashed.
-    """
+    args: argparse.Namespace,
+    log: RunLog,
+    system: System,
+    duration: float,
+    space: Recording | None,
+    path: Path,
+) -> list[Path]:
     if sentence := lacking("drawing", "matplotlib"):
         print(f"no picture: {sentence}")
-        return None
-    import io
+        return []
+    from ves_gym.report.figures import write_figure
+    from ves_gym.report.run import run_figure
 
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    assert log.yd is not None  # a recording has it
-    E = log_base_energy(log, system)
-    figure = Figure(figsize=(8, 9), layout="constrained")
-    FigureCanvasAgg(figure)
-    place, turn, joint, error, energy = figure.subplots(5, 1, sharex=True)
-    for k, name in enumerate("xyz"):
-        (curve,) = place.plot(log.t, 1e3 * log.y[:, k], label=name, lw=1)
-        turn.plot(log.t, np.rad2deg(log.y[:, 3 + k]), label=f"$\\phi_{name}$", lw=1)
-        if space is not None:
-            dashed = {"color": curve.get_color(), "lw": 0.8, "ls": "--"}
-            place.plot(space.t, 1e3 * space.y[0, :, k], **dashed)
-            turn.plot(space.t, np.rad2deg(space.y[0, :, 3 + k]), **dashed)
-    for k, link in enumerate(system.arm.links):
-        name, factor = f"$q_{k + 1}$", 100.0 if link.slides else math.degrees(1)
-        (curve,) = joint.plot(log.t, factor * log.q[:, k], label=name, lw=1)
-        joint.plot(log.t, factor * log.q_cmd[:, k], "--", color=curve.get_color(), lw=1)
-        error.plot(log.t, factor * (log.q_cmd - log.q)[:, k], label=name, lw=1)
-    energy.plot(log.t, E.total, label="total", lw=1.2)
-    energy.plot(log.t, E.strain, label="strain", lw=0.8)
-    if space is not None:
-        motion = space.q[0], space.y[0], space.yd[0]
-        total = base_energy(space.system, *motion, space.internal(0)).total
-        energy.plot(space.t, total, "--", color="0.4", label="total in space", lw=1)
-    shown = "deg, cm" if system.arm.sliding else "deg"
-    joints = f"joints [{shown}]", f"joint error [{shown}]"
-    labels = ("base [mm]", "base [deg]", *joints, "base energy [J]")
-    for axes, label in zip((place, turn, joint, error, energy), labels, strict=True):
-        axes.set_ylabel(label)
-        axes.legend(loc="upper right", ncols=3, fontsize="small")
-        axes.grid(alpha=0.3)
-        axes.axvline(duration, color="0.5", lw=0.8, ls=":")
-    meaning = "commanded" if space is None else "commanded, or in space"
-    energy.set_xlabel(f"time [s]; dotted: end of the motion, dashed: {meaning}")
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    write_bytes(path, buffer.getvalue())
-    return path
+    picture = path.with_suffix(f".{args.format}")
+    write_figure(run_figure(log, system, duration, space), picture)
+    return [picture]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ves_gym._util.optional import lacking
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.cli.common import out_dir, write_json
+from ves_gym.cli.common import add_format, out_dir, write_json
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.flexible_base import FlexibleBase, Reduced
@@ -79,6 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--save", metavar="FILE", help="the vehicle, .toml or .json (default OUT/vehicle.toml)"
     )
     parser.add_argument("--no-figures", action="store_true", help="no picture of the modes")
+    add_format(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -107,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
     _print(structure, base, alone, loaded)
     files = [path]
     if base.centreline() is not None and not args.no_figures:
-        files += _picture(base, folder / "modes.png")
+        files += _picture(base, folder / f"modes.{args.format}")
     for file in files:
         print(f"written: {file}")
     print(f"use it: ves-gym plan --vehicle {path} ...")
@@ -234,7 +235,8 @@ def _picture(base: FlexibleBase, path: Path) -> list[Path]:
     if sentence := lacking("its picture", "matplotlib"):
         print(f"no picture: {sentence}")
         return []
-    from ves_gym.report.structure import draw_modes
+    from ves_gym.report.figures import write_figure
+    from ves_gym.report.structure import mode_figure
 
-    draw_modes(base, path)
+    write_figure(mode_figure(base), path)
     return [path]

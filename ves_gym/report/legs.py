@@ -33,13 +33,16 @@ _EXTENSIONS = np.linspace(0, 1, 21)  # of the leg, shortest to longest, in the p
 
 
 def write_leg_figures(
-    folder: str | os.PathLike[str], servos: Mapping[str, LegServo]
+    folder: str | os.PathLike[str],
+    servos: Mapping[str, LegServo],
+    form: str = "png",
 ) -> list[Path]:
     """Write leg_open.png, leg_closed.png, leg_step.png and leg_poles.png.
 
     Args:
         folder: made if it does not exist.
         servos: by the name in the legend, e.g. `hardware.leg_servo.LEG_SERVOS`.
+        form: one of `figures.FORMATS`.
 
     Raises:
         ParameterError: no servos, or matplotlib is not installed.
@@ -52,7 +55,7 @@ def write_leg_figures(
         "step": step_figure(servos),
         "poles": pole_figure(servos),
     }
-    paths = [Path(folder) / f"leg_{name}.png" for name in figures]
+    paths = [Path(folder) / f"leg_{name}.{form}" for name in figures]
     for figure, path in zip(figures.values(), paths, strict=True):
         write_figure(figure, path)
     return paths

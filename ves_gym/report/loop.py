@@ -27,7 +27,11 @@ _SPACE, _LAB = COLOURS[3], COLOURS[1]
 
 
 def write_loop_figures(
-    folder: str | os.PathLike[str], system: System, q: Array, servo: JointServo | None
+    folder: str | os.PathLike[str],
+    system: System,
+    q: Array,
+    servo: JointServo | None,
+    form: str = "png",
 ) -> list[Path]:
     """Write loop_poles.png, loop_bode.png and loop_step.png of an emulated system at q.
 
@@ -36,6 +40,7 @@ def write_loop_figures(
         system: mode emulated.
         q: (n,) configuration [rad].
         servo: that holds the joints, or None.
+        form: one of `figures.FORMATS`.
 
     Returns:
         The files.
@@ -50,7 +55,7 @@ def write_loop_figures(
         "bode": bode_figure(loop, space),
         "step": step_figure(loop, space),
     }
-    paths = [Path(folder) / f"loop_{name}.png" for name in figures]
+    paths = [Path(folder) / f"loop_{name}.{form}" for name in figures]
     for figure, path in zip(figures.values(), paths, strict=True):
         write_figure(figure, path)
     return paths

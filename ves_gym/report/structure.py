@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -14,12 +12,14 @@ _SHOWN = 6
 _SWING = 0.15  # of the structure's length: the largest way in the picture
 
 
-def draw_modes(base: FlexibleBase, path: Path) -> None:
+def mode_figure(base: FlexibleBase) -> Figure:
     """Draw the slowest modes with nothing on the flange: from the front and from the side.
 
     Args:
-        base: that has a line.
-        path: of the picture.
+        base: that has a centreline.
+
+    Returns:
+        The figure: at most six modes side by side, at rest in grey.
     """
     line, reduced = base.centreline(), base.reduction()
     assert line is not None
@@ -43,4 +43,4 @@ def draw_modes(base: FlexibleBase, path: Path) -> None:
         axes[0, k].set_title(f"{modes.omega[k] / (2 * np.pi):.3g} Hz")
     for row in axes:
         row[0].set_ylabel("z [m]")
-    figure.savefig(path, dpi=110)
+    return figure
