@@ -57,23 +57,25 @@ def test_they_are_the_joint_motion_that_is_missing(id):
     np.testing.assert_allclose(np.arctan2(sines, cosines), q, atol=1e-5)
 
 
-@pytest.mark.parametrize("arm", ["puma560-wrist", "iiwa14"])
-def test_of_a_pose_they_are_what_newton_gives(arm):
-    """Against `tool_frame` at the joint angles that they say, and a least-squares step."""
+@pytest.mark.parametrize(("arm", "rounds"), [("puma560-wrist", 0), ("iiwa14", 16)])
+def test_of_a_pose_they_are_the_joint_angles_that_give_it(arm, rounds):
+    """In closed form or by Newton's method; against `tool_frame`, and a least-squares step."""
     control = {"kind": "joint_velocity"}
     env = gym.make_vec("ves/PoseReach-v0", num_envs=12, threads=1, control=control, arm=arm)
     observation, _ = env.reset(seed=5)
     n, draw = env.task.system.arm.n, np.random.default_rng(0)
     for _ in range(10):
         observation, *_ = env.step(draw.uniform(-0.5, 0.5, (12, n)))
-    features = dataclasses.replace(arm_features(env.task), rounds=16)
+    features = arm_features(env.task)
+    assert (features.rounds > 0) == (rounds > 0)
+    features = dataclasses.replace(features, rounds=rounds)
     s, robot = env.batch.scene, env.task.system.arm
     near, far, taken, _, _, rest = np.split(
         features(observation), np.arange(n, 5 * n + 1, n), 1
     )
-    assert features.size == 5 * n + 27
+    assert features.size == 10 * n + (27 if rounds else 21)
     place, turn = tool_frame(robot, s.q)
-    tool, has, asked, left = np.split(rest, [3, 12, 21], axis=1)
+    tool, has, asked, left, timed = np.split(rest, [3, 12, 21, rest.shape[1] - 5 * n], axis=1)
     np.testing.assert_allclose(tool, place, atol=1e-5)
     np.testing.assert_allclose(has.reshape(-1, 3, 3), np.swapaxes(turn, 1, 2), atol=1e-5)
     back = np.swapaxes(rotation(s.y_seen), 1, 2)
@@ -84,12 +86,19 @@ def test_of_a_pose_they_are_what_newton_gives(arm):
     clear = observation[:, features.turn + 3] > -0.98
     wanted = np.swapaxes(goal_turn, 1, 2)
     np.testing.assert_allclose(axes[clear], wanted[clear], atol=1e-3)
-    there = np.flatnonzero((np.linalg.norm(left, axis=1) < 1e-3) & (np.abs(far).max(1) < 3.2))
-    assert len(there) >= 4  # of the others the method has not found the pose, and says so
+    there = clear & (np.linalg.norm(left, axis=1) < 1e-3) & (np.abs(far).max(1) < 6.3)
+    # of the others Newton's method has not found the pose, and says so
+    assert there.sum() >= (4 if rounds else clear.sum()) >= 4
     end, end_turn = tool_frame(robot, (s.q + far)[there])
     np.testing.assert_allclose(end, goal[there], atol=1e-3)
     np.testing.assert_allclose(end_turn, goal_turn[there], atol=5e-3)
     np.testing.assert_allclose(near, np.clip(far, -0.25, 0.25) * 4, atol=1e-6)
+    gone = s.time[0] / env.task.duration
+    weights = [
+        np.interp(gone, [k / 5 - 0.2, k / 5, k / 5 + 0.2], [0, 1, 0]) for k in range(1, 6)
+    ]
+    parts = timed.reshape(-1, 5, n)
+    np.testing.assert_allclose(parts, np.array(weights)[:, None] * far[:, None], atol=1e-5)
     J = tool_twists(robot, s.q) * np.array([1, 1, 1, 0.3, 0.3, 0.3])[:, None]
     moved = carried(twist(s.y_seen, s.yd_seen), place) * np.array([1, 1, 1, 0.3, 0.3, 0.3])
     for i in range(len(J)):
@@ -137,9 +146,9 @@ def test_an_onnx_model_computes_those_of_a_pose():
     env = gym.make_vec(
         "ves/PoseReach-v0", num_envs=1, threads=1, control={"kind": "joint_velocity"}
     )
-    features = dataclasses.replace(arm_features(env.task), rounds=2)
-    policy = some_policy(features)
-    assert difference(policy, to_onnx(policy), rows=100) <= 1e-6
+    for rounds in (0, 2):  # closed form; Newton's method
+        policy = some_policy(dataclasses.replace(arm_features(env.task), rounds=rounds))
+        assert difference(policy, to_onnx(policy), rows=100) <= 1e-6
 
 
 def test_what_does_not_fit_is_refused():
@@ -157,7 +166,10 @@ def test_what_does_not_fit_is_refused():
         ({"tool": 19}, "tool must be at most 17"),
         ({"turn": 17}, "turn must be at most 16"),
         ({"rounds": 2}, "and 1 where no turn is asked, got 2"),
-        ({"turn": 0, "rounds": 17}, "rounds must be 1 to 16"),
+        ({"turn": 0, "rounds": 17}, "rounds must be 0 to 16"),
+        ({"turn": 0, "rounds": 0}, "1 or more for an arm without a spherical wrist"),
+        ({"turn": 0}, "time_left must be 0 to 19 where a turn is asked, else -1, got -1"),
+        ({"time_left": 3}, "else -1, got 3"),
     ):
         with pytest.raises(ParameterError, match=message):
             type(features)(**{**plain, "joint_angle": 0, "target": 15, **changes})

@@ -19,6 +19,7 @@ from ves_gym.envs.task import Task
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.mechanics.dynamics import Frame, add, cross, dot, frames, scale
+from ves_gym.mechanics.spherical_wrist import has_spherical_wrist, shortest_way
 
 _DAMPING = 0.05  # m/rad, of the least squares near singular configurations
 _NEAR, _FAR = 0.25, 2.0  # rad of the way left, told apart up to there: finely, coarsely
@@ -26,10 +27,11 @@ _FAST = 0.5  # rad/s that take back what the base does
 _LEVER = 0.3  # m per radian, of turn beside place
 _NO_AXIS = 0.02  # of 1 + cosine: half a turn has no axis
 _ROUNDS, _MOST_ROUNDS = 4, 16
-_FURTHER = 3.2  # rad of the way left to a pose, told apart up to there
+_FURTHER = 6.3  # rad of the way left to a pose, told apart up to there
 _POSE_DAMPING = 0.03  # m/rad
 _LEAST = 1e-5  # of 1 + cosine, where an axis is turned
 _STRIDE = 1.0  # rad, the most that a joint moves per round of Newton's method
+_PARTS = 5  # of an episode, in which the way to a pose is told apart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,9 +44,13 @@ class ArmFeatures:
     the base's axes. The observation has joint angles, pose and rate of the base, and either
     the way to the target or tool and target.
 
-    Where an orientation is asked too (`turn`), the Jacobian is that of place and turn, both
-    ranges of joint angles are those that `rounds` of Newton's method give, and the axes follow
-    that the tool has and is to have, in the base's.
+    Where an orientation is asked too (`turn`), the Jacobian is that of place and turn. Both
+    ranges of joint angles are those to the nearest configuration for the pose, in closed form,
+    of an arm with a spherical wrist (`rounds` = 0), of others those that `rounds` of Newton's
+    method give. There follow the axes that the tool has and is to have, in the base's; what
+    Newton's last round lacked; and the way left times a weight for each fifth of the episode,
+    one at its end and none a fifth before or after: a speed by the clock is next to linear in
+    them.
     """
 
     arm: str  # a name of the arm library
@@ -55,7 +61,8 @@ class ArmFeatures:
     target: int  # less the tool, if `tool` is negative
     tool: int = -1
     turn: int = -1  # axis of the missing turn, times its sine, then the cosine; negative: any
-    rounds: int = 1  # of Newton's method
+    rounds: int = 1  # of Newton's method; 0: closed form
+    time_left: int = -1  # in the episode, whose seconds are its scale; of use with a turn
 
     def __post_init__(self) -> None:
         if self.arm not in arm_names():
@@ -75,10 +82,20 @@ class ArmFeatures:
             raise ParameterError(
                 f"ArmFeatures.turn must be at most {len(self.scales) - 4}, got {self.turn}"
             )
-        if not 1 <= self.rounds <= _MOST_ROUNDS or (self.rounds > 1 and self.turn < 0):
+        if not 0 <= self.rounds <= _MOST_ROUNDS or (self.rounds != 1 and self.turn < 0):
             raise ParameterError(
-                f"ArmFeatures.rounds must be 1 to {_MOST_ROUNDS}, and 1 where no turn is asked,"
+                f"ArmFeatures.rounds must be 0 to {_MOST_ROUNDS}, and 1 where no turn is asked,"
                 f" got {self.rounds}"
+            )
+        if not self.rounds and not has_spherical_wrist(self._arm):
+            raise ParameterError(
+                "ArmFeatures.rounds must be 1 or more for an arm without a spherical wrist, got"
+                f" 0 for {self.arm}"
+            )
+        if (self.turn < 0) != (self.time_left < 0) or self.time_left >= len(self.scales):
+            raise ParameterError(
+                f"ArmFeatures.time_left must be 0 to {len(self.scales) - 1} where a turn is"
+                f" asked, else -1, got {self.time_left}"
             )
         if self.tool > len(self.scales) - 3:
             raise ParameterError(
@@ -92,7 +109,9 @@ class ArmFeatures:
     @property
     def size(self) -> int:
         """How many there are."""
-        return 5 * self._arm.n + (3 if self.turn < 0 else 27)
+        if self.turn < 0:
+            return 5 * self._arm.n + 3
+        return (5 + _PARTS) * self._arm.n + 3 + (24 if self.rounds else 18)
 
     def __call__(self, observation: npt.ArrayLike) -> Array:
         """Features (n, size) of observations (n, o)."""
@@ -106,7 +125,7 @@ class ArmFeatures:
 
         Args:
             entries: of the observation, in its scales.
-            xp: namespace of sin and cos.
+            xp: namespace of sin, cos, sqrt, arctan2 and where.
             clip: brings the first argument into the range of the others.
         """
 
@@ -141,9 +160,17 @@ class ArmFeatures:
             J, has = self._moved(chain), self._axes(chain)
             asked = [_turned(missing, cosine, axis) for axis in has]
             place = add(tool, desired)
-            joint_way, left = self._to_pose(q, place, asked, xp, clip)
+            left: list[Any] = []
+            if self.rounds:
+                joint_way, left = self._to_pose(q, place, asked, xp, clip)
+            else:
+                joint_way = shortest_way(self._arm, q, place, asked, xp, clip)
             taken = _damped(J, (*carried, *scale(_LEVER, turning)))
-            pose, far = [*(k for axis in (*has, *asked) for k in axis), *left], _FURTHER
+            whole = [clip(k, -_FURTHER, _FURTHER) for k in joint_way]
+            gone = (1.0 - entries[self.time_left]) * float(_PARTS)
+            timed = [_hat(gone - float(i + 1), clip) * k for i in range(_PARTS) for k in whole]
+            pose = [*(k for axis in (*has, *asked) for k in axis), *left, *timed]
+            far = _FURTHER
         return [
             *(clip(k, -_NEAR, _NEAR) * (1 / _NEAR) for k in joint_way),
             *(clip(k, -far, far) for k in joint_way),
@@ -189,6 +216,11 @@ class ArmFeatures:
         """Three axes of the tool in the base's."""
         columns = self._arm.tool_rotation.T.tolist()
         return [chain[-1].rotation.apply(tuple(k)) for k in columns]
+
+
+def _hat(x: Any, clip: Callable[..., Any]) -> Any:
+    """1 at x = 0, falling linearly to 0 at x = -1 and 1."""
+    return clip(x + 1.0, 0.0, 1.0) + clip(1.0 - x, 0.0, 1.0) - 1.0
 
 
 def _turned(sines: Any, cosine: Any, axis: Any) -> Any:
@@ -249,6 +281,8 @@ def arm_features(task: Task, goal: bool = False) -> ArmFeatures:
             f"features of the arm need {', '.join(missing)} in the observation, which task"
             f" {task.kind} has not"
         )
+    closed = has_spherical_wrist(task.system.arm)
+    rounds = 1 if "to_turn" not in at else 0 if closed else _ROUNDS
     return ArmFeatures(
         arm=task.system.arm.name,
         scales=tuple(np.concatenate(scales).tolist()),
@@ -258,5 +292,6 @@ def arm_features(task: Task, goal: bool = False) -> ArmFeatures:
         target=at[way],
         tool=at["tool"] if way == "target" else -1,
         turn=at.get("to_turn", -1),
-        rounds=_ROUNDS if "to_turn" in at else 1,
+        rounds=rounds,
+        time_left=at["time_left"] if "to_turn" in at else -1,
     )

@@ -7,6 +7,7 @@ format alone.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,7 @@ from ves_gym.baselines.policy import Policy
 
 OPSET = 17
 TOLERANCE = 1e-6  # of an action in [-1, 1]
+_NONE = 1e-300  # length of no direction
 
 
 def to_onnx(policy: Policy) -> bytes:
@@ -120,6 +122,33 @@ class _Formulas:
         """Cosine."""
         return self("Cos", x)
 
+    def sqrt(self, x: _Column) -> _Column:
+        """Square root."""
+        return self("Sqrt", x)
+
+    def arctan2(self, y: _Column, x: _Column) -> _Column:
+        """Angle of a direction [rad].
+
+        Engines have the arctangent in single precision alone. What it leaves of the angle is so
+        small that its sine, which they have in double precision, makes up for it.
+        """
+        long = self("Max", self.sqrt(x * x + y * y), _NONE)
+        half = y * (1.0 / (long + self("Abs", x)))  # its tangent, for x >= 0
+        single = self("Atan", self._cast(half, "FLOAT"))
+        near = 2.0 * self._cast(single, "DOUBLE")
+        behind = self.where(y < 0.0, -math.pi, math.pi) - near
+        rough = self.where(x < 0.0, behind, near)
+        return rough + (y * self.cos(rough) - x * self.sin(rough)) * (1.0 / long)
+
+    def _cast(self, x: _Column, kind: str) -> _Column:
+        from onnx import TensorProto
+
+        return _Column(self._add("Cast", x.name, to=getattr(TensorProto, kind)), self)
+
+    def where(self, condition: _Column, x: _Column | float, y: _Column | float) -> _Column:
+        """Return x where the condition holds, else y."""
+        return self("Where", condition, x, y)
+
     def clip(self, x: _Column, low: float, high: float) -> _Column:
         """Return x brought into low to high."""
         return self("Clip", x, low, high)
@@ -142,6 +171,9 @@ class _Column:
 
     def __neg__(self) -> _Column:
         return self.formulas("Neg", self)
+
+    def __lt__(self, other: _Column | float) -> _Column:
+        return self.formulas("Less", self, other)
 
     def __rsub__(self, other: float) -> _Column:
         return -self + other

@@ -21,7 +21,7 @@ from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import System
 
 _TRIES = 5  # simulations with which effects are tried at once: more than any vector of three
-_FAR = 8.3  # standard deviations: what 53 bits of a uniform number can reach
+_FAR = 5.0  # standard deviations: one number in two million is further from the mean
 _ENDS = 2.0  # standard deviations from the mean that count as the ends of a normal
 LAWS = ("uniform", "normal", "log_uniform")
 
@@ -123,7 +123,7 @@ class Range:
         return float(low), float(high)
 
     def _require_inside(self) -> None:
-        """A normal that is not cut off must stay within the parameter's bounds by itself."""
+        """Bounds may cut off no more of a normal whose numbers belong together than this."""
         (mean, spread), (low, high) = self._pair, self._bounds
         if self.shared is None and mean.shape == spread.shape:
             return
@@ -231,7 +231,7 @@ class Range:
             share = least + (most - least) * u.reshape(len(u), *first.shape)
             return np.clip(first + second * _normal(ndtri, share), low, high)
         out: Array = first.ravel() + matvec(self._weights, _normal(ndtri, u))
-        return out.reshape(len(u), *first.shape)
+        return np.clip(out, *self._bounds).reshape(len(u), *first.shape)
 
 
 def _brief(numbers: Array) -> str:
