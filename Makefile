@@ -63,6 +63,8 @@ site: $(SITE) ## build the documentation site in out/site, warnings are errors
 test test-all test-processors test-oldest: export OMP_NUM_THREADS = 1
 test test-all test-processors test-oldest: export OPENBLAS_NUM_THREADS = 1
 test test-all test-processors test-oldest: export MKL_NUM_THREADS = 1
+# Modules are compiled once: with this set, every process that a test starts would do it again.
+test test-all test-processors test-oldest: export PYTHONDONTWRITEBYTECODE =
 
 test: $(DEV) ## run the tests
 	$(BIN)/python -m pytest -n 2 $(ARGS)
