@@ -4,12 +4,14 @@ import json
 import shutil
 import subprocess
 import zipfile
+from pathlib import Path
 
 import pytest
 
 from ves_gym.cli.main import main
 from ves_gym.leaderboard.entry import check_entry
-from ves_gym.leaderboard.journal import check
+from ves_gym.leaderboard.journal import append, check
+from ves_gym.leaderboard.verify import verify
 
 RUN = ("leaderboard", "run", "policies", "ves/PumaRestToRest-v0-quick")
 
@@ -66,11 +68,48 @@ def test_an_entry_goes_to_the_board(call, zero, tmp_path):
     assert record.entry == check_entry(entry).shortened()
 
 
+def test_an_entry_and_its_bundle_go_to_the_board_together(call, zero, tmp_path):
+    board = tmp_path / "entries"
+    status, out, _, _ = call("leaderboard", "verify", zero, "--board", board, "--publish")
+    (record,) = check(board).records
+    bundle = tmp_path / "bundles" / f"{Path(record.name).stem}.zip"
+    assert status == 0 and f"written {bundle}" in out
+    status, out, _, _ = call("leaderboard", "verify", board / record.name)
+    assert status == 0 and "100% of 10 rows as on the board" in out
+
+
+def test_what_is_no_bundle_and_no_entry_says_what_it_is(call, refused, zero, tmp_path):
+    """What a reader may try first: the wrong file, the wrong folder, a damaged file."""
+    board = tmp_path / "entries"
+    record = append(board, verify(zero).shortened())
+    for command in ("check", "render"):
+        assert f"they are in {board}" in refused("leaderboard", command, tmp_path)
+    why = refused("leaderboard", "verify", board / record.name)
+    assert "its bundle is not published" in why
+    assert "ves-gym leaderboard run policies ves/PumaRestToRest-v0-quick zero answers" in why
+    (tmp_path / "other.json").write_text("{}")
+    assert "is no entry of a board" in refused("leaderboard", "verify", tmp_path / "other.json")
+    (tmp_path / "page.html").write_text("<html>")
+    (tmp_path / "cut.zip").write_bytes(b"PK" + bytes(50))
+    unsafe = {
+        "page.html": "is no .zip file",
+        "cut.zip": "damaged or cut short",
+        "entries": "is no file of a bundle, which has manifest.json",
+    }
+    for name, why in unsafe.items():
+        status, _, err, _ = call("leaderboard", "verify", tmp_path / name)
+        assert status == 1 and "unsafe-archive" in err and why in err
+
+
 @pytest.mark.parametrize(
     ("words", "why"),
     [
         (("leaderboard",), "ACTION"),
         (("leaderboard", "verify", "nothing.zip"), "expected a bundle"),
+        (("leaderboard", "verify", "\x1b[31m\u202e.zip"), r"\x1b[31m\u202e.zip: expected"),
+        (("leaderboard", "verify", "x" * 9000), "... (9"),
+        (("leaderboard", "verify", "x.zip", "--publish"), "--publish is of the board"),
+        (("leaderboard", "verify", "pyproject.toml/x.json"), "cannot be read"),
         (("leaderboard", "run", "speed", "x", "y"), "track"),
         (("leaderboard", "run", "paths", "reach100-9s", "direct"), "problem"),
         (("leaderboard", "run", "paths", "reach100-1s-quick", "nonsense"), "planner"),
@@ -126,7 +165,7 @@ def test_a_signed_name_on_the_board(call, tmp_path):
     call(*RUN, "zero", "--author", "A. Name", "--bundle", bundle)
     verify = ("leaderboard", "verify", bundle, "--board", board)
     status, out, _, _ = call(*verify)
-    assert status == 0 and out.endswith("not signed\n")
+    assert status == 0 and "not signed\n" in out
 
     def refused(*words):
         (tmp_path / "result.json").unlink(missing_ok=True)
@@ -143,7 +182,7 @@ def test_a_signed_name_on_the_board(call, tmp_path):
     assert "unsigned entries" in refused(*verify)
     assert "--board" in refused("leaderboard", "verify", bundle, "--adopt")
     status, out, _, _ = call(*verify, "--adopt")
-    assert status == 0 and out.endswith(f"signed by {result['key']}\n")
+    assert status == 0 and f"signed by {result['key']}\n" in out
 
     call(*sign, tmp_path / "theirs")
     assert "signs with" in refused(*verify)

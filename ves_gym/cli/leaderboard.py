@@ -6,11 +6,13 @@ import argparse
 import hashlib
 import statistics
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.one_line import on_one_line
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import progress, write_json
 from ves_gym.cli.leaderboard_render import add_render
@@ -20,6 +22,11 @@ _NEGATIVE = 1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
+    parser.description = (
+        "Bundles that prove a result, their verification, and the board. Problems, scores and"
+        " rules: docs/leaderboard.md. To check a row of the board: ves-gym leaderboard verify"
+        " docs/leaderboard/entries/FILE.json. To enter one: run, then verify the bundle."
+    )
     actions = parser.add_subparsers(dest="action_name", metavar="ACTION", required=True)
     _add_run(actions)
     _add_verify(actions)
@@ -40,7 +47,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _add_run(actions: Any) -> None:
-    parser = actions.add_parser("run", help="answer a problem and write the bundle")
+    parser = actions.add_parser(
+        "run",
+        help="answer a problem and write the bundle",
+        description="Answers a problem and writes the bundle that proves it. A first try of a"
+        " tenth of the questions: ves-gym leaderboard run paths reach100-2s-quick direct",
+    )
     parser.add_argument("track", help="paths, policies, damping or discrepancy")
     parser.add_argument(
         "problem", help="of the track, such as reach100-2s (docs/leaderboard.md)"
@@ -69,7 +81,14 @@ def _add_run(actions: Any) -> None:
 
 
 def _add_verify(actions: Any) -> None:
-    parser = actions.add_parser("verify", help="check a bundle; exit status 1: refused")
+    parser = actions.add_parser(
+        "verify",
+        help="check a bundle; exit status 1: refused",
+        description="Believes nothing of a bundle that can be computed, and runs nothing that"
+        " is in it. Level replayed simulates what was recorded (seconds to a minute); level"
+        " reproduced runs the method itself again too, as long as it took to make the bundle,"
+        " and of track discrepancy half an hour of one core.",
+    )
     parser.add_argument(
         "bundle", help="folder or .zip file; or an entry of the board: entries/....json"
     )
@@ -85,6 +104,10 @@ def _add_verify(actions: Any) -> None:
     parser.add_argument(
         "--board", metavar="ENTRIES", help="folder of the board to add the entry to"
     )
+    parser.add_argument(
+        "--publish", action="store_true",
+        help="with --board: the bundle too, beside the entries, if it is below 2 MB",
+    )  # fmt: skip
     parser.add_argument(
         "--adopt", action="store_true",
         help="the maintainer's: the author's unsigned entries on the board are the signer's",
@@ -176,34 +199,60 @@ def _run(args: argparse.Namespace) -> int:
 def _verify(args: argparse.Namespace) -> int:
     from ves_gym.leaderboard.errors import BundleError
     from ves_gym.leaderboard.journal import append
+    from ves_gym.leaderboard.published import publish
     from ves_gym.leaderboard.time_limit import within
     from ves_gym.leaderboard.verify import verify
 
-    if args.adopt and args.board is None:
-        raise ParameterError("--adopt is of the board: give --board ENTRIES")
+    for option in ("adopt", "publish"):
+        if getattr(args, option) and args.board is None:
+            raise ParameterError(f"--{option} is of the board: give --board ENTRIES")
+    if args.publish and args.salt is not None:
+        raise ParameterError("bundles of official seeds are published when their season ends")
     if args.bundle.endswith(".json"):
         return _verify_entry(args)
     try:
-        entry = within(
-            args.seconds,
-            verify,
-            args.bundle,
-            level=args.level or "replayed",
-            salt=_salt(args.salt),
-            expect=args.digest,
-            folder=_blind(args),
-            workers=_workers(args),
-        )
+        with _telling(args) as told:
+            entry = within(
+                args.seconds,
+                verify,
+                args.bundle,
+                level=args.level or "replayed",
+                salt=_salt(args.salt),
+                expect=args.digest,
+                folder=_blind(args),
+                workers=_workers(args),
+                **told,
+            )
     except BundleError as refused:
-        print(f"ves-gym: rejected: {refused}", file=sys.stderr)
-        return _NEGATIVE
+        return _rejected(refused)
+    record = None
     if args.board is not None:
-        append(args.board, entry.shortened(), adopt=args.adopt)
+        record = append(args.board, entry.shortened(), adopt=args.adopt)
     write_json(args.json, entry.to_dict())
     print(f"{entry.level}: {entry.name} on {entry.problem}: {_summary(entry.rows)}")
     print(f"manifest {entry.bundle}")
     print(f"signed by {entry.about['key']}" if "key" in entry.about else "not signed")
+    if record is not None:
+        print(f"written {Path(args.board) / record.name}")
+        place = publish(args.board, record, Path(args.bundle)) if args.publish else None
+        if args.publish:
+            print(f"written {place}" if place else "its bundle is too large to be published")
     return 0
+
+
+@contextmanager
+def _telling(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Show how far verifying is; not where it runs in a process that can be ended."""
+    if args.seconds is not None:
+        yield {}
+        return
+    with progress() as on_progress:
+        yield {"progress": on_progress}
+
+
+def _rejected(refused: Exception) -> int:
+    print(f"ves-gym: rejected: {on_one_line(str(refused))}", file=sys.stderr)
+    return _NEGATIVE
 
 
 def _verify_entry(args: argparse.Namespace) -> int:
@@ -214,13 +263,13 @@ def _verify_entry(args: argparse.Namespace) -> int:
     if args.board is not None or args.salt is not None or args.digest is not None:
         raise ParameterError("an entry takes no --board, --salt or --digest: it is there")
     try:
-        done = within(
-            args.seconds, reverify, args.bundle, level=args.level, folder=_blind(args),
-            workers=_workers(args),
-        )  # fmt: skip
+        with _telling(args) as told:
+            done = within(
+                args.seconds, reverify, args.bundle, level=args.level, folder=_blind(args),
+                workers=_workers(args), **told,
+            )  # fmt: skip
     except BundleError as refused:
-        print(f"ves-gym: rejected: {refused}", file=sys.stderr)
-        return _NEGATIVE
+        return _rejected(refused)
     here = done.here
     write_json(args.json, {**here.to_dict(), "alike": done.alike})
     print(f"{here.level}: {here.name} on {here.problem}: {_summary(here.rows)}")
@@ -235,8 +284,7 @@ def _sign(args: argparse.Namespace) -> int:
     try:
         key = sign_bundle(args.bundle, args.key)
     except BundleError as refused:
-        print(f"ves-gym: rejected: {refused}", file=sys.stderr)
-        return _NEGATIVE
+        return _rejected(refused)
     write_json(
         args.json, {"schema": "ves-leaderboard-sign/1", "bundle": args.bundle, "key": key}
     )

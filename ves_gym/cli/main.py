@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from ves_gym._util.one_line import on_one_line
 from ves_gym._util.optional import explain
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.version import __version__
@@ -143,7 +144,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _refuse(sentence: str) -> int:
-    print(f"ves-gym: error: {' '.join(sentence.split())}", file=sys.stderr)
+    print(f"ves-gym: error: {on_one_line(sentence)}", file=sys.stderr)
     return BAD_INPUT
 
 

@@ -78,7 +78,9 @@ def _unsafe(why: str) -> BundleError:
 def _require(name: str, size: int) -> None:
     most = limit(name)
     if most is None:
-        raise _unsafe(f"{name[:100]!r} is no file of a bundle")
+        raise _unsafe(
+            f"{name[:100]!r} is no file of a bundle, which has {MANIFEST} and what it names"
+        )
     if size > most:
         raise _unsafe(f"{name} has {size} bytes, at most {most} are read")
 
@@ -113,12 +115,18 @@ def _read_file(path: Path, name: str) -> bytes:
 def _from_zip(path: Path) -> dict[str, bytes]:
     if path.stat().st_size > TOTAL:
         raise _unsafe(f"the archive has more than {TOTAL} bytes")
+    with path.open("rb") as file:
+        begins = file.read(2)
+    if begins != b"PK":
+        raise _unsafe(f"{path.name!a} is no .zip file: it begins with {begins!r}, not b'PK'")
     try:
         _require_short_list(path)
         with zipfile.ZipFile(path) as archive:
             return _members(archive)
     except _BROKEN as error:
-        raise _unsafe(f"no archive that can be read: {type(error).__name__}: {error}") from None
+        raise _unsafe(
+            f"{path.name!a} is damaged or cut short: {type(error).__name__}: {error}"
+        ) from None
 
 
 def _require_short_list(path: Path) -> None:

@@ -165,6 +165,8 @@ def _files(folder: Path) -> Iterator[Path]:
         ) from None
     except OSError as error:
         raise ParameterError(f"{folder}: cannot be read: {error.strerror}") from None
+    if "entries" in names and (folder / "entries").is_dir():
+        raise ParameterError(f"{folder}: has no entries itself; they are in {folder}/entries")
     yield from (folder / name for name in names if not name.startswith("."))
 
 

@@ -7,6 +7,7 @@ that the entry names, which is checked before anything else.
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ from ves_gym.leaderboard.entry import MEASURES, Entry
 from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.record import Record, parse
 from ves_gym.leaderboard.seasons import published_salt
+from ves_gym.leaderboard.tracks.base import Progress, no_progress
 from ves_gym.leaderboard.verify import verify
 
 FOLDER = "bundles"
@@ -79,13 +81,14 @@ def reverify(
     level: str | None = None,
     folder: Path | None = None,
     workers: int = 1,
+    progress: Progress = no_progress,
 ) -> Reverified:
     """Verify an entry of the board by its published bundle, and compare the rows.
 
     Args:
         file: of the entry.
         level: "replayed" or "reproduced"; default that of the entry.
-        folder, workers: see `verify`.
+        folder, workers, progress: see `verify`.
 
     Raises:
         ParameterError: no such file, no bundle beside it, or official seeds of a season that
@@ -97,10 +100,15 @@ def reverify(
         record = parse(path.name, path.read_bytes())
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read: {error.strerror}") from None
-    bundle = bundle_of(path)
+    except ParameterError as error:
+        raise ParameterError(f"{path}: is no entry of a board: {error}") from None
+    there, bundle = record.entry, bundle_of(path)
     if not bundle.exists():
-        raise ParameterError(f"{path.name}: its bundle is not published ({bundle} is missing)")
-    there = record.entry
+        raise ParameterError(
+            f"{path.name}: its bundle is not published ({FOLDER}/{bundle.name} is missing);"
+            f" ves-gym leaderboard run {there['track']} {there['problem']}"
+            f" {shlex.quote(str(there['name']))} answers it again"
+        )
     official = there["seeds"] == "official"
     here = verify(
         bundle,
@@ -109,6 +117,7 @@ def reverify(
         expect=str(there["bundle"]),
         folder=folder,
         workers=workers,
+        progress=progress,
     )
     share = alike(here.rows, there["rows"])
     if share < SHARE.get(str(there["track"]), _SHARE):

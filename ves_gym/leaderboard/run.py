@@ -34,6 +34,7 @@ from ves_gym.leaderboard.tracks.base import (
     LeaderboardTrack,
     Method,
     Progress,
+    no_progress,
     repeated,
 )
 from ves_gym.leaderboard.tracks.damping import DampingTrack
@@ -58,7 +59,7 @@ def make_bundle(
     training: Mapping[str, Any] | None = None,
     folder: Path | None = None,
     workers: int = 1,
-    progress: Progress = lambda stage, done: None,
+    progress: Progress = no_progress,
 ) -> Path:
     """Answer a problem and write the bundle.
 

@@ -43,8 +43,10 @@ from ves_gym.leaderboard.tracks.base import (
     Case,
     LeaderboardTrack,
     Method,
+    Progress,
     Row,
     claims_more,
+    no_progress,
     repeated,
 )
 from ves_gym.leaderboard.tracks.policies import require_fit, require_settings
@@ -61,6 +63,7 @@ def verify(
     expect: str | None = None,
     folder: Path | None = None,
     workers: int = 1,
+    progress: Progress = no_progress,
 ) -> Entry:
     """Check a bundle.
 
@@ -70,6 +73,7 @@ def verify(
         salt: the maintainer's secret, for a bundle of official seeds.
         expect: SHA-256 that the manifest must have, such as a board tells.
         folder, workers: see `DiagnosisTrack` and `PathTrack`.
+        progress: called with the stage and the fraction done, where it may take long.
 
     Returns:
         The entry, its numbers those computed here.
@@ -94,7 +98,7 @@ def verify(
     problem = _problem(manifest)
     evaluators.require_same(problem, manifest["spec"]["evaluator"])
     require_behaviour(problem)  # before anything else is computed here
-    rules = get_track(problem.track, folder, workers)
+    rules = get_track(problem.track, folder, workers, progress)
     method = _method(manifest)
     _require_seeds(method)
     _require_members(manifest, members, rules.payload(problem), method)
@@ -245,7 +249,10 @@ def _seeds(
 ) -> Seeds:
     claimed = manifest["seeds"]
     if claimed["which"] == "official" and salt is None:
-        raise ParameterError("a bundle of official seeds: give the salt (--salt FILE)")
+        raise ParameterError(
+            "a bundle of official seeds: give the salt (--salt FILE), or where it was published"
+            " with the board, the entry of the bundle (entries/....json) instead"
+        )
     try:
         seeds = seeds_of(problem, salt if claimed["which"] == "official" else None)
     except ParameterError as error:

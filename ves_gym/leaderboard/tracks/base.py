@@ -17,6 +17,10 @@ Row = dict[str, Any]
 Progress = Callable[[str, float], None]
 
 
+def no_progress(stage: str, done: float) -> None:
+    """Show nothing of the progress."""
+
+
 class Case(NamedTuple):
     """A question of a problem."""
 

@@ -31,6 +31,7 @@ from ves_gym.leaderboard.tracks.base import (
     Method,
     Progress,
     Row,
+    no_progress,
     require_as_good,
     row,
 )
@@ -80,7 +81,7 @@ class DampingTrack(PolicyTrack):
         problem: Problem,
         seeds: Seeds,
         method: Method,
-        on_progress: Progress = lambda stage, done: None,
+        on_progress: Progress = no_progress,
     ) -> Answers:
         """Find gains for every release, and simulate them."""
         tuned = self._tuned(problem, seeds, method, on_progress)
@@ -168,7 +169,7 @@ class DampingTrack(PolicyTrack):
         problem: Problem,
         seeds: Seeds,
         method: Method,
-        on_progress: Progress = lambda stage, done: None,
+        on_progress: Progress = no_progress,
     ) -> Array:
         """(groups, releases, 2, n, n) gains."""
         if method.name not in TUNERS:

@@ -22,7 +22,15 @@ from ves_gym.leaderboard.entry import number, text
 from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.evaluators import identity
 from ves_gym.leaderboard.protocol import PLANNED_SHARE, Problem, Seeds
-from ves_gym.leaderboard.tracks.base import Answers, Case, Method, Progress, Row, row
+from ves_gym.leaderboard.tracks.base import (
+    Answers,
+    Case,
+    Method,
+    Progress,
+    Row,
+    no_progress,
+    row,
+)
 from ves_gym.leaderboard.tracks.selectors import SELECTORS, SILENT, answer_of, silent
 from ves_gym.system.system import System
 
@@ -38,10 +46,16 @@ class DiagnosisTrack:
     Args:
         folder: where logs, labels and answers are kept; default out/leaderboard/blind.
         workers: processes that make and diagnose cases.
+        progress: called with the stage and the fraction done where cases are made to verify.
     """
 
-    def __init__(self, folder: Path | None = None, workers: int = 1) -> None:
-        self.folder, self.workers = folder or _FOLDER, workers
+    def __init__(
+        self,
+        folder: Path | None = None,
+        workers: int = 1,
+        progress: Progress = no_progress,
+    ) -> None:
+        self.folder, self.workers, self.progress = folder or _FOLDER, workers, progress
 
     def payload(self, problem: Problem) -> str:
         """See `LeaderboardTrack`."""
@@ -93,7 +107,7 @@ class DiagnosisTrack:
         problem: Problem,
         seeds: Seeds,
         method: Method,
-        on_progress: Progress = lambda stage, done: None,
+        on_progress: Progress = no_progress,
     ) -> Answers:
         """Make the cases and diagnose them; go on where it was interrupted."""
         if method.name not in SELECTORS:
@@ -139,7 +153,7 @@ class DiagnosisTrack:
         benchmark = self.benchmark(problem, seeds)
         # answers of runs that verify, never those that a bundle was made from
         again = replace(benchmark, answers=f"again-{benchmark.answers}")
-        mine, seconds = self._answers(again, method)
+        mine, seconds = self._answers(again, method, self.progress)
         its = _read(members[self.payload(problem)], list(benchmark.cases))
         agree = [_verdict_of(a) == _verdict_of(b) for a, b in zip(mine, its, strict=True)]
         if sum(agree) < PLANNED_SHARE * len(agree):
@@ -151,7 +165,7 @@ class DiagnosisTrack:
         self,
         benchmark: blind_benchmark.BenchmarkRun,
         method: Method,
-        on_progress: Progress = lambda stage, done: None,
+        on_progress: Progress = no_progress,
     ) -> tuple[list[dict[str, Any]], list[float | None]]:
         """Diagnose what is not diagnosed yet; answers to all cases, and the seconds of each.
 
@@ -173,8 +187,9 @@ class DiagnosisTrack:
         answers: Sequence[dict[str, Any]],
     ) -> list[Row]:
         benchmark = self.benchmark(problem, seeds)
-        for i in benchmark.cases:
+        for k, i in enumerate(benchmark.cases):
             if not (benchmark.labels / f"case-{i:03d}.json").exists():
+                self.progress("making logs", k / len(benchmark.cases))
                 blind_benchmark.make_case(str(benchmark.folder), benchmark.root, i)
         out = []
         cases = self.cases(problem, seeds, method, 0)

@@ -28,6 +28,7 @@ from ves_gym.leaderboard.tracks.base import (
     Method,
     Progress,
     Row,
+    no_progress,
     require_as_good,
     row,
 )
@@ -60,10 +61,11 @@ class PathTrack:
 
     Args:
         workers: processes that plan.
+        progress: called with the stage and the fraction done where a method runs again.
     """
 
-    def __init__(self, workers: int = 1) -> None:
-        self.workers = workers
+    def __init__(self, workers: int = 1, progress: Progress = no_progress) -> None:
+        self.workers, self.progress = workers, progress
 
     def payload(self, problem: Problem) -> str:
         """See `LeaderboardTrack`."""
@@ -101,7 +103,7 @@ class PathTrack:
         seeds: Seeds,
         planner: Planner,
         method: Method,
-        on_progress: Progress = lambda stage, done: None,
+        on_progress: Progress = no_progress,
     ) -> Answers:
         """Plan every query, with each of the method's seeds."""
         plans = self._plans(problem, seeds, planner, method, on_progress)
@@ -141,7 +143,7 @@ class PathTrack:
         """See `LeaderboardTrack`. Energies are compared, not motions."""
         if method.name not in PLANNERS:
             raise BundleError(Code.NOT_REPRODUCIBLE, f"no built-in planner {method.name!r:.80}")
-        plans = self._plans(problem, seeds, get_planner(method.name), method)
+        plans = self._plans(problem, seeds, get_planner(method.name), method, self.progress)
         mine = self._rows(
             problem, seeds, method, [p.motion for p in plans], [_effort_of(p) for p in plans]
         )
@@ -154,7 +156,7 @@ class PathTrack:
         seeds: Seeds,
         planner: Planner,
         method: Method,
-        on_progress: Progress = lambda stage, done: None,
+        on_progress: Progress = no_progress,
     ) -> list[Plan]:
         """Plans of every query with every seed, in order, whoever made them."""
         queries = self.queries(problem, seeds)

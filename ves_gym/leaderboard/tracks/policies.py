@@ -26,7 +26,15 @@ from ves_gym.leaderboard.protocol import (
     Seeds,
 )
 from ves_gym.leaderboard.tracks.action_recorder import Recorded, Replayed
-from ves_gym.leaderboard.tracks.base import Answers, Case, Method, Progress, Row, row
+from ves_gym.leaderboard.tracks.base import (
+    Answers,
+    Case,
+    Method,
+    Progress,
+    Row,
+    no_progress,
+    row,
+)
 from ves_gym.system.system import System
 
 SETTINGS = ("control", "goal")  # of an environment, that a method may choose
@@ -61,7 +69,7 @@ class PolicyTrack:
         controllers: Sequence[Controller],
         method: Method,
         members: Mapping[str, bytes],
-        on_progress: Progress = lambda stage, done: None,
+        on_progress: Progress = no_progress,
     ) -> Answers:
         """Evaluate controllers, one per group, and record what they do."""
         actions, rows = [], []
