@@ -41,9 +41,14 @@ RIVALS: dict[str, tuple[str, ...]] = {
     "FreeFlyerReach": ("zero", "random"),
     "BeamLQR": ("zero", "random", "lqr"),
 }
-# Of tasks that have policies of two versions: beside those of the second, which act through
-# another control than the built-in controllers, so that these keep the task's own.
-SECOND_RIVALS = ("resolved", "zero", "random")
+# Beside policies that were learned from a controller, in velocities: the built-in controllers
+# through the task's own control, in which the first of them is the reference.
+IMITATED_RIVALS: dict[str, tuple[str, ...]] = {
+    "PumaReach": ("resolved", "zero", "random"),
+    "PumaReachGoal": ("resolved", "zero", "random"),
+    "PumaTrack": ("resolved", "zero", "random"),
+    "PoseReach": ("resolved-pose", "zero", "random"),
+}
 FPS, WIDTH, COLOURS = 10, 480, 64  # of the animations
 EPISODE = 3  # that they show
 
@@ -107,11 +112,11 @@ def measure(config: TrainConfig, runs: Path) -> None:
     seeds = [
         load_policy(runs / config.name / f"seed-{seed}" / "best.json") for seed in config.seeds
     ]
-    second = config.algorithm == "DAgger"
-    settings = {} if second else best.settings(gym.spec(config.env))
+    imitated = config.algorithm == "DAgger"
+    settings = {} if imitated else best.settings(gym.spec(config.env))
+    rivals = (IMITATED_RIVALS if imitated else RIVALS)[task(config)]
     columns: list[tuple[str, Sequence[Controller]]] = [
-        (name, [get_controller(name)])
-        for name in (SECOND_RIVALS if second else RIVALS[task(config)])
+        (name, [get_controller(name)]) for name in rivals
     ]
     columns += [(config.label, [best]), (f"{config.label}, {len(seeds)} seeds", seeds)]
     result = _compared(config.env, columns, EPISODES, settings)

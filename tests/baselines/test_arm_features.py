@@ -73,9 +73,9 @@ def test_of_a_pose_they_are_the_joint_angles_that_give_it(arm, rounds):
     near, far, taken, _, _, rest = np.split(
         features(observation), np.arange(n, 5 * n + 1, n), 1
     )
-    assert features.size == 10 * n + (27 if rounds else 21)
+    assert features.size == 5 * n + (27 if rounds else 21)
     place, turn = tool_frame(robot, s.q)
-    tool, has, asked, left, timed = np.split(rest, [3, 12, 21, rest.shape[1] - 5 * n], axis=1)
+    tool, has, asked, left = np.split(rest, [3, 12, 21], axis=1)
     np.testing.assert_allclose(tool, place, atol=1e-5)
     np.testing.assert_allclose(has.reshape(-1, 3, 3), np.swapaxes(turn, 1, 2), atol=1e-5)
     back = np.swapaxes(rotation(s.y_seen), 1, 2)
@@ -93,18 +93,24 @@ def test_of_a_pose_they_are_the_joint_angles_that_give_it(arm, rounds):
     np.testing.assert_allclose(end, goal[there], atol=1e-3)
     np.testing.assert_allclose(end_turn, goal_turn[there], atol=5e-3)
     np.testing.assert_allclose(near, np.clip(far, -0.25, 0.25) * 4, atol=1e-6)
-    gone = s.time[0] / env.task.duration
-    weights = [
-        np.interp(gone, [k / 5 - 0.2, k / 5, k / 5 + 0.2], [0, 1, 0]) for k in range(1, 6)
-    ]
-    parts = timed.reshape(-1, 5, n)
-    np.testing.assert_allclose(parts, np.array(weights)[:, None] * far[:, None], atol=1e-5)
     J = tool_twists(robot, s.q) * np.array([1, 1, 1, 0.3, 0.3, 0.3])[:, None]
     moved = carried(twist(s.y_seen, s.yd_seen), place) * np.array([1, 1, 1, 0.3, 0.3, 0.3])
     for i in range(len(J)):
         A = np.concatenate([J[i], 0.03 * np.eye(n)])
         rates = np.linalg.lstsq(A, np.concatenate([moved[i], np.zeros(n)]), rcond=None)[0]
         np.testing.assert_allclose(taken[i], np.clip(2 * rates, -1, 1), atol=2e-4)
+
+
+def test_newton_ends_elsewhere_than_at_the_nearest_configuration():
+    """Why the closed form: from the start of an episode, in 79 of 100."""
+    control = {"kind": "joint_velocity"}
+    env = gym.make_vec("ves/PoseReach-v0", num_envs=100, threads=1, control=control)
+    observation, _ = env.reset(seed=5)
+    exact = arm_features(env.task)
+    ways = [f(observation)[:, 6:12] for f in (exact, dataclasses.replace(exact, rounds=4))]
+    share = np.mean(np.linalg.norm(ways[0] - ways[1], axis=1) > 0.3)
+    print(f"four rounds of Newton's method end elsewhere in {share:.0%} of 100 episodes")
+    assert share > 0.5
 
 
 def some_policy(features, hidden=16):
@@ -168,8 +174,6 @@ def test_what_does_not_fit_is_refused():
         ({"rounds": 2}, "and 1 where no turn is asked, got 2"),
         ({"turn": 0, "rounds": 17}, "rounds must be 0 to 16"),
         ({"turn": 0, "rounds": 0}, "1 or more for an arm without a spherical wrist"),
-        ({"turn": 0}, "time_left must be 0 to 19 where a turn is asked, else -1, got -1"),
-        ({"time_left": 3}, "else -1, got 3"),
     ):
         with pytest.raises(ParameterError, match=message):
             type(features)(**{**plain, "joint_angle": 0, "target": 15, **changes})

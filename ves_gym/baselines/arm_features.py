@@ -31,7 +31,6 @@ _FURTHER = 6.3  # rad of the way left to a pose, told apart up to there
 _POSE_DAMPING = 0.03  # m/rad
 _LEAST = 1e-5  # of 1 + cosine, where an axis is turned
 _STRIDE = 1.0  # rad, the most that a joint moves per round of Newton's method
-_PARTS = 5  # of an episode, in which the way to a pose is told apart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,10 +46,8 @@ class ArmFeatures:
     Where an orientation is asked too (`turn`), the Jacobian is that of place and turn. Both
     ranges of joint angles are those to the nearest configuration for the pose, in closed form,
     of an arm with a spherical wrist (`rounds` = 0), of others those that `rounds` of Newton's
-    method give. There follow the axes that the tool has and is to have, in the base's; what
-    Newton's last round lacked; and the way left times a weight for each fifth of the episode,
-    one at its end and none a fifth before or after: a speed by the clock is next to linear in
-    them.
+    method give. There follow the axes that the tool has and is to have, in the base's, and what
+    Newton's last round lacked.
     """
 
     arm: str  # a name of the arm library
@@ -62,7 +59,6 @@ class ArmFeatures:
     tool: int = -1
     turn: int = -1  # axis of the missing turn, times its sine, then the cosine; negative: any
     rounds: int = 1  # of Newton's method; 0: closed form
-    time_left: int = -1  # in the episode, whose seconds are its scale; of use with a turn
 
     def __post_init__(self) -> None:
         if self.arm not in arm_names():
@@ -92,11 +88,6 @@ class ArmFeatures:
                 "ArmFeatures.rounds must be 1 or more for an arm without a spherical wrist, got"
                 f" 0 for {self.arm}"
             )
-        if (self.turn < 0) != (self.time_left < 0) or self.time_left >= len(self.scales):
-            raise ParameterError(
-                f"ArmFeatures.time_left must be 0 to {len(self.scales) - 1} where a turn is"
-                f" asked, else -1, got {self.time_left}"
-            )
         if self.tool > len(self.scales) - 3:
             raise ParameterError(
                 f"ArmFeatures.tool must be at most {len(self.scales) - 3}, got {self.tool}"
@@ -109,9 +100,18 @@ class ArmFeatures:
     @property
     def size(self) -> int:
         """How many there are."""
+        pose = 0 if self.turn < 0 else 24 if self.rounds else 18
+        return 5 * self._arm.n + 3 + pose
+
+    def __str__(self) -> str:
         if self.turn < 0:
-            return 5 * self._arm.n + 3
-        return (5 + _PARTS) * self._arm.n + 3 + (24 if self.rounds else 18)
+            return "inverse Jacobian's answers, sines and cosines, tool's place"
+        way = f"{self.rounds} rounds of Newton's method" if self.rounds else "closed form"
+        return (
+            f"joint angles missing to the nearest configuration for the pose ({way}), finely"
+            " and coarsely; inverse Jacobian's answer to the base's motion; sines and cosines;"
+            " tool's place and axes, axes it is to have"
+        )
 
     def __call__(self, observation: npt.ArrayLike) -> Array:
         """Features (n, size) of observations (n, o)."""
@@ -166,11 +166,7 @@ class ArmFeatures:
             else:
                 joint_way = shortest_way(self._arm, q, place, asked, xp, clip)
             taken = _damped(J, (*carried, *scale(_LEVER, turning)))
-            whole = [clip(k, -_FURTHER, _FURTHER) for k in joint_way]
-            gone = (1.0 - entries[self.time_left]) * float(_PARTS)
-            timed = [_hat(gone - float(i + 1), clip) * k for i in range(_PARTS) for k in whole]
-            pose = [*(k for axis in (*has, *asked) for k in axis), *left, *timed]
-            far = _FURTHER
+            pose, far = [*(k for axis in (*has, *asked) for k in axis), *left], _FURTHER
         return [
             *(clip(k, -_NEAR, _NEAR) * (1 / _NEAR) for k in joint_way),
             *(clip(k, -far, far) for k in joint_way),
@@ -216,11 +212,6 @@ class ArmFeatures:
         """Three axes of the tool in the base's."""
         columns = self._arm.tool_rotation.T.tolist()
         return [chain[-1].rotation.apply(tuple(k)) for k in columns]
-
-
-def _hat(x: Any, clip: Callable[..., Any]) -> Any:
-    """1 at x = 0, falling linearly to 0 at x = -1 and 1."""
-    return clip(x + 1.0, 0.0, 1.0) + clip(1.0 - x, 0.0, 1.0) - 1.0
 
 
 def _turned(sines: Any, cosine: Any, axis: Any) -> Any:
@@ -293,5 +284,4 @@ def arm_features(task: Task, goal: bool = False) -> ArmFeatures:
         tool=at["tool"] if way == "target" else -1,
         turn=at.get("to_turn", -1),
         rounds=rounds,
-        time_left=at["time_left"] if "to_turn" in at else -1,
     )

@@ -75,10 +75,8 @@ def _identity(name: str, policy: Policy) -> str:
     rows.append(("numbers", f"{count:,}, single precision"))
     rows.append(("observations", f"clipped to +-{net.observation_limit:g} of their scales"))
     if net.features is not None:
-        said = "inverse Jacobian's answers, sines and cosines, tool's place"
-        rows.append(
-            ("further inputs", f"{net.features.size} of the {net.features.arm}: {said}")
-        )
+        said = f"{net.features.size} of the {net.features.arm}: {net.features}"
+        rows.append(("further inputs", said))
     if net.inputs:
         rows.append(("parts of the observation", ", ".join(net.inputs)))
     return _table(("what", "value"), rows)
