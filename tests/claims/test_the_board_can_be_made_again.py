@@ -64,9 +64,8 @@ def test_the_board_has_every_entry_that_make_leaderboard_fills(journal):
     assert {k for k in wanted if k[0] != "discrepancy"} <= there
 
 
-def test_a_stale_board_fails():
+def test_a_stale_board_fails(journal):
     """The board as its page ranks it, once the rules of a track or a problem change."""
-    journal = check(PLACE / "entries")
     page = make_board(journal, lambda entry: None)  # ranks all that ever was
     past = divided(journal.records)[1]
     faults = stale_ranked(page, journal)

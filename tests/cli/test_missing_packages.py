@@ -17,8 +17,8 @@ from ves_gym.system.system import System
 
 ROOT = Path(__file__).parents[2]
 
-# Runs the command as on a machine without the packages: they are neither found nor loaded.
-PROGRAM = """
+# As on a machine without the packages: they are neither found nor loaded.
+HIDDEN = """
 import sys
 from importlib.abc import MetaPathFinder
 
@@ -29,9 +29,31 @@ class Hidden(MetaPathFinder):
 
 hidden = set(sys.argv[1].split(","))
 sys.meta_path.insert(0, Hidden())
-from ves_gym.cli.main import main
-sys.exit(main(sys.argv[2:]))
+from ves_gym.cli.main import COMMANDS, main
 """
+ONE = HIDDEN + "sys.exit(main(sys.argv[2:]))"
+# Loads the commands once, without the packages; each command is then run by a copy of itself.
+MANY = (
+    HIDDEN
+    + """
+import importlib, json, os, signal
+for name in COMMANDS:
+    importlib.import_module("ves_gym.cli." + name.replace("-", "_"))
+for request in sys.stdin:
+    names, words, folder, *files = json.loads(request)
+    child = os.fork()
+    if child == 0:
+        signal.alarm(120)
+        hidden.clear()
+        hidden.update(names.split(","))
+        os.chdir(folder)
+        for stream, file in enumerate(files, 1):
+            os.dup2(os.open(file, os.O_WRONLY | os.O_CREAT), stream)
+        sys.exit(main(words))
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+)
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 EVERYTHING = ",".join({name.partition(".")[0] for name in PACKAGES} - {"mujoco"})
 TRAIN = ["train", "ves/PumaDamp-v0", "--steps", "64"]
 SPEC = """
@@ -47,19 +69,48 @@ space = { "train.0.changes.total_timesteps" = { low = 400, high = 800 } }
 
 
 @pytest.fixture
-def command(tmp_path):
-    """Run a command in an empty folder with packages hidden: (status, stdout, stderr)."""
+def alone(tmp_path):
+    """Run a command in a process of its own: (status, stdout, stderr)."""
 
     def run(hidden, *words):
         done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, hidden, *map(str, words)],
+            [sys.executable, "-c", ONE, hidden, *map(str, words)],
             cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            env=ENVIRONMENT,
             capture_output=True,
             text=True,
             timeout=120,
         )
         return done.returncode, done.stdout, done.stderr
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def server():
+    with subprocess.Popen(
+        [sys.executable, "-c", MANY, EVERYTHING],
+        env=ENVIRONMENT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        yield process
+
+
+@pytest.fixture
+def command(request, tmp_path, tmp_path_factory):
+    """Run a command in an empty folder with packages hidden: (status, stdout, stderr)."""
+    if not hasattr(os, "fork"):
+        return request.getfixturevalue("alone")
+    server, files = request.getfixturevalue("server"), tmp_path_factory.mktemp("streams")
+
+    def run(hidden, *words):
+        streams = [files / "out", files / "err"]
+        what = [hidden, list(map(str, words)), str(tmp_path), *map(str, streams)]
+        print(json.dumps(what), file=server.stdin, flush=True)
+        status = int(server.stdout.readline())
+        return status, *(file.read_text() for file in streams)
 
     return run
 
@@ -137,7 +188,7 @@ def test_refused_in_one_line(command, run_log, tmp_path, words, says):
     ("words", "written"),
     [
         (["map", "--joints", "2,3", "--points", "5"], "map.npz"),
-        (["simulate"], "run.csv"),
+        (["simulate", "--settle", "0.2"], "run.csv"),
     ],
 )
 def test_pictures_are_left_out_and_the_rest_is_done(command, tmp_path, words, written):
@@ -196,9 +247,9 @@ def test_a_package_that_does_not_load_is_told_from_one_that_is_missing():
     assert explain(ImportError("no")) is None
 
 
-def test_windows_has_no_posix_locks(command, tmp_path):
+def test_windows_has_no_posix_locks(alone, tmp_path):
     (tmp_path / "search.toml").write_text("")
-    status, out, err = command("fcntl", "search", "search.toml")
+    status, out, err = alone("fcntl", "search", "search.toml")
     assert (status, out) == (2, "") and err.count("\n") == 1 and "on Windows" in err
 
 

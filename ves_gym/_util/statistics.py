@@ -6,10 +6,12 @@ Every draw comes from one fixed seed, so the same values give the same interval.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ves_gym._util.params import Array, Mask
 
@@ -17,6 +19,7 @@ RESAMPLES = 2000
 _Z = 1.959964  # standard deviations of a two-sided 95 % interval
 
 Statistic = Callable[[Array], Array]
+Places = npt.NDArray[np.int64]
 
 
 class Estimate(NamedTuple):
@@ -67,12 +70,17 @@ def resample(strata: Sequence[Array], statistic: Statistic) -> Array:
     Returns:
         (RESAMPLES,) values.
     """
-    rng = np.random.Generator(np.random.PCG64(0))
-    drawn = [
-        g[rng.integers(len(g), size=(RESAMPLES, len(g)))].reshape(RESAMPLES, -1) for g in strata
-    ]
+    places = _places(tuple(len(g) for g in strata))
+    drawn = [g[at].reshape(RESAMPLES, -1) for g, at in zip(strata, places, strict=True)]
     with np.errstate(invalid="ignore"):
         return np.asarray(statistic(np.concatenate(drawn, axis=1)))
+
+
+@functools.lru_cache(maxsize=8)
+def _places(sizes: tuple[int, ...]) -> tuple[Places, ...]:
+    """Which values each draw takes of groups of these sizes, (RESAMPLES, size) each."""
+    rng = np.random.Generator(np.random.PCG64(0))
+    return tuple(rng.integers(size, size=(RESAMPLES, size)) for size in sizes)
 
 
 def interval(spread: Array) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ there is, mostly infinity; it is never left out. See docs/leaderboard/statistics
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -163,14 +164,21 @@ def thresholds(entries: Sequence[Entry], points: int = 61) -> Array:
 
 def profile(entries: Sequence[Entry], at: Array) -> Profile:
     """Performance profile: the higher, the better; failures are above every threshold."""
-    rng = np.random.Generator(np.random.PCG64(0))
     below = [(values(e)[:, :, None] <= at).mean(axis=1) for e in entries]
     n = sum(len(b) for b in below)
     share = np.concatenate(below).sum(axis=0) / n
     drawn = np.zeros((RESAMPLES, len(at)))
-    for b in below:  # drawing with replacement, as the number of times each is drawn
-        drawn += rng.multinomial(len(b), np.full(len(b), 1 / len(b)), size=RESAMPLES) @ b / n
+    for times, b in zip(_times(tuple(map(len, below))), below, strict=True):
+        drawn += times @ b / n
     return Profile(at, share, *interval(drawn))
+
+
+@functools.lru_cache(maxsize=8)
+def _times(sizes: tuple[int, ...]) -> tuple[Array, ...]:
+    """How often each of so many episodes is drawn, with replacement, (RESAMPLES, n) each."""
+    rng = np.random.Generator(np.random.PCG64(0))
+    drawn = (rng.multinomial(n, np.full(n, 1 / n), size=RESAMPLES) for n in sizes)
+    return tuple(counts.astype(np.float64) for counts in drawn)
 
 
 def anytime(entry: Entry, at: Array) -> Array:
