@@ -7,6 +7,7 @@ import random
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -118,10 +119,15 @@ def test_a_stopped_run_ends_as_if_it_had_not_been(run, config, tmp_path):
     assert curve(parts) == steps
 
 
-def test_the_curve_is_what_evaluate_says(run, tmp_path):
+def test_the_curve_is_what_evaluate_says(run, tmp_path, monkeypatch):
+    """And the library leaves no log (SB3-...) in the folder of temporary files."""
     from ves_gym.baselines.train import VALIDATION
 
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     rows = run(PPO, tmp_path)
+    assert not list(temporary.glob("SB3*"))
     policy = load_policy(tmp_path / "best.json")
     found = evaluate(policy, PPO.env, episodes=4, seed=VALIDATION, threads=1, **PPO.settings)
     best = max(rows, key=lambda row: row["return"])

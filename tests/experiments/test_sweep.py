@@ -334,6 +334,9 @@ def test_training_runs_are_units_too(tmp_path):
 # ------------------------------------------------------------------------------ bad input
 
 
+ZERO = {"envs": ["BeamLQR-v0"], "policies": ["zero"]}
+
+
 @pytest.mark.parametrize(
     ("plain", "message"),
     [
@@ -342,6 +345,12 @@ def test_training_runs_are_units_too(tmp_path):
         ({"evaluate": [{"envs": ["No-v0"], "policies": ["zero"]}]}, "No"),
         ({"evaluate": [{"envs": ["CartPole-v1"], "policies": ["zero"]}]}, "CartPole"),
         ({"evaluate": [{"envs": ["BeamLQR-v0"], "policies": ["magic"]}]}, "policy 'magic'"),
+        (
+            {"evaluate": [{**ZERO, "episodes": 10**12}]},
+            "episodes must be 1 to 1000000, got 10000",
+        ),
+        ({"evaluate": [{**ZERO, "episodes": True}]}, "episodes must be int, got True"),
+        ({"evaluate": [{**ZERO, "settings": {"randomize": [True]}}]}, "randomize must map"),
         ({**SMALL, "seconds": 0.0}, "seconds must be > 0"),
         ({**SMALL, "deaths": 0}, "deaths must be >= 1"),
         ({**SMALL, "speed": 1}, "unknown key 'speed'"),
