@@ -115,9 +115,12 @@ def readme_diagnosis():
 @pytest.fixture(scope="module")
 def diagnosis(tmp_path_factory):
     pytest.importorskip("matplotlib").use("Agg")
+    import matplotlib.pyplot as plt
+
     names = {}
     with contextlib.chdir(tmp_path_factory.mktemp("readme")):
         exec(readme_diagnosis(), names)
+        plt.close("all")  # the README's figure, which a test would take for one of its own
         assert Path("found.png").is_file()
         assert vg.System.load("better.toml") == names["found"].system
     return names["found"]
