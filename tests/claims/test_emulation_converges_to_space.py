@@ -55,7 +55,7 @@ def base_error(system: System, settle: float) -> float:
 )
 def test_error_falls_along_the_ladder(vehicle):
     rungs = (0, 1, 2)
-    errors = [base_error(laboratory(vehicle, k, compensated=True), 1.5) for k in rungs]
+    errors = [base_error(laboratory(vehicle, k, compensated=True), 0.5) for k in rungs]
     print(vehicle, [f"{error:.2%}" for error in errors])
     assert errors == sorted(errors, reverse=True)
     for error, limit in zip(errors, PROMISED, strict=False):

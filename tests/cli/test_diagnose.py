@@ -77,7 +77,8 @@ def test_the_friction_is_named_and_written_down(call, logs, tmp_path):
     assert result["sentence"] in page.read_text(encoding="utf-8")
     page.unlink()
     repaired = tmp_path / "out" / "system.toml"
-    again = call("diagnose", logs, "--system", repaired, "--no-figures")[3]
+    words = ("--system", repaired, "--final", "0", "--no-figures")
+    again = call("diagnose", logs / "run-3.parquet", *words)[3]  # the one that was held back
     assert again["effects"] == [] and again["experiments"] == []
     assert not page.exists()
 

@@ -197,7 +197,7 @@ def test_a_log_without_torques_says_what_it_cannot_tell(hidden):
     import dataclasses
 
     bare = []
-    for log in hidden(seed=1):
+    for log in hidden(seed=1)[:2]:
         meta = {k: v for k, v in log.meta.items() if k != "controller"}
         bare.append(dataclasses.replace(log, tau=None, meta=meta))
     _, found = diagnosed(bare)

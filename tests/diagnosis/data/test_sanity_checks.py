@@ -62,7 +62,11 @@ def slowly(*values):
         slowly(["q_cmd", "v_cmd"], swap(3, 1, 2), "is q_cmd_2 exchanged with q_cmd_3"),
         slowly(JOINT, flip(3, 2), "has joint 3 the other sign"),
         (["tau"], 1e3 * np.eye(3), "is tau in N mm, not N m"),
-        (["y"], factor(6, range(3, 6), 180 / np.pi), "are the angles in y in degrees, not rad"),
+        slowly(
+            ["y"],
+            factor(6, range(3, 6), 180 / np.pi),
+            "are the angles in y in degrees, not rad",
+        ),
         slowly(["y"], swap(6, 0, 2), "is y x exchanged with y z"),
         slowly(["w", "wg"], flip(6, 4), "has w and wg M_y the other sign"),
         slowly(["wg"], flip(6, 0), "has wg F_x the other sign"),

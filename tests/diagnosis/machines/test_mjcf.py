@@ -41,19 +41,19 @@ JOINTS = (MjcfJoint("shoulder"), MjcfJoint("reach", "slide", 0.1))
 PLAIN = {"shoulder": "", "reach": ""}
 
 
-def moved(seed, **hidden):
+def moved(seed, steps=12000, **hidden):
     """A run of the arm under control, with what is hidden in its joints."""
-    t, signals = recorded(seed, **hidden)
+    t, signals = recorded(seed, steps, **hidden)
     return run_of_signals(t, signals, f"run {seed}")
 
 
-def recorded(seed, **hidden):
+def recorded(seed, steps=12000, **hidden):
     model = mujoco.MjModel.from_xml_string(ARM.format(**{**PLAIN, **hidden}))
     data, rng = mujoco.MjData(model), np.random.default_rng(seed)
     waves, phase = rng.uniform(0.2, 1.2, (3, 2)), rng.uniform(0, 6, (3, 2))
     size, kp, kd = np.array([0.4, 0.05]), np.array([600.0, 6000.0]), np.array([60.0, 300.0])
     rows = []
-    for k in range(12000):
+    for k in range(steps):
         angle = 2 * np.pi * waves * data.time + phase
         want = size * np.sin(angle).sum(axis=0)
         rate = size * (2 * np.pi * waves * np.cos(angle)).sum(axis=0)
@@ -133,7 +133,7 @@ def test_a_machine_in_mjcf_goes_from_command_to_files_that_play_the_same(tmp_pat
     (tmp_path / "arm.xml").write_text(xml)
     (tmp_path / "arm.toml").write_text(COMMAND)
     for seed in (2, 3):
-        t, x = recorded(seed, shoulder='damping="3"', reach='damping="30"')
+        t, x = recorded(seed, 6000, shoulder='damping="3"', reach='damping="30"')
         x["tau"][:, 0] /= 0.9  # the drive gives a tenth less than it says
         table = np.column_stack([t, x["q"], x["tau"]])
         path = tmp_path / f"run-{seed}.csv"
@@ -217,7 +217,7 @@ def test_a_model_whose_files_lie_elsewhere_still_finds_them(tmp_path, machine):
 
 def test_a_diagnosis_that_is_interrupted_goes_on(machine, tmp_path):
     """Nothing is computed twice, a damaged file is computed again, the answer is the same."""
-    run = moved(2, shoulder='damping="2.0"')
+    run = moved(2, 3000, shoulder='damping="2.0"')
 
     def answer(interrupted=False):
         asked = []
