@@ -94,6 +94,7 @@ def play_motions(
     table = None if gravity is None else _tabulated(gravity, clock, n)
 
     rows: list[tuple[Array, ...]] = []
+    hidden: list[tuple[Array, ...]] = []  # in space: what else is moved beside Y, and moves it
     extremes = Extremes.none(n, sim.joints) if watch else None
     base_watch = BaseWatch(system.arm, n, duration + _OVERSHOOT) if watch else None
     middle = middle_of_range(system.arm)
@@ -128,8 +129,9 @@ def play_motions(
             if len(sim.events) >= n:
                 break
         else:
-            held = None if acts is None else (acts.torque, acts.wrench)
-            rows.append((*row, base_wrench(system, state, ydd, sim.internal_state, held)))
+            held = () if acts is None else (acts.torque, acts.wrench)
+            hidden.append(tuple(part.copy() for part in (*sim.internal_state, *held)))
+            rows.append(row)
         if k + 1 < records:
             last = (k + 1) * stride
             apart = extremes is not None and edges[k * stride] < duration + SETTLING
@@ -156,7 +158,11 @@ def play_motions(
     contact = () if sim.touch is None else ("contact", "contact_energy")
     carried = (*modes, *acted, *payload, *contact)
     names = ("q", "v", "tau", "y", "yd", "ydd", *carried, "w", "wg", "y_cmd")
-    stacked = (np.stack(column, axis=1) for column in zip(*rows, strict=True))
+    stacked = [np.stack(column, axis=1) for column in zip(*rows, strict=True)]
+    if not emulated:
+        y_yd_ydd = (stacked[names.index(name)] for name in ("y", "yd", "ydd"))
+        more = (np.stack(column, axis=1) for column in zip(*hidden, strict=True))
+        stacked.append(_wrenches(system, *y_yd_ydd, *more))
     end = (len(rows) - 1) * stride + 1
     return Recording(
         system=system,
@@ -337,6 +343,28 @@ def _commands(sim: Simulator, s: Samples) -> Array:
     return sim.servo_command(s.q, s.v, tau)
 
 
+def _wrenches(
+    system: System, y: Array, yd: Array, ydd: Array, at: Array, rate: Array, *held: Array
+) -> Array:
+    """Return the wrench of the arm on the base in all records (n, N, 6), as `base_wrench`.
+
+    Args:
+        system: arm and vehicle.
+        y, yd, ydd: (n, N, 6) motion of the base.
+        at, rate: (n, N, h) of `Simulator.internal_state`.
+        held: (n, N, ...) torque of wheels and wrench of jets, where the vehicle has them.
+    """
+    count = y.shape[0] * y.shape[1]
+
+    def flat(part: Array) -> Array:
+        return part.reshape(count, part.shape[-1])
+
+    inner = flat(at), flat(rate)
+    actuators = (flat(held[0]), flat(held[1])) if held else None
+    wrench = _wrench_of_motion(system, flat(y), flat(yd), flat(ydd), inner, actuators)
+    return wrench.reshape(y.shape)
+
+
 def base_wrench(
     system: System,
     state: State,
@@ -356,7 +384,19 @@ def base_wrench(
     Returns:
         (n, 6) in platform axes [N, N m].
     """
-    base, y, yd = system.actual.base, state.y, state.yd
+    return _wrench_of_motion(system, state.y, state.yd, ydd, hidden, actuators)
+
+
+def _wrench_of_motion(
+    system: System,
+    y: Array,
+    yd: Array,
+    ydd: Array,
+    hidden: tuple[Array, Array] | None,
+    actuators: tuple[Array, Array] | None,
+) -> Array:
+    """Return what `base_wrench` does, of n poses, rates and accelerations (n, 6)."""
+    base = system.actual.base
     # run by run: one matrix product over the batch would round by its size
     force = matvec(base.M, ydd) + matvec(base.D, yd) + matvec(base.K, y)  # conjugate to Y
     if base.drag is not None:
