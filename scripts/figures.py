@@ -186,7 +186,7 @@ def schematic(target: Path) -> None:
 THESIS = ("--suite", "thesis")
 REACH = ("--vehicle", "bent-thesis", "--planners", "hotspot-q,hotspot-qt,direct")
 BOARD = ROOT / "docs" / "leaderboard" / "index.html"
-ANIMATED = ("BeamLQR", "FreeFlyerReach", "PumaDamp", "PumaReach", "PumaReachGoal",
+ANIMATED = ("BeamLQR", "FreeFlyerReach", "PoseReach", "PumaDamp", "PumaReach", "PumaReachGoal",
             "PumaRestToRest", "PumaTrack")  # fmt: skip
 
 FIGURES: dict[str, Figure] = {

@@ -20,7 +20,6 @@ EVERY = [read_config(path) for path in sorted(CONFIGS.glob("*.toml"))]
 UNTRAINED = {
     "MacroMicro",
     "PayloadTransfer",
-    "PoseReach",
     "ServicerCapture",
 }  # tasks that no policy comes for yet
 
