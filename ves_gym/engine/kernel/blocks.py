@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ves_gym._util.params import Array, Rows
@@ -10,7 +12,7 @@ from ves_gym.engine.kernel.emit import LANES
 
 def aligned(*shape: int) -> Array:
     """Zeros whose first element lies on a cache line."""
-    size = int(np.prod(shape))
+    size = math.prod(shape)
     raw = np.zeros(size + 8)
     start = (-raw.ctypes.data // 8) % 8
     return raw[start : start + size].reshape(shape)
@@ -65,5 +67,7 @@ def unlane(rows: Array, n: int) -> Array:
     Returns:
         (n, k).
     """
+    if n <= LANES:
+        return rows[0, :, :n].T.copy()
     plain = rows.swapaxes(1, 2).reshape(len(rows) * LANES, rows.shape[1])
     return plain[:n].copy()
