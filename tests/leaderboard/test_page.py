@@ -175,6 +175,14 @@ def test_it_opens_from_a_file_and_asks_for_nothing_else(show, tmp_path):
     assert page.requests == [f"file://{tmp_path}/index.html"]
 
 
+def test_a_track_asks_its_own_question(show):
+    page = show("#track=discrepancy")
+    asked = "document.querySelector('h1').textContent"
+    assert page.do(asked) == "Who says what the description of a machine lacks?"
+    page.click("#tab-paths")
+    assert page.do(asked) == "Who moves the arm and leaves its base at rest?"
+
+
 def test_a_click_on_a_heading_sorts_and_another_turns_it_round(show, board):
     page = show("#track=paths&problem=reach100-1s")
     by_rank = [e["name"] for e in group(board, "paths", "reach100-1s")["entries"]]

@@ -6,7 +6,12 @@ const ABOUT = {
   paths: "Planners move the arm from one configuration to another in a given time. The score is the energy their path leaves in the base, over that of the straight joint line on the same query.",
   policies: "Policies and controllers drive the arm in an environment, on the same episodes for everyone.",
   damping: "Joint gains, controllers and policies that take vibration out of the base.",
-  discrepancy: "Naming what a description of the machine lacks, from logs, on the blind benchmark.",
+  discrepancy: "Naming what a description of the machine lacks, from logs, on the blind benchmark. A case is answered as wanted or not; “always nothing” and “location only”, which name nothing, show what that is worth.",
+};
+const QUESTION = $("question").textContent; // of planners and policies
+const QUESTIONS = {
+  damping: "Who brings a base that vibrates to rest?",
+  discrepancy: "Who says what the description of a machine lacks?",
 };
 const SHOWN = 6; // curves in the charts
 const FIRST = 100; // rows shown until all are asked for
@@ -337,6 +342,7 @@ function drawTabs() {
     tab.addEventListener("click", () => openTrack(t));
     return tab;
   }));
+  $("question").textContent = QUESTIONS[state.track] ?? QUESTION;
   $("panel").setAttribute("aria-labelledby", `tab-${state.track}`);
 }
 
