@@ -1,6 +1,7 @@
 """Honest bundles of every track pass, at both levels; what they prove is computed here."""
 
 import copy
+import json
 import multiprocessing
 import os
 import subprocess
@@ -386,8 +387,11 @@ def test_naming(tmp_path, monkeypatch):
     first = str(entry.rows[0]["seed"]).encode()
     assert with_("c.zip", b'"index":' + first, b'"index":601') is Code.EPISODE_LENGTH
     assert with_("d.zip", b'"verdict":"', b'"verdict":"x') is Code.BAD_ACTION
-    bundle = Bundle(path)
-    bundle.manifest["rows"][0]["score"] = 1.0 - bundle.manifest["rows"][0]["score"]
+    bundle = Bundle(path)  # no answer to a case that it says is right
+    answers = json.loads(bundle.members["answers.json"])
+    answers["answers"][0] |= {"verdict": "failed", "effects": []}
+    bundle.members["answers.json"] = json.dumps(answers).encode()
+    bundle.manifest["rows"][0] |= {"score": 0.0, "success": True, "failed": False}
     refused = rejection(bundle.write(tmp_path / "e.zip"), folder=tmp_path / "there")
     assert refused.code is Code.SCORE_DIFFERS
 
