@@ -315,19 +315,17 @@ class SystemMachine:
         links = Kinematics(q, v, a)
         base = _memoized(run, "base", lambda: _base_motion(run.base))
         tau, wrench = _dynamics(arm, links, run.base.x, base, weighty)
+        # what carries the weight at the links themselves carries that of the arm as it is
+        carried = _weight(arm, q, run.base.x) if balanced else np.zeros(())
+        tau = tau - carried
         if any(link.gear is not None for link in arm.links):  # links lag their motors
-            torque = tau  # what rigid links would take, where no torque is logged
-            if "tau" in run:
-                torque = run["tau"]
-                if balanced:
-                    torque = torque + _weight(self.system.arm, q, run.base.x)
+            # what rigid links would take, where no torque is logged
+            torque = run["tau"] if "tau" in run else tau
             bent = _deflections(arm, torque - rotors * a, run.dt)
             gear_motion = differentiated(bent, run.dt, run.band)
             links = Kinematics(*(x - d for x, d in zip(links, gear_motion, strict=True)))
             tau, wrench = _dynamics(arm, links, run.base.x, base, weighty)
-            tau = tau + rotors * (a - links.a)  # rotors move with the motors
-        if balanced:
-            tau = tau - _weight(self.system.arm, q, run.base.x)
+            tau = tau - carried + rotors * (a - links.a)  # rotors move with the motors
         loads[arm, old] = tau, wrench
         if len(loads) > _LOADS:
             del loads[list(loads)[1]]  # the first is the description's own
