@@ -19,6 +19,7 @@ from ves_gym.diagnosis.inference.whitened_residuals import QUIETEST, WhitenedRes
 
 _CHUNK = 24  # models evaluated at once
 _EXACT = 30  # shapes whose score is worth the exact sizes of the groups
+_DELICATE = 1e-4  # of a signature's square beyond tolerances: single precision tells too little
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,9 @@ class Signatures:
         self.inner = everything[S, S] - everything[S, J] @ np.linalg.solve(
             inside, everything[J, S]
         )
+        left = np.diag(self.inner) < _DELICATE * np.diag(everything)[p:]
+        self._delicate = [bool(left[list(block.columns)].any()) for block in self.blocks]
+        self._exact: dict[int, Array] = {}  # block -> (G, p + k, k) products of its columns
 
     # --------------------------------------------------------------- scoring
 
@@ -129,6 +133,10 @@ class Signatures:
         bz = np.stack([beside[g.part].T @ z[g.part] for g in groups])
         bb = np.stack([beside[g.part].T @ beside[g.part] for g in groups])
         bx = np.stack([beside[g.part].T @ self._all_columns[g.part] for g in groups])
+        # a weight that is stated may be off by a million times its noise, and is a tolerance
+        slopes = self.residuals.slopes
+        xz[:, :p] = [slopes[g.part].T @ z[g.part] for g in groups]
+        bx[:, :, :p] = [beside[g.part].T @ slopes[g.part] for g in groups]
         noise = self._noise_products(z, beside)
         share = np.minimum(size, 1.0)[:, None]  # of the noise expected that is there
         weight = 1 / np.maximum(size, 1.0)
@@ -137,15 +145,16 @@ class Signatures:
         for rank, s in enumerate(np.argsort(-first)):
             block = self.blocks[int(s)]
             candidate = self.candidates[block.candidate]
-            if rank >= _EXACT:
+            if rank >= _EXACT and not self._delicate[int(s)]:
                 worst = Score(block.candidate, np.inf, np.array(block.values))
                 best.setdefault(block.candidate, worst)
                 continue
             at = [*range(p), *(p + c for c in block.columns)]
             k = len(at)
             xx = np.empty((len(groups), k + r, k + r))
-            xx[:, :k, :k] = self._xx[:, at][:, :, at]
             xx[:, :p, :p] = self.residuals.gram  # as exact as in a full fit
+            xx[:, :k, p:k] = self._products(int(s))
+            xx[:, p:k, :p] = xx[:, :p, p:k].swapaxes(1, 2)
             xx[:, k:, k:] = bb
             xx[:, k:, :k] = bx[:, :, at]
             xx[:, :k, k:] = bx[:, :, at].swapaxes(1, 2)
@@ -177,6 +186,15 @@ class Signatures:
                 best[block.candidate] = Score(block.candidate, solution.deviance, values)
         return [best[i] for i in range(len(self.candidates))]
 
+    def _products(self, s: int) -> Array:
+        """Products (G, p + k, k) of a block's k columns with tolerances and each other."""
+        if s not in self._exact:
+            columns = self.columns[:, list(self.blocks[s].columns)].astype(float)
+            both = np.hstack([self.residuals.slopes, columns])
+            groups = self.residuals.groups
+            self._exact[s] = np.stack([both[g.part].T @ columns[g.part] for g in groups])
+        return self._exact[s]
+
     def _noise_products(self, z: Array, beside: Array) -> _NoiseProducts:
         """Return what noise alone adds to products of z (N,) and tangents (N, r), by group."""
         G, r, m = len(self._n), beside.shape[1], self._all_columns.shape[1]
@@ -201,6 +219,7 @@ class Signatures:
         """Return (blocks,) gain of each block with the groups' weights held."""
         p, r = self._p, bz.shape[1]
         xx = np.einsum("g,gij->ij", weight, self._xx, dtype=float)
+        xx[:p, :p] = np.einsum("g,gij->ij", weight, self.residuals.gram)
         x, b = weight @ xz, weight @ bz
         cross = np.einsum("g,gij->ij", weight, bx)  # (r, p + M)
         inside = np.zeros((p + r, p + r))

@@ -319,8 +319,9 @@ class SystemMachine:
         carried = _weight(arm, q, run.base.x) if balanced else np.zeros(())
         tau = tau - carried
         if any(link.gear is not None for link in arm.links):  # links lag their motors
-            # what rigid links would take, where no torque is logged
-            torque = run["tau"] if "tau" in run else tau
+            torque = tau  # what rigid links would take, where no torque is logged
+            if "tau" in run:
+                torque = run["tau"]
             bent = _deflections(arm, torque - rotors * a, run.dt)
             gear_motion = differentiated(bent, run.dt, run.band)
             links = Kinematics(*(x - d for x, d in zip(links, gear_motion, strict=True)))
