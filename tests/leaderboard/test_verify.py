@@ -494,6 +494,9 @@ def looked_at(id, name, episodes=4):
         ("ves/PumaDamp-v0", "random", 1e-3),
         ("ves/PumaReach-v0", "random", 2e-2),  # motors at their limits
         ("ves/FreeFlyerReach-v0", "random", 2e-3),
+        ("ves/PumaReach-v1", "random", 1e-2),  # a base with internal modes
+        ("ves/MacroMicro-v0", "random", 2e-2),
+        ("ves/PumaDamp-v1", "high", 8e-2),  # let go with them at work: 12.5 ms are coarse
     ],
 )
 def test_the_account_of_an_episode_closes(id, name, most):

@@ -1,6 +1,7 @@
 """Energy account of environment episodes: what the drives did against where it went.
 
-In space only: in the laboratory the platform does work of its own. A sample per control
+In space only: in the laboratory the platform does work of its own. Nor where something is
+grasped: the account knows one machine, and what it does at the joints. A sample per control
 period is enough, for the drive's command is known to be constant or linear within it, so that
 its work is integrated as such; the rest are quadratures.
 """
@@ -30,7 +31,8 @@ class Account:
         """Keep the state before a step; `fresh` (n,): environments that are in an episode."""
         s = env.batch.scene
         self._system, self._control = env.task.system, env.task.control
-        row = np.concatenate([s.q, s.v, s.y, s.yd, s.tau, s.kp, s.kd], axis=1)
+        modes = env.batch.sim.base_modes or ()  # u and u' of a base with internal modes
+        row = np.concatenate([s.q, s.v, s.y, s.yd, s.tau, s.kp, s.kd, *modes], axis=1)
         for i in np.flatnonzero(fresh).tolist():
             self._episodes.setdefault(int(env.batch.episodes.root[i]), []).append(row[i])
 
@@ -50,12 +52,17 @@ class Account:
 
 def _relative(system: System, control: Control, rows: Array) -> float:
     n = system.arm.n
-    q, v, y, yd, tau, kp, kd = np.split(rows, np.cumsum([n, n, 6, 6, n, n])[:6], axis=1)
+    parts = np.split(rows, np.cumsum([n, n, 6, 6, n, n, n]), axis=1)
+    q, v, y, yd, tau, kp, kd, modes = parts
+    u, ud = np.split(modes, 2, axis=1)
+    internal = (u, ud) if u.shape[1] else None
     t: Array = np.arange(len(rows)) * np.float64(system.control_dt)
     done = _work(system, control, q, v, tau, kp, kd)
     work: Array = np.r_[0.0, np.cumsum(done)]
     turned_over = float(np.abs(done).sum())
-    balance = EnergyBalance.close(system, t, q, v, y, yd, work, turned_over=turned_over)
+    balance = EnergyBalance.close(
+        system, t, q, v, y, yd, work, turned_over=turned_over, internal=internal
+    )
     return balance.relative if balance.scale > 0 else 0.0
 
 
