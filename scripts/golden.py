@@ -18,7 +18,7 @@ from typing import Any
 
 import ves_gym
 from ves_gym._util.params import write_text
-from ves_gym.leaderboard import evaluators, probes, stored_results
+from ves_gym.leaderboard import evaluators, probes, solutions, stored_results
 from ves_gym.leaderboard.protocol import PROTOCOL, QUICK, Problem, problems
 
 FOLDER = Path(ves_gym.__file__).parent / "leaderboard" / "golden"
@@ -62,6 +62,7 @@ def record() -> None:
     for problem in every_problem():
         tracks = table["versions"].setdefault(problem.track, {})
         rows[problem] = tracks.setdefault(problem.base, {})
+    add_solutions([problem for problem in rows if problem.track == "tasks"])
     # what a problem of an unchanged version has, stays: it may be shared with another one
     settled = {
         name
@@ -81,6 +82,20 @@ def record() -> None:
         if (own := evaluators.identity(problem)) not in digests:
             digests.append(own)
     write_text(path, json.dumps(table, indent=1, sort_keys=True) + "\n")
+
+
+def add_solutions(problems: Sequence[Problem]) -> None:
+    """Store the actions of a solved episode of every problem that has none."""
+    file = FOLDER / solutions.FILE
+    table = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    for problem in problems:
+        if problem.base not in table:
+            table[problem.base] = solutions.found_solution(problem)
+            print(f"recorded a solution of {problem.base}", flush=True)
+    short = {k: json.dumps(table[k], separators=(",", ":")) for k in sorted(table)}
+    lines = [f"{json.dumps(k)}: {text}" for k, text in short.items()]
+    write_text(file, "{\n" + ",\n".join(lines) + "\n}\n")
+    stored_results.forget()
 
 
 def store(name: str, results: dict[str, Any]) -> None:

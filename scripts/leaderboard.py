@@ -28,8 +28,8 @@ from pathlib import Path
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.process_pool import Workers
-from ves_gym.baselines.policy import released
-from ves_gym.baselines.registry import CONTROLLERS
+from ves_gym.baselines.policy import released, task_name
+from ves_gym.baselines.registry import CONTROLLERS, REFERENCES
 from ves_gym.leaderboard.board import make_board
 from ves_gym.leaderboard.entry import Entry
 from ves_gym.leaderboard.errors import BundleError
@@ -41,11 +41,12 @@ from ves_gym.leaderboard.protocol import (
     ENVIRONMENTS,
     MODES,
     QUICK,
+    TASKS,
     get_problem,
     read_salt,
     salt_mark,
 )
-from ves_gym.leaderboard.published import publish
+from ves_gym.leaderboard.published import MOST, publish
 from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.tracks.damping import TUNERS
 from ves_gym.leaderboard.tracks.selectors import SELECTORS
@@ -70,6 +71,21 @@ BESIDE = {
     "BeamLQR": ("zero", "random", "hold", "pped", "lqr"),
 }
 _SLOWEST = "hotspot"  # a search per episode
+# Track tasks: beside zero, random, the task's reference and the released policies. Left out is
+# what does as another one here (`straight` as zero, `hold` where zero holds), `receding`, with
+# two seconds of one core for an episode, and what searches in every period (`mppi`, `ilqr`).
+SOLVING = {
+    "PumaRestToRest": ("refined", "adaptive"),
+    "PumaReach": ("closing", "homing"),
+    "PumaReachGoal": ("closing", "homing"),
+    "PumaTrack": ("closing",),
+    "PumaDamp": ("high", "pped"),
+    "BeamLQR": ("hold", "pped"),
+    "PoseReach": ("closing-pose",),
+}
+# Bytes of a published bundle of that track: of a controller, which anyone runs again, and of a
+# policy, with its weights.
+MOST_OF_TASKS = {"controller": 80_000, "policy": 300_000}
 
 
 @dataclass(frozen=True)
@@ -113,6 +129,21 @@ def table(whole_blind: bool) -> list[Wanted]:
         damp = [Wanted("damping", id, k) for id, k in acting[mode] if "/PumaDamp" in id]
         return damp + [Wanted("policies", id, name) for id, name in acting[mode]]
 
+    def tasks(emulated: bool) -> list[Wanted]:
+        ids = [f"ves/{name}" for name in TASKS if ("Emulated" in name) == emulated]
+        return [
+            Wanted("tasks", id, name)
+            for id in ids
+            for task in [task_name(id).removesuffix("Emulated")]
+            for name in (
+                "zero",
+                "random",
+                REFERENCES[task],
+                *SOLVING.get(task, ()),
+                *released(id),
+            )
+        ]
+
     def paths(mode: str, planners: Sequence[str]) -> list[Wanted]:
         return [
             Wanted("paths", f"reach100-{duration}{mode}", name)
@@ -122,8 +153,10 @@ def table(whole_blind: bool) -> list[Wanted]:
 
     whole = [
         *episodes(""),
+        *tasks(emulated=False),
         *paths(MODES[0], PLANNERS),
         *episodes("Emulated"),
+        *tasks(emulated=True),
         *paths(MODES[1], PLANNERS),
         *(Wanted("damping", "pped-bent", name) for name in TUNERS),
         *(w for mode in MODES for w in paths(mode, SEARCHES)),
@@ -203,7 +236,9 @@ def fill(wanted: Sequence[Wanted], board: Path, workers: int, blind: Path | None
                 entry: Entry = job.result()
                 record = append(board, entry.shortened())
                 told = entry.level
-                if jobs[job].salt is None and not publish(board, record, jobs[job].bundle):
+                most = MOST_OF_TASKS[entry.kind] if entry.track == "tasks" else MOST
+                place = jobs[job].bundle
+                if jobs[job].salt is None and not publish(board, record, place, most):
                     told += ", bundle too large to publish"
             seconds = time.monotonic() - begun
             print(f"{done}/{len(todo)} {seconds:.0f} s  {jobs[job]}: {told}", flush=True)

@@ -8,22 +8,9 @@ import pytest
 
 from tests.envs.walks import ALL
 from ves_gym.baselines.evaluate import evaluate
-from ves_gym.baselines.registry import get_controller
+from ves_gym.baselines.registry import REFERENCES, get_controller
 from ves_gym.envs.registration import IDS as NAMES
 
-REFERENCES = {
-    "PumaRestToRest": "direct",
-    "PumaReach": "resolved",
-    "PumaReachGoal": "resolved",
-    "PumaTrack": "resolved",
-    "PumaDamp": "lqi",
-    "BeamLQR": "lqr",
-    "FreeFlyerReach": "resolved",
-    "MacroMicro": "resolved",
-    "PoseReach": "resolved-pose",
-    "PayloadTransfer": "resolved",
-    "ServicerCapture": "servicer",
-}
 LONG = (
     "PoseReach",
     "PayloadTransfer",

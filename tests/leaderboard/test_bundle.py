@@ -33,8 +33,10 @@ SALT = "a secret of the maintainer"
 
 
 def test_problems_of_every_track():
-    assert set(protocol.PROTOCOL) == {"paths", "policies", "damping", "discrepancy"}
+    tracks = {"paths", "policies", "tasks", "damping", "discrepancy"}
+    assert set(protocol.PROTOCOL) == tracks
     assert len(problems("paths")) == 2 * 6 and len(problems("policies")) == 2 * 14
+    assert len(problems("tasks")) == 2 * 21
     assert "ves/PumaDampEmulated-v0" in problems("damping")
     assert "blind-sealed-quick" in problems("discrepancy")
     for track in protocol.PROTOCOL:

@@ -67,7 +67,7 @@ def test_whole_episodes_end_well_and_badly():
         if "/evaluation" in name
         for row in plain["rows"]
     ]
-    assert {row["failed"] for row in rows} == {True, False} and len(rows) == 48
+    assert {row["failed"] for row in rows} == {True, False} and len(rows) == 111
 
 
 @pytest.mark.parametrize(
@@ -211,6 +211,10 @@ MUTATIONS = {
     "bandwidth of the platform": (
         "hardware/platform.py", 'bandwidth: float = unit("Hz", default=8.0)',
         'bandwidth: float = unit("Hz", default=8.1)', "policies.zip", "PumaReachEmulated-v0/",
+    ),
+    "what counts as solved": (
+        "envs/reach.py", "s.memory[:, 1] >= self.hold", "s.memory[:, 1] >= self.duration",
+        "tasks ves/PumaReach-v1", "PumaReach-v1/solved",
     ),
     "spread of the gravity estimate": (
         "envs/registration.py", "[-0.005, 0.005]", "[-0.005, 0.006]",

@@ -167,6 +167,41 @@ def test_what_is_no_board_is_refused(board, tmp_path):
 # ----------------------------------------------------------------------- in a browser
 
 
+def test_where_success_ranks_it_comes_first(show, tmp_path_factory):
+    """Class, success and score in this order, the rule in words, and by whom success leads."""
+    place = tmp_path_factory.mktemp("tasks") / "entries"
+    energies = [0.1 * (1 + k % 7) for k in range(60)]
+    for name, size, solved in (("idle", 0.0, 0), ("easy", 0.01, 30), ("resolved", 1.0, 60)):
+        scores = [size * e for e in energies]
+        entry = made_entry(
+            name, scores, track="tasks", problem="ves/PumaReach-v1", kind="controller"
+        )
+        for k, row in enumerate(entry["rows"]):
+            row |= {"E_mean": scores[k], "failed": False}
+            if k >= solved:
+                row |= {"score": None, "success": False}
+        append(place, {**entry, "score": {**entry["score"], "unit": "J"}})
+    page = show("#track=tasks", make_board(read(place)))
+    assert names(page) == ["resolved", "easy", "idle"]
+    head = page.do("[...document.querySelectorAll('#table thead th')].map(c => c.dataset.key)")
+    assert head[:6] == ["rank", "name", "class", "success", "score", "bar"]
+    assert column(page, "class") == ["1", "2", "3"]
+    assert [k.split("\n")[0] for k in column(page, "score")] == ["0.383", "∞", "∞"]
+    assert column(page, "over") == [
+        "1.00\n1.00 to 1.00, n 60",
+        "0.0100\n0.0100 to 0.0100, n 30",
+        "–",
+    ]
+    verdict = page.do("document.querySelector('#verdict').textContent")
+    assert verdict.startswith(
+        "resolved leads ves/PumaReach-v1: solves 100 % (94 % to 100 %) with"
+    )
+    rule = page.do("document.querySelector('#score-name').textContent")
+    assert "Ranked by class of success first, then by score" in rule
+    page.click("th[data-key=E_mean] button")
+    assert names(page) == ["idle", "easy", "resolved"]
+
+
 def test_it_opens_from_a_file_and_asks_for_nothing_else(show, tmp_path):
     page = show()
     page.click("#tab-policies")

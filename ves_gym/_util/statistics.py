@@ -98,7 +98,13 @@ def rate(hits: Array | Mask) -> Estimate:
     Hits (n,) or (n, m), or shares of hits (n,): what belongs together counts once for the
     width, as if the m always agreed.
     """
-    n, p = len(hits), float(hits.mean())
+    p = float(hits.mean())
+    low, high = wilson(np.asarray(p), len(hits))
+    return Estimate(p, float(low), float(high))
+
+
+def wilson(p: Array, n: int) -> tuple[Array, Array]:
+    """Ends of the 95 % Wilson intervals of shares p of n trials, shaped as p."""
     middle = (p + _Z**2 / (2 * n)) / (1 + _Z**2 / n)
     half = _Z * np.sqrt(p * (1 - p) / n + (_Z / (2 * n)) ** 2) / (1 + _Z**2 / n)
-    return Estimate(p, max(0.0, float(middle - half)), min(1.0, float(middle + half)))
+    return np.maximum(0.0, middle - half), np.minimum(1.0, middle + half)

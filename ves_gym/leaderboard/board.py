@@ -13,10 +13,13 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym.baselines.policy import task_name
+from ves_gym.baselines.registry import REFERENCES
 from ves_gym.leaderboard import statistics
 from ves_gym.leaderboard.entry import LEVELS
 from ves_gym.leaderboard.evaluators import history_reason
 from ves_gym.leaderboard.journal import Journal
+from ves_gym.leaderboard.protocol import QUICK
 from ves_gym.leaderboard.record import Record
 from ves_gym.leaderboard.tracks.base import NEAR, difference
 
@@ -25,6 +28,7 @@ ALL = "all problems"
 TRACKS = {  # in the order of the page
     "paths": "Paths",
     "policies": "Policies",
+    "tasks": "Tasks",
     "damping": "Damping",
     "discrepancy": "Discrepancy",
 }
@@ -197,6 +201,7 @@ def _group(problem: str, seeds: str, candidates: list[Candidate]) -> Plain:
     entries = [entries[k] for k in order]
     stand = [stand[k] for k in order]
     first = entries[0][0]
+    law = _law(first, candidates)
     return {
         "problem": problem,
         "seeds": seeds,
@@ -206,6 +211,7 @@ def _group(problem: str, seeds: str, candidates: list[Candidate]) -> Plain:
             {
                 "rank": _plain(place.rank),
                 "score": _plain(place.score),
+                **_solving(c[0].entry, place.level, law),
                 **summary(group_entries),
                 **_identity(c),
                 "same": _same(k, entries),
@@ -225,6 +231,32 @@ def _group(problem: str, seeds: str, candidates: list[Candidate]) -> Plain:
         ],
         "anytime": _anytime(entries),
     }
+
+
+def _law(first: Mapping[str, Any], candidates: Sequence[Candidate]) -> Mapping[str, Any] | None:
+    """Return the entry of the controller that a task is measured by, if it is there."""
+    if first["track"] not in statistics.BY_SUCCESS:
+        return None
+    name = REFERENCES.get(
+        task_name(first["problem"].removesuffix(QUICK)).removesuffix("Emulated")
+    )
+    laws = [
+        c[0]
+        for c in candidates
+        if (c[0].entry["kind"], c[0].entry["name"]) == ("controller", name)
+    ]
+    return min(laws, key=lambda record: record.order).entry if laws else None
+
+
+def _solving(entry: Mapping[str, Any], level: int, law: Mapping[str, Any] | None) -> Plain:
+    """Return the class of success, and the energy beside that of the task's reference law."""
+    if entry["track"] not in statistics.BY_SUCCESS:
+        return {}
+    out: Plain = {"class": level}
+    over = None if law is None else statistics.energy_over(entry, law)
+    if law is not None and over is not None:
+        out["over"] = {"law": law["name"], "ratio": _plain(over[0]), "episodes": over[1]}
+    return out
 
 
 def _same(k: int, entries: Sequence[Sequence[Mapping[str, Any]]]) -> list[str]:

@@ -17,7 +17,7 @@ from ves_gym._util.params import ParameterError, canonical_json, content_hash, t
 from ves_gym.leaderboard.names import require_name
 
 SCHEMA = "ves-entry/1"
-TRACKS = ("paths", "policies", "damping", "discrepancy")
+TRACKS = ("paths", "policies", "tasks", "damping", "discrepancy")
 KINDS = ("planner", "policy", "controller", "gains", "selector")
 LEVELS = ("replayed", "reproduced")
 SEEDS = ("public", "official")

@@ -5,14 +5,19 @@ const data = JSON.parse($("data").textContent);
 const ABOUT = {
   paths: "Planners move the arm from one configuration to another in a given time. The score is the energy their path leaves in the base, over that of the straight joint line on the same query.",
   policies: "Policies and controllers drive the arm in an environment, on the same episodes for everyone.",
+  tasks: "Solve what the task asks of an episode, and then move its base as little as can be. Who solves clearly more ranks above whoever solves less, whatever the energies. E_mean is of all episodes, solved or not: who does nothing moves no base and solves nothing.",
   damping: "Joint gains, controllers and policies that take vibration out of the base.",
   discrepancy: "Naming what a description of the machine lacks, from logs, on the blind benchmark. A case is answered as wanted or not; “always nothing” and “location only”, which name nothing, show what that is worth.",
 };
 const QUESTION = $("question").textContent; // of planners and policies
 const QUESTIONS = {
+  tasks: "Who does what is asked and leaves the base at rest?",
   damping: "Who brings a base that vibrates to rest?",
   discrepancy: "Who says what the description of a machine lacks?",
 };
+// how tracks with classes of success rank (docs/leaderboard/statistics.md)
+const RULE = " An episode that is not solved has none and counts as the worst. Ranked by class of success first, then by score: "
+  + "class 1 are those than whom nobody solves clearly more (their 95 % intervals of success overlap), class 2 these of the rest, and so on.";
 const SHOWN = 6; // curves in the charts
 const FIRST = 100; // rows shown until all are asked for
 
@@ -67,11 +72,15 @@ const COLUMNS = [
     cell: (e) => withSub(String(e.rank[0]), place(e.rank)) },
   { key: "name", name: "entry", css: "who", by: (e) => e.name.toLowerCase(), cell: nameCell },
   { key: "kind", name: "kind", by: (e) => e.kind, cell: (e) => [e.kind] },
+  { key: "class", name: "class", css: "number", by: (e) => e.class, cell: (e) => [String(e.class)] },
   { key: "score", name: "score", css: "number main", by: (e) => e.score[0],
-    cell: (e) => withSub(amount(e.score[0]), finite(e.score[0]) ? range(e.score) : "fails too often") },
+    cell: (e) => withSub(amount(e.score[0]), finite(e.score[0]) ? range(e.score) : e.class ? "solves too few" : "fails too often") },
   { key: "bar", name: "95 % interval", css: "picture", cell: (e) => [scoreBar(e.score, shown.axis)] },
   { key: "success", name: "success", css: "number", by: (e) => e.success[0],
     cell: (e) => withSub(share(e.success[0]), `${share(e.success[1])} to ${share(e.success[2])}`) },
+  { key: "over", name: "E over reference", unit: () => shown.group.entries.find((e) => e.over)?.over.law,
+    css: "number", by: (e) => e.over?.ratio[0],
+    cell: (e) => (e.over ? withSub(amount(e.over.ratio[0]), `${range(e.over.ratio)}, n ${e.over.episodes}`) : ["–"]) },
   ...["E_mean", "E_decay", "E_peak", "E_res"].map((key) => ({
     key, name: key, unit: "J", css: "number", by: (e) => e[key], cell: (e) => [orDash(e[key])],
   })),
@@ -103,14 +112,21 @@ const shown = { group: null, all: false, columns: [], axis: null, rows: new Map(
 function prepare(g) {
   if (shown.group === g) return;
   Object.assign(shown, { group: g, all: false, axis: barAxis(g), rows: new Map(), words: new Map() });
+  // success comes first where it ranks
+  const columns = g.entries[0].class ? bySuccess(COLUMNS) : COLUMNS;
   // energies of what moves nothing, times of what plans nothing, a kind that all are of: such
   // columns are left out
   const kinds = new Set(g.entries.map((e) => e.kind)).size;
-  shown.columns = COLUMNS.filter(({ key, by }) => (key !== "kind" || kinds > 1)
+  shown.columns = columns.filter(({ key, by }) => (key !== "kind" || kinds > 1)
     && (!by || g.entries.some((e) => by(e) !== undefined)));
   for (const e of g.entries) {
     shown.words.set(e, [e.name, e.author, e.kind, e.bundle, versionsOf(e), e.about.cpu].join(" ").toLowerCase());
   }
+}
+
+function bySuccess(columns) {
+  const first = ["rank", "name", "kind", "class", "success"];
+  return [...first.map((key) => columns.find((c) => c.key === key)), ...columns.filter(({ key }) => !first.includes(key))];
 }
 
 function rowOf(e) {
@@ -148,7 +164,7 @@ function drawHead() {
       button.addEventListener("click", () => sortBy(key));
       th.append(button);
     } else th.append(name);
-    th.append(el("span", { class: "unit" }, key === "bar" ? barUnit() : unit ?? "\u00a0"));
+    th.append(el("span", { class: "unit" }, key === "bar" ? barUnit() : (unit?.call ? unit() : unit) ?? "\u00a0"));
     line.append(th);
   }
   $("table").replaceChildren(el("thead", {}, line), el("tbody"));
@@ -407,10 +423,11 @@ function drawVerdict() {
   const problem = whole(`${state.problem}:`);
   $("verdict").replaceChildren(...finite(lead.score[0]) ? [
     el("em", {}, listed(first.map((e) => e.name))), first.length > 1 ? " lead " : " leads ", problem, " ",
+    lead.class ? whole(`solves ${share(lead.success[0])} (${share(lead.success[1])} to ${share(lead.success[2])}) with`) : "", " ",
     whole(`${number(lead.score[0])}${unit}`), " ", whole(`(95 %: ${range(lead.score)})${rest ? "," : "."}`), rest,
   ] : [problem, " nobody has a finite score."]);
   $("about").textContent = ABOUT[state.track];
-  $("score-name").textContent = `Score: ${scoreName(g)}, ${g.statistic === "iqm" ? "interquartile mean" : "mean"}.`;
+  $("score-name").textContent = `Score: ${scoreName(g)}, ${g.statistic === "iqm" ? "interquartile mean" : "mean"}.${lead.class ? RULE : ""}`;
 }
 
 function drawAll() {

@@ -27,6 +27,7 @@ from ves_gym.leaderboard.errors import BundleError, Code
 from ves_gym.leaderboard.evaluators import version_of
 from ves_gym.leaderboard.npy_io import pack
 from ves_gym.leaderboard.protocol import PROTOCOL, Problem, seeds_of
+from ves_gym.leaderboard.solutions import played_solution
 from ves_gym.leaderboard.stored_results import golden, probe_names
 from ves_gym.leaderboard.tracks.base import Method
 from ves_gym.mechanics.limits import limit_ratios
@@ -83,6 +84,7 @@ def probes_of(problem: Problem) -> dict[str, Measure]:
     if id is not None:
         experiments["episode"] = lambda: episode(id)
         experiments[f"evaluation-{full.track}"] = lambda: evaluation(full)
+        experiments["solved"] = lambda: {"rows": played_solution(full)}
     return {name: experiments[name.partition("/")[2]] for name in probe_names(full)}
 
 

@@ -20,7 +20,7 @@ from ves_gym.planners.suites import REACH_SEED
 
 # Version 2 of paths: limits, goal and contact are those of the simulated arm at every physics
 # step too, not of the commanded motion at 201 instants alone.
-PROTOCOL = {"paths": 2, "policies": 1, "damping": 1, "discrepancy": 1}
+PROTOCOL = {"paths": 2, "policies": 1, "tasks": 1, "damping": 1, "discrepancy": 1}
 # Versions of problems whose behaviour was changed on purpose, by track and name; 1 of the rest.
 # A new version starts with an empty table; entries of the one before are history.
 VERSIONS: dict[tuple[str, str], int] = {}
@@ -36,6 +36,31 @@ ENVIRONMENTS = (
     "PumaDamp",
     "FreeFlyerReach",
     "BeamLQR",
+)
+# Environments that track tasks asks about: of every task the latest version, in space and in
+# the laboratory (`envs.registration`).
+TASKS = (
+    "PumaRestToRest-v1",
+    "PumaReach-v1",
+    "PumaReachGoal-v1",
+    "PumaTrack-v1",
+    "PumaDamp-v1",
+    "BeamLQR-v1",
+    "FreeFlyerReach-v0",
+    "MacroMicro-v0",
+    "PoseReach-v0",
+    "PayloadTransfer-v0",
+    "ServicerCapture-v0",
+    "PumaRestToRestEmulated-v1",
+    "PumaReachEmulated-v1",
+    "PumaReachGoalEmulated-v1",
+    "PumaTrackEmulated-v1",
+    "PumaDampEmulated-v1",
+    "BeamLQREmulated-v1",
+    "FreeFlyerReachEmulated-v1",
+    "MacroMicroEmulated-v1",
+    "PoseReachEmulated-v1",
+    "PayloadTransferEmulated-v1",
 )
 PPED_VEHICLE = "bent-thesis"
 PPED_SECONDS = 20.0  # of every release
@@ -64,12 +89,14 @@ LEDGER_EPISODES = 0.1
 SCORES = {
     "paths": ("E_mean over the straight line's", "1"),
     "policies": ("return, negative", "1"),
+    "tasks": ("E_mean of solved episodes", "J"),
     "damping": ("strain integral over that of the high gains", "1"),
     "discrepancy": ("share of cases not answered as wanted", "1"),
 }
 KINDS = {
     "paths": ("planner",),
     "policies": ("policy", "controller"),
+    "tasks": ("policy", "controller"),
     "damping": ("policy", "controller", "gains"),
     "discrepancy": ("selector",),
 }
@@ -127,6 +154,7 @@ def problems(track: str) -> tuple[str, ...]:
     named = {
         "paths": [f"reach100-{d}{mode}" for d in DURATIONS for mode in MODES],
         "policies": ids,
+        "tasks": [f"ves/{name}" for name in TASKS],
         "damping": ["pped-bent", *(k for k in ids if k.startswith("ves/PumaDamp"))],
         "discrepancy": ["blind-development", "blind-sealed"],
     }

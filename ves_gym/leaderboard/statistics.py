@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.stats
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym._util.statistics import (
     RESAMPLES,
     STATISTICS,
@@ -25,13 +25,24 @@ from ves_gym._util.statistics import (
     iqm,
     rate,
     resample,
+    wilson,
 )
 
 Entry = Mapping[str, Any]  # plain data, as it stands in the journal
 # Episodes. Of shares the interval is Wilson's, which holds for few (Brown et al. 2001).
-MINIMUM = {"paths": 20, "policies": 50, "damping": 50, "discrepancy": 30}
-STATISTIC = {"paths": "iqm", "policies": "iqm", "damping": "iqm", "discrepancy": "mean"}
+MINIMUM = {"paths": 20, "policies": 50, "tasks": 50, "damping": 50, "discrepancy": 30}
+STATISTIC = {
+    "paths": "iqm",
+    "policies": "iqm",
+    "tasks": "iqm",
+    "damping": "iqm",
+    "discrepancy": "mean",
+}
 WORST = {"discrepancy": 1.0}  # what a failure scores where the scale has an end
+BY_SUCCESS = ("tasks",)  # tracks that rank by classes of success before they do by the score
+
+
+_FEWEST = 10  # episodes that two entries both solved, for their energies to be compared
 
 
 class Profile(NamedTuple):
@@ -44,13 +55,15 @@ class Profile(NamedTuple):
 
 
 class Standing(NamedTuple):
-    """Score, as `score` has it; rank by it, 1 the lowest.
+    """Score, as `score` has it; rank by it, 1 the lowest; class of success, 1 the best.
 
-    The interval of the rank is where it lies when episodes are drawn anew.
+    The interval of the rank is where it lies when episodes are drawn anew. In tracks that do
+    not rank by success all are of one class.
     """
 
     score: Estimate
     rank: Estimate
+    level: int = 1
 
 
 def values(entry: Entry, key: str = "score") -> Array:
@@ -234,8 +247,18 @@ def standings(candidates: Sequence[Sequence[Entry]]) -> list[Standing]:
     strata = [[values(e) for e in entries] for entries in candidates]
     value = [float(of(np.concatenate([g.ravel() for g in group]))) for group in strata]
     drawn = np.array([resample(group, of) for group in strata])  # (candidates, draws)
-    rank = scipy.stats.rankdata(value, "min")
-    placed = scipy.stats.rankdata(drawn, "min", axis=0)
+    level = np.ones(len(candidates), dtype=np.intp)
+    if candidates[0][0]["track"] in BY_SUCCESS:
+        mean, n = STATISTICS["mean"], sum(len(k) for k in strata[0])
+        solved = [[values(e, "success") for e in entries] for entries in candidates]
+        share = np.array([success(entries).value for entries in candidates])
+        level = success_classes(share[:, None], n)[:, 0]
+        rank = _ranked(level[:, None], np.array(value)[:, None], share[:, None])[:, 0]
+        shares = np.array([resample(group, mean) for group in solved])
+        placed = _ranked(success_classes(shares, n), drawn, shares)
+    else:
+        rank = scipy.stats.rankdata(value, "min")
+        placed = scipy.stats.rankdata(drawn, "min", axis=0)
     if _is_share(candidates[0]):
         scores = [_share(entries) for entries in candidates]
     else:
@@ -243,9 +266,63 @@ def standings(candidates: Sequence[Sequence[Entry]]) -> list[Standing]:
         scores = [Estimate(v, *map(float, two)) for v, two in zip(value, ends, strict=True)]
     places = zip(*interval(placed.T), strict=True)
     return [
-        Standing(found, Estimate(float(r), *map(float, two)))
-        for found, r, two in zip(scores, rank, places, strict=True)
+        Standing(found, Estimate(float(r), *map(float, two)), int(k))
+        for found, r, two, k in zip(scores, rank, places, level, strict=True)
     ]
+
+
+def success_classes(share: Array, n: int) -> Index:
+    """Classes of success (candidates, draws), 1 the best, from shares of n solved episodes.
+
+    One solves clearly more than another where their Wilson intervals are apart. Class 1 are
+    those than whom nobody solves clearly more; class 2 are these of all who are left, and so
+    on. So any two of a class have intervals that overlap, and whoever solves clearly more than
+    another is in a better class.
+
+    Args:
+        share: (candidates, draws).
+        n: episodes.
+    """
+    low, high = wilson(share, n)
+    out = np.zeros(share.shape, dtype=np.intp)
+    for level in range(1, len(share) + 1):
+        left = out == 0
+        best = np.where(left, low, -np.inf).max(axis=0)
+        out[left & (high >= best)] = level
+    return out
+
+
+def _ranked(level: Index, score: Array, share: Array) -> Array:
+    """Ranks (candidates, draws) by class, score and share solved; ties share the better one."""
+    out = np.zeros(score.shape)
+    for key in (level, score, -share):  # each orders what those before it left tied
+        out = scipy.stats.rankdata(
+            out * (len(score) + 1) + scipy.stats.rankdata(key, "min", axis=0), "min", axis=0
+        )
+    return out
+
+
+def energy_over(a: Entry, b: Entry) -> tuple[Estimate, int] | None:
+    """Median of a's E_mean over b's, of the episodes that both solved, and how many these are.
+
+    Args:
+        a: an entry, of any number of training seeds: an episode counts under those that solved
+            it.
+        b: what it is compared with, the first training seed of which counts.
+
+    Returns:
+        None where there are fewer than 10 such episodes, or b moves nothing in them.
+    """
+    if a["problem"] != b["problem"] or episodes(a) != episodes(b):
+        raise ParameterError(f"{_name(a)} and {_name(b)} did not play the same episodes")
+    x, y = values(a, "E_mean"), values(b, "E_mean")[:, :1]
+    both = (values(a, "success") > 0) & (values(b, "success")[:, :1] > 0) & (y > 0)
+    of_both = both.any(axis=1)
+    if of_both.sum() < _FEWEST:
+        return None
+    ratio = np.where(both, x / np.where(y > 0, y, 1.0), np.nan)[of_both]
+    found = bootstrap([np.nanmedian(ratio, axis=1)], STATISTICS["median"])
+    return found, int(of_both.sum())
 
 
 def _name(entry: Entry) -> str:

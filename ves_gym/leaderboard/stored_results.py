@@ -29,6 +29,8 @@ def probe_names(problem: Problem) -> tuple[str, ...]:
     }
     experiments = own["policies" if problem.environment is not None else track]
     names = [f"{subject}/{name}" for name in (f"rules-{track}", *experiments)]
+    if track == "tasks":
+        names.append(f"{subject}/solved")
     if track == "discrepancy":  # both sets are judged and made alike
         names += ["blind/answers", "blind/case", "blind/effects"]
     return tuple(names)

@@ -14,10 +14,17 @@ from ves_gym.leaderboard.energy_audit import Account
 
 
 class Recorded:
-    """Acts as another controller does, and keeps its actions."""
+    """Acts as another controller does, and keeps its actions.
 
-    def __init__(self, inner: Controller) -> None:
+    Args:
+        inner: the controller.
+        levels: an action becomes the nearest multiple of 1/levels before it acts; a power of
+            two. None: it acts as it is.
+    """
+
+    def __init__(self, inner: Controller, levels: int | None = None) -> None:
         self.inner, self.name, self.privileged = inner, inner.name, inner.privileged
+        self._levels = levels
         self._recorded: dict[int, list[Array]] = {}
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
@@ -27,6 +34,8 @@ class Recorded:
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`; out of bounds is brought back, as the environment would."""
         actions = np.clip(env.batch.check(self.inner.act(env, observation)), -1.0, 1.0)
+        if self._levels is not None:
+            actions = np.rint(actions * self._levels) / self._levels + 0.0  # no zero below zero
         roots = env.batch.episodes.root
         for i in np.flatnonzero(in_episode(env)).tolist():
             self._recorded.setdefault(int(roots[i]), []).append(actions[i].copy())
@@ -58,7 +67,7 @@ class Replayed:
             recorded = self._actions[int(e.root[i])]
             if e.steps[i] < len(recorded):
                 out[i] = recorded[e.steps[i]]
-        if env.task.system.mode == "ideal":
+        if env.task.system.mode == "ideal" and not env.task.interacts:
             self.account.observe(env, fresh)
         return out
 

@@ -38,16 +38,18 @@ from ves_gym.leaderboard.tracks.base import (
 from ves_gym.system.system import System
 
 SETTINGS = ("control", "goal")  # of an environment, that a method may choose
-_ACTIONS = "actions.npy"
+ACTIONS = "actions.npy"
 _SLACK = 1e-12  # of an action's bound
 
 
 class PolicyTrack:
     """Policies and controllers on a registered environment; score: minus the return."""
 
+    LEVELS: int | None = None  # of an action on either side of zero; None: any number
+
     def payload(self, problem: Problem) -> str:
         """See `LeaderboardTrack`."""
-        return _ACTIONS
+        return ACTIONS
 
     def system(self, problem: Problem) -> System:
         """See `LeaderboardTrack`."""
@@ -74,13 +76,13 @@ class PolicyTrack:
         """Evaluate controllers, one per group, and record what they do."""
         actions, rows = [], []
         for group, controller in enumerate(controllers):
-            recorder = Recorded(controller)
+            recorder = Recorded(controller, self.LEVELS)
             evaluation = evaluated(
                 recorder, problem, seeds, method.settings, lambda d: on_progress("episodes", d)
             )
             rows += self._rows(problem, seeds, method, group, evaluation)
             actions += [recorder.actions(r["seed"]) for r in evaluation.rows]
-        return Answers(rows, pack(np.concatenate(actions)), method, dict(members))
+        return Answers(rows, self._packed(np.concatenate(actions)), method, dict(members))
 
     def replay(
         self, problem: Problem, seeds: Seeds, method: Method, rows: Sequence[Row], data: bytes
@@ -89,7 +91,7 @@ class PolicyTrack:
         groups = len(method.seeds)
         lengths = np.array([r["length"] for r in rows], dtype=np.intp).reshape(groups, -1)
         ends = np.cumsum(lengths).reshape(lengths.shape)
-        actions = _actions(data, problem, method, int(lengths.sum()))
+        actions = self._actions(data, problem, method, int(lengths.sum()))
         out: list[Row] = []
         for group in range(groups):
             parts = {
@@ -123,11 +125,12 @@ class PolicyTrack:
         rows: Sequence[Row],
     ) -> list[Row]:
         """See `LeaderboardTrack`. The actions, too, must be those that were recorded."""
-        recorded = _actions(members[_ACTIONS], problem, method, sum(r["length"] for r in rows))
+        total = sum(r["length"] for r in rows)
+        recorded = self._actions(members[ACTIONS], problem, method, total)
         ends = np.cumsum([r["length"] for r in rows])
         mine: list[Row] = []
         for group, controller in enumerate(controllers_of(method, members)):
-            recorder = Recorded(controller)
+            recorder = Recorded(controller, self.LEVELS)
             evaluation = evaluated(recorder, problem, seeds, method.settings)
             mine += self._rows(problem, seeds, method, group, evaluation)
             first = group * problem.count
@@ -162,6 +165,29 @@ class PolicyTrack:
     ) -> list[float | None]:
         """Lower is better: the return turned round. Returns of these tasks are never > 0."""
         return [0.0 - result["return"] for result in evaluation.rows]
+
+    # ------------------------------------------------------------------- payload
+
+    def _packed(self, actions: Array) -> bytes:
+        """Actions (total, width) as the file of the bundle."""
+        return pack(actions)
+
+    def _unpacked(self, data: bytes, width: int) -> Array:
+        return unpack(data, ACTIONS, (None, width))
+
+    def _actions(self, data: bytes, problem: Problem, method: Method, total: int) -> Array:
+        """Actions (total, width) of a bundle, checked."""
+        actions = self._unpacked(data, width_of(problem, method.settings))
+        if len(actions) != total:
+            raise BundleError(
+                Code.EPISODE_LENGTH, f"{len(actions)} actions, the rows speak of {total}"
+            )
+        if actions.size and np.abs(actions).max() > 1 + _SLACK:
+            where = np.argwhere(np.abs(actions) > 1 + _SLACK)[0].tolist()
+            raise BundleError(
+                Code.BAD_ACTION, f"action {where} is {actions[tuple(where)]:g}, beyond +-1"
+            )
+        return actions
 
 
 def controllers_of(method: Method, members: Mapping[str, bytes]) -> list[Controller]:
@@ -216,7 +242,14 @@ def chosen_settings(controller: Controller, id: str) -> dict[str, Any]:
         raise ParameterError(
             f"{controller.name}: a method may choose {', '.join(SETTINGS)}, not {unknown[0]}"
         )
+    if _names_control(id, settings):
+        raise ParameterError(f"{controller.name}: {id} names its control, which stays")
     return settings
+
+
+def _names_control(id: str, settings: Mapping[str, Any]) -> bool:
+    """Whether a control is chosen in the place of one that is part of what an id asks."""
+    return "control" in settings and "control" in gym.spec(id).kwargs
 
 
 def require_settings(problem: Problem, settings: Mapping[str, Any]) -> None:
@@ -229,6 +262,11 @@ def require_settings(problem: Problem, settings: Mapping[str, Any]) -> None:
         )
     if "goal" in settings and not isinstance(settings["goal"], bool):
         raise BundleError(Code.MALFORMED_MANIFEST, "method.settings.goal must be a truth value")
+    if _names_control(_id(problem), settings):
+        raise BundleError(
+            Code.MALFORMED_MANIFEST,
+            f"method.settings.control: {problem.base} names its control, which stays",
+        )
     try:
         task = _task(problem, settings)
         if settings.get("goal") and task.goal_fields is None:
@@ -253,21 +291,6 @@ def require_fit(problem: Problem, method: Method, policies: Sequence[Policy]) ->
             raise BundleError(
                 Code.BAD_WEIGHTS, f"{have} inputs and actions, the environment has {expected}"
             )
-
-
-def _actions(data: bytes, problem: Problem, method: Method, total: int) -> Array:
-    width = width_of(problem, method.settings)
-    actions = unpack(data, _ACTIONS, (None, width))
-    if len(actions) != total:
-        raise BundleError(
-            Code.EPISODE_LENGTH, f"{len(actions)} actions, the rows speak of {total}"
-        )
-    if actions.size and np.abs(actions).max() > 1 + _SLACK:
-        where = np.argwhere(np.abs(actions) > 1 + _SLACK)[0].tolist()
-        raise BundleError(
-            Code.BAD_ACTION, f"action {where} is {actions[tuple(where)]:g}, beyond +-1"
-        )
-    return actions
 
 
 def _require_actions(acted: Array, recorded: Array, row: Row) -> None:

@@ -16,7 +16,7 @@ def get_track(
     """Return a track.
 
     Args:
-        name: paths, policies, damping or discrepancy.
+        name: paths, policies, tasks, damping or discrepancy.
         folder: of the discrepancy track's cases, None for `DiagnosisTrack`'s own.
         workers: processes, 1 for none.
         progress: called with the stage and the fraction done where a method runs again.
@@ -29,6 +29,10 @@ def get_track(
         from ves_gym.leaderboard.tracks.diagnosis import DiagnosisTrack
 
         return DiagnosisTrack(folder, workers, progress)
+    if name == "tasks":
+        from ves_gym.leaderboard.tracks.tasks import TaskTrack
+
+        return TaskTrack()
     from ves_gym.leaderboard.tracks.damping import DampingTrack
     from ves_gym.leaderboard.tracks.policies import PolicyTrack
 
