@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ class Fit:
     nuisances: Array  # (p,) in units of their usual size
     residual: Array  # (N,)
     tangents: Array  # (N, b + sum of k); other forms of the effects first
+    forms: Array = field(default_factory=lambda: np.zeros(0))  # (b,) share of each other form
 
     def price(self, i: int, size: int) -> float:
         """Return the cost in deviance of the numbers of the effect in place i.
@@ -93,7 +94,6 @@ def fit(
         return Fit(
             (), (), solution.deviance, (), solution.size, solution.x, residuals.null, none
         )
-    forms = [(k, blur) for k, c in enumerate(candidates) for blur in c.blurs]
     low = np.concatenate([c.low for c in candidates])
     high = np.concatenate([c.high for c in candidates])
     usual = np.concatenate([np.abs(c.starts[0]) for c in candidates])
@@ -107,14 +107,7 @@ def fit(
         return evaluate_residuals(residuals, candidates, [np.split(x, edges) for x in points])
 
     def blurs(x: Array, z: Array) -> Array:
-        """Return (N, b) changes by another form of each effect; each may be there in part."""
-        if not forms:
-            return np.zeros((len(z), 0))
-        values = np.split(x, edges)
-        others = [
-            _residual_of_form(residuals, candidates, values, k, blur) for k, blur in forms
-        ]
-        return np.stack(others, axis=1) - z[:, None]
+        return _changes_of_form(residuals, candidates, np.split(x, edges), z)
 
     noise = _FilteredNoise(residuals, candidates)
 
@@ -169,6 +162,7 @@ def fit(
         nuisances=current.x[:p],
         residual=z,
         tangents=np.hstack([B, S]),
+        forms=current.x[p:],
     )
 
 
@@ -204,11 +198,7 @@ def linearised(
         (N,) and (N, b + sum of k).
     """
     z = evaluate_residuals(residuals, candidates, [values])[0]
-    columns = [
-        _residual_of_form(residuals, candidates, values, k, blur) - z
-        for k, c in enumerate(candidates)
-        for blur in c.blurs
-    ]
+    columns = list(_changes_of_form(residuals, candidates, values, z).T)
     for k, c in enumerate(candidates):
         for i in range(c.k):
             step = _STEP * max(abs(c.starts[0][i]), 1e-12)
@@ -281,6 +271,20 @@ class _FilteredNoise:
         return np.maximum(out, QUIETEST)
 
 
+def _changes_of_form(
+    residuals: WhitenedResiduals,
+    candidates: Sequence[Candidate],
+    values: Sequence[Array],
+    z: Array,
+) -> Array:
+    """Return (N, b) changes by another form of each effect; each may be there in part."""
+    forms = [(k, blur) for k, c in enumerate(candidates) for blur in c.blurs]
+    if not forms:
+        return np.zeros((len(z), 0))
+    others = [_residual_of_form(residuals, candidates, values, k, blur) for k, blur in forms]
+    return np.stack(others, axis=1) - z[:, None]
+
+
 def _residual_of_form(
     residuals: WhitenedResiduals,
     candidates: Sequence[Candidate],
@@ -345,7 +349,7 @@ def _evaluate_port(
 
 
 def fit_residual(residuals: WhitenedResiduals, f: Fit, fitted: bool) -> Array:
-    """Return what a fit leaves of residuals, tolerances as it has them.
+    """Return what a fit leaves of residuals, tolerances and forms of its laws as it has them.
 
     Args:
         residuals: of the runs fitted, or of others.
@@ -356,4 +360,6 @@ def fit_residual(residuals: WhitenedResiduals, f: Fit, fitted: bool) -> Array:
         (N,) whitened.
     """
     z = evaluate_residuals(residuals, f.candidates, [f.values])[0]
+    if len(f.forms):
+        z = z + _changes_of_form(residuals, f.candidates, f.values, z) @ f.forms
     return residuals.less_nuisances(z, f.nuisances, fitted)
