@@ -67,7 +67,7 @@ def test_the_board_has_every_entry_that_make_leaderboard_fills(journal):
     script = runpy.run_path(str(PLACE.parents[1] / "scripts" / "leaderboard.py"))
     wanted = {(w.track, w.problem, w.method) for w in script["table"](whole_blind=False)}
     there = {(e["track"], e["problem"], e["name"]) for e in (r.entry for r in journal.records)}
-    assert len(wanted) == 283 and wanted <= there
+    assert len(wanted) == 313 and wanted <= there
 
 
 def test_a_stale_board_fails(journal):
@@ -93,6 +93,31 @@ def test_the_discrepancy_track_has_a_floor_a_middle_and_the_best(journal):
     assert set(wrong) == set(SELECTORS)
     assert wrong["ves-gym"][2] < wrong["location only"][1]  # intervals apart
     assert wrong["location only"][0] < wrong["always nothing"][0] < 1
+
+
+def test_where_success_ranks_less_energy_excuses_nothing(journal):
+    """On every problem of the track tasks, and to do nothing or anything solves nothing."""
+    tracks = make_board(journal)["tracks"]
+    groups = next(t["groups"] for t in tracks if t["track"] == "tasks")
+    assert len(groups) == 21
+    for group in groups:
+        some = {e["name"]: e for e in group["entries"]}
+        for a in some.values():
+            for b in some.values():
+                if a["success"][1] > b["success"][2]:  # clearly more
+                    assert a["rank"][0] < b["rank"][0] and a["class"] < b["class"]
+        (law,) = {e["over"]["law"] for e in some.values() if "over" in e}
+        assert some[law]["class"] == 1 and some[law]["success"][0] >= 0.95
+        for name in ("zero", "random"):
+            assert some[name]["success"][0] == 0 and some[name]["class"] > 1
+    (resolved,) = [
+        r.entry
+        for r in journal.records
+        if (r.entry["track"], r.entry["problem"], r.entry["name"])
+        == ("tasks", "ves/PumaReach-v1", "resolved")
+    ]
+    energies = np.sort([row["E_mean"] for row in resolved["rows"]])
+    assert energies[80:].sum() / energies.sum() == pytest.approx(0.61, abs=0.01)
 
 
 @pytest.mark.slow

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from tests.entries import made_entry
 from tests.leaderboard.bundles import Bundle
 from ves_gym._util.params import ParameterError
-from ves_gym._util.statistics import rate
+from ves_gym._util.statistics import iqm, rate
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.policy import released
-from ves_gym.baselines.registry import CONTROLLERS, REFERENCES
+from ves_gym.baselines.registry import CONTROLLERS, REFERENCES, get_controller
 from ves_gym.envs.registration import IDS
 from ves_gym.leaderboard import statistics as s
 from ves_gym.leaderboard.board import make_board
@@ -21,7 +21,8 @@ from ves_gym.leaderboard.journal import append, read
 from ves_gym.leaderboard.npy_io import pack, pack_levels, unpack_levels
 from ves_gym.leaderboard.protocol import TASKS
 from ves_gym.leaderboard.run import make_bundle
-from ves_gym.leaderboard.tracks.action_recorder import Replayed
+from ves_gym.leaderboard.tracks.action_recorder import Recorded, Replayed
+from ves_gym.leaderboard.tracks.policies import chosen_settings
 from ves_gym.leaderboard.tracks.tasks import TaskTrack
 from ves_gym.leaderboard.verify import verify
 
@@ -116,6 +117,66 @@ def test_actions_are_multiples_of_a_step(solved):
     data = pack_levels(ends, 8192)
     assert np.array_equal(unpack_levels(data, "a", 2, 8192), ends)
     assert unpack_levels(pack_levels(np.zeros((0, 2)), 8), "a", 2, 8).shape == (0, 2)
+
+
+class Watched:
+    """A controller, and the largest rate of a joint over its limit in its episodes."""
+
+    def __init__(self, name):
+        self.inner = get_controller(name)
+        self.name, self.privileged, self.largest = name, True, 0.0
+
+    def reset(self, env, ids):
+        self.inner.reset(env, ids)
+
+    def act(self, env, observation):
+        rates = np.abs(env.batch.scene.v) / env.task.system.arm.column("v_max")
+        self.largest = max(self.largest, float(rates.max()))
+        return self.inner.act(env, observation)
+
+
+def test_the_tasks_do_not_limit_rates():
+    """Rated speeds are no part of what they ask, unlike in the track paths."""
+    largest = {}
+    for id, name in (
+        ("PumaReach", "resolved"),
+        ("PumaDamp", "lqi"),
+        ("PumaRestToRest", "adaptive"),
+    ):
+        watched = Watched(name)
+        evaluate(watched, f"ves/{id}-v1", episodes=50, seed=19_940_000)
+        largest[name] = watched.largest
+    print(largest)
+    assert largest["resolved"] < 1.03
+    assert largest["lqi"] == pytest.approx(1.65, abs=0.05)
+    assert largest["adaptive"] == pytest.approx(2.19, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("id", "name", "most"),
+    [
+        ("ves/PumaReach-v1", "resolved", 1e-4),
+        ("ves/PumaReach-v1", "homing", 4e-3),
+        ("ves/PumaReach-v1", "closing", 5e-2),
+        ("ves/PumaDamp-v1", "lqi", 1e-4),
+        ("ves/BeamLQREmulated-v1", "lqr", 1e-4),
+    ],
+)
+def test_what_the_step_of_an_action_changes(id, name, most):
+    """Interquartile mean of E_mean, with and without; `closing` answers its own ripples."""
+    law = get_controller(name)
+    settings = chosen_settings(law, id)
+    found = []
+    for levels in (None, LEVELS):
+        controller = Recorded(get_controller(name), levels)
+        rows = evaluate(controller, id, episodes=100, seed=19_940_000, **settings).rows
+        found.append(
+            (sum(r["success"] for r in rows), iqm(np.array([r["E_mean"] for r in rows])))
+        )
+    print(id, name, found)
+    assert found[0][0] == found[1][0]
+    assert abs(found[1][1] / found[0][1] - 1) < most
 
 
 # --------------------------------------------------------------------------- attacks

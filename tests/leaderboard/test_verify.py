@@ -28,7 +28,7 @@ from ves_gym.leaderboard.protocol import PROTOCOL, get_problem, seeds_of
 from ves_gym.leaderboard.published import publish, reverify
 from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.time_limit import within
-from ves_gym.leaderboard.tracks.action_recorder import Recorded, in_episode
+from ves_gym.leaderboard.tracks.action_recorder import Recorded, Replayed, in_episode
 from ves_gym.leaderboard.tracks.paths import PathTrack
 from ves_gym.leaderboard.verify import verify
 from ves_gym.mechanics.vehicle import BENT_THESIS
@@ -507,6 +507,18 @@ def test_the_account_of_an_episode_closes(id, name, most):
 
 def test_there_is_no_account_in_the_laboratory():
     assert looked_at("ves/PumaRestToRestEmulated-v0", "zero", 1).residuals() == {}
+
+
+def test_there_is_no_account_where_something_is_grasped(tmp_path):
+    """It knows one machine: 10 kg that are latched on the way would be energy from nowhere."""
+    path = make_bundle(tmp_path / "b.zip", "tasks", "ves/PayloadTransfer-v0-quick", "resolved")
+    assert sum(r["success"] for r in verify(path).rows) >= 8
+    replayed = Replayed({0: np.zeros((800, 3))})
+    evaluate(replayed, "ves/PayloadTransfer-v0", episodes=1)
+    assert replayed.account.residuals() == {}
+    replayed = Replayed({0: np.ones((320, 3))})
+    evaluate(replayed, "ves/PumaReach-v1", episodes=1)
+    assert len(replayed.account.residuals()) == 1
 
 
 def test_energy_from_nowhere_is_found():

@@ -53,7 +53,7 @@ def _add_run(actions: Any) -> None:
         description="Answers a problem and writes the bundle that proves it. A first try of a"
         " tenth of the questions: ves-gym leaderboard run paths reach100-2s-quick direct",
     )
-    parser.add_argument("track", help="paths, policies, damping or discrepancy")
+    parser.add_argument("track", help="paths, policies, tasks, damping or discrepancy")
     parser.add_argument(
         "problem", help="of the track, such as reach100-2s (docs/leaderboard.md)"
     )
