@@ -23,6 +23,7 @@ from ves_gym.diagnosis.data.quality import Fault, faults
 from ves_gym.diagnosis.inference.cache import AnswerCache, CachedResiduals
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.dependence import Dependence, dependences
+from ves_gym.diagnosis.inference.earned import without_unearned
 from ves_gym.diagnosis.inference.explanations import (
     Experiment,
     RankedCandidate,
@@ -259,10 +260,12 @@ def diagnose(
     progress(0.9, "runs held back")
     last = WhitenedResiduals(machine, final, seed + 1, slow) if final else None
     doubted = 0.0  # deviance that withdrawn names had explained on the runs fitted
+    unearned: tuple[str, ...] = ()  # names that curves of no shape beat
     if last is not None:
         before_gate = selection.fit.deviance
         selection = withdrawn(selection, residuals, last)
         doubted = selection.fit.deviance - before_gate
+        selection, unearned = without_unearned(selection, residuals, last)
     explanations = tuple(
         _explanation(selection, i, limits) for i in range(len(selection.rivals))
     )
@@ -283,6 +286,9 @@ def diagnose(
     verdict = _verdict(explanations, remaining, share, bool(weak), hidden, limits)
     if (verdict == MORE or len(explanations) > _FEW) and _is_strained(selection.fit):
         verdict = UNKNOWN
+    if unearned and verdict != UNKNOWN:
+        earned = any(f.candidate.name not in unearned for f in explanations)
+        verdict = MORE if earned else UNKNOWN
     if faulty:
         verdict = _verdict_despite_faults(verdict, faulty, explanations, machine)
     chosen = selection.fit if verdict in NAMING_VERDICTS else selection.null

@@ -100,3 +100,26 @@ def test_what_has_no_name_has_a_place_and_a_quantity(logs):
     assert (best.port, best.channel, best.on) == ("joint", "tau_1", "speed of joint 1")
     assert best.share > 0.9
     assert best.sentence in found.sentence
+
+
+@pytest.mark.parametrize("along", [0.0, 6.0])
+def test_a_name_is_earned_if_no_curve_explains_clearly_more(along):
+    """Claim: friction is named where it is even, and where it is not it has no name.
+
+    Hidden is friction of 8 N m that changes along the angle by `along` over the range; curves
+    find that on the run held back, and nothing beside friction as the library has it.
+    """
+    angles = [run.q for run in (recorded(DESCRIBED, 1), recorded(DESCRIBED, 2))]
+    low, high = np.min(np.concatenate(angles), axis=0), np.max(np.concatenate(angles), axis=0)
+    none = (0.0,) * 3
+    weights = dict.fromkeys(
+        ("level", "fading", "asymmetry", "viscous", "viscous_asymmetry", "quadratic"), none
+    )
+    hidden = E.JointUnknown(
+        middle=tuple((low + high) / 2), reach=tuple((high - low) / 2),
+        coulomb=(-8.0, 0.0, 0.0), coulomb_along=(-along, 0.0, 0.0), surface=none, **weights,
+    )  # fmt: skip
+    uneven = DESCRIBED.replace(effects=(hidden,))
+    found = told(recorded(uneven, 1), recorded(uneven, 2), ("joint/coulomb",))
+    assert found.verdict == (UNKNOWN if along else NAMED), found.sentence
+    assert [f.candidate.name for f in found.explanations] == ["joint/coulomb at joint 1"]

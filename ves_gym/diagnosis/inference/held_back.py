@@ -150,7 +150,16 @@ def _losses(
 
 def _sizes(last: WhitenedResiduals, fit: Fit) -> tuple[Array, Array]:
     """Return counts and mean squares (G,) of the groups, in units of the fit's noise."""
-    remainders = fit_residual(last, fit, False)
+    return group_sizes(last, fit_residual(last, fit, False))
+
+
+def group_sizes(last: WhitenedResiduals, remainders: Array) -> tuple[Array, Array]:
+    """Return counts and mean squares (G,) of the groups, in units of their noise.
+
+    Args:
+        last: residuals of runs held back.
+        remainders: (N,) what is left of them.
+    """
     n = np.array([g.n for g in last.groups], float)
     squares = np.array([remainders[g.part] @ remainders[g.part] for g in last.groups])
     noise = n.copy()

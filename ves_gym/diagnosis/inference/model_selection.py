@@ -205,8 +205,19 @@ def unexplained(f: Fit, residuals: WhitenedResiduals, imperfect: float = 1.0) ->
 
 def _without(residuals: WhitenedResiduals, full: Fit, i: int) -> Fit:
     """Return the fit of all but the effect in place i."""
-    others = [c for j, c in enumerate(full.candidates) if j != i]
-    return fit(residuals, others, [v for j, v in enumerate(full.values) if j != i])
+    return reduced_fit(residuals, full, [i])
+
+
+def reduced_fit(residuals: WhitenedResiduals, full: Fit, places: Sequence[int]) -> Fit:
+    """Return the fit of all but the effects in some places.
+
+    Args:
+        residuals: of the runs fitted.
+        full: fit.
+        places: of effects that go.
+    """
+    rest = [j for j in range(len(full.candidates)) if j not in places]
+    return fit(residuals, [full.candidates[j] for j in rest], [full.values[j] for j in rest])
 
 
 def reduced_selection(
