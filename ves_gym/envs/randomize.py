@@ -151,7 +151,8 @@ class Range:
         if self.shared is not None:
             return spread
         parts, axes = np.linalg.eigh(spread)  # a covariance may have no inverse
-        return np.asarray(axes * np.sqrt(np.clip(parts, 0.0, None)), dtype=np.float64)
+        root = (axes * np.sqrt(np.clip(parts, 0.0, None))) @ axes.T  # unique: axes have no sign
+        return np.asarray(root, dtype=np.float64)
 
     @property
     def label(self) -> str:

@@ -231,9 +231,10 @@ def left_by_noise(
     J = problem._columns(problem.weight(theta))
     size: Array = np.sqrt(np.sum(J**2, axis=0))
     answer = np.linalg.pinv(J / size) * np.tile(deviation, len(joints)) / size[:, None]
-    # as many numbers as unknowns do, for 6 m readings
+    # As many numbers as unknowns do, for 6 m readings. The symmetric root of the covariance:
+    # singular vectors alone have signs, which are another processor's to choose.
     axes, lengths, _ = np.linalg.svd(answer, full_matrices=False)
-    weights: Array = axes * lengths
+    weights: Array = (axes * lengths) @ axes.T
     n, k = problem.A.shape[2], problem.zero.shape[1]
     return LeftByNoise(
         model=weights[:n],
