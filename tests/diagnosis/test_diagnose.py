@@ -9,7 +9,8 @@ from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.data.measured_run import require_plausible, run_of
 from ves_gym.diagnosis.inference.candidates import library, without
-from ves_gym.diagnosis.inference.fit import Fit, _FilteredNoise
+from ves_gym.diagnosis.inference.fit import Fit
+from ves_gym.diagnosis.inference.held_back import group_squares, likeliness
 from ves_gym.diagnosis.inference.model_selection import (
     Thresholds,
     _acts_long_enough,
@@ -83,39 +84,16 @@ def test_a_gear_gains_nothing_by_damping_noise(hidden):
     runs = [run_of(log, f"run-{i}") for i, log in enumerate(hidden(seed=1)[:2])]
     residuals = WhitenedResiduals(machine, runs)
     soft = JointElasticity(compliance=(0.0, 2e-5, 0.0), damping=(0.0, 30.0, 0.0))
-    model = machine.model([soft])
-    noise = residuals.noise(model, ["joint", "wrench"])
     highest = ("joint", 1, runs[0].band)  # of the ranges of frequency
-    group = next(g for g in residuals.groups if (g.port, g.channel, g.high) == highest)
-    moved = residuals.under([model], ["joint", "wrench"])[0][group.part]
+    groups = [(g.port, g.channel, g.high) for g in residuals.groups]
+    group = residuals.groups[groups.index(highest)]
+    moved = residuals.under([machine.model([soft])], ["joint", "wrench"])[0]
     plain = np.mean(residuals.null[group.part] ** 2)
-    assert np.mean(moved**2) < 0.85 * plain  # the gear is not there, and yet
-    assert np.mean(moved**2 / noise[group.part]) > 0.95 * plain
-    untouched = residuals.part("platform")
-    assert (noise[untouched] == 1).all()
-
-
-def test_a_fit_follows_the_noise_that_a_gear_passes_on(hidden):
-    machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
-    residuals = WhitenedResiduals(machine, [run_of(log, "run") for log in hidden(seed=1)[:1]])
-    every = library(machine.system.arm.n, ["joint", "wrench"], "emulated", ["run"])
-    gear = next(c for c in every if c.name == "joint/elasticity at joint 2")
-    noise = _FilteredNoise(residuals, [gear])
-    noise.measure(np.array([2e-5, 30.0]))
-    before, softer = np.array([2e-5, 30.0]), np.array([2.4e-5, 30.0])
-    fresh = np.sqrt(residuals.noise(machine.model([gear.effect(softer)]), gear.ports))
-    assert fresh.min() < 0.8
-    misses = [np.abs(noise.scale(x) - fresh).max() for x in (softer, before)]
-    assert misses[0] < 0.5 * misses[1]
-    left, step = 3.0 * np.ones(residuals.size), np.array([1e-9, 0.0])
-    change = np.log(noise.scale(softer + step) / noise.scale(softer)) / step[0]
-    slopes = noise.slopes(softer, left)
-    assert np.abs(change).max() > 1e3
-    assert slopes[:, 0] == pytest.approx(left * change, rel=1e-3, abs=1.0)
-    assert (slopes[:, 1] == 0).all()
-    plain = _FilteredNoise(residuals, [c for c in every if c.kind == "joint/viscous"])
-    plain.measure(np.ones(3))
-    assert plain.scale(np.ones(3)) is None
+    assert np.mean(moved[group.part] ** 2) < 0.85 * plain  # the gear is not there, and yet
+    _, squares, noise = group_squares(residuals, moved)
+    at = groups.index(highest)
+    assert squares[at] / noise[at] > 0.95 * plain
+    assert likeliness(residuals, moved) > likeliness(residuals, residuals.null)
 
 
 def test_a_limit_must_act_longer_than_a_step_between_samples(hidden):

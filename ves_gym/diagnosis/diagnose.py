@@ -45,6 +45,12 @@ from ves_gym.diagnosis.inference.model_selection import (
 )
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.slow_noise import slow_shares
+from ves_gym.diagnosis.inference.tolerance_scale import (
+    Off,
+    errors_told,
+    selected_with_tolerances,
+)
+from ves_gym.diagnosis.inference.tolerance_scale import sentence as wider
 from ves_gym.diagnosis.inference.unknown import (
     LIBRARY,
     NONE_OF_THESE,
@@ -113,6 +119,7 @@ class Diagnosis(Viewable):
     depends: tuple[Dependence, ...] = ()  # of what has no name, the best curve first
     beliefs: dict[str, float] = field(default_factory=dict)  # of all hypotheses; their sum is 1
     unnamed: Fit | None = None  # regression of what has no name, where one holds
+    tolerances: float = 1.0  # most probable size of the description's errors, in those stated
 
     def __repr__(self) -> str:
         return f"<Diagnosis: {self.sentence}>"
@@ -153,8 +160,20 @@ class Diagnosis(Viewable):
         return 1.0 if first is None else self.selection.law.chance(first[1], first[0])
 
     @property
+    def off(self) -> tuple[Off, ...]:
+        """Errors of the description that are larger than it says."""
+        if self.tolerances == 1.0:
+            return ()
+        chosen = self.selection.fit if self.explanations else self.selection.null
+        return errors_told(chosen, self.residuals, self.tolerances)
+
+    @property
     def sentence(self) -> str:
-        """The verdict in one sentence."""
+        """The verdict in one sentence, and how far off the description is."""
+        return self._verdict_in_words + wider(self.tolerances, self.off)
+
+    @property
+    def _verdict_in_words(self) -> str:
         names = " and ".join(_named(f) for f in self.explanations)
         why = "".join(f"; {f.sentence}" for f in self.faults)
         if self.verdict == NOTHING:
@@ -255,10 +274,27 @@ def diagnose(
         residuals, candidates, lambda done: progress(0.1 + 0.5 * done, "signatures")
     )
     lap("screen")
-    selection = select(residuals, signatures, limits, lambda text: progress(0.7, text))
+    answered = selected_with_tolerances(
+        residuals,
+        signatures,
+        lambda r, s: select(r, s, limits, lambda text: progress(0.7, text)),
+        lambda k: (
+            bool(k.fit.candidates)
+            or unexplained(k.fit, residuals, limits.imperfect) > limits.remains
+        ),
+    )
+    selection, residuals, signatures = (
+        answered.selection,
+        answered.residuals,
+        answered.signatures,
+    )
     lap("name")
     progress(0.9, "runs held back")
-    last = WhitenedResiduals(machine, final, seed + 1, slow) if final else None
+    last = None
+    if final:
+        last = WhitenedResiduals(machine, final, seed + 1, slow).with_tolerances(
+            answered.factor
+        )
     doubted = 0.0  # deviance that withdrawn names had explained on the runs fitted
     unearned: tuple[str, ...] = ()  # names that curves of no shape beat
     if last is not None:
@@ -336,6 +372,7 @@ def diagnose(
         depends=depends,
         beliefs=believed,
         unnamed=regressed,
+        tolerances=answered.factor,
     )
 
 
@@ -475,6 +512,8 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
         "null": _null_to_plain(diagnosis),
         "hypotheses": diagnosis.beliefs,
         "unknown": [] if diagnosis.unnamed is None else list(map(to_plain, diagnosis.effects)),
+        "tolerances": diagnosis.tolerances,
+        "off": [dataclasses.asdict(e) for e in diagnosis.off],
         "remaining": diagnosis.remaining,
         "remaining_allowed": diagnosis.limits.remains,
         "gap_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.gaps},

@@ -28,7 +28,6 @@ class BaseExtraMode(BaseEffect):
 
     modes = ("ideal", "emulated")
     port = "admittance"
-    filters = True
     mass: float = parameter("kg", bounds=(0.0, 500.0), start=2.0)
     frequency: float = parameter(
         "Hz",

@@ -24,7 +24,7 @@ class JointBacklash(ArmEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    sets_in = filters = True
+    sets_in = True
     gap: Vector = parameter(
         "rad",
         bounds=(0.0, 0.1),

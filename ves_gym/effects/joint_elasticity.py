@@ -21,7 +21,6 @@ class JointElasticity(ArmEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
-    filters = True
     compliance: Vector = parameter(
         "rad/(N m)", bounds=(0.0, 1e-3), shape=(None,), start=(1e-4, 3e-4, 3e-5)
     )

@@ -53,7 +53,6 @@ class Candidate:
     make: Callable[[Array], Any]  # numbers (k,) -> the effect
     factors: tuple[int, ...]  # which of the numbers multiply what the effect does
     sets_in: bool = False  # nothing is proportional to its number: starts are tried as they are
-    filters: bool = False  # it passes what was measured on, and changes the noise in it
     blurs: tuple[Callable[[Any], Any], ...] = ()  # effect -> another form that it may have
     within: str = ""  # a simpler kind that is a case of this one
     counts: int | None = None  # numbers it costs, where that is not k
@@ -140,7 +139,6 @@ def placed(
         make=lambda x: cls(**fields(x)),
         factors=tuple(k for k, x in enumerate(numbers) if x.factor),
         sets_in=cls.sets_in,
-        filters=cls.filters,
         blurs=cls.forms,
         within=cls.within,
         sparse=sparse,

@@ -71,7 +71,6 @@ class Effect:
     shows: ClassVar[tuple[str, ...]] = ()  # ports at which logs show it; none: at its own
     places: ClassVar[str] = ""  # joint, axis, row or whole; "": by the shapes of parameters
     sets_in: ClassVar[bool] = False  # it does nothing up to some size, and is no factor above
-    filters: ClassVar[bool] = False  # it passes on what was measured, and the noise in it
     builds_up: ClassVar[bool] = False  # a friction: over a distance, after every reversal
     wanders: ClassVar[bool] = False  # a slow random course: a log shows the course, not its law
     within: ClassVar[str] = ""  # simpler kind that is a case of this one

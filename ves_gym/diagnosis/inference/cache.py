@@ -102,11 +102,6 @@ class CachedResiduals(WhitenedResiduals):
         about = ("residual", port, *map(canonical_json, models))
         return self._once(about, lambda: WhitenedResiduals.at_port(self, port, models))
 
-    def noise(self, model: Any, ports: Sequence[str]) -> Array:
-        """Return as `WhitenedResiduals.noise`, from the cache where it is there."""
-        about = ("noise", *sorted(ports), canonical_json(model))
-        return self._once(about, lambda: WhitenedResiduals.noise(self, model, ports))
-
     def _once(self, about: Sequence[str], compute: Callable[[], Array]) -> Array:
         key = hashlib.sha256("\n".join((self._name, *about)).encode()).hexdigest()
         answer = self._cache.get(key)

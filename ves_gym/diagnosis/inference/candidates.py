@@ -53,9 +53,7 @@ def library(
             active = tuple(p for p in candidate.ports if p in ports)
             if mode == "ideal" and "base" in active and "wrench" in ports:
                 active += ("wrench",)  # what the base says of its pose is taken off there
-            # the computer that moves an emulated vehicle passes no noise of a sensor on
-            filters = candidate.filters and active != ("admittance",)
-            candidate = dataclasses.replace(candidate, ports=active, filters=filters)
+            candidate = dataclasses.replace(candidate, ports=active)
             if cls.wanders:
                 candidate = _course(candidate, i, runs)
             if cls.builds_up:

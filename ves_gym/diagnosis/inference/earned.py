@@ -20,7 +20,7 @@ import scipy
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.inference.fit import Fit, fit_residual, linearised
-from ves_gym.diagnosis.inference.held_back import group_sizes, losses
+from ves_gym.diagnosis.inference.held_back import likeliness, losses
 from ves_gym.diagnosis.inference.model_selection import (
     Selection,
     reduced_fit,
@@ -28,7 +28,6 @@ from ves_gym.diagnosis.inference.model_selection import (
 )
 from ves_gym.diagnosis.inference.variance_groups import (
     InnerProducts,
-    deviance,
     products,
     solve,
 )
@@ -120,7 +119,7 @@ def explained_beyond(
     moved = z + np.hstack([*curves.columns(last), tangents]) @ x[p:]
     before = fit_residual(last, f, False)
     after = last.less_nuisances(moved, x[:p], False)
-    return deviance(*group_sizes(last, before)) - deviance(*group_sizes(last, after))
+    return likeliness(last, before) - likeliness(last, after)
 
 
 class _Curves:
@@ -228,4 +227,5 @@ def _scaled(inner: InnerProducts, scale: Array) -> InnerProducts:
         inner.noise,
         None if noise_xz is None else noise_xz * scale,
         None if noise_xx is None else noise_xx * square,
+        inner.most,
     )

@@ -12,13 +12,12 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.variance_groups import Solution, products, solve
-from ves_gym.diagnosis.inference.whitened_residuals import QUIETEST, WhitenedResiduals
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.system.effect import Effect
 
 _STEP = 1e-3  # of differences, in parts of a number's usual size
 _ROUNDS, _HALVINGS = 12, 4
 _REMEMBERED = 600  # residuals of a port
-_NEAR = 0.5  # change of a number, relative, that leaves the noise passed on as it was measured
 _CLEAR = 3.0  # standard deviations from zero
 _ENOUGH = 0.05  # gain in deviance that is not worth another round
 
@@ -109,16 +108,13 @@ def fit(
     def blurs(x: Array, z: Array) -> Array:
         return _changes_of_form(residuals, candidates, np.split(x, edges), z)
 
-    noise = _FilteredNoise(residuals, candidates)
-
     def judged(x: Array, z: Array, B: Array) -> Solution:
-        return solve(products(residuals, z, B, noise.scale(x)), p + B.shape[1])
+        return solve(products(residuals, z, B), p + B.shape[1])
 
     z = residuals_at([x])[0]
     for turn in range(_ROUNDS):
         if turn < 2:  # later x changes little
             B = blurs(x, z)
-        noise.measure(x, turn < 2)
         current = judged(x, z, B)
         ways = np.where(x + step > high, -step, step)  # differences stay inside
         moved = residuals_at(
@@ -126,11 +122,7 @@ def fit(
         )
         S = ((moved - z) / ways[:, None]).T
         b = p + B.shape[1]
-        remaining = z + residuals.slopes @ current.x[:p] + B @ current.x[p:]
-        both = products(
-            residuals, z, np.hstack([B, S - noise.slopes(x, remaining)]), noise.scale(x)
-        )
-        solution = solve(both, b, low - x, high - x)
+        solution = solve(products(residuals, z, np.hstack([B, S])), b, low - x, high - x)
         toward = solution.x[b:]
         if any(c.feasible for c in candidates):
             goal = np.clip(x + toward, low, high)
@@ -140,18 +132,15 @@ def fit(
             y = np.clip(x + toward / 2**halving, low, high)
             trial = residuals_at([y])[0]
             proposed = judged(y, trial, B)
-            if proposed.deviance < current.deviance:
+            if proposed.misfit < current.misfit:
                 better = y, trial, proposed
                 break
         if better is None:
             break
-        gained = current.deviance - better[2].deviance
+        gained = current.misfit - better[2].misfit
         x, z, current = better
         if gained < _ENOUGH:
             break
-    if noise.filters:  # x has moved on since
-        noise.measure(x)
-        current = judged(x, z, B)
     deviation = np.sqrt(np.maximum(np.diag(solution.covariance)[b:], 0.0))
     return Fit(
         candidates=tuple(candidates),
@@ -207,68 +196,6 @@ def linearised(
             moved[k][i] += way
             columns.append((evaluate_residuals(residuals, candidates, [moved])[0] - z) / way)
     return z, np.stack(columns, axis=1) if columns else np.zeros((len(z), 0))
-
-
-class _FilteredNoise:
-    """Size of the noise where effects pass it on changed, in proportion to their first number.
-
-    A fit that took it for constant would go on damping noise beyond what the effect is.
-    """
-
-    def __init__(self, residuals: WhitenedResiduals, candidates: Sequence[Candidate]) -> None:
-        self._residuals, self._candidates = residuals, candidates
-        self._edges = np.cumsum([c.k for c in candidates])[:-1]
-        first = [0, *self._edges.tolist()]
-        self.filters = [(k, first[k]) for k, c in enumerate(candidates) if c.filters]
-        self._at = np.zeros(0)
-        self._change: list[Array] = []  # (N,) of the mean square at `_at`
-
-    def measure(self, x: Array, anyway: bool = True) -> None:
-        """Draw noise through each of the effects, unless little has changed.
-
-        Args:
-            x: (sum of k,) numbers of all effects.
-            anyway: draw even so.
-        """
-        at = np.array([x[i] for _, i in self.filters])
-        if not anyway and (np.abs(at - self._at) <= _NEAR * np.abs(self._at)).all():
-            return
-        values, residuals = np.split(x, self._edges), self._residuals
-        self._at, self._change = at, []
-        for k, _ in self.filters:
-            candidate = self._candidates[k]
-            effect = candidate.effect(values[k])
-            if effect not in residuals.passed:  # fits begin where others have ended
-                model = residuals.machine.model([effect])
-                residuals.passed[effect] = residuals.noise(model, sorted(candidate.ports)) - 1
-            self._change.append(residuals.passed[effect])
-
-    def scale(self, x: Array) -> Array | None:
-        """Return (N,) size of the noise; None where it is that of the description."""
-        return np.sqrt(self._square(x)) if self.filters else None
-
-    def slopes(self, x: Array, residual: Array) -> Array:
-        """Return by how much residuals shrink because noise grows with the numbers.
-
-        Args:
-            x: (k,) numbers of all effects.
-            residual: (N,).
-
-        Returns:
-            (N, k) change per number.
-        """
-        out = np.zeros((len(residual), len(x)))
-        for (_, i), at, change in zip(self.filters, self._at, self._change, strict=True):
-            if at > 0:
-                out[:, i] = residual * change / at / (2 * self._square(x))
-        return out
-
-    def _square(self, x: Array) -> Array:
-        out = np.ones(self._residuals.length)
-        for (_, i), at, change in zip(self.filters, self._at, self._change, strict=True):
-            if at > 0:
-                out += change * (x[i] / at)
-        return np.maximum(out, QUIETEST)
 
 
 def _changes_of_form(

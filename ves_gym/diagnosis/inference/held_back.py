@@ -16,7 +16,12 @@ from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.fit import Fit, fit_residual
 from ves_gym.diagnosis.inference.intervals import intervals, stretches
 from ves_gym.diagnosis.inference.model_selection import Selection, reduced_selection
-from ves_gym.diagnosis.inference.variance_groups import deviance, sizes
+from ves_gym.diagnosis.inference.variance_groups import (
+    deviance,
+    likely_sizes,
+    most_noise,
+    sizes,
+)
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 CLEAR = (
@@ -120,7 +125,8 @@ def unexplained_there(last: WhitenedResiduals, fit: Fit, imperfect: float) -> fl
         fit: found on others.
         imperfect: mean square that is still taken for noise.
     """
-    n, size = _sizes(last, fit)
+    n, *rest = group_squares(last, fit_residual(last, fit, False))
+    size = sizes(n, *rest)
     return float((n * np.log(np.maximum(size / imperfect, 1.0))).sum())
 
 
@@ -131,7 +137,9 @@ def losses(last: WhitenedResiduals, full: Fit, reduced: Fit) -> float:
         last: of those runs.
         full, reduced: fits found on others.
     """
-    return deviance(*_sizes(last, full)) - deviance(*_sizes(last, reduced))
+    return likeliness(last, fit_residual(last, full, False)) - likeliness(
+        last, fit_residual(last, reduced, False)
+    )
 
 
 def _losses(
@@ -148,13 +156,19 @@ def _losses(
     return out
 
 
-def _sizes(last: WhitenedResiduals, fit: Fit) -> tuple[Array, Array]:
-    """Return counts and mean squares (G,) of the groups, in units of the fit's noise."""
-    return group_sizes(last, fit_residual(last, fit, False))
+def likeliness(last: WhitenedResiduals, remainders: Array) -> float:
+    """Return the deviance of what is left of runs held back.
+
+    Args:
+        last: residuals of those runs.
+        remainders: (N,) what is left of them.
+    """
+    n, squares, noise = group_squares(last, remainders)
+    return deviance(n, likely_sizes(n, squares, noise, most_noise(last.groups)))
 
 
-def group_sizes(last: WhitenedResiduals, remainders: Array) -> tuple[Array, Array]:
-    """Return counts and mean squares (G,) of the groups, in units of their noise.
+def group_squares(last: WhitenedResiduals, remainders: Array) -> tuple[Array, Array, Array]:
+    """Return counts, squares and the squares that noise alone would have (G,) of the groups.
 
     Args:
         last: residuals of runs held back.
@@ -169,4 +183,5 @@ def group_sizes(last: WhitenedResiduals, remainders: Array) -> tuple[Array, Arra
             noise[k] += float(remainders[part] @ remainders[part] - usual @ usual) / len(
                 g.copies
             )
-    return n, sizes(n, squares, np.maximum(noise, 0.05 * n))
+    noise = np.maximum(noise, 0.05 * n)
+    return n, squares, noise

@@ -18,7 +18,6 @@ from ves_gym.diagnosis.inference.causes import single_parts
 from ves_gym.diagnosis.inference.fit import Fit, fit
 from ves_gym.diagnosis.inference.null_law import NullLaw, null_law
 from ves_gym.diagnosis.inference.signatures import Signatures
-from ves_gym.diagnosis.inference.variance_groups import products, solve
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 FINALISTS = 6
@@ -253,10 +252,7 @@ def _candidate_fits(
     """Return full fits of the best scores beside `reduced`, in place i, best score first."""
     price = float(np.log(residuals.size))
     scores = signatures.scores(reduced.residual, reduced.tangents, reduced.size)
-    ahead = reduced.deviance - _screened(residuals, reduced)  # full fits know noise passed on
-    costs = [
-        s.deviance + ahead + signatures.candidates[s.candidate].price * price for s in scores
-    ]
+    costs = [s.deviance + signatures.candidates[s.candidate].price * price for s in scores]
     out: list[Fit] = []
     free = [j for j in np.argsort(costs).tolist() if signatures.candidates[j].name not in taken]
     for j in free[:count]:
@@ -269,14 +265,6 @@ def _candidate_fits(
         if not tried.on_bound(i) and _acts_long_enough(residuals, tried, i):
             out.append(tried)
     return out
-
-
-def _screened(residuals: WhitenedResiduals, f: Fit) -> float:
-    """Return the deviance of a fit by the measure of the screening scores."""
-    if not any(c.filters for c in f.candidates):
-        return f.deviance
-    inner = products(residuals, f.residual, f.tangents)
-    return solve(inner, len(residuals.nuisances)).deviance
 
 
 def _acts_long_enough(residuals: WhitenedResiduals, f: Fit, i: int) -> bool:

@@ -7,6 +7,7 @@ these data cannot distinguish, are small linear problems.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.candidates import Candidate
-from ves_gym.diagnosis.inference.variance_groups import InnerProducts, solve
+from ves_gym.diagnosis.inference.variance_groups import InnerProducts, most_noise, solve
 from ves_gym.diagnosis.inference.whitened_residuals import QUIETEST, WhitenedResiduals
 
 _CHUNK = 24  # models evaluated at once
@@ -103,8 +104,13 @@ class Signatures:
             residuals.noise_product(residuals.groups[k], self._all_columns) for k in self._noisy
         ]
         self._n = np.array([g.n for g in residuals.groups], float)
+        self._most = most_noise(residuals.groups)
         self.rows = residuals.measured  # that are looked at
-        everything = self._xx.sum(axis=0).astype(float)
+        self._set_beside_tolerances()
+
+    def _set_beside_tolerances(self) -> None:
+        """Products (M, M) of the signatures, what tolerances imitate taken off."""
+        p, everything = self._p, self._xx.sum(axis=0).astype(float)
         J, S = slice(None, p), slice(p, None)
         inside = everything[J, J] + np.eye(p)
         self.inner = everything[S, S] - everything[S, J] @ np.linalg.solve(
@@ -113,6 +119,26 @@ class Signatures:
         left = np.diag(self.inner) < _DELICATE * np.diag(everything)[p:]
         self._delicate = [bool(left[list(block.columns)].any()) for block in self.blocks]
         self._exact: dict[int, Array] = {}  # block -> (G, p + k, k) products of its columns
+
+    def with_tolerances(self, residuals: WhitenedResiduals) -> Signatures:
+        """Return the same signatures beside tolerances of other sizes.
+
+        Args:
+            residuals: the same, `with_tolerances` of other sizes.
+        """
+        out, p = copy.copy(self), self._p
+        out.residuals = residuals
+        out._all_columns = self._all_columns.copy()
+        out._all_columns[:, :p] = residuals.slopes
+        out.columns = out._all_columns[:, p:]
+        old, new = (np.array([k.std for k in r.nuisances]) for r in (self.residuals, residuals))
+        scale = np.ones(out._all_columns.shape[1], np.float32)
+        scale[:p] = new / old
+        both = np.outer(scale, scale)
+        out._xx = self._xx * both
+        out._noise_xx = [k * both for k in self._noise_xx]
+        out._set_beside_tolerances()
+        return out
 
     # --------------------------------------------------------------- scoring
 
@@ -176,6 +202,7 @@ class Signatures:
                 noise.zz,
                 np.concatenate([noise.xz[:, at], noise.bz], axis=1),
                 noise_xx,
+                self._most,
             )
             solution = solve(both, p, low, high)
             previous = best.get(block.candidate)

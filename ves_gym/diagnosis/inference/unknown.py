@@ -151,6 +151,7 @@ class _Evidence:
                 inner.noise,
                 None if inner.noise_xz is None else inner.noise_xz[:, at] * scale,
                 None if inner.noise_xx is None else inner.noise_xx[:, at][:, :, at] * square,
+                inner.most,
             ),
             len(at),
         )

@@ -16,16 +16,18 @@ squares (Carroll et al., Measurement Error in Nonlinear Models, 2006, ch. 7: cor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.diagnosis.inference.whitened_residuals import VarianceGroup, WhitenedResiduals
 
 _PASSES = 6  # of reweighting
 _RIDGE = 1e-10
 _SAFE = 0.8  # of the noise in columns that steps take off: all of it may leave no curvature
+_HALF = 0.5  # of a combination's square: with more noise than that it is mostly noise
 _QUIET = 0.05  # of the noise that a combination of columns may leave
 FARTHEST = 5.0  # standard deviations: farther off it is no tolerance any more
 
@@ -41,6 +43,7 @@ class InnerProducts:
     noise: Array | None = None  # (G,) sum of squares of noise expected in z; n where None
     noise_xz: Array | None = None  # (G, c) the same of the products; zero where None
     noise_xx: Array | None = None  # (G, c, c)
+    most: Array | None = None  # (G,) of the noise that costs no density; n where None
 
 
 @dataclass(frozen=True)
@@ -49,20 +52,18 @@ class Solution:
 
     x: Array  # (c,)
     deviance: float
+    misfit: float  # the same without the price of noise passed on: what numbers are fitted to
     size: Array  # (G,) s_g^2 left
     covariance: Array  # (c, c)
 
 
-def products(
-    residuals: WhitenedResiduals, z: Array, X: Array, scale: Array | None = None
-) -> InnerProducts:
+def products(residuals: WhitenedResiduals, z: Array, X: Array) -> InnerProducts:
     """Return products of a residual and columns, after those of the nuisances.
 
     Args:
         residuals: whose groups and nuisances count.
         z: (N,) residual and its copies.
         X: (N, c) columns.
-        scale: (N,) size of the noise, where it is not 1.
     """
     p, c = residuals.slopes.shape[1], X.shape[1]
     groups = residuals.groups
@@ -74,10 +75,6 @@ def products(
     noise_xx[:, :p, :p] = residuals.noise_gram
     for k, g in enumerate(groups):
         a, J, x = z[g.part], residuals.slopes[g.part], X[g.part]
-        if scale is not None and (scale[g.part] != 1).any():
-            weight = 1 / scale[g.part]
-            a, J, x = a * weight, J * weight[:, None], x * weight[:, None]
-            xx[k, :p, :p] = J.T @ J
         zz[k] = a @ a
         xz[k, :p], xz[k, p:] = J.T @ a, x.T @ a
         xx[k, p:, :p] = x.T @ J
@@ -86,15 +83,25 @@ def products(
         for part in g.copies:
             e, J, x = z[part], residuals.slopes[part], X[part]
             usual = residuals.null[part]
-            if scale is not None and (scale[part] != 1).any():
-                weight = 1 / scale[part]
-                e, J, x = e * weight, J * weight[:, None], x * weight[:, None]
             columns, share = np.hstack([J, x]), 1 / len(g.copies)
             noise[k] += share * float(e @ e - usual @ usual)
             noise_xz[k] += share * (columns.T @ e)
             noise_xx[k, p:] += share * (x.T @ columns)
         noise_xx[k, :p, p:] = noise_xx[k, p:, :p].T
-    return InnerProducts(n, zz, xz, xx, noise, noise_xz, noise_xx)
+    return InnerProducts(n, zz, xz, xx, noise, noise_xz, noise_xx, most_noise(groups))
+
+
+def most_noise(groups: Sequence[VarianceGroup]) -> Array:
+    """Return (G,) squares of noise that a model may foretell at no price.
+
+    A base moves because of the wrench on it: what the data have is the density of its pose, and
+    there a heavier base divides as much as it multiplies. Elsewhere torque and wrench are given
+    as noisily as the motion, and more noise than the description has costs log |V|.
+
+    Args:
+        groups: G.
+    """
+    return np.array([g.n if g.priced else np.inf for g in groups])
 
 
 def solve(
@@ -126,7 +133,7 @@ def solve(
         weight = np.where(size > 1, 1 / np.maximum(size, 1.0), p.n / expected)
         share = weight * np.minimum(size, 1.0)  # of the noise expected that is there
         A = np.einsum("g,gij->ij", weight, p.xx) + np.diag(prior)
-        noisy = np.einsum("g,gij->ij", share, noise_xx)
+        noisy = _correctable(np.einsum("g,gij->ij", share, noise_xx), A)
         A = A - _SAFE * noisy
         A = A + _RIDGE * np.diag(np.diag(A) + 1e-30)
         b = share @ noise_xz - weight @ p.xz + (1 - _SAFE) * noisy @ x
@@ -135,9 +142,37 @@ def solve(
         expected = noise + 2 * noise_xz @ x + np.einsum("i,gij,j->g", x, noise_xx, x)
         expected = np.maximum(expected, _QUIET * p.n)
         size = sizes(p.n, remaining, expected)
+    penalty = float(prior @ x**2)
     return Solution(
-        x, deviance(p.n, size) + float(prior @ x**2), size, np.asarray(np.linalg.inv(A), float)
+        x,
+        deviance(p.n, likely_sizes(p.n, remaining, expected, p.most)) + penalty,
+        deviance(p.n, size) + penalty,
+        size,
+        np.asarray(np.linalg.inv(A), float),
     )
+
+
+def _correctable(noisy: Array, full: Array) -> Array:
+    """Return the part of the noise (c, c) in a curvature that a fit may take off.
+
+    Of combinations of columns that are mostly noise the data say little, and that of the run
+    at hand may be less than that of the draws: taken off as expected, nothing would hold their
+    numbers. There it stays in, and draws them to zero, as described.
+
+    Args:
+        noisy: expected of noise alone.
+        full: with prior; positive definite.
+    """
+    try:
+        np.linalg.cholesky(_HALF * full - noisy)
+        return noisy
+    except np.linalg.LinAlgError:
+        scale = 1 / np.sqrt(np.diag(full) + 1e-30)
+        root = np.linalg.cholesky(full * np.outer(scale, scale) + _RIDGE * np.eye(len(full)))
+        back = np.linalg.inv(root)
+        share, way = np.linalg.eigh(back @ (noisy * np.outer(scale, scale)) @ back.T)
+        way = (root @ way) / scale[:, None]
+        return np.asarray((way * np.minimum(share, np.maximum(1 - share, 0.0))) @ way.T)
 
 
 def sizes(n: Array, squares: Array, noise: Array) -> Array:
@@ -150,6 +185,19 @@ def sizes(n: Array, squares: Array, noise: Array) -> Array:
     """
     excess = squares - noise
     return np.maximum(np.where(excess > 0, 1 + excess / n, squares / noise), 1e-12)
+
+
+def likely_sizes(n: Array, squares: Array, noise: Array, most: Array | None) -> Array:
+    """Return (G,) the same for a likelihood, where noise passed on enlarged has its price.
+
+    It widens what the model foretells, at the price of its density (log |V|), and of as much as
+    there is: it foretells at most so much. Noise that a model damps earns nothing.
+
+    Args:
+        n, squares, noise: as for `sizes`.
+        most: (G,) noise at no price, see `most_noise`; n where None.
+    """
+    return sizes(n, squares, np.minimum(noise, n if most is None else most))
 
 
 def deviance(n: Array, size: Array) -> float:

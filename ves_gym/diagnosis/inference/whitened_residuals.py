@@ -14,20 +14,20 @@ it in the long vector: least squares alone would take a lighter base for a bette
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy
 
 from ves_gym._util.params import Array, Index
 from ves_gym._util.signals import SensorNoiseModel, SpectralWindow
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.machines.base import Machine, Nuisance, Port, testable
 
-_DRAWS, _FEW = 12, 4  # of the noise, to learn what it becomes at a port
+_DRAWS = 12  # of the noise, to learn what it becomes at a port
 _SHAPES = 400  # draws of slow noise, to learn how it falls with the frequency
 _COPIES = 4  # of the noise, to learn what a change of the numbers makes of it
 QUIETEST = 0.05  # of the noise's mean square that a model may leave
@@ -49,6 +49,7 @@ class VarianceGroup:
     part: slice  # of the long vector
     runs: tuple[slice, ...]  # of the long vector, run by run
     copies: tuple[slice, ...] = ()  # of it: the same numbers of noise alone, draw by draw
+    priced: bool = True  # noise passed on enlarged costs density; else it is that of an answer
 
     @property
     def n(self) -> int:
@@ -75,7 +76,6 @@ class WhitenedResiduals:
     ) -> None:
         self.machine, self.runs, self.seed = machine, list(runs), seed
         self.slow = dict(slow or {})
-        self._usual: dict[str, Array] = {}  # port -> whitened noise under the description
         self._copies: dict[Any, Run] = {}  # runs with noise to pass on
         self.ports: tuple[Port, ...] = testable(machine, runs)
         names = [p.name for p in self.ports]
@@ -84,7 +84,6 @@ class WhitenedResiduals:
         self.size = sum(g.n for g in self.groups)  # numbers that are measured
         self.length = max(s.stop for s in self._spans.values())  # with those of the copies
         self.memory: dict[Any, Array] = {}  # residuals already asked for, by port and effects
-        self.passed: dict[Any, Array] = {}  # change of the noise's mean square, by effect
         raw = [machine.residuals(run, [machine.nominal], names) for run in self.runs]
         self._whiten: list[dict[str, Array]] = []  # (K, c, c) of each run and port
         self._wander: list[dict[str, Array]] = []  # (K, c, c) the same of slow noise alone
@@ -148,6 +147,19 @@ class WhitenedResiduals:
                 out[:, j] = change * (nuisances[j].std / nuisances[j].step)
         return out
 
+    def with_tolerances(self, factor: float) -> WhitenedResiduals:
+        """Return the same residuals with tolerances of the machine a factor as large."""
+        scale = np.ones(len(self.nuisances))
+        scale[: self.shared] = factor
+        out = copy.copy(self)
+        out.nuisances = [
+            replace(k, std=k.std * s) for k, s in zip(self.nuisances, scale, strict=True)
+        ]
+        out.slopes = self.slopes * scale
+        both = np.outer(scale, scale)
+        out.gram, out.noise_gram = self.gram * both, self.noise_gram * both
+        return out
+
     def less_nuisances(self, z: Array, x: Array, fitted: bool) -> Array:
         """Return a residual (N,) less what nuisances do.
 
@@ -197,6 +209,7 @@ class WhitenedResiduals:
                             high * top,
                             slice(begin, at),
                             tuple(parts),
+                            priced=not port.answers,
                         )
                     )
             n = at - first
@@ -287,20 +300,27 @@ class WhitenedResiduals:
         """Return (m, n) numbers of a port, and behind them what noise adds in each copy."""
         out = [self.whitened(port.name, by_run)]
         if port.differentiates:
+            passing = [self.machine.passing(m) for m in models]
+            ways = [k for i, k in enumerate(passing) if k not in passing[:i]]
+            of = [ways.index(k) for k in passing]
+            plain = out[0]
+            if ways != list(models):
+                own = (self.machine.residuals(run, ways, [port.name]) for run in self.runs)
+                plain = self.whitened(port.name, [k[port.name] for k in own])[of]
             noisy = [
-                self.machine.residuals(copy, models, [port.name])[port.name]
-                for copy in (self._copy(i, port.exact, _COPIES) for i in range(len(self.runs)))
+                self.machine.residuals(copy, ways, [port.name])[port.name]
+                for copy in (self._copy(i, port.exact) for i in range(len(self.runs)))
             ]
             for k in range(_COPIES):
-                out.append(self.whitened(port.name, [x[:, k] for x in noisy]) - out[0])
+                out.append(self.whitened(port.name, [x[of, k] for x in noisy]) - plain)
         return np.concatenate(out, axis=1)
 
-    def _copy(self, i: int, exact: tuple[str, ...], draws: int) -> Run:
+    def _copy(self, i: int, exact: tuple[str, ...]) -> Run:
         """Return a run with draws of its noise on top, the same whenever asked for."""
-        key = i, exact, draws
+        key = i, exact
         if key not in self._copies:
             rng = np.random.default_rng([self.seed, i, 1])
-            self._copies[key] = self.runs[i].with_noise(rng, draws, exact)
+            self._copies[key] = self.runs[i].with_noise(rng, _COPIES, exact)
         return self._copies[key]
 
     def under(self, models: Sequence[Model], ports: Sequence[str]) -> Array:
@@ -335,47 +355,6 @@ class WhitenedResiduals:
             differs = [(k[0] != k[1]).any(axis=-1) for k in residuals.values()]
             out += run.dt * float(np.count_nonzero(np.any(differs, axis=0)))
         return out
-
-    def noise(self, model: Model, ports: Sequence[str]) -> Array:
-        """Return the mean square that noise alone would have if this model were true.
-
-        1 where the model only subtracts something; else it may seem to explain a residual by
-        damping the noise in it.
-
-        Args:
-            model: the description with effects.
-            ports: at which they act.
-
-        Returns:
-            (N,), relative to the description's, copies as what they are copies of.
-        """
-        out = np.ones(self.length)
-        for port in (p for p in self.ports if p.name in ports):
-            if port.name not in self._usual:
-                self._usual[port.name] = self._power(port, self.machine.nominal)
-            change = self._power(port, model) - self._usual[port.name]
-            span = out[self.span(port.name)]
-            span[:] = np.tile(np.maximum(1 + change, QUIETEST), len(span) // len(change))
-        return out
-
-    def _power(self, port: Port, model: Model) -> Array:
-        """Return (n,) mean square of a port's whitened noise, the same draws for any model."""
-        drawn = []
-        for i, run in enumerate(self.runs):
-            noisy, raw = (
-                self.machine.residuals(k, [model], [port.name])[port.name][0]
-                for k in (self._copy(i, port.exact, _FEW), run)
-            )
-            drawn.append(noisy - raw)
-        power = np.square(self.whitened(port.name, drawn)).mean(axis=0)
-        span = self.part(port.name)
-        for rows in self._rows:
-            for take, part, _ in rows[port.name]:
-                at = slice(part.start - span.start, part.stop - span.start)
-                both = power[at].reshape(2, len(take)).mean(axis=0)
-                smooth = scipy.ndimage.uniform_filter1d(both, 2 * _POOL + 1, mode="nearest")
-                power[at] = np.tile(smooth, 2)
-        return power
 
     def whitened(self, port: str, by_run: Sequence[Array]) -> Array:
         """Return (m, n) numbers of a port from residuals (m, T, c) of every run."""

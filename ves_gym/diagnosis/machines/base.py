@@ -30,6 +30,7 @@ class Port:
     differentiates: bool = (
         False  # described numbers multiply noisy signals: errors in variables
     )
+    answers: bool = False  # its noisy signals answer to the others, and are not their cause
     signal: str = ""  # that the residual is a part of, where the port's name does not say it
 
 
@@ -64,6 +65,16 @@ class Machine(Protocol):
 
     def model(self, effects: Sequence[Effect]) -> Any:
         """The description with effects."""
+
+    def passing(self, model: Any) -> Any:
+        """Return what of a model passes noise on at ports that differentiate.
+
+        Friction turns with the noise of a joint at rest, where more noise on noisy angles is
+        not what noise did, and of angles and rates there is less than of accelerations.
+
+        Args:
+            model: as `model` makes it.
+        """
 
     def residuals(
         self, run: Run, models: Sequence[Any], ports: Sequence[str]

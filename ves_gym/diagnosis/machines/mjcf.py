@@ -151,6 +151,10 @@ class MjcfMachine:
         """The model, where it is MJCF."""
         return self.bodies if isinstance(self.bodies, MjcfBodies) else None
 
+    def passing(self, model: MjcfVariant) -> MjcfVariant:
+        """Return the model: no port here differentiates."""
+        return model
+
     def model(self, effects: Sequence[Any]) -> MjcfVariant:
         """Return the description with effects added."""
         return self.nominal.added(effects)

@@ -125,6 +125,10 @@ class PlantMachine(ABC):
                 kinds = ", ".join(cls.kind for cls in self.effects)  # type: ignore[attr-defined]
                 raise ParameterError(f"effect {effect.kind}: {name} computes {kinds}")
 
+    def passing(self, model: Effects) -> Effects:
+        """Return the model: no port here differentiates."""
+        return model
+
     def model(self, effects: Sequence[Any]) -> Effects:
         """Return the description with effects added."""
         return (*self.nominal, *effects)

@@ -35,12 +35,13 @@ from ves_gym.diagnosis.machines.servo import servo_gap
 from ves_gym.diagnosis.machines.tolerances import StatedErrors, with_known
 from ves_gym.diagnosis.machines.torque_balance import torque_residual
 from ves_gym.diagnosis.machines.vehicle_force import vehicle_gap
+from ves_gym.effects import JointMemory
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import AXES, twist, twist_rate
 from ves_gym.system.deviations import Delays, LoopParameters
-from ves_gym.system.effect import BaseEffect, Effect, joint_torque
+from ves_gym.system.effect import BaseEffect, Effect, TorqueEffect, joint_torque
 from ves_gym.system.system import System
 
 _N, _M = ("N",) * 3 + ("N m",) * 3, ("m",) * 3 + ("rad",) * 3
@@ -48,6 +49,7 @@ _N, _M = ("N",) * 3 + ("N m",) * 3, ("m",) * 3 + ("rad",) * 3
 # coordinates, and what the computer takes in and gives out is known to the last digit.
 _FLOOR = {"admittance": 8e-3}
 _LEAST = 1e-3
+_AT_REST = TorqueEffect, JointMemory  # frictions among them: they turn with noise
 _LOADS = 40  # remembered: both ports of an arm ask, with one law of friction after another
 _SEEN = {  # port -> the signal that its residual is a part of
     "joint": "tau",
@@ -92,6 +94,7 @@ class SystemMachine:
                 joints,
                 ("N m",) * n,
                 ("q", "tau", "y"),
+                differentiates=True,
             ),
             Port(
                 "servo",
@@ -101,7 +104,14 @@ class SystemMachine:
                 ("q_cmd", "v_cmd", "q", "tau", "controller"),
                 ("q_cmd", "v_cmd"),
             ),
-            Port("wrench", "sensor reading less the arm's wrench", WRENCH, _N, ("q", "y", "w")),
+            Port(
+                "wrench",
+                "sensor reading less the arm's wrench",
+                WRENCH,
+                _N,
+                ("q", "y", "w"),
+                differentiates=True,
+            ),
         ]
         if system.mode == "emulated" and system.emulator_settings.operation == "microgravity":
             ports.append(
@@ -145,6 +155,7 @@ class SystemMachine:
                     _N,
                     ("y", "w"),
                     differentiates=True,
+                    answers=True,
                 )
             )
         self.ports = tuple(ports)
@@ -161,6 +172,14 @@ class SystemMachine:
         if added:
             system = system.replace(effects=(*system.effects, *added))
         return SystemVariant(system, paths, grown)
+
+    def passing(self, model: SystemVariant) -> SystemVariant:
+        """Return a model without what it adds to the torques at joints."""
+        kept = tuple(e for e in model.system.effects if not isinstance(e, _AT_REST))
+        if len(kept) == len(model.system.effects) and not model.presliding:
+            return model
+        system = model.system.replace(effects=kept)
+        return dataclasses.replace(model, system=system, presliding=())
 
     def floor(self, run: Run, port: str) -> Array:
         """Return (c,) standard deviation below which a residual of the port means nothing."""
