@@ -163,15 +163,18 @@ def _correctable(noisy: Array, full: Array) -> Array:
         noisy: expected of noise alone.
         full: with prior; positive definite.
     """
+    if not noisy.any():
+        return noisy
     try:
         np.linalg.cholesky(_HALF * full - noisy)
         return noisy
     except np.linalg.LinAlgError:
-        scale = 1 / np.sqrt(np.diag(full) + 1e-30)
-        root = np.linalg.cholesky(full * np.outer(scale, scale) + _RIDGE * np.eye(len(full)))
-        back = np.linalg.inv(root)
+        scale = 1 / np.sqrt(np.maximum(np.diag(full), 1e-30))
+        values, axes = np.linalg.eigh(full * np.outer(scale, scale))
+        lengths = np.sqrt(np.maximum(values, _RIDGE))  # of single precision: a little negative
+        back = (axes / lengths).T
         share, way = np.linalg.eigh(back @ (noisy * np.outer(scale, scale)) @ back.T)
-        way = (root @ way) / scale[:, None]
+        way = (axes * lengths) @ way / scale[:, None]
         return np.asarray((way * np.minimum(share, np.maximum(1 - share, 0.0))) @ way.T)
 
 
