@@ -65,6 +65,18 @@ def test_what_a_body_can_have_is_left_alone_and_the_rest_put_to_the_most_probabl
                 assert miss(numbers_of_moments(other)) > miss(found) * (1 - 1e-3)
 
 
+def test_a_precision_that_rounding_made_indefinite_still_gives_a_body():
+    """Ten numbers of which the data tell six: an inverse may have negative parts."""
+    rng = np.random.default_rng(5)
+    columns = rng.standard_normal((10, 6)) * np.logspace(0, 4, 10)[:, None]
+    precision = columns @ columns.T - 1e-9 * np.diag(np.logspace(0, 8, 10))
+    assert np.linalg.eigvalsh(precision)[0] < 0
+    numbers = of_points(MASSES, PLACES)
+    found = nearest_body(numbers, precision, np.eye(10))
+    assert is_body(found)
+    np.testing.assert_allclose(columns.T @ found, columns.T @ numbers, rtol=1e-3)
+
+
 def test_a_body_of_one_point_is_a_mass_there():
     mass, place = 2.0, (0.05, 0.0, 0.1)
     ten = of_points(np.array([mass]), np.array([place]))

@@ -81,8 +81,10 @@ def nearest_body(numbers: npt.ArrayLike, precision: npt.ArrayLike, seen: Array) 
     """
     x = np.asarray(numbers, float)
     weight = np.asarray(precision, float)
-    weight = weight + 1e-12 * np.diag(np.diag(weight)) + 1e-12 * np.eye(len(x))
-    root = np.linalg.cholesky(weight).T
+    scale = np.sqrt(np.maximum(np.diag(weight), 1e-12))
+    parts, ways = np.linalg.eigh((weight + weight.T) / (2 * np.outer(scale, scale)))
+    # of a covariance that is all but singular, rounding makes some parts negative
+    root = np.sqrt(np.maximum(parts, 1e-12))[:, None] * ways.T * scale
     core = np.diag([_LEAST**2] * 3 + [0.0])
 
     def numbers_seen(J: Array) -> Array:
