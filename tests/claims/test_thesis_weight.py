@@ -75,6 +75,7 @@ def test_no_body_of_1_4_kg_and_no_tilt_makes_the_lateral_moment():
 # ------------------------------------------------------------------------- the workflow
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_not_in_the_library(files):
     found = verdict(MEASURED, files)
     print(found.sentence, [f.candidate.name for f in found.explanations], stretched(found))
