@@ -9,7 +9,9 @@ import pytest
 
 from ves_gym.leaderboard import statistics
 from ves_gym.leaderboard.board import ALL, make_board
-from ves_gym.leaderboard.journal import append, read
+from ves_gym.leaderboard.journal import append, check, read
+from ves_gym.leaderboard.protocol import salt_mark
+from ves_gym.leaderboard.seasons import Season, season_file, write_season
 from ves_gym.leaderboard.table import make_tables, write_parquet, write_sqlite
 
 
@@ -90,6 +92,28 @@ def test_what_was_only_replayed_is_shown_and_replaces_nothing(
 def test_seeds_are_not_mixed(journal):
     (only,) = group(make_board(journal), "paths", "reach100-2s", "official")["entries"]
     assert only["ids"] == ids(journal, 5) and only["rank"] == [1, 1, 1]
+
+
+def test_seasons_of_official_seeds_are_not_mixed(tmp_path, make_entry, noisy_scores):
+    path, marks = tmp_path / "entries", [salt_mark(f"a salt, number {k}") for k in range(3)]
+    write_season(season_file(path, "2026-11"), Season(marks[0]))
+    write_season(season_file(path, "2026-12"), Season(marks[1]))
+    for k, mark in enumerate(marks):
+        entry = make_entry("refined", scores=noisy_scores(0.2 + k, n=30), seeds="official")
+        entry["about"]["salt"] = mark
+        append(path, entry)
+    journal = read(path)
+    for k, season in enumerate(("2026-11", "2026-12", marks[2][:8])):
+        board = group(make_board(journal), "paths", "reach100-2s", f"official {season}")
+        assert [e["ids"] for e in board["entries"]] == [ids(journal, k)]
+
+
+def test_a_season_that_cannot_be_read_is_a_fault_of_the_board(tmp_path):
+    file = season_file(tmp_path / "entries", "2026-11")
+    file.parent.mkdir()
+    file.write_text("{}")
+    (fault,) = check(tmp_path / "entries").problems
+    assert "2026-11.json: expected mark, salt, schema" in fault
 
 
 def test_all_problems_are_one_table_where_scores_are_relative(journal):

@@ -48,6 +48,7 @@ History = Callable[[Mapping[str, Any]], str | None]
 def make_board(journal: Journal, history: History = history_reason) -> Plain:
     """Return plain data of schema ves-board/2.
 
+    Rows of two seasons of official seeds are never compared: their seeds are two.
     Of an entry that came again (same track, problem, seeds, author and name) the latest
     counts, but none of a lower level than one before. Ranked is what was reproduced; what was
     only replayed is in `shown`. An entry that cannot be compared, for too few or other
@@ -61,7 +62,8 @@ def make_board(journal: Journal, history: History = history_reason) -> Plain:
     unranked: list[Plain] = []
     present, past = divided(journal.records, history)
     shown = [r for r in present if r.entry["level"] != RANKED]
-    cells = _cells([r for r in present if r.entry["level"] == RANKED], unranked)
+    ranked = [r for r in present if r.entry["level"] == RANKED]
+    cells = _cells(ranked, unranked, journal.seasons)
     tracks = []
     for track, title in TRACKS.items():
         groups = [
@@ -80,8 +82,8 @@ def make_board(journal: Journal, history: History = history_reason) -> Plain:
         "newest": max((r.entry["about"]["ended"] for r in journal.records), default=None),
         "tracks": tracks,
         "unranked": unranked,
-        "shown": [_past(record, _SHOWN) for record in shown],
-        "history": [_past(record, why) for record, why in past],
+        "shown": [_past(record, _SHOWN, journal.seasons) for record in shown],
+        "history": [_past(record, why, journal.seasons) for record, why in past],
     }
 
 
@@ -100,7 +102,11 @@ def divided(
     latest: dict[tuple[str, ...], tuple[Record, str | None]] = {}
     for record in records:
         e, why = record.entry, history(record.entry)
-        key = (*(str(e[k]) for k in ("track", "problem", "seeds", "author", "name")), why or "")
+        key = (
+            *(str(e[k]) for k in ("track", "problem", "seeds", "author", "name")),
+            str(e["about"].get("salt")),
+            why or "",
+        )
         if key in latest and _level(record) < _level(latest[key][0]):
             continue
         latest[key] = record, why
@@ -112,7 +118,22 @@ def _level(record: Record) -> int:
     return LEVELS.index(record.entry["level"])
 
 
-def _past(record: Record, why: str) -> Plain:
+def seeds_of(entry: Mapping[str, Any], seasons: Mapping[str, str]) -> str:
+    """Return which seeds a row is of: `public`, or `official` and the season.
+
+    Args:
+        entry: plain data of schema ves-entry/1.
+        seasons: names, by the marks of their salts; of another the mark's first digits.
+    """
+    mark = entry["about"].get("salt")
+    return (
+        str(entry["seeds"])
+        if mark is None
+        else f"{entry['seeds']} {seasons.get(mark, mark[:8])}"
+    )
+
+
+def _past(record: Record, why: str, seasons: Mapping[str, str]) -> Plain:
     """Return what stays readable of an entry that is not ranked."""
     e = record.entry
     try:
@@ -121,7 +142,8 @@ def _past(record: Record, why: str) -> Plain:
         score = None
     return {
         "id": record.id,
-        **{k: e[k] for k in ("track", "problem", "seeds", "name", "author", "level", "bundle")},
+        **{k: e[k] for k in ("track", "problem", "name", "author", "level", "bundle")},
+        "seeds": seeds_of(e, seasons),
         "score": score,
         "why": why,
     }
@@ -131,7 +153,7 @@ Candidate = tuple[Record, ...]  # one record, or one per problem
 
 
 def _cells(
-    records: Sequence[Record], unranked: list[Plain]
+    records: Sequence[Record], unranked: list[Plain], seasons: Mapping[str, str]
 ) -> dict[tuple[str, str, str], list[Candidate]]:
     """By track, problem and seeds: the candidates that can be compared with each other."""
     cells: dict[tuple[str, str, str], list[Record]] = defaultdict(list)
@@ -143,7 +165,7 @@ def _cells(
         except ParameterError as error:
             unranked.append(_why(record, str(error)))
         else:
-            cells[e["track"], e["problem"], e["seeds"]].append(record)
+            cells[e["track"], e["problem"], seeds_of(e, seasons)].append(record)
     out: dict[tuple[str, str, str], list[Candidate]] = {}
     for key, members in cells.items():
         out[key] = [(r,) for r in _alike(members, unranked)]

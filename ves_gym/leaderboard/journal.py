@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from ves_gym.leaderboard.chained_journal import read_chained
 from ves_gym.leaderboard.entry import check_entry
 from ves_gym.leaderboard.names import require_unlike, skeleton
 from ves_gym.leaderboard.record import Record, made_record, parse
+from ves_gym.leaderboard.seasons import season_names
 
 _MOST = 2**24  # bytes of a file
 
@@ -37,10 +38,14 @@ class JournalError(ParameterError):
 
 @dataclass(frozen=True)
 class Journal:
-    """Records of a board, in the order in which they were entered, and the faults in it."""
+    """Records of a board, in the order in which they were entered, and the faults in it.
+
+    `seasons` has the names of its seasons, by the marks of their salts.
+    """
 
     records: tuple[Record, ...]
     problems: tuple[str, ...] = ()
+    seasons: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def head(self) -> str:
@@ -67,13 +72,18 @@ def check(folder: Path_, *, head: str | None = None) -> Journal:
             problems.append(f"{path.name}: {error}")
     records.sort(key=lambda r: r.order)
     problems += [*_look_alikes(records), *key_faults(records)]
-    journal = Journal(tuple(records), tuple(problems))
+    try:
+        seasons = season_names(folder)
+    except ParameterError as error:
+        seasons = {}
+        problems.append(str(error))
+    journal = Journal(tuple(records), tuple(problems), seasons)
     if head is not None and journal.head != head:
         problems.append(
             f"{len(records)} entries have the hash {journal.head[:12]}, expected {head[:12]}:"
             " some were added, removed or changed"
         )
-    return Journal(tuple(records), tuple(problems))
+    return Journal(tuple(records), tuple(problems), seasons)
 
 
 def read(folder: Path_) -> Journal:

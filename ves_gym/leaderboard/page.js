@@ -34,8 +34,9 @@ function readState() {
   if (!groups.some((g) => g.problem === state.problem)) state.problem = groups[0]?.problem ?? "";
   const here = groups.filter((g) => g.problem === state.problem);
   const count = (seeds) => here.find((g) => g.seeds === seeds)?.entries.length ?? 0;
-  // official rows cannot have been fitted to: they come first where they are not few beside the others
-  const first = 2 * count("official") >= count("public") ? "official" : "public";
+  // official rows cannot have been fitted to: the latest season's come first where they are not few beside the others
+  const season = here.map((g) => g.seeds).filter((seeds) => seeds.startsWith("official")).sort().at(-1);
+  const first = 2 * count(season) >= count("public") && season ? season : "public";
   if (!here.some((g) => g.seeds === state.seeds)) state.seeds = count(first) ? first : here[0]?.seeds ?? "";
   if (!COLUMNS.some(({ key }) => key === state.sort.replace(/^-/, ""))) state.sort = "rank";
 }

@@ -82,6 +82,18 @@ def write_season(file: Path, season: Season) -> None:
     write_text(file, canonical_json(content) + "\n")
 
 
+def season_names(board: str | os.PathLike[str]) -> dict[str, str]:
+    """Return the names of the seasons of a board, by the marks of their salts.
+
+    Args:
+        board: the folder of the entries.
+
+    Raises:
+        ParameterError: a file that is not of a season.
+    """
+    return {season.mark: file.stem for file, season in _seasons(board)}
+
+
 def published_salt(board: str | os.PathLike[str], mark: str) -> str:
     """Return the salt of a season that is over.
 
@@ -92,11 +104,14 @@ def published_salt(board: str | os.PathLike[str], mark: str) -> str:
     Raises:
         ParameterError: no season has that mark, or it is not over.
     """
-    files = sorted((Path(board).absolute().parent / FOLDER).glob("*.json"))
-    for file in files:
-        season = read_season(file)
+    for file, season in _seasons(board):
         if season.mark == mark:
             if season.salt is None:
                 raise ParameterError(f"season {file.stem} is not over: its salt is secret yet")
             return season.salt
     raise ParameterError(f"no season of the board has the mark {mark[:12]}...")
+
+
+def _seasons(board: str | os.PathLike[str]) -> list[tuple[Path, Season]]:
+    files = sorted((Path(board).absolute().parent / FOLDER).glob("*.json"))
+    return [(file, read_season(file)) for file in files]
