@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.trial2 import cases, machines, nominal, scoring, write
+from benchmarks.trial2 import cases, detectability, machines, nominal, scoring, write
 from benchmarks.trial2.arm import arm_bodies
 from benchmarks.trial2.kinds import KINDS
 from benchmarks.trial2.motions import Quintics
@@ -177,6 +177,37 @@ for mode in ("ideal", "emulated"):
         out |= {f"{mode} {kind} {name}": getattr(run, name) for name in ("q", "tau", "y", "w")}
 np.savez(sys.argv[1], **out)
 """
+
+
+def test_the_best_reader_weighs_tolerances_as_a_covariance() -> None:
+    """Reference: s' (1 + J J')^-1 s, the distance under Gaussian tolerances and noise."""
+    rng = np.random.default_rng(4)
+    J, s = rng.normal(size=(40, 6)) * 3, rng.normal(size=40)
+    expected = s @ np.linalg.solve(np.eye(40) + J @ J.T, s)
+    assert detectability.beside(s, J) == pytest.approx(expected, rel=1e-12)
+    assert detectability.beside(J[:, 2], J) < 1  # an effect that is a tolerance
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_the_best_reader_sees_less_beside_tolerances(
+    mode: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(write, "DURATION", 0.3)
+    monkeypatch.setattr(detectability, "FITTED", 1)
+    index = next(
+        i
+        for i in range(600)
+        if (c := cases.draw(SECRET, i)).mode == mode
+        and c.platform == "pose"
+        and c.arm == "puma560"
+        and c.kinds == ("joint/viscous",)
+    )
+    effect = {"kind": "joint/viscous", "size": 20.0}
+    (row,) = detectability.detectability(SECRET, {"index": index, "effects": [effect]})
+    assert 0 < row.tolerances < row.noise
+    # four bodies of mass, centre (3), inertia; rotors; of the base in space M, D, K; gains of
+    # drives, servo and sensor, zeros; filter, bandwidth and damping; weight that is taken off
+    assert row.unknown == 4 * 5 + 3 + 3 + 3 + 12 + 3 + 1 + 6
 
 
 @pytest.mark.slow

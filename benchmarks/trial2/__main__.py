@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.trial2 import machines, nominal, scoring
+from benchmarks.trial2.detectability import detectability
 from benchmarks.trial2.seal import check, seal
 from benchmarks.trial2.targets import targets
 from benchmarks.trial2.write import write_case
@@ -108,6 +109,21 @@ def score(args: argparse.Namespace) -> None:
             )
 
 
+def limit(args: argparse.Namespace) -> None:
+    """Print by how much each hidden effect stands out for the best reader there could be."""
+    first, _, last = args.cases.partition(":")
+    for label in read_labels(args.out / "labels"):
+        if int(first) <= label["index"] < int(last or int(first) + 1):
+            rows = detectability(secret_of(args), label)
+            for effect, row in zip(label["effects"], rows, strict=True):
+                print(
+                    f"case {label['index']}: {effect['kind']} {effect['slot'] or ''}: deviance "
+                    f"{row.noise:.4g} over noise alone, {row.tolerances:.4g} beside "
+                    f"{row.unknown} tolerances",
+                    flush=True,
+                )
+
+
 def agreement(args: argparse.Namespace) -> None:
     """Print differences from `ves-gym simulate` in units of noise, machine by machine."""
     for arm in machines.SERVOS:
@@ -133,6 +149,7 @@ def main() -> None:
         ("answer", answer),
         ("trial", trial),
         ("score", score),
+        ("limit", limit),
         ("nominal", agreement),
     ):
         command = commands.add_parser(name, help=(action.__doc__ or "").splitlines()[0])
@@ -140,14 +157,14 @@ def main() -> None:
         if name == "nominal":
             continue
         command.add_argument("out", type=Path, metavar="DIR", help="folder of the set")
-        if name in ("write", "seal", "trial"):
+        if name in ("write", "seal", "trial", "limit"):
             command.add_argument("--set", choices=("dev", "sealed"), default="dev")
             command.add_argument(
                 "--salt", type=Path, help="file with the secret of a sealed set"
             )
         if name == "trial":
             command.add_argument("--until", help="begin no case after this time, UTC (02:40)")
-        if name in ("write", "trial"):
+        if name in ("write", "trial", "limit"):
             command.add_argument("--cases", default="0:30", help="FIRST:LAST (0:30)")
         if name == "seal":
             command.add_argument("--check", type=Path, help="a published seal to compare with")

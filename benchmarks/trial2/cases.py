@@ -4,6 +4,7 @@
 """
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -182,9 +183,22 @@ def real_machine(
         description: of the machine; not changed.
     """
     rng = generator(secret, "tolerances", case.index)
+    return machine_off(case, description, lambda half, size: half * rng.uniform(-1, 1, size))
+
+
+def machine_off(
+    case: Case, description: dict[str, Any], draw: Callable[[float, int | None], Any]
+) -> tuple[Plant, Servo, float]:
+    """Return a machine off its description by what is drawn: plant, servo, rate of its clock.
+
+    Args:
+        case: for its factor of the tolerances.
+        description: of the machine; not changed.
+        draw: called with a half-width and how many (None: one), always in the same order.
+    """
 
     def off(name: str, size: int | None = None) -> Any:
-        return case.factor * TOLERANCES[name] * rng.uniform(-1, 1, size)
+        return draw(case.factor * TOLERANCES[name], size)
 
     plant = Plant({**description}).copy()
     arm = plant.machine["arm"]
