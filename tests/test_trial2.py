@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.trial2 import cases, detectability, machines, nominal, scoring, write
+from benchmarks.trial2.__main__ import PUBLIC
 from benchmarks.trial2.arm import arm_bodies
 from benchmarks.trial2.kinds import KINDS
 from benchmarks.trial2.motions import Quintics
@@ -224,3 +225,14 @@ def test_processors_agree(tmp_path: Path) -> None:
     }
     print("largest difference over the channel's movement:", max(apart.values()))
     assert max(apart.values()) < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [27, 119, 383])
+def test_play_is_named_under_noise(index: int, tmp_path: Path) -> None:
+    """Development cases of this generator; before, noise of the torque hid them."""
+    label = write.write_case(PUBLIC, index, tmp_path / "case")
+    given = scoring.answer(tmp_path / "case", tmp_path / "answer")
+    print(label["effects"], given["verdict"], given.get("names"))
+    assert label["kinds"] == ("joint/backlash",)
+    assert scoring.judge(label, given) == "right"

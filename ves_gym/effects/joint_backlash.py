@@ -11,6 +11,13 @@ from ves_gym.mechanics.arm import Arm, Gear
 from ves_gym.system.effect import ArmEffect, parameter, register
 from ves_gym.system.system import System
 
+SLOWER = 10.0  # times the damping: teeth take that much longer through the gap
+
+
+def _slower(effect: JointBacklash) -> JointBacklash:
+    """Return a gap through which teeth move as through thicker oil."""
+    return replace(effect, damping=SLOWER * effect.damping)
+
 
 @register("joint/backlash")
 @dataclass(frozen=True, kw_only=True)
@@ -25,11 +32,12 @@ class JointBacklash(ArmEffect):
     modes = ("ideal", "emulated")
     port = "joint"
     sets_in = True
+    forms = (_slower,)
     gap: Vector = parameter(
         "rad",
         bounds=(0.0, 0.1),
         shape=(None,),
-        start=(2e-3, *np.geomspace(1e-3, 3e-2, 7).tolist()),
+        start=(2e-3, *np.geomspace(3e-4, 3e-2, 9).tolist()),
         search=(2e-4, 0.1),  # less is the teeth's own compliance
     )
     compliance: float = parameter("rad/(N m)", bounds=(1e-6, 1e-3), null=None, default=2e-5)

@@ -19,6 +19,7 @@ _STEP = 1e-3  # of differences, in parts of a number's usual size
 _ROUNDS, _HALVINGS = 12, 4
 _REMEMBERED = 600  # residuals of a port
 _CLEAR = 3.0  # standard deviations from zero
+_SHARES = tuple(0.7**k for k in range(1, 9))  # of a size that fits best
 _ENOUGH = 0.05  # gain in deviance that is not worth another round
 
 
@@ -141,6 +142,12 @@ def fit(
         x, z, current = better
         if gained < _ENOUGH:
             break
+    for y in _gentler(candidates, x, low) if current.deviance > current.misfit else ():
+        trial = residuals_at([y])[0]
+        forms = blurs(y, trial)
+        proposed = judged(y, trial, forms)
+        if proposed.deviance < current.deviance:
+            x, z, current, B = y, trial, proposed, forms
     deviation = np.sqrt(np.maximum(np.diag(solution.covariance)[b:], 0.0))
     return Fit(
         candidates=tuple(candidates),
@@ -153,6 +160,28 @@ def fit(
         tangents=np.hstack([B, S]),
         forms=current.x[p:],
     )
+
+
+def _gentler(candidates: Sequence[Candidate], x: Array, low: Array) -> list[Array]:
+    """Return numbers with smaller sizes of what turns noise over, such as play.
+
+    It passes on more noise the larger it is; numbers are fitted to what comes on top of the
+    noise, but no name is likelier by the noise that it makes.
+
+    Args:
+        candidates: effects.
+        x: (sum of k,) numbers.
+        low: (sum of k,) their least.
+    """
+    out, at = [], 0
+    for c in candidates:
+        if c.sets_in:
+            for share in _SHARES:
+                y = x.copy()
+                y[at] = max(share * x[at], low[at])
+                out.append(y)
+        at += c.k
+    return out
 
 
 def _feasible(candidates: Sequence[Candidate], x: Array, covariance: Array) -> Array:

@@ -34,7 +34,9 @@ class Thresholds:
 
     chance: float = 0.005  # that anything of the library is named where nothing is missing
     gain: float = 30.0  # least gain in deviance beyond the numbers it costs
-    echo: float = 0.1  # least gain beside another effect of the same joint, in parts of its own
+    echo: float = (
+        0.1  # least gain beside another effect there (`_may_echo`), in parts of its own
+    )
     most: int | None = None  # effects; None: as many as the evidence bears
     few: int = 3  # effects that are named on the usual evidence
     alike: float = 6.0  # difference in cost below which two candidates are one class
@@ -157,7 +159,7 @@ def _required_gain(
     candidate = f.candidates[i]
     by_chance = law.gain(limits.chance, candidate)
     # No law is quite the machine's: what one leaves behind is not another effect.
-    near = [j for j, c in enumerate(f.candidates) if j != i and c.places & candidate.places]
+    near = [j for j, c in enumerate(f.candidates) if j != i and _may_echo(c, candidate)]
     echo = 0.0
     if near:
         reduced = _without(residuals, f, i)
@@ -171,6 +173,17 @@ def _required_gain(
         0.0 if candidate.kind in _COMPUTED and "admittance" in candidate.ports else limits.gain
     )
     return max(by_chance, echo, guard + f.price(i, residuals.size) / 2)
+
+
+def _may_echo(c: Candidate, candidate: Candidate) -> bool:
+    """Return True if what the law of c leaves may be taken for a candidate.
+
+    At its own place, or, if it sets in by a torque that is measured with noise (play, a limit),
+    at every joint: the arm couples them, and when it set in is never quite known.
+    """
+    if c.places & candidate.places:
+        return True
+    return c.sets_in and "joint" in c.ports and "joint" in candidate.ports
 
 
 def _required_of_many(

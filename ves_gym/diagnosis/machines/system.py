@@ -34,7 +34,7 @@ from ves_gym.diagnosis.machines.ringing import loop_rings
 from ves_gym.diagnosis.machines.servo import servo_gap
 from ves_gym.diagnosis.machines.tolerances import StatedErrors, with_known
 from ves_gym.diagnosis.machines.torque_balance import torque_residual
-from ves_gym.diagnosis.machines.vehicle_force import vehicle_gap
+from ves_gym.diagnosis.machines.vehicle_force import InnerStart, inner_sizes, vehicle_gap
 from ves_gym.effects import JointMemory
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import newton_euler
@@ -49,6 +49,7 @@ _N, _M = ("N",) * 3 + ("N m",) * 3, ("m",) * 3 + ("rad",) * 3
 # coordinates, and what the computer takes in and gives out is known to the last digit.
 _FLOOR = {"admittance": 8e-3}
 _LEAST = 1e-3
+_TURNS_OVER = 0.4  # of the band: what of a torque decides on which side teeth lie
 _AT_REST = TorqueEffect, JointMemory  # frictions among them: they turn with noise
 _LOADS = 40  # remembered: both ports of an arm ask, with one law of friction after another
 _SEEN = {  # port -> the signal that its residual is a part of
@@ -73,6 +74,7 @@ class SystemVariant:
     paths: tuple[SlowPath, ...] = ()
     presliding: tuple[Presliding, ...] = ()
     gains: tuple[tuple[float, ...], ...] = ()
+    starts: tuple[InnerStart, ...] = ()  # of a vehicle's internal modes, in single runs
 
 
 class SystemMachine:
@@ -227,10 +229,14 @@ class SystemMachine:
                 yield Nuisance(f"{name} of joint {i + 1}", ("servo",), model, 0.01, GAIN)
 
     def unknowns(self, run: Run) -> tuple[Nuisance, ...]:
-        """Return the courses that a described drift of the force sensor may have taken."""
+        """Return what a run may have of its own.
+
+        In the laboratory the course of a described drift of the force sensor; in space how the
+        vehicle's internal modes moved when the run began.
+        """
         system = self.system
         if system.mode != "emulated":
-            return ()
+            return self._inner_starts(run)
         nominal = LoopParameters.nominal(system.arm, system.emulator_settings, 1)
         sensor = nominal.edited(system).sensor
         return tuple(
@@ -242,6 +248,22 @@ class SystemMachine:
                 size,
             )
             for path, size in courses(run, sensor.drift[0], float(sensor.drift_time[0]))
+        )
+
+    def _inner_starts(self, run: Run) -> tuple[Nuisance, ...]:
+        modes = self.system.actual.base.internal
+        if modes is None or "y" not in run or "w" not in run:
+            return ()
+        sizes = np.maximum(inner_sizes(run, modes), 1e-12)
+        return tuple(
+            Nuisance(
+                f"state {i + 1} of the internal modes where {run.name} begins",
+                ("base",),
+                SystemVariant(self.system, starts=(InnerStart(run.name, i),)),
+                1.0,
+                float(size),
+            )
+            for i, size in enumerate(sizes)
         )
 
     def residuals(
@@ -271,6 +293,8 @@ class SystemMachine:
             for path in model.paths if "wrench" in ports else ():
                 direction = self._to_wrench[:, path.channel]
                 out["wrench"][k] -= path.of(run)[:, None] * direction
+            for start in model.starts if "base" in ports else ():
+                out["base"][k] += start.force(run, model.system.actual.base)
         return out
 
     # ------------------------------------------------------------------- arm
@@ -341,7 +365,7 @@ class SystemMachine:
             torque = tau  # what rigid links would take, where no torque is logged
             if "tau" in run:
                 torque = run["tau"]
-            bent = _deflections(arm, torque - rotors * a, run.dt)
+            bent = _deflections(arm, torque - rotors * a, run)
             gear_motion = differentiated(bent, run.dt, run.band)
             links = Kinematics(*(x - d for x, d in zip(links, gear_motion, strict=True)))
             tau, wrench = _dynamics(arm, links, run.base.x, base, weighty)
@@ -448,15 +472,22 @@ def _weight(arm: Arm, q: Array, pose: Array) -> Array:
     return out
 
 
-def _deflections(arm: Arm, torque: Array, dt: float) -> Array:
-    """Angle by which gears give (..., T, n) under the torque through them."""
+def _deflections(arm: Arm, torque: Array, run: Run) -> Array:
+    """Angle by which gears give (..., T, n) under the torque through them.
+
+    Play turns over with the sign of the torque: noise that turns it over at random would be
+    all that is seen of a small one. So its torque is taken from a part of the band.
+    """
     from ves_gym.diagnosis.machines.recursions import deflection  # numba takes a second to load
 
     out = np.zeros_like(torque)
-    for i, link in enumerate(arm.links):
-        if link.gear is not None:
-            gear = link.gear
-            out[..., i] = deflection(
-                torque[..., i], 1 / gear.compliance, gear.damping, gear.gap / 2, dt
-            )
+    gears = [(i, link.gear) for i, link in enumerate(arm.links) if link.gear is not None]
+    slow = torque
+    if any(gear.gap for _, gear in gears):
+        slow = differentiated(torque, run.dt, _TURNS_OVER * run.band)[0]
+    for i, gear in gears:
+        through = (slow if gear.gap else torque)[..., i]
+        out[..., i] = deflection(
+            through, 1 / gear.compliance, gear.damping, gear.gap / 2, run.dt
+        )
     return out

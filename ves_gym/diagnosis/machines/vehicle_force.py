@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import scipy
 
@@ -9,6 +12,8 @@ from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix
 from ves_gym.mechanics.vehicle import BaseModel, InternalModes
+
+_LINE = 1.6e-3  # s, the longest straight line: 0.1 % of a tone of 12 Hz
 
 
 def vehicle_gap(run: Run, base: BaseModel) -> Array:
@@ -62,24 +67,83 @@ def _along_rates(run: Run) -> tuple[Array, Array]:
     return turn, matvec(turn, run["w"])
 
 
+@dataclass(frozen=True)
+class InnerStart:
+    """One of the 2 m states of a vehicle's internal modes that a run began with, 1 of its unit.
+
+    States are the ways of the modes against the vehicle [m kg^1/2], then their rates.
+    """
+
+    run: str
+    state: int
+
+    def force(self, run: Run, base: BaseModel) -> Array:
+        """Return the force (T, 6) of the free decay on the vehicle; zeros in other runs.
+
+        Args:
+            run: with y.
+            base: the vehicle.
+        """
+        modes, still = base.internal, np.zeros((run["y"].shape[-2], 6))
+        if run.name != self.run or modes is None:
+            return still
+        value, vector = np.linalg.eig(_free(modes) * run.dt)
+        share = np.linalg.inv(vector)[:, self.state]
+        states = (np.exp(value * np.arange(len(still))[:, None]) * share) @ vector.T
+        return _force_of(modes, states.real, still)
+
+
+def inner_sizes(run: Run, modes: InternalModes) -> Array:
+    """Return (2 m,) root mean squares of the internal modes' states in a run.
+
+    Args:
+        run: with y.
+        modes: of the vehicle.
+    """
+    _, yd, ydd = (x.reshape(-1, *x.shape[-2:])[0] for x in run.base)
+    return np.asarray(np.sqrt(np.mean(_states(modes, yd, ydd, run.dt) ** 2, axis=0)))
+
+
 def _internal_force(modes: InternalModes, yd: Array, ydd: Array, dt: float) -> Array:
-    """Force (..., T, 6) of internal modes on a base that moves as measured, from rest.
+    """Force (..., T, 6) of internal modes on a base that moves as measured, from rest."""
+    return _force_of(modes, _states(modes, yd, ydd, dt), yd)
+
+
+def _force_of(modes: InternalModes, states: Array, yd: Array) -> Array:
+    """Force (..., T, 6) of internal modes in states (..., T, 2 m)."""
+    m, P, C = modes.m, modes.coupling, modes.damping
+    rate = states[..., m:] + yd @ P
+    lost = yd @ C[:6, :6].T + rate @ C[:6, 6:].T
+    return np.asarray(states[..., :m] @ (P * modes.omega**2).T - lost)
+
+
+def _free(modes: InternalModes) -> Array:
+    """Generator (2 m, 2 m) of the states of internal modes on a base at rest."""
+    m = modes.m
+    return np.block(
+        [[np.zeros((m, m)), np.eye(m)], [-np.diag(modes.omega**2), -modes.damping[6:, 6:]]]
+    )
+
+
+def _states(modes: InternalModes, yd: Array, ydd: Array, dt: float) -> Array:
+    """States (..., T, 2 m) of internal modes on a base that moves as measured, from rest.
 
     Their way against the base, e = u - P^T Y, is driven by it and comes to lie in a few states
-    that decay by themselves; straight lines from sample to sample.
+    that decay by themselves. Lines between points of a spline through the samples are so short
+    that they take nothing away (of a tone they take (w dt)^2 / 12).
     """
     m, P, C = modes.m, modes.coupling, modes.damping
     drive = -(ydd @ P) - yd @ (C[6:, :6] + C[6:, 6:] @ P.T).T
-    A = np.block([[np.zeros((m, m)), np.eye(m)], [-np.diag(modes.omega**2), -C[6:, 6:]]])
+    finer, T = math.ceil(dt / _LINE), yd.shape[-2]
+    if finer > 1:
+        spline = scipy.interpolate.CubicSpline(np.arange(T), drive, axis=-2)
+        drive, dt = spline(np.arange((T - 1) * finer + 1) / finer), dt / finer
     B = np.vstack([np.zeros((m, m)), np.eye(m)])
     step, at, _, direct, _ = scipy.signal.cont2discrete(
-        (A, B, np.eye(2 * m), np.zeros((2 * m, m))), dt, method="foh"
+        (_free(modes), B, np.eye(2 * m), np.zeros((2 * m, m))), dt, method="foh"
     )
     value, vector = np.linalg.eig(step)  # each state of its own is a filter of first order
     driven = drive @ np.linalg.solve(vector, at).T
     for i, pole in enumerate(value):
         driven[..., i] = scipy.signal.lfilter([0.0, 1.0], [1.0, -pole], driven[..., i], axis=-1)
-    e = (driven @ vector.T).real + drive @ direct.T
-    rate = e[..., m:] + yd @ P
-    lost = yd @ C[:6, :6].T + rate @ C[:6, 6:].T
-    return np.asarray(e[..., :m] @ (P * modes.omega**2).T - lost)
+    return np.asarray(((driven @ vector.T).real + drive @ direct.T)[..., ::finer, :])
