@@ -4,7 +4,8 @@ begin   draws a salt into out/leaderboard/NAME.salt, which stays secret, and wri
         to docs/leaderboard/seasons/NAME.json: to be committed before anything is answered
         (`python scripts/leaderboard.py --salt out/leaderboard/NAME.salt`)
 end     writes the salt there, and publishes the bundles of the season's entries, up to
-        400 kB each: others are made again with the salt (`ves-gym leaderboard run --salt`)
+        --most bytes each (400000): others are made again with the salt
+        (`ves-gym leaderboard run --salt`)
 
 --board DIR     another folder of entries
 """
@@ -27,7 +28,6 @@ from ves_gym.leaderboard.verify import bundle_manifest
 
 PLACE = Path(__file__).parents[1] / "docs" / "leaderboard"
 SECRETS = Path("out/leaderboard")
-MOST = 400_000  # bytes of a bundle that is published
 
 
 def begin(board: Path, name: str, secret: Path) -> None:
@@ -41,8 +41,8 @@ def begin(board: Path, name: str, secret: Path) -> None:
     write_season(season_file(board, name), Season(salt_mark(salt)))
 
 
-def end(board: Path, name: str, secret: Path) -> int:
-    """Publish the salt and the bundles; how many there are."""
+def end(board: Path, name: str, secret: Path, most: int) -> int:
+    """Publish the salt, and bundles of at most so many bytes; how many there are."""
     salt = read_salt(secret)
     mark = salt_mark(salt)
     write_season(season_file(board, name), Season(mark, salt))
@@ -53,7 +53,7 @@ def end(board: Path, name: str, secret: Path) -> int:
     records = [r for r in read(board).records if r.entry["about"].get("salt") == mark]
     there = [bundles.get(str(r.entry["bundle"])) for r in records]
     return sum(
-        file is not None and publish(board, record, file, MOST) is not None
+        file is not None and publish(board, record, file, most) is not None
         for record, file in zip(records, there, strict=True)
     )
 
@@ -64,13 +64,14 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("what", choices=("begin", "end"))
     parser.add_argument("name")
     parser.add_argument("--board", type=Path, default=PLACE / "entries")
+    parser.add_argument("--most", type=int, default=400_000, metavar="BYTES")
     args = parser.parse_args(words)
     secret = SECRETS / f"{args.name}.salt"
     if args.what == "begin":
         begin(args.board, args.name, secret)
         print(f"mark written, salt in {secret}: keep it secret")
     else:
-        print(f"salt published, with {end(args.board, args.name, secret)} bundles")
+        print(f"salt published, with {end(args.board, args.name, secret, args.most)} bundles")
     return 0
 
 
