@@ -87,7 +87,7 @@ const COLUMNS = [
   })),
   { key: "seconds", name: "time", unit: "s", css: "number", by: (e) => e.seconds, cell: (e) => [orDash(e.seconds)] },
   { key: "seeds", name: "seeds", css: "number", by: (e) => e.training_seeds,
-    cell: (e) => withSub(`${e.episodes}${e.training_seeds > 1 ? ` × ${e.training_seeds}` : ""}`, state.seeds) },
+    cell: (e) => withSub(`${e.episodes}${e.training_seeds > 1 ? ` × ${e.training_seeds}` : ""}`, state.seeds.split(" ")[0]) },
   { key: "versions", name: "versions", by: versionsOf, cell: (e) => withSub(...versionLines(e)) },
   { key: "bundle", name: "bundle", by: (e) => e.bundle,
     cell: (e) => [e.bundle ? el("code", { title: e.bundle }, e.bundle.slice(0, 8)) : "–"] },
