@@ -49,13 +49,9 @@ def test_a_set_has_its_categories_and_its_variety() -> None:
     assert drawn[7] == cases.draw(SECRET, 7)
 
 
-@pytest.mark.parametrize("mode", ["ideal", "emulated"])
-def test_the_same_case_twice(
-    mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(write, "DURATION", 0.3)
-    monkeypatch.setattr(write, "SIZED", (0,))
-    index = next(
+def viscous_case(mode: str) -> int:
+    """Index of a quick case: viscous friction of the PUMA."""
+    return next(
         i
         for i in range(600)
         if (c := cases.draw(SECRET, i)).mode == mode
@@ -63,6 +59,15 @@ def test_the_same_case_twice(
         and c.arm == "puma560"
         and c.kinds == ("joint/viscous",)
     )
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_the_same_case_twice(
+    mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(write, "DURATION", 0.3)
+    monkeypatch.setattr(write, "SIZED", (0,))
+    index = viscous_case(mode)
     labels = [write.write_case(SECRET, index, tmp_path / name) for name in "ab"]
     assert labels[0] == labels[1]
     assert labels[0]["effects"][0]["gap"] > 0
@@ -195,14 +200,7 @@ def test_the_best_reader_sees_less_beside_tolerances(
 ) -> None:
     monkeypatch.setattr(write, "DURATION", 0.3)
     monkeypatch.setattr(detectability, "FITTED", 1)
-    index = next(
-        i
-        for i in range(600)
-        if (c := cases.draw(SECRET, i)).mode == mode
-        and c.platform == "pose"
-        and c.arm == "puma560"
-        and c.kinds == ("joint/viscous",)
-    )
+    index = viscous_case(mode)
     effect = {"kind": "joint/viscous", "size": 20.0}
     (row,) = detectability.detectability(SECRET, {"index": index, "effects": [effect]})
     assert 0 < row.tolerances < row.noise

@@ -118,7 +118,7 @@ def _level(record: Record) -> int:
     return LEVELS.index(record.entry["level"])
 
 
-def seeds_of(entry: Mapping[str, Any], seasons: Mapping[str, str]) -> str:
+def named_seeds(entry: Mapping[str, Any], seasons: Mapping[str, str]) -> str:
     """Return which seeds a row is of: `public`, or `official` and the season.
 
     Args:
@@ -126,11 +126,8 @@ def seeds_of(entry: Mapping[str, Any], seasons: Mapping[str, str]) -> str:
         seasons: names, by the marks of their salts; of another the mark's first digits.
     """
     mark = entry["about"].get("salt")
-    return (
-        str(entry["seeds"])
-        if mark is None
-        else f"{entry['seeds']} {seasons.get(mark, mark[:8])}"
-    )
+    seeds = str(entry["seeds"])
+    return seeds if mark is None else f"{seeds} {seasons.get(mark, mark[:8])}"
 
 
 def _past(record: Record, why: str, seasons: Mapping[str, str]) -> Plain:
@@ -143,7 +140,7 @@ def _past(record: Record, why: str, seasons: Mapping[str, str]) -> Plain:
     return {
         "id": record.id,
         **{k: e[k] for k in ("track", "problem", "name", "author", "level", "bundle")},
-        "seeds": seeds_of(e, seasons),
+        "seeds": named_seeds(e, seasons),
         "score": score,
         "why": why,
     }
@@ -165,7 +162,7 @@ def _cells(
         except ParameterError as error:
             unranked.append(_why(record, str(error)))
         else:
-            cells[e["track"], e["problem"], seeds_of(e, seasons)].append(record)
+            cells[e["track"], e["problem"], named_seeds(e, seasons)].append(record)
     out: dict[tuple[str, str, str], list[Candidate]] = {}
     for key, members in cells.items():
         out[key] = [(r,) for r in _alike(members, unranked)]

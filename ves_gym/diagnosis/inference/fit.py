@@ -163,10 +163,11 @@ def fit(
 
 
 def _gentler(candidates: Sequence[Candidate], x: Array, low: Array) -> list[Array]:
-    """Return numbers with smaller sizes of what turns noise over, such as play.
+    """Return numbers with smaller sizes of what sets in with the noise, such as play.
 
     It passes on more noise the larger it is; numbers are fitted to what comes on top of the
-    noise, but no name is likelier by the noise that it makes.
+    noise, but no name is likelier by the noise that it makes. (Of a limit these are harder
+    ones: the likeliest is kept, whichever it is.)
 
     Args:
         candidates: effects.

@@ -34,9 +34,7 @@ class Thresholds:
 
     chance: float = 0.005  # that anything of the library is named where nothing is missing
     gain: float = 30.0  # least gain in deviance beyond the numbers it costs
-    echo: float = (
-        0.1  # least gain beside another effect there (`_may_echo`), in parts of its own
-    )
+    echo: float = 0.1  # least gain beside another that may echo there, in parts of its own
     most: int | None = None  # effects; None: as many as the evidence bears
     few: int = 3  # effects that are named on the usual evidence
     alike: float = 6.0  # difference in cost below which two candidates are one class
