@@ -43,6 +43,7 @@ from ves_gym.diagnosis.inference.model_selection import (
     select,
     unexplained,
 )
+from ves_gym.diagnosis.inference.reliability import gain, largest_error, reliability
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.slow_noise import slow_shares
 from ves_gym.diagnosis.inference.tolerance_scale import (
@@ -55,6 +56,7 @@ from ves_gym.diagnosis.inference.unknown import (
     LIBRARY,
     NONE_OF_THESE,
     beliefs,
+    doubting,
     evidence,
     unnamed,
 )
@@ -76,6 +78,7 @@ _BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_ine
 _LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
 WIDE = 1.645  # standard deviations to either side of a 90 % interval
 _CLEAR = 1.5  # stated standard deviations from zero; they are twice those of a perfect fit
+_DOUBT = 0.5  # reliability below which a sentence says so
 _COMPARED = 10  # candidates whose likeness is told
 _FEW = 3  # names that may need a tolerance far off: descriptions state them too narrow
 _CHANCE = 1e-4  # of any tolerance of an exact description lying farther off
@@ -90,6 +93,8 @@ class Explanation:
     candidate: Candidate
     values: Array  # (k,)
     std: Array  # (k,)
+    gain: float  # deviance that it explains beside the others
+    reliability: float  # share of names with such evidence that are right
     probability: float
     rivals: tuple[Rival, ...]  # those that do about as well, itself first
 
@@ -176,6 +181,9 @@ class Diagnosis(Viewable):
     def _verdict_in_words(self) -> str:
         names = " and ".join(_named(f) for f in self.explanations)
         why = "".join(f"; {f.sentence}" for f in self.faults)
+        weak = [f.candidate.name for f in self.explanations if f.reliability < _DOUBT]
+        doubt = f" Evidence like that for {_abbreviated(weak)} is more often wrong than right."
+        doubt = doubt if weak else ""
         if self.verdict == NOTHING:
             return "Nothing is missing: description and data agree within noise and tolerances."
         if self.verdict == WEAK:
@@ -193,8 +201,8 @@ class Diagnosis(Viewable):
                 on += f"; what is at {joints} is written as a torque without a name, of {of}"
             return f"Something is missing, and it is not in the library{why}{on}."
         if self.verdict == MORE:
-            return f"Missing: {names}; more remains that is not in the library{why}."
-        return f"Missing: {names}."
+            return f"Missing: {names}; more remains that is not in the library{why}.{doubt}"
+        return f"Missing: {names}.{doubt}"
 
 
 def _named(explanation: Explanation) -> str:
@@ -303,7 +311,7 @@ def diagnose(
         doubted = selection.fit.deviance - before_gate
         selection, unearned = without_unearned(selection, residuals, last)
     explanations = tuple(
-        _explanation(selection, i, limits) for i in range(len(selection.rivals))
+        _explanation(selection, i, residuals, limits) for i in range(len(selection.rivals))
     )
     remaining = unexplained(selection.fit, residuals, limits.imperfect)
     tested = {p.name for p in residuals.ports}
@@ -352,8 +360,10 @@ def diagnose(
     believed = beliefs(selection, *evidence(selection, remaining, limits), decided, limits)
     library = 1 - believed[DESCRIBED] - believed[NONE_OF_THESE]
     explanations = tuple(
-        dataclasses.replace(f, probability=f.probability * library) for f in explanations
+        dataclasses.replace(f, probability=f.probability * library * f.reliability)
+        for f in explanations
     )
+    believed = doubting(believed, min((f.reliability for f in explanations), default=1.0))
     lap("verify")
     return Diagnosis(
         verdict=verdict,
@@ -376,13 +386,17 @@ def diagnose(
     )
 
 
-def _explanation(selection: Selection, i: int, limits: Thresholds) -> Explanation:
+def _explanation(
+    selection: Selection, i: int, residuals: WhitenedResiduals, limits: Thresholds
+) -> Explanation:
     rivals = selection.rivals[i]
     near = tuple(r for r in rivals if r.cost - rivals[0].cost < limits.alike)
     first = rivals[0]
     p = sum(r.probability for r in rivals if r.candidate.kind == first.candidate.kind)
     std = limits.spread * selection.fit.std[i]
-    return Explanation(first.candidate, first.values, std, p, near)
+    gained = gain(residuals, selection.fit, i)
+    right = reliability(gained, largest_error(selection.fit.nuisances))
+    return Explanation(first.candidate, first.values, std, gained, right, p, near)
 
 
 def _verdict(
@@ -577,6 +591,8 @@ def _explanation_to_plain(f: Explanation) -> dict[str, Any]:
         "std": dict(zip(c.names, map(_finite, f.std), strict=True)),
         "interval": dict(zip(c.names, _intervals_90(f), strict=True)),  # 90 %
         "unit": dict(zip(c.names, c.units, strict=True)),
+        "gain": f.gain,
+        "reliability": f.reliability,
         "probability": f.probability,
         "class": [r.candidate.name for r in f.rivals],
     }

@@ -21,6 +21,7 @@ from ves_gym.effects.gravity_tool import GravityTool
 from ves_gym.effects.joint_asymmetry import JointAsymmetry
 from ves_gym.effects.joint_backlash import JointBacklash
 from ves_gym.effects.joint_coulomb import JointCoulomb
+from ves_gym.effects.joint_curves import JointCurves
 from ves_gym.effects.joint_drive_gain import JointDriveGain
 from ves_gym.effects.joint_elasticity import JointElasticity
 from ves_gym.effects.joint_load_friction import JointLoadFriction
@@ -80,6 +81,7 @@ __all__ = [
     "JointAsymmetry",
     "JointBacklash",
     "JointCoulomb",
+    "JointCurves",
     "JointDriveGain",
     "JointElasticity",
     "JointLoadFriction",

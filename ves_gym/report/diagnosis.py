@@ -160,7 +160,8 @@ def _missing(result: Result) -> str:
     return ("" if named else f"<p>{_NO_NAME}</p>") + (
         table(head, rows, numbers=(2, 3, 5))
         + '<p class="note">Intervals are of the fit with tolerances carried along. The'
-        " probability is that of the kind among everything that could stand in its place.</p>"
+        " probability is that of the kind among everything that could stand in its place, times"
+        " how often a name with such evidence is right.</p>"
         + "".join(
             f"<p><b>Next experiment.</b> {escaped(k)}</p>" for k in _next_experiments(result)
         )

@@ -32,9 +32,13 @@ pytestmark = pytest.mark.filterwarnings(
 @pytest.fixture(scope="module")
 def logs():
     """Three motions of a machine that is as described."""
-    motions = excitation_motions(3, duration=6.0, seed=1)
+    return recorded(3)
+
+
+def recorded(n):
+    motions = excitation_motions(n, duration=6.0, seed=1)
     recording = play_motions(SYSTEM.replace(effects=(HISS,)), motions, settle=1.0)
-    out = [recording.log(i) for i in range(3)]
+    out = [recording.log(i) for i in range(n)]
     return [dataclasses.replace(k, meta={**k.meta, "system": SYSTEM.to_dict()}) for k in out]
 
 
@@ -63,6 +67,29 @@ def test_a_law_that_nobody_has_is_written_where_it_is(logs):
     gap = next(g for g in gaps(last, found, null, False) if g.channel == "tau_2")
     assert gap.before > 3
     assert 1 - (max(gap.after**2 - 1, 0) / (gap.before**2 - 1)) ** 0.5 > 0.6
+    model = residuals.machine.model(found.effects)
+    assert System.from_dict(model.system.to_dict()) == model.system
+
+
+def caught(q, v):
+    """Torque at joint 2 of a magnet at one angle, and of friction in patches."""
+    torque, x = np.zeros_like(q), (q[:, 1] + 0.1) / 0.06
+    torque[:, 1] = -3 * x * np.exp((1 - x**2) / 2)
+    torque[:, 1] -= 3 * np.maximum(np.sin(9 * q[:, 1]), 0) ** 2 * np.tanh(v[:, 1] / 0.01)
+    return torque
+
+
+def test_a_law_of_fine_structure_over_an_angle_is_written_as_curves():
+    """Four motions cover the angles of the one held back."""
+    met = [dataclasses.replace(k, tau=k.tau + caught(k.q, k.v)) for k in recorded(5)]
+    residuals, last = joint_residuals(met[:4], 0), joint_residuals(met[4:], 4)
+    null = fit(residuals, (), ())
+    found = unnamed(residuals, last, null)
+    assert {c.name for c in found.candidates} == {"joint/curves at joint 2"}
+    gap = next(g for g in gaps(last, found, null, False) if g.channel == "tau_2")
+    print(gap)
+    assert gap.before > 5
+    assert 1 - (gap.after**2 - 1) / (gap.before**2 - 1) > 0.8
     model = residuals.machine.model(found.effects)
     assert System.from_dict(model.system.to_dict()) == model.system
 

@@ -12,7 +12,7 @@ numbers gain nothing by being many.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 import scipy
@@ -26,6 +26,7 @@ from ves_gym.diagnosis.inference.model_selection import (
     reduced_fit,
     reduced_selection,
 )
+from ves_gym.diagnosis.inference.prior_sizes import likeliest_sizes
 from ves_gym.diagnosis.inference.variance_groups import (
     InnerProducts,
     products,
@@ -45,7 +46,7 @@ _SIZES = (
     3.0,
     10.0,
 )  # of curves, a priori [N m]; of a share of torque
-_ROUNDS, _SWEEPS = 2, 2
+_ROUNDS = 2
 LEAST = 20.0  # deviance that curves must explain beyond a name: exp(-10) by chance
 BEYOND = 0.5  # of what the names of the joint explain there
 
@@ -108,7 +109,7 @@ def explained_beyond(
     widths = [x.shape[1] for x in parts]
     x, left = np.zeros(0), f.size
     for _ in range(_ROUNDS):  # what curves explain gives more weight to its groups
-        sizes = _likeliest(inner, left, widths, p)
+        sizes = likeliest_sizes(inner, left, widths, p, _SIZES)
         if not any(sizes):
             return 0.0
         scale = np.concatenate([np.full(w, s) for w, s in zip(widths, sizes, strict=True)])
@@ -177,42 +178,6 @@ def _splines(x: Array, ends: tuple[float, float], n: int) -> Array:
     t = np.concatenate([knots[:1], knots, knots[-1:]])
     inside = np.clip(x, knots[0], knots[-1])
     return np.asarray(scipy.interpolate.BSpline.design_matrix(inside, t, 1).toarray(), float)
-
-
-def _likeliest(inner: InnerProducts, left: Array, widths: Sequence[int], p: int) -> list[float]:
-    """Return the size of each kind of curve with the largest marginal likelihood, 0 for none.
-
-    Groups have the sizes (G,) that are left; a kind that is there costs its choice.
-    """
-    weight = 1 / np.maximum(left, 1.0)
-    A = np.einsum("g,gij->ij", weight, inner.xx)
-    b = -weight @ inner.xz
-    n = sum(widths)
-    A[:p, :p] += np.eye(p)
-    others = np.r_[:p, p + n : len(A)]
-    curves = np.arange(p, p + n)
-    inside = A[np.ix_(others, others)]
-    inside = inside + 1e-9 * np.diag(np.diag(inside) + 1e-30)
-    solved = np.linalg.solve(inside, np.column_stack([A[np.ix_(others, curves)], b[others]]))
-    across = A[np.ix_(curves, others)]
-    A, b = (
-        A[np.ix_(curves, curves)] - across @ solved[:, :-1],
-        b[curves] - across @ solved[:, -1],
-    )
-    choice = float(np.log(inner.n.sum()))
-
-    def cost(sizes: Sequence[float]) -> float:
-        scale = np.concatenate([np.full(w, s) for w, s in zip(widths, sizes, strict=True)])
-        H = np.eye(n) + scale[:, None] * A * scale
-        g = scale * b
-        gain = float(g @ np.linalg.solve(H, g)) - float(np.linalg.slogdet(H)[1])
-        return np.count_nonzero(sizes) * choice - gain
-
-    sizes = [0.0] * len(widths)
-    for _ in range(_SWEEPS):
-        for k in range(len(sizes)):
-            sizes = min(([*sizes[:k], s, *sizes[k + 1 :]] for s in _SIZES), key=cost)
-    return sizes
 
 
 def _scaled(inner: InnerProducts, scale: Array) -> InnerProducts:

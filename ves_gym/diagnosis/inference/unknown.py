@@ -20,6 +20,7 @@ from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals
 from ves_gym.diagnosis.inference.held_back import LOSS, gaps, losses
 from ves_gym.diagnosis.inference.model_selection import Rival, Selection, Thresholds
+from ves_gym.diagnosis.inference.prior_sizes import likeliest_sizes
 from ves_gym.diagnosis.inference.variance_groups import (
     InnerProducts,
     Solution,
@@ -27,13 +28,14 @@ from ves_gym.diagnosis.inference.variance_groups import (
     solve,
 )
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.effects.joint_curves import KNOTS, JointCurves
 from ves_gym.effects.joint_memory import LEVELS, JointMemory
 from ves_gym.effects.joint_unknown import WEIGHTS, JointUnknown, monomials
 from ves_gym.system.candidate import Number, at_joint, placed
 
 NOTHING, NONE_OF_THESE, LIBRARY = "nothing", "none of these", "library"
 _SIZES = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # of weights, a priori [N m]
-_SWEEPS = 2
+_ROUNDS = 2
 _WIDER = 1.05  # of the angles seen
 _FAR = (-50.0, 50.0)  # of a weight
 _OF_FRICTION = (-500.0, 500.0)  # of one of several that all but agree [N m]
@@ -43,8 +45,9 @@ _LISTED = 12
 
 
 def regressions(residuals: WhitenedResiduals) -> list[Candidate]:
-    """Return two regressions per joint: over the angles that the runs have seen and its rate,
-    and over how far it has travelled since it turned and how long it has rested.
+    """Return the regressions of each joint: over the angles that the runs have seen and its
+    rate; over how far it has travelled since it turned and how long it has rested; and curves
+    over its own angle, over that against the way it turns, and over its rate.
 
     Args:
         residuals: of the runs to fit.
@@ -75,7 +78,11 @@ def regressions(residuals: WhitenedResiduals) -> list[Candidate]:
             }
 
         out.append(placed(JointUnknown, f"joint {joint + 1}", numbers, fields))
-    return [*out, *(_memory(joint, n) for joint in range(n))]
+    out += [_memory(joint, n) for joint in range(n)]
+    v = np.concatenate([np.abs(run.joints.v) for run in residuals.runs])
+    fastest = np.maximum(_WIDER * v.max(axis=0), 1e-2)
+    at = {"middle": tuple(middle), "reach": tuple(reach), "fastest": tuple(fastest)}
+    return out + [_curve(joint, n, name, at) for joint in range(n) for name in KNOTS]
 
 
 def _memory(joint: int, n: int) -> Candidate:
@@ -86,6 +93,16 @@ def _memory(joint: int, n: int) -> Candidate:
 
     numbers = [Number(name, "N m", _OF_FRICTION, (1.0,)) for name in LEVELS]
     return placed(JointMemory, f"joint {joint + 1}", numbers, fields)
+
+
+def _curve(joint: int, n: int, curve: str, at: dict[str, tuple[float, ...]]) -> Candidate:
+    """One of the curves of a joint."""
+
+    def fields(x: Array) -> dict[str, tuple[float, ...]]:
+        return {**at, curve: tuple(w for height in x for w in at_joint(joint, n, height))}
+
+    numbers = [Number(f"{curve} {k + 1}", "N m", _FAR, (1.0,)) for k in range(KNOTS[curve])]
+    return placed(JointCurves, f"joint {joint + 1}", numbers, fields)
 
 
 def unnamed(residuals: WhitenedResiduals, last: WhitenedResiduals, null: Fit) -> Fit | None:
@@ -156,19 +173,12 @@ class _Evidence:
             len(at),
         )
 
-    def _cost(self, sizes: Sequence[float]) -> float:
-        """Twice the negative logarithm of the marginal likelihood, and of a choice of sizes."""
-        solution = self._solve(sizes)
-        chosen = np.count_nonzero(sizes) * float(np.log(self._residuals.size))
-        return solution.deviance - float(np.linalg.slogdet(solution.covariance)[1]) + chosen
-
     def sizes(self) -> list[float]:
-        """The prior size of each joint's weights [N m], 0 where it has none."""
-        out = [0.0] * len(self._candidates)
-        for _ in range(_SWEEPS):
-            for joint in range(len(out)):
-                tried = [[*out[:joint], s, *out[joint + 1 :]] for s in _SIZES]
-                out = min(tried, key=self._cost)
+        """The prior size of each regression's weights [N m], 0 where it has none."""
+        widths, out = [c.k for c in self._candidates], [0.0] * len(self._candidates)
+        for _ in range(_ROUNDS):  # what they explain gives more weight to its groups
+            left = self._solve(out).size
+            out = likeliest_sizes(self._inner, left, widths, self._p, _SIZES)
         return out
 
     def fit(self, sizes: Sequence[float]) -> Fit:
@@ -249,6 +259,19 @@ def beliefs(
         **_members(selection, share[LIBRARY]),
         NONE_OF_THESE: share[NONE_OF_THESE],
     }
+
+
+def doubting(believed: Mapping[str, float], right: float) -> dict[str, float]:
+    """Return probabilities that leave what the library's names are not trusted with to others.
+
+    Args:
+        believed: probabilities of "nothing", of library members and of "none of these".
+        right: share of such names that are right.
+    """
+    ends = (NOTHING, NONE_OF_THESE)
+    out = {k: p if k in ends else p * right for k, p in believed.items()}
+    out[NONE_OF_THESE] += sum(believed.values()) - sum(out.values())
+    return out
 
 
 def _members(selection: Selection, mass: float) -> Mapping[str, float]:

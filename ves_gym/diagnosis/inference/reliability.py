@@ -1,0 +1,54 @@
+"""`reliability`: how often a name with such evidence is right.
+
+Probabilities among members of a library hold if one of them is the truth, and the
+description's errors are as large as it says. Neither is sure: a law that the library does not
+have takes the nearest name, and an error larger than stated takes that of an effect. Such names
+gain less than true ones, and leave the description's errors stretched. So right and wrong
+names were counted where the truth is known, on machines of a second generator, each also with
+the true kinds left out of the library, and a logistic curve through them is the reliability
+(docs/diagnosis.md, "How often a name is right"; `python -m benchmarks.reliability`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.diagnosis.inference.fit import Fit
+from ves_gym.diagnosis.inference.model_selection import reduced_fit
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+
+NEEDED = 35.0  # deviance at which names begin to be given
+USUAL = 2.0  # standard deviations of the largest error of a description that is right
+EVEN, GAIN, STRETCH = -2.94, 1.69, -1.65  # log odds: all; per e-fold of gain; per deviation
+
+
+def gain(residuals: WhitenedResiduals, f: Fit, i: int) -> float:
+    """Return the deviance that the name in place i explains beside the others.
+
+    Args:
+        residuals: that were fitted.
+        f: fit of all names.
+        i: place.
+    """
+    return reduced_fit(residuals, f, [i]).deviance - f.deviance
+
+
+def largest_error(nuisances: Array) -> float:
+    """Return the largest error of a description, in stated standard deviations.
+
+    Args:
+        nuisances: (p,) of a fit.
+    """
+    return float(np.abs(nuisances).max(initial=0.0))
+
+
+def reliability(gained: float, error: float) -> float:
+    """Return the share of names that are right, of those with such evidence.
+
+    Args:
+        gained: deviance that the name explains beside the others.
+        error: the description's largest error, in stated standard deviations.
+    """
+    odds = EVEN + GAIN * np.log(max(gained, 1.0) / NEEDED) + STRETCH * (error - USUAL)
+    return float(1 / (1 + np.exp(-odds)))
