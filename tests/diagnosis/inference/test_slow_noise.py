@@ -67,3 +67,11 @@ def test_runs_share_the_colour_of_the_one_that_moves_least(log):
     shared = with_shared_colour([loud], [calm, loud])[0].noise["tau"]
     assert shared.correlation == pytest.approx(calm.noise["tau"].correlation)
     assert shared.std == pytest.approx(STD["tau"])
+
+
+def test_nothing_is_told_where_an_effect_may_be_in_the_median(log, monkeypatch):
+    """As on an axis alone, whose friction was taken for a wander of its torque."""
+    moved = [wandering(noisy(log, seed), seed) for seed in range(4)]
+    assert slow_shares(at_joints(moved))
+    monkeypatch.setattr("ves_gym.diagnosis.inference.slow_noise._FEWEST", 4)
+    assert slow_shares(at_joints(moved)) == {}

@@ -2,7 +2,8 @@
 
 In a log it lies under the motion. In residuals the motion is gone: where most channels of a
 port have more and more towards zero frequency, as a wander has, its sensors wander. An effect
-that shows in a few channels leaves their median alone, and tolerances are fitted along.
+that shows in a few channels leaves their median alone, and tolerances are fitted along. The
+median of one channel or two is the effect itself: nothing is told of such a port.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from ves_gym.diagnosis.machines.base import Port
 MOST = 0.25  # of a sensor's variance; more is a drift, which is an effect
 _GRID = np.linspace(0.0, MOST, 26)
 _LEAST = 0.01  # that is worth allowing for
+_FEWEST = 3  # channels of which one may have an effect
 
 
 def slow_shares(residuals: WhitenedResiduals) -> Mapping[str, float]:
@@ -31,6 +33,9 @@ def slow_shares(residuals: WhitenedResiduals) -> Mapping[str, float]:
     z = residuals.less_nuisances(residuals.null, null.nuisances, True)
     out: dict[str, float] = {}
     for port in residuals.ports:
+        if len(port.channels) < _FEWEST:
+            out[port.name] = 0.0
+            continue
         power, shown = residuals.wander_shown(port.name, z)
         share = float(np.median([_share(p, w) for p, w in zip(power.T, shown.T, strict=True)]))
         out[port.name] = share
