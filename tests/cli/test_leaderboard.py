@@ -78,15 +78,27 @@ def test_an_entry_and_its_bundle_go_to_the_board_together(call, zero, tmp_path):
     assert status == 0 and "100% of 10 rows as on the board" in out
 
 
+def test_an_entry_without_a_bundle_is_answered_again(call, zero, tmp_path):
+    record = append(tmp_path / "entries", verify(zero).shortened())
+    status, out, _, _ = call("leaderboard", "verify", tmp_path / "entries" / record.name)
+    assert status == 0 and out.startswith("answered again: zero")
+    assert "100% of 10 rows as on the board" in out
+
+
+def test_a_policy_without_a_bundle_cannot_act_again(refused, zero, tmp_path):
+    entry = {**verify(zero).shortened(), "kind": "policy", "name": "mine"}
+    record = append(tmp_path / "entries", entry)
+    why = refused("leaderboard", "verify", tmp_path / "entries" / record.name)
+    assert "its bundle is not published" in why
+    assert "'mine' is no policy of ves_gym's own" in why
+
+
 def test_what_is_no_bundle_and_no_entry_says_what_it_is(call, refused, zero, tmp_path):
     """What a reader may try first: the wrong file, the wrong folder, a damaged file."""
     board = tmp_path / "entries"
-    record = append(board, verify(zero).shortened())
+    append(board, verify(zero).shortened())
     for command in ("check", "render"):
         assert f"they are in {board}" in refused("leaderboard", command, tmp_path)
-    why = refused("leaderboard", "verify", board / record.name)
-    assert "its bundle is not published" in why
-    assert "ves-gym leaderboard run policies ves/PumaRestToRest-v0-quick zero answers" in why
     (tmp_path / "other.json").write_text("{}")
     assert "is no entry of a board" in refused("leaderboard", "verify", tmp_path / "other.json")
     (tmp_path / "page.html").write_text("<html>")

@@ -271,8 +271,9 @@ def _verify_entry(args: argparse.Namespace) -> int:
     except BundleError as refused:
         return _rejected(refused)
     here = done.here
-    write_json(args.json, {**here.to_dict(), "alike": done.alike})
-    print(f"{here.level}: {here.name} on {here.problem}: {_summary(here.rows)}")
+    write_json(args.json, {**here.to_dict(), "alike": done.alike, "again": done.again})
+    how = "answered again" if done.again else here.level
+    print(f"{how}: {here.name} on {here.problem}: {_summary(here.rows)}")
     print(f"{done.alike:.0%} of {len(here.rows)} rows as on the board")
     return 0
 

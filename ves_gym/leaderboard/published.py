@@ -7,18 +7,21 @@ that the entry names, which is checked before anything else.
 from __future__ import annotations
 
 import os
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ves_gym._util.params import ParameterError, write_bytes
+from ves_gym.baselines.policy import released
 from ves_gym.leaderboard.archive import read_members, write_members
 from ves_gym.leaderboard.entry import MEASURES, Entry
 from ves_gym.leaderboard.errors import BundleError, Code
+from ves_gym.leaderboard.protocol import QUICK
 from ves_gym.leaderboard.record import Record, parse
+from ves_gym.leaderboard.run import make_bundle
 from ves_gym.leaderboard.seasons import published_salt
 from ves_gym.leaderboard.tracks.base import Progress, no_progress
 from ves_gym.leaderboard.verify import verify
@@ -33,11 +36,12 @@ Plain = Mapping[str, Any]
 
 
 class Reverified(NamedTuple):
-    """An entry of the board, what its bundle gives here, and the share of rows alike."""
+    """An entry of the board, what it gives here, and the share of rows alike."""
 
     record: Record
     here: Entry
     alike: float
+    again: bool  # its method has answered once more, since no bundle is published
 
 
 def bundle_of(file: str | os.PathLike[str]) -> Path:
@@ -85,14 +89,16 @@ def reverify(
 ) -> Reverified:
     """Verify an entry of the board by its published bundle, and compare the rows.
 
+    Where none is published, a method of ves_gym's own answers again, with the entry's seeds.
+
     Args:
         file: of the entry.
         level: "replayed" or "reproduced"; default that of the entry.
         folder, workers, progress: see `verify`.
 
     Raises:
-        ParameterError: no such file, no bundle beside it, or official seeds of a season that
-            is not over.
+        ParameterError: no such file, neither a bundle beside it nor a method of ves_gym's own,
+            or official seeds of a season that is not over.
         BundleError: the bundle is not the entry's, is refused, or gives other rows.
     """
     path = Path(file)
@@ -103,29 +109,52 @@ def reverify(
     except ParameterError as error:
         raise ParameterError(f"{path}: is no entry of a board: {error}") from None
     there, bundle = record.entry, bundle_of(path)
-    if not bundle.exists():
-        raise ParameterError(
-            f"{path.name}: its bundle is not published ({FOLDER}/{bundle.name} is missing);"
-            f" ves-gym leaderboard run {there['track']} {there['problem']}"
-            f" {shlex.quote(str(there['name']))} answers it again"
-        )
     official = there["seeds"] == "official"
-    here = verify(
-        bundle,
-        level=str(there["level"]) if level is None else level,
-        salt=published_salt(path.parent, str(there["about"].get("salt"))) if official else None,
-        expect=str(there["bundle"]),
-        folder=folder,
-        workers=workers,
-        progress=progress,
-    )
+    salt = published_salt(path.parent, str(there["about"].get("salt"))) if official else None
+    how: dict[str, Any] = {
+        "salt": salt,
+        "folder": folder,
+        "workers": workers,
+        "progress": progress,
+    }
+    again = not bundle.exists()
+    if again:
+        method = _own_method(path, there)
+        with TemporaryDirectory() as place:
+            made = make_bundle(
+                Path(place) / "again.zip",
+                str(there["track"]),
+                str(there["problem"]),
+                method,
+                seeds=range(len({row["group"] for row in there["rows"]})),
+                **how,
+            )
+            here = verify(made, level=level or "replayed", **how)
+    else:
+        here = verify(
+            bundle, level=level or str(there["level"]), expect=str(there["bundle"]), **how
+        )
     share = alike(here.rows, there["rows"])
     if share < SHARE.get(str(there["track"]), _SHARE):
         raise BundleError(
             Code.SCORE_DIFFERS,
-            f"{path.name}: {share:.0%} of the entry's rows are those of its bundle",
+            f"{path.name}: {share:.0%} of the entry's rows are those that it gives here",
         )
-    return Reverified(record, here, share)
+    return Reverified(record, here, share, again)
+
+
+def _own_method(path: Path, entry: Plain) -> str | list[str | os.PathLike[str]]:
+    """Return the name of a built-in method, or the file of a released policy."""
+    name, problem = str(entry["name"]), str(entry["problem"]).removesuffix(QUICK)
+    files = released(problem) if problem.startswith("ves/") else {}
+    if entry["kind"] == "policy" and name in files:
+        return [files[name]]
+    if entry["kind"] == "policy":
+        raise ParameterError(
+            f"{path.name}: its bundle is not published ({FOLDER}/{bundle_of(path).name} is"
+            f" missing), and {name!r} is no policy of ves_gym's own that could act again"
+        )
+    return name
 
 
 def alike(rows: Sequence[Plain], others: Sequence[Plain]) -> float:
