@@ -19,6 +19,7 @@ from ves_gym.baselines.policy import released
 from ves_gym.leaderboard.archive import read_members, write_members
 from ves_gym.leaderboard.entry import MEASURES, Entry
 from ves_gym.leaderboard.errors import BundleError, Code
+from ves_gym.leaderboard.evaluators import history_reason
 from ves_gym.leaderboard.protocol import QUICK
 from ves_gym.leaderboard.record import Record, parse
 from ves_gym.leaderboard.run import make_bundle
@@ -145,6 +146,11 @@ def reverify(
 
 def _own_method(path: Path, entry: Plain) -> str | list[str | os.PathLike[str]]:
     """Return the name of a built-in method, or the file of a released policy."""
+    if (reason := history_reason(entry)) is not None:
+        raise ParameterError(
+            f"{path.name}: its bundle is not published, and its method's answer of today is"
+            f" another: the entry stands under History ({reason})"
+        )
     name, problem = str(entry["name"]), str(entry["problem"]).removesuffix(QUICK)
     files = released(problem) if problem.startswith("ves/") else {}
     if entry["kind"] == "policy" and name in files:
