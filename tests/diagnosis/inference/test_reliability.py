@@ -1,15 +1,25 @@
 """How often a name is right: the constants are those of the names counted, and they hold."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.reliability import constants, left_out, read_names
+from benchmarks.trial2.scoring import in_place
 from ves_gym.diagnosis.inference.reliability import EVEN, GAIN, STRETCH, reliability
 from ves_gym.diagnosis.inference.unknown import NONE_OF_THESE, NOTHING, doubting
 
-COUNTED = Path(__file__).parents[3] / "docs" / "diagnosis-reliability.jsonl"
+DOCS = Path(__file__).parents[3] / "docs"
+COUNTED = DOCS / "diagnosis-reliability.jsonl"
+SEALED = DOCS / "diagnosis-trial2-third.json"
+
+
+def calibration(p, right):
+    """Mean distance of probability and share of the right, over ten ranges."""
+    at = np.minimum((10 * p).astype(int), 9)
+    return sum(abs((p - right)[at == k].sum()) for k in range(10)) / len(p)
 
 
 def test_constants_are_those_of_the_names_counted():
@@ -23,16 +33,30 @@ def test_probabilities_of_cases_left_out_are_calibrated_better_than_without():
     usual = np.array([not n["hidden"] for n in names])
     right = np.array([n["right"] for n in names], float)
 
-    def error(p):
-        at = np.minimum((10 * p).astype(int), 9)
-        off = [abs((p - right)[usual & (at == k)].sum()) for k in range(10)]
-        return sum(off) / usual.sum()
-
-    before, now = np.array([n["library"] for n in names]), left_out(names)
-    print(error(before), error(now), usual.sum())
-    assert error(now) < 0.15 < 0.3 < error(before)
-    sure = right[usual & (now > 0.95)]
+    right = right[usual]
+    before = np.array([n["library"] for n in names])[usual]
+    now = left_out(names)[usual]
+    print(calibration(before, right), calibration(now, right), len(right))
+    assert calibration(now, right) < 0.15 < 0.3 < calibration(before, right)
+    sure = right[now > 0.95]
     assert len(sure) > 5 and sure.mean() > 0.97
+
+
+def test_names_of_a_sealed_set_are_as_probable_as_they_say():
+    """The third of trial 2, answered by the sealed code, whose constants are of the second."""
+    found = json.loads(SEALED.read_text("utf-8"))
+    p, right = np.array(
+        [
+            (n["probability"], any(in_place(t, n) for t in label["effects"]))
+            for label in found["labels"]
+            for n in found["answers"][f"{label['index']:03d}"].get("names") or []
+        ],
+        float,
+    ).T
+    assert len(p) >= 18
+    assert calibration(p, right) <= 0.23
+    assert np.mean((p - right) ** 2) < 0.2
+    assert right[p > 0.5].mean() > 0.8 > 0.3 > right[p <= 0.5].mean()
 
 
 @pytest.mark.parametrize("error", [1.0, 3.0])
