@@ -132,6 +132,17 @@ def left_out(names: list[dict[str, Any]]) -> Array:
     return out
 
 
+def calibration_error(p: Array, right: Array) -> float:
+    """Return the mean distance of probability and share of the right, over ten ranges.
+
+    Args:
+        p: (n,) probabilities.
+        right: (n,) 1 where the name is right, else 0.
+    """
+    at = np.minimum((10 * p).astype(int), 9)
+    return float(sum(abs((p - right)[at == k].sum()) for k in range(10)) / len(p))
+
+
 def read_names(path: Path) -> list[dict[str, Any]]:
     """Names of a file of `count`."""
     lines = map(json.loads, path.read_text("utf-8").splitlines())
@@ -146,11 +157,9 @@ def fit(path: Path) -> None:
     right = np.array([n["right"] for n in names], float)
     library = np.array([n["library"] for n in names], float)
     for what, p in (("before", library), ("now, of cases left out", left_out(names))):
-        at = np.minimum((10 * p).astype(int), 9)
-        off = [abs(float((p - right)[usual & (at == k)].sum())) for k in range(10)]
-        sure = right[usual & (p > 0.95)]
+        off, sure = calibration_error(p[usual], right[usual]), right[usual & (p > 0.95)]
         print(
-            f"{what}: calibration error {sum(off) / usual.sum():.3f} of {usual.sum()} names,"
+            f"{what}: calibration error {off:.3f} of {usual.sum()} names,"
             f" of those above 0.95 {int(sure.sum())} of {len(sure)} right"
         )
 

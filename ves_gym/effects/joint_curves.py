@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import ParameterError, Vector
-from ves_gym.effects.joint_unknown import CREEP
+from ves_gym.effects.joint_unknown import CREEP, part
 from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
@@ -67,8 +67,7 @@ def _curve(xp: Any, heights: Any, x: Any) -> Any:
     if not size:
         return 0 * x
     knots = size // n
-    parts = [(k * n, (k + 1) * n) for k in range(knots)]
-    at = [heights[..., a:b] if array else heights[a:b] for a, b in parts]
+    at = [part(heights, k * n, (k + 1) * n) for k in range(knots)]
     u = ((xp.fabs(x + 1) - xp.fabs(x - 1)) / 2 + 1) * (knots - 1) / 2  # 0 to knots - 1
     out, before = at[0] + 0 * x, 0.0
     for k, (low, high) in enumerate(pairwise(at)):  # slopes change at the knots

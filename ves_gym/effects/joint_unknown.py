@@ -87,9 +87,9 @@ class JointUnknown(TorqueEffect):
         way, fast = xp.tanh(v / CREEP), xp.fabs(v)
         out = p.level + p.asymmetry * xp.fabs(way)
         for k, factors in enumerate(monomials(n)[: size // n]):
-            term = _part(p.surface, k * n, (k + 1) * n)
+            term = part(p.surface, k * n, (k + 1) * n)
             for joint in factors:
-                term = term * _part(x, joint, joint + 1)
+                term = term * part(x, joint, joint + 1)
             out = out + term
         friction = (p.coulomb + p.coulomb_along * x + p.fading * xp.exp(-fast / SLOW)) * way
         curved = (
@@ -98,8 +98,13 @@ class JointUnknown(TorqueEffect):
         return out + friction + p.viscous * v + (p.viscous_asymmetry + curved) * fast
 
 
-def _part(x: Any, begin: int, end: int) -> Any:
-    """Entries of a vector: the last axis of an array, the rows of a symbol."""
+def part(x: Any, begin: int, end: int) -> Any:
+    """Return entries of a vector: the last axis of an array, the rows of a symbol.
+
+    Args:
+        x: array or symbol.
+        begin, end: of the entries.
+    """
     return x[..., begin:end] if isinstance(x, np.ndarray) else x[begin:end]
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.reliability import constants, left_out, read_names
+from benchmarks.reliability import calibration_error, constants, left_out, read_names
 from benchmarks.trial2.scoring import in_place
 from ves_gym.diagnosis.inference.reliability import EVEN, GAIN, STRETCH, reliability
 from ves_gym.diagnosis.inference.unknown import NONE_OF_THESE, NOTHING, doubting
@@ -14,12 +14,6 @@ from ves_gym.diagnosis.inference.unknown import NONE_OF_THESE, NOTHING, doubting
 DOCS = Path(__file__).parents[3] / "docs"
 COUNTED = DOCS / "diagnosis-reliability.jsonl"
 SEALED = DOCS / "diagnosis-trial2-third.json"
-
-
-def calibration(p, right):
-    """Mean distance of probability and share of the right, over ten ranges."""
-    at = np.minimum((10 * p).astype(int), 9)
-    return sum(abs((p - right)[at == k].sum()) for k in range(10)) / len(p)
 
 
 def test_constants_are_those_of_the_names_counted():
@@ -31,13 +25,11 @@ def test_probabilities_of_cases_left_out_are_calibrated_better_than_without():
     """Ten ranges, as trial 2 counts; names given with the whole library."""
     names = read_names(COUNTED)
     usual = np.array([not n["hidden"] for n in names])
-    right = np.array([n["right"] for n in names], float)
-
-    right = right[usual]
+    right = np.array([n["right"] for n in names], float)[usual]
     before = np.array([n["library"] for n in names])[usual]
     now = left_out(names)[usual]
-    print(calibration(before, right), calibration(now, right), len(right))
-    assert calibration(now, right) < 0.15 < 0.3 < calibration(before, right)
+    print(calibration_error(before, right), calibration_error(now, right), len(right))
+    assert calibration_error(now, right) < 0.15 < 0.3 < calibration_error(before, right)
     sure = right[now > 0.95]
     assert len(sure) > 5 and sure.mean() > 0.97
 
@@ -45,18 +37,27 @@ def test_probabilities_of_cases_left_out_are_calibrated_better_than_without():
 def test_names_of_a_sealed_set_are_as_probable_as_they_say():
     """The third of trial 2, answered by the sealed code, whose constants are of the second."""
     found = json.loads(SEALED.read_text("utf-8"))
-    p, right = np.array(
+    p, reliable, right = np.array(
         [
-            (n["probability"], any(in_place(t, n) for t in label["effects"]))
+            (
+                n["probability"],
+                n["reliability"],
+                any(in_place(t, n) for t in label["effects"]),
+            )
             for label in found["labels"]
             for n in found["answers"][f"{label['index']:03d}"].get("names") or []
         ],
         float,
     ).T
-    assert len(p) >= 18
-    assert calibration(p, right) <= 0.23
+    assert len(p) == 18
+    rng = np.random.default_rng(0)  # what probabilities that are exact would have
+    exact = [calibration_error(p, (rng.random(len(p)) < p).astype(float)) for _ in range(2000)]
+    assert calibration_error(p, right) <= np.quantile(exact, 0.95)
     assert np.mean((p - right) ** 2) < 0.2
     assert right[p > 0.5].mean() > 0.8 > 0.3 > right[p <= 0.5].mean()
+    without = p / reliable
+    assert calibration_error(without, right) > 0.45 and np.mean((without - right) ** 2) > 0.4
+    assert right[without > 0.99].mean() < 0.7
 
 
 @pytest.mark.parametrize("error", [1.0, 3.0])
