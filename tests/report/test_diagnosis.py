@@ -92,6 +92,7 @@ def result():
             for a, b in ((0.0, 1.2), (1.2, 12.0))
         ],
         "closest": [],
+        "withheld": [],
         "when": [
             {"port": p, "channel": c, "run": r, "step": 1.0,
              "before": [9.0, 30.0], "after": [1.0, 1.2]}
@@ -223,3 +224,10 @@ def test_it_has_no_serious_obstacle(browser, result, tmp_path, dark):
     browser.screen(1280, 900, dark)
     browser.open((tmp_path / "page.html").as_uri())
     assert browser.obstacles() == []
+
+
+def test_names_that_are_withheld_are_told_and_why(result):
+    result["withheld"] = [{**result["effects"][0], "name": "sensor/lag", "reliability": 0.234}]
+    text = Elements(render_page(result)).text
+    assert "most are wrong (share that is right): sensor/lag (23 %)" in text
+    assert "Withheld" not in Elements(render_page({**result, "withheld": []})).text

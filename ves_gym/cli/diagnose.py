@@ -321,6 +321,11 @@ def _print(diagnosis: Any, result: dict[str, Any]) -> None:
             )
         )
         console.print(f"  {f.candidate.name}: {numbers} (90 %), p = {f.probability:.2f}")
+    for f in diagnosis.withheld:
+        console.print(
+            f"  withheld: {f.candidate.name}; of names with such evidence"
+            f" {100 * f.reliability:.0f} % are right"
+        )
     gaps = diagnosis.final or diagnosis.gaps
     table = Table(
         title="gap in standard deviations of noise, "

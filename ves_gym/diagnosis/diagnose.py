@@ -40,10 +40,18 @@ from ves_gym.diagnosis.inference.model_selection import (
     Rival,
     Selection,
     Thresholds,
+    is_computed,
     select,
     unexplained,
 )
-from ves_gym.diagnosis.inference.reliability import gain, largest_error, reliability
+from ves_gym.diagnosis.inference.reliability import (
+    COMPUTED,
+    DOUBT,
+    gain,
+    largest_error,
+    reliability,
+    without,
+)
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.slow_noise import slow_shares
 from ves_gym.diagnosis.inference.tolerance_scale import (
@@ -78,7 +86,6 @@ _BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_ine
 _LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
 WIDE = 1.645  # standard deviations to either side of a 90 % interval
 _CLEAR = 1.5  # stated standard deviations from zero; they are twice those of a perfect fit
-_DOUBT = 0.5  # reliability below which a sentence says so
 _COMPARED = 10  # candidates whose likeness is told
 _FEW = 3  # names that may need a tolerance far off: descriptions state them too narrow
 _CHANCE = 1e-4  # of any tolerance of an exact description lying farther off
@@ -125,6 +132,7 @@ class Diagnosis(Viewable):
     beliefs: dict[str, float] = field(default_factory=dict)  # of all hypotheses; their sum is 1
     unnamed: Fit | None = None  # regression of what has no name, where one holds
     tolerances: float = 1.0  # most probable size of the description's errors, in those stated
+    withheld: tuple[Explanation, ...] = ()  # names that are more often wrong than right
 
     def __repr__(self) -> str:
         return f"<Diagnosis: {self.sentence}>"
@@ -181,16 +189,22 @@ class Diagnosis(Viewable):
     def _verdict_in_words(self) -> str:
         names = " and ".join(_named(f) for f in self.explanations)
         why = "".join(f"; {f.sentence}" for f in self.faults)
-        weak = [f.candidate.name for f in self.explanations if f.reliability < _DOUBT]
-        doubt = f" Evidence like that for {_abbreviated(weak)} is more often wrong than right."
-        doubt = doubt if weak else ""
+        withheld = [f.candidate.name for f in self.withheld]
+        doubt = (
+            f" Not named, as evidence like that for it is more often wrong than right:"
+            f" {_abbreviated(withheld)}."
+        )
+        doubt = doubt if withheld else ""
         if self.verdict == NOTHING:
-            return "Nothing is missing: description and data agree within noise and tolerances."
+            return (
+                "Nothing is missing: description and data agree within noise and tolerances."
+                f"{doubt}"
+            )
         if self.verdict == WEAK:
             begin = "There is a disagreement" if self.explanations else "No disagreement"
             return (
                 f"{begin}, but these runs cannot show {_abbreviated(self.weak)}: the excitation"
-                " is too weak."
+                f" is too weak.{doubt}"
             )
         if self.verdict == UNKNOWN:
             on = "".join(f"; {d.sentence}" for d in self.depends[:1])
@@ -199,7 +213,7 @@ class Diagnosis(Viewable):
                 past = any(c.kind == JointMemory.kind for c in self.unnamed.candidates)
                 of = "angles, rates and how it has moved before" if past else "angles and rates"
                 on += f"; what is at {joints} is written as a torque without a name, of {of}"
-            return f"Something is missing, and it is not in the library{why}{on}."
+            return f"Something is missing, and it is not in the library{why}{on}.{doubt}"
         if self.verdict == MORE:
             return f"Missing: {names}; more remains that is not in the library{why}.{doubt}"
         return f"Missing: {names}.{doubt}"
@@ -296,6 +310,8 @@ def diagnose(
         answered.residuals,
         answered.signatures,
     )
+    # what errors far off leave of a linear law grows with their square
+    limits = dataclasses.replace(limits, remains=limits.remains * answered.factor**2)
     lap("name")
     progress(0.9, "runs held back")
     last = None
@@ -310,8 +326,19 @@ def diagnose(
         selection = withdrawn(selection, residuals, last)
         doubted = selection.fit.deviance - before_gate
         selection, unearned = without_unearned(selection, residuals, last)
-    explanations = tuple(
+    explained = [
         _explanation(selection, i, residuals, limits) for i in range(len(selection.rivals))
+    ]
+    right = [f.reliability for f in explained]
+    doubtful = [i for i, p in enumerate(right) if p < DOUBT]
+    withheld = tuple(explained[i] for i in doubtful)
+    before_doubt = selection.fit.deviance
+    selection = without(selection, residuals, doubtful, right)
+    doubted += selection.fit.deviance - before_doubt
+    kept = [p for p in right if p >= DOUBT]
+    explanations = tuple(
+        dataclasses.replace(_explanation(selection, i, residuals, limits), reliability=p)
+        for i, p in enumerate(kept)
     )
     remaining = unexplained(selection.fit, residuals, limits.imperfect)
     tested = {p.name for p in residuals.ports}
@@ -345,7 +372,7 @@ def diagnose(
             after = gaps(last, chosen, selection.null, False)
         there = unexplained_there(last, chosen, limits.imperfect)
         silent = verdict in (NOTHING, WEAK) and not explanations
-        if silent and (there > limits.remains or doubted > CLEAR):
+        if silent and (there > limits.remains_there or doubted > CLEAR):
             verdict, remaining = UNKNOWN, max(remaining, there)
     depends: tuple[Dependence, ...] = ()
     regressed: Fit | None = None
@@ -363,7 +390,7 @@ def diagnose(
         dataclasses.replace(f, probability=f.probability * library * f.reliability)
         for f in explanations
     )
-    believed = doubting(believed, min((f.reliability for f in explanations), default=1.0))
+    believed = doubting(believed, min(right, default=1.0))
     lap("verify")
     return Diagnosis(
         verdict=verdict,
@@ -383,6 +410,7 @@ def diagnose(
         beliefs=believed,
         unnamed=regressed,
         tolerances=answered.factor,
+        withheld=withheld,
     )
 
 
@@ -396,7 +424,10 @@ def _explanation(
     std = limits.spread * selection.fit.std[i]
     gained = gain(residuals, selection.fit, i)
     right = reliability(gained, largest_error(selection.fit.nuisances))
-    return Explanation(first.candidate, first.values, std, gained, right, p, near)
+    if is_computed(first.candidate):
+        right = COMPUTED
+    values = selection.fit.values[i]
+    return Explanation(first.candidate, values, std, gained, right, p, near)
 
 
 def _verdict(
@@ -504,12 +535,14 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
         list(diagnosis.untestable),
     )
     effects = [_explanation_to_plain(f) for f in diagnosis.explanations]
+    withheld = [_explanation_to_plain(f) for f in diagnosis.withheld]
     unknown = diagnosis.verdict == UNKNOWN
     return {
         "verdict": diagnosis.verdict,
         "sentence": diagnosis.sentence,
         "effects": [] if unknown else effects,
         "closest": effects if unknown else [],  # the best the library can do: no names
+        "withheld": withheld,
         "ranking": [_ranked_to_plain(r, diagnosis) for r in ranking],
         "likeness": {
             "names": names,

@@ -21,9 +21,10 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.diagnosis.data.measured_run import Run, run_of
-from ves_gym.diagnosis.diagnose import NAMING_VERDICTS, WEAK, Diagnosis
+from ves_gym.diagnosis.diagnose import NAMING_VERDICTS, NOTHING, WEAK, Diagnosis
 from ves_gym.diagnosis.excitation import drawn_motion, drawn_series, within_limits
 from ves_gym.diagnosis.inference.candidates import Candidate
+from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inference.separation import (
     Hypothesis,
     hypothesis,
@@ -138,7 +139,8 @@ def next_motion(
         progress: called with the fraction done.
 
     Returns:
-        The motion; None where nothing is open: no rivals, and nothing too weak.
+        The motion; None where nothing is open: no rivals, no name withheld, and nothing too
+        weak.
 
     Raises:
         ParameterError: the machine is no `System`, or no motion keeps its limits.
@@ -292,7 +294,7 @@ def _search_of(diagnosis: Diagnosis) -> _Search | None:
         return _Search(
             diagnosis, [hypothesis(residuals, selection.fit, "")], faint[:_MOST_FAINT]
         )
-    if diagnosis.verdict not in NAMING_VERDICTS:
+    if diagnosis.verdict not in (NOTHING, *NAMING_VERDICTS):
         return None
     for place, explanation in enumerate(diagnosis.explanations):
         if len(explanation.kinds) > 1:
@@ -300,6 +302,15 @@ def _search_of(diagnosis: Diagnosis) -> _Search | None:
                 residuals, selection, place, diagnosis.limits.alike, _RIVALS
             )
             return _Search(diagnosis, rivals, ())
+    for doubted in diagnosis.withheld[:1]:  # is it there, or not?
+        without, name = selection.fit, doubted.candidate.name
+        candidates = [*without.candidates, doubted.candidate]
+        there = fit(residuals, candidates, [*without.values, doubted.values])
+        rivals = [
+            hypothesis(residuals, there, name),
+            hypothesis(residuals, without, f"no {name}"),
+        ]
+        return _Search(diagnosis, rivals, ())
     return None
 
 

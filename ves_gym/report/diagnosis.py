@@ -140,9 +140,9 @@ def _tiles(result: Result) -> str:
 
 
 def _missing(result: Result) -> str:
-    effects = result["effects"] or result["closest"]
+    effects, withheld = result["effects"] or result["closest"], _withheld(result)
     if not effects:
-        return f"<p>{_NO_EFFECT[_has_name(result)]}</p>" + _designed(result)
+        return f"<p>{_NO_EFFECT[_has_name(result)]}</p>" + withheld + _designed(result)
     named, rows = _has_name(result), []
     for effect in effects:
         for k, (name, value) in enumerate(effect["value"].items()):
@@ -165,7 +165,21 @@ def _missing(result: Result) -> str:
         + "".join(
             f"<p><b>Next experiment.</b> {escaped(k)}</p>" for k in _next_experiments(result)
         )
+        + withheld
         + _designed(result)
+    )
+
+
+def _withheld(result: Result) -> str:
+    """Names that are not given, and how often such names are right."""
+    told = ", ".join(
+        f"{escaped(k['name'])} ({100 * k['reliability']:.0f} %)" for k in result["withheld"]
+    )
+    if not told:
+        return ""
+    return (
+        '<p class="note">Withheld, since of names with such evidence most are wrong (share that'
+        f" is right): {told}.</p>"
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.reliability import calibration_error, constants, left_out, read_names
 from benchmarks.trial2.scoring import in_place
-from ves_gym.diagnosis.inference.reliability import EVEN, GAIN, STRETCH, reliability
+from ves_gym.diagnosis.inference.reliability import DOUBT, EVEN, GAIN, STRETCH, reliability
 from ves_gym.diagnosis.inference.unknown import NONE_OF_THESE, NOTHING, doubting
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -74,3 +74,13 @@ def test_what_names_are_not_trusted_with_goes_to_none_of_these():
         {NOTHING: 0.1, "a + c": 0.3, "b + c": 0.12, NONE_OF_THESE: 0.48}
     )
     assert doubting(believed, 1.0) == pytest.approx(believed)
+
+
+def test_names_below_one_half_are_mostly_wrong_those_above_mostly_right():
+    """Of the names counted, by constants from all other cases."""
+    names = read_names(COUNTED)
+    usual = np.array([not n["hidden"] for n in names])
+    right = np.array([n["right"] for n in names])[usual]
+    withheld = (left_out(names) < DOUBT)[usual]
+    assert (right & withheld).sum() <= 2 < 19 == right.sum()
+    assert (~right & withheld).sum() >= 11 > 0.8 * (~right).sum()

@@ -38,7 +38,8 @@ class Thresholds:
     most: int | None = None  # effects; None: as many as the evidence bears
     few: int = 3  # effects that are named on the usual evidence
     alike: float = 6.0  # difference in cost below which two candidates are one class
-    remains: float = 400.0  # unexplained deviance that is more than noise
+    remains: float = 120.0  # unexplained deviance that is more than noise
+    remains_there: float = 400.0  # and on runs held back, where tolerances are not fitted
     more: float = 1000.0  # and beside a name
     held_back: float = 0.5  # of the gap on runs held back, its mean square, that names leave
     explained: float = 0.6  # share left of what was unexplained: more, and no name is given
@@ -167,10 +168,13 @@ def _required_gain(
             for j in near
         ]
         echo = limits.echo * max(explained)
-    guard = (
-        0.0 if candidate.kind in _COMPUTED and "admittance" in candidate.ports else limits.gain
-    )
+    guard = 0.0 if is_computed(candidate) else limits.gain
     return max(by_chance, echo, guard + f.price(i, residuals.size) / 2)
+
+
+def is_computed(candidate: Candidate) -> bool:
+    """Return True for numbers of a law that a computer evaluates on what it logs."""
+    return candidate.kind in _COMPUTED and "admittance" in candidate.ports
 
 
 def _may_echo(c: Candidate, candidate: Candidate) -> bool:

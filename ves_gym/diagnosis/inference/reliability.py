@@ -11,14 +11,22 @@ the true kinds left out of the library, and a logistic curve through them is the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.fit import Fit
-from ves_gym.diagnosis.inference.model_selection import reduced_fit
+from ves_gym.diagnosis.inference.model_selection import (
+    Selection,
+    reduced_fit,
+    reduced_selection,
+)
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 NEEDED = 35.0  # deviance at which names begin to be given
+COMPUTED = 5 / 6  # of names of what a computer evaluates: four of four (rule of succession)
+DOUBT = 0.5  # reliability below which a name is withheld
 USUAL = 2.0  # standard deviations of the largest error of a description that is right
 EVEN, GAIN, STRETCH = -2.94, 1.69, -1.65  # log odds: all; per e-fold of gain; per deviation
 
@@ -52,3 +60,24 @@ def reliability(gained: float, error: float) -> float:
     """
     odds = EVEN + GAIN * np.log(max(gained, 1.0) / NEEDED) + STRETCH * (error - USUAL)
     return float(1 / (1 + np.exp(-odds)))
+
+
+def without(
+    selection: Selection,
+    residuals: WhitenedResiduals,
+    places: Sequence[int],
+    right: Sequence[float],
+) -> Selection:
+    """Return the selection less the names in some places, and why in its steps.
+
+    Args:
+        selection: the answer.
+        residuals: of the runs fitted.
+        places: of names that are more often wrong than right.
+        right: reliability of the name in every place.
+    """
+    for i in sorted(places, reverse=True):
+        name = selection.fit.candidates[i].name
+        why = f"{name}: withheld, of names with such evidence {100 * right[i]:.0f} % are right"
+        selection = reduced_selection(residuals, selection, i, why)
+    return selection
