@@ -24,7 +24,7 @@ import scipy
 from benchmarks.trial2.scoring import SIBLINGS, in_place
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.diagnose import NAMING_VERDICTS, WEAK, diagnose
-from ves_gym.diagnosis.inference.reliability import NEEDED, USUAL, largest_error
+from ves_gym.diagnosis.inference.reliability import NEEDED, USUAL
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.diagnosis.machines.tolerances import StatedErrors
 from ves_gym.system.system import System
@@ -56,8 +56,7 @@ def names_of(folder: Path, label: dict[str, Any], hidden: bool) -> list[dict[str
         inputs.final,
         candidates=[c for c in inputs.candidates if c.kind not in gone],
     )
-    error = largest_error(found.selection.fit.nuisances)
-    if found.verdict not in (*NAMING_VERDICTS, WEAK):
+    if found.verdict not in (*NAMING_VERDICTS, WEAK) and not found.withheld:
         return []
     return [
         {
@@ -69,10 +68,10 @@ def names_of(folder: Path, label: dict[str, Any], hidden: bool) -> list[dict[str
                 for t in label["effects"]
             ),
             "gain": round(f.gain, 1),
-            "error": round(error, 2),
+            "error": round(f.error, 2),
             "library": round(f.probability / f.reliability, 4),
         }
-        for f in found.explanations
+        for f in (*found.explanations, *found.withheld)
     ]
 
 

@@ -101,6 +101,7 @@ class Explanation:
     values: Array  # (k,)
     std: Array  # (k,)
     gain: float  # deviance that it explains beside the others
+    error: float  # the description's largest beside all names, in stated standard deviations
     reliability: float  # share of names with such evidence that are right
     probability: float
     rivals: tuple[Rival, ...]  # those that do about as well, itself first
@@ -271,7 +272,7 @@ def diagnose(
     Returns:
         The verdict, the effects that explain the gap, and all that it rests on.
     """
-    limits = limits or Thresholds()
+    stated = limits or Thresholds()
     clock = [time.perf_counter()]
     seconds: dict[str, float] = {}
 
@@ -299,10 +300,10 @@ def diagnose(
     answered = selected_with_tolerances(
         residuals,
         signatures,
-        lambda r, s: select(r, s, limits, lambda text: progress(0.7, text)),
+        lambda r, s: select(r, s, stated, lambda text: progress(0.7, text)),
         lambda k: (
             bool(k.fit.candidates)
-            or unexplained(k.fit, residuals, limits.imperfect) > limits.remains
+            or unexplained(k.fit, residuals, stated.imperfect) > stated.remains
         ),
     )
     selection, residuals, signatures = (
@@ -311,7 +312,7 @@ def diagnose(
         answered.signatures,
     )
     # what errors far off leave of a linear law grows with their square
-    limits = dataclasses.replace(limits, remains=limits.remains * answered.factor**2)
+    limits = dataclasses.replace(stated, remains=stated.remains * answered.factor**2)
     lap("name")
     progress(0.9, "runs held back")
     last = None
@@ -331,14 +332,17 @@ def diagnose(
     ]
     right = [f.reliability for f in explained]
     doubtful = [i for i, p in enumerate(right) if p < DOUBT]
-    withheld = tuple(explained[i] for i in doubtful)
+    withheld = tuple(
+        dataclasses.replace(explained[i], probability=explained[i].probability * right[i])
+        for i in doubtful
+    )
     before_doubt = selection.fit.deviance
     selection = without(selection, residuals, doubtful, right)
     doubted += selection.fit.deviance - before_doubt
-    kept = [p for p in right if p >= DOUBT]
+    kept = [f for f in explained if f.reliability >= DOUBT]
     explanations = tuple(
-        dataclasses.replace(_explanation(selection, i, residuals, limits), reliability=p)
-        for i, p in enumerate(kept)
+        dataclasses.replace(f, values=x, std=limits.spread * std)
+        for f, x, std in zip(kept, selection.fit.values, selection.fit.std, strict=True)
     )
     remaining = unexplained(selection.fit, residuals, limits.imperfect)
     tested = {p.name for p in residuals.ports}
@@ -423,11 +427,10 @@ def _explanation(
     p = sum(r.probability for r in rivals if r.candidate.kind == first.candidate.kind)
     std = limits.spread * selection.fit.std[i]
     gained = gain(residuals, selection.fit, i)
-    right = reliability(gained, largest_error(selection.fit.nuisances))
-    if is_computed(first.candidate):
-        right = COMPUTED
+    error = largest_error(selection.fit.nuisances)
+    right = COMPUTED if is_computed(first.candidate) else reliability(gained, error)
     values = selection.fit.values[i]
-    return Explanation(first.candidate, values, std, gained, right, p, near)
+    return Explanation(first.candidate, values, std, gained, error, right, p, near)
 
 
 def _verdict(
