@@ -22,6 +22,10 @@ VALUES = {
     },
     "base/stiffness": {"error": -0.2},
     "base/virtual_mass": {"error": 0.2},
+    "base/unknown": {
+        "stiffness": (5.0, 0.0, 20.0, 3.0, 0.0, 1.0),
+        "damping": (2.0, 1.0, 0.0, 0.0, 0.5, 0.2),
+    },
     "command/delay": {"delay": 0.007},
     "gravity/delay": {"delay": 0.03},
     "gravity/mass": {"error": 0.5},

@@ -40,6 +40,7 @@ from ves_gym.diagnosis.inference.model_selection import (
     Rival,
     Selection,
     Thresholds,
+    allowed,
     is_computed,
     select,
     unexplained,
@@ -73,7 +74,7 @@ from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine, untestable
 from ves_gym.diagnosis.machines.causes import apart
 from ves_gym.diagnosis.machines.drift import SlowPath
-from ves_gym.effects import JointMemory
+from ves_gym.effects import BaseUnknown, JointMemory
 from ves_gym.system.system import System
 
 NOTHING, NAMED, ONE_OF = "nothing missing", "named", "one of"
@@ -210,10 +211,7 @@ class Diagnosis(Viewable):
         if self.verdict == UNKNOWN:
             on = "".join(f"; {d.sentence}" for d in self.depends[:1])
             if self.unnamed is not None:
-                joints = ", ".join(dict.fromkeys(c.slot for c in self.unnamed.candidates))
-                past = any(c.kind == JointMemory.kind for c in self.unnamed.candidates)
-                of = "angles, rates and how it has moved before" if past else "angles and rates"
-                on += f"; what is at {joints} is written as a torque without a name, of {of}"
+                on += _written(self.unnamed.candidates)
             return f"Something is missing, and it is not in the library{why}{on}.{doubt}"
         if self.verdict == MORE:
             return f"Missing: {names}; more remains that is not in the library{why}.{doubt}"
@@ -239,6 +237,19 @@ def _named(explanation: Explanation) -> str:
         if clear
     )
     return f"{c.name} ({values})"
+
+
+def _written(candidates: Sequence[Candidate]) -> str:
+    """What is written without a name, in words."""
+    bases = ", ".join(c.slot for c in candidates if c.kind == BaseUnknown.kind)
+    at = [c for c in candidates if c.kind != BaseUnknown.kind]
+    joints = ", ".join(dict.fromkeys(c.slot for c in at))
+    past = any(c.kind == JointMemory.kind for c in at)
+    of = "angles, rates and how it has moved before" if past else "angles and rates"
+    on = f"; what is at {joints} is written as a torque without a name, of {of}" if at else ""
+    if bases:
+        on += f"; what is at the base along {bases} is written as a spring and a damper more"
+    return on
 
 
 def _abbreviated(names: Sequence[str]) -> str:
@@ -303,7 +314,8 @@ def diagnose(
         lambda r, s: select(r, s, stated, lambda text: progress(0.7, text)),
         lambda k: (
             bool(k.fit.candidates)
-            or unexplained(k.fit, residuals, stated.imperfect) > stated.remains
+            or unexplained(k.fit, residuals, stated.imperfect)
+            > allowed(k.fit, residuals, stated)
         ),
     )
     selection, residuals, signatures = (
@@ -312,7 +324,10 @@ def diagnose(
         answered.signatures,
     )
     # what errors far off leave of a linear law grows with their square
-    limits = dataclasses.replace(stated, remains=stated.remains * answered.factor**2)
+    square = answered.factor**2
+    limits = dataclasses.replace(
+        stated, remains=stated.remains * square, sensed=stated.sensed * square
+    )
     lap("name")
     progress(0.9, "runs held back")
     last = None
@@ -345,6 +360,7 @@ def diagnose(
         for f, x, std in zip(kept, selection.fit.values, selection.fit.std, strict=True)
     )
     remaining = unexplained(selection.fit, residuals, limits.imperfect)
+    limits = dataclasses.replace(limits, remains=allowed(selection.fit, residuals, limits))
     tested = {p.name for p in residuals.ports}
     faint = [
         c
@@ -376,7 +392,7 @@ def diagnose(
             after = gaps(last, chosen, selection.null, False)
         there = unexplained_there(last, chosen, limits.imperfect)
         silent = verdict in (NOTHING, WEAK) and not explanations
-        if silent and (there > limits.remains_there or doubted > CLEAR):
+        if silent and (there > stated.remains or doubted > CLEAR):
             verdict, remaining = UNKNOWN, max(remaining, there)
     depends: tuple[Dependence, ...] = ()
     regressed: Fit | None = None

@@ -9,6 +9,7 @@ from ves_gym.effects.base_amplitude_damping import BaseAmplitudeDamping
 from ves_gym.effects.base_damping import BaseDamping
 from ves_gym.effects.base_extra_mode import BaseExtraMode
 from ves_gym.effects.base_stiffness import BaseStiffness
+from ves_gym.effects.base_unknown import BaseUnknown
 from ves_gym.effects.base_virtual_mass import BaseVirtualMass
 from ves_gym.effects.budget import LABORATORY_ERRORS
 from ves_gym.effects.command_delay import CommandDelay
@@ -68,6 +69,7 @@ __all__ = [
     "BaseEffect",
     "BaseExtraMode",
     "BaseStiffness",
+    "BaseUnknown",
     "BaseVirtualMass",
     "CommandDelay",
     "DelayEffect",

@@ -21,6 +21,8 @@ from ves_gym.diagnosis.inference.unknown import (
 )
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.effects import BaseAmplitudeDamping
+from ves_gym.mechanics.vehicle import STRAIGHT_VERTICAL
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
@@ -121,6 +123,49 @@ def test_a_friction_that_grows_at_rest_is_written_with_its_memory(logs):
     assert 1 - (max(gap.after**2 - 1, 0) / (gap.before**2 - 1)) ** 0.5 > 0.7
     model = residuals.machine.model(found.effects)
     assert System.from_dict(model.system.to_dict()) == model.system
+
+
+AFLOAT, AT = System(vehicle=STRAIGHT_VERTICAL), ("base", "F_x")
+
+
+def on_a_base(coefficient):
+    """Residuals of two runs and one held back, of a base whose damping grows with its rate."""
+    vector = (coefficient, 0.0, 0.0, 0.0, 0.0, 0.0)
+    true = AFLOAT.replace(effects=(BaseAmplitudeDamping(coefficient=vector),))
+    recording = play_motions(
+        true, excitation_motions(3, duration=8.0, seed=3), settle=0.0, record_dt=12.5e-3
+    )
+    rng, runs = np.random.default_rng(5), []
+    for i in range(3):
+        log = recording.log(i)
+        noise = {"q": 2e-5, "tau": 0.3, "y": 1e-5, "w": 0.3}
+        read = {k: getattr(log, k) for k in noise}
+        read = {k: x + noise[k] * rng.standard_normal(x.shape) for k, x in read.items()}
+        meta = {**log.meta, "system": AFLOAT.to_dict()}
+        runs.append(run_of(dataclasses.replace(log, **read, meta=meta), f"run-{i}"))
+    machine = SystemMachine(AFLOAT)
+    machine.ports = tuple(p for p in machine.ports if p.name in ("wrench", "base"))
+    return WhitenedResiduals(machine, runs[:2]), WhitenedResiduals(machine, runs[2:])
+
+
+@pytest.mark.parametrize("coefficient", [300.0, 3000.0])
+def test_what_has_no_name_at_the_base_is_written_as_springs_and_dampers(coefficient):
+    residuals, last = on_a_base(coefficient)
+    null = fit(residuals, (), ())
+    found = unnamed(residuals, last, null)
+    assert [c.name for c in found.candidates] == ["base/unknown at x"]
+    [effect] = found.effects
+    assert effect.damping[0] > 10 and not any(effect.damping[1:]) and not any(effect.stiffness)
+    gap = next(g for g in gaps(last, found, null, False) if (g.port, g.channel) == AT)
+    print(gap)
+    assert gap.before > 3 and 1 - (gap.after**2 - 1) / (gap.before**2 - 1) > 0.8
+    model = residuals.machine.model(found.effects)
+    assert System.from_dict(model.system.to_dict()) == model.system
+
+
+def test_nothing_is_written_at_a_base_that_is_as_described():
+    residuals, last = on_a_base(0.0)
+    assert unnamed(residuals, last, fit(residuals, (), ())) is None
 
 
 def test_nothing_is_written_where_nothing_is_missing(logs):

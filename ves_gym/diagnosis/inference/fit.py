@@ -203,6 +203,17 @@ def _feasible(candidates: Sequence[Candidate], x: Array, covariance: Array) -> A
     return out
 
 
+def columns_of(residuals: WhitenedResiduals, candidate: Candidate) -> Array:
+    """Return (N, k): what 1 of each number of a candidate adds to whitened residuals.
+
+    Args:
+        residuals: of the description.
+        candidate: whose effect is linear in its numbers.
+    """
+    models = [residuals.machine.model([candidate.effect(x)]) for x in np.eye(candidate.k)]
+    return (residuals.under(models, candidate.ports) - residuals.null).T
+
+
 def linearised(
     residuals: WhitenedResiduals, candidates: Sequence[Candidate], values: Sequence[Array]
 ) -> tuple[Array, Array]:

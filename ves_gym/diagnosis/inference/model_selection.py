@@ -24,6 +24,7 @@ FINALISTS = 6
 _OTHERS, _EXCHANGES = 3, 4  # tried in a place on the way; exchanges at the end
 # What the computer takes in and gives out is known to the last digit, and these have tolerances
 _COMPUTED = ("base/stiffness", "base/virtual_mass", "base/damping")
+_EVALUATED = ("admittance",)  # ports that compare a computer's law with what it gave out
 _HOPELESS = 30.0  # cost by which a screen's runner-up is not worth a full fit
 Report = Callable[[str], None]
 
@@ -38,8 +39,8 @@ class Thresholds:
     most: int | None = None  # effects; None: as many as the evidence bears
     few: int = 3  # effects that are named on the usual evidence
     alike: float = 6.0  # difference in cost below which two candidates are one class
-    remains: float = 120.0  # unexplained deviance that is more than noise
-    remains_there: float = 400.0  # and on runs held back, where tolerances are not fitted
+    remains: float = 400.0  # unexplained deviance that is more than noise
+    sensed: float = 120.0  # the same of ports where no computer's law is compared
     more: float = 1000.0  # and beside a name
     held_back: float = 0.5  # of the gap on runs held back, its mean square, that names leave
     explained: float = 0.6  # share left of what was unexplained: more, and no name is given
@@ -205,16 +206,38 @@ def _required_of_many(
     return limits.echo * sum(gains) / len(gains) if gains and len(came) >= limits.few else 0.0
 
 
-def unexplained(f: Fit, residuals: WhitenedResiduals, imperfect: float = 1.0) -> float:
+def unexplained(
+    f: Fit, residuals: WhitenedResiduals, imperfect: float = 1.0, but: Sequence[str] = ()
+) -> float:
     """Return the deviance of groups that are larger than noise, above that of noise.
 
     Args:
         f: fit.
         residuals: that were fitted.
         imperfect: mean square that is still taken for noise.
+        but: ports that are left out.
     """
-    n = np.array([g.n for g in residuals.groups], float)
-    return float((n * np.log(np.maximum(f.size / imperfect, 1.0))).sum())
+    n = np.array([g.n for g in residuals.groups if g.port not in but], float)
+    size = np.array(
+        [s for s, g in zip(f.size, residuals.groups, strict=True) if g.port not in but]
+    )
+    return float((n * np.log(np.maximum(size / imperfect, 1.0))).sum())
+
+
+def allowed(f: Fit, residuals: WhitenedResiduals, limits: Thresholds) -> float:
+    """Return the unexplained deviance from which it is more than noise.
+
+    What a computer evaluates from what it logs has no noise, and rounding and the time between
+    samples leave more than what is told of it; what sensors read is told well.
+
+    Args:
+        f: fit.
+        residuals: that were fitted.
+        limits: thresholds.
+    """
+    every = unexplained(f, residuals, limits.imperfect)
+    sensed = unexplained(f, residuals, limits.imperfect, _EVALUATED)
+    return every - max(every - limits.remains, sensed - limits.sensed)
 
 
 def _without(residuals: WhitenedResiduals, full: Fit, i: int) -> Fit:

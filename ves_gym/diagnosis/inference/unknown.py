@@ -1,11 +1,12 @@
 """A model of the residual that has no name: torque regressed on all angles, the rate of each
-joint and how it has moved before, and how much belief there is in that.
+joint and how it has moved before, force on the base's ways and rates, and how much belief there
+is in that.
 
-The regression (`joint/unknown`, `joint/memory`) is fitted with nuisances and sizes of groups as
-any effect is. Its weights have normal priors, whose size at each joint is that of the largest
-marginal likelihood. It is written where runs held back are more probable with it and no channel
-of theirs is worse. It takes no place from a name: a law that is quite the machine's is
-rare, and that many free numbers would beat most.
+The regression (`joint/unknown`, `joint/curves`, `joint/memory`, `base/unknown`) is fitted with
+nuisances and sizes of groups as any effect is. Its weights have normal priors, whose size at
+each joint is that of the largest marginal likelihood. It is written where runs held back are
+more probable with it and no channel of theirs is worse. It takes no place from a name: a law
+that is quite the machine's is rare, and that many free numbers would beat most.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from itertools import product
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym.diagnosis.inference.base_laws import base_regressions
 from ves_gym.diagnosis.inference.candidates import Candidate
-from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals
+from ves_gym.diagnosis.inference.fit import Fit, columns_of, evaluate_residuals
 from ves_gym.diagnosis.inference.held_back import LOSS, gaps, losses
 from ves_gym.diagnosis.inference.model_selection import Rival, Selection, Thresholds
 from ves_gym.diagnosis.inference.prior_sizes import likeliest_sizes
@@ -106,7 +108,8 @@ def _curve(joint: int, n: int, curve: str, at: dict[str, tuple[float, ...]]) -> 
 
 
 def unnamed(residuals: WhitenedResiduals, last: WhitenedResiduals, null: Fit) -> Fit | None:
-    """Return the fit of what a description leaves at its joints; None where none is worth it.
+    """Return the fit of what a description leaves at its joints and at its base in space; None
+    where none is worth it.
 
     Args:
         residuals: of the runs fitted.
@@ -114,24 +117,31 @@ def unnamed(residuals: WhitenedResiduals, last: WhitenedResiduals, null: Fit) ->
         null: fit of the description as it is.
     """
     system = getattr(residuals.machine, "system", None)
-    if system is None or "joint" not in {p.name for p in residuals.ports}:
+    if system is None:
         return None
-    if system.drive != "motor":
+    tested, candidates = {p.name for p in residuals.ports}, []
+    if "joint" in tested and system.drive == "motor":
+        candidates += regressions(residuals)
+    if "base" in tested:
+        candidates += base_regressions(system)
+    if not candidates:
         return None
-    candidates = regressions(residuals)
     evidence = _Evidence(residuals, candidates)
     sizes = evidence.sizes()
     while any(sizes):
         fitted = evidence.fit(sizes)
+        if barred := evidence.barred(sizes, fitted):
+            sizes = [0.0 if k in barred else s for k, s in enumerate(sizes)]
+            continue
         if losses(last, fitted, null) < -LOSS and not any(
             g.worse for g in gaps(last, fitted, null, False)
         ):
             return fitted
-        lost = {}  # by leaving a joint out
-        for joint in np.flatnonzero(sizes).tolist():
-            others = [s if k != joint else 0.0 for k, s in enumerate(sizes)]
-            lost[joint] = losses(last, evidence.fit(others), null) if any(others) else 0.0
-        sizes[min(lost, key=lambda joint: lost[joint])] = 0.0
+        lost = {}  # by leaving one out
+        for place in np.flatnonzero(sizes).tolist():
+            others = [s if k != place else 0.0 for k, s in enumerate(sizes)]
+            lost[place] = losses(last, evidence.fit(others), null) if any(others) else 0.0
+        sizes[min(lost, key=lambda place: lost[place])] = 0.0
     return None
 
 
@@ -145,10 +155,7 @@ class _Evidence:
     def __init__(self, residuals: WhitenedResiduals, candidates: Sequence[Candidate]) -> None:
         self._residuals, self._candidates = residuals, candidates
         self._p = len(residuals.nuisances)
-        models = [
-            residuals.machine.model([c.effect(w)]) for c in candidates for w in np.eye(c.k)
-        ]
-        self._columns = (residuals.under(models, ["joint"]) - residuals.null).T
+        self._columns = np.hstack([columns_of(residuals, c) for c in candidates])
         self._inner = products(residuals, residuals.null, self._columns)
 
     def _solve(self, sizes: Sequence[float]) -> Solution:
@@ -201,6 +208,12 @@ class _Evidence:
             residual=z,
             tangents=self._columns[:, used],
         )
+
+    def barred(self, sizes: Sequence[float], fitted: Fit) -> list[int]:
+        """Return the places of single numbers that a fit has below their range."""
+        there = [k for k, size in enumerate(sizes) if size]
+        pairs = zip(there, fitted.candidates, fitted.values, strict=True)
+        return [k for k, c, x in pairs if c.k == 1 and x[0] < c.low[0]]
 
     def _with(self, sizes: Sequence[float]) -> list[tuple[Candidate, float]]:
         return [(c, s) for c, s in zip(self._candidates, sizes, strict=True) if s]

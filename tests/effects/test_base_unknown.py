@@ -1,0 +1,41 @@
+"""A spring and a damper more are those of a vehicle that has them, and a satellite has none."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ves_gym import ParameterError, System
+from ves_gym.effects import BaseUnknown
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING
+from ves_gym.simulation.playback import play_motions
+
+EFFECT = BaseUnknown(
+    stiffness=(50.0, 0.0, 20.0, 3.0, 0.0, 1.0), damping=(2.0, 1.0, 0.0, 0.0, 0.5, 0.2)
+)
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_it_moves_as_a_vehicle_that_has_them(mode):
+    stiff = dataclasses.replace(
+        DECOUPLED,
+        K=np.array(DECOUPLED.K) + np.diag(EFFECT.stiffness),
+        D=np.array(DECOUPLED.D) + np.diag(EFFECT.damping),
+    )
+    motion = Motion.straight([0.3, 0.5, 0.4], [0.6, 0.2, 0.1], 2.0)
+    ours, theirs = (
+        play_motions(system, [motion]).log(0)
+        for system in (
+            System(mode=mode, vehicle=DECOUPLED, effects=(EFFECT,)),
+            System(mode=mode, vehicle=stiff),
+        )
+    )
+    plain = play_motions(System(mode=mode, vehicle=DECOUPLED), [motion]).log(0)
+    np.testing.assert_allclose(ours.y, theirs.y, atol=1e-12)
+    assert np.abs(ours.y - plain.y).max() > 1e-5
+
+
+def test_nothing_holds_a_satellite():
+    with pytest.raises(ParameterError, match="a vehicle of M, D, K, got a satellite"):
+        System(vehicle=FREE_FLOATING, effects=(EFFECT,))
