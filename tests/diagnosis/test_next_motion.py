@@ -121,5 +121,6 @@ def test_a_name_that_is_withheld_gets_the_motion_that_decides_about_it():
     assert told["name"] == name and told["reliability"] < 0.5
     best = next_motion(found, pool=2, rounds=1)
     assert best.between == (name, f"no {name}") and best.least > CLEAR
+    assert f"decides whether {name} is there: " in best.sentence
     after = diagnosed([first, measured(best.motion, 2, (truth,))])
     assert [f.candidate.name for f in after.explanations] == [name] and not after.withheld

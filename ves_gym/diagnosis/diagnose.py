@@ -410,7 +410,8 @@ def diagnose(
         dataclasses.replace(f, probability=f.probability * library * f.reliability)
         for f in explanations
     )
-    believed = doubting(believed, min(right, default=1.0))
+    doubted_most = min((f.reliability for f in explanations or withheld), default=1.0)
+    believed = doubting(believed, doubted_most)
     lap("verify")
     return Diagnosis(
         verdict=verdict,

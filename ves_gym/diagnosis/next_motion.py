@@ -75,8 +75,12 @@ class NextMotion:
                 f" hand, once more: {self.at_hand:.1f})."
             )
         decides = "decides" if self.least >= CLEAR else "helps to decide"
+        first, *others = self.between
+        what = f"between {', '.join(self.between)}"
+        if others == [_absent(first)]:
+            what = f"whether {first} is there"
         return (
-            f"{m} {decides} between {', '.join(self.between)}: any two are expected"
+            f"{m} {decides} {what}: any two answers are expected"
             f" {self.least:.1f} standard deviations apart and more after one run (after the"
             f" best of the motions at hand, once more: {self.at_hand:.1f})."
         )
@@ -308,10 +312,15 @@ def _search_of(diagnosis: Diagnosis) -> _Search | None:
         there = fit(residuals, candidates, [*without.values, doubted.values])
         rivals = [
             hypothesis(residuals, there, name),
-            hypothesis(residuals, without, f"no {name}"),
+            hypothesis(residuals, without, _absent(name)),
         ]
         return _Search(diagnosis, rivals, ())
     return None
+
+
+def _absent(name: str) -> str:
+    """Name of the hypothesis that an effect is not there."""
+    return f"no {name}"
 
 
 def _lockstep(
