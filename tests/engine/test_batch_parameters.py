@@ -63,6 +63,9 @@ pytestmark = pytest.mark.bits
 BACKENDS = ["kernel", "mujoco"]
 IDEAL = System(vehicle=BENT_THESIS)
 NOMINAL = System(vehicle=BENT_THESIS, mode="emulated")
+# Shares of usual values: a payload's numbers together are a body's; bounds without a base's
+# scale reach far beyond what a physics step can take
+BY_SHARE = ("payload/body", "base/unknown")
 # MuJoCo: 100 physics steps of sums in another order
 CLOSE = {"rtol": 1e-7, "atol": 1e-9}
 
@@ -78,7 +81,7 @@ def _elsewhere(tmp_path, monkeypatch):
 def draw_effect(kind: str, system: System, rng: np.random.Generator, reach: float) -> Effect:
     """An effect of a kind with values that go from the null value to `reach` of the bounds."""
     cls = EFFECTS[kind]
-    if kind == "payload/body":  # its numbers together are a body's, as are any share of them
+    if kind in BY_SHARE:
         share = rng.uniform(0.1 * reach, reach)
         return cls(**{k: (share * np.array(v)).tolist() for k, v in VALUES[kind].items()})
     for length in (system.arm.n, 3 + 2 * system.arm.n):
