@@ -18,6 +18,7 @@ import pytest
 import ves_gym.effects as E
 from ves_gym.diagnosis.diagnose import NOTHING, WEAK, diagnose
 from ves_gym.diagnosis.excitation import excitation_motions
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.hardware.platform import PoseServo
@@ -195,6 +196,23 @@ def test_an_error_below_the_swing_between_samples_is_named():
     found = told(system, *logs)
     assert [f.candidate.name for f in found.explanations] == ["sensor/calibration at F_z"]
     assert found.explanations[0].values == pytest.approx(error[2], abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", [409, pytest.param(412, marks=pytest.mark.slow)])
+def test_friction_of_a_joint_that_turns_round_quickly_is_that_described(seed):
+    """A rate of the band alone turns too slowly: joint 1 had up to 15 times what means nothing."""
+    system, *logs = case(seed)
+    inputs = system_inputs(logs, system, final=0)
+    residuals = WhitenedResiduals(inputs.machine, inputs.runs)
+    groups = [g for g in residuals.groups if g.port == "joint"]
+    assert max(np.mean(residuals.null[g.part] ** 2) for g in groups) < 1
+    assert all(0.9 < g.floor <= 1 + 1e-9 for g in groups)  # logs without noise
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [409, 412])
+def test_nothing_is_missing_where_it_turns_round_quickly(seed):
+    assert told(*case(seed)).verdict == NOTHING
 
 
 @pytest.mark.slow

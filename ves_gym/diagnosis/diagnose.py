@@ -55,6 +55,7 @@ from ves_gym.diagnosis.inference.reliability import (
 )
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.slow_noise import slow_shares
+from ves_gym.diagnosis.inference.steadiness import without_unsteady
 from ves_gym.diagnosis.inference.tolerance_scale import (
     Off,
     errors_told,
@@ -335,12 +336,14 @@ def diagnose(
         last = WhitenedResiduals(machine, final, seed + 1, slow).with_tolerances(
             answered.factor
         )
-    doubted = 0.0  # deviance that withdrawn names had explained on the runs fitted
+    before_gate = selection.fit.deviance
+    selection = without_unsteady(selection, residuals)
+    if last is not None:
+        selection = withdrawn(selection, residuals, last)
+    # deviance that withdrawn names had explained on the runs fitted
+    doubted = selection.fit.deviance - before_gate
     unearned: tuple[str, ...] = ()  # names that curves of no shape beat
     if last is not None:
-        before_gate = selection.fit.deviance
-        selection = withdrawn(selection, residuals, last)
-        doubted = selection.fit.deviance - before_gate
         selection, unearned = without_unearned(selection, residuals, last)
     explained = [
         _explanation(selection, i, residuals, limits) for i in range(len(selection.rivals))

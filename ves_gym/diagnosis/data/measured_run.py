@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+import scipy
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.signals import (
@@ -37,6 +38,7 @@ _UNITS = (  # signal, what no such machine reaches, unit expected, unit it may b
     ("y_cmd", 5.0, "m", "millimetres"),
     ("y_cmd", 3.2, "rad", "degrees"),
 )
+_STILL = 1e-4  # rad/s: noise of a rate that turns no friction round, a hundredth of its creep
 _PER_BAND = 4.0  # samples per period of the band's top that derivatives need
 
 
@@ -91,6 +93,21 @@ class Run:
     def joints(self) -> Kinematics:
         """Measured joint angles with their rates and accelerations."""
         return Kinematics(*differentiated(self["q"], self.dt, self.band))
+
+    @cached_property
+    def turning_rate(self) -> Array:
+        """(..., T, n) rates of the joints for laws that change with their direction [rad/s].
+
+        Where a joint turns round quickly a rate of the band alone is too smooth, and friction
+        turns too slowly; where angles have noise to speak of, one of neighbouring samples would
+        turn it to and fro.
+        """
+        noise = self.noise["q"].std.max() * np.sqrt(2) / self.dt if "q" in self.noise else 0.0
+        if noise > _STILL:
+            return self.joints.v
+        t = self.dt * np.arange(self.length)
+        spline = scipy.interpolate.CubicSpline(t, self["q"], axis=-2)
+        return np.asarray(spline.derivative()(t), float)
 
     @cached_property
     def base(self) -> Kinematics:

@@ -193,4 +193,5 @@ def _scaled(inner: InnerProducts, scale: Array) -> InnerProducts:
         None if noise_xz is None else noise_xz * scale,
         None if noise_xx is None else noise_xx * square,
         inner.most,
+        inner.least,
     )

@@ -19,7 +19,7 @@ from ves_gym.diagnosis.inference.model_selection import Selection, reduced_selec
 from ves_gym.diagnosis.inference.variance_groups import (
     deviance,
     likely_sizes,
-    most_noise,
+    limits_of,
     sizes,
 )
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
@@ -164,7 +164,7 @@ def likeliness(last: WhitenedResiduals, remainders: Array) -> float:
         remainders: (N,) what is left of them.
     """
     n, squares, noise = group_squares(last, remainders)
-    return deviance(n, likely_sizes(n, squares, noise, most_noise(last.groups)))
+    return deviance(n, likely_sizes(n, squares, noise, *limits_of(last.groups)))
 
 
 def group_squares(last: WhitenedResiduals, remainders: Array) -> tuple[Array, Array, Array]:

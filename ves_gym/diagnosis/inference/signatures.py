@@ -15,7 +15,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.candidates import Candidate
-from ves_gym.diagnosis.inference.variance_groups import InnerProducts, most_noise, solve
+from ves_gym.diagnosis.inference.variance_groups import InnerProducts, limits_of, solve
 from ves_gym.diagnosis.inference.whitened_residuals import QUIETEST, WhitenedResiduals
 
 _CHUNK = 24  # models evaluated at once
@@ -104,7 +104,7 @@ class Signatures:
             residuals.noise_product(residuals.groups[k], self._all_columns) for k in self._noisy
         ]
         self._n = np.array([g.n for g in residuals.groups], float)
-        self._most = most_noise(residuals.groups)
+        self._most, self._least = limits_of(residuals.groups)
         self.rows = residuals.measured  # that are looked at
         self._set_beside_tolerances()
 
@@ -203,6 +203,7 @@ class Signatures:
                 np.concatenate([noise.xz[:, at], noise.bz], axis=1),
                 noise_xx,
                 self._most,
+                self._least,
             )
             solution = solve(both, p, low, high)
             previous = best.get(block.candidate)

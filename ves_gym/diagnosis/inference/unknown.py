@@ -176,6 +176,7 @@ class _Evidence:
                 None if inner.noise_xz is None else inner.noise_xz[:, at] * scale,
                 None if inner.noise_xx is None else inner.noise_xx[:, at][:, :, at] * square,
                 inner.most,
+                inner.least,
             ),
             len(at),
         )

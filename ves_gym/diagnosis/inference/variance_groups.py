@@ -44,6 +44,9 @@ class InnerProducts:
     noise_xz: Array | None = None  # (G, c) the same of the products; zero where None
     noise_xx: Array | None = None  # (G, c, c)
     most: Array | None = None  # (G,) of the noise that costs no density; n where None
+    least: Array | None = (
+        None  # (G,) size below which a residual means nothing; zero where None
+    )
 
 
 @dataclass(frozen=True)
@@ -88,20 +91,23 @@ def products(residuals: WhitenedResiduals, z: Array, X: Array) -> InnerProducts:
             noise_xz[k] += share * (columns.T @ e)
             noise_xx[k, p:] += share * (x.T @ columns)
         noise_xx[k, :p, p:] = noise_xx[k, p:, :p].T
-    return InnerProducts(n, zz, xz, xx, noise, noise_xz, noise_xx, most_noise(groups))
+    return InnerProducts(n, zz, xz, xx, noise, noise_xz, noise_xx, *limits_of(groups))
 
 
-def most_noise(groups: Sequence[VarianceGroup]) -> Array:
-    """Return (G,) squares of noise that a model may foretell at no price.
+def limits_of(groups: Sequence[VarianceGroup]) -> tuple[Array, Array]:
+    """Return (G,) squares of noise that a model may foretell at no price, and least sizes.
 
     A base moves because of the wrench on it: what the data have is the density of its pose, and
     there a heavier base divides as much as it multiplies. Elsewhere torque and wrench are given
     as noisily as the motion, and more noise than the description has costs log |V|.
+    Without noise a residual is measured by what rounding leaves of it, and no model is likelier
+    because it leaves still less.
 
     Args:
         groups: G.
     """
-    return np.array([g.n if g.priced else np.inf for g in groups])
+    most = [g.n if g.priced else np.inf for g in groups]
+    return np.array(most), np.array([g.floor for g in groups])
 
 
 def solve(
@@ -145,7 +151,7 @@ def solve(
     penalty = float(prior @ x**2)
     return Solution(
         x,
-        deviance(p.n, likely_sizes(p.n, remaining, expected, p.most)) + penalty,
+        deviance(p.n, likely_sizes(p.n, remaining, expected, p.most, p.least)) + penalty,
         deviance(p.n, size) + penalty,
         size,
         np.asarray(np.linalg.inv(A), float),
@@ -190,7 +196,13 @@ def sizes(n: Array, squares: Array, noise: Array) -> Array:
     return np.maximum(np.where(excess > 0, 1 + excess / n, squares / noise), 1e-12)
 
 
-def likely_sizes(n: Array, squares: Array, noise: Array, most: Array | None) -> Array:
+def likely_sizes(
+    n: Array,
+    squares: Array,
+    noise: Array,
+    most: Array | None = None,
+    least: Array | None = None,
+) -> Array:
     """Return (G,) the same for a likelihood, where noise passed on enlarged has its price.
 
     It widens what the model foretells, at the price of its density (log |V|), and of as much as
@@ -198,9 +210,10 @@ def likely_sizes(n: Array, squares: Array, noise: Array, most: Array | None) -> 
 
     Args:
         n, squares, noise: as for `sizes`.
-        most: (G,) noise at no price, see `most_noise`; n where None.
+        most, least: (G,) see `limits_of`; n and zero where None.
     """
-    return sizes(n, squares, np.minimum(noise, n if most is None else most))
+    size = sizes(n, squares, np.minimum(noise, n if most is None else most))
+    return np.maximum(size, 0.0 if least is None else least)
 
 
 def deviance(n: Array, size: Array) -> float:

@@ -49,6 +49,7 @@ class VarianceGroup:
     part: slice  # of the long vector
     runs: tuple[slice, ...]  # of the long vector, run by run
     copies: tuple[slice, ...] = ()  # of it: the same numbers of noise alone, draw by draw
+    floor: float = 0.0  # mean square below which they mean nothing, in that of the noise
     priced: bool = True  # noise passed on enlarged costs density; else it is that of an answer
 
     @property
@@ -116,6 +117,7 @@ class WhitenedResiduals:
                     for name in names
                 }
             )
+        self.groups = self._with_floors()
         self.null = np.zeros(self.length)
         for port in self.ports:
             nominal = [r[port.name] for r in raw]
@@ -136,6 +138,20 @@ class WhitenedResiduals:
         parts = [self.slopes[g.part] for g in self.groups]
         self.gram = np.stack([J.T @ J for J in parts])  # (G, p, p)
         self.noise_gram = np.stack([self.noise_product(g, self.slopes) for g in self.groups])
+
+    def _with_floors(self) -> list[VarianceGroup]:
+        """Return the groups with the share that each machine's floor has in its noise."""
+        sums: dict[int, float] = {}  # by where their numbers begin
+        for run, rows, whiten in zip(self.runs, self._rows, self._whiten, strict=True):
+            for port, parts in rows.items():
+                floor = self.machine.floor(run, port) ** 2
+                share = np.einsum("kij,j->ki", np.abs(whiten[port]) ** 2, floor)
+                for take, part, channel in parts:
+                    sums[part.start] = 2 * float(share[take, channel].sum())
+        return [
+            replace(g, floor=sum(sums[part.start] for part in g.runs) / max(g.n, 1))
+            for g in self.groups
+        ]
 
     def _slopes_of(self, nuisances: Sequence[Nuisance]) -> Array:
         """Return (N, p) whitened residuals per usual size of nuisances."""

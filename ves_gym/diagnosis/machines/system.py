@@ -301,7 +301,7 @@ class SystemMachine:
 
     def _joint(self, run: Run, model: SystemVariant) -> Array:
         """Motor torque less what the motion takes (..., T, n)."""
-        q, v, _ = run.joints
+        q, v = run.joints.x, run.turning_rate
         effects, most = model.system.effects, self.system.arm.column("tau_max")
         remembered = remembered_friction(run, effects)
 

@@ -1,0 +1,72 @@
+"""A law has the same numbers in every run and throughout it; else its name is withdrawn."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ves_gym.effects as E
+from tests.diagnosis.inference.test_held_back import DESCRIBED, RUBBING, recorded
+from ves_gym.diagnosis.diagnose import NAMED, UNKNOWN, diagnose
+from ves_gym.diagnosis.inference.fit import fit
+from ves_gym.diagnosis.inference.reliability import gain
+from ves_gym.diagnosis.inference.steadiness import in_run, in_third, unsteadiness
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.diagnosis.inputs import system_inputs
+
+LESS = DESCRIBED.replace(effects=(E.JointCoulomb(torque=(6.0, 0.0, 0.0)),))
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return {"as before": recorded(RUBBING, 2), "less": recorded(LESS, 2)}
+
+
+@pytest.fixture(scope="module")
+def first():
+    return recorded(RUBBING, 1)
+
+
+@pytest.fixture(scope="module")
+def named(first, logs):
+    """Residuals of two runs with the same friction, and its fit."""
+    inputs = system_inputs([first, logs["as before"]], DESCRIBED, final=0)
+    residuals = WhitenedResiduals(inputs.machine, inputs.runs)
+    coulomb = next(c for c in inputs.candidates if c.name == "joint/coulomb at joint 1")
+    return residuals, fit(residuals, [coulomb], [np.array([10.0])])
+
+
+def test_a_law_that_holds_is_steady(named):
+    residuals, f = named
+    more, count = unsteadiness(f, 0, residuals)
+    assert count == 3  # a run and two thirds
+    assert more < 0.01 * gain(residuals, f, 0)
+
+
+@pytest.mark.parametrize("part", [in_run, in_third])
+def test_one_that_is_there_in_a_part_alone_is_not(named, part):
+    residuals, f = named
+    slope = f.tangents[:, len(f.forms) :]
+    share = 0.3 * f.values[0] * part(residuals, slope, 0)[:, 0]
+    more, _ = unsteadiness(replace(f, residual=f.residual + share), 0, residuals)
+    assert more > 0.1 * gain(residuals, f, 0)
+
+
+def test_parts_together_are_the_whole(named):
+    residuals, f = named
+    x, measured = f.tangents, residuals.measured
+    runs = sum(in_run(residuals, x, k) for k in range(2))
+    thirds = sum(in_third(residuals, x, k) for k in range(3))
+    assert np.array_equal(runs[measured], x[measured])
+    np.testing.assert_allclose(thirds[measured], x[measured], atol=1e-9 * np.abs(x).max())
+
+
+@pytest.mark.parametrize(("second", "verdict"), [("as before", NAMED), ("less", UNKNOWN)])
+def test_a_name_with_other_numbers_in_another_run_is_withdrawn(first, logs, second, verdict):
+    """Claim: friction of 12 N m in one run and 6 N m in the next is no Coulomb friction."""
+    inputs = system_inputs([first, logs[second]], DESCRIBED, final=0)
+    library = [c for c in inputs.candidates if c.kind in ("joint/coulomb", "joint/viscous")]
+    found = diagnose(inputs.machine, inputs.runs, (), candidates=library)
+    assert found.verdict == verdict, found.sentence
+    withdrawn = any("with other numbers in each run" in s for s in found.selection.steps)
+    assert withdrawn == (verdict == UNKNOWN)
