@@ -200,7 +200,7 @@ def test_an_error_below_the_swing_between_samples_is_named():
 
 @pytest.mark.parametrize("seed", [409, pytest.param(412, marks=pytest.mark.slow)])
 def test_friction_of_a_joint_that_turns_round_quickly_is_that_described(seed):
-    """A rate of the band alone turns too slowly: joint 1 had up to 15 times what means nothing."""
+    """By a rate of the band alone joint 1 had up to 15 times what means nothing."""
     system, *logs = case(seed)
     inputs = system_inputs(logs, system, final=0)
     residuals = WhitenedResiduals(inputs.machine, inputs.runs)

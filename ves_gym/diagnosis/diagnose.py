@@ -49,8 +49,8 @@ from ves_gym.diagnosis.inference.reliability import (
     COMPUTED,
     DOUBT,
     gain,
-    largest_error,
     reliability,
+    strain,
     without,
 )
 from ves_gym.diagnosis.inference.signatures import Signatures
@@ -103,7 +103,7 @@ class Explanation:
     values: Array  # (k,)
     std: Array  # (k,)
     gain: float  # deviance that it explains beside the others
-    error: float  # the description's largest beside all names, in stated standard deviations
+    strain: float  # of the description beside all names, see `reliability.strain`
     reliability: float  # share of names with such evidence that are right
     probability: float
     rivals: tuple[Rival, ...]  # those that do about as well, itself first
@@ -447,10 +447,10 @@ def _explanation(
     p = sum(r.probability for r in rivals if r.candidate.kind == first.candidate.kind)
     std = limits.spread * selection.fit.std[i]
     gained = gain(residuals, selection.fit, i)
-    error = largest_error(selection.fit.nuisances)
-    right = COMPUTED if is_computed(first.candidate) else reliability(gained, error)
+    strained = strain(residuals, selection.fit)
+    right = COMPUTED if is_computed(first.candidate) else reliability(gained, strained)
     values = selection.fit.values[i]
-    return Explanation(first.candidate, values, std, gained, error, right, p, near)
+    return Explanation(first.candidate, values, std, gained, strained, right, p, near)
 
 
 def _verdict(
@@ -648,6 +648,7 @@ def _explanation_to_plain(f: Explanation) -> dict[str, Any]:
         "interval": dict(zip(c.names, _intervals_90(f), strict=True)),  # 90 %
         "unit": dict(zip(c.names, c.units, strict=True)),
         "gain": f.gain,
+        "strain": f.strain,
         "reliability": f.reliability,
         "probability": f.probability,
         "class": [r.candidate.name for r in f.rivals],

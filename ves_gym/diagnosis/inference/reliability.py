@@ -3,10 +3,10 @@
 Probabilities among members of a library hold if one of them is the truth, and the
 description's errors are as large as it says. Neither is sure: a law that the library does not
 have takes the nearest name, and an error larger than stated takes that of an effect. Such names
-gain less than true ones, and leave the description's errors stretched. So right and wrong
-names were counted where the truth is known, on machines of a second generator, each also with
-the true kinds left out of the library, and a logistic curve through them is the reliability
-(docs/diagnosis.md, "How often a name is right"; `python -m benchmarks.reliability`).
+gain less than true ones, and leave the description's errors strained. So right and wrong names
+were counted where the truth is known, on machines of a second generator, and a logistic curve
+through them is the reliability (docs/diagnosis.md, "How often a name is right";
+`python -m benchmarks.reliability`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.fit import Fit
 from ves_gym.diagnosis.inference.model_selection import (
     Selection,
@@ -27,8 +26,8 @@ from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 NEEDED = 35.0  # deviance at which names begin to be given
 COMPUTED = 5 / 6  # of names of what a computer evaluates: four of four (rule of succession)
 DOUBT = 0.5  # reliability below which a name is withheld
-USUAL = 2.0  # standard deviations of the largest error of a description that is right
-EVEN, GAIN, STRETCH = -2.94, 1.69, -1.65  # log odds: all; per e-fold of gain; per deviation
+USUAL = 20.0  # strain of a description that is right
+EVEN, GAIN, STRAIN = -2.75, 1.96, -2.00  # log odds: there; per e-fold of either
 
 
 def gain(residuals: WhitenedResiduals, f: Fit, i: int) -> float:
@@ -42,23 +41,26 @@ def gain(residuals: WhitenedResiduals, f: Fit, i: int) -> float:
     return reduced_fit(residuals, f, [i]).deviance - f.deviance
 
 
-def largest_error(nuisances: Array) -> float:
-    """Return the largest error of a description, in stated standard deviations.
+def strain(residuals: WhitenedResiduals, f: Fit) -> float:
+    """Return the sum of squares of the description's errors, in stated standard deviations.
 
     Args:
-        nuisances: (p,) of a fit.
+        residuals: that were fitted.
+        f: fit of all names.
     """
-    return float(np.abs(nuisances).max(initial=0.0))
+    errors = f.nuisances[: residuals.shared]
+    return float(errors @ errors)
 
 
-def reliability(gained: float, error: float) -> float:
+def reliability(gained: float, strained: float) -> float:
     """Return the share of names that are right, of those with such evidence.
 
     Args:
         gained: deviance that the name explains beside the others.
-        error: the description's largest error, in stated standard deviations.
+        strained: `strain` of the description beside all names.
     """
-    odds = EVEN + GAIN * np.log(max(gained, 1.0) / NEEDED) + STRETCH * (error - USUAL)
+    odds = EVEN + GAIN * np.log(max(gained, 1.0) / NEEDED)
+    odds += STRAIN * np.log(max(strained, 1.0) / USUAL)
     return float(1 / (1 + np.exp(-odds)))
 
 
