@@ -26,7 +26,9 @@ def machine_of(loudness):
     """
     rng = np.random.default_rng(0)
     parts = slice(0, COUNT), slice(COUNT, 2 * COUNT)
-    groups = [types.SimpleNamespace(part=p, n=COUNT, copies=(), priced=True) for p in parts]
+    groups = [
+        types.SimpleNamespace(part=p, n=COUNT, copies=(), priced=True, floor=0.0) for p in parts
+    ]
     slopes, columns = np.zeros((2 * COUNT, 2)), {k: np.zeros(2 * COUNT) for k in "abc"}
     loud = loudness * rng.standard_normal(COUNT)
     slopes[parts[0], 0], slopes[parts[1], 1] = loud, rng.standard_normal(COUNT)
