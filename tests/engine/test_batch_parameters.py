@@ -4,6 +4,7 @@ Compared with the same simulation in a batch of that system alone: bit for bit o
 to rounding on MuJoCo, whose model of M, D, K is laid out another way once arms differ.
 """
 
+import copy
 import dataclasses
 import itertools
 import pickle
@@ -82,6 +83,7 @@ def draw_effect(kind: str, system: System, rng: np.random.Generator, reach: floa
     """An effect of a kind with values that go from the null value to `reach` of the bounds."""
     cls = EFFECTS[kind]
     if kind in BY_SHARE:
+        rng = copy.deepcopy(rng) if kind == "base/unknown" else rng  # others draw as without it
         share = rng.uniform(0.1 * reach, reach)
         return cls(**{k: (share * np.array(v)).tolist() for k, v in VALUES[kind].items()})
     for length in (system.arm.n, 3 + 2 * system.arm.n):

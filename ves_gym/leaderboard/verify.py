@@ -25,6 +25,7 @@ from ves_gym.leaderboard.archive import MANIFEST, SIGNATURE, read_members
 from ves_gym.leaderboard.bundle import digest, read_manifest
 from ves_gym.leaderboard.entry import LEVELS, Entry, check_entry, with_named_measures
 from ves_gym.leaderboard.errors import BundleError, Code
+from ves_gym.leaderboard.fingerprint import processor_free
 from ves_gym.leaderboard.policy_files import policies_of, policy_names
 from ves_gym.leaderboard.probes import require_behaviour
 from ves_gym.leaderboard.protocol import (
@@ -227,17 +228,22 @@ def _require_members(
 
 def _require_spec(manifest: Plain, ours: Plain) -> None:
     there = manifest["spec"]
-    if there["environment"] != ours["environment"]:
+    if _any_processors(there["environment"]) != _any_processors(ours["environment"]):
         raise BundleError(
             Code.OLD_ENVIRONMENT,
             f"{_env(there['environment'])} then, {_env(ours['environment'])} now",
         )
     # `model` is not compared: MJCF's text is of MuJoCo's version and, in numbers that are zero
     # but for rounding, of the processor; what it says is in `system`, and is simulated again
-    if there["system"] != ours["system"]:
+    if processor_free(there["system"]) != processor_free(ours["system"]):
         raise BundleError(
             Code.SYSTEM_MISMATCH, f"{there['system'][:12]} then, {ours['system'][:12]} now"
         )
+
+
+def _any_processors(plain: Plain | None) -> Plain | None:
+    """Return an environment's record with the hash that all processors share."""
+    return None if plain is None else {**plain, "spec": processor_free(plain["spec"])}
 
 
 def _env(plain: Plain | None) -> str:

@@ -31,7 +31,7 @@ from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
 from ves_gym.system.system import System
 
 MOST = 1e-9
-QUICK = (14, 16, 17, 30, 52)  # plain satellite, admittance, legs, short and late ones, position
+QUICK = (5, 16, 17, 30, 52)  # plain satellite, admittance, legs, short and late ones, position
 
 
 def compare(index, monkeypatch):
