@@ -52,6 +52,7 @@ SCHEMA = "ves-dataset/1"
 RECIPES = Path(__file__).parent / "datasets"
 TOLERANCE = 1e-5  # of a fingerprint's sums, over the root mean square of the numbers
 _SUMS = 16  # random sums of a fingerprint
+_DIGITS = 10  # of numbers in an identity
 _AT_ONCE = 32  # episodes
 _ID = re.compile(r"[-\w]+(/[-\w]+)*-v\d+")  # as Minari takes it
 
@@ -408,8 +409,29 @@ def _plain_network(policy: Policy) -> dict[str, Any]:
     return plain
 
 
+def _rounded(value: Any) -> Any:
+    """Plain data with numbers to `_DIGITS` of the largest in their array.
+
+    The last ones of a stiffness that LAPACK computes are those of the processor.
+    """
+    if isinstance(value, dict):
+        return {k: _rounded(x) for k, x in value.items()}
+    if not isinstance(value, float | list | tuple):
+        return value
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError):  # of tables, of words
+        return [_rounded(x) for x in value] if isinstance(value, list | tuple) else value
+    largest = float(np.abs(array).max(initial=0.0))
+    if not 0 < largest < np.inf:
+        return value
+    return (np.round(array, _DIGITS - math.ceil(math.log10(largest))) + 0.0).tolist()
+
+
 def identity_of(recipe: Recipe) -> str:
     """Return the SHA-256 of all that decides the content: recipe, task, weights of policies.
+
+    It is the same on every processor.
 
     Args:
         recipe: of a data set; nothing is simulated.
@@ -429,7 +451,7 @@ def identity_of(recipe: Recipe) -> str:
         {
             "schema": SCHEMA,
             "recipe": to_plain(recipe),
-            "task": build_task(**given).to_dict(),
+            "task": _rounded(build_task(**given).to_dict()),
             "goal": goal,
             "weights": weights,
         }
