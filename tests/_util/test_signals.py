@@ -9,9 +9,11 @@ from ves_gym._util.signals import (
     SensorNoiseModel,
     SpectralWindow,
     differentiated,
+    differentiated_with_rates,
     estimate_noise,
     margin,
     on_uniform_clock,
+    rate_crossover,
 )
 
 DT, TOP = 5e-3, 12.0
@@ -85,3 +87,53 @@ def test_stamps_that_are_true_are_used_and_others_are_not():
     assert np.abs(true - signal(even))[5:-5].max() < 1e-3
     late = on_uniform_clock(shaken, signal(T))[1]
     assert np.array_equal(late, signal(T))
+
+
+def turning(n=800, dt=0.01, seed=0):
+    """Angles and rates of a motion below 2 Hz with their noise, and the true derivatives."""
+    t = dt * np.arange(n)
+    w, phase = 2 * np.pi * np.array([0.3, 0.9, 1.7]), np.array([0.2, 1.0, 2.5])
+    angle = w * t[:, None] + phase
+    x, v, a = np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)
+    rng = np.random.default_rng(seed)
+    noise = [SensorNoiseModel(np.full(3, s), np.zeros(3)) for s in (2e-4, 2e-3)]
+    noisy = [k + model.draw(rng, 1, n)[0] for k, model in zip((x, v), noise, strict=True)]
+    return (x, v, a), noisy, noise, SpectralWindow(n, dt, 12.0, margin(dt, 12.0))
+
+
+def test_measured_rates_take_noise_off_derivatives():
+    truth, (x, v), noise, window = turning()
+    crossover = rate_crossover(x, v, *noise, window)
+    np.testing.assert_allclose(crossover, 10.0)  # rad/s: 2e-3 over 2e-4
+    plain = differentiated(x, window.dt, window.top)
+    both = differentiated_with_rates(x, v, window.dt, window.top, crossover)
+    inner = slice(window.skip, -window.skip)
+    off = [
+        [np.std((found - true)[inner]) for found, true in zip(way, truth, strict=True)]
+        for way in (plain, both)
+    ]
+    assert off[1][0] < 0.7 * off[0][0]
+    assert off[1][1] < 0.25 * off[0][1]
+    assert off[1][2] < 0.15 * off[0][2]
+
+
+def test_rates_without_noise_change_nothing():
+    truth, _, _, window = turning()
+    x, v, _ = truth
+    ahead = 0.004
+    plain = differentiated(x, window.dt, window.top, ahead)
+    both = differentiated_with_rates(x, v, window.dt, window.top, np.full(3, 10.0), ahead)
+    inner = slice(2 * window.skip, -2 * window.skip)
+    for a, b in zip(plain, both, strict=True):
+        np.testing.assert_allclose(a[inner], b[inner], atol=1e-3 * np.abs(a).max())
+    unused = differentiated_with_rates(x, v, window.dt, window.top, np.full(3, np.inf))
+    for a, b in zip(differentiated(x, window.dt, window.top), unused, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("wrong", ["late", "larger"])
+def test_rates_that_disagree_are_not_used(wrong):
+    truth, (x, v), noise, window = turning()
+    changed = v + 5e-3 * truth[2] if wrong == "late" else 1.005 * v
+    v = np.column_stack([v[:, 0], changed[:, 1], v[:, 2]])
+    assert np.isfinite(rate_crossover(x, v, *noise, window)).tolist() == [True, False, True]

@@ -16,6 +16,7 @@ _POWER = 6  # of the cosine that is the filter's window: its spectrum falls off 
 _LOBE = 7.5  # width of its transition times its length
 _DIFFERENCES = 3  # that leave noise and take away motion
 _QUIET = 0.12  # of the sampling rate: above it nothing moves
+_AGREE = 1.5  # of the power that noise has: rates that disagree by more are not used
 _TAPER = 0.1  # share of a run that the window brings to zero
 
 
@@ -60,6 +61,82 @@ def differentiated(
     """
     out = _correlated(x, _kernels(dt, band, ahead))
     return out[0], out[1], out[2]
+
+
+def differentiated_with_rates(
+    x: Array, rates: Array, dt: float, band: float, crossover: Array, ahead: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """Return x, x' and x'' of a sampled signal whose rate is measured, too.
+
+    With noise densities S_x and S_v the best linear estimate of x by frequency takes the
+    integrated rate with the share w^2 / (w^2 + a^2), a^2 = S_v / S_x (Wiener): what rates and
+    differences disagree by, e, is noise alone, and comes in as
+    x - i w / (w^2 + a^2) e, with its derivatives. Otherwise as `differentiated`.
+
+    Args:
+        x: (..., T, c) samples.
+        rates: (..., T, c) samples of x'.
+        dt: step [s].
+        band: Hz.
+        crossover: (c,) a [rad/s], from where rates tell more; infinite: they are not used.
+        ahead: the results are of this much later [s].
+    """
+    plain = differentiated(x, dt, band, ahead)
+    rate, change, _ = differentiated(rates, dt, band, ahead)
+    length = x.shape[-2]
+    w = 2 * np.pi * np.fft.rfftfreq(2 * length, dt)[:, None]
+    low = 1 / (1 + (w / crossover) ** 2)
+    e = np.fft.rfft(rate - plain[1], 2 * length, axis=-2) * low  # zeros behind: no wrap
+
+    def part(factor: Array) -> Array:
+        back = np.fft.irfft(factor * e, 2 * length, axis=-2)
+        return np.asarray(back[..., :length, :], float)
+
+    both = (
+        plain[0] - part(1j * w / crossover**2),
+        rate - part(np.ones_like(w)),
+        change - part(1j * w),
+    )
+    used = np.isfinite(crossover)
+    out = [np.where(used, a, b) for a, b in zip(both, plain, strict=True)]
+    return out[0], out[1], out[2]
+
+
+def rate_crossover(
+    x: Array,
+    rates: Array,
+    of_x: SensorNoiseModel,
+    of_rates: SensorNoiseModel,
+    window: SpectralWindow,
+) -> Array:
+    """Return (c,) from where measured rates tell more of a signal than its differences [rad/s].
+
+    Infinite where the two disagree by more than their noise: the rates are late, smoothed or
+    of another scale.
+
+    Args:
+        x, rates: (T, c) samples.
+        of_x, of_rates: their noise.
+        window: of the run.
+    """
+    f = window.frequencies[1:]
+    e = differentiated(rates, window.dt, window.top)[0]
+    e = e - differentiated(x, window.dt, window.top)[1]
+    w = 2 * np.pi * f[:, None]
+    expected = noise_power(of_rates, f, window.dt) + w**2 * noise_power(of_x, f, window.dt)
+    off = (np.abs(window.spectrum(e)[1:]) ** 2 / np.maximum(expected, 1e-300)).mean(axis=0)
+    still = np.zeros(1)
+    ratio = noise_power(of_rates, still, window.dt) / np.maximum(
+        noise_power(of_x, still, window.dt), 1e-300
+    )
+    return np.where(off < _AGREE, np.sqrt(np.maximum(ratio[0], 1e-12)), np.inf)
+
+
+def noise_power(noise: SensorNoiseModel, f: Array, dt: float) -> Array:
+    """Power (K, c) of noise at frequencies f (K,), white noise of variance s^2 having s^2."""
+    a = noise.correlation
+    shape = (1 - a**2) / (1 - 2 * a * np.cos(2 * np.pi * f[:, None] * dt) + a**2)
+    return np.asarray(noise.std**2 * shape)
 
 
 def _correlated(x: Array, kernels: Sequence[Array]) -> list[Array]:

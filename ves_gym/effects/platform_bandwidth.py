@@ -16,7 +16,7 @@ class PlatformBandwidth(LaboratoryEffect):
     """The platform's bandwidth differs from the stated one by the fraction `error`."""
 
     port = "platform"
-    error: float = parameter("1", bounds=(-0.9, 10.0), start=0.2)
+    error: float = parameter("1", bounds=(-0.9, 10.0), start=(0.2, -0.4, 1.5))
 
     def check(self, system: System) -> None:
         """Legs have gains of their own instead."""

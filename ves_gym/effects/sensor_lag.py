@@ -14,7 +14,7 @@ class SensorLag(LaboratoryEffect):
     """The sensor filter's cut-off differs from the stated one by the fraction `error`."""
 
     port = "wrench"
-    error: float = parameter("1", bounds=(-0.9, 10.0), start=-0.3)
+    error: float = parameter("1", bounds=(-0.9, 10.0), start=(-0.3, 1.0))
 
     def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""

@@ -15,9 +15,11 @@ from ves_gym._util.signals import (
     SensorNoiseModel,
     SpectralWindow,
     differentiated,
+    differentiated_with_rates,
     estimate_noise,
     margin,
     on_uniform_clock,
+    rate_crossover,
     repeats,
 )
 from ves_gym.system.runlog import RunLog
@@ -69,6 +71,7 @@ class Run:
     meta: Mapping[str, Any]
     band: float = BAND  # Hz
     repeats: Mapping[str, float] = field(default_factory=dict)  # share of samples that stay
+    crossover: Array | None = None  # (n,) rad/s from where rates tell more than angles
     memory: dict[Any, Any] = field(default_factory=dict)  # what machines derive from it
 
     @property
@@ -92,7 +95,20 @@ class Run:
     @cached_property
     def joints(self) -> Kinematics:
         """Measured joint angles with their rates and accelerations."""
-        return Kinematics(*differentiated(self["q"], self.dt, self.band))
+        return self.joints_ahead(0.0)
+
+    def joints_ahead(self, ahead: float) -> Kinematics:
+        """Joint angles with their rates and accelerations, from angles and rates as measured.
+
+        Args:
+            ahead: they are of this much later [s].
+        """
+        if self.crossover is None:
+            return Kinematics(*differentiated(self["q"], self.dt, self.band, ahead))
+        q, v = self["q"], self["v"]
+        return Kinematics(
+            *differentiated_with_rates(q, v, self.dt, self.band, self.crossover, ahead)
+        )
 
     @cached_property
     def turning_rate(self) -> Array:
@@ -180,7 +196,21 @@ def run_of(log: RunLog, name: str, band: float = BAND) -> Run:
     signals = {k: getattr(log, k) for k in names if getattr(log, k) is not None}
     if log.w is not None and log.wg is not None:  # both contain the same noise
         signals["weight"] = log.w - log.wg
-    return run_of_signals(log.t, signals, name, band, log.meta)
+    run = run_of_signals(log.t, signals, name, band, log.meta)
+    return replace(run, crossover=_crossover(run))
+
+
+def _crossover(run: Run) -> Array | None:
+    """Return from where measured rates are used; None where angles alone are as good.
+
+    Angles with next to no noise need no help, and rates that a drive has smoothed give none.
+    """
+    if "v" not in run or "q" not in run or not run.noise["v"].std.all():
+        return None
+    if run.noise["q"].std.min() * np.sqrt(2) / run.dt < _STILL:
+        return None
+    found = rate_crossover(run["q"], run["v"], run.noise["q"], run.noise["v"], run.window)
+    return found if np.isfinite(found).any() else None
 
 
 def run_of_signals(

@@ -33,7 +33,12 @@ from ves_gym.diagnosis.machines.presliding import Presliding, remembered_frictio
 from ves_gym.diagnosis.machines.ringing import loop_rings
 from ves_gym.diagnosis.machines.servo import servo_gap
 from ves_gym.diagnosis.machines.tolerances import StatedErrors, with_known
-from ves_gym.diagnosis.machines.torque_balance import torque_residual
+from ves_gym.diagnosis.machines.torque_balance import (
+    in_torque_logged,
+    through_gears,
+    torque_residual,
+    windings,
+)
 from ves_gym.diagnosis.machines.vehicle_force import InnerStart, inner_sizes, vehicle_gap
 from ves_gym.effects import JointMemory
 from ves_gym.mechanics.arm import Arm
@@ -317,7 +322,8 @@ class SystemMachine:
         if self.system.mode == "ideal" and "w" in run:
             noise, arm = self._pose_noise(run), model.system.actual.arm
             needed = needed + noise.in_torque(arm, run["w"] - wrench)
-        return torque_residual(run["tau"], needed, every, laws)
+        balance = torque_residual(run["tau"], needed, every, laws)
+        return in_torque_logged(balance, windings(model.system.actual.arm, run))
 
     def _wrench(self, run: Run, system: System) -> Array:
         """Sensor reading less the arm's wrench (..., T, 6)."""
@@ -351,7 +357,7 @@ class SystemMachine:
             return loads[arm, old]  # type: ignore[no-any-return]
         q, v, a = run.joints
         if old:
-            q, v, a = differentiated(run["q"], run.dt, run.band, ahead=old)
+            q, v, a = run.joints_ahead(old)
         rotors = arm.column("rotor_inertia")
         weighty = system.mode == "emulated"
         balanced = weighty and system.emulator_settings.joint_balance
@@ -365,11 +371,24 @@ class SystemMachine:
             torque = tau  # what rigid links would take, where no torque is logged
             if "tau" in run:
                 torque = run["tau"]
-            bent = _deflections(arm, torque - rotors * a, run)
-            gear_motion = differentiated(bent, run.dt, run.band)
-            links = Kinematics(*(x - d for x, d in zip(links, gear_motion, strict=True)))
-            tau, wrench = _dynamics(arm, links, run.base.x, base, weighty)
-            tau = tau - carried + rotors * (a - links.a)  # rotors move with the motors
+            winding = torque - rotors * a
+
+            def lagging(winding: Array) -> tuple[Array, Array]:
+                bent = _deflections(arm, winding, run)
+                late = differentiated(bent, run.dt, run.band)
+                behind = Kinematics(*(x - d for x, d in zip(links, late, strict=True)))
+                tau, wrench = _dynamics(arm, behind, run.base.x, base, weighty)
+                # rotors move with the motors
+                return tau - carried + rotors * (a - behind.a), wrench
+
+            tau, wrench = lagging(winding)
+            gears = windings(arm, run) if "tau" in run else []
+            if gears:  # others feel what the link feels, not what else the torque logged has
+                through = through_gears(winding, torque - tau, gears, run)
+                others, wrench = lagging(through)
+                own = [g.joint for g in gears]
+                others[..., own] = tau[..., own]
+                tau = others
         loads[arm, old] = tau, wrench
         if len(loads) > _LOADS:
             del loads[list(loads)[1]]  # the first is the description's own

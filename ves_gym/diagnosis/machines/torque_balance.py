@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym._util.signals import noise_power
+from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import inertia
 from ves_gym.system.effect import Effect, TorqueEffect, joint_torque
 
 _PUSH = 1e-6  # relative, of a difference
 _TRIED = 4  # random states in which a law is asked about the torque
 _NO_LIMIT = 1e9  # N m
+_LEAST = 0.3  # of an error in the torque that a balance shows, where a gear and its link ring
+_POSES = 20  # of a run, for its mean inertia
 
 
 @lru_cache(maxsize=1024)
@@ -47,3 +54,96 @@ def torque_residual(
         return balance
     push = _PUSH * np.maximum(np.abs(tau), 1.0)
     return np.asarray(balance / (1 + (laws(tau + push) - added) / push))
+
+
+@dataclass(frozen=True)
+class Winding:
+    """A gear that its torque winds up while its link lags: what of it a motion shows."""
+
+    joint: int
+    rotor: float  # kg m^2
+    shown: Array  # (K,) complex, 1 - H: of an error in the torque, what a balance shows
+    moved: Array  # (K,) power of the noise that the motion has in a balance [(N m)^2]
+
+
+def windings(arm: Arm, run: Run) -> list[Winding]:
+    """Return the gears without play of an arm on a run, at the frequencies of twice its length.
+
+    The torque logged winds a gear of stiffness k and damping d up, and the link that lags takes
+    less by its inertia M: of an error e in it the balance of torques shows (1 - H) e, with
+    H = M w^2 / (k + i w d) (mean inertia of the run, other joints and the base held).
+    """
+    geared = [
+        (j, link.gear, link.rotor_inertia)
+        for j, link in enumerate(arm.links)
+        if link.gear is not None and not link.gear.gap
+    ]
+    if not geared:
+        return []
+    angles = run["q"].reshape(-1, *run["q"].shape[-2:])[0, :: max(run.length // _POSES, 1)]
+    inertias = inertia(arm, angles).mean(axis=0)
+    f = np.fft.rfftfreq(2 * run.length, run.dt)
+    w = 2 * np.pi * f
+    of_angles = noise_power(run.noise["q"], f, run.dt)
+    if run.crossover is not None:
+        of_angles = of_angles / (1 + (w[:, None] / run.crossover) ** 2)
+    of_pose = noise_power(run.noise["y"], f, run.dt) if "y" in run.noise else np.zeros((1, 6))
+    out = []
+    for j, gear, rotor in geared:
+        moved = inertias[6 + j, 6 + j] - rotor
+        shown = 1 - moved * w**2 / (gear.stiffness + 1j * w * gear.damping)
+        power = w**4 * (moved**2 * of_angles[:, j] + of_pose @ inertias[:6, 6 + j] ** 2)
+        out.append(Winding(j, rotor, shown, power))
+    return out
+
+
+def _filtered(x: Array, transfer: Array) -> Array:
+    """Return a signal (..., T) through a filter (K,), zeros behind it."""
+    length = x.shape[-1]
+    spectrum = np.fft.rfft(x, 2 * length, axis=-1) * transfer
+    return np.asarray(np.fft.irfft(spectrum, 2 * length, axis=-1)[..., :length])
+
+
+def in_torque_logged(balance: Array, gears: Sequence[Winding]) -> Array:
+    """Return a balance of torques at joints as an error of the torque logged (..., T, n).
+
+    Left as a balance, a soft gear would seem to explain whatever is left in the torque where
+    1 - H is small, and would be unlikely for passing its noise on where that is large. Where a
+    gear and its link ring the motion tells the torque badly: there no more than `_LEAST` is
+    divided by.
+
+    Args:
+        balance: (..., T, n) torque logged less the torque that should have been [N m].
+        gears: of the arm on the run.
+    """
+    out = balance.copy() if gears else balance
+    for g in gears:
+        out[..., g.joint] = _filtered(
+            balance[..., g.joint], 1 / np.maximum(np.abs(g.shown), _LEAST)
+        )
+    return out
+
+
+def through_gears(torque: Array, balance: Array, gears: Sequence[Winding], run: Run) -> Array:
+    """Return the torque that winds gears up, by torques logged and motion together (..., T, n).
+
+    What is left in a torque logged, its noise or a friction nobody described, is not what the
+    link feels. The balance shows it, with the noise of the motion: its best linear estimate by
+    frequency (Wiener) is taken off.
+
+    Args:
+        torque: (..., T, n) logged, less what rotors take [N m].
+        balance: (..., T, n) torque logged less the torque that should have been, links having
+            lagged as the torque logged has them.
+        gears: of the arm on the run.
+        run: for the noise of its torques.
+    """
+    out = torque.copy()
+    f = np.fft.rfftfreq(2 * run.length, run.dt)
+    of_torque = noise_power(run.noise["tau"], f, run.dt)
+    for g in gears:
+        own = of_torque[:, g.joint]
+        total = np.abs(g.shown) ** 2 * own + g.moved
+        share = np.conj(g.shown) * own / np.where(total > 0, total, 1.0)
+        out[..., g.joint] -= _filtered(balance[..., g.joint], share)
+    return out

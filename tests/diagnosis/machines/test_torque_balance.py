@@ -1,0 +1,78 @@
+"""Noise of a motor torque that winds a soft gear up, at the ports of an arm. References: the
+noise that was added, and the laws that were hidden.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import ves_gym.effects as E
+from ves_gym.diagnosis.data.measured_run import run_of
+from ves_gym.diagnosis.excitation import excitation_motions
+from ves_gym.diagnosis.inference.candidates import library
+from ves_gym.diagnosis.inference.fit import fit
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.diagnosis.machines.torque_balance import windings
+from ves_gym.mechanics.vehicle import BENT_THESIS
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.system import System
+
+NOISE = {
+    "q": np.full(3, 1e-4),
+    "v": np.full(3, 1e-3),
+    "tau": np.full(3, 0.4),
+    "y": np.array([2e-5] * 3 + [1e-5] * 3),
+    "w": np.full(6, 0.3),
+}
+RIGID = System(vehicle=BENT_THESIS)
+SOFT = E.JointElasticity(compliance=(0.0, 4e-4, 0.0), damping=(0.0, 20.0, 0.0))
+
+
+def logged(system, seed=3):
+    """A run of 10 s of a system, with noise in every signal."""
+    motions = excitation_motions(1, system.arm, duration=10.0, seed=seed)
+    recording = play_motions(
+        system, motions, settle=1.0, record_dt=system.control_dt, seed=seed
+    )
+    log, rng = recording.log(0), np.random.default_rng(seed)
+    parts = {
+        k: getattr(log, k) + rng.standard_normal(getattr(log, k).shape) * s
+        for k, s in NOISE.items()
+    }
+    stated = {"noise_std": {k: s.tolist() for k, s in NOISE.items()}}
+    return run_of(dataclasses.replace(log, meta={**log.meta, **stated}, **parts), "run")
+
+
+def of_arm():
+    """The library at joints and force sensor."""
+    return library(RIGID.arm.n, ["joint", "wrench"], RIGID.mode, system=RIGID)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return logged(RIGID.replace(effects=(SOFT,)))
+
+
+def test_a_soft_gear_leaves_the_torque_s_own_noise(run):
+    """Not that of a link which the noise would shake, ten times as much at 12 Hz."""
+    machine = SystemMachine(RIGID.replace(effects=(SOFT,)))
+    (gear,) = windings(machine.system.actual.arm, run)
+    f = np.fft.rfftfreq(2 * run.length, run.dt)
+    assert np.abs(gear.shown[np.searchsorted(f, 12.0)]) > 10
+    left = machine.residuals(run, [machine.nominal], ["joint"])["joint"][0]
+    power = np.square(np.abs(run.window.spectrum(left))).mean(axis=0)
+    assert (power < 1.6 * NOISE["tau"] ** 2).all()
+
+
+def test_a_soft_gear_is_told_from_that_of_the_next_joint_with_its_number(run):
+    machine = SystemMachine(RIGID)
+    residuals = WhitenedResiduals(machine, [run])
+    null = fit(residuals, (), ())
+    gears = [c for c in of_arm() if c.kind == "joint/elasticity"]
+    found = [fit(residuals, [c], [np.array(c.starts[0])]) for c in gears]
+    gains = [null.deviance - f.deviance for f in found]
+    assert gains[1] > 4500.0  # 3,600 where the balance was left as it is
+    assert gains[1] > 10 * max(gains[0], gains[2])
+    assert found[1].values[0][0] == pytest.approx(4e-4, rel=0.05)
