@@ -79,7 +79,7 @@ def test_a_friction_of_another_form_gets_one_name(hidden, hidden_one):
     assert found.explanations[0].values[0] == pytest.approx(hidden_one[2], rel=0.15)
 
 
-def test_a_gear_gains_nothing_by_damping_noise(hidden):
+def test_a_gear_that_is_not_there_damps_no_noise(hidden):
     machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
     runs = [run_of(log, f"run-{i}") for i, log in enumerate(hidden(seed=1)[:2])]
     residuals = WhitenedResiduals(machine, runs)
@@ -89,7 +89,7 @@ def test_a_gear_gains_nothing_by_damping_noise(hidden):
     group = residuals.groups[groups.index(highest)]
     moved = residuals.under([machine.model([soft])], ["joint", "wrench"])[0]
     plain = np.mean(residuals.null[group.part] ** 2)
-    assert np.mean(moved[group.part] ** 2) < 0.85 * plain  # the gear is not there, and yet
+    assert np.mean(moved[group.part] ** 2) > 0.95 * plain
     _, squares, noise = group_squares(residuals, moved)
     at = groups.index(highest)
     assert squares[at] / noise[at] > 0.95 * plain

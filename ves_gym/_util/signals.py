@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from ves_gym._util.params import Array
@@ -88,7 +90,7 @@ def differentiated_with_rates(
     low = 1 / (1 + (w / crossover) ** 2)
     e = np.fft.rfft(rate - plain[1], 2 * length, axis=-2) * low  # zeros behind: no wrap
 
-    def part(factor: Array) -> Array:
+    def part(factor: npt.NDArray[Any]) -> Array:
         back = np.fft.irfft(factor * e, 2 * length, axis=-2)
         return np.asarray(back[..., :length, :], float)
 

@@ -55,7 +55,8 @@ def test_the_library_is_that_with_which_the_sealed_sets_were_answered():
     """Reference: the library written by hand that these declarations replace.
 
     It let tilts go to 0.3 rad, which no effect can have: its bounds are 0.1 rad. Play has
-    begun at smaller gaps, and had a form, since the second sealed set of trial 2.
+    begun at smaller gaps, and had a form, since the second sealed set of trial 2; filters have
+    begun on both sides of the described since the fourth.
     """
     stored = json.loads((Path(__file__).parent / "library.json").read_text())
     found = emulated()

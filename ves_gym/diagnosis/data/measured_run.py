@@ -93,12 +93,17 @@ class Run:
         return name in self.signals
 
     @cached_property
+    def angles(self) -> Kinematics:
+        """Joint angles as a computer reads them, noise and all, and their derivatives."""
+        return Kinematics(*differentiated(self["q"], self.dt, self.band))
+
+    @cached_property
     def joints(self) -> Kinematics:
-        """Measured joint angles with their rates and accelerations."""
+        """Motion of the joints: angles, rates and accelerations."""
         return self.joints_ahead(0.0)
 
     def joints_ahead(self, ahead: float) -> Kinematics:
-        """Joint angles with their rates and accelerations, from angles and rates as measured.
+        """Motion of the joints, from angles and rates as measured.
 
         Args:
             ahead: they are of this much later [s].

@@ -38,7 +38,7 @@ def servo_gap(
     )
     delays = Delays.of(system)
     command = differentiated(run["q_cmd"], run.dt, run.band, ahead=-float(delays.command[0]))
-    q, v, _ = run.joints
+    q, v, _ = run.angles
     v = _lagged(v + swing, delays.lag[0], run.dt)
     demand = (command[0] - q) * kp + (command[1] - v) * kd
     if gains.get("feedforward", False):

@@ -422,7 +422,7 @@ class SystemMachine:
 
     def _gravity(self, run: Run, system: System) -> Array:
         """Estimate subtracted by the machine less the stated estimate, (..., T, 6)."""
-        spec, q, y = system.emulator_settings, run.joints.x, run.base.x
+        spec, q, y = system.emulator_settings, run.angles.x, run.base.x
         p = LoopParameters.nominal(system.arm, spec, 1).edited(system)
         late = float(p.gravity_delay[0])
         if late:

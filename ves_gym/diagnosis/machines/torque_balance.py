@@ -61,7 +61,6 @@ class Winding:
     """A gear that its torque winds up while its link lags: what of it a motion shows."""
 
     joint: int
-    rotor: float  # kg m^2
     shown: Array  # (K,) complex, 1 - H: of an error in the torque, what a balance shows
     moved: Array  # (K,) power of the noise that the motion has in a balance [(N m)^2]
 
@@ -82,7 +81,7 @@ def windings(arm: Arm, run: Run) -> list[Winding]:
         return []
     angles = run["q"].reshape(-1, *run["q"].shape[-2:])[0, :: max(run.length // _POSES, 1)]
     inertias = inertia(arm, angles).mean(axis=0)
-    f = np.fft.rfftfreq(2 * run.length, run.dt)
+    f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
     w = 2 * np.pi * f
     of_angles = noise_power(run.noise["q"], f, run.dt)
     if run.crossover is not None:
@@ -93,7 +92,7 @@ def windings(arm: Arm, run: Run) -> list[Winding]:
         moved = inertias[6 + j, 6 + j] - rotor
         shown = 1 - moved * w**2 / (gear.stiffness + 1j * w * gear.damping)
         power = w**4 * (moved**2 * of_angles[:, j] + of_pose @ inertias[:6, 6 + j] ** 2)
-        out.append(Winding(j, rotor, shown, power))
+        out.append(Winding(j, shown, power))
     return out
 
 
@@ -139,7 +138,7 @@ def through_gears(torque: Array, balance: Array, gears: Sequence[Winding], run: 
         run: for the noise of its torques.
     """
     out = torque.copy()
-    f = np.fft.rfftfreq(2 * run.length, run.dt)
+    f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
     of_torque = noise_power(run.noise["tau"], f, run.dt)
     for g in gears:
         own = of_torque[:, g.joint]
