@@ -87,6 +87,25 @@ def test_names_of_the_fourth_set_can_be_believed():
     assert (len(withheld), sum(withheld)) == (18, 7)
 
 
+def test_names_of_the_fifth_set_are_about_as_probable_as_they_say():
+    """Of the diagnosis that uses measured rates, by its sealed code."""
+    found = json.loads((DOCS / "diagnosis-trial2-fifth.json").read_text("utf-8"))
+    given, alarms = [], 0
+    for label in found["labels"]:
+        names = found["answers"][f"{label['index']:03d}"]["names"] or []
+        given += [
+            (n["probability"], any(in_place(t, n) for t in label["effects"])) for n in names
+        ]
+        alarms += bool(names) and label["category"] == "null"
+    p, right = np.array(given, float).T
+    rng = np.random.default_rng(0)
+    exact = [calibration_error(p, (rng.random(len(p)) < p).astype(float)) for _ in range(2000)]
+    low, high = np.quantile(exact, (0.05, 0.95))
+    assert (len(p), right.sum(), alarms) == (20, 15, 0)
+    assert low < calibration_error(p, right) < high
+    assert (right[p > 0.95].sum(), (p > 0.95).sum()) == (9, 10)
+
+
 def test_what_names_are_not_trusted_with_goes_to_none_of_these():
     believed = {NOTHING: 0.1, "a + c": 0.5, "b + c": 0.2, NONE_OF_THESE: 0.2}
     found = doubting(believed, 0.6)

@@ -208,13 +208,16 @@ def run_of(log: RunLog, name: str, band: float = BAND) -> Run:
 def _crossover(run: Run) -> Array | None:
     """Return from where measured rates are used; None where angles alone are as good.
 
-    Angles with next to no noise need no help, and rates that a drive has smoothed give none.
+    The noise of both must be stated: in a log that rings, noise is told from no ringing, and
+    rates have more of what lies between samples than angles. Angles with next to no noise need
+    no help, and rates that a drive has smoothed give none.
     """
-    if "v" not in run or "q" not in run or not run.noise["v"].std.all():
+    if not {"q", "v"} <= set(run.meta.get("noise_std", {})) & set(run.signals):
         return None
-    if run.noise["q"].std.min() * np.sqrt(2) / run.dt < _STILL:
+    angles, rates = run.noise["q"], run.noise["v"]
+    if not rates.std.all() or angles.std.min() * np.sqrt(2) / run.dt < _STILL:
         return None
-    found = rate_crossover(run["q"], run["v"], run.noise["q"], run.noise["v"], run.window)
+    found = rate_crossover(run["q"], run["v"], angles, rates, run.window)
     return found if np.isfinite(found).any() else None
 
 
