@@ -93,7 +93,7 @@ class RunningLegs(RunningPlatform):
     """Leg servos and what measures them."""
 
     def __init__(self, legs, n):
-        super().__init__(LegServos(legs), {}, n)
+        super().__init__(LegServos(legs), {"gain": np.ones(n), "brake": np.ones(n)}, n)
         self.sensors = LegSensors(legs)
         self.wiring = Wiring([self.block, self.sensors], [], ["command_received"])
 
@@ -103,7 +103,9 @@ class RunningLegs(RunningPlatform):
 
     def step(self, u):
         x = {f"platform.{k}": v for k, v in self.x.items()}
-        changed, signals = self.wiring.run(self.wiring.before, NUMPY, {}, x, u)
+        changed, signals = self.wiring.run(
+            self.wiring.before, NUMPY, {"platform": self.p}, x, u
+        )
         self.x = {k: changed[f"platform.{k}"] for k in self.x}
         self.signals.update(signals)
         return signals

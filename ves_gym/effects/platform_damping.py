@@ -13,15 +13,19 @@ from ves_gym.system.system import System
 @register("platform/damping")
 @dataclass(frozen=True, kw_only=True)
 class PlatformDamping(LaboratoryEffect):
-    """The platform's damping ratio differs from the stated one by the fraction `error`."""
+    """The platform's damping ratio differs from the stated one by the fraction `error`.
+
+    Of legs the gain K2 does, which acts on the last change of a leg's length (thesis 5.6).
+    """
 
     port = "platform"
     error: float = parameter("1", bounds=(-0.9, 10.0), start=(0.2, -0.4, 1.5))
 
     def check(self, system: System) -> None:
-        """Legs have gains of their own instead."""
+        """Legs need a gain that brakes them."""
         servo = system.emulator_settings.platform
-        self._require(isinstance(servo, PoseServo), f"a pose servo, got {servo.kind}")
+        brakes = isinstance(servo, PoseServo) or servo.K2 > 0
+        self._require(brakes, "a pose servo, or legs of K2 > 0")
 
     def edit(self, p: LoopParameters) -> None:
         """Add the deviation to the machine's parameters."""

@@ -251,13 +251,22 @@ class Leg:
         x[self.last] = measured
         return x
 
-    def sample(self, x: Array, command: Array, xp: ArrayFunctions = NUMPY) -> Array:
+    def sample(
+        self,
+        x: Array,
+        command: Array,
+        xp: ArrayFunctions = NUMPY,
+        gain: Array | float = 1.0,
+        brake: Array | float = 1.0,
+    ) -> Array:
         """Run the controller once; changes its part of x.
 
         Args:
             x: (states, ...) leg states.
             command: (...) commanded length [m].
             xp: functions of the arrays.
+            gain: (...) both gains over those stated.
+            brake: (...) the gain K2 alone, over that.
 
         Returns:
             (...) u at the valve.
@@ -268,7 +277,8 @@ class Leg:
         error = command - measured
         if servo.filter is not None and servo.filter.place == "error":
             error = self._filtered(x, error)
-        u: Array = servo.scale * (servo.K1 * error - servo.K2 * (measured - x[self.last]))
+        braked = brake * servo.K2 * (measured - x[self.last])
+        u: Array = gain * servo.scale * (servo.K1 * error - braked)
         x[self.last] = measured
         if self.size == self.last + 1:
             return u

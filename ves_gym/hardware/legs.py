@@ -44,7 +44,13 @@ class Legs:
         return np.moveaxis(self.leg.steady_state(self.stewart.leg_lengths(y)), 0, 1)
 
     def advance(
-        self, state: Array, pose: Array, y_cmd: Array, xp: ArrayFunctions = NUMPY
+        self,
+        state: Array,
+        pose: Array,
+        y_cmd: Array,
+        xp: ArrayFunctions = NUMPY,
+        gain: Array | float = 1.0,
+        brake: Array | float = 1.0,
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Follow a pose that is held for one period of the leg controller.
 
@@ -55,6 +61,7 @@ class Legs:
             pose: (n, 6) of the platform [m, rad].
             y_cmd: (n, 6) commanded pose [m, rad].
             xp: functions of the arrays.
+            gain, brake: (n, 1) of the servos over those stated, see `Leg.sample`.
 
         Returns:
             State and pose at the end, and Y, Y', Y'' (n, steps, 6) at the starts of the
@@ -62,7 +69,7 @@ class Legs:
         """
         leg, stewart, h = self.leg, self.stewart, 1 / (self.servo.rate * self.leg.steps)
         x, y, path = np.moveaxis(state, 1, 0).copy(), pose, []
-        u = leg.sample(x, stewart.leg_lengths(y_cmd), xp)
+        u = leg.sample(x, stewart.leg_lengths(y_cmd), xp, gain, brake)
         for _ in range(leg.steps):
             yd, ydd = stewart.motion(y, x[SPEED], x[ACCELERATION], xp)
             path.append((y, yd, ydd))

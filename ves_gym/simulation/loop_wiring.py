@@ -173,7 +173,7 @@ class LoopParts:
     def _platform(self, *, as_stated: bool) -> list[Any]:
         """Blocks of the platform; the first has its state."""
         if self._legs is not None:
-            return [LegServos(self._legs), LegSensors(self._legs)]
+            return [LegServos(self._legs, as_stated=as_stated), LegSensors(self._legs)]
         servo = self._system.emulator_settings.platform
         assert isinstance(servo, PoseServo)
         return [PosePlatform(servo, self.shape, as_stated=as_stated)]

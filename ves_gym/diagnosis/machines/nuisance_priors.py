@@ -28,7 +28,6 @@ from ves_gym.effects import (
     SensorCalibration,
     SensorLag,
 )
-from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.gravity import GravityModel, minimal_model
 from ves_gym.system.effect import Effect
 from ves_gym.system.system import System
@@ -167,6 +166,5 @@ def _of_the_laboratory(
                 _MOMENT,
                 GravityMoment(error=moment),
             )
-    if isinstance(system.emulator_settings.platform, PoseServo):
-        for kind, name in ((PlatformBandwidth, "bandwidth"), (PlatformDamping, "damping")):
-            yield effect(f"platform {name}", "platform", 0.01, _FILTER, kind(error=0.01))
+    for kind, name in ((PlatformBandwidth, "bandwidth"), (PlatformDamping, "damping")):
+        yield effect(f"platform {name}", "platform", 0.01, _FILTER, kind(error=0.01))

@@ -277,8 +277,9 @@ class LegServos(Block):
     outputs = ("y_nodes", "yd_nodes", "ydd_nodes", "legs", "pose")
     stacked = ("y_nodes", "yd_nodes", "ydd_nodes")
 
-    def __init__(self, legs: Legs) -> None:
-        self.legs, self.repeats = legs, legs.samples
+    def __init__(self, legs: Legs, *, as_stated: bool = False) -> None:
+        """`as_stated`: by the description, whatever the effects."""
+        self.legs, self.repeats, self.as_stated = legs, legs.samples, as_stated
 
     @property
     def memory(self) -> dict[str, Memory]:
@@ -288,11 +289,16 @@ class LegServos(Block):
     def structure(self) -> tuple[Any, ...]:
         return (self.legs.servo, self.legs.stewart, self.legs.leg.steps)
 
+    def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
+        change = 0.0 if self.as_stated else 1.0
+        return {"gain": 1 + change * p.bandwidth, "brake": 1 + change * p.damping}
+
     def step(
         self, xp: ArrayFunctions, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         y_cmd = u["command_received"][:, :6]
-        legs, pose, *path = self.legs.advance(x["legs"], x["pose"], y_cmd, xp)
+        gains = p["gain"][:, None], p["brake"][:, None]
+        legs, pose, *path = self.legs.advance(x["legs"], x["pose"], y_cmd, xp, *gains)
         memory = {"legs": legs, "pose": pose}
         return memory, {**dict(zip(self.stacked, path, strict=True)), **memory}
 
