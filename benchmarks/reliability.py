@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -40,11 +41,10 @@ def names_of(folder: Path, label: dict[str, Any]) -> list[dict[str, Any]]:
         label: the truth.
     """
     logs = [str(path) for path in sorted(folder.glob("run-*.csv"))]
-    stated = (folder / "tolerances.toml").exists()
     inputs = system_inputs(
         logs,
         System.load(folder / "system.toml"),
-        stated=StatedErrors(scale=label["factor"]) if stated else None,
+        stated=StatedErrors(**tomllib.loads((folder / "tolerances.toml").read_text("utf-8"))),
     )
     found = diagnose(inputs.machine, inputs.runs, inputs.final, candidates=inputs.candidates)
     if found.verdict not in (*NAMING_VERDICTS, WEAK) and not found.withheld:

@@ -14,9 +14,15 @@ import pytest
 from benchmarks.trial2 import cases, detectability, machines, nominal, scoring, write
 from benchmarks.trial2.__main__ import PUBLIC
 from benchmarks.trial2.arm import arm_bodies
+from benchmarks.trial2.joints import Joints
 from benchmarks.trial2.kinds import KINDS
 from benchmarks.trial2.motions import Quintics
+from benchmarks.trial2.platforms import read_platform
 from benchmarks.trial2.seal import check, seal
+from tests.running_blocks import leg_platform
+from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.diagnosis.machines.tolerances import StatedErrors
+from ves_gym.system.system import System
 
 HERE = Path(__file__).parents[1]
 ROOT = HERE / "benchmarks" / "trial2"
@@ -111,6 +117,25 @@ def test_every_case_has_a_machine() -> None:
         assert arm_bodies(write.setting(SECRET, case).plant.machine["arm"]).mass > 20
 
 
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+@pytest.mark.parametrize("vehicle", machines.EMULATED)
+def test_a_description_says_what_no_machine_has(vehicle: str, mode: str) -> None:
+    """Errors that are never drawn are known: the diagnosis finds all of them in its list."""
+    case = next(
+        c
+        for c in (cases.draw(SECRET, i) for i in range(600))
+        if (c.vehicle, c.mode, c.arm) == (vehicle, mode, "puma560")
+    )
+    described = write.setting(SECRET, case).description
+    exact = dict.fromkeys(cases.known_exactly(case), 0.0)
+    every = SystemMachine(System.from_dict(described)).nuisances
+    known = SystemMachine(System.from_dict(described), StatedErrors(known=exact)).nuisances
+    gone = {k.name for k in every} - {k.name for k in known}
+    assert {"friction of joint 3", "damping of joint 1", "zero of joint 2"} <= gone
+    assert ("mass of the base" in gone) == (mode == "emulated")
+    assert {"mass of link 1", "gain of joint 2"} <= {k.name for k in known}
+
+
 def test_answers_are_judged() -> None:
     label = {
         "category": "single",
@@ -127,6 +152,11 @@ def test_answers_are_judged() -> None:
     assert scoring.judge(label, given("nothing missing")) == "silent"
     assert scoring.judge({**label, "category": "null"}, given("nothing missing")) == "right"
     assert scoring.judge({**label, "category": "outside"}, given("named", here)) == "wrong"
+    rivals = ["joint/asymmetry at joint 2", "joint/coulomb at joint 2"]
+    other = {"kind": "joint/asymmetry", "slot": "joint 2"}
+    for several, mark in ((rivals, "class"), (rivals[:1], "wrong"), (rivals * 2, "wrong")):
+        one_of = {"verdict": "one of", "names": [{**other, "class": several}]}
+        assert scoring.judge(label, one_of) == mark
     assert np.isfinite(cases.FACTORS).all()
 
 
@@ -163,6 +193,79 @@ def test_every_kind_changes_what_is_measured(
             if not max(gaps.values()) > 1e-4:
                 unseen.append((kind.name, gaps))
     assert not unseen
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_what_is_hardly_there_hardly_shows(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A late reading of 3 us once acted like one of half a physics step."""
+    monkeypatch.setattr(write, "DURATION", 0.4)
+    case = replace(
+        cases.draw(SECRET, 0),
+        mode=mode,
+        vehicle="stiff",
+        arm="iiwa14",
+        platform="pose",
+        period=0.01,
+        kinds=(),
+        slots=(2,),
+        signs=(1.0,),
+        shapes=(0.3,),
+        feedforward=False,
+    )
+    at = write.setting(SECRET, case)
+    ends = np.array([np.full(7, 0.3), np.full(7, 0.5)])
+    at.motions = [Quintics(ends, np.array([[0.0, 0.5]]))] * cases.RUNS
+    healthy = write.play(at, at.plant, 0)
+    for kind in KINDS.values():
+        # a stiff gear and a fast filter need shorter steps than the generator takes
+        other = kind.geared or kind.name in ("joint/velocity_lag", "joint/torque_limit")
+        if mode not in kind.modes or other:
+            continue
+        gaps = []
+        for size in (kind.start, 1e-3 * kind.start):
+            plant = at.plant.copy()
+            plant.peaks = np.abs(healthy.tau).max(0)
+            write.add_effect(plant, replace(case, kinds=(kind.name,)), 0, size)
+            gaps.append(max(write.gap(case, write.play(at, plant, 0), healthy).values()))
+        assert gaps[1] < 0.02 * max(gaps[0], 0.05), kind.name
+
+
+def test_a_slow_reading_of_one_joint_leaves_the_others() -> None:
+    """Rates of joints without a low-pass were once read as zero."""
+    case = replace(
+        cases.draw(SECRET, 0), arm="puma560", kinds=("joint/velocity_lag",), slots=(2,)
+    )
+    at = write.setting(SECRET, case)
+    write.add_effect(at.plant, case, 0, 0.01)
+    joints = Joints(at.plant.machine["arm"], at.servo, at.plant.hidden(), np.zeros(3))
+    memory = np.concatenate([joints.start[:-3], [0.0, 0.0, 0.5]])
+    rates = joints.read(np.zeros(3), np.array([1.0, 2.0, 3.0]), memory)[1]
+    np.testing.assert_array_equal(rates, [1.0, 2.0, 0.5])
+
+
+def test_legs_off_their_gains_are_the_librarys() -> None:
+    """Two independent sets of six legs, with gains other than stated."""
+    described = machines.description(
+        "stiff", "puma560", "emulated", "legs", machines.PERIODS[0]
+    )
+    settings = System.from_dict(described).emulator_settings
+    dt, h = described["control_dt"], described["physics_dt"]
+    mine = leg_platform(settings.platform, settings.stewart, 1, dt, h)
+    mine.p = {"gain": np.array([1.2]), "brake": np.array([0.7])}
+    theirs = read_platform(described["emulator"], h, round(dt / h), 1.2, 0.7)
+    theirs.start(np.zeros(6))
+    stated = read_platform(described["emulator"], h, round(dt / h), 1.0, 1.0)
+    stated.start(np.zeros(6))
+    apart, moved = [], []
+    for k in range(60):
+        y = 0.02 * np.sin(0.15 * k * np.arange(1.0, 7.0)) * [1, 1, 1, 0.5, 0.5, 0.5]
+        theirs.follow(y, np.zeros(6))
+        stated.follow(y, np.zeros(6))
+        mine.advance(y[None])
+        apart.append(mine.measured()[0] - theirs.measured())
+        moved.append(stated.measured() - theirs.measured())
+    assert np.abs(apart).max() < 0.02 * np.abs(moved).max()  # modes that bend with the leg
+    assert np.abs(moved).max() > 1e-3
 
 
 PLAY = """

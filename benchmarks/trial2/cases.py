@@ -172,6 +172,27 @@ TOLERANCES = {  # half-widths of uniform draws, at factor 1
 """Those of the first trial (docs/diagnosis-benchmark.md), but for the encoders' zero."""
 
 
+def known_exactly(case: Case) -> tuple[str, ...]:
+    """Return what a case's description says is exact: errors that no machine here has.
+
+    They are patterns of the diagnosis's tolerances (docs/diagnosis.md, "Tolerances, noise,
+    known facts"). Joints of this generator do not rub unless that is hidden in them; a computer
+    holds the very numbers of an emulated vehicle, and of the moments in the weight estimate;
+    only frames in space have more inner modes than described.
+
+    Args:
+        case: for its mode and vehicle.
+    """
+    kind, emulated = machines.VEHICLES[case.vehicle]["kind"], case.mode == "emulated"
+    out = ["friction of joint *", "damping of joint *", "zero of joint *"]
+    if emulated:
+        out += ["mass of the base", "moment * of the estimate"]
+    if kind != "satellite":
+        out += ["stiffness of the base", "damping of the base"] if emulated else []
+        out += ["inner mode *"] if emulated or kind != "flexible" else []
+    return tuple(out)
+
+
 def real_machine(
     case: Case, secret: str, description: dict[str, Any]
 ) -> tuple[Plant, Servo, float]:

@@ -39,7 +39,7 @@ class Joints:
     def read(self, q: Array, v: Array, s: Array) -> tuple[Array, Array]:
         """Angles and rates (n,) as servo and log see them, but for a delay."""
         q, v = self.true(q, v, s)
-        return q, (v if self.lag is None else s[len(s) - len(v) :])
+        return q, (v if self.lag is None else np.where(self.lag > 0, s[len(s) - len(v) :], v))
 
     def asked(self, c: Array, seen: tuple[Array, Array]) -> Array:
         """Torque (n,) that the servo asks for, within the stated limits."""

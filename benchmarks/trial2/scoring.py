@@ -17,7 +17,11 @@ SIBLINGS = (
     {"payload/mass", "payload/com", "joint/rotor_inertia"},
     {"command/delay", "joint/measurement_delay"},
 )
-"""Kinds that hardly differ on short runs: a class, for the second score of singles."""
+"""Kinds that hardly differ on short runs: a class, for the second score of singles.
+
+So are the rivals of an answer ("one of {sensor/bias, sensor/rotation}"), at most `RIVALS`.
+"""
+RIVALS = 3
 
 
 def answer(folder: Path, out: Path) -> dict[str, Any]:
@@ -50,6 +54,7 @@ def answer(folder: Path, out: Path) -> dict[str, Any]:
             "kind": effect["kind"],
             "slot": effect.get("slot"),
             "probability": effect["probability"],
+            "class": effect["class"],
         }
         for effect in result["effects"]
     ]
@@ -73,16 +78,22 @@ def in_place(truth: dict[str, Any], name: dict[str, Any]) -> bool:
     return str(name["slot"]).endswith(f"joint {truth['slot']}")
 
 
-def _alike(a: str, b: str) -> bool:
-    return a == b or any({a, b} <= group for group in SIBLINGS)
+def _alike(truth: dict[str, Any], name: dict[str, Any]) -> bool:
+    """Return True if a name is of the truth's class, or the answer says that it may be it."""
+    pair = {truth["kind"], name["kind"]}
+    if len(pair) == 1 or any(pair <= group for group in SIBLINGS):
+        return True
+    rivals = [r.partition(" at ") for r in name.get("class", ())]
+    members = [{"kind": kind, "slot": slot} for kind, _, slot in rivals]
+    return len(members) <= RIVALS and any(in_place(truth, m) for m in members)
 
 
 def judge(label: Label, given: dict[str, Any]) -> str:
     """Return right, class, partly, wrong, unknown, silent or refused.
 
     Of a null, silence is right. Of a case outside the library "not in the library" is. Of a
-    single, its kind alone in its place; `class` is a kind that hardly differs. Of a pair, both;
-    `partly` one of them and no wrong one.
+    single, its kind alone in its place; `class` is a kind that hardly differs, or one of its
+    rivals ("one of"). Of a pair, both; `partly` one of them and no wrong one.
     """
     verdict, names = given["verdict"], given.get("names") or []
     if verdict == "refused":
@@ -103,7 +114,7 @@ def judge(label: Label, given: dict[str, Any]) -> str:
         return "right"
     if label["category"] == "pair" and any(hits) and not strays:
         return "partly"
-    if all(any(_alike(t["kind"], n["kind"]) for t in truths) for n in strays) and strays:
+    if all(any(_alike(t, n) for t in truths) for n in strays) and strays:
         return "class"
     return "wrong"
 

@@ -79,11 +79,13 @@ class Space:
 
 
 def late(history: list[Array], at: float, parts: tuple[slice, slice]) -> tuple[Array, Array]:
-    """Return angles and rates at a past instant, `at` in steps, by lines between knots."""
-    k = min(max(int(np.floor(at)), 0), len(history) - 1)
+    """Return angles and rates at an instant, `at` in steps, by lines between knots.
+
+    Within the step that is being taken the last line goes on.
+    """
+    k = min(max(int(np.floor(at)), 0), max(len(history) - 2, 0))
     a, b = history[k], history[min(k + 1, len(history) - 1)]
-    share = min(max(at - k, 0.0), 1.0)
-    x = a + share * (b - a)
+    x = a + max(at - k, 0.0) * (b - a)
     return x[parts[0]], x[parts[1]]
 
 

@@ -17,6 +17,7 @@ from benchmarks.trial2.cases import (
     Case,
     draw,
     generator,
+    known_exactly,
     motions,
     noise_std,
     real_machine,
@@ -166,7 +167,7 @@ def write_case(secret: str, index: int, folder: Path) -> dict[str, Any]:
     Args:
         secret: of the set.
         index: of the case.
-        folder: gets `system.toml`, `run-1.csv` and so on, and perhaps `tolerances.toml`.
+        folder: gets `system.toml`, `tolerances.toml`, `run-1.csv` and so on.
     """
     case = draw(secret, index)
     at = setting(secret, case)
@@ -180,9 +181,12 @@ def write_case(secret: str, index: int, folder: Path) -> dict[str, Any]:
         add_effect(plant, case, which, size)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "system.toml").write_text(tomli_w.dumps(at.description), "utf-8")
-    if case.factor > 1 and case.stated:
-        text = f'schema = "ves-tolerances/1"\nscale = {case.factor}\n'
-        (folder / "tolerances.toml").write_text(text, "utf-8")
+    tolerances = {
+        "schema": "ves-tolerances/1",
+        "scale": case.factor if case.stated else 1.0,
+        "known": dict.fromkeys(known_exactly(case), 0.0),
+    }
+    (folder / "tolerances.toml").write_text(tomli_w.dumps(tolerances), "utf-8")
     std = noise_std(case.arm)
     for run in range(RUNS):
         rng = generator(secret, "noise", index, run)
