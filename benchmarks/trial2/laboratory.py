@@ -231,10 +231,11 @@ def simulate(
     poses: list[tuple[Array, Array]] = []
     rows: list[tuple[Array, ...]] = []
 
-    def seen(k: float) -> tuple[Array, Array] | None:
+    def seen(at: float, x: Array) -> tuple[Array, Array] | None:
         if signals.reading_delay == 0.0:
             return None
-        return late(history, k - signals.reading_delay / h, (slice(0, n), slice(n, None)))
+        now = at, np.concatenate(joints.read(x[:n], x[n : 2 * n], x[2 * n :]))
+        return late(history, at - signals.reading_delay / h, (slice(0, n), slice(n, None)), now)
 
     command_now = (np.zeros(6), np.zeros(6))
     for k in range(periods + 1):
@@ -242,7 +243,7 @@ def simulate(
         if signals.reading_delay and not history:
             history.append(np.concatenate(joints.read(x[:n], x[n : 2 * n], x[2 * n :])))
         measured = platform.measured()
-        angles = seen(now) or joints.read(x[:n], x[n : 2 * n], x[2 * n :])
+        angles = seen(now, x) or joints.read(x[:n], x[n : 2 * n], x[2 * n :])
         poses.append((angles[0], measured))
         known_pose = _between(poses, k - signals.weight_delay / dt)
         w = sensor.read()
@@ -271,20 +272,24 @@ def simulate(
             both = late(sent, k - signals.platform_delay / dt, (slice(0, 6), slice(6, None)))
             received = both if k * dt >= signals.platform_delay else (np.zeros(6), np.zeros(6))
         path = platform.follow(*received)
-        lab.rate(t[now], c[now], x, path[0], seen(now), True)
+        lab.rate(t[now], c[now], x, path[0], seen(now, x), True)
         sensor.jump(lab.last)  # a new command changes the platform's acceleration at once
         for i in range(per):
             a, b, m = now + i, now + i + 1, (c[now + i] + c[now + i + 1]) / 2
-            k1 = lab.rate(t[a], c[a], x, path[2 * i], seen(a))
-            k2 = lab.rate(t[a] + h / 2, m, x + h / 2 * k1, path[2 * i + 1], seen(a + 0.5))
-            k3 = lab.rate(t[a] + h / 2, m, x + h / 2 * k2, path[2 * i + 1], seen(a + 0.5))
-            lab.rate(t[a] + h / 2, m, x + h / 2 * k2, path[2 * i + 1], seen(a + 0.5), True)
+            middle = path[2 * i + 1]
+            k1 = lab.rate(t[a], c[a], x, path[2 * i], seen(a, x))
+            x2 = x + h / 2 * k1
+            k2 = lab.rate(t[a] + h / 2, m, x2, middle, seen(a + 0.5, x2))
+            x3 = x + h / 2 * k2
+            k3 = lab.rate(t[a] + h / 2, m, x3, middle, seen(a + 0.5, x3))
+            lab.rate(t[a] + h / 2, m, x3, middle, seen(a + 0.5, x3), True)
             sensor.advance(lab.last)
-            k4 = lab.rate(t[b], c[b], x + h * k3, path[2 * i + 2], seen(b))
+            x4 = x + h * k3
+            k4 = lab.rate(t[b], c[b], x4, path[2 * i + 2], seen(b, x4))
             x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             if signals.reading_delay:
                 history.append(np.concatenate(joints.read(x[:n], x[n : 2 * n], x[2 * n :])))
-            lab.rate(t[b], c[b], x, path[2 * i + 2], seen(b), True)
+            lab.rate(t[b], c[b], x, path[2 * i + 2], seen(b, x), True)
             sensor.advance(lab.last)
         if not np.isfinite(x).all() or np.abs(vehicle.pose).max() > 1.5:
             raise FloatingPointError(f"the emulation diverged at {t[now]:.3f} s")

@@ -78,14 +78,25 @@ class Space:
         return np.asarray(-np.linalg.solve(twist_matrix(y).T, H[:6] @ zdd + h[:6]))
 
 
-def late(history: list[Array], at: float, parts: tuple[slice, slice]) -> tuple[Array, Array]:
-    """Return angles and rates at an instant, `at` in steps, by lines between knots.
+def late(
+    history: list[Array],
+    at: float,
+    parts: tuple[slice, slice],
+    now: tuple[float, Array] | None = None,
+) -> tuple[Array, Array]:
+    """Return angles and rates at a past instant, by lines between knots.
 
-    Within the step that is being taken the last line goes on.
+    Args:
+        history: what was read at steps 0, 1, ...
+        at: the instant, in steps.
+        parts: angles and rates of it.
+        now: a later instant in steps, within the step being taken, and what is read there.
     """
-    k = min(max(int(np.floor(at)), 0), max(len(history) - 2, 0))
-    a, b = history[k], history[min(k + 1, len(history) - 1)]
-    x = a + max(at - k, 0.0) * (b - a)
+    k = min(max(int(np.floor(at)), 0), len(history) - 1)
+    a, b, width = history[k], history[min(k + 1, len(history) - 1)], 1.0
+    if now is not None and k + 1 == len(history) and now[0] > k:
+        b, width = now[1], now[0] - k
+    x = a + min(max(at - k, 0.0) / width, 1.0) * (b - a)
     return x[parts[0]], x[parts[1]]
 
 
@@ -130,25 +141,29 @@ def simulate(
     history: list[Array] = []
     rows: list[tuple[Array, ...]] = []
 
-    def seen(k: float) -> tuple[Array, Array] | None:
+    def seen(at: float, x: Array) -> tuple[Array, Array] | None:
         if delay == 0.0:
             return None
-        return late(history, k - delay, (slice(0, space.n), slice(space.n, None)))
+        now = at, np.concatenate(joints.read(x[f:N], x[N + f : 2 * N], x[2 * N :]))
+        return late(history, at - delay, (slice(0, space.n), slice(space.n, None)), now)
 
     for k in range(steps + 1):
         if delay:
             history.append(np.concatenate(joints.read(x[f:N], x[N + f : 2 * N], x[2 * N :])))
-        k1 = space.rate(t[k], c[k], x, seen(k))
+        k1 = space.rate(t[k], c[k], x, seen(k, x))
         if k % every == 0:
-            reading = seen(k) or joints.read(x[f:N], x[N + f : 2 * N], x[2 * N :])
+            reading = seen(k, x) or joints.read(x[f:N], x[N + f : 2 * N], x[2 * N :])
             tau = joints.asked(c[k], reading)
             rows.append((*reading, tau, x[:6], space.wrench(x[:6]), x[N : N + 6]))
         if k == steps:
             break
         middle = (c[k] + c[k + 1]) / 2
-        k2 = space.rate(t[k] + h / 2, middle, x + h / 2 * k1, seen(k + 0.5))
-        k3 = space.rate(t[k] + h / 2, middle, x + h / 2 * k2, seen(k + 0.5))
-        k4 = space.rate(t[k + 1], c[k + 1], x + h * k3, seen(k + 1))
+        x2 = x + h / 2 * k1
+        k2 = space.rate(t[k] + h / 2, middle, x2, seen(k + 0.5, x2))
+        x3 = x + h / 2 * k2
+        k3 = space.rate(t[k] + h / 2, middle, x3, seen(k + 0.5, x3))
+        x4 = x + h * k3
+        k4 = space.rate(t[k + 1], c[k + 1], x4, seen(k + 1, x4))
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         if not np.isfinite(x).all():
             raise FloatingPointError(f"the run diverged at {t[k]:.3f} s")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,15 @@ from ves_gym.system.candidate import (
 from ves_gym.system.effect import TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
+_MOST = 500.0  # periods per turn
+
+
+def _overtone(turned: float, ripple: JointRipple) -> JointRipple:
+    """A ripple's second harmonic, `turned` [rad] against the first."""
+    cycles = tuple(min(2 * k, _MOST) for k in ripple.cycles)
+    phase = (2 * np.array(ripple.phase) + turned + np.pi) % (2 * np.pi) - np.pi
+    return dataclasses.replace(ripple, cycles=cycles, phase=tuple(phase.tolist()))
+
 
 @register("joint/ripple")
 @dataclass(frozen=True, kw_only=True)
@@ -27,15 +38,17 @@ class JointRipple(TorqueEffect):
     """Torque that repeats `cycles` times per turn of the joint (cogging, gear teeth).
 
     One harmonic; the PUMA's gears turn their motors 62.6, 107.8 and 53.7 times per turn
-    (Corke's Robotics Toolbox model). Several effects make several harmonics.
+    (Corke's Robotics Toolbox model). Several effects make several harmonics; a diagnosis takes
+    a second one as a form that the first may have in part.
     """
 
     modes = ("ideal", "emulated")
     port = "joint"
+    forms = (partial(_overtone, 0.0), partial(_overtone, np.pi / 2))
     amplitude: Vector = parameter("N m", bounds=(0.0, 20.0), shape=(None,))
     cycles: Vector = parameter(
         "1",
-        bounds=(0.5, 500.0),
+        bounds=(0.5, _MOST),
         null=None,
         shape=(None,),
         start=tuple(np.arange(2.0, 130.0, 2.5).tolist()),

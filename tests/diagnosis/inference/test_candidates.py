@@ -22,7 +22,14 @@ from ves_gym.effects import JointTorqueOffset, SensorDrift
 from ves_gym.mechanics.spatial import WRENCH
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.system.candidate import Number, Scope, placed
-from ves_gym.system.effect import EFFECTS, LaboratoryEffect, TorqueEffect, parameter, register
+from ves_gym.system.effect import (
+    EFFECTS,
+    LaboratoryEffect,
+    TorqueEffect,
+    joint_torque,
+    parameter,
+    register,
+)
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
@@ -56,7 +63,8 @@ def test_the_library_is_that_with_which_the_sealed_sets_were_answered():
 
     It let tilts go to 0.3 rad, which no effect can have: its bounds are 0.1 rad. Play has
     begun at smaller gaps, and had a form, since the second sealed set of trial 2; filters have
-    begun on both sides of the described since the fourth.
+    begun on both sides of the described since the fourth, and a ripple has had a second
+    harmonic as a form since the fifth.
     """
     stored = json.loads((Path(__file__).parent / "library.json").read_text())
     found = emulated()
@@ -265,3 +273,20 @@ def test_as_many_numbers_as_a_cause_has_may_be_free():
     numbers = [one, *(Number(f"b{k}", "N m", (-1.0, 1.0), (3.0,)) for k in range(42))]
     candidate = placed(JointTorqueOffset, "joint 1", numbers, lambda x: {})
     assert candidate.starts == ((1.0, *[3.0] * 42), (2.0, *[3.0] * 42))
+
+
+@pytest.mark.parametrize("cycles", [10.0, 400.0])
+def test_a_ripple_may_have_a_second_harmonic(cycles):
+    """Of either phase: any ripple sin(2 c q + a) is a sum of the two forms."""
+    ripple = EFFECTS["joint/ripple"](
+        amplitude=(2.0, 0.0, 0.0), cycles=(cycles, 1.0, 1.0), phase=(3.0, 0.0, 0.0)
+    )
+    q = np.linspace(-1.0, 1.0, 9)[:, None] * np.ones(3)
+    still = np.zeros_like(q)
+    sine, cosine = (
+        joint_torque([form(ripple)], q, still, still, np.ones(3))[:, 0] for form in ripple.forms
+    )
+    twice = min(2 * cycles, 500.0)  # the most that a ripple can have
+    angle = twice * q[:, 0] + 6.0
+    np.testing.assert_allclose(np.abs(sine), np.abs(2.0 * np.sin(angle)), atol=1e-9)
+    np.testing.assert_allclose(sine**2 + cosine**2, 4.0, atol=1e-9)

@@ -1,6 +1,7 @@
 """Runs held back decide: what they contradict is withdrawn, names and silence alike."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import ves_gym.diagnosis.diagnose as d
 import ves_gym.effects as E
 from ves_gym.diagnosis.diagnose import NAMED, NOTHING, UNKNOWN, diagnose
 from ves_gym.diagnosis.excitation import excitation_motions
+from ves_gym.diagnosis.inference import held_back
 from ves_gym.diagnosis.inference.fit import fit, fit_residual
 from ves_gym.diagnosis.inference.held_back import losses
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
@@ -66,12 +68,12 @@ def test_runs_held_back_are_judged_by_the_form_that_a_law_has_taken():
     coulomb = next(c for c in inputs.candidates if c.name == "joint/coulomb at joint 1")
     null, named = fit(fitted, (), ()), fit(fitted, [coulomb], [np.array([10.0])])
     assert named.forms[0] > 0.5  # of the difference to the form that it truly has
-    for held_back in (False, True):
-        runs = last if held_back else fitted
+    for unseen in (False, True):
+        runs = last if unseen else fitted
         z, plain = (
-            fit_residual(runs, f, not held_back) for f in (named, replace(named, forms=NONE))
+            fit_residual(runs, f, not unseen) for f in (named, replace(named, forms=NONE))
         )
-        assert np.mean(z**2) < 0.5 * np.mean(plain**2), held_back
+        assert np.mean(z**2) < 0.5 * np.mean(plain**2), unseen
     assert losses(last, named, null) < losses(last, replace(named, forms=NONE), null) - 30
 
 
@@ -126,3 +128,25 @@ def test_a_name_is_earned_if_no_curve_explains_clearly_more(along, monkeypatch):
     found = told(recorded(uneven, 1), recorded(uneven, 2), ("joint/coulomb",))
     assert found.verdict == (UNKNOWN if along else NAMED), found.sentence
     assert [f.candidate.name for f in found.explanations] == ["joint/coulomb at joint 1"]
+
+
+@pytest.mark.parametrize(
+    ("squares", "expected", "contradicts"),
+    [
+        ((0.94, 1.01), (0.78, 0.94), False),  # it shrank, by less than it was to
+        ((1.15, 1.01), (1.15, 1.01), False),  # it grew by as much as it was to
+        ((1.25, 1.01), (1.0, 1.0), True),  # it grew, and nothing was to
+        ((1.25, 1.01), (1.1, 1.0), True),  # it grew by more than it was to
+    ],
+)
+def test_noise_that_draws_foretell_contradicts_no_name(
+    squares, expected, contradicts, monkeypatch
+):
+    """Mean squares of a group of 126 numbers with a name and without, and those expected."""
+    n = np.array([126.0])
+    answers = [(n, n * s, n * e) for s, e in zip(squares, expected, strict=True)]
+    monkeypatch.setattr(held_back, "fit_residual", lambda last, f, fitted: f)
+    monkeypatch.setattr(held_back, "group_squares", lambda last, f: answers[f])
+    monkeypatch.setattr(held_back, "limits_of", lambda groups: (np.array([np.inf]), None))
+    last = SimpleNamespace(groups=())
+    assert (held_back._contradiction(last, 0, 1) > held_back.LOSS) == contradicts

@@ -18,6 +18,7 @@ from ves_gym.diagnosis.inference.intervals import intervals, stretches
 from ves_gym.diagnosis.inference.model_selection import Selection, reduced_selection
 from ves_gym.diagnosis.inference.variance_groups import (
     deviance,
+    deviances,
     likely_sizes,
     limits_of,
     sizes,
@@ -152,8 +153,29 @@ def _losses(
             out.append(0.0)
             continue
         without = reduced_selection(residuals, selection, i, "").fit
-        out.append(losses(last, selection.fit, without))
+        out.append(_contradiction(last, selection.fit, without))
     return out
+
+
+def _contradiction(last: WhitenedResiduals, full: Fit, reduced: Fit) -> float:
+    """Return by how much the runs held back contradict what one fit has beyond another.
+
+    A model passes noise of the motion on to one port and takes it from another. How much is
+    expected from draws, and these runs have another: a group that grew by no more than it was
+    to, or did not shrink by as much, contradicts nothing. So each counts by the noise that it
+    was expected to leave or by its squares alone, whichever is less.
+
+    Args:
+        last: of those runs.
+        full, reduced: fits found on others.
+    """
+    parts = []
+    for f in (full, reduced):
+        n, squares, noise = group_squares(last, fit_residual(last, f, False))
+        limits = limits_of(last.groups)
+        parts.append([deviances(n, likely_sizes(n, squares, k, *limits)) for k in (noise, n)])
+    each = np.subtract(parts[0], parts[1])
+    return float(each.min(axis=0).sum())
 
 
 def likeliness(last: WhitenedResiduals, remainders: Array) -> float:

@@ -223,7 +223,16 @@ def deviance(n: Array, size: Array) -> float:
         n: (G,) numbers in each group.
         size: (G,) mean squares.
     """
-    return float((n * np.where(size > 1, 1 + np.log(np.maximum(size, 1.0)), size)).sum())
+    return float(deviances(n, size).sum())
+
+
+def deviances(n: Array, size: Array) -> Array:
+    """Return (G,) the parts of it that are of single groups.
+
+    Args:
+        n, size: as for `deviance`.
+    """
+    return np.asarray(n * np.where(size > 1, 1 + np.log(np.maximum(size, 1.0)), size))
 
 
 def _within(A: Array, b: Array, x: Array, low: Array, high: Array) -> Array:
