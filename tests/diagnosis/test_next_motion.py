@@ -119,7 +119,7 @@ def test_a_name_that_is_withheld_gets_the_motion_that_decides_about_it(monkeypat
     assert [f.candidate.name for f in found.withheld] == [name]
     assert name in found.sentence and found.effects == ()
     [told] = found.to_dict()["withheld"]
-    assert told["name"] == name and 0.9 < told["reliability"] < 0.99
+    assert told["name"] == name and 0.8 < told["reliability"] < 0.99
     best = next_motion(found, pool=2, rounds=1)
     assert best.between == (name, f"no {name}") and best.least > CLEAR
     assert f"decides whether {name} is there: " in best.sentence

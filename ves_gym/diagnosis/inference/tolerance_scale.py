@@ -4,8 +4,9 @@ A description says how exactly its numbers are known, and may be wrong in that. 
 times as large as stated look like effects that nobody hid: a rotor that is 8 % heavier, a
 sensor's gain. One size of all tolerances is therefore an unknown, too. Answers under wider ones
 are compared with that under those stated by their evidence (Laplace: the deviance, the price of
-the numbers named, and the log-determinant by which wider priors are less probable). A single
-error far off stays a name, since all others would have to be wide for nothing.
+the numbers named and of the choice of each name from the library, and the log-determinant by
+which wider priors are less probable). A single error far off stays a name, since all others
+would have to be wide for nothing.
 """
 
 from __future__ import annotations
@@ -62,37 +63,44 @@ def selected_with_tolerances(
             suffice.
     """
     first = select(residuals, signatures)
-    stated = unlikeliness(first.fit, residuals)
+    library = len(signatures.candidates)
+    stated = unlikeliness(first.fit, residuals, library)
     best = Weighed(first, residuals, signatures, 1.0, 0.0)
     if not doubtful(first):
         return best
-    prices = cost(first.fit, residuals) - first.fit.deviance
-    near: dict[float, float] = {}  # by the same names, and by none
+    names = len(first.fit.candidates)
+    prices = cost(first.fit, residuals) - first.fit.deviance + _choice(names, library)
     for factor in FACTORS:
         wide = residuals.with_tolerances(factor)
         same = fit(wide, first.fit.candidates, first.fit.values)
-        near[factor] = min(unlikeliness(k, wide) for k in (same, fit(wide, (), ())))
-    factor = min(near, key=lambda k: near[k])
-    if near[factor] - prices > stated - MARGIN:
-        return best
-    wide = residuals.with_tolerances(factor)
-    seen = signatures.with_tolerances(wide)
-    answer = select(wide, seen)
-    gained = stated - unlikeliness(answer.fit, wide)
-    return Weighed(answer, wide, seen, factor, gained) if gained > MARGIN else best
+        near = min(unlikeliness(k, wide, library) for k in (same, fit(wide, (), ())))
+        if near - prices > stated - max(best.gained, MARGIN):
+            continue
+        seen = signatures.with_tolerances(wide)
+        answer = select(wide, seen)
+        gained = stated - unlikeliness(answer.fit, wide, library)
+        if gained > max(best.gained, MARGIN):
+            best = Weighed(answer, wide, seen, factor, gained)
+    return best
 
 
-def unlikeliness(f: Fit, residuals: WhitenedResiduals) -> float:
+def unlikeliness(f: Fit, residuals: WhitenedResiduals, library: int = 1) -> float:
     """Return minus twice the log evidence of a fit, up to a constant.
 
     Args:
         f: fit.
         residuals: that it fits.
+        library: candidates that each of its names was chosen from.
     """
     weight = 1 / np.maximum(f.size, 1.0)
     curvature = np.einsum("g,gij->ij", weight, residuals.gram)
     determinant = np.linalg.slogdet(np.eye(len(curvature)) + curvature)[1]
-    return cost(f, residuals) + float(determinant)
+    return cost(f, residuals) + _choice(len(f.candidates), library) + float(determinant)
+
+
+def _choice(names: int, library: int) -> float:
+    """Return what names cost that any of a library could be: minus twice the log odds."""
+    return 2 * names * float(np.log(max(library, 1)))
 
 
 def errors_told(f: Fit, residuals: WhitenedResiduals, factor: float) -> tuple[Off, ...]:
