@@ -18,6 +18,7 @@ from benchmarks.trial2.joints import Joints
 from benchmarks.trial2.kinds import KINDS
 from benchmarks.trial2.motions import Quintics
 from benchmarks.trial2.platforms import read_platform
+from benchmarks.trial2.publish import published
 from benchmarks.trial2.seal import check, seal
 from tests.running_blocks import leg_platform
 from ves_gym.diagnosis.machines.system import SystemMachine
@@ -134,6 +135,21 @@ def test_a_description_says_what_no_machine_has(vehicle: str, mode: str) -> None
     assert {"friction of joint 3", "damping of joint 1", "zero of joint 2"} <= gone
     assert ("mass of the base" in gone) == (mode == "emulated")
     assert {"mass of link 1", "gain of joint 2"} <= {k.name for k in known}
+
+
+def test_a_set_is_published_as_far_as_it_is_answered(tmp_path: Path) -> None:
+    for name in ("labels", "answers", "diagnoses/000"):
+        (tmp_path / name).mkdir(parents=True)
+    for index in (0, 1, 3):  # 2 is not answered yet
+        (tmp_path / "labels" / f"{index:03d}.json").write_text(f'{{"index": {index}}}')
+        (tmp_path / "answers" / f"{index:03d}.json").write_text('{"verdict": "named"}')
+    name = dict.fromkeys(("kind", "slot", "gain", "strain", "reliability", "value"), 1)
+    found = json.dumps({"withheld": [name]})
+    (tmp_path / "diagnoses" / "000" / "answer.json").write_text(found)
+    out = published(tmp_path)
+    assert [label["index"] for label in out["labels"]] == [0, 1]
+    assert [len(out["answers"][k]["withheld"]) for k in ("000", "001")] == [1, 0]
+    assert "value" not in out["answers"]["000"]["withheld"][0]
 
 
 def test_answers_are_judged() -> None:

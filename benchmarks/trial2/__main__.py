@@ -8,6 +8,7 @@ from typing import Any
 
 from benchmarks.trial2 import machines, nominal, scoring
 from benchmarks.trial2.detectability import detectability
+from benchmarks.trial2.publish import published
 from benchmarks.trial2.seal import check, seal
 from benchmarks.trial2.targets import targets
 from benchmarks.trial2.write import write_case
@@ -109,6 +110,11 @@ def score(args: argparse.Namespace) -> None:
             )
 
 
+def publish(args: argparse.Namespace) -> None:
+    """Print the labels opened and the answers as one file."""
+    print(json.dumps(published(args.out), indent=1))
+
+
 def limit(args: argparse.Namespace) -> None:
     """Print by how much each hidden effect stands out for the best reader there could be."""
     first, _, last = args.cases.partition(":")
@@ -149,6 +155,7 @@ def main() -> None:
         ("answer", answer),
         ("trial", trial),
         ("score", score),
+        ("publish", publish),
         ("limit", limit),
         ("nominal", agreement),
     ):

@@ -106,6 +106,25 @@ def test_names_of_the_fifth_set_are_about_as_probable_as_they_say():
     assert (right[p > 0.95].sum(), (p > 0.95).sum()) == (9, 10)
 
 
+def test_names_of_the_sixth_set_can_be_believed():
+    """Of the diagnosis whose cases state what is exact, by its sealed code."""
+    found = json.loads((DOCS / "diagnosis-trial2-sixth.json").read_text("utf-8"))
+    given, withheld, alarms = [], [], 0
+    for label in found["labels"]:
+        answer = found["answers"][f"{label['index']:03d}"]
+        truth, names = label["effects"], answer.get("names") or []
+        given += [(n["probability"], any(in_place(t, n) for t in truth)) for n in names]
+        withheld += [any(in_place(t, n) for t in truth) for n in answer["withheld"]]
+        alarms += bool(names) and label["category"] == "null"
+    p, right = np.array(given, float).T
+    rng = np.random.default_rng(0)
+    exact = [calibration_error(p, (rng.random(len(p)) < p).astype(float)) for _ in range(2000)]
+    assert (len(found["labels"]), len(p), right.sum(), alarms) == (58, 35, 32, 0)
+    assert np.quantile(exact, 0.05) < calibration_error(p, right) < np.median(exact)
+    assert right[p > 0.95].all() and (p > 0.95).sum() == 15
+    assert (len(withheld), sum(withheld)) == (7, 1)
+
+
 def test_what_names_are_not_trusted_with_goes_to_none_of_these():
     believed = {NOTHING: 0.1, "a + c": 0.5, "b + c": 0.2, NONE_OF_THESE: 0.2}
     found = doubting(believed, 0.6)

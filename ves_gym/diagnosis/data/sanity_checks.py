@@ -23,6 +23,7 @@ _BAD = 0.5  # of a channel's own movement: a residual that no effect of usual si
 _BADLY = {"servo": 0.15}  # where nothing but a controller known to all is between the signals
 _FAR = 0.2  # of it: what is left where a mistake is found
 _GOOD = 0.3  # of a channel's movement: more is no agreement
+_BETTER = {"admittance": 0.1}  # a computer's law on what it logs: it is right, or another is
 _SPOILED = 1.2  # of a residual: others may not get worse
 _MOVING = 0.1  # of the largest movement of its kind
 _HEARD = 3.0  # times the noise that a movement must have
@@ -144,7 +145,8 @@ def suspected_mistake(
             np.concatenate([x[name] for name in names]) for x in (current, revised)
         )
         worst = np.concatenate([bad[name] for name in names])
-        healed = worst & (after < np.minimum(_FAR * before, _GOOD))
+        good = [np.full(len(bad[name]), _BETTER.get(name, _GOOD)) for name in names]
+        healed = worst & (after < np.minimum(_FAR * before, np.concatenate(good)))
         spoiled = after > np.maximum(_SPOILED * before, _GOOD)
         if not healed.any() or spoiled.any():
             continue
