@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ import numpy as np
 import scipy
 
 from benchmarks.trial2.scoring import in_place
-from ves_gym._util.params import Array
+from ves_gym._util.params import Array, from_plain, read_table
 from ves_gym.diagnosis.diagnose import NAMING_VERDICTS, WEAK, diagnose
 from ves_gym.diagnosis.inference.reliability import NEEDED, USUAL
 from ves_gym.diagnosis.inputs import system_inputs
@@ -42,10 +41,11 @@ def names_of(folder: Path, label: dict[str, Any]) -> list[dict[str, Any]]:
         label: the truth.
     """
     logs = [str(path) for path in sorted(folder.glob("run-*.csv"))]
+    errors = folder / "tolerances.toml"
     inputs = system_inputs(
         logs,
         System.load(folder / "system.toml"),
-        stated=StatedErrors(**tomllib.loads((folder / "tolerances.toml").read_text("utf-8"))),
+        stated=from_plain(StatedErrors, read_table(errors), str(errors)),
     )
     found = diagnose(inputs.machine, inputs.runs, inputs.final, candidates=inputs.candidates)
     if found.verdict not in (*NAMING_VERDICTS, WEAK) and not found.withheld:

@@ -176,16 +176,13 @@ def test_answers_are_judged() -> None:
     assert np.isfinite(cases.FACTORS).all()
 
 
-@pytest.mark.parametrize("mode", ["ideal", "emulated"])
-def test_every_kind_changes_what_is_measured(
-    mode: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(write, "DURATION", 0.2)
-    case = replace(
+def on_springs(mode: str, arm: str) -> cases.Case:
+    """A machine on springs, without anything hidden yet; effects go to its third joint."""
+    return replace(
         cases.draw(SECRET, 0),
         mode=mode,
         vehicle="stiff",
-        arm="puma560",
+        arm=arm,
         platform="pose",
         period=0.01,
         kinds=(),
@@ -194,6 +191,14 @@ def test_every_kind_changes_what_is_measured(
         shapes=(0.3,),
         feedforward=False,
     )
+
+
+@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+def test_every_kind_changes_what_is_measured(
+    mode: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(write, "DURATION", 0.2)
+    case = on_springs(mode, "puma560")
     moved = Quintics(np.array([[0.3, 0.3, 0.3], [0.6, 0.5, 0.5]]), np.array([[0.0, 0.5]]))
     at = write.setting(SECRET, case)
     at.motions = [moved] * cases.RUNS
@@ -215,19 +220,7 @@ def test_every_kind_changes_what_is_measured(
 def test_what_is_hardly_there_hardly_shows(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A late reading of 3 us once acted like one of half a physics step."""
     monkeypatch.setattr(write, "DURATION", 0.4)
-    case = replace(
-        cases.draw(SECRET, 0),
-        mode=mode,
-        vehicle="stiff",
-        arm="iiwa14",
-        platform="pose",
-        period=0.01,
-        kinds=(),
-        slots=(2,),
-        signs=(1.0,),
-        shapes=(0.3,),
-        feedforward=False,
-    )
+    case = on_springs(mode, "iiwa14")
     at = write.setting(SECRET, case)
     ends = np.array([np.full(7, 0.3), np.full(7, 0.5)])
     at.motions = [Quintics(ends, np.array([[0.0, 0.5]]))] * cases.RUNS

@@ -66,49 +66,10 @@ def test_more_gain_and_less_strain_are_more_reliable(strained):
     assert reliability(100.0, strained) > reliability(100.0, 2 * strained)
 
 
-def test_names_of_the_fourth_set_can_be_believed():
-    """Of the diagnosis that withholds names below one half, by its sealed code."""
-    found = json.loads((DOCS / "diagnosis-trial2-fourth.json").read_text("utf-8"))
-    given, withheld, alarms = [], [], 0
-    for label in found["labels"]:
-        answer = found["answers"][f"{label['index']:03d}"]
-        truth = label["effects"]
-        names = answer["names"] or []
-        given += [(n["probability"], any(in_place(t, n) for t in truth)) for n in names]
-        withheld += [any(in_place(t, n) for t in truth) for n in answer["withheld"]]
-        alarms += bool(names) and label["category"] == "null"
-    p, right = np.array(given, float).T
-    rng = np.random.default_rng(0)
-    exact = [calibration_error(p, (rng.random(len(p)) < p).astype(float)) for _ in range(2000)]
-    assert (len(p), right.sum(), alarms) == (37, 30, 0)
-    assert 0.05 < np.quantile(exact, 0.05) < calibration_error(p, right) < np.median(exact)
-    assert right[p > 0.95].all() and (p > 0.95).sum() == 14
-    assert (p <= 0.95).sum() == 23 and p[p <= 0.95].sum() == pytest.approx(15.8, abs=0.05)
-    assert (len(withheld), sum(withheld)) == (18, 7)
-
-
-def test_names_of_the_fifth_set_are_about_as_probable_as_they_say():
-    """Of the diagnosis that uses measured rates, by its sealed code."""
-    found = json.loads((DOCS / "diagnosis-trial2-fifth.json").read_text("utf-8"))
-    given, alarms = [], 0
-    for label in found["labels"]:
-        names = found["answers"][f"{label['index']:03d}"]["names"] or []
-        given += [
-            (n["probability"], any(in_place(t, n) for t in label["effects"])) for n in names
-        ]
-        alarms += bool(names) and label["category"] == "null"
-    p, right = np.array(given, float).T
-    rng = np.random.default_rng(0)
-    exact = [calibration_error(p, (rng.random(len(p)) < p).astype(float)) for _ in range(2000)]
-    low, high = np.quantile(exact, (0.05, 0.95))
-    assert (len(p), right.sum(), alarms) == (20, 15, 0)
-    assert low < calibration_error(p, right) < high
-    assert (right[p > 0.95].sum(), (p > 0.95).sum()) == (9, 10)
-
-
-def test_names_of_the_sixth_set_can_be_believed():
-    """Of the diagnosis whose cases state what is exact, by its sealed code."""
-    found = json.loads((DOCS / "diagnosis-trial2-sixth.json").read_text("utf-8"))
+def told_of(which):
+    """Probabilities of the names of a sealed set, which are right, errors of calibration that
+    exact probabilities would have, names withheld that are right, and alarms among nulls."""
+    found = json.loads((DOCS / f"diagnosis-trial2-{which}.json").read_text("utf-8"))
     given, withheld, alarms = [], [], 0
     for label in found["labels"]:
         answer = found["answers"][f"{label['index']:03d}"]
@@ -119,7 +80,32 @@ def test_names_of_the_sixth_set_can_be_believed():
     p, right = np.array(given, float).T
     rng = np.random.default_rng(0)
     exact = [calibration_error(p, (rng.random(len(p)) < p).astype(float)) for _ in range(2000)]
-    assert (len(found["labels"]), len(p), right.sum(), alarms) == (58, 35, 32, 0)
+    return p, right, exact, withheld, alarms
+
+
+def test_names_of_the_fourth_set_can_be_believed():
+    """Of the diagnosis that withholds names below one half, by its sealed code."""
+    p, right, exact, withheld, alarms = told_of("fourth")
+    assert (len(p), right.sum(), alarms) == (37, 30, 0)
+    assert 0.05 < np.quantile(exact, 0.05) < calibration_error(p, right) < np.median(exact)
+    assert right[p > 0.95].all() and (p > 0.95).sum() == 14
+    assert (p <= 0.95).sum() == 23 and p[p <= 0.95].sum() == pytest.approx(15.8, abs=0.05)
+    assert (len(withheld), sum(withheld)) == (18, 7)
+
+
+def test_names_of_the_fifth_set_are_about_as_probable_as_they_say():
+    """Of the diagnosis that uses measured rates, by its sealed code."""
+    p, right, exact, _, alarms = told_of("fifth")
+    low, high = np.quantile(exact, (0.05, 0.95))
+    assert (len(p), right.sum(), alarms) == (20, 15, 0)
+    assert low < calibration_error(p, right) < high
+    assert (right[p > 0.95].sum(), (p > 0.95).sum()) == (9, 10)
+
+
+def test_names_of_the_sixth_set_can_be_believed():
+    """Of the diagnosis whose cases state what is exact, by its sealed code."""
+    p, right, exact, withheld, alarms = told_of("sixth")
+    assert (len(p), right.sum(), alarms) == (35, 32, 0)
     assert np.quantile(exact, 0.05) < calibration_error(p, right) < np.median(exact)
     assert right[p > 0.95].all() and (p > 0.95).sum() == 15
     assert (len(withheld), sum(withheld)) == (7, 1)
