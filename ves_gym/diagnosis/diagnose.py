@@ -44,6 +44,7 @@ from ves_gym.diagnosis.inference.model_selection import (
     is_computed,
     select,
     unexplained,
+    without_untold,
 )
 from ves_gym.diagnosis.inference.reliability import (
     COMPUTED,
@@ -340,6 +341,7 @@ def diagnose(
     selection = without_unsteady(selection, residuals)
     if last is not None:
         selection = withdrawn(selection, residuals, last)
+    selection = without_untold(selection, residuals)
     # deviance that withdrawn names had explained on the runs fitted
     doubted = selection.fit.deviance - before_gate
     unearned: tuple[str, ...] = ()  # names that curves of no shape beat

@@ -104,7 +104,8 @@ def system_inputs(
     fitted_runs = [runs[i] for i in fitted]
     names = [r.name for r in fitted_runs]
     stretch = machine.stretch(fitted_runs)
-    candidates = library(nominal.arm.n, ports, nominal.mode, names, stretch, nominal)
+    travel = machine.travel(fitted_runs)
+    candidates = library(nominal.arm.n, ports, nominal.mode, names, stretch, nominal, travel)
 
     def write(effects: Sequence[Any], folder: Path, free: bool) -> DescriptionFiles:
         better = machine.model(effects).system

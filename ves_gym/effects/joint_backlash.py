@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Vector
+from ves_gym._util.params import Array, Vector
 from ves_gym.mechanics.arm import Arm, Gear
+from ves_gym.system.candidate import Candidate, Scope
 from ves_gym.system.effect import ArmEffect, parameter, register
 from ves_gym.system.system import System
 
-SLOWER = 10.0  # times the damping: teeth take that much longer through the gap
+# Of the teeth that a diagnosis looks for: what gives more is elasticity, and what crosses the
+# gap in a shorter time than the noise of a torque allows to tell crosses it at the wrong time.
+_STIFF = 4e-6  # rad/(N m)
+_THICK = 20.0  # N m s/rad
+_SOFTER = 5.0  # times the compliance
 
 
-def _slower(effect: JointBacklash) -> JointBacklash:
-    """Return a gap through which teeth move as through thicker oil."""
-    return replace(effect, damping=SLOWER * effect.damping)
+def _softer(effect: JointBacklash) -> JointBacklash:
+    """Return play between softer teeth."""
+    return replace(effect, compliance=_SOFTER * effect.compliance)
 
 
 @register("joint/backlash")
@@ -32,16 +39,27 @@ class JointBacklash(ArmEffect):
     modes = ("ideal", "emulated")
     port = "joint"
     sets_in = True
-    forms = (_slower,)
+    forms = (_softer,)
     gap: Vector = parameter(
         "rad",
         bounds=(0.0, 0.1),
         shape=(None,),
-        start=(2e-3, *np.geomspace(3e-4, 3e-2, 9).tolist()),
-        search=(2e-4, 0.1),  # less is the teeth's own compliance
+        start=(2e-3, *np.geomspace(1e-4, 3e-2, 10).tolist()),
+        search=(5e-5, 0.1),  # less is the teeth's own compliance
     )
     compliance: float = parameter("rad/(N m)", bounds=(1e-6, 1e-3), null=None, default=2e-5)
     damping: float = parameter("N m s/rad", bounds=(0.0, 500.0), null=None, default=5.0)
+
+    @classmethod
+    def candidates(cls, scope: Scope) -> Iterator[Candidate]:
+        """A gap at each joint, between stiff teeth in thick oil."""
+        for candidate in super().candidates(scope):
+
+            def make(x: Array, gap: Callable[[Array], Any] = candidate.make) -> JointBacklash:
+                found: JointBacklash = gap(x)
+                return replace(found, compliance=_STIFF, damping=_THICK)
+
+            yield replace(candidate, make=make)
 
     def check(self, system: System) -> None:
         """One number per joint; a rotor where there is a gap."""

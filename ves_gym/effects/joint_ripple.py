@@ -74,7 +74,12 @@ class JointRipple(TorqueEffect):
                     "cycles": at_joint(joint, n, x[2], elsewhere=1.0),
                 }
 
-            yield placed(cls, f"joint {joint + 1}", numbers, fields)
+            def periods(x: Array, joint: int = joint) -> float:
+                return float(x[2]) * scope.travel[joint] / (2 * np.pi)
+
+            candidate = placed(cls, f"joint {joint + 1}", numbers, fields)
+            seen = periods if scope.travel else None
+            yield dataclasses.replace(candidate, periods=seen)
 
     def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
         """amplitude sin(cycles q + phase)."""

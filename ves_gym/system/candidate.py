@@ -62,6 +62,8 @@ class Candidate:
     parts: tuple[tuple[str, str], ...] = ()
     # numbers (k,) and their precision (k, k) -> the most probable that can be; None: all can
     feasible: Callable[[Array, Array], Array] | None = None
+    # numbers (k,) -> periods that the runs go through of what repeats; None: nothing repeats
+    periods: Callable[[Array], float] | None = None
 
     @property
     def name(self) -> str:
@@ -108,6 +110,7 @@ class Scope:
     joints: int
     system: System | None = None  # as described, where it is one
     stretch: float = 0.25  # part of its stroke that a leg of the platform is told to go
+    travel: tuple[float, ...] = ()  # rad, that each joint covers in the runs; (): not known
 
 
 def placed(

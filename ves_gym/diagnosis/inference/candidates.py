@@ -32,6 +32,7 @@ def library(
     runs: Sequence[str] = (),
     stretch: float = 0.25,
     system: System | None = None,
+    travel: Sequence[float] = (),
 ) -> tuple[Candidate, ...]:
     """Return all candidates of a machine with n joints and these ports.
 
@@ -42,8 +43,9 @@ def library(
         runs: names of the runs, each of which a drifting sensor goes through in its own way.
         stretch: how far a leg of the platform is told to go in them, in parts of its stroke.
         system: the description, where it is one; effects that do nothing in it are left out.
+        travel: (n,) that each joint covers in the runs [rad]; (): not known.
     """
-    scope, out = Scope(n, system, stretch), []
+    scope, out = Scope(n, system, stretch, tuple(travel)), []
     for cls in sorted(EFFECTS.values(), key=lambda e: (PORTS.index(e.port), e.kind)):
         if left_out(cls, scope, ports, mode, runs):
             continue

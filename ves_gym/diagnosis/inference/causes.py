@@ -52,6 +52,6 @@ def single_parts(
             + sum(f.price(j, residuals.size) + choice for j in range(len(f.candidates)))
             for f in (current, single)
         )
-        if after < before and not any(single.on_bound(i + j) for j in range(len(parts))):
+        if after < before and all(single.is_told(i + j) for j in range(len(parts))):
             return single_parts(residuals, library, single, most)
     return current

@@ -70,6 +70,15 @@ class Fit:
         absent = least & (low == 0) if c.parts and not least.all() else np.zeros_like(least)
         return bool(((least & ~absent) | (v >= high)).any())
 
+    def is_told(self, i: int) -> bool:
+        """Return True if the runs can tell the numbers of the effect in place i.
+
+        No size ended at the edge of its range, and what repeats has been through a period: of
+        less of it any curve is a part.
+        """
+        seen = self.candidates[i].periods
+        return not self.on_bound(i) and (seen is None or seen(self.values[i]) >= 1)
+
     def clear(self, i: int) -> Array:
         """Return (k,) which numbers of the effect in place i are clearly not zero."""
         return np.asarray(np.abs(self.values[i]) > _CLEAR * self.std[i])

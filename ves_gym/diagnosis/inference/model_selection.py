@@ -279,6 +279,28 @@ def reduced_selection(
     )
 
 
+def without_untold(selection: Selection, residuals: WhitenedResiduals) -> Selection:
+    """Return the selection less the names whose numbers the runs cannot tell.
+
+    One that came in with others may have other numbers once those are withdrawn.
+
+    Args:
+        selection: found on the runs fitted.
+        residuals: of those.
+    """
+    i = 0
+    while i < len(selection.fit.candidates):
+        if selection.fit.is_told(i):
+            i += 1
+            continue
+        name = selection.fit.candidates[i].name
+        selection = reduced_selection(
+            residuals, selection, i, f"{name}: withdrawn, at the edge of what can be told"
+        )
+        i = 0
+    return selection
+
+
 def _candidate_fits(
     residuals: WhitenedResiduals,
     signatures: Signatures,
@@ -300,7 +322,7 @@ def _candidate_fits(
         extended = (*reduced.candidates[:i], candidate, *reduced.candidates[i:])
         start = (*reduced.values[:i], scores[j].values, *reduced.values[i:])
         tried = fit(residuals, extended, start)
-        if not tried.on_bound(i) and _acts_long_enough(residuals, tried, i):
+        if tried.is_told(i) and _acts_long_enough(residuals, tried, i):
             out.append(tried)
     return out
 

@@ -24,6 +24,7 @@ _THIRDS = 3
 _FINER = 4  # times as many instants as frequencies: thirds are cut between samples
 _CHANCE = 1e-4  # of a law that holds being called unsteady
 _SHARE = 0.1  # of what a name explains: no law holds to the last digit
+_SHARE_SETS_IN = 0.25  # and when play closes or a limit is reached a log tells roughly
 _ABSENT = 1e-9  # of a whitened residual
 
 
@@ -40,7 +41,8 @@ def without_unsteady(selection: Selection, residuals: WhitenedResiduals) -> Sele
             continue
         more, count = unsteadiness(selection.fit, i, residuals)
         needed = float(scipy.stats.chi2.isf(_CHANCE, max(count, 1)))
-        needed += _SHARE * gain(residuals, selection.fit, i)
+        share = _SHARE_SETS_IN if candidate.sets_in else _SHARE
+        needed += share * gain(residuals, selection.fit, i)
         if more > needed:
             why = f"{more:.1f} of deviance likelier with other numbers in each run and third"
             selection = reduced_selection(

@@ -37,6 +37,7 @@ from ves_gym.diagnosis.machines.torque_balance import (
     in_torque_logged,
     through_gears,
     torque_residual,
+    winding_noise,
     windings,
 )
 from ves_gym.diagnosis.machines.vehicle_force import InnerStart, inner_sizes, vehicle_gap
@@ -55,6 +56,7 @@ _N, _M = ("N",) * 3 + ("N m",) * 3, ("m",) * 3 + ("rad",) * 3
 _FLOOR = {"admittance": 8e-3}
 _LEAST = 1e-3
 _TURNS_OVER = 0.4  # of the band: what of a torque decides on which side teeth lie
+_NO_TURN = 3.0  # standard deviations of noise about which a torque moves no teeth
 _AT_REST = TorqueEffect, JointMemory  # frictions among them: they turn with noise
 _LOADS = 40  # remembered: both ports of an arm ask, with one law of friction after another
 _SEEN = {  # port -> the signal that its residual is a part of
@@ -212,6 +214,11 @@ class SystemMachine:
         change = stewart.leg_lengths(np.concatenate(commands)) - home
         room = np.where(change > 0, stewart.length_max - home, home - stewart.length_min)
         return float((np.abs(change) / room).max())
+
+    def travel(self, runs: Sequence[Run]) -> tuple[float, ...]:
+        """Return what each joint covers in the runs [rad]."""
+        angles = np.concatenate([np.reshape(run["q"], (-1, self.system.arm.n)) for run in runs])
+        return tuple(np.ptp(angles, axis=0).tolist())
 
     @cached_property
     def nuisances(self) -> tuple[Nuisance, ...]:
@@ -495,17 +502,24 @@ def _deflections(arm: Arm, torque: Array, run: Run) -> Array:
     """Angle by which gears give (..., T, n) under the torque through them.
 
     Play turns over with the sign of the torque: noise that turns it over at random would be
-    all that is seen of a small one. So its torque is taken from a part of the band.
+    all that is seen of a small one. So its torque is taken from a part of the band, and one
+    that noise may be moves no teeth.
     """
     from ves_gym.diagnosis.machines.recursions import deflection  # numba takes a second to load
 
     out = np.zeros_like(torque)
     gears = [(i, link.gear) for i, link in enumerate(arm.links) if link.gear is not None]
-    slow = torque
+    top, slow = _TURNS_OVER * run.band, torque
     if any(gear.gap for _, gear in gears):
-        slow = differentiated(torque, run.dt, _TURNS_OVER * run.band)[0]
+        slow = differentiated(torque, run.dt, top)[0]
     for i, gear in gears:
-        through = (slow if gear.gap else torque)[..., i]
+        through = torque[..., i]
+        if gear.gap:
+            through = slow[..., i]
+            if "tau" in run:
+                noise = winding_noise(run, i, arm.links[i].rotor_inertia, top)
+                least = max(_NO_TURN * noise, 1e-12)
+                through = -through * np.expm1(-np.square(through / least))
         out[..., i] = deflection(
             through, 1 / gear.compliance, gear.damping, gear.gap / 2, run.dt
         )

@@ -96,6 +96,26 @@ def windings(arm: Arm, run: Run) -> list[Winding]:
     return out
 
 
+def winding_noise(run: Run, joint: int, rotor: float, top: float) -> float:
+    """Return the standard deviation of noise in the torque through a gear, up to `top` [N m].
+
+    That is the torque logged, less what the rotor takes: its inertia times the acceleration.
+
+    Args:
+        run: measured, torques too.
+        joint: index.
+        rotor: inertia [kg m^2].
+        top: [Hz].
+    """
+    f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
+    w = 2 * np.pi * f
+    of_angle = noise_power(run.noise["q"], f, run.dt)[:, joint]
+    if run.crossover is not None:
+        of_angle = of_angle / (1 + (w / run.crossover[joint]) ** 2)
+    power = noise_power(run.noise["tau"], f, run.dt)[:, joint] + rotor**2 * w**4 * of_angle
+    return float(np.sqrt(np.mean(power * (f <= top))))
+
+
 def _filtered(x: Array, transfer: Array) -> Array:
     """Return a signal (..., T) through a filter (K,), zeros behind it."""
     length = x.shape[-1]
