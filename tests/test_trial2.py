@@ -135,6 +135,13 @@ def test_a_description_says_what_no_machine_has(vehicle: str, mode: str) -> None
     assert {"friction of joint 3", "damping of joint 1", "zero of joint 2"} <= gone
     assert ("mass of the base" in gone) == (mode == "emulated")
     assert {"mass of link 1", "gain of joint 2"} <= {k.name for k in known}
+    stated = StatedErrors(known=cases.known(case))
+    sizes = {
+        k.name: k.std for k in SystemMachine(System.from_dict(described), stated).nuisances
+    }
+    if mode == "emulated":  # drawn within 5 g; usual are 50 g
+        factor = case.factor if case.stated else 1.0
+        assert sizes["weight estimate"] == pytest.approx(0.005 / 3**0.5 * factor, rel=0.01)
 
 
 def test_a_set_is_published_as_far_as_it_is_answered(tmp_path: Path) -> None:

@@ -193,6 +193,19 @@ def known_exactly(case: Case) -> tuple[str, ...]:
     return tuple(out)
 
 
+def known(case: Case) -> dict[str, float]:
+    """Return what a case states beside the usual errors: tolerance -> standard deviation.
+
+    Args:
+        case: for its mode, vehicle and factor.
+    """
+    out = dict.fromkeys(known_exactly(case), 0.0)
+    if case.mode == "emulated":  # usual is ten times what this generator draws
+        factor = case.factor if case.stated else 1.0
+        out["weight estimate"] = float(f"{factor * TOLERANCES['estimate'] / 3**0.5:.3g}")
+    return out
+
+
 def real_machine(
     case: Case, secret: str, description: dict[str, Any]
 ) -> tuple[Plant, Servo, float]:

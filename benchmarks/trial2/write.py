@@ -17,7 +17,7 @@ from benchmarks.trial2.cases import (
     Case,
     draw,
     generator,
-    known_exactly,
+    known,
     motions,
     noise_std,
     real_machine,
@@ -184,7 +184,7 @@ def write_case(secret: str, index: int, folder: Path) -> dict[str, Any]:
     tolerances = {
         "schema": "ves-tolerances/1",
         "scale": case.factor if case.stated else 1.0,
-        "known": dict.fromkeys(known_exactly(case), 0.0),
+        "known": known(case),
     }
     (folder / "tolerances.toml").write_text(tomli_w.dumps(tolerances), "utf-8")
     std = noise_std(case.arm)

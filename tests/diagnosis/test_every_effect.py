@@ -61,7 +61,7 @@ SIZES: dict[str, tuple] = {  # kind -> place, numbers of its candidate
     "gravity/tilt": ("", 0.0, 6.6e-4, 0.0),
     "gravity/tool": ("", 0.18, 0.0, 0.0, 0.0),
     "joint/asymmetry": ("joint 2", 3.9, 1.95),
-    "joint/backlash": ("joint 3", 0.0026),
+    "joint/backlash": ("joint 3", 0.0045),
     "joint/coulomb": ("joint 2", 4.3),
     "joint/drive_gain": ("joint 2", 0.0665),
     "joint/elasticity": ("joint 2", 1.25e-4, 30.0),

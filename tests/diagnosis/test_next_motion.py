@@ -19,11 +19,11 @@ from ves_gym.simulation.playback import play_motions
 SYSTEM = nominal()
 KINDS = ("joint/drive_gain", "joint/torque_offset", "joint/coulomb", "joint/viscous")
 NOISE = SensorNoise(force=(0.3,) * 3, moment=(0.1,) * 3)
-TRUTH = JointDriveGain(error=(0.0, 0.01, 0.0))
+TRUTH = JointDriveGain(error=(0.0, 0.007, 0.0))
 
 
 def measured(motion, seed, effects=(TRUTH,)):
-    """Log of the machine whose second drive gives 1 % more than described."""
+    """Log of the machine whose second drive gives 0.7 % more than described."""
     true = SYSTEM.replace(effects=(*effects, NOISE))
     log = play_motions(true, [motion], servo=HIGH_GAINS, settle=0.0, record_dt=5e-3).log(0)
     rng = np.random.default_rng(seed)
@@ -32,7 +32,8 @@ def measured(motion, seed, effects=(TRUTH,)):
         k: getattr(log, k) + s * rng.standard_normal(getattr(log, k).shape)
         for k, s in noise.items()
     }
-    return dataclasses.replace(log, **noisy, meta={**log.meta, "system": SYSTEM.to_dict()})
+    meta = {k: v for k, v in log.meta.items() if k != "controller"}  # it would tell them apart
+    return dataclasses.replace(log, **noisy, meta={**meta, "system": SYSTEM.to_dict()})
 
 
 def diagnosed(logs):
@@ -70,11 +71,11 @@ def test_rivals_get_a_motion_that_keeps_every_limit(at_hand, designed):
 
 
 def test_it_is_worth_more_than_the_run_at_hand_and_decides(designed, after):
-    assert designed.least > CLEAR and designed.least > 2 * designed.at_hand > 0
+    assert designed.least > CLEAR and designed.least > 1.9 * designed.at_hand > 0
     assert designed.tried >= 5
     assert after.verdict == d.NAMED and len(after.explanations) == 1
     assert after.explanations[0].candidate.name == "joint/drive_gain at joint 2"
-    assert after.explanations[0].values[0] == pytest.approx(0.01, rel=0.1)
+    assert after.explanations[0].values[0] == pytest.approx(0.007, rel=0.1)
     assert next_motion(after) is None  # nothing is open
 
 

@@ -64,7 +64,8 @@ def test_the_library_is_that_with_which_the_sealed_sets_were_answered():
     It let tilts go to 0.3 rad, which no effect can have: its bounds are 0.1 rad. Play has
     begun at smaller gaps, and had a form, since the second sealed set of trial 2; filters have
     begun on both sides of the described since the fourth, and a ripple has had a second
-    harmonic as a form since the fifth.
+    harmonic as a form since the fifth. What the controller is given shows at the joints,
+    too, and play is looked for between stiff teeth, since the sixth.
     """
     stored = json.loads((Path(__file__).parent / "library.json").read_text())
     found = emulated()
@@ -118,6 +119,15 @@ def test_what_would_do_nothing_in_a_system_is_no_candidate():
     assert "base/virtual_mass" in found
     reason = left_out(EFFECTS["base/stiffness"], Scope(3, free), PORTS, "emulated")
     assert "needs a vehicle with stiffness" in reason
+
+
+def test_what_repeats_says_how_often_it_has():
+    travel = (2 * np.pi / 10, 0.0, 1.0)
+    found = {c.name: c for c in library(3, ["joint"], "ideal", travel=travel)}
+    ripple = found["joint/ripple at joint 1"]
+    assert ripple.periods(np.array([1.0, 0.0, 12.0])) == pytest.approx(1.2)
+    assert {c.kind for c in found.values() if c.periods} == {"joint/ripple"}
+    assert not any(c.periods for c in library(3, ["joint"], "ideal"))  # travel not known
 
 
 def test_a_drift_is_a_course_and_its_size_the_effect():

@@ -13,6 +13,7 @@ from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.inference import held_back
 from ves_gym.diagnosis.inference.fit import fit, fit_residual
 from ves_gym.diagnosis.inference.held_back import losses
+from ves_gym.diagnosis.inference.model_selection import Selection, without_untold
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.mechanics.vehicle import DECOUPLED
@@ -51,6 +52,28 @@ def test_a_name_that_holds_is_kept(logs):
     assert found.verdict == NAMED, found.sentence
     assert [f.candidate.name for f in found.explanations] == ["joint/coulomb at joint 1"]
     assert found.explanations[0].values == pytest.approx(12.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("turns", "kept"), [(1.1, True), (0.9, False)])
+def test_what_repeats_is_named_after_a_period(logs, turns, kept):
+    """Of less of it any curve over the angle is a part: a cable is no ripple."""
+    inputs = system_inputs([logs["rubbing", 1], logs["rubbing", 2]], DESCRIBED, final=1)
+    residuals = WhitenedResiduals(inputs.machine, inputs.runs)
+    coulomb = next(c for c in inputs.candidates if c.name == "joint/coulomb at joint 1")
+    repeats = replace(coulomb, periods=lambda x: turns)
+    f = fit(residuals, [repeats], [np.array([10.0])])
+    assert f.is_told(0) == kept
+    chosen = without_untold(Selection(fit(residuals, (), ()), f, ((),)), residuals)
+    assert len(chosen.fit.candidates) == kept
+    assert ("edge of what can be told" in "".join(chosen.steps)) != kept
+
+
+def test_a_number_at_the_edge_of_its_range_is_no_name(logs):
+    inputs = system_inputs([logs["rubbing", 1], logs["rubbing", 2]], DESCRIBED, final=1)
+    residuals = WhitenedResiduals(inputs.machine, inputs.runs)
+    coulomb = next(c for c in inputs.candidates if c.name == "joint/coulomb at joint 1")
+    f = fit(residuals, [replace(coulomb, high=(8.0,))], [np.array([5.0])])
+    assert f.values[0][0] == 8.0 and not f.is_told(0)
 
 
 def test_runs_held_back_are_judged_by_the_form_that_a_law_has_taken():

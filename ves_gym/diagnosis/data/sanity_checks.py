@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -165,7 +165,14 @@ def _sizes(
 ) -> dict[str, Array]:
     """Return (c,) per port: size of the residual over that of the channel's movement; 0 where
     a channel does not tell anything."""
-    residuals = machine.residuals(run, [machine.nominal], ports)
+    # a torque logged in another unit must not be told by what the controller asked
+    alone = replace(
+        run, meta={k: v for k, v in run.meta.items() if k != "controller"}, memory={}
+    )
+    joint = [name for name in ports if name == "joint"]
+    residuals = machine.residuals(alone, [machine.nominal], joint) | machine.residuals(
+        run, [machine.nominal], [name for name in ports if name != "joint"]
+    )
     seen = {p.name: p.signal or _SEEN.get(p.name, "") for p in machine.ports}
     out = {}
     for name in ports:

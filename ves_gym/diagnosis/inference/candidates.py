@@ -55,6 +55,8 @@ def library(
             active = tuple(p for p in candidate.ports if p in ports)
             if mode == "ideal" and "base" in active and "wrench" in ports:
                 active += ("wrench",)  # what the base says of its pose is taken off there
+            if "servo" in active and "joint" in ports:
+                active += ("joint",)  # what the controller asked tells the torque there
             candidate = dataclasses.replace(candidate, ports=active)
             if cls.wanders:
                 candidate = _course(candidate, i, runs)

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array
-from ves_gym._util.signals import differentiated
+from ves_gym._util.signals import differentiated, noise_power
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
@@ -45,6 +45,30 @@ def servo_gap(
         demand = demand + inverse_dynamics(arm, *command)[0]
     most = arm.column("tau_max")
     return np.asarray(run["tau"] - np.clip(demand, -most, most))
+
+
+def share_of_the_asked(run: Run) -> Array:
+    """Return the share that what was asked has in the best estimate of a motor torque (n,).
+
+    Both are the torque with noise of their own: the log's sensor, and the gains times the noise
+    of angles and rates. Mixed by their variances they tell it best, and what the mixture has
+    and the difference of the two are no longer correlated.
+
+    Args:
+        run: with the controller's gains.
+    """
+    gains = run.meta["controller"]
+    kp, kd = (np.asarray(gains[name], float) for name in ("kp", "kd"))
+    f = np.asarray(np.fft.rfftfreq(run.length, run.dt), float)
+    inside, w = f <= run.band, 2 * np.pi * f[:, None]
+    of_rates = w**2 * noise_power(run.noise["q"], f, run.dt)
+    if run.crossover is not None:
+        of_rates = of_rates / (1 + (w / run.crossover) ** 2)
+    of_angles = noise_power(run.noise["q"], f, run.dt)
+    asked = (kp**2 * of_angles + kd**2 * of_rates)[inside].mean(axis=0)
+    logged = noise_power(run.noise["tau"], f, run.dt)[inside].mean(axis=0)
+    total = asked + logged
+    return np.asarray(np.where(total > 0, logged / np.where(total > 0, total, 1.0), 0.0))
 
 
 def _lagged(v: Array, lag: Array, dt: float) -> Array:

@@ -31,9 +31,10 @@ from ves_gym.diagnosis.machines.platform import followed, platform_gap
 from ves_gym.diagnosis.machines.pose_noise import PoseNoise, pose_noise
 from ves_gym.diagnosis.machines.presliding import Presliding, remembered_friction
 from ves_gym.diagnosis.machines.ringing import loop_rings
-from ves_gym.diagnosis.machines.servo import servo_gap
+from ves_gym.diagnosis.machines.servo import servo_gap, share_of_the_asked
 from ves_gym.diagnosis.machines.tolerances import StatedErrors, with_known
 from ves_gym.diagnosis.machines.torque_balance import (
+    in_balance,
     in_torque_logged,
     through_gears,
     torque_residual,
@@ -56,6 +57,7 @@ _N, _M = ("N",) * 3 + ("N m",) * 3, ("m",) * 3 + ("rad",) * 3
 _FLOOR = {"admittance": 8e-3}
 _LEAST = 1e-3
 _TURNS_OVER = 0.4  # of the band: what of a torque decides on which side teeth lie
+_GIVEN = ("q_cmd", "v_cmd")  # to the joints' controller
 _NO_TURN = 3.0  # standard deviations of noise about which a torque moves no teeth
 _AT_REST = TorqueEffect, JointMemory  # frictions among them: they turn with noise
 _LOADS = 40  # remembered: both ports of an arm ask, with one law of friction after another
@@ -103,6 +105,7 @@ class SystemMachine:
                 joints,
                 ("N m",) * n,
                 ("q", "tau", "y"),
+                _GIVEN,
                 differentiates=True,
             ),
             Port(
@@ -110,8 +113,8 @@ class SystemMachine:
                 "motor torque less what the controller asks",
                 joints,
                 ("N m",) * n,
-                ("q_cmd", "v_cmd", "q", "tau", "controller"),
-                ("q_cmd", "v_cmd"),
+                (*_GIVEN, "q", "tau", "controller"),
+                _GIVEN,
             ),
             Port(
                 "wrench",
@@ -238,7 +241,9 @@ class SystemMachine:
             none = (0.0,) * n
             for name, gains in (("kp", (off, none)), ("kd", (none, off))):
                 model = SystemVariant(self.system, gains=gains)
-                yield Nuisance(f"{name} of joint {i + 1}", ("servo",), model, 0.01, GAIN)
+                yield Nuisance(
+                    f"{name} of joint {i + 1}", ("servo", "joint"), model, 0.01, GAIN
+                )
 
     def unknowns(self, run: Run) -> tuple[Nuisance, ...]:
         """Return what a run may have of its own.
@@ -312,7 +317,11 @@ class SystemMachine:
     # ------------------------------------------------------------------- arm
 
     def _joint(self, run: Run, model: SystemVariant) -> Array:
-        """Motor torque less what the motion takes (..., T, n)."""
+        """Motor torque less what the motion takes (..., T, n).
+
+        Where the controller is known, what it asked tells the torque, too, and often better:
+        a wrist's by its angle times a small gain.
+        """
         q, v = run.joints.x, run.turning_rate
         effects, most = model.system.effects, self.system.arm.column("tau_max")
         remembered = remembered_friction(run, effects)
@@ -330,7 +339,15 @@ class SystemMachine:
             noise, arm = self._pose_noise(run), model.system.actual.arm
             needed = needed + noise.in_torque(arm, run["w"] - wrench)
         balance = torque_residual(run["tau"], needed, every, laws)
-        return in_torque_logged(balance, windings(model.system.actual.arm, run))
+        gears = windings(model.system.actual.arm, run)
+        if all(k in run for k in (*_GIVEN, "controller")):
+            error = self._share_of_the_asked(run) * self._servo(run, model)
+            balance = balance - in_balance(error, gears)
+        return in_torque_logged(balance, gears)
+
+    def _share_of_the_asked(self, run: Run) -> Array:
+        key = Derived("share of the asked", frozenset[str]())
+        return run.derived(*key, lambda: share_of_the_asked(run))
 
     def _wrench(self, run: Run, system: System) -> Array:
         """Sensor reading less the arm's wrench (..., T, 6)."""

@@ -143,6 +143,19 @@ def in_torque_logged(balance: Array, gears: Sequence[Winding]) -> Array:
     return out
 
 
+def in_balance(error: Array, gears: Sequence[Winding]) -> Array:
+    """Return an error of the torque logged as a balance of torques shows it (..., T, n).
+
+    Args:
+        error: (..., T, n) [N m].
+        gears: of the arm on the run.
+    """
+    out = error.copy() if gears else error
+    for g in gears:
+        out[..., g.joint] = _filtered(error[..., g.joint], g.shown)
+    return out
+
+
 def through_gears(torque: Array, balance: Array, gears: Sequence[Winding], run: Run) -> Array:
     """Return the torque that winds gears up, by torques logged and motion together (..., T, n).
 
