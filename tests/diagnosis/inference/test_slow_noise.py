@@ -5,11 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.diagnosis.test_every_effect import STD, SYSTEM, noisy, played
+from tests.diagnosis.test_every_effect import HISS, STD, SYSTEM, library_of, noisy, played
 from ves_gym._util.signals import SensorNoiseModel
 from ves_gym.diagnosis.data.measured_run import run_of, with_shared_colour
 from ves_gym.diagnosis.inference.fit import fit
-from ves_gym.diagnosis.inference.model_selection import unexplained
+from ves_gym.diagnosis.inference.model_selection import Thresholds, select, unexplained
+from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.slow_noise import MOST, slow_shares
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.system import SystemMachine
@@ -67,6 +68,25 @@ def test_runs_share_the_colour_of_the_one_that_moves_least(log):
     shared = with_shared_colour([loud], [calm, loud])[0].noise["tau"]
     assert shared.correlation == pytest.approx(calm.noise["tau"].correlation)
     assert shared.std == pytest.approx(STD["tau"])
+
+
+@pytest.mark.parametrize(("size", "names"), [(0.8, 0), (2.0, 1)])
+def test_a_drift_below_the_noise_stated_is_part_of_it(size, names):
+    """F_y wanders by parts of its noise: above it, it drifts (trial 2, seventh set, 45)."""
+    quiet = played(SYSTEM, HISS)
+    wave = np.sqrt(2) * np.cos(2.5 * np.pi * np.linspace(0, 1, len(quiet)))
+    moved = quiet.w + np.outer(wave, size * STD["w"] * (np.arange(6) == 1))
+    logs = [noisy(dataclasses.replace(quiet, w=moved), seed) for seed in range(4)]
+    machine = SystemMachine(SYSTEM)
+    machine.ports = tuple(p for p in machine.ports if p.name == "wrench")
+    runs = [run_of(k, f"run-{i}") for i, k in enumerate(logs)]
+    residuals = WhitenedResiduals(machine, runs)
+    drifts = [c for c in library_of(machine, runs) if c.kind == "sensor/drift"]
+    found = select(residuals, Signatures(residuals, drifts), Thresholds())
+    best = max(drifts, key=lambda c: c.name.endswith("F_y"))
+    gained = fit(residuals, (), ()).deviance - fit(residuals, [best], best.starts).deviance
+    assert gained > 100  # enough for a name, either way
+    assert [c.slot for c in found.fit.candidates] == ["F_y"] * names
 
 
 def test_nothing_is_told_where_an_effect_may_be_in_the_median(log, monkeypatch):

@@ -322,9 +322,29 @@ def _candidate_fits(
         extended = (*reduced.candidates[:i], candidate, *reduced.candidates[i:])
         start = (*reduced.values[:i], scores[j].values, *reduced.values[i:])
         tried = fit(residuals, extended, start)
-        if tried.is_told(i) and _acts_long_enough(residuals, tried, i):
+        told = tried.is_told(i) and not _is_noise_stated(residuals, tried, i)
+        if told and _acts_long_enough(residuals, tried, i):
             out.append(tried)
     return out
+
+
+def _is_noise_stated(residuals: WhitenedResiduals, f: Fit, i: int) -> bool:
+    """Return True for a drift that is less than the noise which the log states of its sensor.
+
+    Such noise is all that a signal has beside the truth, and part of it may wander.
+    """
+    candidate = f.candidates[i]
+    if candidate.counts is None or "wrench" not in candidate.ports:
+        return False
+    model, parts = residuals.machine.model([candidate.effect(f.values[i])]), []
+    for run in residuals.runs:
+        if "w" not in run.meta.get("noise_std", {}):
+            return False
+        moved, plain = residuals.machine.residuals(
+            run, [model, residuals.machine.nominal], ["wrench"]
+        )["wrench"]
+        parts.append(np.square((moved - plain) / run.noise["w"].std).mean(axis=0))
+    return bool(np.mean(parts, axis=0).max() < 1)
 
 
 def _acts_long_enough(residuals: WhitenedResiduals, f: Fit, i: int) -> bool:
