@@ -24,7 +24,7 @@ _THIRDS = 3
 _FINER = 4  # times as many instants as frequencies: thirds are cut between samples
 _CHANCE = 1e-4  # of a law that holds being called unsteady
 _SHARE = 0.1  # of what a name explains: no law holds to the last digit
-_SHARE_SETS_IN = 0.25  # and when play closes or a limit is reached a log tells roughly
+_SHARE_SETS_IN = 0.35  # and when play closes or a limit is reached a log tells roughly
 _ABSENT = 1e-9  # of a whitened residual
 
 
