@@ -45,7 +45,7 @@ def diagnosed(logs):
 @pytest.fixture(scope="module")
 def at_hand():
     """A joint that carries its weight and hardly turns: a gain off, or an offset?"""
-    log = measured(Motion.straight([0.3, 0.5, 0.4], [0.5, 0.6, 0.3], 4.0), 1)
+    log = measured(Motion.straight([0.3, 0.5, 0.4], [0.4, 0.54, 0.37], 4.0), 1)
     return log, diagnosed([log])
 
 
@@ -71,7 +71,7 @@ def test_rivals_get_a_motion_that_keeps_every_limit(at_hand, designed):
 
 
 def test_it_is_worth_more_than_the_run_at_hand_and_decides(designed, after):
-    assert designed.least > CLEAR and designed.least > 1.9 * designed.at_hand > 0
+    assert designed.least > CLEAR and designed.least > 2 * designed.at_hand > 0
     assert designed.tried >= 5
     assert after.verdict == d.NAMED and len(after.explanations) == 1
     assert after.explanations[0].candidate.name == "joint/drive_gain at joint 2"

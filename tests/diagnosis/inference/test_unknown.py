@@ -44,10 +44,6 @@ def recorded(n):
     return [dataclasses.replace(k, meta={**k.meta, "system": SYSTEM.to_dict()}) for k in out]
 
 
-def without_controller(meta):
-    return {k: v for k, v in meta.items() if k != "controller"}
-
-
 def hose(q):
     """Torque at joint 2 of a hose along joints 2 and 3, softly taut beyond an angle."""
     stretch = q[:, 1] + 0.5 * q[:, 2] + 0.4
@@ -57,12 +53,11 @@ def hose(q):
 
 
 def joint_residuals(logs, seed):
-    """Of logs whose torques are changed, the controller unknown: it has asked for others."""
-    logs = [dataclasses.replace(k, meta=without_controller(k.meta)) for k in logs]
+    """Of logs whose torques are changed: the controller has asked for others."""
     machine = SystemMachine(SYSTEM)
     machine.ports = tuple(p for p in machine.ports if p.name == "joint")
     runs = [run_of(noisy(k, seed + i), f"run-{seed + i}") for i, k in enumerate(logs)]
-    return WhitenedResiduals(machine, runs)
+    return WhitenedResiduals(machine, [dataclasses.replace(r, by_log=True) for r in runs])
 
 
 def test_a_law_that_nobody_has_is_written_where_it_is(logs):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import ves_gym.effects as E
-from ves_gym.diagnosis.data.measured_run import run_of
-from ves_gym.diagnosis.excitation import excitation_motions
+from tests.diagnosis.machines.noisy_arm import RIGID, logged
 from ves_gym.diagnosis.inference.candidates import library
 from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
@@ -17,50 +16,24 @@ from ves_gym.diagnosis.machines.servo import share_of_the_asked
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.diagnosis.machines.tolerances import StatedErrors
 from ves_gym.mechanics.servo import JointServo
-from ves_gym.mechanics.vehicle import BENT_THESIS
-from ves_gym.simulation.playback import play_motions
-from ves_gym.system.system import System
 
-NOISE = {
-    "q": np.full(3, 1e-4),
-    "v": np.full(3, 1e-3),
-    "tau": np.full(3, 0.4),
-    "y": np.array([2e-5] * 3 + [1e-5] * 3),
-    "w": np.full(6, 0.3),
-}
 SOFT = JointServo(kp=(3000.0, 2000.0, 100.0), kd=(50.0, 40.0, 5.0))  # joint 3 as a wrist is
-SYSTEM = System(vehicle=BENT_THESIS)
 OFFSET = E.JointTorqueOffset(torque=(0.0, 0.0, 0.04))
 
 
 @pytest.fixture(scope="module")
 def run():
     """10 s of an arm whose joint 3 has an offset a tenth of its torque sensor's noise."""
-    motions = excitation_motions(1, SYSTEM.arm, duration=10.0, seed=3)
-    recording = play_motions(
-        SYSTEM.replace(effects=(OFFSET,)),
-        motions,
-        servo=SOFT,
-        settle=1.0,
-        record_dt=SYSTEM.control_dt,
-    )
-    log, rng = recording.log(0), np.random.default_rng(3)
-    parts = {
-        k: getattr(log, k) + rng.standard_normal(getattr(log, k).shape) * s
-        for k, s in NOISE.items()
-    }
-    stated = {"noise_std": {k: s.tolist() for k, s in NOISE.items()}}
-    return run_of(dataclasses.replace(log, meta={**log.meta, **stated}, **parts), "run")
+    return logged(RIGID.replace(effects=(OFFSET,)), SOFT)
 
 
-def without_controller(run):
-    meta = {k: v for k, v in run.meta.items() if k != "controller"}
-    return dataclasses.replace(run, meta=meta, memory={})
+def by_log(run):
+    return dataclasses.replace(run, by_log=True)
 
 
 def noise_of(run, port):
     """(20, K, 3) what noise of its own adds to a port of the run, over the band."""
-    machine = SystemMachine(SYSTEM)
+    machine = SystemMachine(RIGID)
     plain = machine.residuals(run, [machine.nominal], [port])[port][0]
     drawn = run.with_noise(np.random.default_rng(0), 20, ("q_cmd", "v_cmd"))
     noisy = machine.residuals(drawn, [machine.nominal], [port])[port][0]
@@ -83,16 +56,16 @@ def test_noise_of_joint_and_servo_is_no_longer_the_same(run):
         return np.abs(across / np.sqrt(np.prod(list(sizes), axis=0)))
 
     assert (alike(noise_of(run, "joint")) < 0.15).all()
-    assert (alike(noise_of(without_controller(run), "joint")) > 0.6).all()
+    assert (alike(noise_of(by_log(run), "joint")) > 0.6).all()
 
 
 def test_an_offset_below_the_noise_of_the_torque_is_found(run):
     gains = []
-    for known in (run, without_controller(run)):
-        machine = SystemMachine(SYSTEM, StatedErrors(known={"zero of joint *": 0.0}))
+    for known in (run, by_log(run)):
+        machine = SystemMachine(RIGID, StatedErrors(known={"zero of joint *": 0.0}))
         residuals = WhitenedResiduals(machine, [known])
         ports = [p.name for p in residuals.ports]
-        every = library(3, ports, "ideal", system=SYSTEM)
+        every = library(3, ports, "ideal", system=RIGID)
         offset = next(c for c in every if c.name == "joint/torque_offset at joint 3")
         f = fit(residuals, [offset], [np.array([1.0])])
         gains.append(fit(residuals, (), ()).deviance - f.deviance)
@@ -104,7 +77,7 @@ def test_an_offset_below_the_noise_of_the_torque_is_found(run):
 
 def test_what_the_controller_is_given_shows_at_the_joints():
     """A command that comes late is told there, too, as what was asked is."""
-    every = {c.name: c for c in library(3, ["joint", "servo"], "ideal", system=SYSTEM)}
+    every = {c.name: c for c in library(3, ["joint", "servo"], "ideal", system=RIGID)}
     assert every["command/delay"].ports == ("servo", "joint")
     assert every["joint/velocity_lag at joint 1"].ports == ("servo", "joint")
     assert "servo" not in every["joint/coulomb at joint 1"].ports

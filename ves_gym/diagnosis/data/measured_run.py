@@ -18,6 +18,7 @@ from ves_gym._util.signals import (
     differentiated_with_rates,
     estimate_noise,
     margin,
+    noise_power,
     on_uniform_clock,
     rate_crossover,
     repeats,
@@ -72,6 +73,7 @@ class Run:
     band: float = BAND  # Hz
     repeats: Mapping[str, float] = field(default_factory=dict)  # share of samples that stay
     crossover: Array | None = None  # (n,) rad/s from where rates tell more than angles
+    by_log: bool = False  # torques are told by the log alone, not by what was asked as well
     memory: dict[Any, Any] = field(default_factory=dict)  # what machines derive from it
 
     @property
@@ -114,6 +116,17 @@ class Run:
         return Kinematics(
             *differentiated_with_rates(q, v, self.dt, self.band, self.crossover, ahead)
         )
+
+    def noise_of_angles(self, f: Array) -> Array:
+        """Return the power (K, n) of the noise that the joints' motion has in their angles.
+
+        Args:
+            f: (K,) frequencies [Hz].
+        """
+        power = noise_power(self.noise["q"], f, self.dt)
+        if self.crossover is not None:  # from there on rates tell it
+            power = power / (1 + (2 * np.pi * f[:, None] / self.crossover) ** 2)
+        return power
 
     @cached_property
     def turning_rate(self) -> Array:

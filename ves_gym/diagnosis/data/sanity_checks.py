@@ -166,13 +166,7 @@ def _sizes(
     """Return (c,) per port: size of the residual over that of the channel's movement; 0 where
     a channel does not tell anything."""
     # a torque logged in another unit must not be told by what the controller asked
-    alone = replace(
-        run, meta={k: v for k, v in run.meta.items() if k != "controller"}, memory={}
-    )
-    joint = [name for name in ports if name == "joint"]
-    residuals = machine.residuals(alone, [machine.nominal], joint) | machine.residuals(
-        run, [machine.nominal], [name for name in ports if name != "joint"]
-    )
+    residuals = machine.residuals(replace(run, by_log=True), [machine.nominal], ports)
     seen = {p.name: p.signal or _SEEN.get(p.name, "") for p in machine.ports}
     out = {}
     for name in ports:

@@ -290,7 +290,7 @@ def without_untold(selection: Selection, residuals: WhitenedResiduals) -> Select
     """
     i = 0
     while i < len(selection.fit.candidates):
-        if selection.fit.is_told(i):
+        if _is_told(residuals, selection.fit, i):
             i += 1
             continue
         name = selection.fit.candidates[i].name
@@ -322,10 +322,14 @@ def _candidate_fits(
         extended = (*reduced.candidates[:i], candidate, *reduced.candidates[i:])
         start = (*reduced.values[:i], scores[j].values, *reduced.values[i:])
         tried = fit(residuals, extended, start)
-        told = tried.is_told(i) and not _is_noise_stated(residuals, tried, i)
-        if told and _acts_long_enough(residuals, tried, i):
+        if _is_told(residuals, tried, i) and _acts_long_enough(residuals, tried, i):
             out.append(tried)
     return out
+
+
+def _is_told(residuals: WhitenedResiduals, f: Fit, i: int) -> bool:
+    """Return True if the runs can tell the effect in place i: its numbers, and from noise."""
+    return f.is_told(i) and not _is_noise_stated(residuals, f, i)
 
 
 def _is_noise_stated(residuals: WhitenedResiduals, f: Fit, i: int) -> bool:

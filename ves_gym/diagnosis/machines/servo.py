@@ -51,8 +51,8 @@ def share_of_the_asked(run: Run) -> Array:
     """Return the share that what was asked has in the best estimate of a motor torque (n,).
 
     Both are the torque with noise of their own: the log's sensor, and the gains times the noise
-    of angles and rates. Mixed by their variances they tell it best, and what the mixture has
-    and the difference of the two are no longer correlated.
+    of angles and of their differences, as `servo_gap` has them. Mixed by their variances they
+    tell it best, and the mixture and the difference of the two are no longer correlated.
 
     Args:
         run: with the controller's gains.
@@ -61,11 +61,8 @@ def share_of_the_asked(run: Run) -> Array:
     kp, kd = (np.asarray(gains[name], float) for name in ("kp", "kd"))
     f = np.asarray(np.fft.rfftfreq(run.length, run.dt), float)
     inside, w = f <= run.band, 2 * np.pi * f[:, None]
-    of_rates = w**2 * noise_power(run.noise["q"], f, run.dt)
-    if run.crossover is not None:
-        of_rates = of_rates / (1 + (w / run.crossover) ** 2)
     of_angles = noise_power(run.noise["q"], f, run.dt)
-    asked = (kp**2 * of_angles + kd**2 * of_rates)[inside].mean(axis=0)
+    asked = ((kp**2 + kd**2 * w**2) * of_angles)[inside].mean(axis=0)
     logged = noise_power(run.noise["tau"], f, run.dt)[inside].mean(axis=0)
     total = asked + logged
     return np.asarray(np.where(total > 0, logged / np.where(total > 0, total, 1.0), 0.0))

@@ -16,7 +16,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
-from ves_gym.diagnosis.data.measured_run import NEAR, Derived, Kinematics, Run
+from ves_gym.diagnosis.data.measured_run import COMMANDED, NEAR, Derived, Kinematics, Run
 from ves_gym.diagnosis.machines.admittance import force_gap
 from ves_gym.diagnosis.machines.base import WRENCH, Nuisance, Port
 from ves_gym.diagnosis.machines.between_samples import (
@@ -57,10 +57,12 @@ _N, _M = ("N",) * 3 + ("N m",) * 3, ("m",) * 3 + ("rad",) * 3
 _FLOOR = {"admittance": 8e-3}
 _LEAST = 1e-3
 _TURNS_OVER = 0.4  # of the band: what of a torque decides on which side teeth lie
-_GIVEN = ("q_cmd", "v_cmd")  # to the joints' controller
+_OF_THE_SERVO = (*COMMANDED, "q", "tau", "controller")  # what its port needs
 _NO_TURN = 3.0  # standard deviations of noise about which a torque moves no teeth
 _AT_REST = TorqueEffect, JointMemory  # frictions among them: they turn with noise
-_LOADS = 40  # remembered: both ports of an arm ask, with one law of friction after another
+_LOADS = (
+    40  # remembered of each kind: both ports of an arm ask, with one friction after another
+)
 _SEEN = {  # port -> the signal that its residual is a part of
     "joint": "tau",
     "servo": "tau",
@@ -105,7 +107,7 @@ class SystemMachine:
                 joints,
                 ("N m",) * n,
                 ("q", "tau", "y"),
-                _GIVEN,
+                COMMANDED,
                 differentiates=True,
             ),
             Port(
@@ -113,8 +115,8 @@ class SystemMachine:
                 "motor torque less what the controller asks",
                 joints,
                 ("N m",) * n,
-                (*_GIVEN, "q", "tau", "controller"),
-                _GIVEN,
+                _OF_THE_SERVO,
+                COMMANDED,
             ),
             Port(
                 "wrench",
@@ -340,7 +342,7 @@ class SystemMachine:
             needed = needed + noise.in_torque(arm, run["w"] - wrench)
         balance = torque_residual(run["tau"], needed, every, laws)
         gears = windings(model.system.actual.arm, run)
-        if all(k in run for k in (*_GIVEN, "controller")):
+        if not run.by_log and all(k in run for k in _OF_THE_SERVO):
             error = self._share_of_the_asked(run) * self._servo(run, model)
             balance = balance - in_balance(error, gears)
         return in_torque_logged(balance, gears)
@@ -414,14 +416,19 @@ class SystemMachine:
                 others[..., own] = tau[..., own]
                 tau = others
         loads[arm, old] = tau, wrench
-        if len(loads) > _LOADS:
-            del loads[list(loads)[1]]  # the first is the description's own
+        _forget(loads)
         return tau, wrench
 
     def _servo(self, run: Run, model: SystemVariant) -> Array:
         """Motor torque less what the controller asks for (..., T, n)."""
-        swing = self._between(run).rate
-        return servo_gap(run, model.system, self.system.arm, model.gains, swing)
+        delays = Delays.of(model.system)
+        key = float(delays.command[0]), tuple(delays.lag[0].tolist()), model.gains
+        gaps = _memoized(run, "servo", dict)
+        if key not in gaps:
+            swing = self._between(run).rate
+            gaps[key] = servo_gap(run, model.system, self.system.arm, model.gains, swing)
+            _forget(gaps)
+        return gaps[key]  # type: ignore[no-any-return]
 
     def _sensed(self, system: System, wrench: Array, more: BetweenSamples, dt: float) -> Array:
         """Return the sensor's reading of a wrench (..., T, 6)."""
@@ -466,6 +473,12 @@ def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
     if key not in run.memory:
         run.memory[key] = make()
     return run.memory[key]
+
+
+def _forget(remembered: dict[Any, Any]) -> None:
+    """Drop the oldest of what is remembered but for the first, the description's own."""
+    if len(remembered) > _LOADS:
+        del remembered[list(remembered)[1]]
 
 
 def _compensates(system: System) -> bool:
@@ -534,10 +547,20 @@ def _deflections(arm: Arm, torque: Array, run: Run) -> Array:
         if gear.gap:
             through = slow[..., i]
             if "tau" in run:
-                noise = winding_noise(run, i, arm.links[i].rotor_inertia, top)
-                least = max(_NO_TURN * noise, 1e-12)
+                least = np.maximum(_NO_TURN * _noise_through(arm, run, top)[i], 1e-12)
                 through = -through * np.expm1(-np.square(through / least))
         out[..., i] = deflection(
             through, 1 / gear.compliance, gear.damping, gear.gap / 2, run.dt
         )
     return out
+
+
+def _noise_through(arm: Arm, run: Run, top: float) -> Array:
+    """Noise of the torques through gears up to `top` Hz (n,) [N m], computed once per arm."""
+    rotors = arm.column("rotor_inertia")
+    known = _memoized(run, "noise through gears", dict)
+    key = tuple(rotors.tolist()), top
+    if key not in known:
+        known[key] = winding_noise(run, rotors, top)
+        _forget(known)
+    return known[key]  # type: ignore[no-any-return]

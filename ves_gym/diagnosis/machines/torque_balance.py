@@ -83,9 +83,7 @@ def windings(arm: Arm, run: Run) -> list[Winding]:
     inertias = inertia(arm, angles).mean(axis=0)
     f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
     w = 2 * np.pi * f
-    of_angles = noise_power(run.noise["q"], f, run.dt)
-    if run.crossover is not None:
-        of_angles = of_angles / (1 + (w[:, None] / run.crossover) ** 2)
+    of_angles = run.noise_of_angles(f)
     of_pose = noise_power(run.noise["y"], f, run.dt) if "y" in run.noise else np.zeros((1, 6))
     out = []
     for j, gear, rotor in geared:
@@ -96,24 +94,20 @@ def windings(arm: Arm, run: Run) -> list[Winding]:
     return out
 
 
-def winding_noise(run: Run, joint: int, rotor: float, top: float) -> float:
-    """Return the standard deviation of noise in the torque through a gear, up to `top` [N m].
+def winding_noise(run: Run, rotors: Array, top: float) -> Array:
+    """Return the standard deviations of noise in torques through gears, up to `top` (n,) [N m].
 
-    That is the torque logged, less what the rotor takes: its inertia times the acceleration.
+    They are the torques logged, less what rotors take: inertia times acceleration.
 
     Args:
         run: measured, torques too.
-        joint: index.
-        rotor: inertia [kg m^2].
+        rotors: (n,) inertias [kg m^2].
         top: [Hz].
     """
     f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
-    w = 2 * np.pi * f
-    of_angle = noise_power(run.noise["q"], f, run.dt)[:, joint]
-    if run.crossover is not None:
-        of_angle = of_angle / (1 + (w / run.crossover[joint]) ** 2)
-    power = noise_power(run.noise["tau"], f, run.dt)[:, joint] + rotor**2 * w**4 * of_angle
-    return float(np.sqrt(np.mean(power * (f <= top))))
+    taken = rotors**2 * (2 * np.pi * f[:, None]) ** 4 * run.noise_of_angles(f)
+    power = noise_power(run.noise["tau"], f, run.dt) + taken
+    return np.asarray(np.sqrt((power * (f <= top)[:, None]).mean(axis=0)))
 
 
 def _filtered(x: Array, transfer: Array) -> Array:
