@@ -70,3 +70,21 @@ def test_a_name_with_other_numbers_in_another_run_is_withdrawn(first, logs, seco
     assert found.verdict == verdict, found.sentence
     withdrawn = any("with other numbers in each run" in s for s in found.selection.steps)
     assert withdrawn == (verdict == UNKNOWN)
+
+
+def test_grease_that_thins_is_viscous_friction_still():
+    """Claim: a damping that falls by a sixth at 0.75 rad/s is named, its number at rest found."""
+    thins = E.JointViscous(damping=(12.0, 0.0, 0.0), cubic=-0.3)
+    logs = [recorded(DESCRIBED.replace(effects=(thins,)), seed) for seed in (1, 2)]
+    inputs = system_inputs(logs, DESCRIBED, final=0)
+    names = ("joint/viscous at joint 1", "joint/coulomb at joint 1")
+    library = [c for c in inputs.candidates if c.name in names]
+    found = diagnose(inputs.machine, inputs.runs, (), candidates=library)
+    assert found.verdict == NAMED, found.sentence
+    (viscous,) = found.explanations
+    assert viscous.candidate.kind == "joint/viscous"
+    assert viscous.values[0] == pytest.approx(12.0, rel=0.02)
+    plain = replace(viscous.candidate, blurs=())
+    runs = WhitenedResiduals(inputs.machine, inputs.runs)
+    more = fit(runs, [plain], [viscous.values]).deviance
+    assert more - fit(runs, [viscous.candidate], [viscous.values]).deviance > 100

@@ -117,6 +117,7 @@ class SystemMachine:
                 ("N m",) * n,
                 _OF_THE_SERVO,
                 COMMANDED,
+                differentiates=True,
             ),
             Port(
                 "wrench",
